@@ -96,8 +96,7 @@ def locate_face(
 
 def likely_scales(scan: RawScan, samples: Samples, frame: Mapping[str, Any]) -> list[float]:
     """Return the mm per unit that come first for a scan."""
-    rounds = candidate_scales(_extent(samples), str(frame["unit"]), scan.mm_per_unit)
-    return rounds[0] if rounds else [1.0]
+    return candidate_scales(_extent(samples), str(frame["unit"]), scan.mm_per_unit)[0]
 
 
 def location_findings(scan: RawScan, location: Location, frame: Mapping[str, Any]) -> list[Finding]:
@@ -113,12 +112,11 @@ def location_findings(scan: RawScan, location: Location, frame: Mapping[str, Any
             f"{pose.residual_mm:.1f} mm off."
         )
         return [Finding("scan.not_a_face", "error", message)]
-    given = str(frame["unit"])
+    given, found = str(frame["unit"]), location.mm_per_unit
     expected = UNITS.get(given, scan.mm_per_unit or 1.0)
-    found = location.mm_per_unit
-    figures = {"expected": expected, "found": found, "unit": location.unit}
     if found == expected:
         return []
+    figures = {"expected": expected, "found": found, "unit": location.unit}
     ratio = expected / found
     size = f"{ratio:.3g} times too large" if ratio > 1 else f"{1 / ratio:.3g} times too small"
     if location.unit is None and not np.isclose(found / expected, UNIT_OPTIONS.slips).any():
@@ -143,7 +141,7 @@ def _search(
     face: FacePoints, samples: Samples, unit: str, declared: float | None, upright: Axes
 ) -> FacePose:
     """Return the best pose, however bad: in known units first, in odd ones if none fits."""
-    known, *others = candidate_scales(_extent(samples), unit, declared) or [[1.0]]
+    known, *others = candidate_scales(_extent(samples), unit, declared)
     best = find_pose(face, samples, known, upright)
     for scales in others:
         if not best.is_face or choose_unit(best.motion.scale, unit, declared)[1] is None:
@@ -242,7 +240,7 @@ def candidate_scales(
     known = [first] if first is not None else list(UNITS.values())
     slips = {(first or 1.0) * factor for factor in options.slips}
     odd = sorted((slips | set(UNITS.values())) - set(known))
-    ladder = [size / max(extent, 1e-30) for size in options.ladder_mm]
+    ladder = [size / extent for size in options.ladder_mm]
     rounds = [
         [scale for scale in scales if low <= scale * extent <= high]
         for scales in (known, odd, ladder)

@@ -168,6 +168,7 @@ def _laplacian(surface: Surface, options: FreeFormOptions) -> tuple[sp.csr_array
     weights = sp.coo_array(igl.cotmatrix(surface.vertices, surface.faces))
     weights.data = np.clip(weights.data, *options.cotangent)
     weights.data[weights.row == weights.col] = 0.0
+    weights.eliminate_zeros()
     area = vertex_areas(surface.vertices, surface.faces)
     return _from_weights(weights.tocsr()), np.maximum(area, 0.02 * np.median(area))
 

@@ -18,6 +18,7 @@ from solver.progress import Progress, Step, silent
 from solver.registration.landmarks import find_landmarks, landmark_vertices
 from solver.registration.locate import (
     FRAME,
+    Location,
     face_surface,
     locate_face,
     location_findings,
@@ -49,25 +50,10 @@ from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
 Marks = tuple[Floats, Ints]  # points (k, 3) in the scan's own frame, vertices (k,)
 
 
-@dataclass(frozen=True)
-class Start:
-    """A scan in mm and its motion onto the face.
-
-    ``unit`` is None where ``mm_per_unit`` is no unit's, ``size_known`` false where the size is
-    only the face's it was laid on: it fits neither a unit nor a decimal slip of one.
-    """
-
-    scan: ScanSurface
-    motion: Similarity
-    mm_per_unit: float
-    unit: str | None
-    size_known: bool
-
-
 def find_start(
     raw: RawScan, template: Template, frame: Mapping[str, Any], landmarks: Marks | None
-) -> Start:
-    """Find the face of a mended scan, by its shape or by ``landmarks``.
+) -> tuple[ScanSurface, Location]:
+    """Return a mended scan in mm, and its face, found by its shape or by ``landmarks``.
 
     Raises :class:`InputError`: ``options.unit``, ``options.axes``, ``scan.empty``, and what
     :func:`~solver.registration.locate.location_findings` counts as an error.
@@ -79,8 +65,7 @@ def find_start(
     for finding in location_findings(raw, place, frame):
         if finding.severity == "error":
             raise InputError(finding.code, finding.message, file=raw.file, **finding.context)
-    scan = scan_surface(raw, place.mm_per_unit)
-    return Start(scan, place.motion, place.mm_per_unit, place.unit, place.size_known)
+    return scan_surface(raw, place.mm_per_unit), place
 
 
 # A face that free form covers less, or leaves farther off on average, is none.
@@ -96,7 +81,8 @@ class RegisteredFace:
     without head motion.
     """
 
-    start: Start
+    scan: ScanSurface  # in mm
+    start: Location  # of its face, before registration
     skin: Surface
     trust: Trust
     motion: Similarity  # takes the scan in mm onto ``skin``
@@ -124,57 +110,59 @@ def register(
     ``scan.empty``, ``options.unit``, ``options.axes``, ``landmarks.extra``, ``landmarks.model``.
     """
     progress(Step("pose", 0.1))
-    start = find_start(raw, topology.template, frame, landmarks)
+    scan, start = find_start(raw, topology.template, frame, landmarks)
     pins = None
     if landmarks is not None:
         pins = Pins(start.mm_per_unit * landmarks[0], landmarks[1])
     elif landmarker is not None:
-        pins = _find_pins(start, topology, landmarker)
+        pins = _find_pins(scan, start.motion, topology, landmarker)
     progress(Step("shape", 0.3))
     if neutral is None:
-        fit, schedule = _fit_person(start, topology, pins)
+        fit, schedule = _fit_person(scan, start, topology, pins)
         rest, placed = topology.template.skin.vertices, fit.vertices
     else:
-        fit, schedule = _fit_expression(start, topology, neutral, pins)
+        fit, schedule = _fit_expression(scan, start, topology, neutral, pins)
         rest = placed = neutral
     progress(Step("free form", 0.6))
-    laid = free_form(start.scan, fit.motion, fit.vertices, topology, schedule, pins)
+    laid = free_form(scan, fit.motion, fit.vertices, topology, schedule, pins)
     laid = unfold(rest, laid, topology.flesh)
     laid = carry_hidden(topology.groups, placed, fit.vertices, laid, topology.outer)
     skin, motion = topology.template.skin.moved(laid), fit.motion
-    seen = trust(start.scan, motion, skin, topology.outer)
+    seen = trust(scan, motion, skin, topology.outer)
     if neutral is not None:
         back = head_motion(laid, fit.vertices, topology.stable * seen.confidence)
         skin, motion = skin.moved(back(laid)), motion.then(back)
     _check(raw.file, seen, topology)
     folded = folded_triangles(rest, skin.vertices, topology.flesh)
-    return RegisteredFace(start, skin, seen, motion, fit.weights, folded)
+    return RegisteredFace(scan, start, skin, seen, motion, fit.weights, folded)
 
 
-def _find_pins(start: Start, topology: Topology, model: Path) -> Pins | None:
+def _find_pins(
+    scan: ScanSurface, motion: Similarity, topology: Topology, model: Path
+) -> Pins | None:
     """Return the landmarks that show in pictures of the placed scan; None for a point cloud."""
-    if not len(start.scan.faces):
+    if not len(scan.faces):
         return None
-    placed = Surface(start.motion(start.scan.vertices), start.scan.faces)
+    placed = Surface(motion(scan.vertices), scan.faces)
     face = topology.template.skin.vertices[topology.face]
     known, found = landmark_vertices(topology.template), find_landmarks(placed, face, model)
     names = sorted(known.keys() & found.keys())
     if not names:
         return None
     points = np.array([found[name] for name in names])
-    return Pins(start.motion.inverse()(points), np.array([known[name] for name in names]))
+    return Pins(motion.inverse()(points), np.array([known[name] for name in names]))
 
 
 def _fit_person(
-    start: Start, topology: Topology, pins: Pins | None
+    scan: ScanSurface, start: Location, topology: Topology, pins: Pins | None
 ) -> tuple[ShapeFit, tuple[Round, ...]]:
     """Return a neutral's shape and the rounds that follow; without shapes the template's, sized."""
     basis, rest, face = topology.template.shapes, topology.template.skin, topology.face
     if basis is not None and len(basis.identity):
-        match, shapes = partial(pair, start.scan), persons(topology, basis)
+        match, shapes = partial(pair, scan), persons(topology, basis)
         return fit_shapes(match, start.motion, shapes, pins, sizes=not start.size_known), REFINE
     normals = vertex_normals(rest)[face]
-    motion = align(start.scan, start.motion, rest.vertices[face], normals, sizes=True)
+    motion = align(scan, start.motion, rest.vertices[face], normals, sizes=True)
     if not start.size_known:  # the scan takes the template's size
         return ShapeFit(np.zeros(0), rest.vertices, motion), FROM_AFAR
     resize = replace(IDENTITY, scale=start.motion.scale / motion.scale)
@@ -182,10 +170,10 @@ def _fit_person(
 
 
 def _fit_expression(
-    start: Start, topology: Topology, neutral: Floats, pins: Pins | None
+    scan: ScanSurface, start: Location, topology: Topology, neutral: Floats, pins: Pins | None
 ) -> tuple[ShapeFit, tuple[Round, ...]]:
     """Return an expression's shape and the rounds that follow; without shapes the neutral's."""
-    scan, basis, sizes = start.scan, topology.template.shapes, not start.size_known
+    basis, sizes = topology.template.shapes, not start.size_known
     still = np.flatnonzero(topology.stable > STILL)
     normals = vertex_normals(topology.template.skin.moved(neutral))[still]
     share = topology.stable[still]

@@ -50,7 +50,7 @@ def report(
         "mean_confidence": _round(trust.confidence[face].mean()),
         "folded": len(registered.folded),
         "vertices": len(registered.skin.vertices),
-        "scan_vertices": len(start.scan.vertices),
+        "scan_vertices": len(registered.scan.vertices),
         "regions": regions,
         "unit": start.unit,
         "motion": {
@@ -145,7 +145,7 @@ DOT_MM = 1.2  # radius of a point of a cloud
 
 def distance_picture(registered: RegisteredFace, topology: Topology, path: Path) -> None:
     """Draw scan, registration and distance side by side, from the front and both sides."""
-    scan, skin, trust = registered.start.scan, registered.skin, registered.trust
+    scan, skin, trust = registered.scan, registered.skin, registered.trust
     head = DrawnHead(topology.template.skin)
     lit = head.lit(skin.vertices)
     raw = _scan_body(scan, registered.motion(scan.vertices))

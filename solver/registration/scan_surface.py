@@ -36,16 +36,12 @@ class ScanSurfaceOptions:
 
 @dataclass(frozen=True)
 class Matches:
-    """The closest points of a scan.
+    """The closest points of a scan."""
 
-    ``points`` and unit ``normals`` (n, 3), ``distance`` (n,) in the scan's unit, and whether the
-    closest point lies ``at_edge`` of the scan, where there is no data beyond.
-    """
-
-    points: Floats
-    normals: Floats
-    distance: Floats
-    at_edge: NDArray[np.bool_]
+    points: Floats  # (n, 3)
+    normals: Floats  # (n, 3), of length 1
+    distance: Floats  # (n,) in the scan's unit
+    at_edge: NDArray[np.bool_]  # (n,) there is no data beyond
 
 
 class ScanSurface(ABC):

@@ -188,11 +188,6 @@ class _Poses:
     def take(self, chosen: Ints) -> _Poses:
         return _Poses(self.sizes[chosen], self.turns[chosen], self.shifts[chosen])
 
-    def place(self, points: Floats) -> Floats:
-        """Return the images (p, n, 3) of ``points`` (n, 3)."""
-        turned = np.einsum("pij,nj->pni", self.turns, points)
-        return np.asarray(self.sizes[:, None, None] * turned + self.shifts[:, None, :])
-
 
 def _starts(
     face: FacePoints, cloud: _Cloud, batch: slice, upright: Axes, options: SearchOptions
@@ -254,10 +249,12 @@ def _match(
 
     A point whose closest one faces elsewhere counts as far away.
     """
-    placed = poses.place(face.points)
+    turned, normals = (
+        np.einsum("pij,nj->pni", poses.turns, each) for each in (face.points, face.normals)
+    )
+    placed = poses.sizes[:, None, None] * turned + poses.shifts[:, None, :]
     distance, near = cloud.tree.query(placed.reshape(-1, 3))
     distance, near = distance.reshape(placed.shape[:2]), near.reshape(placed.shape[:2])
-    normals = np.einsum("pij,nj->pni", poses.turns, face.normals)
     agree = np.einsum("pni,pni->pn", normals, cloud.normals[near]) > options.least_cosine
     return placed, np.where(agree, distance, distance + options.cut), near
 

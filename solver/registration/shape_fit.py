@@ -153,18 +153,14 @@ IGNORED = ("eyeLook", "Pupil", "tongue")  # expressions that no scan shows
 
 @dataclass(frozen=True)
 class Shapes:
-    """Displacements (k, n, 3) in mm from ``start`` (n, 3), and the ``prior`` (k, k) on weights.
+    """Shapes of a skin with ``faces`` (f, 3), by their weights."""
 
-    Weights that are ``bounded`` (k,) lie in [0, 1.2]. Of the skin with these ``faces``, the
-    vertices ``used`` (m,) are fitted.
-    """
-
-    start: Floats
-    displacements: NDArray[np.floating]
-    prior: Floats
-    bounded: NDArray[np.bool_]
+    start: Floats  # (n, 3) of the skin
+    displacements: NDArray[np.floating]  # (k, n, 3) in mm
+    prior: Floats  # (k, k) on weights
+    bounded: NDArray[np.bool_]  # (k,) weights that lie in [0, 1.2]
     faces: Ints
-    used: Ints
+    used: Ints  # (m,) vertices that are fitted
 
     def at(self, weights: Floats) -> Floats:
         """Return the vertices (n, 3) with these weights (k,)."""
@@ -234,8 +230,8 @@ def fit_shapes(
         model, rows = shapes.at(weights), shapes.used
         normals = vertex_normals(Surface(model, shapes.faces))[rows]
         pairs = match(motion, model[rows], normals, reach)
-        share = options.independent / (options.noise * reach) ** 2
-        pairs = replace(pairs, weights=pairs.weights * share)
+        trust = pairs.weights * options.independent / (options.noise * reach) ** 2
+        pairs = replace(pairs, weights=trust)
         if pins is not None and reach >= options.pinned_reach_mm:
             places, goals = model[pins.vertices], motion(pins.points)
             pairs = add_pins(pairs, places, goals, 1 / options.pin_mm**2)

@@ -35,7 +35,6 @@ from solver.registration.search import face_points
 from solver.registration.shape_fit import LIKENESS, ShapeFit, anybody, fit_shapes, match_samples
 from solver.scans.cover import FAR_MM, Cover, cover, has_second_face, visible_part
 from solver.scans.findings import (
-    Features,
     axis_findings,
     cover_findings,
     error_finding,
@@ -172,21 +171,21 @@ def _look_closer(
     size = place.mm_per_unit / motion.scale
     seen = cover(near.transform(motion), fitted.vertices, template, face)
     vertices = motion(scan.vertices)
-    rough = roughness(vertices * size, seen.points[seen.covered] * size)
+    noise_mm, spacing_mm = roughness(vertices * size, seen.points[seen.covered] * size)
     marked = np.zeros(len(vertices), bool)
     if len(scan.faces):
         marked = spikes(vertices * size, scan.faces) & _around(vertices, face, AROUND_HEAD_MM)
     surface = Surface(vertices, scan.faces)
-    features = Features(lip_gap(surface, template), closed_eyes(surface, fitted.vertices, template))
-    result.findings += cover_findings(seen, features)
-    result.findings += roughness_findings(rough, int(marked.sum()))
-    result.findings += feature_findings(features, role)
+    gap, eyes = lip_gap(surface, template), closed_eyes(surface, fitted.vertices, template)
+    result.findings += cover_findings(seen, gap)
+    result.findings += roughness_findings(noise_mm, spacing_mm, int(marked.sum()))
+    result.findings += feature_findings(gap, eyes, role)
     result.cover, result.marked = seen, marked
     result.figures |= {
         "covered": round(seen.share(), 3),
-        "noise_mm": None if np.isnan(rough.noise_mm) else round(rough.noise_mm, 2),
-        "spacing_mm": round(rough.spacing_mm, 2),
-        "lip_gap_mm": features.lip_gap_mm,
+        "noise_mm": None if np.isnan(noise_mm) else round(noise_mm, 2),
+        "spacing_mm": round(spacing_mm, 2),
+        "lip_gap_mm": gap,
         "spikes": int(marked.sum()),
     }
 
