@@ -60,8 +60,8 @@ class Location:
     size_known: bool  # false if it fits no decimal slip of a unit: it is then the template's
     motion: Similarity  # takes the scan in mm, without scale, to the template's face
     size: float  # of the face by the template's
-    up: str  # the axis of the file that comes nearest to the subject's, ...
-    forward: str  # ... likewise
+    up: str  # axis of the file nearest to the subject's up (y)
+    forward: str  # axis of the file nearest to the subject's forward (z)
 
 
 def locate_face(
@@ -88,10 +88,24 @@ def locate_face(
     unit, samples = str(frame["unit"]), orient_outward(samples)
     if marks is None:
         pose = _search(face, samples, unit, scan.mm_per_unit, _given_axes(frame))
-        return _location(pose, pose.is_face, face, unit, scan.mm_per_unit)
-    start = fit_similarity(*marks)
-    pose = slide_into_place(face, samples, KDTree(samples.points), start, start.scale)
-    return _location(pose, True, face, unit, scan.mm_per_unit)
+    else:
+        start = fit_similarity(*marks)
+        pose = slide_into_place(face, samples, KDTree(samples.points), start, start.scale)
+    motion = pose.motion
+    factor, name = choose_unit(motion.scale, unit, scan.mm_per_unit)
+    centre = face.points.mean(axis=0)
+    there = factor * motion.inverse()(centre[None])[0]
+    return Location(
+        pose=pose,
+        is_face=pose.is_face or marks is not None,
+        unit=name,
+        mm_per_unit=factor,
+        size_known=factor != motion.scale,
+        motion=Similarity(1.0, motion.rotation, centre - motion.rotation @ there),
+        size=factor / motion.scale,
+        up=_nearest_axis(motion.rotation[1]),
+        forward=_nearest_axis(motion.rotation[2]),
+    )
 
 
 def likely_scales(scan: RawScan, samples: Samples, frame: Mapping[str, Any]) -> list[float]:
@@ -154,26 +168,6 @@ def _search(
     if known[0] == best.motion.scale:
         more.append(find_pose(face, samples, known, upright))
     return min(best, *more, key=lambda pose: pose.cost)
-
-
-def _location(
-    pose: FacePose, is_face: bool, face: FacePoints, unit: str, declared: float | None
-) -> Location:
-    motion = pose.motion
-    factor, name = choose_unit(motion.scale, unit, declared)
-    centre = face.points.mean(axis=0)
-    there = factor * motion.inverse()(centre[None])[0]
-    return Location(
-        pose=pose,
-        is_face=is_face,
-        unit=name,
-        mm_per_unit=factor,
-        size_known=factor != motion.scale,
-        motion=Similarity(1.0, motion.rotation, centre - motion.rotation @ there),
-        size=factor / motion.scale,
-        up=_nearest_axis(motion.rotation[1]),
-        forward=_nearest_axis(motion.rotation[2]),
-    )
 
 
 # Units and axes of a raw scan: those a file may have, and those that a face's size speaks for.
