@@ -169,7 +169,7 @@ def _scan_to_face(found: RegisteredFace, known: Topology) -> float:
     is_face = np.zeros(len(found.skin.vertices), dtype=bool)
     is_face[known.face] = True
     faces = found.skin.faces[is_face[found.skin.faces].all(axis=1)]
-    points = found.motion(found.start.scan.vertices)
+    points = found.motion(found.scan.vertices)
     squared, face, _ = igl.point_mesh_squared_distance(points, found.skin.vertices, faces)
     rim = np.unique(igl.boundary_facets(faces)[0])
     inside = ~np.isin(faces[face], rim).any(axis=1) & (squared < 10.0**2)

@@ -78,6 +78,26 @@ def weighted_motion(source: Floats, target: Floats, weights: Floats) -> Similari
     return Similarity(1.0, rotation, goal - rotation @ centre)
 
 
+def robust_motion(
+    source: Floats,
+    target: Floats,
+    weights: Floats,
+    slack: float,
+    steps: int,
+    start: Similarity = IDENTITY,
+) -> Similarity:
+    """Return the rigid motion that most of ``source`` (n, 3) takes to ``target`` (n, 3).
+
+    From ``start`` points farther from the motion than about ``slack`` lose their say, step by step
+    (Geman & McClure 1987).
+    """
+    motion = start
+    for _ in range(steps):
+        away = np.linalg.norm(motion(source) - target, axis=1)
+        motion = weighted_motion(source, target, weights / (1 + (away / slack) ** 2) ** 2)
+    return motion
+
+
 def _nearest_rotation(moments: Floats) -> tuple[Floats, float]:
     """Return the rotation R with the greatest tr(R^T moments), and that trace."""
     u, sigma, vt = np.linalg.svd(moments)

@@ -17,7 +17,7 @@ from solver.errors import Finding, InputError, make_warning
 from solver.fitting.face import Face
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
-from solver.similarity import Similarity, weighted_motion
+from solver.similarity import robust_motion, weighted_motion
 from solver.surface import Floats, Ints, directed_edges, vertex_areas
 
 
@@ -39,6 +39,8 @@ class TargetLimits:
     residual_ratio: float = 5.0
     patch_mm: float = 5.0
     patches: int = 3  # that are named, at most
+    still_mm: float = 2.0  # skin farther from the head's motion moves by itself ...
+    rounds: int = 10  # ... and loses its say in so many rounds
 
 
 def before_fit(
@@ -153,8 +155,15 @@ def _check_coverage(
 def _check_head(
     model: SubjectModel, name: str, scan: RegisteredScan, limits: TargetLimits
 ) -> list[Finding]:
-    """Find motion of the whole head, which a fit would take for expression."""
-    motion = _head_motion(model, scan)
+    """Find motion of the whole head, which a fit would take for expression.
+
+    It is the rigid motion from the neutral to the scan that most of the skin agrees on.
+    """
+    weights = scan.confidence.copy()
+    weights[model.attached_mandible] = 0.0
+    used = np.flatnonzero(weights > 0.0)
+    seen = model.skin.vertices[used], scan.vertices[used], weights[used]
+    motion = robust_motion(*seen, limits.still_mm, limits.rounds, weighted_motion(*seen))
     centre = model.skin.vertices.mean(0)
     shift = float(np.linalg.norm(motion(centre[None]) - centre))
     if motion.degrees <= limits.turned_degrees and shift <= limits.shifted_mm:
@@ -165,25 +174,6 @@ def _check_head(
     )
     context = {"expression": name, "degrees": round(motion.degrees, 1), "mm": round(shift, 1)}
     return [make_warning("target.turned", message, context)]
-
-
-def _head_motion(
-    model: SubjectModel, scan: RegisteredScan, still_mm: float = 2.0, rounds: int = 10
-) -> Similarity:
-    """Return the rigid motion from the neutral to the scan that most of the skin agrees on.
-
-    Robust (Geman-McClure weights): skin further than ``still_mm`` from the head's motion
-    moves by itself and loses its say, round by round.
-    """
-    weights = scan.confidence.copy()
-    weights[model.attached_mandible] = 0.0
-    used = np.flatnonzero(weights > 0.0)
-    neutral, goal, trust = model.skin.vertices[used], scan.vertices[used], weights[used]
-    motion = weighted_motion(neutral, goal, trust)
-    for _ in range(rounds):
-        away = np.linalg.norm(motion(neutral) - goal, axis=1)
-        motion = weighted_motion(neutral, goal, trust / (1.0 + (away / still_mm) ** 2) ** 2)
-    return motion
 
 
 def _check_edges(

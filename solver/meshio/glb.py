@@ -64,13 +64,11 @@ def read_glb(file: str, content: bytes, *, strict: bool = False) -> Mesh:
         shown = source.shown_meshes()
         if strict:
             return _registered_mesh(source, shown)
-        parts = [
-            _place(
-                _part(source, primitive, f"{quote(mesh.get('name', 'mesh'))}[{number}]"), transform
-            )
-            for mesh, transform in shown
-            for number, primitive in enumerate(mesh["primitives"])
-        ]
+        parts = []
+        for mesh, transform in shown:
+            name = quote(mesh.get("name", "mesh"))
+            for number, primitive in enumerate(mesh["primitives"]):
+                parts.append(_place(_part(source, primitive, f"{name}[{number}]"), transform))
     except NOT_VALID as error:
         reason = f"the glTF description is not valid ({quote(repr(error))})"
         raise unreadable_error(file, reason) from None
@@ -101,8 +99,7 @@ class _Source:
 
         def visit(number: int, parent: Floats, depth: int) -> None:
             if depth > MAX_DEPTH or number in seen:
-                reason = "the scene is not a tree of reasonable depth"
-                raise unsupported_error(self.file, reason)
+                raise unsupported_error(self.file, "the scene is not a tree of reasonable depth")
             seen.add(number)
             node = self.item("nodes", number)
             transform = parent @ _transform(self.file, node)
@@ -121,7 +118,7 @@ class _Source:
         if accessor["type"] != "VEC3" or accessor["componentType"] != FLOAT:
             raise unsupported_error(self.file, "the positions are not stored as 32-bit floats")
         positions = self.rows(number)
-        if len(positions) == 0:
+        if not len(positions):
             raise empty_error(self.file)
         return positions.astype(np.float64)
 
@@ -137,10 +134,9 @@ class _Source:
         size = kind.itemsize * width
         count, stride = accessor["count"], view.get("byteStride", size)
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        whole = all(isinstance(value, int) for value in (count, stride, start))
-        if not whole or not 0 <= min(count, stride, start) <= max(count, stride, start) < MOST:
-            reason = "the counts and offsets of the data are not valid"
-            raise unreadable_error(self.file, reason)
+        numbers = count, stride, start
+        if not all(isinstance(number, int) and 0 <= number < MOST for number in numbers):
+            raise unreadable_error(self.file, "the counts and offsets of the data are not valid")
         if count == 0:
             return np.zeros((0, width), kind)
         expected, found = start + (count - 1) * stride + size, len(self.binary)
@@ -206,22 +202,21 @@ def _transform(file: str, node: dict[str, Any]) -> Floats:
 
 def _registered_mesh(source: _Source, shown: list[tuple[dict[str, Any], Floats]]) -> Mesh:
     """Return the vertices of the one mesh that the scene shows."""
+    file = source.file
     if len(shown) != 1:
         reason = f"the scene must show exactly one mesh, found {len(shown)}"
-        raise unsupported_error(source.file, reason)
+        raise unsupported_error(file, reason)
     mesh, transform = shown[0]
     positions = {part["attributes"]["POSITION"] for part in mesh["primitives"]}
     if len(positions) != 1:
-        reason = "the parts of the mesh do not share one list of positions"
-        raise unsupported_error(source.file, reason)
+        raise unsupported_error(file, "the parts of the mesh do not share one list of positions")
     return _place(Mesh(source.positions(positions.pop())), transform)
 
 
 def _part(source: _Source, primitive: dict[str, Any], name: str) -> Mesh:
     """Return a primitive as a mesh; ``name`` is its own."""
-    attributes = primitive["attributes"]
+    attributes, mode = primitive["attributes"], primitive.get("mode", Mode.TRIANGLES)
     vertices = source.positions(attributes["POSITION"])
-    mode = primitive.get("mode", Mode.TRIANGLES)
     corners: Ints = np.arange(len(vertices), dtype=np.int64)
     if "indices" in primitive:
         corners = source.rows(primitive["indices"]).ravel().astype(np.int64)

@@ -20,41 +20,26 @@ NO_FACES: Ints = np.zeros((0, 3), np.int64)
 
 @dataclass(frozen=True)
 class Mesh:
-    """A mesh or point cloud as its file holds it, unmended.
+    """A mesh or point cloud as its file holds it, unmended; None is what the file has not."""
 
-    vertices
-        (n, 3) in the file's unit; may hold NaN.
-    faces
-        (f, 3) triangles, none for a point cloud.
-    normals, colours
-        (n, 3) as stored, and (n, 3) in [0, 1]; None where the file has none.
-    confidence
-        (n,) as stored; None where the file has none.
-    empty_groups
-        Names of groups, objects or parts that hold no face.
-    """
-
-    vertices: Floats
-    faces: Ints = field(default_factory=lambda: NO_FACES)
-    normals: Floats | None = None
-    colours: Floats | None = None
-    confidence: Floats | None = None
-    empty_groups: tuple[str, ...] = ()
+    vertices: Floats  # (n, 3) in the file's unit; may hold NaN
+    faces: Ints = field(default_factory=lambda: NO_FACES)  # (f, 3), none for a point cloud
+    normals: Floats | None = None  # (n, 3) as stored
+    colours: Floats | None = None  # (n, 3) in [0, 1]
+    confidence: Floats | None = None  # (n,) as stored
+    empty_groups: tuple[str, ...] = ()  # names of groups, objects or parts without a face
 
 
 def join_meshes(parts: list[Mesh]) -> Mesh:
     """Return several meshes as one; normals and colours stay only if every part has them."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-
-    def all_of(values: list[Floats | None]) -> Floats | None:
-        known = [value for value in values if value is not None]
-        return np.concatenate(known) if known and len(known) == len(parts) else None
-
+    normals = [part.normals for part in parts if part.normals is not None]
+    colours = [part.colours for part in parts if part.colours is not None]
     return Mesh(
         vertices=np.concatenate([part.vertices for part in parts]),
         faces=np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=False)]),
-        normals=all_of([part.normals for part in parts]),
-        colours=all_of([part.colours for part in parts]),
+        normals=np.concatenate(normals) if len(normals) == len(parts) else None,
+        colours=np.concatenate(colours) if len(colours) == len(parts) else None,
         empty_groups=tuple(name for part in parts for name in part.empty_groups),
     )
 
@@ -176,9 +161,8 @@ def parse_rows(
 ) -> tuple[Floats, Ints] | None:
     """Return all numbers of ``rows`` in order, and how many each row holds.
 
-    Returns None if there are no rows, if anything is not a number, or if the numbers of a row are
-    not as many as one of ``widths``, so that the caller, who knows the format, can look for the row
-    with :func:`find_bad_row` and name it.
+    Returns None if there are no rows, or one that :func:`find_bad_row` finds: something is not a
+    number, or the numbers of a row are not as many as one of ``widths``.
     """
     parsed = numbers_by_row(b"\n".join(rows), np.float64) if rows else None
     fits = parsed is not None and (widths is None or np.isin(parsed[1], list(widths)).all())
@@ -211,7 +195,7 @@ def numbers_by_row(text: bytes, kind: type[Number]) -> tuple[NDArray[Number], In
     lines = np.flatnonzero(characters == ord("\n"))
     words = np.bincount(np.searchsorted(lines, starts), minlength=len(lines) + 1)
     counts = words.astype(np.int64)
-    if len(starts) == 0:
+    if not len(starts):
         return np.zeros(0, kind), counts
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
@@ -261,6 +245,4 @@ def alike(rows: NDArray[np.uint64]) -> tuple[Ints, Ints]:
         keys = mixed[:, 0] + mixed[:, 1] + mixed[:, 2]
     _, first, kind = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
-    return first[order].astype(np.int64), rank[kind]
+    return first[order].astype(np.int64), np.argsort(order)[kind]

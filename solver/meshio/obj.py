@@ -34,7 +34,7 @@ from solver.surface import Floats, Ints, Surface
 VERTEX, FACE, NORMAL = (b"v ", b"v\t"), (b"f ", b"f\t"), (b"vn ", b"vn\t")
 GROUP = (b"g ", b"g\t", b"o ", b"o\t")
 NUMBERS_PER_VERTEX = (3, 4, 6, 7)  # position; with weight; with colour; with both
-MOST_UNUSED = 0.05  # of the vertices in no face: beyond, a file without a last line end was cut
+MOST_UNUSED = 0.05  # share of the vertices in no face: beyond, the file was cut
 
 
 def read_obj(file: str, content: bytes, *, strict: bool = False) -> Mesh:
@@ -66,12 +66,16 @@ def read_obj(file: str, content: bytes, *, strict: bool = False) -> Mesh:
         raise _find_fault(file, content, strict)
     if strict:
         return Mesh(vertices, faces)
-    if not content.endswith(b"\n"):
-        _check_end(file, faces, len(vertices))
+    if not content.endswith(b"\n"):  # without a last line end it may have been cut
+        unused = len(vertices) - len(np.unique(faces))
+        if not len(faces):
+            raise truncated_error(file, "it ends within a line, before the first face")
+        if unused > MOST_UNUSED * len(vertices):
+            reason = f"it ends without a line end and {unused} vertices are in no face"
+            raise truncated_error(file, reason)
     colours = None
-    if counts.min() >= 6:
-        weights = int(counts[0]) - 6
-        colours = unit_colours(columns(values, counts, 3 + weights, 6 + weights))
+    if counts.min() >= 6:  # the last three of each vertex
+        colours = unit_colours(values[np.cumsum(counts)[:, None] - np.array([3, 2, 1])])
     normals = _normals(lines, len(vertices), faces_text)
     return Mesh(vertices, faces, normals, colours, empty_groups=_empty_groups(lines))
 
@@ -102,16 +106,6 @@ def _triangles(lines: list[bytes], text: bytes, vertices: int) -> Ints | None:
     return fan(numbers - 1, counts) if numbers.min() >= 1 else None
 
 
-def _check_end(file: str, faces: Ints, vertices: int) -> None:
-    """Raise ``scan.truncated`` if a file without a last line end lacks too much to be whole."""
-    if not len(faces):
-        raise truncated_error(file, "it ends within a line, before the first face")
-    unused = vertices - len(np.unique(faces))
-    if unused > MOST_UNUSED * vertices:
-        reason = f"it ends without a line end and {unused} vertices are in no face"
-        raise truncated_error(file, reason)
-
-
 def _normals(lines: list[bytes], vertices: int, faces_text: bytes) -> Floats | None:
     """Return the normals (n, 3), if there is one to each vertex and faces number both alike."""
     rows = [line[3:] for line in lines if line.startswith(NORMAL)]
@@ -121,11 +115,8 @@ def _normals(lines: list[bytes], vertices: int, faces_text: bytes) -> Floats | N
 
 def _are_alike(faces_text: bytes) -> bool:
     """Return whether all corners are ``a//a`` or ``a/b/a``."""
-    if b"-" in faces_text:
-        return False
-    corners = re.sub(rb"/\S*", b"", faces_text).split()
     pairs = numbers_by_row(re.sub(rb"/\d*/", b" ", faces_text), np.int64)
-    if pairs is None or len(pairs[0]) != 2 * len(corners):
+    if pairs is None or b"-" in faces_text or len(pairs[0]) != 2 * len(faces_text.split()):
         return False
     return bool((pairs[0][::2] == pairs[0][1::2]).all())
 
@@ -141,9 +132,8 @@ def _empty_groups(lines: list[bytes]) -> tuple[str, ...]:
             for name in unmarked[kind]:
                 has_faces.setdefault(name, False)
         elif unmarked and line.startswith(FACE):
-            has_faces |= dict.fromkeys(
-                (name for names in unmarked.values() for name in names), True
-            )
+            for names in unmarked.values():
+                has_faces |= dict.fromkeys(names, True)
             unmarked.clear()
     return tuple(name for name, filled in has_faces.items() if not filled)
 

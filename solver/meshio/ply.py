@@ -12,7 +12,6 @@ import numpy as np
 
 from solver.errors import InputError, quote
 from solver.meshio.mesh import (
-    NO_FACES,
     Mesh,
     check_finite,
     count_up,
@@ -52,25 +51,21 @@ Rows = tuple[Columns, dict[str, Polygons]]
 
 @dataclass
 class Element:
-    """One element of the header: its rows, and per property (name, NumPy type).
-
-    A list property is entered with the type of its length, the least it takes in a row; ``items``
-    maps its name to the type of its items.
-    """
+    """One element of the header, with NumPy's codes of types."""
 
     name: str
-    count: int
+    count: int  # of its rows
+    # names and types; of a list the type of its length, the least it takes in a row
     properties: list[tuple[str, str]] = field(default_factory=list)
-    items: dict[str, str] = field(default_factory=dict)
+    items: dict[str, str] = field(default_factory=dict)  # list -> type of its items
 
     def row_type(self, order: str, lengths: Mapping[str, int] | None = None) -> np.dtype:
         """Return the type of a binary row whose lists have these ``lengths``, none by default."""
         fields: list[tuple[Any, ...]] = []
-        known = lengths or {}
         for name, code in self.properties:
-            if name in known:
+            if lengths and name in lengths:
                 fields.append((_length(name), order + code))
-                fields.append((name, order + self.items[name], (known[name],)))
+                fields.append((name, order + self.items[name], (lengths[name],)))
             else:
                 fields.append((name, order + code))
         return np.dtype(fields)
@@ -93,11 +88,10 @@ def read_ply(file: str, content: bytes, *, strict: bool = False) -> Mesh:
     if strict and (not elements or elements[0].name != "vertex" or elements[0].items):
         reason = "the first element must be 'vertex', without list properties"
         raise unsupported_error(file, reason)
-    body: _AsciiBody | _BinaryBody
-    if form == "ascii":
-        body = _AsciiBody(file, content, elements, start, strict)
-    else:
-        body = _BinaryBody(file, content, elements, start, BYTE_ORDERS[form])
+    source = file, content, elements, start
+    body: _AsciiBody | _BinaryBody = (
+        _AsciiBody(*source, strict) if form == "ascii" else _BinaryBody(*source, BYTE_ORDERS[form])
+    )
     vertex: Columns = {}
     polygons: Polygons = (np.zeros(0, np.int64), np.zeros(0, np.int64))
     for element in elements[:1] if strict else elements:
@@ -111,22 +105,18 @@ def read_ply(file: str, content: bytes, *, strict: bool = False) -> Mesh:
             if index is None:
                 raise unreadable_error(file, "the faces have no vertex_indices")
             polygons = lists[index]
-    vertices, colours = _columns(vertex, PLACE), _columns(vertex, COLOUR)
+    vertices, normals, colours = (_columns(vertex, names) for names in (PLACE, NORMAL, COLOUR))
     if vertices is None:
         raise unreadable_error(file, "the vertices have no x, y and z")
-    if len(vertices) == 0:
+    if not len(vertices):
         raise empty_error(file)
     confidence = vertex.get(CONFIDENCE)
     if strict and isinstance(body, _AsciiBody):
         known = [vertices] if confidence is None else [vertices, confidence[:, None]]
         check_finite(file, np.hstack(known), body.line)
-    return Mesh(
-        vertices,
-        faces=_triangles(file, polygons, len(vertices)),
-        normals=_columns(vertex, NORMAL),
-        colours=None if colours is None else unit_colours(colours),
-        confidence=confidence,
-    )
+    colours = None if colours is None else unit_colours(colours)
+    faces = _triangles(file, polygons, len(vertices))
+    return Mesh(vertices, faces, normals, colours, confidence)
 
 
 def read_header(file: str, content: bytes) -> tuple[str, list[Element], int]:
@@ -147,7 +137,7 @@ def read_header(file: str, content: bytes) -> tuple[str, list[Element], int]:
             if not form:
                 raise unreadable_error(file, "the header names no format", line=line)
             return form, elements, position
-        elif not words or words[0] in ("comment", "obj_info"):
+        elif words[:1] in ([], ["comment"], ["obj_info"]):
             continue
         elif words[0] == "format" and len(words) == 3 and words[1] in BYTE_ORDERS:
             form = words[1]
@@ -156,8 +146,8 @@ def read_header(file: str, content: bytes) -> tuple[str, list[Element], int]:
         elif words[0] == "property" and elements:
             _add_property(file, line, elements[-1], words[1:])
         else:
-            found = quote(" ".join(words))
-            raise unreadable_error(file, f"not a header line: '{found}'", line=line)
+            reason = f"not a header line: '{quote(' '.join(words))}'"
+            raise unreadable_error(file, reason, line=line)
     raise unreadable_error(file, f"the header is longer than {MAX_HEADER_LINES} lines")
 
 
@@ -196,7 +186,7 @@ class _BinaryBody:
         if end > len(self._content):
             return {}, self._read_lists(element)
         rows = np.frombuffer(self._content, row, count=element.count, offset=self._position)
-        if not all((rows[_length(name)] == count).all() for name, count in lengths.items()):
+        if any((rows[_length(name)] != count).any() for name, count in lengths.items()):
             return {}, self._read_lists(element)
         self._position = end
         scalars = [name for name, _ in element.properties if name not in element.items]
@@ -212,10 +202,9 @@ class _BinaryBody:
             lengths = self._list_lengths(element)
             row = element.row_type(self._order, lengths)
             if self._position + row.itemsize > len(self._content):
-                reason = (
-                    f"{element.count} rows of '{quote(element.name)}' announced, {number} follow"
-                )
-                raise truncated_error(self._file, reason, expected=element.count, found=number)
+                count, what = element.count, quote(element.name)
+                reason = f"{count} rows of '{what}' announced, {number} follow"
+                raise truncated_error(self._file, reason, expected=count, found=number)
             values = np.frombuffer(self._content, row, count=1, offset=self._position)[0]
             self._position += row.itemsize
             for name, count in lengths.items():
@@ -320,8 +309,6 @@ class _AsciiBody:
 
 def _triangles(file: str, polygons: Polygons, vertices: int) -> Ints:
     corners, counts = polygons
-    if len(corners) == 0:
-        return NO_FACES
     outside = (corners < 0) | (corners >= vertices)
     if outside.any():
         face = int(np.searchsorted(np.cumsum(counts), np.argmax(outside), side="right"))
@@ -343,15 +330,11 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
 
 
 def write_ply(path: Path, surface: Surface, values: Mapping[str, Floats] | None = None) -> None:
-    """Write triangles as PLY; what is read back is equal.
-
-    ``values`` are further properties of the vertices, name -> (n,), in single precision.
-    """
+    """Write triangles; ``values`` are properties of vertices, name -> (n,), in single precision."""
     columns = dict(zip("xyz", surface.vertices.T, strict=True)) | dict(values or {})
     kinds = {name: "double" if name in PLACE else "float" for name in columns}
-    vertices = np.empty(
-        len(surface.vertices), [(name, f"<{TYPES[k]}") for name, k in kinds.items()]
-    )
+    row = [(name, f"<{TYPES[kind]}") for name, kind in kinds.items()]
+    vertices = np.empty(len(surface.vertices), row)
     for name, column in columns.items():
         vertices[name] = column
     properties = "".join(f"property {kind} {name}\n" for name, kind in kinds.items())

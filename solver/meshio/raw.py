@@ -38,33 +38,17 @@ MAX_VERTICES = 8_000_000  # likewise
 
 @dataclass(frozen=True)
 class RawScan:
-    """A scan as its file holds it: unit, axes and faults are the file's.
+    """A scan as its file holds it: unit, axes and faults are the file's."""
 
-    file
-        The file's name, for messages.
-    vertices
-        (n, 3) in the file's unit; not-a-number and duplicate vertices are kept.
-    faces
-        (f, 3) triangles; (0, 3) for a point cloud.
-    normals, colours
-        (n, 3) as stored, and (n, 3) in [0, 1]; None where the file has none.
-    mm_per_unit
-        What the format declares (glTF: 1000), None where it declares nothing.
-    format, suffix_format
-        What the file holds and what its suffix says: ``obj``, ``ply``, ``stl``, ``glb``, ``xyz``.
-    empty_groups
-        Names of groups, objects or parts without a face.
-    """
-
-    file: str
-    vertices: Floats
-    faces: Ints
-    normals: Floats | None
-    colours: Floats | None
-    mm_per_unit: float | None
-    format: str
-    suffix_format: str
-    empty_groups: tuple[str, ...] = ()
+    file: str  # its name, for messages
+    vertices: Floats  # (n, 3) in the file's unit; not-a-number and duplicate vertices are kept
+    faces: Ints  # (f, 3) triangles; (0, 3) for a point cloud
+    normals: Floats | None  # (n, 3) as stored; None where the file has none
+    colours: Floats | None  # (n, 3) in [0, 1]; None where the file has none
+    mm_per_unit: float | None  # that the format declares (glTF: 1000), None where it does not
+    format: str  # of the content, a key of READERS
+    suffix_format: str  # that the suffix says
+    empty_groups: tuple[str, ...] = ()  # names of groups, objects or parts without a face
 
 
 def read_raw(path: Path) -> RawScan:
@@ -81,17 +65,9 @@ def read_raw(path: Path) -> RawScan:
     mesh = READERS[format_](file, content)
     if len(mesh.vertices) > MAX_VERTICES:
         raise too_large_error(file, "vertices", len(mesh.vertices), "a raw scan", MAX_VERTICES)
-    return RawScan(
-        file,
-        mesh.vertices,
-        mesh.faces.astype(np.int64, copy=False),
-        mesh.normals,
-        mesh.colours,
-        mm_per_unit=MM_PER_METRE if format_ == "glb" else None,
-        format=format_,
-        suffix_format=FORMATS[suffix],
-        empty_groups=mesh.empty_groups,
-    )
+    unit = MM_PER_METRE if format_ == "glb" else None
+    surface = mesh.vertices, mesh.faces.astype(np.int64, copy=False), mesh.normals, mesh.colours
+    return RawScan(file, *surface, unit, format_, FORMATS[suffix], mesh.empty_groups)
 
 
 # The format by what a file holds, whatever its suffix says.
@@ -156,22 +132,16 @@ WELDED_SHARE = 0.02
 
 @dataclass(frozen=True)
 class Mending:
-    """Counts of each fault of a raw scan.
+    """Counts of each fault of a raw scan."""
 
-    ``not_finite`` vertices, the first of them ``first_not_finite`` (-1 for none); ``duplicate``
-    vertices (in the place of another); ``flat`` triangles (no area); ``repeated`` triangles (the
-    same corners as another); ``unused`` vertices (in no triangle); ``non_manifold`` edges (of three
-    triangles or more); ``flipped`` triangles (wound against the most of their piece).
-    """
-
-    not_finite: int = 0
-    first_not_finite: int = -1
-    duplicate: int = 0
-    flat: int = 0
-    repeated: int = 0
-    unused: int = 0
-    non_manifold: int = 0
-    flipped: int = 0
+    not_finite: int = 0  # vertices
+    first_not_finite: int = -1  # the first of these vertices, -1 for none
+    duplicate: int = 0  # vertices in the place of another
+    flat: int = 0  # triangles without area
+    repeated: int = 0  # triangles with the same corners as another
+    unused: int = 0  # vertices in no triangle
+    non_manifold: int = 0  # edges of three triangles or more
+    flipped: int = 0  # triangles wound against the most of their piece
 
 
 def mend(scan: RawScan) -> tuple[RawScan, Mending]:

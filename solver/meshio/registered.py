@@ -14,10 +14,11 @@ import numpy as np
 
 from solver.errors import InputError
 from solver.meshio.glb import MM_PER_METRE, read_glb
-from solver.meshio.mesh import Mesh, check_finite, check_suffix, read_content
+from solver.meshio.mesh import Mesh, check_finite, check_suffix, read_content, unsupported_error
 from solver.meshio.obj import read_obj
 from solver.meshio.ply import read_ply, write_ply
 from solver.meshio.stl import read_stl
+from solver.similarity import weighted_motion
 from solver.surface import Floats, Ints, Surface
 
 READERS: dict[str, Callable[..., Mesh]] = {
@@ -62,7 +63,7 @@ class RegisteredScan:
 
 
 def write_registered(path: Path, surface: Surface, confidence: Floats) -> None:
-    """Write a registered scan as PLY; :func:`read_registered` reads it."""
+    """Write a registered scan as PLY."""
     write_ply(path, surface, {"confidence": confidence})
 
 
@@ -103,9 +104,8 @@ def read_registered(
             f"{file} has {len(vertices)} vertices; the template's topology has {vertex_count}; a "
             "raw scan is sent as raw and registered first"
         )
-        raise InputError(
-            "scan.vertex_count", message, file=file, expected=vertex_count, found=len(vertices)
-        )
+        about = {"file": file, "expected": vertex_count, "found": len(vertices)}
+        raise InputError("scan.vertex_count", message, **about)
     check_finite(file, vertices)
     _check_scale(file, vertices, plausible)
     _check_vertex_order(file, vertices, faces, plausible)
@@ -132,23 +132,18 @@ def _number_facets(
     STL shares no vertices, so its facets must be the template's ``faces`` (f, 3) in the same order;
     corners that are one vertex in the template must lie in one place.
     """
-    triangles, expected = len(corners) // 3, len(faces)
     if len(corners) != faces.size:
-        message = f"{file} has {triangles} triangles; the template has {expected}"
-        raise InputError(
-            "scan.vertex_count", message, file=file, expected=expected, found=triangles
-        )
+        found, expected = len(corners) // 3, len(faces)
+        message = f"{file} has {found} triangles; the template has {expected}"
+        raise InputError("scan.vertex_count", message, file=file, expected=expected, found=found)
     check_finite(file, corners)
     vertices = np.full((vertex_count, 3), np.nan)
     vertices[faces.ravel()] = corners
     loose = np.flatnonzero(np.isnan(vertices[:, 0]))
     if len(loose):
         vertex = int(loose[0])
-        message = (
-            f"{file}: STL cannot carry vertex {vertex}, which is in no triangle: use "
-            "OBJ, PLY or GLB"
-        )
-        raise InputError("scan.format", message, file=file, vertex=vertex)
+        reason = f"STL cannot carry vertex {vertex}, which is in no triangle: use OBJ, PLY or GLB"
+        raise unsupported_error(file, reason, vertex=vertex)
     apart = np.abs(vertices[faces] - corners.reshape(-1, 3, 3)).max(axis=(1, 2))
     if apart.max() > same_place_mm:
         triangle = int(np.argmax(apart > same_place_mm))
@@ -175,9 +170,7 @@ def _check_scale(file: str, vertices: Floats, plausible: PlausibleScan) -> None:
     else:
         hint = "it cannot be a head in mm"
     message = f"{file} is {extent:.4g} mm across, a head is {low:g} to {high:g} mm; {hint}"
-    raise InputError(
-        "scan.unit", message, file=file, expected=list(plausible.head_mm), found=extent
-    )
+    raise InputError("scan.unit", message, file=file, expected=[low, high], found=extent)
 
 
 def _check_vertex_order(file: str, vertices: Floats, faces: Ints, plausible: PlausibleScan) -> None:
@@ -200,8 +193,13 @@ def _check_alignment(
     Scans of one session share the skull's place; the message says by how much this one is moved.
     One that is the neutral's mirror image rather than moved is ``scan.mirrored``.
     """
-    motion = _rigid_motion(neutral, vertices)
-    if motion.mirror_leaves < plausible.mirrored:
+    even, mirrored = np.ones(len(vertices)), neutral * [-1.0, 1.0, 1.0]
+    moved, flipped = (weighted_motion(start, vertices, even) for start in (neutral, mirrored))
+    left = np.sum((moved(neutral) - vertices) ** 2)
+    left_mirrored = np.sum((flipped(mirrored) - vertices) ** 2)
+    # distances too small tell nothing: a flat surface is its own mirror image
+    size = len(vertices) * float(np.var(neutral, axis=0).sum() + np.var(vertices, axis=0).sum())
+    if left > 1e-3 * size and left_mirrored < plausible.mirrored * left:
         message = (
             f"{file} is mirrored against the neutral (left and right exchanged, or inside out): "
             "switch off mirroring in the export"
@@ -210,40 +208,11 @@ def _check_alignment(
     median = float(np.median(np.linalg.norm(vertices - neutral, axis=1)))
     if median <= plausible.median_motion_mm:
         return
+    shift = float(np.linalg.norm(vertices.mean(axis=0) - neutral.mean(axis=0)))
     message = (
         f"{file} lies {median:.0f} mm off the neutral (median over all vertices): it is turned by "
-        f"{motion.degrees:.0f} degrees and moved by {motion.shift:.0f} mm; align its skull with "
-        "the neutral's"
+        f"{moved.degrees:.0f} degrees and moved by {shift:.0f} mm; align its skull with the "
+        "neutral's"
     )
     expected = plausible.median_motion_mm
     raise InputError("scan.misaligned", message, file=file, expected=expected, found=median)
-
-
-@dataclass(frozen=True)
-class _Motion:
-    """The best rigid motion, in degrees and mm.
-
-    ``mirror_leaves`` is what a mirror image leaves of its squared distances, as a part of them; 1
-    where they are too small to tell.
-    """
-
-    degrees: float
-    shift: float
-    mirror_leaves: float
-
-
-def _rigid_motion(start: Floats, end: Floats) -> _Motion:
-    """Return the best rigid motion of ``start`` (n, 3) onto ``end`` (Kabsch 1976)."""
-    centred, goal = start - start.mean(0), end - end.mean(0)
-    u, s, vt = np.linalg.svd(centred.T @ goal)
-    sign = np.sign(np.linalg.det(u @ vt))
-    cosine = (np.trace(u @ np.diag([1.0, 1.0, sign]) @ vt) - 1) / 2
-    # What is left of the squared distances by a rotation, and by a mirrored one; a flat surface is
-    # its own mirror image.
-    spread = np.sum(centred**2) + np.sum(goal**2)
-    left = [spread - 2.0 * (s[0] + s[1] + side * s[2]) for side in (sign, -sign)]
-    return _Motion(
-        float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))),
-        float(np.linalg.norm(end.mean(0) - start.mean(0))),
-        float(left[1] / left[0]) if left[0] > 1e-3 * spread else 1.0,
-    )

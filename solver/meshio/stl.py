@@ -28,7 +28,7 @@ def read_stl(file: str, content: bytes, *, strict: bool = False) -> Mesh:
     # some binary files start with the word 'solid' too
     is_text = content[:5].lower() == b"solid" and b"\0" not in content[:1024]
     corners = _read_ascii(file, content) if is_text else _read_binary(file, content)
-    if len(corners) == 0:
+    if not len(corners):
         raise empty_error(file)
     vertices = corners.reshape(-1, 3)
     if strict:
@@ -39,11 +39,11 @@ def read_stl(file: str, content: bytes, *, strict: bool = False) -> Mesh:
 
 def _read_binary(file: str, content: bytes) -> Floats:
     """Return the corners (f, 3, 3) of the triangles."""
-    if len(content) < HEADER_BYTES:
-        reason = f"{len(content)} bytes are not even the header of an STL file"
-        raise truncated_error(file, reason)
+    found = len(content)
+    if found < HEADER_BYTES:
+        raise truncated_error(file, f"{found} bytes are not even the header of an STL file")
     count = int.from_bytes(content[HEADER_BYTES - 4 : HEADER_BYTES], "little")
-    expected, found = HEADER_BYTES + count * FACET.itemsize, len(content)
+    expected = HEADER_BYTES + count * FACET.itemsize
     if found < expected:
         reason = f"{count} triangles take {expected} bytes, found {found}"
         raise truncated_error(file, reason, expected=expected, found=found)

@@ -94,10 +94,8 @@ def read_landmarks(path: Path) -> Points:
         return _csv(path, text)
     if suffix not in (".json", ".ljson"):
         message = f"{path.name}: landmarks are a .json, .ljson or .csv file"
-        expected = [".json", ".ljson", ".csv"]
-        raise InputError(
-            "landmarks.format", message, file=path.name, expected=expected, found=suffix
-        )
+        about = {"file": path.name, "expected": [".json", ".ljson", ".csv"], "found": suffix}
+        raise InputError("landmarks.format", message, **about)
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -151,7 +149,9 @@ def match(file: str, points: Points, template: Template) -> tuple[Floats, Ints]:
         message = f"{file}: all landmarks lie in one place"
         raise InputError("landmarks.misplaced", message, file=file)
     vertices = np.array([known[name] for name in names])
-    swapped = np.array([known.get(_other_side(name), known[name]) for name in names])
+    sides = {"_l": "_r", "_r": "_l"}
+    others = (name[:-2] + sides.get(name[-2:], name[-2:]) for name in names)
+    swapped = [known.get(*pair) for pair in zip(others, vertices.tolist(), strict=True)]
     error, swapped_error = _misfit(given, rest[vertices]), _misfit(given, rest[swapped])
     if swapped_error.mean() < 0.6 * error.mean():
         message = f"{file}: left and right are exchanged; _l means the subject's left"
@@ -168,11 +168,6 @@ def match(file: str, points: Points, template: Template) -> tuple[Floats, Ints]:
 def _misfit(points: Floats, rest: Floats) -> Floats:
     motion = fit_similarity(points, rest)
     return np.asarray(np.linalg.norm(motion(points) - rest, axis=1))
-
-
-def _other_side(name: str) -> str:
-    sides = {"_l": "_r", "_r": "_l"}
-    return name[:-2] + sides.get(name[-2:], name[-2:])
 
 
 def _ljson(path: Path, content: Mapping[str, Any]) -> Points:
@@ -219,9 +214,8 @@ def _point(path: Path, name: str, value: Any, **where: Any) -> Floats:
 
 def _unreadable(path: Path, reason: str, **where: Any) -> InputError:
     place = f", line {where['line']}" if "line" in where else ""
-    return InputError(
-        "landmarks.unreadable", f"{path.name}{place}: {reason}", file=path.name, **where
-    )
+    message = f"{path.name}{place}: {reason}"
+    return InputError("landmarks.unreadable", message, file=path.name, **where)
 
 
 # Landmarks found by MediaPipe's face landmarker (optional extra), which runs offline: the scan is
@@ -255,8 +249,12 @@ def find_landmarks(scan: Surface, face: Floats, model: Path) -> Points:
             if point is not None:
                 seen.setdefault(name, []).append(point)
     landmarker.close()
-    found = {name: _mean_of_views(np.array(points)) for name, points in seen.items()}
-    return {name: point for name, point in found.items() if point is not None}
+    found = {}
+    for name, points in seen.items():
+        close = np.linalg.norm(points - np.median(points, axis=0), axis=1) < AGREE_MM
+        if close.sum() > 1:
+            found[name] = np.array(points)[close].mean(axis=0)
+    return found
 
 
 def _landmarker(model: Path) -> Any:
@@ -282,27 +280,18 @@ def _detect(landmarker: Any, image: Pixels) -> dict[str, tuple[float, float]]:
     import mediapipe
 
     pixels = np.ascontiguousarray(image * 255 + 0.5, np.uint8)
-    found = landmarker.detect(
-        mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
-    ).face_landmarks
-    if not found:
-        return {}
-    return {
-        name: (PIXELS * found[0][number].x, PIXELS * found[0][number].y)
-        for number, name in MEDIAPIPE.items()
-    }
+    picture = mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
+    found = {}
+    for face in landmarker.detect(picture).face_landmarks[:1]:
+        for number, name in MEDIAPIPE.items():
+            found[name] = (PIXELS * face[number].x, PIXELS * face[number].y)
+    return found
 
 
 def _on_surface(scan: Surface, visible: Visible, column: float, row: float) -> Floats | None:
     """Return the point of the surface in a pixel; None where a hole is."""
     x, y = int(column), int(row)
-    if not (0 <= x < PIXELS and 0 <= y < PIXELS) or visible.triangle[y, x] < 0:
+    if min(x, y) < 0 or max(x, y) >= PIXELS or visible.triangle[y, x] < 0:
         return None
     corners = scan.vertices[visible.faces[visible.triangle[y, x]]]
     return np.asarray(visible.weights[y, x].astype(float) @ corners)
-
-
-def _mean_of_views(points: Floats) -> Floats | None:
-    middle = np.median(points, axis=0)
-    close = np.linalg.norm(points - middle, axis=1) < AGREE_MM
-    return None if close.sum() < 2 else np.asarray(points[close].mean(axis=0))

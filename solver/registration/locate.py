@@ -39,40 +39,29 @@ def face_surface(template: Template) -> Surface:
     return Surface(skin.vertices, skin.faces[is_face[skin.faces].all(axis=1)])
 
 
-def scan_samples(scan: RawScan, count: int = SCAN_SAMPLES) -> Samples:
+def scan_samples(scan: RawScan) -> Samples:
     """Return points spread over the scan, in its own frame; what is not a number is left out."""
     finite = np.asarray(np.isfinite(scan.vertices).all(axis=1))
     vertices = np.where(finite[:, None], scan.vertices, 0.0)
     if len(scan.faces):
-        return sample(vertices, scan.faces[finite[scan.faces].all(axis=1)], None, count)
+        return sample(vertices, scan.faces[finite[scan.faces].all(axis=1)], None, SCAN_SAMPLES)
     normals = None if scan.normals is None else np.nan_to_num(scan.normals[finite])
-    return sample(vertices[finite], scan.faces, normals, count)
+    return sample(vertices[finite], scan.faces, normals, SCAN_SAMPLES)
 
 
 @dataclass(frozen=True)
 class Location:
-    """The face in a scan: its pose, the unit of the file, and its place in mm.
-
-    ``motion`` takes the scan in mm, without scale, to the template's face: its centre, in the
-    subject's axes. ``unit`` is None if the scan's size fits no unit by name, ``size_known`` false
-    if it does not even fit a decimal slip of one: the size is then the template's. ``size`` is the
-    face's by the template's; ``up`` and ``forward`` are the axes of the file that come nearest to
-    the subject's.
-    """
+    """The face in a scan: its pose, the unit of the file, and its place in mm."""
 
     pose: FacePose
     is_face: bool
-    unit: str | None
+    unit: str | None  # None if the scan's size fits none by name
     mm_per_unit: float
-    size_known: bool
-    motion: Similarity
-    size: float
-    up: str
-    forward: str
-
-    def apply(self, points: Floats) -> Floats:
-        """Return points (n, 3) of the file in mm in the subject's frame."""
-        return self.motion(self.mm_per_unit * points)
+    size_known: bool  # false if it fits no decimal slip of a unit: it is then the template's
+    motion: Similarity  # takes the scan in mm, without scale, to the template's face
+    size: float  # of the face by the template's
+    up: str  # axis of the file nearest to the subject's up (y)
+    forward: str  # axis of the file nearest to the subject's forward (z)
 
 
 def locate_face(
@@ -89,8 +78,7 @@ def locate_face(
     :data:`FRAME`. Landmarks (``marks``), points (k, 3) of the scan and of the template, replace the
     search: who sets them has seen a face.
 
-    Raises :class:`InputError`: ``options.unit``, ``options.axes``; ``scan.unit_unknown`` for a scan
-    without extent.
+    Raises what :func:`check_frame` does, and ``scan.unit_unknown`` for a scan without extent.
     """
     check_frame(frame)
     extent = _extent(samples)
@@ -99,18 +87,30 @@ def locate_face(
         raise InputError("scan.unit_unknown", message, file=scan.file)
     unit, samples = str(frame["unit"]), orient_outward(samples)
     if marks is None:
-        upright = (given_axis(frame, "up"), given_axis(frame, "forward"))
-        pose = _search(face, samples, unit, scan.mm_per_unit, upright)
-        return _location(pose, pose.is_face(), face, unit, scan.mm_per_unit)
-    start = fit_similarity(*marks)
-    pose = slide_into_place(face, samples, KDTree(samples.points), start, start.scale)
-    return _location(pose, True, face, unit, scan.mm_per_unit)
+        pose = _search(face, samples, unit, scan.mm_per_unit, _given_axes(frame))
+    else:
+        start = fit_similarity(*marks)
+        pose = slide_into_place(face, samples, KDTree(samples.points), start, start.scale)
+    motion = pose.motion
+    factor, name = choose_unit(motion.scale, unit, scan.mm_per_unit)
+    centre = face.points.mean(axis=0)
+    there = factor * motion.inverse()(centre[None])[0]
+    return Location(
+        pose=pose,
+        is_face=pose.is_face or marks is not None,
+        unit=name,
+        mm_per_unit=factor,
+        size_known=factor != motion.scale,
+        motion=Similarity(1.0, motion.rotation, centre - motion.rotation @ there),
+        size=factor / motion.scale,
+        up=_nearest_axis(motion.rotation[1]),
+        forward=_nearest_axis(motion.rotation[2]),
+    )
 
 
 def likely_scales(scan: RawScan, samples: Samples, frame: Mapping[str, Any]) -> list[float]:
     """Return the mm per unit that come first for a scan."""
-    rounds = candidate_scales(_extent(samples), str(frame["unit"]), scan.mm_per_unit)
-    return rounds[0] if rounds else [1.0]
+    return candidate_scales(_extent(samples), str(frame["unit"]), scan.mm_per_unit)[0]
 
 
 def location_findings(scan: RawScan, location: Location, frame: Mapping[str, Any]) -> list[Finding]:
@@ -126,15 +126,14 @@ def location_findings(scan: RawScan, location: Location, frame: Mapping[str, Any
             f"{pose.residual_mm:.1f} mm off."
         )
         return [Finding("scan.not_a_face", "error", message)]
-    given = str(frame["unit"])
+    given, found = str(frame["unit"]), location.mm_per_unit
     expected = UNITS.get(given, scan.mm_per_unit or 1.0)
-    found = location.mm_per_unit
-    figures = {"expected": expected, "found": found, "unit": location.unit}
     if found == expected:
         return []
+    figures = {"expected": expected, "found": found, "unit": location.unit}
     ratio = expected / found
     size = f"{ratio:.3g} times too large" if ratio > 1 else f"{1 / ratio:.3g} times too small"
-    if location.unit is None and not is_slip(found / expected):
+    if location.unit is None and not np.isclose(found / expected, UNIT_OPTIONS.slips).any():
         no_unit = f"No unit makes the face in {scan.file} as large as a face"
         if given != "auto":
             no_unit = f"Read as given, the face in {scan.file} would be {size}, in no unit right"
@@ -149,47 +148,26 @@ def location_findings(scan: RawScan, location: Location, frame: Mapping[str, Any
 
 
 def _extent(samples: Samples) -> float:
-    low, high = np.quantile(samples.points, [0.005, 0.995], axis=0)
-    return float((high - low).max())
+    return float(np.ptp(np.quantile(samples.points, [0.005, 0.995], axis=0), axis=0).max())
 
 
 def _search(
     face: FacePoints, samples: Samples, unit: str, declared: float | None, upright: Axes
 ) -> FacePose:
     """Return the best pose, however bad: in known units first, in odd ones if none fits."""
-    known, *others = candidate_scales(_extent(samples), unit, declared) or [[1.0]]
+    known, *others = candidate_scales(_extent(samples), unit, declared)
     best = find_pose(face, samples, known, upright)
     for scales in others:
-        if not best.is_face() or choose_unit(best.motion.scale, unit, declared)[1] is None:
+        if not best.is_face or choose_unit(best.motion.scale, unit, declared)[1] is None:
             found = find_pose(face, samples, scales, upright, QUICK)
             if found.cost < best.cost:
                 best, known = found, [found.motion.scale]
-    if best.is_good():
+    if best.is_good:
         return best
     more = [find_pose(face, samples, known, upright, first=False)]
     if known[0] == best.motion.scale:
         more.append(find_pose(face, samples, known, upright))
     return min(best, *more, key=lambda pose: pose.cost)
-
-
-def _location(
-    pose: FacePose, is_face: bool, face: FacePoints, unit: str, declared: float | None
-) -> Location:
-    motion = pose.motion
-    factor, name = choose_unit(motion.scale, unit, declared)
-    centre = face.points.mean(axis=0)
-    there = factor * motion.inverse()(centre[None])[0]
-    return Location(
-        pose=pose,
-        is_face=is_face,
-        unit=name,
-        mm_per_unit=factor,
-        size_known=factor != motion.scale,
-        motion=Similarity(1.0, motion.rotation, centre - motion.rotation @ there),
-        size=factor / motion.scale,
-        up=nearest_axis(motion.rotation[1]),
-        forward=nearest_axis(motion.rotation[2]),
-    )
 
 
 # Units and axes of a raw scan: those a file may have, and those that a face's size speaks for.
@@ -222,28 +200,24 @@ UNIT_OPTIONS = UnitOptions()
 
 def check_frame(frame: Mapping[str, Any]) -> None:
     """Raise :class:`InputError` (``options.unit``, ``options.axes``) for what does not exist."""
-    for name, known, code in (
-        ("unit", UNITS, "options.unit"),
-        ("up", AXES, "options.axes"),
-        ("forward", AXES, "options.axes"),
-    ):
+    for name, known in {"unit": [*UNITS], "up": [*AXES], "forward": [*AXES]}.items():
         given = str(frame[name])
-        if given != "auto" and given not in known:
+        if given not in ("auto", *known):
             message = f"{name} is {given!r}, not one of auto, {', '.join(known)}"
+            code = "options.unit" if name == "unit" else "options.axes"
             raise InputError(code, message, expected=["auto", *known])
     up, forward = str(frame["up"]), str(frame["forward"])
     if "auto" not in (up, forward) and up.lstrip("-") == forward.lstrip("-"):
         raise InputError("options.axes", "up and forward must be two different axes")
 
 
-def given_axis(frame: Mapping[str, Any], name: str) -> Floats | None:
-    """Return the direction (3,) that ``frame`` gives for ``up`` or ``forward``; None for auto."""
-    axis = str(frame[name])
-    return None if axis == "auto" else np.array(AXES[axis])
+def _given_axes(frame: Mapping[str, Any]) -> Axes:
+    """Return the directions (3,) that ``frame`` gives for ``up`` and ``forward``; None for auto."""
+    known = {name: np.array(axis) for name, axis in AXES.items()}
+    return known.get(frame["up"]), known.get(frame["forward"])
 
 
-def nearest_axis(direction: Floats) -> str:
-    """Return the name of the axis that comes nearest to ``direction`` (3,)."""
+def _nearest_axis(direction: Floats) -> str:
     return max(AXES, key=lambda name: float(np.dot(AXES[name], direction)))
 
 
@@ -260,7 +234,7 @@ def candidate_scales(
     known = [first] if first is not None else list(UNITS.values())
     slips = {(first or 1.0) * factor for factor in options.slips}
     odd = sorted((slips | set(UNITS.values())) - set(known))
-    ladder = [size / max(extent, 1e-30) for size in options.ladder_mm]
+    ladder = [size / extent for size in options.ladder_mm]
     rounds = [
         [scale for scale in scales if low <= scale * extent <= high]
         for scales in (known, odd, ladder)
@@ -284,8 +258,3 @@ def choose_unit(
         if options.face_sizes[0] <= factor / scale <= options.face_sizes[1]:
             return factor, names.get(factor)
     return scale, None
-
-
-def is_slip(ratio: float, options: UnitOptions = UNIT_OPTIONS) -> bool:
-    """Return whether two units whose ratio this is are mixed up by a decimal slip."""
-    return any(np.isclose(ratio, slip) for slip in options.slips)

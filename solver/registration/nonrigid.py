@@ -92,10 +92,8 @@ class Skin:
         self._touch, self._closing = self._lips(topology)
         pattern = sp.csr_array(abs(self._bending) + abs(self._membrane) + abs(self._touch))
         pattern.sort_indices()
-        self._pattern = pattern
-        self._diagonal = pattern.indices == np.repeat(
-            np.arange(len(self.area)), np.diff(pattern.indptr)
-        )
+        entries = pattern.tocoo()
+        self._pattern, self._diagonal = pattern, entries.row == entries.col
         self._solver = Rslab(pattern)
 
     def smooth(self, goals: Floats, weights: Floats, length: float) -> Floats:
@@ -167,13 +165,12 @@ def free_form(
 
 def _laplacian(surface: Surface, options: FreeFormOptions) -> tuple[sp.csr_array, Floats]:
     """Return the cotangent Laplacian (positive) with bounded weights, and vertex areas (mm^2)."""
-    entries = sp.coo_array(igl.cotmatrix(surface.vertices, surface.faces))
-    off = entries.row != entries.col
-    values = np.clip(entries.data[off], *options.cotangent)
+    weights = sp.coo_array(igl.cotmatrix(surface.vertices, surface.faces))
+    weights.data = np.clip(weights.data, *options.cotangent)
+    weights.data[weights.row == weights.col] = 0.0
+    weights.eliminate_zeros()
     area = vertex_areas(surface.vertices, surface.faces)
-    ends = (entries.row[off], entries.col[off])
-    weights = sp.csr_array((values, ends), shape=entries.shape)
-    return _from_weights(weights), np.maximum(area, 0.02 * np.median(area))
+    return _from_weights(weights.tocsr()), np.maximum(area, 0.02 * np.median(area))
 
 
 def _from_weights(weights: sp.csr_array) -> sp.csr_array:
@@ -227,12 +224,10 @@ def unfold(before: Floats, after: Floats, faces: Ints) -> Floats:
 
 def _bending(vertices: Floats, graph: sp.csr_array) -> sp.csr_array:
     """Return the squared Laplacian with weights 1 / length^2: close vertices move alike."""
-    edges = sp.coo_array(graph)
-    squared = np.sum((vertices[edges.row] - vertices[edges.col]) ** 2, axis=1)
-    weights = sp.csr_array(
-        (1 / (squared + SHORTEST_MM**2), (edges.row, edges.col)), shape=graph.shape
-    )
-    laplacian = _from_weights(weights)
+    weights = graph.tocoo()
+    squared = np.sum((vertices[weights.row] - vertices[weights.col]) ** 2, axis=1)
+    weights.data = 1 / (squared + SHORTEST_MM**2)
+    laplacian = _from_weights(weights.tocsr())
     return sp.csr_array(laplacian @ laplacian)
 
 

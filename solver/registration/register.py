@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from solver.progress import Progress, Step, silent
 from solver.registration.landmarks import find_landmarks, landmark_vertices
 from solver.registration.locate import (
     FRAME,
+    Location,
     face_surface,
     locate_face,
     location_findings,
@@ -43,31 +44,16 @@ from solver.registration.shape_fit import (
     persons,
 )
 from solver.registration.topology import Topology, carry_hidden
-from solver.similarity import IDENTITY, Similarity, weighted_motion
+from solver.similarity import IDENTITY, Similarity, robust_motion
 from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
 
 Marks = tuple[Floats, Ints]  # points (k, 3) in the scan's own frame, vertices (k,)
 
 
-@dataclass(frozen=True)
-class Start:
-    """A scan in mm and its motion onto the face.
-
-    ``unit`` is None where ``mm_per_unit`` is no unit's, ``size_known`` false where the size is
-    only the face's it was laid on: it fits neither a unit nor a decimal slip of one.
-    """
-
-    scan: ScanSurface
-    motion: Similarity
-    mm_per_unit: float
-    unit: str | None
-    size_known: bool
-
-
 def find_start(
     raw: RawScan, template: Template, frame: Mapping[str, Any], landmarks: Marks | None
-) -> Start:
-    """Find the face of a mended scan, by its shape or by ``landmarks``.
+) -> tuple[ScanSurface, Location]:
+    """Return a mended scan in mm, and its face, found by its shape or by ``landmarks``.
 
     Raises :class:`InputError`: ``options.unit``, ``options.axes``, ``scan.empty``, and what
     :func:`~solver.registration.locate.location_findings` counts as an error.
@@ -79,8 +65,7 @@ def find_start(
     for finding in location_findings(raw, place, frame):
         if finding.severity == "error":
             raise InputError(finding.code, finding.message, file=raw.file, **finding.context)
-    scan = scan_surface(raw, place.mm_per_unit)
-    return Start(scan, place.motion, place.mm_per_unit, place.unit, place.size_known)
+    return scan_surface(raw, place.mm_per_unit), place
 
 
 # A face that free form covers less, or leaves farther off on average, is none.
@@ -92,27 +77,17 @@ STILL = 0.1  # least weight of the vertices on which an expression's head is ali
 class RegisteredFace:
     """A scan in the template's topology.
 
-    start
-        The scan in mm, its unit and its first place.
-    skin
-        The registered surface in mm: of a neutral in the template's frame, of an expression in its
-        neutral's, without head motion.
-    trust
-        Confidence, cover and distance per vertex.
-    motion
-        Takes the scan in mm onto ``skin``.
-    shape_weights
-        (k,) weights of the template's identities or expressions; empty where it has none.
-    folded
-        Triangles of the flesh that are turned over.
+    ``skin`` is in mm: of a neutral in the template's frame, of an expression in its neutral's,
+    without head motion.
     """
 
-    start: Start
+    scan: ScanSurface  # in mm
+    start: Location  # of its face, before registration
     skin: Surface
     trust: Trust
-    motion: Similarity
-    shape_weights: Floats
-    folded: Ints
+    motion: Similarity  # takes the scan in mm onto ``skin``
+    shape_weights: Floats  # (k,) of the template's identities or expressions; empty without any
+    folded: Ints  # triangles of the flesh that are turned over
 
 
 def register(
@@ -135,125 +110,91 @@ def register(
     ``scan.empty``, ``options.unit``, ``options.axes``, ``landmarks.extra``, ``landmarks.model``.
     """
     progress(Step("pose", 0.1))
-    start = find_start(raw, topology.template, frame, landmarks)
+    scan, start = find_start(raw, topology.template, frame, landmarks)
     pins = None
     if landmarks is not None:
         pins = Pins(start.mm_per_unit * landmarks[0], landmarks[1])
     elif landmarker is not None:
-        pins = _find_pins(start, topology, landmarker)
+        pins = _find_pins(scan, start.motion, topology, landmarker)
+    progress(Step("shape", 0.3))
     if neutral is None:
-        found = _register_neutral(start, topology, pins, progress)
+        fit, schedule = _fit_person(scan, start, topology, pins)
+        rest, placed = topology.template.skin.vertices, fit.vertices
     else:
-        found = _register_expression(start, topology, neutral, pins, progress)
-    _check(raw.file, found, topology)
-    return found
+        fit, schedule = _fit_expression(scan, start, topology, neutral, pins)
+        rest = placed = neutral
+    progress(Step("free form", 0.6))
+    laid = free_form(scan, fit.motion, fit.vertices, topology, schedule, pins)
+    laid = unfold(rest, laid, topology.flesh)
+    laid = carry_hidden(topology.groups, placed, fit.vertices, laid, topology.outer)
+    skin, motion = topology.template.skin.moved(laid), fit.motion
+    seen = trust(scan, motion, skin, topology.outer)
+    if neutral is not None:
+        back = head_motion(laid, fit.vertices, topology.stable * seen.confidence)
+        skin, motion = skin.moved(back(laid)), motion.then(back)
+    _check(raw.file, seen, topology)
+    folded = folded_triangles(rest, skin.vertices, topology.flesh)
+    return RegisteredFace(scan, start, skin, seen, motion, fit.weights, folded)
 
 
-def _find_pins(start: Start, topology: Topology, model: Path) -> Pins | None:
+def _find_pins(
+    scan: ScanSurface, motion: Similarity, topology: Topology, model: Path
+) -> Pins | None:
     """Return the landmarks that show in pictures of the placed scan; None for a point cloud."""
-    if not len(start.scan.faces):
+    if not len(scan.faces):
         return None
-    placed = Surface(start.motion(start.scan.vertices), start.scan.faces)
+    placed = Surface(motion(scan.vertices), scan.faces)
     face = topology.template.skin.vertices[topology.face]
     known, found = landmark_vertices(topology.template), find_landmarks(placed, face, model)
     names = sorted(known.keys() & found.keys())
     if not names:
         return None
     points = np.array([found[name] for name in names])
-    return Pins(start.motion.inverse()(points), np.array([known[name] for name in names]))
+    return Pins(motion.inverse()(points), np.array([known[name] for name in names]))
 
 
-def _register_neutral(
-    start: Start, topology: Topology, pins: Pins | None, progress: Progress
-) -> RegisteredFace:
-    scan, basis, open_size = start.scan, topology.template.shapes, not start.size_known
-    rest = topology.template.skin.vertices
-    progress(Step("shape", 0.3))
+def _fit_person(
+    scan: ScanSurface, start: Location, topology: Topology, pins: Pins | None
+) -> tuple[ShapeFit, tuple[Round, ...]]:
+    """Return a neutral's shape and the rounds that follow; without shapes the template's, sized."""
+    basis, rest, face = topology.template.shapes, topology.template.skin, topology.face
     if basis is not None and len(basis.identity):
-        match, schedule = partial(pair, scan), REFINE
-        fit = fit_shapes(match, start.motion, persons(topology, basis), pins, sizes=open_size)
-    else:
-        shape, motion = _own_size(scan, start.motion, topology, open_size=open_size)
-        fit, schedule = ShapeFit(np.zeros(0), shape, motion), FROM_AFAR
-    progress(Step("free form", 0.6))
-    skin, seen = _lay_freely(scan, topology, fit, (rest, fit.vertices), schedule, pins)
-    folds = folded_triangles(rest, skin.vertices, topology.flesh)
-    return RegisteredFace(start, skin, seen, fit.motion, fit.weights, folds)
+        match, shapes = partial(pair, scan), persons(topology, basis)
+        return fit_shapes(match, start.motion, shapes, pins, sizes=not start.size_known), REFINE
+    normals = vertex_normals(rest)[face]
+    motion = align(scan, start.motion, rest.vertices[face], normals, sizes=True)
+    if not start.size_known:  # the scan takes the template's size
+        return ShapeFit(np.zeros(0), rest.vertices, motion), FROM_AFAR
+    resize = replace(IDENTITY, scale=start.motion.scale / motion.scale)
+    return ShapeFit(np.zeros(0), resize(rest.vertices), motion.then(resize)), FROM_AFAR
 
 
-def _register_expression(
-    start: Start, topology: Topology, neutral: Floats, pins: Pins | None, progress: Progress
-) -> RegisteredFace:
-    scan, basis, open_size = start.scan, topology.template.shapes, not start.size_known
-    progress(Step("shape", 0.3))
+def _fit_expression(
+    scan: ScanSurface, start: Location, topology: Topology, neutral: Floats, pins: Pins | None
+) -> tuple[ShapeFit, tuple[Round, ...]]:
+    """Return an expression's shape and the rounds that follow; without shapes the neutral's."""
+    basis, sizes = topology.template.shapes, not start.size_known
     still = np.flatnonzero(topology.stable > STILL)
     normals = vertex_normals(topology.template.skin.moved(neutral))[still]
     share = topology.stable[still]
-    motion = align(scan, start.motion, neutral[still], normals, share, sizes=open_size)
-    fit, schedule = ShapeFit(np.zeros(0), neutral, motion), FROM_AFAR
-    if basis is not None and len(basis.expressions):
-        match, schedule = partial(pair, scan), REFINE
-        shapes = expressions(neutral, topology, basis)
-        fit = fit_shapes(match, motion, shapes, pins, sizes=open_size)
-    progress(Step("free form", 0.6))
-    skin, seen = _lay_freely(scan, topology, fit, (neutral, neutral), schedule, pins)
-    back = head_motion(skin.vertices, fit.vertices, topology.stable * seen.confidence)
-    skin = skin.moved(back(skin.vertices))
-    folds = folded_triangles(neutral, skin.vertices, topology.flesh)
-    return RegisteredFace(start, skin, seen, fit.motion.then(back), fit.weights, folds)
+    motion = align(scan, start.motion, neutral[still], normals, share, sizes=sizes)
+    if basis is None or not len(basis.expressions):
+        return ShapeFit(np.zeros(0), neutral, motion), FROM_AFAR
+    shapes = expressions(neutral, topology, basis)
+    return fit_shapes(partial(pair, scan), motion, shapes, pins, sizes=sizes), REFINE
 
 
-def _lay_freely(
-    scan: ScanSurface,
-    topology: Topology,
-    fit: ShapeFit,
-    before: tuple[Floats, Floats],
-    schedule: tuple[Round, ...],
-    pins: Pins | None,
-) -> tuple[Surface, Trust]:
-    """Return the skin laid on the scan, and the trust in it.
-
-    ``before`` (n, 3) are its vertices when it had no folds, and when its hidden parts were in
-    place.
-    """
-    unfolded, placed = before
-    fitted = free_form(scan, fit.motion, fit.vertices, topology, schedule, pins)
-    fitted = unfold(unfolded, fitted, topology.flesh)
-    vertices = carry_hidden(topology.groups, placed, fit.vertices, fitted, topology.outer)
-    skin = topology.template.skin.moved(vertices)
-    return skin, trust(scan, fit.motion, skin, topology.outer)
-
-
-def _check(file: str, found: RegisteredFace, topology: Topology) -> None:
+def _check(file: str, found: Trust, topology: Topology) -> None:
     """Raise ``scan.not_a_face`` where even free form could not come near."""
-    seen = topology.face[found.trust.covered[topology.face]]
+    seen = topology.face[found.covered[topology.face]]
     share = len(seen) / len(topology.face)
-    if share < LEAST_COVER:
-        raise _no_face(file, f"only {share:.0%} of a face could be laid on it")
-    distance = float(found.trust.distance_mm[seen].mean())
-    if distance > FARTHEST_MM:
-        raise _no_face(file, f"a face laid on it stays {distance:.1f} mm off on average")
-
-
-def _no_face(file: str, reason: str) -> InputError:
-    return InputError("scan.not_a_face", f"{file} shows no whole face: {reason}", file=file)
-
-
-def _own_size(
-    scan: ScanSurface, motion: Similarity, topology: Topology, *, open_size: bool
-) -> tuple[Floats, Similarity]:
-    """Return the template at the scan's size, and the scan's motion onto it.
-
-    With ``open_size`` the scan takes the template's size instead.
-    """
-    rest = topology.template.skin
-    normals = vertex_normals(rest)[topology.face]
-    before = motion.scale
-    motion = align(scan, motion, rest.vertices[topology.face], normals, sizes=True)
-    if open_size:
-        return rest.vertices, motion
-    resize = Similarity(before / motion.scale, IDENTITY.rotation, IDENTITY.shift)
-    return resize(rest.vertices), motion.then(resize)
+    reason = f"only {share:.0%} of a face could be laid on it"
+    if share >= LEAST_COVER:
+        distance = float(found.distance_mm[seen].mean())
+        if distance <= FARTHEST_MM:
+            return
+        reason = f"a face laid on it stays {distance:.1f} mm off on average"
+    raise InputError("scan.not_a_face", f"{file} shows no whole face: {reason}", file=file)
 
 
 # Confidence in registered vertices, their distances to the scan, and the head's motion.
@@ -331,9 +272,4 @@ def head_motion(registered: Floats, expected: Floats, weights: Floats) -> Simila
     used = np.flatnonzero(weights > 1e-3)
     if len(used) < 10:
         return IDENTITY
-    motion = IDENTITY
-    for _ in range(STEPS):
-        away = np.linalg.norm(motion(registered[used]) - expected[used], axis=1)
-        robust = weights[used] / (1 + (away / SLACK_MM) ** 2) ** 2
-        motion = weighted_motion(registered[used], expected[used], robust)
-    return motion
+    return robust_motion(registered[used], expected[used], weights[used], SLACK_MM, STEPS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from solver.drawing.head import DrawnHead
 from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.drawing.sheet import HEADER, Sheet
 from solver.errors import Finding, Severity
-from solver.registration.register import RegisteredFace
+from solver.registration.register import RegisteredFace, Trust
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.topology import Topology
 from solver.surface import Floats, Ints, Surface
@@ -39,22 +40,18 @@ def report(
     the file to scale * rotation p + translation.
     """
     start, trust, face = registered.start, registered.trust, topology.face
-    seen = face[trust.covered[face]]
-    distance = trust.distance_mm[seen]
-    figures = {
-        "mean_mm": _round(distance.mean()) if len(seen) else None,
-        "p95_mm": _round(np.percentile(distance, 95)) if len(seen) else None,
-        "max_mm": _round(distance.max()) if len(seen) else None,
-        "coverage": _round(len(seen) / len(face)),
+    distance = trust.distance_mm[face[trust.covered[face]]]
+    regions, motion = _regions(trust, topology), registered.motion
+    return {
+        "mean_mm": _round(distance.mean()),
+        "p95_mm": _round(np.percentile(distance, 95)),
+        "max_mm": _round(distance.max()),
+        "coverage": _round(len(distance) / len(face)),
         "mean_confidence": _round(trust.confidence[face].mean()),
         "folded": len(registered.folded),
         "vertices": len(registered.skin.vertices),
-        "scan_vertices": len(start.scan.vertices),
-        "regions": _regions(registered, topology),
-    }
-    motion = registered.motion
-    return {
-        **figures,
+        "scan_vertices": len(registered.scan.vertices),
+        "regions": regions,
         "unit": start.unit,
         "motion": {
             "scale": start.mm_per_unit * motion.scale,
@@ -63,17 +60,22 @@ def report(
             "translation": np.round(motion.shift, 6).tolist(),
         },
         "shape_weights": np.round(registered.shape_weights, 4).tolist(),
-        "findings": findings(registered, topology, seen, limits),
+        "findings": [
+            finding.to_dict()
+            for finding in _findings(registered, topology, distance, regions, limits)
+        ],
     }
 
 
-def findings(
-    registered: RegisteredFace, topology: Topology, seen: Ints, limits: ReportLimits
-) -> list[dict[str, Any]]:
-    """Return what an operator should know, each with code, severity, message and advice."""
-    found: list[Finding] = []
-    coverage = len(seen) / len(topology.face)
-    distance = registered.trust.distance_mm[seen]
+def _findings(
+    registered: RegisteredFace,
+    topology: Topology,
+    distance: Floats,
+    regions: dict[str, dict[str, Any]],
+    limits: ReportLimits,
+) -> Iterator[Finding]:
+    """Yield what an operator should know, given the face's ``distance`` where it is covered."""
+    coverage = len(distance) / len(topology.face)
     if coverage < limits.much_cover:
         severity: Severity = "warning" if coverage < limits.little_cover else "info"
         message = (
@@ -81,43 +83,40 @@ def findings(
             "not count in the fits."
         )
         advice = "Fill large holes by another take, if they lie where the face moves."
-        found.append(Finding("registration.holes", severity, message, advice))
-    mean, p95 = (distance.mean(), np.percentile(distance, 95)) if len(seen) else (0.0, 0.0)
+        yield Finding("registration.holes", severity, message, advice)
+    mean, p95 = distance.mean(), np.percentile(distance, 95)
     if mean > limits.mean_mm or p95 > limits.p95_mm:
         message = (
             f"The registered face lies {mean:.2f} mm off the scan on average, 95 % of it within "
             f"{p95:.2f} mm."
         )
         advice = "Look at distance.png: hair, a beard, glasses or spikes show in dark red."
-        found.append(Finding("registration.far", "warning", message, advice))
+        yield Finding("registration.far", "warning", message, advice)
     if not registered.start.size_known:
         message = (
             "The scan's size fits no unit; it was given the size of the template or the neutral."
         )
         advice = "State the unit, so that the subject gets the true size."
-        found.append(Finding("registration.unit", "warning", message, advice))
-    regions = _regions(registered, topology).items()
-    unseen = sorted(name for name, each in regions if each["coverage"] < limits.little_cover)
+        yield Finding("registration.unit", "warning", message, advice)
+    unseen = sorted(name for name in regions if regions[name]["coverage"] < limits.little_cover)
     if unseen:
         message = f"Mostly not in the scan: {', '.join(unseen).replace('_', ' ')}."
         advice = "Their shape is the likeliest one, not a measured one."
-        found.append(Finding("registration.unseen_regions", "info", message, advice))
+        yield Finding("registration.unseen_regions", "info", message, advice)
     shapes, weights = topology.template.shapes, registered.shape_weights
     if shapes is not None and len(weights) == len(shapes.identity):
         length = float(np.linalg.norm(weights) / np.sqrt(max(len(weights), 1)))
         if length > limits.unusual_shape:
             message = "The face differs much from those the template knows."
             advice = "Check distance.png; give landmarks if eyes or mouth are in the wrong place."
-            found.append(Finding("registration.unusual_shape", "info", message, advice))
+            yield Finding("registration.unusual_shape", "info", message, advice)
     if len(registered.folded):
         message = f"{len(registered.folded)} triangles of the registered skin are turned over."
         advice = "Check distance.png where the skin is creased."
-        found.append(Finding("registration.folded", "warning", message, advice))
-    return [finding.to_dict() for finding in found]
+        yield Finding("registration.folded", "warning", message, advice)
 
 
-def _regions(registered: RegisteredFace, topology: Topology) -> dict[str, dict[str, Any]]:
-    trust = registered.trust
+def _regions(trust: Trust, topology: Topology) -> dict[str, dict[str, Any]]:
     figures = {}
     for name, vertices in topology.template.regions.items():
         outer = np.intersect1d(vertices, topology.face)
@@ -146,7 +145,7 @@ DOT_MM = 1.2  # radius of a point of a cloud
 
 def distance_picture(registered: RegisteredFace, topology: Topology, path: Path) -> None:
     """Draw scan, registration and distance side by side, from the front and both sides."""
-    scan, skin, trust = registered.start.scan, registered.skin, registered.trust
+    scan, skin, trust = registered.scan, registered.skin, registered.trust
     head = DrawnHead(topology.template.skin)
     lit = head.lit(skin.vertices)
     raw = _scan_body(scan, registered.motion(scan.vertices))

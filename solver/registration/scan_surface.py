@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Protocol
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
 import igl
 import numpy as np
@@ -15,16 +15,7 @@ from scipy.spatial import KDTree, cKDTree
 from solver.errors import InputError
 from solver.meshio.raw import RawScan
 from solver.similarity import Similarity
-from solver.surface import (
-    Floats,
-    Ints,
-    Surface,
-    adjacency,
-    area_normals,
-    directed_edges,
-    part_of,
-    unit_rows,
-)
+from solver.surface import Floats, Ints, Surface, adjacency, area_normals, part_of, unit_rows
 
 NEIGHBOURS = 12  # of a point of a cloud, on a plane
 
@@ -45,30 +36,47 @@ class ScanSurfaceOptions:
 
 @dataclass(frozen=True)
 class Matches:
-    """The closest points of a scan.
+    """The closest points of a scan."""
 
-    ``points`` and unit ``normals`` (n, 3), ``distance`` (n,) in the scan's unit, and whether the
-    closest point lies ``at_edge`` of the scan, where there is no data beyond.
-    """
-
-    points: Floats
-    normals: Floats
-    distance: Floats
-    at_edge: NDArray[np.bool_]
+    points: Floats  # (n, 3)
+    normals: Floats  # (n, 3), of length 1
+    distance: Floats  # (n,) in the scan's unit
+    at_edge: NDArray[np.bool_]  # (n,) there is no data beyond
 
 
-class ScanSurface(Protocol):
+class ScanSurface(ABC):
     """A scan with outward unit ``normals`` (n, 3) at its ``vertices`` (n, 3)."""
 
-    vertices: Floats
-    normals: Floats
-    faces: Ints
+    def __init__(self, surface: Surface, normals: Floats, options: ScanSurfaceOptions) -> None:
+        self.vertices, self.faces, self.normals = surface.vertices, surface.faces, normals
+        self._options = options
+        self._directed_tree = cKDTree(np.hstack([self.vertices, options.turn * normals]))
 
+    @abstractmethod
     def closest(self, points: Floats) -> Matches:
         """Return the closest points of the scan to ``points`` (n, 3)."""
 
+    @abstractmethod
+    def _at_edge(self, points: Floats, near: Ints) -> NDArray[np.bool_]:
+        """Return which ``points`` (n, 3) or vertices (n, k) ``near`` them are at an edge."""
+
     def alike(self, points: Floats, normals: Floats) -> Matches:
-        """Return scan points that are close and face the same way as ``normals`` (n, 3)."""
+        """Return means of vertices that are close and face the same way as ``normals`` (n, 3).
+
+        Places and directions are compared together, as in White et al. (Sci. Rep. 2019).
+        """
+        places = np.hstack([points, self._options.turn * normals])
+        apart, near = self._directed_tree.query(places, self._options.alike_neighbours)
+        weights = 1 / (apart + 0.5) ** 2
+        place, direction = self._means(weights, near)
+        distance = np.linalg.norm(points - place, axis=1)
+        return Matches(place, direction, distance, self._at_edge(points, near))
+
+    def _means(self, weights: Floats, near: Ints) -> tuple[Floats, Floats]:
+        """Return places and unit normals (n, 3) of vertices ``near`` (n, k), by ``weights``."""
+        weights = weights / weights.sum(axis=1, keepdims=True)
+        place = np.einsum("nk,nkd->nd", weights, self.vertices[near])
+        return place, unit_rows(np.einsum("nk,nkd->nd", weights, self.normals[near]))
 
 
 def scan_surface(
@@ -89,19 +97,21 @@ def scan_surface(
     return CloudScan(points, options)
 
 
-class MeshScan:
-    """A triangle mesh; see :class:`ScanSurface`."""
+class MeshScan(ScanSurface):
+    """A triangle mesh; its closest points lie on triangles."""
 
     def __init__(self, surface: Surface, options: ScanSurfaceOptions) -> None:
-        self.vertices, self.faces = surface.vertices, surface.faces
-        self.normals = _smooth_normals(surface, options.normal_radius)
-        self._edge_opposite, self._edge_vertex = _boundary(surface)
-        self._alike = Alike(self.vertices, self.normals, options)
+        super().__init__(surface, _smooth_normals(surface, options.normal_radius), options)
+        edges, face, corner = igl.boundary_facets(self.faces)
+        self._edge_opposite = np.zeros(self.faces.shape, bool)
+        self._edge_opposite[face, corner] = True
+        self._edge_vertex = np.zeros(len(self.vertices), bool)
+        self._edge_vertex[edges] = True
         self._tree = igl.AABB()
         self._tree.init(self.vertices, self.faces)
 
     def closest(self, points: Floats) -> Matches:
-        """See :class:`ScanSurface`; the points lie on triangles."""
+        """See :class:`ScanSurface`."""
         squared, face, near = self._tree.squared_distance(self.vertices, self.faces, points)
         corners = self.faces[face]
         weights = _barycentric(near, self.vertices[corners])
@@ -110,32 +120,25 @@ class MeshScan:
         at_vertex = (self._edge_vertex[corners] & (weights > 1 - 1e-4)).any(axis=1)
         return Matches(near, normals, np.sqrt(squared), on_edge | at_vertex)
 
-    def alike(self, points: Floats, normals: Floats) -> Matches:
-        """See :class:`ScanSurface`; the points are means of vertices."""
-        found, near = self._alike(points, normals)
-        return replace(found, at_edge=np.asarray(self._edge_vertex[near].any(axis=1)))
+    def _at_edge(self, _points: Floats, near: Ints) -> NDArray[np.bool_]:
+        return np.asarray(self._edge_vertex[near].any(axis=1))
 
 
-class CloudScan:
-    """Points without triangles; see :class:`ScanSurface`."""
+class CloudScan(ScanSurface):
+    """Points without triangles; its closest points lie on planes through neighbours."""
 
     def __init__(self, points: Floats, options: ScanSurfaceOptions) -> None:
-        self._neighbours = options.cloud_neighbours
-        self.vertices, self.faces = points, np.zeros((0, 3), np.int64)
         self._tree = cKDTree(points)
-        distance, near = self._tree.query(points, self._neighbours)
+        distance, near = self._tree.query(points, options.cloud_neighbours)
         self._spacing = float(np.median(distance[:, -1]))
         samples = orient_outward(Samples(points, estimated_normals(points, points), False))
-        self.normals = unit_rows(samples.normals[near].mean(axis=1))
-        self._alike = Alike(points, self.normals, options)
+        normals = unit_rows(samples.normals[near].mean(axis=1))
+        super().__init__(Surface(points, np.zeros((0, 3), np.int64)), normals, options)
 
     def closest(self, points: Floats) -> Matches:
-        """See :class:`ScanSurface`; the points lie on planes through neighbours."""
-        distance, near = self._tree.query(points, self._neighbours)
-        weights = 1 / (distance**2 + (0.3 * self._spacing) ** 2)
-        weights /= weights.sum(axis=1, keepdims=True)
-        centre = np.einsum("nk,nkd->nd", weights, self.vertices[near])
-        normals = unit_rows(np.einsum("nk,nkd->nd", weights, self.normals[near]))
+        """See :class:`ScanSurface`."""
+        distance, near = self._tree.query(points, self._options.cloud_neighbours)
+        centre, normals = self._means(1 / (distance**2 + (0.3 * self._spacing) ** 2), near)
         height = np.einsum("nd,nd->n", points - centre, normals)
         foot = points - height[:, None] * normals
         beside = np.linalg.norm(foot - centre, axis=1)
@@ -143,28 +146,8 @@ class CloudScan:
         foot[far] = centre[far]
         return Matches(foot, normals, np.linalg.norm(points - foot, axis=1), far)
 
-    def alike(self, points: Floats, normals: Floats) -> Matches:
-        """See :class:`ScanSurface`."""
-        return replace(self._alike(points, normals)[0], at_edge=self.closest(points).at_edge)
-
-
-class Alike:
-    """Closest points in place and direction together, as in White et al. (Sci. Rep. 2019)."""
-
-    def __init__(self, vertices: Floats, normals: Floats, options: ScanSurfaceOptions) -> None:
-        self._vertices, self._normals, self._options = vertices, normals, options
-        self._tree = cKDTree(np.hstack([vertices, options.turn * normals]))
-
-    def __call__(self, points: Floats, normals: Floats) -> tuple[Matches, Ints]:
-        """Return means of the most alike vertices, none at an edge, and their numbers (n, k)."""
-        places = np.hstack([points, self._options.turn * normals])
-        apart, near = self._tree.query(places, self._options.alike_neighbours)
-        weights = 1 / (apart + 0.5) ** 2
-        weights /= weights.sum(axis=1, keepdims=True)
-        place = np.einsum("nk,nkd->nd", weights, self._vertices[near])
-        direction = unit_rows(np.einsum("nk,nkd->nd", weights, self._normals[near]))
-        distance = np.linalg.norm(points - place, axis=1)
-        return Matches(place, direction, distance, np.zeros(len(points), dtype=bool)), near
+    def _at_edge(self, points: Floats, _near: Ints) -> NDArray[np.bool_]:
+        return self.closest(points).at_edge
 
 
 def check_size(count: int, file: str, options: ScanSurfaceOptions = ScanSurfaceOptions()) -> None:
@@ -244,17 +227,6 @@ def _smooth_normals(surface: Surface, radius: float) -> Floats:
     return unit_rows(sums)
 
 
-def _boundary(surface: Surface) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return per face and corner whether the edge opposite has one face, and boundary vertices."""
-    edges = np.sort(directed_edges(np.roll(surface.faces, -1, axis=1)), axis=1)
-    keys = edges[:, 0] * len(surface.vertices) + edges[:, 1]
-    _, number, count = np.unique(keys, return_inverse=True, return_counts=True)
-    single = count[number.reshape(-1)] == 1
-    vertex = np.zeros(len(surface.vertices), dtype=bool)
-    vertex[edges[single]] = True
-    return single.reshape(3, -1).T, vertex
-
-
 def _barycentric(points: Floats, corners: Floats) -> Floats:
     """Return the weights (n, 3) of points that lie in triangles ``corners`` (n, 3, 3)."""
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -283,15 +255,13 @@ class Samples:
         return Samples(motion(self.points), motion.turn(self.normals), self.oriented)
 
 
-def sample(
-    vertices: Floats, faces: Ints, normals: Floats | None, count: int, seed: int = 0
-) -> Samples:
+def sample(vertices: Floats, faces: Ints, normals: Floats | None, count: int) -> Samples:
     """Return about ``count`` points, spread by area over triangles or by space over a cloud.
 
     All vertices must be finite. Without faces or ``normals`` the normals are found from the
     neighbours, and their signs mean nothing.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     if len(faces):
         return _on_triangles(vertices, faces, count, rng)
     chosen = _spread(vertices, count, rng)

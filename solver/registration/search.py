@@ -79,15 +79,12 @@ FACE_SAMPLES = 1200  # points that stand for a face
 
 @dataclass(frozen=True)
 class FacePoints:
-    """A face to look for: ``points`` (n, 3) in mm, unit ``normals`` (n, 3), its nose ``tip`` (3,).
+    """A face to look for."""
 
-    ``forward`` (3,) is the mean direction of the surface about the tip.
-    """
-
-    points: Floats
-    normals: Floats
-    tip: Floats
-    forward: Floats
+    points: Floats  # (n, 3) in mm
+    normals: Floats  # (n, 3), of length 1
+    tip: Floats  # (3,) of the nose
+    forward: Floats  # (3,) mean direction of the surface about the tip
 
     def take(self, count: int) -> FacePoints:
         """Return about ``count`` points far from each other."""
@@ -101,32 +98,28 @@ def face_points(face: Surface, options: SearchOptions = SEARCH) -> FacePoints:
     used = face.vertices[np.unique(face.faces)]
     tip = used[np.argmax(used[:, 2])]
     near = np.linalg.norm(samples.points - tip, axis=1) < options.tip_radius
-    return FacePoints(
-        samples.points, samples.normals, tip, unit_rows(samples.normals[near].mean(axis=0))
-    )
+    forward = unit_rows(samples.normals[near].mean(axis=0))
+    return FacePoints(samples.points, samples.normals, tip, forward)
 
 
 @dataclass(frozen=True)
 class FacePose:
-    """A ``motion`` of the scan onto the template's face, judged.
-
-    ``coverage`` is the share of the face's points that have the scan close, facing the same way;
-    ``residual_mm`` is the mean distance of the scan from the face's planes there, and ``cost`` the
-    mean distance in mm where what is not covered counts as far.
-    """
+    """A motion of the scan onto the template's face, judged."""
 
     motion: Similarity
-    residual_mm: float
-    coverage: float
-    cost: float
+    residual_mm: float  # mean distance of the scan from the face's planes where it is covered
+    coverage: float  # share of the face's points with the scan close, facing the same way
+    cost: float  # mean distance in mm where what is not covered counts as far
 
-    def is_good(self, options: JudgeOptions = JUDGE) -> bool:
-        """Return whether the pose is so good that no other start need be tried."""
-        return self.cost < options.good_cost
+    @property
+    def is_good(self) -> bool:
+        """Whether the pose is so good that no other start need be tried."""
+        return self.cost < JUDGE.good_cost
 
-    def is_face(self, options: JudgeOptions = JUDGE) -> bool:
-        """Return whether what the pose found is a whole face."""
-        return self.coverage > options.face_share and self.cost < options.face_cost
+    @property
+    def is_face(self) -> bool:
+        """Whether what the pose found is a whole face."""
+        return self.coverage > JUDGE.face_share and self.cost < JUDGE.face_cost
 
 
 def find_pose(
@@ -160,7 +153,7 @@ def find_pose(
         for pose in found[: search.finer]:
             slid = slide_into_place(face, samples, tree, pose.motion, scale)
             best = min(best, slid, key=lambda pose: pose.cost)
-        if best.is_good():
+        if best.is_good:
             break
     return best
 
@@ -195,16 +188,6 @@ class _Poses:
     def take(self, chosen: Ints) -> _Poses:
         return _Poses(self.sizes[chosen], self.turns[chosen], self.shifts[chosen])
 
-    def place(self, points: Floats) -> Floats:
-        """Return the images (p, n, 3) of ``points`` (n, 3)."""
-        turned = np.einsum("pij,nj->pni", self.turns, points)
-        return np.asarray(self.sizes[:, None, None] * turned + self.shifts[:, None, :])
-
-    def motions(self) -> list[Similarity]:
-        """Return the motions of the scan onto the face, one a pose."""
-        triples = zip(self.sizes, self.turns, self.shifts, strict=True)
-        return [Similarity(float(size), *motion).inverse() for size, *motion in triples]
-
 
 def _starts(
     face: FacePoints, cloud: _Cloud, batch: slice, upright: Axes, options: SearchOptions
@@ -220,9 +203,8 @@ def _starts(
     _, area = cells(places, options.tip_area)
     order = np.lexsort((-height, area))
     rank = np.arange(len(order)) - np.searchsorted(area[order], area[order])
-    highest = order[rank < options.tips_an_area]
-    chosen = highest[np.lexsort((-height[highest], rank[rank < options.tips_an_area]))]
-    chosen = chosen[batch]
+    highest, rank = order[rank < options.tips_an_area], rank[rank < options.tips_an_area]
+    chosen = highest[np.lexsort((-height[highest], rank))][batch]
     tips, forward = places[chosen], forward[chosen]
     side = unit_rows(np.cross(np.eye(3)[np.argmin(np.abs(forward), axis=1)], forward))
     up = np.cross(forward, side)
@@ -256,7 +238,8 @@ def _improve(
         distance = _match(poses, few, cloud, options)[1]
         scores = np.minimum(distance / poses.sizes[:, None], options.cut).mean(axis=1)
         poses = poses.take(np.argsort(scores, kind="stable")[:survivors])
-    return poses.motions()
+    triples = zip(poses.sizes, poses.turns, poses.shifts, strict=True)
+    return [Similarity(float(size), *motion).inverse() for size, *motion in triples]
 
 
 def _match(
@@ -266,10 +249,12 @@ def _match(
 
     A point whose closest one faces elsewhere counts as far away.
     """
-    placed = poses.place(face.points)
+    turned, normals = (
+        np.einsum("pij,nj->pni", poses.turns, each) for each in (face.points, face.normals)
+    )
+    placed = poses.sizes[:, None, None] * turned + poses.shifts[:, None, :]
     distance, near = cloud.tree.query(placed.reshape(-1, 3))
     distance, near = distance.reshape(placed.shape[:2]), near.reshape(placed.shape[:2])
-    normals = np.einsum("pij,nj->pni", poses.turns, face.normals)
     agree = np.einsum("pni,pni->pn", normals, cloud.normals[near]) > options.least_cosine
     return placed, np.where(agree, distance, distance + options.cut), near
 
@@ -341,12 +326,12 @@ def slide_into_place(
         motion = motion.then(about)
         if np.linalg.norm(about(face.points) - face.points, axis=1).max() < options.still:
             break
-    poses = (judge_pose(face, scan, tree, each, options) for each in (start, motion))
+    poses = (_judge_pose(face, scan, tree, each, options) for each in (start, motion))
     return min(poses, key=lambda pose: pose.cost)
 
 
-def judge_pose(
-    face: FacePoints, scan: Samples, tree: KDTree, motion: Similarity, options: JudgeOptions = JUDGE
+def _judge_pose(
+    face: FacePoints, scan: Samples, tree: KDTree, motion: Similarity, options: JudgeOptions
 ) -> FacePose:
     """Return ``motion`` with how much of the face it finds in the scan, and how well that fits."""
     gap, near = tree.query(motion.inverse()(face.points))

@@ -31,16 +31,12 @@ MIN_COSINE, LEAST_COSINE = 0.5, 0.6
 
 @dataclass(frozen=True)
 class Pairs:
-    """Scan points for the model's points, in the template's frame.
+    """Scan points for the model's points, in the template's frame."""
 
-    ``points`` and ``normals`` (n, 3) of the scan; ``offset`` (n,) how far the scan lies along its
-    normal, in mm; ``weights`` (n,) in [0, 1], zero where there is nothing to follow.
-    """
-
-    points: Floats
-    normals: Floats
-    offset: Floats
-    weights: Floats
+    points: Floats  # (n, 3) of the scan
+    normals: Floats  # (n, 3)
+    offset: Floats  # (n,) mm that the scan lies along its normal
+    weights: Floats  # (n,) in [0, 1], zero where there is nothing to follow
 
 
 # Takes the scan's motion, the model's points and normals (n, 3), and the reach in mm.
@@ -104,11 +100,11 @@ def match_samples(scan: Samples, area: Floats) -> Match:
 def add_pins(pairs: Pairs, points: Floats, targets: Floats, weight: float) -> Pairs:
     """Add landmarks: model ``points`` (k, 3) held at ``targets`` (k, 3) along all three axes."""
     axes = np.tile(np.eye(3), (len(points), 1))
-    places, goals = np.repeat(points, 3, axis=0), np.repeat(targets, 3, axis=0)
+    goals, offset = np.repeat(targets, 3, axis=0), (targets - points).ravel()
     return Pairs(
         np.concatenate([pairs.points, goals]),
         np.concatenate([pairs.normals, axes]),
-        np.concatenate([pairs.offset, np.einsum("nd,nd->n", goals - places, axes)]),
+        np.concatenate([pairs.offset, offset]),
         np.concatenate([pairs.weights, np.full(len(axes), weight)]),
     )
 
@@ -157,18 +153,14 @@ IGNORED = ("eyeLook", "Pupil", "tongue")  # expressions that no scan shows
 
 @dataclass(frozen=True)
 class Shapes:
-    """Displacements (k, n, 3) in mm from ``start`` (n, 3), and the ``prior`` (k, k) on weights.
+    """Shapes of a skin with ``faces`` (f, 3), by their weights."""
 
-    Weights that are ``bounded`` (k,) lie in [0, 1.2]. Of the skin with these ``faces``, the
-    vertices ``used`` (m,) are fitted.
-    """
-
-    start: Floats
-    displacements: NDArray[np.floating]
-    prior: Floats
-    bounded: NDArray[np.bool_]
+    start: Floats  # (n, 3) of the skin
+    displacements: NDArray[np.floating]  # (k, n, 3) in mm
+    prior: Floats  # (k, k) on weights
+    bounded: NDArray[np.bool_]  # (k,) weights that lie in [0, 1.2]
     faces: Ints
-    used: Ints
+    used: Ints  # (m,) vertices that are fitted
 
     def at(self, weights: Floats) -> Floats:
         """Return the vertices (n, 3) with these weights (k,)."""
@@ -254,12 +246,9 @@ def fit_shapes(
         normal[np.diag_indices_from(normal)] += 1e-9
         solution = _solve(normal, right, shapes.bounded, options.strongest)
         weights, step = solution[:count], solution[count:]
-        motion = motion.then(_step(step, sizes=sizes, most=options.growth))
+        growth = float(np.clip(step[6], -options.growth, options.growth)) if sizes else 0.0
+        motion = motion.then(small_motion(step[:6], growth))
     return ShapeFit(weights, shapes.at(weights), motion)
-
-
-def _step(step: Floats, *, sizes: bool, most: float = np.inf) -> Similarity:
-    return small_motion(step[:6], float(np.clip(step[6], -most, most)) if sizes else 0.0)
 
 
 def _solve(normal: Floats, right: Floats, bounded: NDArray[np.bool_], strongest: float) -> Floats:
@@ -300,5 +289,5 @@ def align(
         normal = weighted.T @ columns
         normal[np.diag_indices_from(normal)] += 1e-9 * np.trace(normal) + 1e-12
         step = np.asarray(np.linalg.solve(normal, -weighted.T @ pairs.offset), np.float64)
-        motion = motion.then(_step(step, sizes=sizes))
+        motion = motion.then(small_motion(step[:6], float(step[6]) if sizes else 0.0))
     return motion

@@ -20,23 +20,20 @@ from solver.surface import Floats, Ints
 
 GUIDES = 500  # points of the outer skin that carry what is hidden
 SMOOTHING_MM = 5.0  # of the warp between them
+NO_VERTICES: Ints = np.zeros(0, np.int64)
 
 
 def rigid_groups(template: Template) -> list[Ints]:
     """Return the vertices of what moves as one: each eye with its lashes, each jaw's teeth."""
     skin = template.skin
-    parts = skin_parts(skin)
-    groups = []
-    eyes = [parts[name] for name in ("eyes", "lashes") if name in parts]
-    if eyes:
-        vertices = np.unique(skin.faces[np.concatenate(eyes)])
-        is_left = skin.vertices[vertices, 0] > 0
-        groups += [vertices[is_left], vertices[~is_left]]
-    mouth = [parts[name] for name in ("teeth", "mouth") if name in parts]
-    if mouth:
-        vertices = np.unique(skin.faces[np.concatenate(mouth)])
-        lower = np.isin(vertices, template.attached_mandible)
-        groups += [vertices[lower], vertices[~lower]]
+    parts = {name: np.unique(skin.faces[faces]) for name, faces in skin_parts(skin).items()}
+    eyes, mouth = (
+        np.unique(np.concatenate([parts.get(name, NO_VERTICES) for name in names]))
+        for names in (("eyes", "lashes"), ("teeth", "mouth"))
+    )
+    is_left = skin.vertices[eyes, 0] > 0
+    is_lower = np.isin(mouth, template.attached_mandible)
+    groups = [eyes[is_left], eyes[~is_left], mouth[is_lower], mouth[~is_lower]]
     return [group for group in groups if len(group)]
 
 
@@ -89,42 +86,22 @@ class RestOptions:
     """Lips and still skin of a template at rest; lengths in mm."""
 
     touching: float = 2.1  # between vertices of closed lips
-    far: float = 8.0  # moves of an expression on skin that is not firm
-    below_tip: float = 8.0  # of the nose, skin is not firm
+    below_tip: float = 8.0  # of the nose, skin is not still, for all that is known without shapes
     parted_share: float = 0.3  # of the widest parting by which lips come apart
     mobile: float = 0.4  # root mean square move that halves a vertex's stability
 
 
 @dataclass(frozen=True)
 class Topology:
-    """A template's skin as registration sees it.
-
-    template
-        The template itself.
-    flesh
-        (f, 3) faces that deform; the rest is carried along.
-    outer
-        (k,) vertices that a scanner sees.
-    face
-        (j,) outer vertices of the face: where it is looked for and where errors are reported.
-    firm
-        (i,) vertices of the face that no expression moves far: where it is looked for in one.
-    touching
-        (p, 2) vertices that touch at rest and part when the mouth opens: the lips.
-    groups
-        Vertices of the parts that move rigidly (eyes, teeth).
-    stable
-        (n,) weights in [0, 1]: 1 where the skin lies still on the skull.
-    """
+    """A template's skin as registration sees it."""
 
     template: Template
-    flesh: Ints
-    outer: Ints
-    face: Ints
-    firm: Ints
-    touching: Ints
-    groups: list[Ints]
-    stable: Floats
+    flesh: Ints  # (f, 3) faces that deform; the rest is carried along
+    outer: Ints  # (k,) vertices that a scanner sees
+    face: Ints  # (j,) outer vertices of the face, where errors are reported
+    touching: Ints  # (p, 2) vertices that touch at rest and part with the mouth: the lips
+    groups: list[Ints]  # vertices of each part that moves rigidly (eyes, teeth)
+    stable: Floats  # (n,) weights in [0, 1]: 1 where the skin lies still on the skull
 
 
 def topology(template: Template, options: RestOptions = RestOptions()) -> Topology:
@@ -132,23 +109,20 @@ def topology(template: Template, options: RestOptions = RestOptions()) -> Topolo
     outer = np.flatnonzero(outer_skin(template))
     flesh = template.skin.faces[template.flesh_faces]
     face = np.intersect1d(template.face_vertices, outer)
-    firm = _firm(template, face, options)
     touching = _touching(template, np.unique(flesh), options)
-    stable = _stable(template, outer, firm, options)
-    groups = rigid_groups(template)
-    return Topology(template, flesh, outer, face, firm, touching, groups, stable)
+    stable = _stable(template, outer, face, options)
+    return Topology(template, flesh, outer, face, touching, rigid_groups(template), stable)
 
 
 def _touching(template: Template, vertices: Ints, options: RestOptions) -> Ints:
     """Pair every lip vertex with the closest one that parting takes away from it, each once."""
     rest = template.skin.vertices
-    parted = rest + template.parting
     pairs = vertices[cKDTree(rest[vertices]).query_pairs(options.touching, output_type="ndarray")]
-    gap, opened = (
+    gap, parted = (
         np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
-        for points in (rest, parted)
+        for points in (rest, rest + template.parting)
     )
-    opened -= gap
+    opened = parted - gap
     apart = np.flatnonzero(opened > options.parted_share * opened.max(initial=0.0))
     chosen: list[Ints] = []
     taken: set[int] = set()
@@ -159,22 +133,14 @@ def _touching(template: Template, vertices: Ints, options: RestOptions) -> Ints:
     return np.array(chosen, dtype=np.int64).reshape(-1, 2)
 
 
-def _firm(template: Template, face: Ints, options: RestOptions) -> Ints:
-    """Leave out what moves farther than ``far``; without shapes, what is below the nose."""
-    if template.shapes is not None and len(template.shapes.expressions):
-        moves = np.linalg.norm(template.shapes.expressions[:, face], axis=2).max(axis=0)
-        return np.asarray(face[moves < options.far])
-    points = template.skin.vertices[face]
-    tip = points[np.argmax(points[:, 2])]
-    return np.asarray(face[points[:, 1] > tip[1] - options.below_tip])
-
-
-def _stable(template: Template, outer: Ints, firm: Ints, options: RestOptions) -> Floats:
+def _stable(template: Template, outer: Ints, face: Ints, options: RestOptions) -> Floats:
     """Weigh by how little the expressions move a vertex; without shapes the upper face counts."""
     weights = np.zeros(len(template.skin.vertices))
     if template.shapes is not None and len(template.shapes.expressions):
         squares = np.sum(template.shapes.expressions[:, outer].astype(float) ** 2, axis=2)
         weights[outer] = 1 / (1 + squares.mean(axis=0) / options.mobile**2) ** 2
     else:
-        weights[firm] = 1.0
+        points = template.skin.vertices[face]
+        tip = points[np.argmax(points[:, 2])]
+        weights[face[points[:, 1] > tip[1] - options.below_tip]] = 1.0
     return weights

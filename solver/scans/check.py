@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,6 @@ from solver.registration.search import face_points
 from solver.registration.shape_fit import LIKENESS, ShapeFit, anybody, fit_shapes, match_samples
 from solver.scans.cover import FAR_MM, Cover, cover, has_second_face, visible_part
 from solver.scans.findings import (
-    Features,
     axis_findings,
     cover_findings,
     error_finding,
@@ -50,26 +50,22 @@ from solver.scans.mouth import closed_eyes, lip_gap, roughness, spikes
 from solver.similarity import Similarity
 from solver.surface import Floats, Surface, area_normals, unit_rows, vertex_areas
 
-AROUND_FACE_MM = 25.0  # margin of the part that is looked at closely
-# Below and above the face along x, y, z: the head without neck and shoulders.
+# Margins below and above the face along x, y, z: of the part that is looked at closely, and of the
+# head without neck and shoulders.
+AROUND_FACE_MM = np.full((2, 3), 25.0)
 AROUND_HEAD_MM = np.array([[40.0, 10.0, 60.0], [40.0, 70.0, 40.0]])
 
 
 @dataclass
 class ScanCheck:
-    """The findings of a check, its figures, and what its picture shows.
-
-    ``scan`` is the mended scan and ``location`` its face, both None if it cannot be read;
-    ``cover`` what is missing of its face, None if there is no face; ``marked`` (n,) the vertices of
-    the scan with a fault.
-    """
+    """The findings of a check, its figures, and what its picture shows."""
 
     findings: list[Finding] = field(default_factory=list)
     figures: dict[str, Any] = field(default_factory=dict)
-    scan: RawScan | None = None
-    location: Location | None = None
-    cover: Cover | None = None
-    marked: NDArray[np.bool_] | None = None
+    scan: RawScan | None = None  # mended; None if it cannot be read
+    location: Location | None = None  # of its face, if there is one
+    cover: Cover | None = None  # what is missing of the face
+    marked: NDArray[np.bool_] | None = None  # (n,) vertices of the scan with a fault
 
 
 def check(
@@ -119,7 +115,12 @@ def _check(
     }
     result.findings += [with_advice(found) for found in location_findings(scan, place, frame)]
     if not place.is_face:
-        _name_part(result, visible_part(samples, surface, likely_scales(scan, samples, frame)))
+        part = visible_part(samples, surface, likely_scales(scan, samples, frame))
+        if part is not None:
+            message = f"{scan.file} shows only the {part} half of a face."
+            half = make_finding("scan.half_face", "error", message, part=part)
+            others = (found for found in result.findings if found.code != "scan.not_a_face")
+            result.findings = [*others, half]
         return
     result.location = place
     result.figures |= {
@@ -138,27 +139,19 @@ def _check(
     _look_closer(result, scan, samples, place, template, surface, role)
 
 
-def _name_part(result: ScanCheck, part: str | None) -> None:
-    """Say in place of "no face" which ``part`` of one a scan shows."""
-    if part is None or result.scan is None:
-        return
-    message = f"{result.scan.file} shows only the {part} half of a face."
-    kept = [finding for finding in result.findings if finding.code != "scan.not_a_face"]
-    result.findings = [*kept, make_finding("scan.half_face", "error", message, part=part)]
-
-
 def _judge_winding(winding: list[Finding], marking: list[Finding], *, known: bool) -> list[Finding]:
     """Return the findings of winding and landmarks; ``known`` says whether there are landmarks.
 
     Landmarks are set on the scan as it is seen. If their sides are exchanged and the triangles
     face inwards too, it is the scan that is mirrored; if only the triangles do, it is not.
     """
-    if not known or not any(finding.code == "scan.mirrored" for finding in winding):
+    others = [finding for finding in winding if finding.code != "scan.mirrored"]
+    if not known or len(others) == len(winding):
         return marking + winding
     if any(finding.code == "landmarks.swapped" for finding in marking):
         message = "The scan is mirrored: its triangles face inwards, left and right are exchanged."
         return [make_finding("scan.mirrored", "error", message)]
-    return marking + [finding for finding in winding if finding.code != "scan.mirrored"]
+    return marking + others
 
 
 def _look_closer(
@@ -178,22 +171,21 @@ def _look_closer(
     size = place.mm_per_unit / motion.scale
     seen = cover(near.transform(motion), fitted.vertices, template, face)
     vertices = motion(scan.vertices)
-    rough = roughness(vertices * size, seen.points[seen.covered] * size)
+    noise_mm, spacing_mm = roughness(vertices * size, seen.points[seen.covered] * size)
     marked = np.zeros(len(vertices), bool)
     if len(scan.faces):
         marked = spikes(vertices * size, scan.faces) & _around(vertices, face, AROUND_HEAD_MM)
     surface = Surface(vertices, scan.faces)
-    features = Features(lip_gap(surface, template), closed_eyes(surface, fitted.vertices, template))
-    result.findings += cover_findings(seen, features)
-    result.findings += roughness_findings(rough, int(marked.sum()))
-    result.findings += feature_findings(features, role)
-    result.cover = seen
-    result.marked = marked
+    gap, eyes = lip_gap(surface, template), closed_eyes(surface, fitted.vertices, template)
+    result.findings += cover_findings(seen, gap)
+    result.findings += roughness_findings(noise_mm, spacing_mm, int(marked.sum()))
+    result.findings += feature_findings(gap, eyes, role)
+    result.cover, result.marked = seen, marked
     result.figures |= {
         "covered": round(seen.share(), 3),
-        "noise_mm": None if np.isnan(rough.noise_mm) else round(rough.noise_mm, 2),
-        "spacing_mm": round(rough.spacing_mm, 2),
-        "lip_gap_mm": features.lip_gap_mm,
+        "noise_mm": None if np.isnan(noise_mm) else round(noise_mm, 2),
+        "spacing_mm": round(spacing_mm, 2),
+        "lip_gap_mm": gap,
         "spikes": int(marked.sum()),
     }
 
@@ -208,9 +200,9 @@ def _fit_roughly(scan: Samples, motion: Similarity, template: Template, face: Su
     return fit_shapes(match, motion, shapes, options=LIKENESS, sizes=True)
 
 
-def _around(points: Floats, face: Surface, margin: float | Floats) -> NDArray[np.bool_]:
-    """Return which points lie in the box about the face, larger by ``margin`` (below, above)."""
-    below, above = np.broadcast_to(margin, (2, 3)) if np.ndim(margin) else (margin, margin)
+def _around(points: Floats, face: Surface, margins: Floats) -> NDArray[np.bool_]:
+    """Return which points lie in the box about the face, larger below and above by ``margins``."""
+    below, above = margins
     corners = face.vertices[np.unique(face.faces)]
     low, high = corners.min(axis=0) - below, corners.max(axis=0) + above
     return np.asarray(((points > low) & (points < high)).all(axis=1))
@@ -274,16 +266,16 @@ def _place(check: ScanCheck) -> tuple[Surface, Floats, float]:
     """Return the scan as it is to be seen, the middle of the view and its height."""
     scan = check.scan
     assert scan is not None
-    if check.location is not None and check.cover is not None:
-        vertices = check.location.pose.motion(scan.vertices)
-        if any(finding.code == "scan.two_heads" for finding in check.findings):
-            low, high = np.quantile(vertices, [0.002, 0.998], axis=0)
-            return Surface(vertices, scan.faces), (low + high) / 2, 1.6 * float((high - low).max())
-        middle = np.median(check.cover.points, axis=0) - np.array([0.0, 0.0, BACK_MM])
-        return Surface(vertices, scan.faces), middle, SPAN_MM
-    low, high = np.quantile(scan.vertices, [0.002, 0.998], axis=0)
-    scale = SPAN_MM / 1.2 / float((high - low).max() + 1e-30)
-    return Surface((scan.vertices - (low + high) / 2) * scale, scan.faces), np.zeros(3), SPAN_MM
+    if check.location is None or check.cover is None:
+        low, high = np.quantile(scan.vertices, [0.002, 0.998], axis=0)
+        scale = SPAN_MM / 1.2 / float((high - low).max() + 1e-30)
+        return Surface((scan.vertices - (low + high) / 2) * scale, scan.faces), np.zeros(3), SPAN_MM
+    surface = Surface(check.location.pose.motion(scan.vertices), scan.faces)
+    if any(finding.code == "scan.two_heads" for finding in check.findings):
+        low, high = np.quantile(surface.vertices, [0.002, 0.998], axis=0)
+        return surface, (low + high) / 2, 1.6 * float((high - low).max())
+    middle = np.median(check.cover.points, axis=0) - np.array([0.0, 0.0, BACK_MM])
+    return surface, middle, SPAN_MM
 
 
 def _draw_mesh(
@@ -322,16 +314,13 @@ def _draw_discs(image: Floats, depth: Floats, pixels: Floats, colours: Floats, r
     """Draw points (n, 3: column, row, depth) as discs, the nearest over all others."""
     rows, columns = depth.shape
     radius = int(np.clip(radius, 2, LARGEST_DISC))
-    for down in range(-radius, radius + 1):
-        for right in range(-radius, radius + 1):
-            if down * down + right * right > radius * radius:
-                continue
+    for down, right in product(range(-radius, radius + 1), repeat=2):
+        if down * down + right * right <= radius * radius:
             column = np.rint(pixels[:, 0]).astype(int) + right
             row = np.rint(pixels[:, 1]).astype(int) + down
             inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-            row, column, far = row[inside], column[inside], pixels[inside, 2]
-            order = np.argsort(-far)  # of several points in a pixel, the last written stays
-            row, column, far = row[order], column[order], far[order]
-            nearer = far < depth[row, column]
-            image[row[nearer], column[nearer]] = colours[inside][order][nearer]
-            depth[row[nearer], column[nearer]] = far[nearer]
+            # of several points in a pixel, the last written stays
+            order = np.flatnonzero(inside)[np.argsort(-pixels[inside, 2])]
+            kept = order[pixels[order, 2] < depth[row[order], column[order]]]
+            image[row[kept], column[kept]] = colours[kept]
+            depth[row[kept], column[kept]] = pixels[kept, 2]

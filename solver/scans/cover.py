@@ -15,7 +15,7 @@ from solver.anatomy.template import Template
 from solver.drawing.render import Camera, look
 from solver.registration.scan_surface import Samples, orient_outward, sample
 from solver.registration.search import FacePoints, FacePose, face_points, find_pose
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Surface
 
 FAR_MM = 4000.0  # so far away that the view is nearly parallel
 SIDE_MM = 8.0  # from the middle begins a side of the face
@@ -23,14 +23,11 @@ SIDE_MM = 8.0  # from the middle begins a side of the face
 
 @dataclass(frozen=True)
 class Relief:
-    """Heights z (rows, columns) in mm, NaN where there is nothing; rows go down from the top.
+    """Heights of a surface in mm over a grid, whose rows go down from the top."""
 
-    ``x`` (columns,) and ``y`` (rows,) are the places in mm.
-    """
-
-    height: Floats
-    x: Floats
-    y: Floats
+    height: Floats  # z (rows, columns), NaN where there is nothing
+    x: Floats  # (columns,)
+    y: Floats  # (rows,)
 
 
 def relief(surface: Surface, centre: Floats, size: tuple[float, float], step: float) -> Relief:
@@ -43,8 +40,7 @@ def relief(surface: Surface, centre: Floats, size: tuple[float, float], step: fl
     y = centre[1] + (rows / 2 - np.arange(rows) - 0.5) * step
     height = np.full((rows, columns), np.nan)
     if len(surface.faces):
-        camera = Camera(centre, rows * step, distance=FAR_MM)
-        seen = look(camera, surface, columns, rows)
+        seen = look(Camera(centre, rows * step, distance=FAR_MM), surface, columns, rows)
         if seen.mask.any():
             height[seen.mask] = seen.interpolate(surface.vertices[:, 2:])[:, 0]
         return Relief(height, x, y)
@@ -74,37 +70,30 @@ class CoverOptions:
 
 @dataclass(frozen=True)
 class Hole:
-    """A hole in the face: its ``area_mm2``, its ``centre`` (3,) and the ``region`` it is in.
-
-    ``at_rim`` tells that it reaches the rim of the face: the scan ends there.
-    """
+    """A hole in the face."""
 
     area_mm2: float
-    centre: Floats
-    region: str
-    at_rim: bool
+    region: str  # that it is in, with its side
+    at_rim: bool  # of the face: the scan ends there
 
 
 @dataclass(frozen=True)
 class Cover:
-    """Points (n, 3) of the face that a scan should show, and which of them it does.
+    """The part of a face that a scan should show, and what of it the scan does show."""
 
-    ``area_mm2`` is the area of one point.
-    """
-
-    points: Floats
-    covered: NDArray[np.bool_]
-    holes: list[Hole]
+    points: Floats  # (n, 3) of the face
+    covered: NDArray[np.bool_]  # (n,)
+    holes: list[Hole]  # the largest first
 
     def share(self, side: str = "all") -> float:
         """Return the share covered of the ``left``, ``right``, ``upper`` or ``lower`` face."""
-        middle = np.median(self.points[:, 1])
+        x, y, _ = self.points.T
         chosen = {
-            "all": np.ones(len(self.points), bool),
-            "left": self.points[:, 0] > SIDE_MM,
-            "right": self.points[:, 0] < -SIDE_MM,
-            "upper": self.points[:, 1] > middle,
-            "lower": self.points[:, 1] <= middle,
+            "all": np.ones(len(x), bool),
+            "left": x > SIDE_MM,
+            "right": x < -SIDE_MM,
+            "upper": y > np.median(y),
+            "lower": y <= np.median(y),
         }[side]
         return float(self.covered[chosen].mean())
 
@@ -122,7 +111,9 @@ def cover(
     """
     fitted = Surface(skin, face.faces)
     samples = sample(skin, face.faces, None, options.points)
-    rim, *openings = (KDTree(skin[loop]) for loop in _loops(fitted))
+    loops = [skin[np.asarray(loop)] for loop in igl.boundary_loop_all(face.faces)]
+    loops.sort(key=lambda loop: -float(np.ptp(loop, axis=0).sum()))
+    rim, *openings = map(KDTree, loops)
     looked_for = _seen_from_front(fitted, samples.points, options.hidden)
     looked_for &= rim.query(samples.points)[0] >= options.border
     for opening in openings:
@@ -142,8 +133,8 @@ def cover(
 def _at_mouth(
     points: Floats, skin: Floats, template: Template, options: CoverOptions
 ) -> NDArray[np.bool_]:
-    lips = [template.landmarks.get(f"stomion_{lip}us") for lip in ("superi", "inferi")]
-    known = [lip for lip in lips if lip is not None]
+    lips = ("stomion_superius", "stomion_inferius")
+    known = [template.landmarks[lip] for lip in lips if lip in template.landmarks]
     if not known:
         return np.zeros(len(points), bool)
     away = np.linalg.norm(points - skin[known].mean(axis=0), axis=1)
@@ -185,12 +176,6 @@ def _seen_from_front(fitted: Surface, points: Floats, hidden: float) -> NDArray[
     return np.asarray(points[:, 2] > np.nan_to_num(foremost, nan=-1e9) - hidden)
 
 
-def _loops(fitted: Surface) -> list[Ints]:
-    """Return the vertices of the boundaries, the outer rim first."""
-    loops = [np.asarray(loop) for loop in igl.boundary_loop_all(fitted.faces)]
-    return sorted(loops, key=lambda loop: -float(np.ptp(fitted.vertices[loop], axis=0).sum()))
-
-
 def _holes(
     missing: Floats,
     at_rim: NDArray[np.bool_],
@@ -204,16 +189,16 @@ def _holes(
     covered: a round hole is larger than its points by that.
     """
     area, edge = measure
-    if len(missing) == 0:
+    if not len(missing):
         return []
     pairs = KDTree(missing).query_pairs(2.2 * np.sqrt(area), output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(missing), len(missing)))
     count, label = connected_components(graph, directed=False)
     holes = []
     for chosen in (label == number for number in range(count)):
-        centre, ends = missing[chosen].mean(axis=0), bool(at_rim[chosen].any())
         size = float(np.pi * (np.sqrt(chosen.sum() * area / np.pi) + edge) ** 2)
-        holes.append(Hole(size, centre, _region(centre, skin, template), ends))
+        region = _region(missing[chosen].mean(axis=0), skin, template)
+        holes.append(Hole(size, region, bool(at_rim[chosen].any())))
     return sorted(holes, key=lambda hole: -hole.area_mm2)
 
 
@@ -258,9 +243,8 @@ def _halves(face: Surface) -> dict[str, FacePoints]:
     x, y, _ = face.vertices[face.faces].mean(axis=1).T
     middle = np.median(y)
     halves = {"left": x > 0, "right": x < 0, "upper": y > middle, "lower": y < middle}
-    return {
-        name: face_points(Surface(face.vertices, face.faces[kept])) for name, kept in halves.items()
-    }
+    parts = {name: Surface(face.vertices, face.faces[kept]) for name, kept in halves.items()}
+    return {name: face_points(part) for name, part in parts.items()}
 
 
 def visible_part(
@@ -268,20 +252,14 @@ def visible_part(
 ) -> str | None:
     """Return which half of a face a scan shows that shows no whole one; else None."""
     parts, scan = _halves(face), orient_outward(scan)
-    best: tuple[str, FacePose] | None = None
+    costs = {}
     for name, part in parts.items():
         pose = find_pose(part, scan, scales)
-        is_part = pose.coverage > options.share and pose.cost < options.cost
-        is_better = best is None or pose.cost < best[1].cost
-        if is_part and is_better and _is_absent(parts[OPPOSITE[name]], scan, pose, options):
-            best = name, pose
-    return None if best is None else best[0]
-
-
-def _is_absent(part: FacePoints, scan: Samples, pose: FacePose, options: PartOptions) -> bool:
-    """Return whether most of a part of the face has nothing of the scan about it."""
-    gap, _ = KDTree(pose.motion(scan.points)).query(part.points)
-    return bool((gap > options.nothing).mean() > 0.5)
+        if pose.coverage > options.share and pose.cost < options.cost:
+            gap, _ = KDTree(pose.motion(scan.points)).query(parts[OPPOSITE[name]].points)
+            if (gap > options.nothing).mean() > 0.5:  # most of the other half is not there
+                costs[name] = pose.cost
+    return min(costs, key=lambda name: costs[name], default=None)
 
 
 def has_second_face(
@@ -294,4 +272,4 @@ def has_second_face(
     if outside.sum() < options.other_share * len(outside):
         return False
     rest = Samples(scan.points[outside], scan.normals[outside], scan.oriented)
-    return find_pose(face, rest, [pose.motion.scale]).is_face()
+    return find_pose(face, rest, [pose.motion.scale]).is_face

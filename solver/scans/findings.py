@@ -1,7 +1,6 @@
 """Findings of a scan's check, each with a stable code, a plain sentence and advice.
 
-Every code has one advice, here, so that the whole of what operators are told can be read in one
-place; ``docs/guide/scans.md`` lists the same.
+Every code has one advice, here, in one place; ``docs/guide/scans.md`` lists the same.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from solver.registration.locate import Location, choose_unit
 from solver.registration.scan_surface import Samples
 from solver.registration.search import JUDGE, FacePoints
 from solver.scans.cover import Cover
-from solver.scans.mouth import Roughness
 from solver.similarity import fit_similarity
 from solver.surface import Floats
 
@@ -109,23 +107,14 @@ class FaceLimits:
     lips_apart_mm: float = 3.0  # an open mouth
 
 
-@dataclass(frozen=True)
-class Features:
-    """Mouth and eyes: the gap between the lips in mm and which eyes are surely closed."""
-
-    lip_gap_mm: float
-    closed: dict[str, bool]
-
-
 def cover_findings(
-    cover: Cover, features: Features, limits: FaceLimits = FaceLimits()
+    cover: Cover, lip_gap_mm: float, limits: FaceLimits = FaceLimits()
 ) -> list[Finding]:
     """Return what is missing of a face: a side, its end, or holes; open lips are no hole."""
     found = []
-    shares = {side: cover.share(side) for side in ("left", "right", "upper", "lower")}
-    worst = min(shares, key=lambda side: shares[side])
+    worst = min(("left", "right", "upper", "lower"), key=cover.share)
     whole = cover.share()
-    if whole < limits.least_cover or shares[worst] < limits.least_side:
+    if whole < limits.least_cover or cover.share(worst) < limits.least_side:
         place = f"in the {worst} half" if worst in ("upper", "lower") else f"on the {worst} side"
         message = f"{1 - whole:.0%} of the face is missing, most of it {place}."
         found.append(make_finding("scan.coverage", "error", message, covered=round(whole, 3)))
@@ -137,34 +126,31 @@ def cover_findings(
         found.append(make_finding("scan.cut_off", "warning", message, area_mm2=round(area)))
     holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > limits.hole_mm2]
     # a rough fit may have the chin where the mouth is
-    if features.lip_gap_mm >= limits.lips_apart_mm:
+    if lip_gap_mm >= limits.lips_apart_mm:
         holes = [hole for hole in holes if not hole.region.endswith(("lip", "chin"))]
     if holes:
-        largest = holes[0]
         number = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
-        message = (
-            f"The face has {number}; the largest, {largest.area_mm2 / 100:.1f} cm2, is at the "
-            f"{largest.region}."
-        )
+        area, region = holes[0].area_mm2 / 100, holes[0].region
+        message = f"The face has {number}; the largest, {area:.1f} cm2, is at the {region}."
         places = [{"region": h.region, "area_mm2": round(h.area_mm2)} for h in holes[:10]]
         found.append(make_finding("scan.holes", "warning", message, holes=places))
     return found
 
 
 def roughness_findings(
-    rough: Roughness, spikes: int, limits: FaceLimits = FaceLimits()
+    noise_mm: float, spacing_mm: float, spikes: int, limits: FaceLimits = FaceLimits()
 ) -> list[Finding]:
     """Return whether a face is noisy, spiky or coarse."""
     found = []
-    limit = limits.noise_mm + limits.coarse_noise * max(rough.spacing_mm - 3.0, 0.0)
-    if rough.noise_mm > limit:
-        severity: Severity = "error" if rough.noise_mm > limit + limits.much_noise_mm else "warning"
-        message = f"The surface is noisy: {rough.noise_mm:.1f} mm; a good scan has below 0.3 mm."
-        figures = {"found": round(rough.noise_mm, 2), "expected": limits.noise_mm}
+    limit = limits.noise_mm + limits.coarse_noise * max(spacing_mm - 3.0, 0.0)
+    if noise_mm > limit:
+        severity: Severity = "error" if noise_mm > limit + limits.much_noise_mm else "warning"
+        message = f"The surface is noisy: {noise_mm:.1f} mm; a good scan has below 0.3 mm."
+        figures = {"found": round(noise_mm, 2), "expected": limits.noise_mm}
         found.append(make_finding("scan.noise", severity, message, **figures))
-    if rough.spacing_mm > limits.coarse_mm:
-        message = f"The scan is coarse: a vertex every {rough.spacing_mm:.0f} mm on the face."
-        figures = {"found": round(rough.spacing_mm, 1), "expected": limits.coarse_mm}
+    if spacing_mm > limits.coarse_mm:
+        message = f"The scan is coarse: a vertex every {spacing_mm:.0f} mm on the face."
+        figures = {"found": round(spacing_mm, 1), "expected": limits.coarse_mm}
         found.append(make_finding("scan.coarse", "warning", message, **figures))
     if spikes >= limits.spikes:
         message = f"{spikes} spikes stick out on or around the face."
@@ -173,9 +159,9 @@ def roughness_findings(
 
 
 def feature_findings(
-    features: Features, role: str, limits: FaceLimits = FaceLimits()
+    lip_gap_mm: float, eyes: dict[str, bool], role: str, limits: FaceLimits = FaceLimits()
 ) -> list[Finding]:
-    """Return whether the mouth is open or the eyes are closed, which a neutral may not have.
+    """Return whether the mouth is open or ``eyes`` are closed, which a neutral may not have.
 
     In a scan of unknown ``role`` they are only mentioned, in an expression not at all.
     """
@@ -183,11 +169,10 @@ def feature_findings(
         return []
     severity: Severity = "error" if role == "neutral" else "info"
     found = []
-    if features.lip_gap_mm >= limits.lips_apart_mm:
-        message = f"The mouth is open: the lips are {features.lip_gap_mm:.0f} mm apart."
-        gap = features.lip_gap_mm
-        found.append(make_finding("scan.mouth_open", severity, message, found=gap))
-    closed = [side for side, is_closed in features.closed.items() if is_closed]
+    if lip_gap_mm >= limits.lips_apart_mm:
+        message = f"The mouth is open: the lips are {lip_gap_mm:.0f} mm apart."
+        found.append(make_finding("scan.mouth_open", severity, message, found=lip_gap_mm))
+    closed = [side for side, is_closed in eyes.items() if is_closed]
     if closed:
         both = len(closed) == 2
         message = "Both eyes are closed." if both else f"The {closed[0]} eye is closed."
@@ -237,13 +222,13 @@ def file_findings(
     def add(code: str, severity: Severity, message: str, **figures: object) -> None:
         found.append(make_finding(code, severity, message, **figures))
 
-    if raw.format != raw.suffix_format:
+    held, expected = raw.format, raw.suffix_format
+    if held != expected:
         message = (
-            f"{raw.file} holds {raw.format.upper()}, not {raw.suffix_format.upper()} as its "
-            "suffix says; it was read as what it holds."
+            f"{raw.file} holds {held.upper()}, not {expected.upper()} as its suffix says; it was "
+            "read as what it holds."
         )
-        expected = raw.suffix_format
-        add("scan.wrong_extension", "warning", message, expected=expected, found=raw.format)
+        add("scan.wrong_extension", "warning", message, expected=expected, found=held)
     lost, first = mending.not_finite, mending.first_not_finite
     if lost:
         severity: Severity = "error" if lost > limits.not_finite * vertices else "warning"
@@ -253,8 +238,8 @@ def file_findings(
         )
         add("scan.nan", severity, message, vertex=first, found=lost)
     is_welded = mending.duplicate > WELDED_SHARE * vertices
-    seams = raw.format in ("glb", "stl")  # which cannot share vertices across a seam
-    touches = raw.format == "stl" or is_welded
+    seams = held in ("glb", "stl")  # which cannot share vertices across a seam
+    touches = held == "stl" or is_welded
     many_touch = mending.non_manifold >= limits.touching * 1.5 * triangles
     flat, flipped = limits.flat * triangles, limits.flipped * triangles
     counts = {
@@ -274,7 +259,7 @@ def file_findings(
         groups, names = len(raw.empty_groups), ", ".join(raw.empty_groups[:5])
         message = f"{_count(groups, 'group holds', 'groups hold')} no triangle: {names}."
         add("scan.empty_groups", "warning", message, groups=list(raw.empty_groups[:MOST_NAMES]))
-    if len(raw.faces) == 0 and raw.normals is None:
+    if not len(raw.faces) and raw.normals is None:
         message = f"{raw.file} is a point cloud without normals; they are found from neighbours."
         add("scan.no_normals", "warning", message)
     if vertices > limits.dense:
@@ -325,14 +310,15 @@ MOST_INWARD, SOME_INWARD = 0.8, 0.1  # shares of a face whose triangles face inw
 
 def axis_findings(place: Location, frame: Mapping[str, Any]) -> list[Finding]:
     """Return how the scan is turned against y up and z forward."""
-    figures = {"up": place.up, "forward": place.forward}
-    upright = float(place.motion.rotation[1, 1])
-    if frame["up"] != "auto" or (place.up, place.forward) == ("y", "z"):
+    up, forward = place.up, place.forward
+    if frame["up"] != "auto" or (up, forward) == ("y", "z"):
         return []
-    if place.up.startswith("-") and place.up != "-x":
-        message = f"The head stands upside down: {place.up} of the file points to its top."
-        return [make_finding("scan.upside_down", "warning", message, **figures, upright=upright)]
-    message = f"{place.up} of the file points to the top of the head, {place.forward} forward."
+    figures: dict[str, Any] = {"up": up, "forward": forward}
+    if up in ("-y", "-z"):
+        message = f"The head stands upside down: {up} of the file points to its top."
+        figures["upright"] = float(place.motion.rotation[1, 1])
+        return [make_finding("scan.upside_down", "warning", message, **figures)]
+    message = f"{up} of the file points to the top of the head, {forward} forward."
     return [make_finding("scan.axes", "info", message, **figures)]
 
 
@@ -350,12 +336,10 @@ def winding_findings(
     if inward < SOME_INWARD:
         return []
     figures = {"share": round(inward, 3)}
-    if inward < MOST_INWARD:
-        message = f"{inward:.0%} of the face's surface is inside out."
-        return [make_finding("scan.inverted_normals", "warning", message, **figures)]
-    message = "The whole surface is inside out."
+    part = "The whole" if inward >= MOST_INWARD else f"{inward:.0%} of the face's"
+    message = f"{part} surface is inside out."
     inverted = make_finding("scan.inverted_normals", "warning", message, **figures)
-    if not len(scan.faces):
+    if inward < MOST_INWARD or not len(scan.faces):
         return [inverted]
     if scan.normals is None:
         message = (
@@ -375,6 +359,6 @@ def _share_inward(samples: Samples, face: FacePoints, place: Location) -> float:
     """Return the share of the face's points whose closest sample faces the other way."""
     there = samples.transform(place.pose.motion)
     gap, near = KDTree(there.points).query(face.points)
-    facing = (there.normals[near] * face.normals).sum(axis=1)[gap < JUDGE.close]
-    clear = facing[np.abs(facing) > 0.5]
+    facing = (there.normals[near] * face.normals).sum(axis=1)
+    clear = facing[(gap < JUDGE.close) & (np.abs(facing) > 0.5)]
     return float((clear < 0).mean()) if len(clear) else 0.0

@@ -42,15 +42,10 @@ ANGLES = {
     bone: tuple(f"{bone}{angle}" for angle in ("Yaw", "Pitch", "Roll"))
     for bone in ("head", "leftEye", "rightEye")
 }
-
-# Beyond them an angle is in degrees, or nothing.
-ANGLE = (-2.0 * np.pi, 2.0 * np.pi)
-
-# The last part of a timecode counts sixtieths of a second, whatever the frame rate is.
-TICKS = 60
+ANGLE = (-2.0 * np.pi, 2.0 * np.pi)  # beyond them an angle is in degrees, or nothing
+WEIGHTS = (-0.5, 1.5)  # a solver goes a little beyond 0 and 1, percents do not fit in
+TICKS = 60  # a second in the last part of a timecode, whatever the frame rate is
 DAY = 86400.0  # s
-# What a weight may be: a solver goes a little beyond 0 and 1, percents do not fit in.
-WEIGHTS = (-0.5, 1.5)
 
 
 @dataclass(frozen=True)
@@ -71,18 +66,16 @@ class LiveLinkTake:
 def read_live_link(path: Path) -> LiveLinkTake:
     """Return a recording; columns may come in any order, others are not read.
 
-    Raises
-    ------
-    InputError
-        ``live_link.unreadable``, ``live_link.columns`` (one is missing), ``live_link.value`` (a
-        field is missing, no number, no weight or no angle), ``live_link.timecode`` or
-        ``live_link.time_order`` (a frame is not later than the one before), with ``file``, and
-        ``line`` where it is about one.
+    Raises :class:`InputError`: ``live_link.unreadable``, ``live_link.columns`` (one is missing),
+    ``live_link.value`` (a field is missing, no number, no weight or no angle),
+    ``live_link.timecode`` or ``live_link.time_order`` (a frame is not later than the one before),
+    with ``file``, and ``line`` where it is about one.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = csv.reader(file)
-            header = [_arkit(name) for name in next(rows, ())]
+            # as ARKit writes names: Live Link Face begins with a capital
+            header = [name[:1].lower() + name[1:] for name in map(str.strip, next(rows, ()))]
             _check_columns(path, header)
             columns = {name: header.index(name) for name in ARKIT_NAMES}
             turning = {bone: names for bone, names in ANGLES.items() if set(names) <= set(header)}
@@ -95,10 +88,9 @@ def read_live_link(path: Path) -> LiveLinkTake:
                 line = rows.line_num
                 if row:
                     times.append(_time(path, line, row, clock, times))
-                    weights.append(
-                        _numbers(path, line, row, columns, WEIGHTS, "weight from 0 to 1")
-                    )
-                    angles.append(_numbers(path, line, row, angled, ANGLE, "angle in radians"))
+                    place = path, line, row
+                    weights.append(_numbers(*place, columns, WEIGHTS, "weight from 0 to 1"))
+                    angles.append(_numbers(*place, angled, ANGLE, "angle in radians"))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         message = f"{path.name} cannot be read: {error}"
         raise InputError("live_link.unreadable", message, file=path.name) from error
@@ -106,15 +98,9 @@ def read_live_link(path: Path) -> LiveLinkTake:
         raise InputError("live_link.unreadable", f"{path.name} has no frames", file=path.name)
     by_bone = np.array(angles).reshape(len(times), -1, 3).swapaxes(0, 1)
     turns = dict(zip(turning, by_bone, strict=True))
-    head, left, right = (_rotations(turns.get(bone), len(times)) for bone in ANGLES)
-    eyes = np.stack([left, right], axis=1)
-    return LiveLinkTake(np.array(times) - times[0], np.array(weights), head, eyes)
-
-
-def _arkit(name: str) -> str:
-    """Return a column's name as ARKit writes it: Live Link Face begins with a capital."""
-    name = name.strip()
-    return name[:1].lower() + name[1:]
+    head, *eyes = (_rotations(turns.get(bone), len(times)) for bone in ANGLES)
+    since = np.array(times) - times[0]
+    return LiveLinkTake(since, np.array(weights), head, np.stack(eyes, axis=1))
 
 
 def _check_columns(path: Path, header: Sequence[str]) -> None:
@@ -134,9 +120,8 @@ def _time(path: Path, line: int, row: list[str], column: int, before: Sequence[f
         hours, minutes, seconds, ticks = text.split(":")
         time = 3600.0 * int(hours) + 60.0 * int(minutes) + int(seconds) + float(ticks) / TICKS
     except ValueError:
-        _refuse(
-            path, line, "timecode", f"'{quote(text)}' is not a timecode hours:minutes:seconds:ticks"
-        )
+        reason = f"'{quote(text)}' is not a timecode hours:minutes:seconds:ticks"
+        _refuse(path, line, "timecode", reason)
     if not 0.0 <= time < DAY:  # NaN is neither
         _refuse(path, line, "timecode", f"'{quote(text)}' is not a time of day")
     if before and time <= before[-1]:
@@ -178,6 +163,5 @@ def _rotations(angles: Floats | None, count: int) -> Floats:
 
 
 def _refuse(path: Path, line: int, code: str, what: str) -> NoReturn:
-    raise InputError(
-        f"live_link.{code}", f"{path.name}, line {line}: {what}", file=path.name, line=line
-    )
+    message = f"{path.name}, line {line}: {what}"
+    raise InputError(f"live_link.{code}", message, file=path.name, line=line)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, grey_closing, maximum_filter1d
+from scipy.ndimage import gaussian_filter, grey_closing, label, maximum_filter1d
 from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
@@ -46,10 +46,8 @@ def lip_gap(scan: Surface, template: Template, options: LipOptions = LipOptions(
     known = np.isfinite(front.height).sum(axis=1) * 2 > len(front.x)
     if known.sum() < len(known) / 2:
         return 0.0
-    profile = np.array(
-        [np.nanmedian(row) if ok else 0.0 for row, ok in zip(front.height, known, strict=True)]
-    )
-    profile = np.interp(front.y[::-1], front.y[known][::-1], profile[known][::-1])[::-1]
+    profile = np.nanmedian(front.height[known], axis=1)
+    profile = np.interp(front.y[::-1], front.y[known][::-1], profile[::-1])[::-1]
     return _gap(front.y - centre[1], profile, options)
 
 
@@ -61,13 +59,11 @@ def _gap(height: Floats, profile: Floats, options: LipOptions) -> float:
     near = deep & (np.abs(height) < options.near)
     if not near.any():
         return 0.0
-    deepest = int(np.argmax(np.where(near, depth, 0)))
-    shallow = np.flatnonzero(~np.concatenate([[False], deep, [False]])) - 1
-    after = int(np.searchsorted(shallow, deepest))
-    start, end = int(shallow[after - 1]) + 1, int(shallow[after]) - 1
-    edge = slice(max(start - 4, 0), end + 5)
-    falls = np.abs(profile[edge][2:] - profile[edge][:-2])
-    return float((end - start + 1) * options.step) if falls.max(initial=0) > options.steep else 0.0
+    runs, _ = label(deep)
+    gap = np.flatnonzero(runs == runs[np.argmax(np.where(near, depth, 0))])
+    edge = profile[max(gap[0] - 4, 0) : gap[-1] + 5]
+    falls = np.abs(edge[2:] - edge[:-2])
+    return len(gap) * options.step if falls.max(initial=0) > options.steep else 0.0
 
 
 # Closed eyes, by where the lids' edge lies in the scan itself.
@@ -127,8 +123,9 @@ def _is_closed(scan: Surface, corners: Floats, options: LidOptions) -> bool:
     if np.isfinite(front.height).mean() < 0.5:
         return False
     fall, height = _falls(front.height, options), front.y - middle[1]
-    upper = _within(fall, height, options.upper)
-    lower = _within(fall, height, options.lower)
+    upper, lower = (
+        fall[(height > low) & (height < high)].max() for low, high in (options.upper, options.lower)
+    )
     sharp = height[fall > 0.5 * fall.max()]
     return bool(lower > max(options.sharp, options.ahead * upper) and np.ptp(sharp) < options.thin)
 
@@ -150,10 +147,6 @@ def _falls(height: Floats, options: LidOptions) -> Floats:
     return np.asarray(np.median(arched, axis=1))
 
 
-def _within(fall: Floats, height: Floats, band: tuple[float, float]) -> float:
-    return float(fall[(height > band[0]) & (height < band[1])].max())
-
-
 def _spacing(vertices: Floats, centre: Floats, options: LidOptions) -> float:
     """Return the median distance of neighbouring vertices about an eye."""
     near = vertices[np.linalg.norm(vertices - centre, axis=1) < options.near]
@@ -163,6 +156,8 @@ def _spacing(vertices: Floats, centre: Floats, options: LidOptions) -> float:
 
 
 # How rough a scan is: noise against a smooth surface, and spikes.
+
+UNKNOWNS = 6  # of a quadratic height field
 
 
 @dataclass(frozen=True)
@@ -175,25 +170,16 @@ class RoughOptions:
     spike_edges: float = 3.0  # height of a spike by the scan's edges
     spike: float = 6.0  # least height of a spike
     spike_angle: float = np.radians(200.0)  # sum of the angles at its tip
-    unknowns: int = 6  # of a quadratic height field
 
 
-@dataclass(frozen=True)
-class Roughness:
-    """``noise_mm`` of the face (median over places, NaN if too coarse to tell) and its spacing.
+def roughness(
+    points: Floats, places: Floats, options: RoughOptions = RoughOptions()
+) -> tuple[float, float]:
+    """Return noise and spacing of the vertices (n, 3) of a scan at ``places`` (k, 3) of a face.
 
-    ``spacing_mm`` is the median distance between neighbouring vertices.
-    """
-
-    noise_mm: float
-    spacing_mm: float
-
-
-def roughness(points: Floats, places: Floats, options: RoughOptions = RoughOptions()) -> Roughness:
-    """Return the roughness of the vertices (n, 3) of a scan at ``places`` (k, 3) of a face, in mm.
-
-    At some of the places a quadratic height field is fitted to the neighbours in a radius (larger
-    in a coarse scan); what it leaves is noise, as skin is smooth at that size.
+    Both are medians over places in mm, the noise NaN in a scan too coarse to tell. At some of
+    the places a quadratic height field is fitted to the neighbours in a radius (larger in a
+    coarse scan); what it leaves is noise, as skin is smooth at that size.
     """
     chosen = np.random.default_rng(0).permutation(len(places))[: options.probes]
     tree = KDTree(points)
@@ -201,24 +187,22 @@ def roughness(points: Floats, places: Floats, options: RoughOptions = RoughOptio
     distance, near = tree.query(centres, k=min(options.neighbours, len(points)))
     spacing = float(np.median(distance[:, 1]))
     radius = max(options.radius, 2.5 * spacing)
-    dense = (distance < radius).sum(axis=1) >= 2 * options.unknowns
-    if dense.sum() < len(chosen) / 8:
-        return Roughness(float("nan"), spacing)
-    rms = [
-        _misfit(points[near[k][distance[k] < radius]], options.unknowns)
-        for k in np.flatnonzero(dense).tolist()
-    ]
-    return Roughness(float(np.median(rms)), spacing)
+    inside = distance < radius
+    dense = np.flatnonzero(inside.sum(axis=1) >= 2 * UNKNOWNS)
+    if len(dense) < len(chosen) / 8:
+        return float("nan"), spacing
+    noise = np.median([_misfit(points[near[k][inside[k]]]) for k in dense])
+    return float(noise), spacing
 
 
-def _misfit(points: Floats, unknowns: int) -> float:
+def _misfit(points: Floats) -> float:
     """Return the standard deviation of points (n, 3) about a quadratic height field."""
     offsets = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(offsets, full_matrices=False)
     u, v, height = (offsets @ axes.T).T
     columns = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
     fitted = columns @ np.linalg.lstsq(columns, height, rcond=None)[0]
-    return float(np.sqrt(((height - fitted) ** 2).sum() / max(len(u) - unknowns, 1)))
+    return float(np.sqrt(((height - fitted) ** 2).sum() / max(len(u) - UNKNOWNS, 1)))
 
 
 def spikes(

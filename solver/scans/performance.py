@@ -20,10 +20,8 @@ from solver.storage import map_array
 from solver.surface import Floats, Ints, Surface
 
 FORMATS = (".npy",)
-# A coordinate beyond it is no place in a studio.
-FARTHEST_MM = 1e4
-# How large a face may be beside the neutral; a wrong unit is farther off.
-SIZES = (0.5, 2.0)
+FARTHEST_MM = 1e4  # a coordinate beyond it is no place in a studio
+SIZES = (0.5, 2.0)  # of a face beside the neutral; a wrong unit is farther off
 
 
 class Performance(Protocol):
@@ -45,22 +43,20 @@ def open_performance(path: Path, neutral: Surface, face: Ints) -> Performance:
     ``neutral`` (V vertices) is the person's skin at rest, ``face`` (k,) the vertices that frames
     are read for. Frames are read when they are asked for and raise what is wrong with them then.
 
-    Raises
-    ------
-    InputError
-        ``performance.format``, ``performance.unreadable``, ``performance.empty``,
-        ``performance.shape`` (neither V nor k points a frame) or ``performance.order`` (an array
-        whose frames do not lie one after the other); from a frame ``performance.bounds``
-        (infinite or too far away; ``vertex`` is the point's number in the file) or
-        ``performance.unit``, with ``frame``, or what
-        :func:`~solver.meshio.registered.read_registered` finds.
+    Raises :class:`InputError`: ``performance.format``, ``performance.unreadable``,
+    ``performance.empty``, ``performance.shape`` (neither V nor k points a frame) or
+    ``performance.order`` (an array whose frames do not lie one after the other); from a frame
+    ``performance.bounds`` (infinite or too far away; ``vertex`` is the point's number in the file)
+    or ``performance.unit``, with ``frame``, or what :func:`read_registered` finds.
     """
-    if path.is_dir():
-        return _Folder.open(path, neutral, face)
-    if path.suffix.lower() not in FORMATS:
-        message = f"{path.name}: a performance is a .npy file or a folder of registered scans"
-        raise InputError("performance.format", message, file=path.name, expected=list(FORMATS))
-    return _Array.open(path, neutral, face)
+    file = path.name
+    if not path.is_dir() and path.suffix.lower() not in FORMATS:
+        message = f"{file}: a performance is a .npy file or a folder of registered scans"
+        raise InputError("performance.format", message, file=file, expected=list(FORMATS))
+    opened = (_Folder if path.is_dir() else _Array).open(path, neutral, face)
+    if not len(opened):
+        raise InputError("performance.empty", f"{file} has no frames", file=file)
+    return opened
 
 
 def write_performance(path: Path, frames: Iterable[Floats], count: int, points: int) -> None:
@@ -97,19 +93,16 @@ class _Array:
                 f"floats of shape (frames, {whole}, 3), all skin vertices, or (frames, {part}, 3), "
                 "the face's"
             )
-            found = list(points.shape)
-            raise InputError(
-                "performance.shape", message, file=file, expected=[whole, part], found=found
-            )
+            about = {"file": file, "expected": [whole, part], "found": list(points.shape)}
+            raise InputError("performance.shape", message, **about)
         if not points.flags.c_contiguous:
             message = (
                 f"{file} is stored in Fortran order, its frames are scattered over the file; "
                 "write it with numpy.ascontiguousarray"
             )
             raise InputError("performance.order", message, file=file)
-        _check_any(path, len(points))
         columns = face if points.shape[1] == whole else slice(None)
-        return cls(path.name, points, columns, neutral.vertices[face])
+        return cls(file, points, columns, neutral.vertices[face])
 
     def __len__(self) -> int:
         return len(self.points)
@@ -142,9 +135,7 @@ class _Folder:
     @classmethod
     def open(cls, path: Path, neutral: Surface, face: Ints) -> _Folder:
         scans = (each for each in path.iterdir() if each.suffix.lower() in SCAN_FORMATS)
-        paths = sorted(scans, key=lambda each: each.name)
-        _check_any(path, len(paths))
-        return cls(path.name, paths, neutral, face)
+        return cls(path.name, sorted(scans), neutral, face)
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -158,11 +149,6 @@ class _Folder:
             raise
         points = np.where(scan.confidence[:, None] > 0, scan.vertices, np.nan)[self.face]
         return RegisteredScan(points, scan.confidence[self.face])
-
-
-def _check_any(path: Path, count: int) -> None:
-    if count == 0:
-        raise InputError("performance.empty", f"{path.name} has no frames", file=path.name)
 
 
 def _check_size(file: str, number: int, points: Floats, rest: Floats) -> None:

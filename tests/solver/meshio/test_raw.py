@@ -63,6 +63,14 @@ def test_obj_with_polygons_negative_numbers_groups_and_continued_lines(tmp_path:
     np.testing.assert_array_equal(scan.colours[1], [0, 1, 0])
 
 
+def test_obj_colours_stand_last_whether_a_vertex_has_a_weight_or_not(tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    path.write_text("v 0 0 0 1 .1 .2 .3\nv 1 0 0 .4 .5 .6\nv 1 1 0 .7 .8 .9\nf 1 2 3\n")
+    np.testing.assert_allclose(
+        read_raw(path).colours, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 0.9]]
+    )
+
+
 def test_ply_of_mixed_polygons_with_other_elements(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     header = (

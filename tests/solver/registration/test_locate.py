@@ -127,7 +127,7 @@ def test_a_size_of_no_unit_is_the_same_warning_to_check_and_registration(
     severities = {finding.code: finding.severity for finding in found.findings}
     assert severities["scan.unit_unknown"] == "warning"
     assert judge_findings(found.findings) == "usable"
-    start = find_start(mend(read_raw(path))[0], template(), frame, None)
+    _, start = find_start(mend(read_raw(path))[0], template(), frame, None)
     assert not start.size_known
     assert start.mm_per_unit == found.figures["mm_per_unit"] == pytest.approx(3.7, rel=0.12)
 

@@ -125,5 +125,5 @@ def test_unit_and_axes_are_found_in_any_pose(tmp_path: Path) -> None:
     place = checked(path, "neutral").location
     assert place is not None
     assert place.unit == "inch"
-    back = place.apply(head.vertices @ turn.T / 25.4 + 7.0)
+    back = place.motion(place.mm_per_unit * (head.vertices @ turn.T / 25.4 + 7.0))
     assert np.linalg.norm(back - head.vertices, axis=1).max() < 1.5
