@@ -20,8 +20,8 @@ pytestmark = pytest.mark.skipif(
 
 def _tried(folder: Path) -> dict[str, str]:
     """Return what a solver process that was taken over tried, and what it got."""
-    with running(folder, jobs="tests.standin.taken_over") as (_stack, studio):
-        other = folder / "work" / "other"
+    with running(folder, jobs="tests.standin.taken_over") as (stack, studio):
+        other = stack.settings.work / "other"
         other.mkdir(parents=True, exist_ok=True)
         (other / "scan").write_text("of another tenant")
         subject = studio.subject()

@@ -221,7 +221,7 @@ def test_keys_from_python(client: Client, url: str) -> None:
     made = client.create_key("station", ["read"])
     with Client(url, made.key) as station:
         assert station.me().scopes == ["read"]
-        assert station.usage().queued.limit is None
+        assert station.usage().queued.limit == MOST_QUEUED
         with pytest.raises(ApiError) as caught:
             station.create_subject("Ada")
         assert (caught.value.status, caught.value.code) == (403, "auth.scope")

@@ -135,8 +135,8 @@ def test_workers_say_what_they_can_do(studio: Studio) -> None:
 
 def test_a_log_is_not_kept_without_end() -> None:
     class Flood:
-        def take(self) -> list[str]:
-            return ["again"] * 450
+        def take(self) -> tuple[list[str], int]:
+            return ["again"] * 450, 0
 
     process = SolverProcess.__new__(SolverProcess)
     process._log, process._room = Flood(), MOST_LINES_KEPT  # type: ignore[assignment]

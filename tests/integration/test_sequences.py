@@ -13,6 +13,7 @@ from myoface.client import Client
 from myoface.stack import Stack
 from service.jobs.schemas import FrameView
 from service.queue.table import Claim
+from service.store.database import Store
 from service.store.files import FolderFiles
 from service.store.models import DEFAULT_TENANT
 from solver.mechanics.flesh import IDENTITY
@@ -93,7 +94,9 @@ def test_a_scan_is_no_performance(studio: Studio, rigged: tuple[str, str]) -> No
 
 def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
     """What the worker hands over is what the pipeline takes, and its frames what the API shows."""
-    model, store = block_model(), FolderFiles(tmp_path / "files")
+    model = block_model()
+    database = Store(f"sqlite:///{tmp_path / 'myoface.db'}", tmp_path / "files", "memory://")
+    store = database.files
     Rig(model, model.weights, ()).save(tmp_path / "rig.npz")
     still = model.skin.vertices[model.face]
     np.save(tmp_path / "take.npy", [still, still + 0.1, still, still])
@@ -121,11 +124,12 @@ def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
         "job", DEFAULT_TENANT, 2, "fit_sequence", "ada", inputs, {"step": 2}, None, None, frames, {}
     )
     folder = AttemptFolder(tmp_path, claim)
-    folder.stage(store)
+    folder.stage(database)
     result = solve(folder.path, lambda _step: None)
     assert (result["summary"]["frames"], result["summary"]["fitted"]) == (2, 2)
     (row,) = folder.new_frames(store)
     assert (row["first"], row["last"]) == (1, 1)
+    assert isinstance(store, FolderFiles)
     left = json.loads(store.path(row["sha256"]).read_bytes())
     assert [FrameView.model_validate(each).frame for each in left["frames"]] == [2]
     assert {artifact.name for artifact in folder.store(store)} == {

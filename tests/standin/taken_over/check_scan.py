@@ -39,7 +39,7 @@ def _got(try_it: Callable[[], Any]) -> str:
 
 
 def _tries(attempt: Path) -> dict[str, Callable[[], Any]]:
-    data, parent = attempt.parent.parent, os.getppid()
+    data, parent = attempt.parents[2], os.getppid()
     code = Path(solver.__file__).parent
     return {
         "list the data folder": lambda: os.listdir(data / "files"),
