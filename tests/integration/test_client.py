@@ -16,6 +16,7 @@ from myoface.client.credentials import KEY_VARIABLE
 from myoface.errors import ApiError
 from myoface.resources import Job
 from myoface.stack import Stack
+from service.access.limits import MOST_QUEUED
 from tests.service_client import Studio
 
 SMALL = ClientOptions(chunk_bytes=64 * 1024)

@@ -95,7 +95,9 @@ def test_a_scan_is_no_performance(studio: Studio, rigged: tuple[str, str]) -> No
 def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
     """What the worker hands over is what the pipeline takes, and its frames what the API shows."""
     model = block_model()
-    database = Store(f"sqlite:///{tmp_path / 'myoface.db'}", tmp_path / "files", "memory://")
+    database = Store(
+        f"sqlite:///{tmp_path / 'myoface.db'}", tmp_path / "files", "redis://127.0.0.1:1"
+    )
     store = database.files
     Rig(model, model.weights, ()).save(tmp_path / "rig.npz")
     still = model.skin.vertices[model.face]
