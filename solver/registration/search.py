@@ -35,7 +35,8 @@ class SearchOptions:
     most_tips: int = 800
     rolls: int = 14  # turns about the normal
     # points of the face, steps, and how many poses go on to the next stage
-    stages: tuple[tuple[int, int, int], ...] = ((30, 2, 400), (70, 5, 48), (250, 10, 5))
+    stages: tuple[tuple[int, int, int], ...] = ((30, 2, 400), (70, 5, 48), (250, 10, 16))
+    apart: float = 20.0  # of the last ones, else all may lie on one smooth shoulder
     sizes: tuple[float, float] = (0.8, 1.25)  # of the scan's face by the template's
     sliding: int = 400  # points of the face that slide at first ...
     finer: int = 2  # ... and poses that go on with all points
@@ -72,7 +73,7 @@ SEARCH, JUDGE = SearchOptions(), JudgeOptions()
 BRIEFLY = JudgeOptions(steps=15)  # for a choice among poses
 # For a choice among sizes where no unit fits.
 QUICK = SearchOptions(
-    cell=5.0, first_tips=60, rolls=12, stages=((30, 2, 150), (70, 5, 24), (250, 10, 3)), finer=1
+    cell=5.0, first_tips=60, rolls=12, stages=((30, 2, 150), (70, 5, 24), (250, 10, 8)), finer=1
 )
 FACE_SAMPLES = 1200  # points that stand for a face
 
@@ -145,10 +146,12 @@ def find_pose(
         poses = _starts(face, cloud, batch, upright, search)
         if not len(poses.sizes):
             continue
-        found = []
+        found: list[FacePose] = []
         for start in _improve(poses, face, cloud, search):
             motion = Similarity(start.scale * scale, start.rotation, start.shift)
             found.append(slide_into_place(few, samples, tree, motion, scale, BRIEFLY))
+            if found[-1].is_good:
+                break
         found.sort(key=lambda pose: pose.cost)
         for pose in found[: search.finer]:
             slid = slide_into_place(face, samples, tree, pose.motion, scale)
@@ -237,9 +240,24 @@ def _improve(
             poses = _step(poses, few, cloud, options, sizes=number > 0)
         distance = _match(poses, few, cloud, options)[1]
         scores = np.minimum(distance / poses.sizes[:, None], options.cut).mean(axis=1)
-        poses = poses.take(np.argsort(scores, kind="stable")[:survivors])
+        order = np.argsort(scores, kind="stable")
+        poses = poses.take(order[:survivors] if number + 1 < len(options.stages) else order)
+    poses = _keep_apart(poses, face.points, options)
     triples = zip(poses.sizes, poses.turns, poses.shifts, strict=True)
     return [Similarity(float(size), *motion).inverse() for size, *motion in triples]
+
+
+def _keep_apart(poses: _Poses, points: Floats, options: SearchOptions) -> _Poses:
+    """Return the first poses that put the face somewhere else than those before them."""
+    corners = points[[*points.argmin(axis=0), *points.argmax(axis=0)]]
+    turned = np.einsum("pij,nj->pni", poses.turns, corners)
+    placed = poses.sizes[:, None, None] * turned + poses.shifts[:, None, :]
+    kept: list[int] = []
+    for number, here in enumerate(placed):
+        off = np.linalg.norm(placed[kept] - here, axis=2).mean(axis=1)
+        if len(kept) < options.stages[-1][2] and (off > options.apart).all():
+            kept.append(number)
+    return poses.take(np.array(kept))
 
 
 def _match(
