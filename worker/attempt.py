@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +37,9 @@ FRAMES = "frames"
 
 # Bytes of a result: its summary, and the names of its expressions
 LARGEST_RESULT = 2 * SUMMARY.size
+
+CHUNK = re.compile(r"([0-9]{1,9})-([0-9]{1,9})\.json")
+ARTIFACT = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,254}")
 
 # Files in `out` that take minutes: the next attempt goes on with what is in them
 KEPT = ("blendshapes.npz",)
@@ -101,15 +107,14 @@ class AttemptFolder:
 
     def store(self, files: Files) -> list[Artifact]:
         """Put the outputs into the file store."""
-        paths = sorted(filter(Path.is_file, (self.path / "out").iterdir()))
-        return [self._put(path, files) for path in paths]
+        return [self._put(path, files) for path in sorted(self._left())]
 
     def new_frames(self, files: Files) -> list[dict[str, Any]]:
         """Put the frames that are ready since the last call into the file store; returns rows."""
         rows = []
-        for path in sorted((self.path / "out" / FRAMES).glob("*.json")):
-            if path.name not in self._stored:
-                first, last = map(int, path.stem.split("-"))
+        for path in sorted(self._left(FRAMES)):
+            if path.name not in self._stored and (numbers := CHUNK.fullmatch(path.name)):
+                first, last = map(int, numbers.groups())
                 blob = files.put(path)
                 rows.append(
                     {"first": first, "last": last, "size": blob.size, "sha256": blob.sha256}
@@ -120,7 +125,7 @@ class AttemptFolder:
     def new_kept(self, files: Files) -> dict[str, Artifact]:
         """Put those of :data:`KEPT` that were written since the last call into the file store."""
         found = {}
-        for path in filter(Path.is_file, (self.path / "out" / name for name in KEPT)):
+        for path in (each for each in self._left() if each.name in KEPT):
             written = path.stat().st_mtime_ns
             if written != self._written.get(path.name):
                 found[path.name] = self._put(path, files)
@@ -148,13 +153,25 @@ class AttemptFolder:
             job_id=self._claim.job_id,
             model_job_id=self._claim.model_job_id,
             parent_id=self._claim.rig_id,
-            expressions=result["expressions"],
+            expressions=result.get("expressions", []),
             summary=result["summary"],
         )
 
     def remove(self) -> None:
         """Remove the folder."""
         shutil.rmtree(self.path, ignore_errors=True)
+
+    def _left(self, folder: str = ".") -> Iterator[Path]:
+        """Yield the plain files in ``out`` or a folder of it, never what a link leads to.
+
+        The solver reads strangers' files: a link that it left could lead to the service's secret.
+        """
+        out = self.path / "out"
+        place = out / folder
+        if place.is_dir() and not (out.is_symlink() or place.is_symlink()):
+            for path in place.iterdir():
+                if path.is_file() and not path.is_symlink() and ARTIFACT.fullmatch(path.name):
+                    yield path
 
     def _put(self, path: Path, files: Files) -> Artifact:
         blob = files.put(path)
@@ -173,10 +190,14 @@ class AttemptFolder:
         The solver reads strangers' files, and one of them may have taken it over.
         """
         try:
-            with (self.path / name).open("rb") as file:
+            # neither through a link nor waiting at a pipe
+            plain = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
+            with os.fdopen(os.open(self.path / name, plain), "rb") as file:
                 content = file.read(most + 1)
         except FileNotFoundError:
             return None
+        except OSError as error:
+            raise VerdictError(f"the solver left {name} that is no file") from error
         if len(content) > most:
             raise VerdictError(f"the solver left {name} of more than {most} bytes")
         try:

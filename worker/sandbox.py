@@ -39,6 +39,8 @@ LANDLOCK_RULE_PATH_BENEATH = 1
 # Rights of Landlock to files; a version of its interface knows the first so many
 EXECUTE, WRITE_FILE, READ_FILE, READ_DIR = (1 << bit for bit in range(4))
 RIGHTS_OF_ABI = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}
+# To make what is neither a file nor a folder: devices, sockets, pipes, links that somebody follows
+MAKE_OTHERS = 1 << 6 | 1 << 9 | 1 << 10 | 1 << 11 | 1 << 12
 RIGHTS_TO_A_FILE = EXECUTE | WRITE_FILE | READ_FILE | 1 << 14 | 1 << 15
 # Rights to bind and connect TCP (version 4), scopes of abstract sockets and signals (version 6)
 NET_RIGHTS, NET_ABI = 0b11, 4
@@ -232,7 +234,7 @@ def _restrict_files(
         for path in reads:
             _allow(ruleset, path, READ_FILE | READ_DIR)
         for path in writes:
-            _allow(ruleset, path, everything & ~EXECUTE)
+            _allow(ruleset, path, everything & ~(EXECUTE | MAKE_OTHERS))
         _syscall(LANDLOCK_RESTRICT_SELF, ruleset, 0)
     finally:
         os.close(ruleset)

@@ -25,6 +25,7 @@ from service.store.models import DEFAULT_TENANT, Job, LogLine, Subject
 from worker import solve
 from worker.abilities import abilities
 from worker.attempt import FRAMES, KEPT, AttemptFolder
+from worker.errors import VerdictError
 from worker.supervise import Supervisor
 
 
@@ -206,3 +207,26 @@ def test_a_solver_without_room_puts_its_job_off(
         job = session.get_one(Job, claim.job_id)
         assert (job.state, job.lost, job.attempts[0].outcome) == (State.QUEUED, 0, "postponed")
         assert job.not_before is not None
+
+
+def test_what_a_solver_links_to_is_not_stored(settings: Settings, store: Store) -> None:
+    folder = AttemptFolder(settings.work, _claimed(store))
+    folder.stage(store)
+    secret, out = settings.data_dir / "secret", folder.path / "out"
+    secret.write_text("of the service")
+    (out / "report.json").write_text("{}")
+    (out / "link.json").symlink_to(secret)
+    (out / "with space").write_text("x")
+    (out / FRAMES).mkdir()
+    (out / FRAMES / "0-x.json").write_text("{}")
+    assert [each.name for each in folder.store(store.files)] == ["report.json"]
+    assert folder.new_frames(store.files) == []
+    (folder.path / "error.json").symlink_to(secret)
+    with pytest.raises(VerdictError):
+        folder.error()
+    os.mkfifo(folder.path / "result.json")
+    with pytest.raises(VerdictError):
+        folder.result()
+    out.rename(folder.path / "elsewhere")
+    out.symlink_to(settings.data_dir)
+    assert folder.store(store.files) == []

@@ -22,7 +22,7 @@ LIBC = ctypes.CDLL(None, use_errno=True)
 
 def run(task: Task) -> None:
     attempt = task.out.parent
-    got = {name: _got(try_it) for name, try_it in _tries(attempt).items()}
+    got = {name: _got(try_it) for name, try_it in _tries(task, attempt).items()}
     (task.out / "check.json").write_text(
         json.dumps({"verdict": "good", "findings": [], "figures": {"got": got}})
     )
@@ -38,7 +38,7 @@ def _got(try_it: Callable[[], Any]) -> str:
     return repr(found)[:100] if found or found == 0 else ""
 
 
-def _tries(attempt: Path) -> dict[str, Callable[[], Any]]:
+def _tries(task: Task, attempt: Path) -> dict[str, Callable[[], Any]]:
     data, parent = attempt.parents[2], os.getppid()
     code = Path(solver.__file__).parent
     return {
@@ -64,6 +64,13 @@ def _tries(attempt: Path) -> dict[str, Callable[[], Any]]:
         "a Unix socket": lambda: socket.socket(socket.AF_UNIX),
         "a name resolved": lambda: socket.getaddrinfo("localhost.example", 80),
         "a program of its own": lambda: _own_program(attempt),
+        "a link to the secret": lambda: (
+            (task.out / "link.json").symlink_to(data / "secret") or "may"
+        ),
+        "a pipe in its results": lambda: os.mkfifo(task.out / "pipe.json") or "may",
+        "a second name of the database": lambda: (
+            os.link(data / "myoface.db", attempt / "tmp" / "db") or "may"
+        ),
         "a session of its own": lambda: (
             subprocess.run(
                 [sys.executable, "-c", "import os; os.setsid()"], check=True, capture_output=True
