@@ -185,7 +185,7 @@ def confine(packages: Iterable[str], reads: Iterable[Path], writes: Iterable[Pat
     _limit()
     _prctl(PR_SET_NO_NEW_PRIVS, 1)
     if abi := landlock_abi():
-        _restrict_files(abi, _code(packages), reads, writes)
+        _restrict_files(abi, _folders(packages), reads, writes)
     if platform.machine() in ARCHITECTURES:
         _refuse_calls()
 
@@ -204,13 +204,12 @@ def _limit() -> None:
         Path("/proc/self/oom_score_adj").write_text(str(OOM_SCORE))
 
 
-def _code(packages: Iterable[str]) -> list[Path]:
-    """Return the folders of Python, of its installed packages and of ``packages``."""
-    found = {Path(sys.prefix), Path(sys.base_prefix), Path(sys.executable).resolve().parent}
-    for package in packages:
-        spec = importlib.util.find_spec(package)
-        found.update(map(Path, (spec and spec.submodule_search_locations) or ()))
-    return sorted(found)
+def _folders(packages: Iterable[str]) -> list[Path]:
+    """Return the folders of Python packages."""
+    specs = map(importlib.util.find_spec, packages)
+    return [
+        Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()
+    ]
 
 
 def _restrict_files(
@@ -227,8 +226,10 @@ def _restrict_files(
     ruleset = _syscall(LANDLOCK_CREATE_RULESET, packed, ctypes.c_size_t(len(packed)), 0)
     try:
         for path in code:
-            _allow(ruleset, path.parent, READ_DIR)  # which Python looks through
-            _allow(ruleset, path, READ_FILE | READ_DIR | EXECUTE)
+            _allow(ruleset, path.parent, READ_DIR)  # for the names of packages: Python looks there
+            _allow(ruleset, path, READ_FILE | READ_DIR)
+        for python in (sys.prefix, sys.base_prefix, str(Path(sys.executable).resolve().parent)):
+            _allow(ruleset, Path(python), READ_FILE | READ_DIR | EXECUTE)
         for name, rights in PLACES.items():
             _allow(ruleset, Path(name), rights)
         for path in reads:

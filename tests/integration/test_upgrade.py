@@ -49,7 +49,9 @@ def upgraded(
 ) -> Iterator[Upgraded]:
     data = tmp_path_factory.mktemp("upgrade") / "data"
     with tarfile.open(request.param) as archive:
-        archive.extractall(data, filter="data")
+        # Debian 12's Python is older than the argument of that name.
+        archive.extraction_filter = getattr(tarfile, "data_filter", None)
+        archive.extractall(data)
     expected = json.loads((data / "expected.json").read_text())
     with running(data, upload_ttl=LONG, retain_audit=None) as (_, studio):
         yield Upgraded(studio, data, expected)
