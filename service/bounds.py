@@ -59,6 +59,11 @@ def fit(document: dict[str, Any], bounds: Bounds) -> dict[str, Any]:
     return {**fitting, MARK: True} if found.something else fitting
 
 
+def refuse_constant(name: str) -> float:
+    """Raise ValueError for NaN and infinity, which are no JSON: ``parse_constant`` of a reader."""
+    raise ValueError(f"{name} is no JSON")
+
+
 class _Cut:
     """Cuts values; ``something`` says whether there was anything to cut."""
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from service.bounds import ERROR, SUMMARY, fit
+from service.bounds import ERROR, SUMMARY, fit, refuse_constant, shorten
 from service.queue.table import Claim
 from service.store.database import Store
 from service.store.files import Files
@@ -96,14 +96,18 @@ class AttemptFolder:
         found = self._read("error.json", ERROR.size)
         if found is not None and not isinstance(found.get("code"), str):
             raise VerdictError("the solver left an error without a code")
-        return found and fit(found, ERROR)
+        return None if found is None else fit({"code": found["code"], **found}, ERROR)
 
     def result(self) -> dict[str, Any] | None:
         """Return the solver's result, if it finished; raises as `error` does."""
         found = self._read("result.json", LARGEST_RESULT)
-        if found is not None and not isinstance(found.get("summary"), dict):
-            raise VerdictError("the solver left a result without a summary")
-        return found
+        if found is None:
+            return None
+        names = found.get("expressions")
+        if not isinstance(found.get("summary"), dict) or not isinstance(names, list):
+            raise VerdictError("the solver left a result without a summary or expressions")
+        names = [shorten(str(name)) for name in names[: SUMMARY.items]]
+        return {"expressions": names, "summary": fit(found["summary"], SUMMARY)}
 
     def store(self, files: Files) -> list[Artifact]:
         """Put the outputs into the file store."""
@@ -153,7 +157,7 @@ class AttemptFolder:
             job_id=self._claim.job_id,
             model_job_id=self._claim.model_job_id,
             parent_id=self._claim.rig_id,
-            expressions=result.get("expressions", []),
+            expressions=result["expressions"],
             summary=result["summary"],
         )
 
@@ -201,7 +205,7 @@ class AttemptFolder:
         if len(content) > most:
             raise VerdictError(f"the solver left {name} of more than {most} bytes")
         try:
-            found = json.loads(content)
+            found = json.loads(content, parse_constant=refuse_constant)
         except (ValueError, RecursionError):
             found = None
         if not isinstance(found, dict):

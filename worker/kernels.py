@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import importlib.metadata
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 SOLVER = Path(__file__).resolve().parents[1] / "solver"
@@ -26,15 +28,12 @@ VARIABLE = "NUMBA_CACHE_DIR"
 
 def lend(folder: Path) -> None:
     """Copy the installation's kernels into ``folder``, laid out as numba looks for them there."""
-    place = os.environ.get(VARIABLE)
-    if place:
-        if Path(place).is_dir():
-            shutil.copytree(place, folder, dirs_exist_ok=True)
-        return
-    for kernel in _beside_the_code():
-        home = folder / _subfolder(kernel.parents[1])
+    beside = VARIABLE not in os.environ
+    for kernel in _installed():
+        home = folder / (_subfolder(kernel.parents[1]) if beside else kernel.parent.name)
         home.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(kernel, home / kernel.name)
+        with suppress(FileNotFoundError):  # compiled anew at this moment
+            shutil.copyfile(kernel, home / kernel.name)
 
 
 def are_compiled() -> bool:
@@ -72,7 +71,7 @@ def _run_jobs(folder: Path) -> None:
     from solver.jobs import run_job
     from solver.templates.builtin.build import builtin_capture_set
 
-    scans = builtin_capture_set().first(2, 1).write(folder / "scans")
+    scans = builtin_capture_set().first(1, 1).write(folder / "scans")
     neutral, *train, test = scans
     run_job("register_scan", folder / "registered", scan=scans[neutral], role="neutral")
     run_job("build_model", folder / "model", neutral=scans[neutral])
@@ -84,7 +83,10 @@ def _run_jobs(folder: Path) -> None:
         options={"rounds": 1},
     )
     rig = folder / "rig" / "rig.npz"
-    run_job("fit_activations", folder / "new", captures={test: scans[test]}, rig=rig)
+    briefly = {"max_iterations": 2}
+    run_job(
+        "fit_activations", folder / "new", captures={test: scans[test]}, rig=rig, options=briefly
+    )
     scene = {
         "duration": 0.1,
         "mode": "dynamic",
@@ -93,8 +95,9 @@ def _run_jobs(folder: Path) -> None:
     run_job("simulate", folder / "film", options={"scene": scene}, rig=rig)
 
 
-def _beside_the_code() -> Iterator[Path]:
-    return SOLVER.rglob("__pycache__/*.nb[ic]")
+def _installed() -> Iterator[Path]:
+    place = os.environ.get(VARIABLE)
+    return Path(place).glob("*/*.nb[ic]") if place else SOLVER.rglob("__pycache__/*.nb[ic]")
 
 
 def _subfolder(package: Path) -> str:
@@ -103,8 +106,8 @@ def _subfolder(package: Path) -> str:
 
 
 def _hash() -> str:
-    """Return a hash of the sources with kernels."""
-    hashed = hashlib.sha256()
+    """Return a hash of the sources with kernels, and of numba's release."""
+    hashed = hashlib.sha256(importlib.metadata.version("numba").encode())
     for source in sorted(SOLVER.rglob("*.py")):
         text = source.read_bytes()
         if b"njit" in text:
@@ -119,6 +122,8 @@ def _stamp() -> Path:
 
 def main() -> None:
     """Compile the kernels and note of which code they are."""
+    for kernel in _installed():  # numba does not see that a function of another file has changed
+        kernel.unlink(missing_ok=True)
     with tempfile.TemporaryDirectory(prefix="myoface-kernels-") as name:
         _run_jobs(Path(name))
     _stamp().parent.mkdir(parents=True, exist_ok=True)

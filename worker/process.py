@@ -19,7 +19,7 @@ from typing import IO, Any
 
 import structlog
 
-from service.bounds import PROGRESS, fit, shorten
+from service.bounds import PROGRESS, fit, refuse_constant, shorten
 from service.queue.states import HELD
 from service.settings import Settings
 from service.store.database import Store
@@ -194,13 +194,15 @@ class _Lines:
 def _step(line: str) -> dict[str, Any] | None:
     """Return a report of progress; None: that is none."""
     try:
-        found = json.loads(line)
+        found = json.loads(line, parse_constant=refuse_constant)
     except (ValueError, RecursionError):
         return None
     if not isinstance(found, dict):
         return None
-    known = isinstance(found.get("phase"), str) and isinstance(found.get("fraction"), int | float)
-    return fit(found, PROGRESS) if known else None
+    phase, fraction = found.get("phase"), found.get("fraction")
+    if not (isinstance(phase, str) and isinstance(fraction, int | float)):
+        return None
+    return fit({"phase": phase, "fraction": fraction, **found}, PROGRESS)  # the first stay
 
 
 def _signal_group(group: int, number: int) -> None:
@@ -248,7 +250,11 @@ def _remove_unused(caches: Path) -> None:
     """Remove what tenants' caches have had for long; whoever needs it makes it anew."""
     for file in caches.glob("*/*"):
         with suppress(FileNotFoundError):
-            if file.lstat().st_mtime < time.time() - CACHED_SECONDS:
+            if file.lstat().st_mtime > time.time() - CACHED_SECONDS:
+                continue
+            if file.is_dir() and not file.is_symlink():
+                shutil.rmtree(file, ignore_errors=True)
+            else:
                 file.unlink()
 
 

@@ -46,7 +46,9 @@ def main(folder: Path) -> int:
     configure_logs(json=False)
     _step_back()
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
-    resource.setrlimit(resource.RLIMIT_CPU, (process["cpu_seconds"],) * 2)
+    seconds = process["cpu_seconds"]
+    # the soft limit's signal says why; at the hard one Linux kills without a word
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
     if process["confined"]:
         _confine(folder, process["jobs"], process["assets"])
     try:
@@ -128,13 +130,16 @@ def solve(folder: Path, progress: Progress, jobs: str = "solver.jobs") -> dict[s
         jobs=jobs,
         **files,
     )
-    return _describe(folder / "out" / KINDS[job["kind"]].report)
+    kind = KINDS[job["kind"]]
+    return _describe(folder / "out" / kind.report, is_rig=kind.leaves == "rig")
 
 
-def _describe(file: Path) -> dict[str, Any]:
+def _describe(file: Path, *, is_rig: bool) -> dict[str, Any]:
     """Return what a job tells of its results; a rig's expressions are told apart."""
     summary = json.loads(file.read_text())
-    expressions = list(summary.pop("expressions", ()))
+    if not isinstance(summary, dict):
+        raise TypeError(f"{file.name} is no JSON object")
+    expressions = list(summary.pop("expressions", ())) if is_rig else []
     return {"expressions": expressions, "summary": summary}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from datetime import datetime
 
 from sqlalchemy import update
@@ -14,7 +15,7 @@ EVERY = 1.0
 
 
 class LastUses(Background):
-    """Writes down when keys were used, as well as it can.
+    """Write down, best effort, when keys were last used.
 
     A database that is full or busy costs a note, never a request: the key's next use makes another.
     """
@@ -23,13 +24,16 @@ class LastUses(Background):
         super().__init__("last-uses", EVERY)
         self._store = store
         self._noted: dict[str, datetime] = {}
+        self._lock = threading.Lock()
 
     def note(self, key_id: str, moment: datetime) -> None:
         """Remember that a key was used."""
-        self._noted[key_id] = moment
+        with self._lock:
+            self._noted[key_id] = moment
 
     def _round(self) -> None:
-        noted, self._noted = self._noted, {}
+        with self._lock:
+            noted, self._noted = self._noted, {}
         if not noted:
             return
         with self._store.write() as session:

@@ -34,7 +34,7 @@ def path_of(scope: Scope) -> str:
         return quote(scope["path"], safe="/", errors="replace")[:LONGEST_PATH]
     for name, value in scope.get("path_params", {}).items():
         if name.endswith("_id") and ACCEPTED_ID.fullmatch(str(value)):
-            route = route.replace(f"{{{name}}}", value)
+            route = route.replace(f"{{{name}}}", str(value))
     return str(route)
 
 

@@ -42,6 +42,8 @@ class Ballast(Background):
 
     def lay(self) -> None:
         """Take the room, if there is plenty."""
+        if not hasattr(os, "posix_fallocate"):  # macOS
+            return
         if self._file is None or self._file.exists() or self._free(self._file) < 4 * self._size:
             return
         descriptor = os.open(self._file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

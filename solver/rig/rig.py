@@ -151,8 +151,10 @@ class Rig:
         if (path := files.get("rig")) is not None:
             with _reading(path):
                 expressions = _expressions_from(read_arrays(path), subject, path)
-        report = files.get("report")
-        figures = json.loads(report.read_text(encoding="utf-8")) if report else None
+        figures = None
+        if (report := files.get("report")) is not None:
+            with _reading(report):
+                figures = json.loads(report.read_text(encoding="utf-8"))
         return cls(subject, S, expressions, figures=figures)
 
 
