@@ -63,7 +63,7 @@ def _replace(settings: Settings, target: BackupFolder, keep: int, reread: bool) 
         store.close()
     try:
         target.prune(keep)
-    except OSError as error:
+    except (OSError, StackError) as error:
         text = f"the backup is made, but what was before could not be removed: {error}"
         raise StackError(text) from error
     return manifest

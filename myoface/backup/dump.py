@@ -47,9 +47,11 @@ def dump_of(database: Database, target: Path) -> Iterator[Session]:
         fresh.chmod(0o600)
         move_durably(fresh, target)
         copy = create_engine(f"sqlite:///{_reading(target)}&uri=true")
-        with Session(copy) as session:
-            yield session
-        copy.dispose()
+        try:
+            with Session(copy) as session:
+                yield session
+        finally:
+            copy.dispose()
         return
     frozen = database.engine.execution_options(isolation_level="REPEATABLE READ")
     with Session(frozen) as session:

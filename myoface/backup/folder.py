@@ -150,7 +150,7 @@ class BackupFolder:
         for path in self.path.glob("database.*"):
             if path.name not in dumps:
                 path.unlink()
-        for path in (*self.path.glob("manifest.*.new"), *self.path.glob("secret.*.new")):
+        for path in self.path.glob("*.new"):
             path.unlink()
         files, named = self.files, {sha256 for each in manifests for sha256 in each.files}
         for sha256 in {stored.sha256 for stored in files.list_stored()} - named:

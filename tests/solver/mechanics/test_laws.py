@@ -119,6 +119,26 @@ def test_projected_hessian_is_positive_semidefinite_and_exact_where_the_raw_one_
     )
 
 
+@pytest.mark.parametrize("law", LAWS)
+def test_rest_is_free_of_stress_and_has_lames_constants(law):
+    name = get_args(laws.Law)[law]
+    mu, lam = (float(each[0]) for each in laws.own_moduli(name, np.array([MU]), np.array([LAM])))
+    moduli, rest = (mu, lam, KAPPA, BARRIER), tuple(IDENTITY)
+
+    def stress_at(F):
+        return np.array(laws.stress.py_func(law, tuple(F.ravel()), rest, moduli))
+
+    assert np.abs(stress_at(np.eye(3))).max() < 1e-12
+    strain = np.random.default_rng(3).standard_normal((3, 3))
+    strain = strain + strain.T
+    trace = np.trace(strain) * np.eye(3)
+    found = (stress_at(np.eye(3) + STEP * strain) - stress_at(np.eye(3) - STEP * strain)) / (
+        2 * STEP
+    )
+    expected = 2 * MU * strain + (LAM + 2 * KAPPA) * trace
+    np.testing.assert_allclose(found.reshape(3, 3), expected, rtol=1e-6, atol=1e-6)
+
+
 def test_energy_vanishes_where_the_activation_is_met():
     a = np.array([0.8, 0.1, 0.0, 1.1, -0.05, 1.05])
     R = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
