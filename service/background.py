@@ -6,7 +6,6 @@ import threading
 from abc import ABC, abstractmethod
 
 import structlog
-from sqlalchemy.exc import SQLAlchemyError
 
 log = structlog.get_logger()
 
@@ -24,8 +23,8 @@ class Background(threading.Thread, ABC):
         while not self._stopping.wait(self._pause):
             try:
                 self._round()
-            except (SQLAlchemyError, OSError) as error:
-                log.warning(f"{self.name}.failed", error=str(error))
+            except Exception as error:  # whatever it is, the next round must come
+                log.warning(f"{self.name}.failed", error=str(error), exc_info=True)
 
     def stop(self) -> None:
         """Stop after the present round."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from service.store.integrity import find_fault, note_fault
 from service.store.models import Artifact, Rig
 from solver.kinds import KINDS
 from worker.errors import LostInputError, VerdictError
+from worker.process import remove_tree
 
 MEDIA_TYPES = {
     ".glb": "model/gltf-binary",
@@ -39,6 +39,7 @@ FRAMES = "frames"
 LARGEST_RESULT = 2 * SUMMARY.size
 
 CHUNK = re.compile(r"([0-9]{1,9})-([0-9]{1,9})\.json")
+MOST_ARTIFACTS = 200
 ARTIFACT = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,254}")
 
 # Files in `out` that take minutes: the next attempt goes on with what is in them
@@ -111,7 +112,10 @@ class AttemptFolder:
 
     def store(self, files: Files) -> list[Artifact]:
         """Put the outputs into the file store."""
-        return [self._put(path, files) for path in sorted(self._left())]
+        paths = sorted(self._left())
+        if len(paths) > MOST_ARTIFACTS:
+            raise VerdictError(f"the solver left {len(paths)} files: {MOST_ARTIFACTS} are the most")
+        return [self._put(path, files) for path in paths]
 
     def new_frames(self, files: Files) -> list[dict[str, Any]]:
         """Put the frames that are ready since the last call into the file store; returns rows."""
@@ -163,7 +167,7 @@ class AttemptFolder:
 
     def remove(self) -> None:
         """Remove the folder."""
-        shutil.rmtree(self.path, ignore_errors=True)
+        remove_tree(self.path)
 
     def _left(self, folder: str = ".") -> Iterator[Path]:
         """Yield the plain files in ``out`` or a folder of it, never what a link leads to.

@@ -242,8 +242,17 @@ def remove_orphans(store: Store, work: Path) -> None:
     for folder in work.iterdir():
         if ATTEMPT.fullmatch(folder.name) and not _is_held(store, folder.name):
             end_processes(folder)
-            shutil.rmtree(folder, ignore_errors=True)
+            remove_tree(folder)
             log.info("attempt.removed", folder=folder.name)
+
+
+def remove_tree(folder: Path) -> None:
+    """Remove a folder that a solver could write: however deep it is, and whatever its modes are."""
+    with suppress(RecursionError):
+        shutil.rmtree(folder, ignore_errors=True)
+    if folder.exists():
+        for command in (["chmod", "-R", "u+rwX"], ["rm", "-rf"]):
+            subprocess.run([*command, "--", str(folder)], check=False, capture_output=True)
 
 
 def _remove_unused(caches: Path) -> None:
@@ -253,7 +262,7 @@ def _remove_unused(caches: Path) -> None:
             if file.lstat().st_mtime > time.time() - CACHED_SECONDS:
                 continue
             if file.is_dir() and not file.is_symlink():
-                shutil.rmtree(file, ignore_errors=True)
+                remove_tree(file)
             else:
                 file.unlink()
 

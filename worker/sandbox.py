@@ -25,6 +25,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+PR_SET_PDEATHSIG = 1
+PR_SET_DUMPABLE = 4
 PR_SET_SECCOMP = 22
 PR_SET_NO_NEW_PRIVS = 38
 SECCOMP_MODE_FILTER = 2
@@ -47,18 +49,51 @@ NET_RIGHTS, NET_ABI = 0b11, 4
 SCOPES, SCOPE_ABI = 0b11, 6
 
 # Instructions and answers of seccomp's filters
-LOAD, JUMP_IF_EQUAL, JUMP_IF_AT_LEAST, RETURN = 0x20, 0x15, 0x35, 0x06
+LOAD, JUMP_IF_EQUAL, JUMP_IF_AT_LEAST, JUMP_IF_ANY, RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
 ALLOW, REFUSE = 0x7FFF0000, 0x00050000
-NUMBER_AT, ARCHITECTURE_AT = 0, 4
-# Numbers from here on are of the x32 interface, another door to the same calls
-X32 = 0x40000000
+NUMBER_AT, ARCHITECTURE_AT, FIRST_ARGUMENT_AT = 0, 4, 16
+# Numbers from here on are of calls newer than this table, or of the x32 interface
+NEWER = 463
+# Flags of clone: namespaces of one's own, and children that are the parent's
+CLONE_REFUSED = 0x7E020000 | 0x8000
 
 # AUDIT_ARCH_* of the machines that the filter is made for
 ARCHITECTURES = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 
+# Calls that are refused by their first argument: by whom they are of, and what keeps us in sight
+OF_OTHERS: Final[dict[str, tuple[int, int]]] = {
+    "prlimit64": (302, 261),
+    "sched_setaffinity": (203, 122),
+}
+PRCTL, CLONE, CLONE3 = (157, 167), (56, 220), (435, 435)
+
 # Calls that no job needs, by machine: (x86_64, aarch64); None: the machine has no such call
 REFUSED: Final[dict[str, tuple[int | None, int | None]]] = {
     "socket": (41, 198),
+    "socketpair": (53, 199),
+    "connect": (42, 203),
+    "bind": (49, 200),
+    "sendto": (44, 206),
+    "sendmsg": (46, 211),
+    "setpriority": (141, 140),
+    "ioprio_set": (251, 30),
+    "sched_setscheduler": (144, 119),
+    "sched_setparam": (142, 118),
+    "sched_setattr": (314, 274),
+    "inotify_init": (253, None),
+    "inotify_init1": (294, 26),
+    "fanotify_init": (300, 262),
+    "shmget": (29, 194),
+    "shmat": (30, 196),
+    "semget": (64, 190),
+    "semop": (65, 193),
+    "msgget": (68, 186),
+    "msgsnd": (69, 189),
+    "mq_open": (240, 180),
+    "removexattr": (197, 14),
+    "lremovexattr": (198, 15),
+    "fremovexattr": (199, 16),
+    "name_to_handle_at": (303, 264),
     "ptrace": (101, 117),
     "process_vm_readv": (310, 270),
     "process_vm_writev": (311, 271),
@@ -257,23 +292,42 @@ def _allow(ruleset: int, path: Path, rights: int) -> None:
 
 
 def _refuse_calls() -> None:
-    """Answer EPERM to every call of :data:`REFUSED`, and to calls by another interface."""
+    """Answer EPERM to the calls that no job needs, ENOSYS to those that glibc can do without."""
     machine = platform.machine()
-    column = list(ARCHITECTURES).index(machine)
-    numbers = [calls[column] for calls in REFUSED.values()]
-    refused = [number for number in numbers if number is not None]
-    count = len(refused)
-    program = [
-        (LOAD, 0, 0, ARCHITECTURE_AT),
-        (JUMP_IF_EQUAL, 0, count + 3, ARCHITECTURES[machine]),
-        (LOAD, 0, 0, NUMBER_AT),
-        (JUMP_IF_AT_LEAST, count + 1, 0, X32),
-        *((JUMP_IF_EQUAL, count - index, 0, number) for index, number in enumerate(refused)),
-        (RETURN, 0, 0, ALLOW),
-        (RETURN, 0, 0, REFUSE | errno.EPERM),
-    ]
+    program = _filter(ARCHITECTURES[machine], list(ARCHITECTURES).index(machine))
     code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *each) for each in program))
     _prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, _Program(len(program), ctypes.addressof(code)))
+
+
+def _filter(architecture: int, column: int) -> list[tuple[int, int, int, int]]:
+    """Return the filter's instructions: operation, jump if true, jump if false, operand."""
+    allow, refuse = (RETURN, 0, 0, ALLOW), (RETURN, 0, 0, REFUSE | errno.EPERM)
+    unknown = (RETURN, 0, 0, REFUSE | errno.ENOSYS)
+    argument = (LOAD, 0, 0, FIRST_ARGUMENT_AT)
+    program = [
+        (LOAD, 0, 0, ARCHITECTURE_AT),
+        (JUMP_IF_EQUAL, 1, 0, architecture),
+        refuse,
+        (LOAD, 0, 0, NUMBER_AT),
+        (JUMP_IF_AT_LEAST, 0, 1, NEWER),
+        unknown,
+        (JUMP_IF_EQUAL, 0, 1, CLONE3[column]),
+        unknown,
+    ]
+    for calls in REFUSED.values():
+        if (number := calls[column]) is not None:
+            program += [(JUMP_IF_EQUAL, 0, 1, number), refuse]
+    for number in (calls[column] for calls in OF_OTHERS.values()):
+        checks = [argument, (JUMP_IF_EQUAL, 0, 1, 0), allow, refuse]
+        program += [(JUMP_IF_EQUAL, 0, len(checks), number), *checks]
+    checks = [argument, (JUMP_IF_ANY, 0, 1, CLONE_REFUSED), refuse, allow]
+    program += [(JUMP_IF_EQUAL, 0, len(checks), CLONE[column]), *checks]
+    checks = [argument]
+    for option in (PR_SET_PDEATHSIG, PR_SET_DUMPABLE):
+        checks += [(JUMP_IF_EQUAL, 0, 1, option), refuse]
+    checks.append(allow)
+    program += [(JUMP_IF_EQUAL, 0, len(checks), PRCTL[column]), *checks, allow]
+    return program
 
 
 class _Program(ctypes.Structure):

@@ -180,17 +180,18 @@ class Supervisor:
         """
         result: dict[str, Any] | None = None
         error: dict[str, Any] | None = None
+        artifacts: list[Artifact] = []
         if code in (None, -signal.SIGXCPU):
             limit = self._limit(claim)
             error = timeout_error(claim.kind, limit, folder.frames, folder.kept)
         else:
             try:
                 result, error = folder.result(), folder.error()
+                artifacts = folder.store(self._store.files) if code == 0 and result else []
             except VerdictError as fault:
                 error = verdict_error(fault)
         job = (claim.job_id, claim.attempt)
-        if code == 0 and result is not None:
-            artifacts = folder.store(self._store.files)
+        if code == 0 and result is not None and error is None:
             left: dict[str, Any] = {"summary": result["summary"], "rig": folder.rig(result)}
             done = self._commit(lambda session: table.succeed(session, *job, artifacts, **left))
             _report_end("succeeded" if done else "fenced")

@@ -7,7 +7,6 @@ import time
 
 import structlog
 from sqlalchemy import delete
-from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service.queue import sweep
@@ -50,8 +49,8 @@ class Heartbeat(threading.Thread):
         while True:
             try:
                 self._round()
-            except (SQLAlchemyError, OSError) as error:
-                log.warning("sweeper.failed", error=str(error))
+            except Exception as error:  # whatever it is, leases and receipts must go on
+                log.warning("sweeper.failed", error=str(error), exc_info=True)
             if self._stopping.wait(self._settings.sweep):
                 break
         with self._store.write() as session:

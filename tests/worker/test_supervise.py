@@ -26,6 +26,7 @@ from worker import solve
 from worker.abilities import abilities
 from worker.attempt import FRAMES, KEPT, AttemptFolder
 from worker.errors import VerdictError
+from worker.process import remove_tree
 from worker.supervise import Supervisor
 
 
@@ -230,3 +231,15 @@ def test_what_a_solver_links_to_is_not_stored(settings: Settings, store: Store) 
     out.rename(folder.path / "elsewhere")
     out.symlink_to(settings.data_dir)
     assert folder.store(store.files) == []
+
+
+def test_an_attempt_goes_however_deep_its_folders_are(tmp_path: Path) -> None:
+    here = os.open(tmp_path, os.O_RDONLY)
+    for _ in range(2500):
+        os.mkdir("deep", dir_fd=here)
+        below = os.open("deep", os.O_RDONLY, dir_fd=here)
+        os.close(here)
+        here = below
+    os.close(here)
+    remove_tree(tmp_path / "deep")
+    assert not (tmp_path / "deep").exists()

@@ -59,6 +59,18 @@ def _tries(task: Task, attempt: Path) -> dict[str, Callable[[], Any]]:
         "change the kernels": lambda: (code / "__pycache__" / "left.nbi").write_text("x"),
         "remove the database": lambda: (data / "myoface.db").rename(data / "gone"),
         "lock others out": lambda: os.chmod(data / "files", 0o700) or "may",
+        "limit the parent": lambda: (
+            LIBC.prlimit(parent, resource.RLIMIT_NOFILE, None, None) == 0 or None
+        ),
+        "slow the parent down": lambda: os.setpriority(os.PRIO_PROCESS, parent, 19) or "may",
+        "open the secret by its attributes": lambda: (
+            LIBC.syscall(463, -100, b"/", 0, b"a", 0, 0) == 0 or None
+        ),
+        "watch the data folder": lambda: LIBC.inotify_init1(0) >= 0 or None,
+        "memory that outlives it": lambda: LIBC.shmget(0, 4096, 0o1600) >= 0 or None,
+        "a namespace of its own": lambda: LIBC.syscall(56, 0x10000011, 0, 0, 0, 0) >= 0 or None,
+        "to outlive its worker": lambda: LIBC.prctl(1, 0) == 0 or None,
+        "a pair of sockets": lambda: socket.socketpair(),
         "a TCP socket": lambda: socket.socket(),
         "a UDP socket": lambda: socket.socket(type=socket.SOCK_DGRAM),
         "a Unix socket": lambda: socket.socket(socket.AF_UNIX),
