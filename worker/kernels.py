@@ -39,7 +39,7 @@ def lend(folder: Path) -> None:
 def are_compiled() -> bool:
     """Tell whether the installation's kernels are of this code."""
     try:
-        return _stamp().read_text() == _hash()
+        return _stamp().read_text() == _hash() and any(_installed())
     except OSError:
         return False
 
