@@ -59,6 +59,12 @@ def fit(document: dict[str, Any], bounds: Bounds) -> dict[str, Any]:
     return {**fitting, MARK: True} if found.something else fitting
 
 
+def fit_result(summary: dict[str, Any], expressions: list[Any]) -> dict[str, Any]:
+    """Return what a job tells of its results within `SUMMARY`."""
+    names = [shorten(str(name)) for name in expressions[: SUMMARY.items]]
+    return {"expressions": names, "summary": fit(summary, SUMMARY)}
+
+
 def refuse_constant(name: str) -> float:
     """Raise ValueError for NaN and infinity, which are no JSON: ``parse_constant`` of a reader."""
     raise ValueError(f"{name} is no JSON")

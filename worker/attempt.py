@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from service.bounds import ERROR, SUMMARY, fit, refuse_constant, shorten
+from service.bounds import ERROR, SUMMARY, fit, fit_result, refuse_constant
 from service.queue.table import Claim
 from service.store.database import Store
 from service.store.files import Files
@@ -107,8 +107,7 @@ class AttemptFolder:
         names = found.get("expressions")
         if not isinstance(found.get("summary"), dict) or not isinstance(names, list):
             raise VerdictError("the solver left a result without a summary or expressions")
-        names = [shorten(str(name)) for name in names[: SUMMARY.items]]
-        return {"expressions": names, "summary": fit(found["summary"], SUMMARY)}
+        return fit_result(found["summary"], names)
 
     def store(self, files: Files) -> list[Artifact]:
         """Put the outputs into the file store."""

@@ -28,9 +28,9 @@ VARIABLE = "NUMBA_CACHE_DIR"
 
 def lend(folder: Path) -> None:
     """Copy the installation's kernels into ``folder``, laid out as numba looks for them there."""
-    beside = VARIABLE not in os.environ
+    place = _place()
     for kernel in _installed():
-        home = folder / (_subfolder(kernel.parents[1]) if beside else kernel.parent.name)
+        home = folder / (kernel.parent.name if place else _subfolder(kernel.parents[1]))
         home.mkdir(parents=True, exist_ok=True)
         with suppress(FileNotFoundError):  # compiled anew at this moment
             shutil.copyfile(kernel, home / kernel.name)
@@ -95,9 +95,15 @@ def _run_jobs(folder: Path) -> None:
     run_job("simulate", folder / "film", options={"scene": scene}, rig=rig)
 
 
-def _installed() -> Iterator[Path]:
+def _place() -> Path | None:
+    """Return the installation's folder; None: each kernel is beside its code."""
     place = os.environ.get(VARIABLE)
-    return Path(place).glob("*/*.nb[ic]") if place else SOLVER.rglob("__pycache__/*.nb[ic]")
+    return Path(place) if place else None
+
+
+def _installed() -> Iterator[Path]:
+    place = _place()
+    return place.glob("*/*.nb[ic]") if place else SOLVER.rglob("__pycache__/*.nb[ic]")
 
 
 def _subfolder(package: Path) -> str:
@@ -116,8 +122,7 @@ def _hash() -> str:
 
 
 def _stamp() -> Path:
-    place = os.environ.get(VARIABLE)
-    return (Path(place) if place else SOLVER / "__pycache__") / "compiled"
+    return (_place() or SOLVER / "__pycache__") / "compiled"
 
 
 def main() -> None:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from service.bounds import ERROR, PROGRESS, SUMMARY, fit, shorten
+from service.bounds import ERROR, PROGRESS, fit, fit_result
 from service.process import configure_logs, die_with_parent
 from solver.jobs import run_job
 from solver.kinds import KINDS
@@ -169,11 +169,7 @@ def _write(folder: Path, name: str, content: dict[str, Any]) -> None:
         return inputs.sub("", text).replace(f"{folder}/out/", "")
 
     told = _plain(content, without_folders)
-    if name == RESULT:
-        names = [shorten(text) for text in told["expressions"][: SUMMARY.items]]
-        told = {"expressions": names, "summary": fit(told["summary"], SUMMARY)}
-    else:
-        told = fit(told, ERROR)
+    told = fit_result(told["summary"], told["expressions"]) if name == RESULT else fit(told, ERROR)
     partial = folder / f"{name}.partial"
     partial.write_text(json.dumps(told))
     partial.replace(folder / name)

@@ -19,7 +19,7 @@ from service.queue.states import State
 from service.queue.table import Claim
 from service.settings import Settings
 from service.store.database import Store
-from service.store.models import Artifact
+from service.store.models import Artifact, Rig
 from solver.kinds import KINDS
 from worker.attempt import AttemptFolder
 from worker.errors import (
@@ -178,33 +178,33 @@ class Supervisor:
 
         A job that took too long would take as long once more: it has failed.
         """
-        result: dict[str, Any] | None = None
-        error: dict[str, Any] | None = None
-        artifacts: list[Artifact] = []
-        if code in (None, -signal.SIGXCPU):
+        if code is None or code == -signal.SIGXCPU:
             limit = self._limit(claim)
-            error = timeout_error(claim.kind, limit, folder.frames, folder.kept)
-        else:
-            try:
-                result, error = folder.result(), folder.error()
-                artifacts = folder.store(self._store.files) if code == 0 and result else []
-            except VerdictError as fault:
-                error = verdict_error(fault)
-        job = (claim.job_id, claim.attempt)
-        if code == 0 and result is not None and error is None:
-            left: dict[str, Any] = {"summary": result["summary"], "rig": folder.rig(result)}
-            done = self._commit(lambda session: table.succeed(session, *job, artifacts, **left))
-            _report_end("succeeded" if done else "fenced")
+            self._fail(claim, timeout_error(claim.kind, limit, folder.frames, folder.kept))
+            return
+        try:
+            result, error = folder.result(), folder.error()
+            artifacts = folder.store(self._store.files) if code == 0 and result else []
+        except VerdictError as fault:
+            self._fail(claim, verdict_error(fault))
+            return
+        if code == 0 and result is not None:
+            self._succeed(claim, artifacts, result["summary"], folder.rig(result))
         elif error is not None:
             self._fail(claim, error)
-            return
         elif code == NO_ROOM:
             self._postpone(claim)
-            return
         else:
-            assert code is not None, "without a code there is an error"
             self._lose(claim, exit_error(code))
-            return
+
+    def _succeed(
+        self, claim: Claim, artifacts: list[Artifact], summary: dict[str, Any], rig: Rig | None
+    ) -> None:
+        job = (claim.job_id, claim.attempt)
+        done = self._commit(
+            lambda session: table.succeed(session, *job, artifacts, summary=summary, rig=rig)
+        )
+        _report_end("succeeded" if done else "fenced")
         if not done:
             self._confirm_cancel(claim)
 
