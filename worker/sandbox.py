@@ -60,7 +60,7 @@ CLONE_REFUSED = 0x7E020000 | 0x8000
 # AUDIT_ARCH_* of the machines that the filter is made for
 ARCHITECTURES = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 
-# Calls that are refused by their first argument: by whom they are of, and what keeps us in sight
+# Calls that are allowed for this process (a first argument of 0) and refused for others
 OF_OTHERS: Final[dict[str, tuple[int, int]]] = {
     "prlimit64": (302, 261),
     "sched_setaffinity": (203, 122),

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sqlite3
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -148,30 +149,22 @@ def _load(dump: Path, database: Database, manifest: Manifest, deletions: Sequenc
     return len(repeated)
 
 
+# How what was deleted by a kind of id is deleted again; all others are ids of jobs or rigs
+DELETIONS: dict[str, tuple[type[Any], Callable[..., object]]] = {
+    "subject": (Subject, deletion.delete_subject),
+    "capture": (Capture, deletion.delete_capture),
+    "template": (Template, deletion.delete_template),
+}
+
+
 def _repeat(session: Session, row: Deleted) -> bool:
     """Delete one thing; False: it is not in the backup."""
-    match row.kind:
-        case "subject":
-            subject = session.get(Subject, row.object_id)
-            if subject is not None:
-                deletion.delete_subject(session, subject, "request")
-            return subject is not None
-        case "capture":
-            capture = session.get(Capture, row.object_id)
-            if capture is not None:
-                deletion.delete_capture(session, capture, "request")
-            return capture is not None
-        case "template":
-            template = session.get(Template, row.object_id)
-            if template is not None:
-                deletion.delete_template(session, template, "request")
-            return template is not None
-        case "rig":
-            job = session.scalars(
-                select(Job).join(Rig, Rig.job_id == Job.id).where(Rig.id == row.object_id)
-            ).one_or_none()
-        case _:
-            job = session.get(Job, row.object_id)
-    if job is not None:
-        deletion.delete_job(session, job, "request")
-    return job is not None
+    model, delete = DELETIONS.get(row.kind, (Job, deletion.delete_job))
+    if row.kind == "rig":
+        of_rig = select(Job).join(Rig, Rig.job_id == Job.id).where(Rig.id == row.object_id)
+        found = session.scalars(of_rig).one_or_none()
+    else:
+        found = session.get(model, row.object_id)
+    if found is not None:
+        delete(session, found, "request")
+    return found is not None
