@@ -265,7 +265,9 @@ class Face:
             least = fraction <= smallest
             if ratio >= narrow or least:
                 try:
-                    state = self._reach(state, target, x, settled=settled and goal == 1.0)
+                    # a step that cannot be made shorter is solved to its end before it is given up
+                    solve = settled and (goal == 1.0 or least)
+                    state = self._reach(state, target, x, settled=solve)
                     done = goal
                 except SolveError:
                     if least:
