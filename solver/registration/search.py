@@ -111,16 +111,8 @@ class FacePose:
     residual_mm: float  # mean distance of the scan from the face's planes where it is covered
     coverage: float  # share of the face's points with the scan close, facing the same way
     cost: float  # mean distance in mm where what is not covered counts as far
-
-    @property
-    def is_good(self) -> bool:
-        """Whether the pose is so good that no other start need be tried."""
-        return self.cost < JUDGE.good_cost
-
-    @property
-    def is_face(self) -> bool:
-        """Whether what the pose found is a whole face."""
-        return self.coverage > JUDGE.face_share and self.cost < JUDGE.face_cost
+    is_good: bool = False  # so good that no other start need be tried
+    is_face: bool = False  # whether what is found is a whole face
 
 
 def find_pose(
@@ -363,4 +355,11 @@ def _judge_pose(
     off_plane = np.abs(((motion(scan.points[near]) - face.points) * face.normals).sum(axis=1))
     residual, share = float(off_plane[covered].mean()), float(covered.mean())
     cost = share * residual + (1 - share) * options.uncovered
-    return FacePose(motion, residual, share, cost)
+    return FacePose(
+        motion,
+        residual,
+        share,
+        cost,
+        is_good=cost < options.good_cost,
+        is_face=share > options.face_share and cost < options.face_cost,
+    )

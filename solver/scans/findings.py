@@ -360,5 +360,5 @@ def _share_inward(samples: Samples, face: FacePoints, place: Location) -> float:
     there = samples.transform(place.pose.motion)
     gap, near = KDTree(there.points).query(face.points)
     facing = (there.normals[near] * face.normals).sum(axis=1)
-    clear = facing[(gap < JUDGE.close) & (np.abs(facing) > 0.5)]
+    clear = facing[(gap < JUDGE.close) & (np.abs(facing) > JUDGE.facing)]
     return float((clear < 0).mean()) if len(clear) else 0.0
