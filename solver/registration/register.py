@@ -39,6 +39,7 @@ from solver.registration.shape_fit import (
     ShapeFit,
     align,
     expressions,
+    facing_weights,
     fit_shapes,
     pair,
     persons,
@@ -244,9 +245,8 @@ def trust(
     covered = np.zeros(count, dtype=bool)
     covered[outer] = seen
     near = np.zeros(count)
-    near[outer] = np.exp(-((distance / options.trusted_mm) ** 2)) * np.clip(
-        (cosine - options.covered_cosine) / (0.9 - options.covered_cosine), 0.0, 1.0
-    )
+    near[outer] = np.exp(-((distance / options.trusted_mm) ** 2))
+    near[outer] *= facing_weights(cosine, options.covered_cosine)
     apart = np.full(count, np.nan)
     apart[outer[seen]] = distance[seen]
     graph = adjacency(skin.faces, count)

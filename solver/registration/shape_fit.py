@@ -25,8 +25,9 @@ from solver.registration.topology import Topology
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
-# Normals further apart are not of the same place: of a scan's surface, of its samples.
-MIN_COSINE, LEAST_COSINE = 0.5, 0.6
+# Normals further apart are not of the same place: of a scan's surface, of its samples; those
+# that are closer than the last count in full.
+SURFACE_COSINE, SAMPLES_COSINE, FULL_COSINE = 0.5, 0.6, 0.9
 
 
 @dataclass(frozen=True)
@@ -72,10 +73,15 @@ def pair(
     distance = found.distance * motion.scale
     cosine = np.einsum("nd,nd->n", normals, directions)
     weights = 1 / (1 + (distance / reach) ** 2) ** 2
-    weights *= np.clip((cosine - MIN_COSINE) / (0.9 - MIN_COSINE), 0.0, 1.0)
+    weights *= facing_weights(cosine, SURFACE_COSINE)
     weights[found.at_edge | (distance > 3 * reach)] = 0.0
     offset = np.einsum("nd,nd->n", targets - points, directions)
     return Pairs(targets, directions, offset, weights)
+
+
+def facing_weights(cosine: Floats, least: float) -> Floats:
+    """Return weights that rise from none at the ``least`` cosine of two normals to 1."""
+    return np.clip((cosine - least) / (FULL_COSINE - least), 0.0, 1.0)
 
 
 def match_samples(scan: Samples, area: Floats) -> Match:
@@ -91,7 +97,7 @@ def match_samples(scan: Samples, area: Floats) -> Match:
         targets = motion(scan.points[near])
         facing = np.abs(np.einsum("nd,nd->n", motion.turn(scan.normals[near]), normals))
         weights = area / area.mean() * np.clip(1 - (gap * motion.scale / reach) ** 2, 0, 1) ** 2
-        weights *= facing > LEAST_COSINE
+        weights *= facing > SAMPLES_COSINE
         return Pairs(targets, normals, np.einsum("nd,nd->n", targets - points, normals), weights)
 
     return match
