@@ -34,6 +34,9 @@ class OneSidedOptions:
     stiffness_per_mm: float = 100.0  # stress that pushes out, over depth and the flesh's stiffness
 
 
+ONE_SIDED = OneSidedOptions()
+
+
 def free_depths(obstacle: DepthField, rest: Floats, least: float) -> Floats:
     """Return how deep (k,) in mm points may lie: as deep as they do in the neutral face.
 

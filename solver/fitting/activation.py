@@ -207,10 +207,12 @@ class GaussNewton:
         options: DescentOptions = DescentOptions(),
     ) -> None:
         self._options, self._layout = options, state.pose.layout
-        self._sensitivity = known = Sensitivity(face, state)
+        sensitivity = Sensitivity(face, state)
+        by_x = data.gradient(state.estimate)
+        self._sensitivity = sensitivity
         self._curvature = data.curvature(state.estimate)
         self._regulariser = regulariser.gauss_newton(state.pose)
-        self._gradient = known.response.adjoint(known.pose, data.gradient(state.estimate))
+        self._gradient = sensitivity.response.adjoint(sensitivity.pose, by_x)
         self._gradient += regulariser.gradient(state.pose)
         self.matrix = matrix
 

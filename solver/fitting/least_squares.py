@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Generic, Protocol, TypeAlias, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -116,8 +116,13 @@ class StopOptions:
     gained: float = 0.0  # by the step that was taken
 
 
-# a better point with its f, None if there is none; and the end, None if the fit goes on from here
-Trial: TypeAlias = tuple[Point | None, float, Ending | None]
+@dataclass(frozen=True)
+class Trial(Generic[Point]):
+    """Result of a search: a better ``point`` with its f, or None with f where it began."""
+
+    point: Point | None
+    value: float
+    ending: Ending | None = None  # None if the fit goes on from here
 
 
 class StepSearch(Protocol):
@@ -154,14 +159,14 @@ def minimise(
     point, value = start, problem.value(start)
     for number in range(stop.iterations):
         found = search.descend(problem, point, value, stop)
-        better, reached, ending = found
-        if better is None:
-            return LeastSquaresSolution(point, value, number, ending or Ending.STUCK, idle=True)
-        point, value = better, reached
+        if found.point is None:
+            ending = found.ending or Ending.STUCK
+            return LeastSquaresSolution(point, value, number, ending, idle=True)
+        point, value = found.point, found.value
         if listen:
             listen(number + 1, value)
-        if ending:
-            return LeastSquaresSolution(point, value, number + 1, ending)
+        if found.ending:
+            return LeastSquaresSolution(point, value, number + 1, found.ending)
     return LeastSquaresSolution(point, value, stop.iterations, Ending.ITERATIONS)
 
 
@@ -187,7 +192,7 @@ class TrustRegion:
             # a step that was cut says nothing of what is left
             whole = step.reach < 0.99 * self.reach
             if not trial and whole and step.gain <= stop.promised * value:
-                return None, value, Ending.CONVERGED
+                return Trial(point=None, value=value, ending=Ending.CONVERGED)
             moved = problem.move(point, step)
             if moved is None:
                 self._shorten(step.reach)
@@ -196,8 +201,8 @@ class TrustRegion:
             self._adapt((value - reached) / step.gain, step.reach)
             if reached < value:
                 done = whole and value - reached <= stop.gained * reached
-                return moved, reached, Ending.CONVERGED if done else None
-        return None, value, Ending.STUCK
+                return Trial(moved, reached, ending=Ending.CONVERGED if done else None)
+        return Trial(point=None, value=value, ending=Ending.STUCK)
 
     def _adapt(self, ratio: float, taken: float) -> None:
         """Learn from a step of reach ``taken`` that gained ``ratio`` of what was promised."""
@@ -228,7 +233,7 @@ class Halving:
         """See :class:`StepSearch`."""
         step = problem.linearise(point).step(self.damping, 1.0)
         if step.gain <= stop.promised * value:
-            return None, value, Ending.CONVERGED
+            return Trial(point=None, value=value, ending=Ending.CONVERGED)
         for _ in range(self.tries):
             moved = problem.move(point, step)
             reached = np.inf if moved is None else problem.value(moved)
@@ -236,9 +241,9 @@ class Halving:
                 ratio = (value - reached) / step.gain
                 self.damping = self.rule.adapt(self.damping, ratio)
                 if ratio < self.least_ratio:
-                    return moved, reached, Ending.UNRELIABLE
+                    return Trial(moved, reached, ending=Ending.UNRELIABLE)
                 done = value - reached <= stop.gained * reached
-                return moved, reached, Ending.CONVERGED if done else None
+                return Trial(moved, reached, ending=Ending.CONVERGED if done else None)
             step = step.cut(0.5)
             self.damping = self.rule.increase(self.damping)
-        return None, value, Ending.STUCK
+        return Trial(point=None, value=value, ending=Ending.STUCK)

@@ -137,8 +137,10 @@ class Regulariser:
     def gauss_newton(self, pose: Pose) -> Floats:
         """Return :meth:`curvature` as one matrix (6 m + 5, 6 m + 5)."""
         muscles, jaw = (pose.layout.places(name) for name in ("activations", "jaw"))
+        blocks, diagonal = self.curvature(pose)
         out = np.zeros((pose.layout.size, pose.layout.size))
-        out[muscles[:, :, None], muscles[:, None, :]], out[jaw, jaw] = self.curvature(pose)
+        out[muscles[:, :, None], muscles[:, None, :]] = blocks
+        out[jaw, jaw] = diagonal
         return out
 
 
