@@ -168,7 +168,7 @@ class OneSided:
         nearer = np.einsum("ki,ki->k", slope, seen @ self._turn.T)
         return np.asarray(self._rows.T @ ((self._stiffness * nearer)[:, None] * slope))
 
-    def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:  # noqa: ARG002 - no bounds
+    def max_step(self, x: Floats, y: Floats, goal: Boundary) -> float:  # noqa: ARG002 - no bounds
         """See :class:`solver.mechanics.boundary.Potential`."""
         return 1.0
 

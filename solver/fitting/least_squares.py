@@ -55,26 +55,26 @@ class DampingOptions:
 class LeastSquaresStep:
     """A ``change`` of the variables (k,), with its linear model.
 
-    ``slope`` is g . s and ``bend`` s . B s, ``reach`` its length, 1 being what a linear model is
-    surely good for; ``response`` is whatever else is linear in it, as the flesh's motion (size,).
+    ``slope`` is g . s and ``curvature`` s . B s, ``reach`` its length, 1 being what a linear model
+    is surely good for; ``response`` is what else is linear in it, as the flesh's motion (size,).
     """
 
     change: Floats
     slope: float
-    bend: float
+    curvature: float
     reach: float = 0.0
     response: Floats = field(default_factory=lambda: np.zeros(0))
 
     @property
     def gain(self) -> float:
         """Return what the model promises f to fall by."""
-        return -self.slope - 0.5 * self.bend
+        return -self.slope - 0.5 * self.curvature
 
     def cut(self, part: float) -> LeastSquaresStep:
         """Return a part of the step."""
-        slope, bend = part * self.slope, part**2 * self.bend
+        slope, curvature = part * self.slope, part**2 * self.curvature
         return LeastSquaresStep(
-            part * self.change, slope, bend, part * self.reach, part * self.response
+            part * self.change, slope, curvature, part * self.reach, part * self.response
         )
 
 
@@ -98,7 +98,7 @@ class LeastSquaresProblem(Protocol[Point]):
         """Return the point a step leads to, None where that is too far."""
 
 
-class Ending(StrEnum):
+class Termination(StrEnum):
     """Why a search leads no further."""
 
     CONVERGED = "converged"
@@ -122,7 +122,7 @@ class Trial(Generic[Point]):
 
     point: Point | None
     value: float
-    ending: Ending | None = None  # None if the fit goes on from here
+    termination: Termination | None = None  # None if the fit goes on from here
 
 
 class StepSearch(Protocol):
@@ -144,7 +144,7 @@ class LeastSquaresSolution(Generic[Point]):
     point: Point
     value: float
     steps: int
-    ending: Ending
+    termination: Termination
     idle: bool = False
 
 
@@ -160,14 +160,14 @@ def minimise(
     for number in range(stop.iterations):
         found = search.descend(problem, point, value, stop)
         if found.point is None:
-            ending = found.ending or Ending.STUCK
-            return LeastSquaresSolution(point, value, number, ending, idle=True)
+            termination = found.termination or Termination.STUCK
+            return LeastSquaresSolution(point, value, number, termination, idle=True)
         point, value = found.point, found.value
         if listen:
             listen(number + 1, value)
-        if found.ending:
-            return LeastSquaresSolution(point, value, number + 1, found.ending)
-    return LeastSquaresSolution(point, value, stop.iterations, Ending.ITERATIONS)
+        if found.termination:
+            return LeastSquaresSolution(point, value, number + 1, found.termination)
+    return LeastSquaresSolution(point, value, stop.iterations, Termination.ITERATIONS)
 
 
 @dataclass
@@ -192,7 +192,7 @@ class TrustRegion:
             # a step that was cut says nothing of what is left
             whole = step.reach < 0.99 * self.reach
             if not trial and whole and step.gain <= stop.promised * value:
-                return Trial(point=None, value=value, ending=Ending.CONVERGED)
+                return Trial(point=None, value=value, termination=Termination.CONVERGED)
             moved = problem.move(point, step)
             if moved is None:
                 self._shorten(step.reach)
@@ -201,8 +201,8 @@ class TrustRegion:
             self._adapt((value - reached) / step.gain, step.reach)
             if reached < value:
                 done = whole and value - reached <= stop.gained * reached
-                return Trial(moved, reached, ending=Ending.CONVERGED if done else None)
-        return Trial(point=None, value=value, ending=Ending.STUCK)
+                return Trial(moved, reached, termination=Termination.CONVERGED if done else None)
+        return Trial(point=None, value=value, termination=Termination.STUCK)
 
     def _adapt(self, ratio: float, taken: float) -> None:
         """Learn from a step of reach ``taken`` that gained ``ratio`` of what was promised."""
@@ -217,7 +217,7 @@ class TrustRegion:
 
 
 @dataclass
-class Halving:
+class Backtracking:
     """A search along one step, cut in half and in half again; ``damping`` is of the next one."""
 
     rule: DampingOptions
@@ -233,7 +233,7 @@ class Halving:
         """See :class:`StepSearch`."""
         step = problem.linearise(point).step(self.damping, 1.0)
         if step.gain <= stop.promised * value:
-            return Trial(point=None, value=value, ending=Ending.CONVERGED)
+            return Trial(point=None, value=value, termination=Termination.CONVERGED)
         for _ in range(self.tries):
             moved = problem.move(point, step)
             reached = np.inf if moved is None else problem.value(moved)
@@ -241,9 +241,9 @@ class Halving:
                 ratio = (value - reached) / step.gain
                 self.damping = self.rule.adapt(self.damping, ratio)
                 if ratio < self.least_ratio:
-                    return Trial(moved, reached, ending=Ending.UNRELIABLE)
+                    return Trial(moved, reached, termination=Termination.UNRELIABLE)
                 done = value - reached <= stop.gained * reached
-                return Trial(moved, reached, ending=Ending.CONVERGED if done else None)
+                return Trial(moved, reached, termination=Termination.CONVERGED if done else None)
             step = step.cut(0.5)
             self.damping = self.rule.increase(self.damping)
-        return Trial(point=None, value=value, ending=Ending.STUCK)
+        return Trial(point=None, value=value, termination=Termination.STUCK)

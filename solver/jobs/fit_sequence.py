@@ -221,7 +221,7 @@ def run(task: Task[FitSequence]) -> list[Path]:
     rig = Rig.load(task.inputs)
     subject = rig.model
     source = open_performance(performance, subject.skin, subject.face)
-    numbers = _chosen(source, given)
+    numbers = _frame_numbers(source, given)
     if not given.head_motion:
         _check_place(source, numbers[0], subject)
     face = Face(subject, rig.weights, linear=given.linear_solver or fastest())
@@ -284,7 +284,7 @@ def _follower(face: Face, given: FitSequence) -> Follower:
     return Follower(tracker, targets, stillness(face) if given.head_motion else None)
 
 
-def _chosen(source: Performance, given: FitSequence) -> range:
+def _frame_numbers(source: Performance, given: FitSequence) -> range:
     end = len(source) if given.end is None else given.end
     numbers = range(given.start, end, given.step)
     if end > len(source) or not numbers:

@@ -96,7 +96,7 @@ class Damping:
         """Tell whether small gains may be the damping's doing."""
         return self.fall > 1.0 / self.options.tets.shrink
 
-    def afresh(self) -> Damping:
+    def without_refusals(self) -> Damping:
         """Return this damping without the memory of refused steps."""
         return replace(self, fall=1.0 / self.options.tets.shrink)
 
@@ -233,7 +233,7 @@ class Descent:
                 continue
             limit = self._options.snap_loss * self.best[1]
             if state.equilibrium.minimum and self._objective.value(state) < limit:
-                return state, step.lowered.afresh()
+                return state, step.lowered.without_refusals()
         return None
 
     def _take(self, state: PosedFace, damping: Damping, tolerance: float) -> None:

@@ -26,7 +26,7 @@ from solver.registration.locate import (
     scan_samples,
 )
 from solver.registration.register import find_start
-from solver.registration.search import JudgeOptions, face_points, slide_into_place
+from solver.registration.search import RefinementOptions, face_points, refine_pose
 from solver.scans.check import check
 from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats, Surface
@@ -148,15 +148,14 @@ def test_a_verdict_is_by_the_limits_that_are_given() -> None:
     samples = scan_samples(raw_scan(template().skin.vertices, template().skin.faces))
     here = Similarity(1.0, np.eye(3), np.zeros(3))
 
-    def judge(options: JudgeOptions) -> tuple[bool, bool]:
-        pose = slide_into_place(face, samples, KDTree(samples.points), here, 1.0, options)
+    def judge(options: RefinementOptions) -> tuple[bool, bool]:
+        pose = refine_pose(face, samples, KDTree(samples.points), here, 1.0, options)
         return pose.is_face, pose.is_good
 
-    assert judge(JudgeOptions()) == (True, True)
-    assert judge(JudgeOptions(good_cost=0.0)) == (True, False)
-    assert (
-        judge(JudgeOptions(face_cost=0.0)) == judge(JudgeOptions(face_share=1.0)) == (False, True)
-    )
+    assert judge(RefinementOptions()) == (True, True)
+    assert judge(RefinementOptions(good_cost=0.0)) == (True, False)
+    assert judge(RefinementOptions(face_cost=0.0)) == (False, True)
+    assert judge(RefinementOptions(face_share=1.0)) == (False, True)
 
 
 def test_landmarks_replace_the_search(tmp_path: Path) -> None:
