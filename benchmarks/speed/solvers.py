@@ -41,7 +41,7 @@ def activations(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
         data = SkinDistance(face, target)
         with Stopwatch() as watch:
             fitted = activation.fit(face, data, regulariser, options=CONVERGED)
-        further = activation.improve(face, data, regulariser, fitted.state, FURTHER)
+        further = activation.descend(face, data, regulariser, fitted.state, FURTHER)
         found.append(
             {
                 "name": name,

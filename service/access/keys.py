@@ -31,7 +31,7 @@ from service.store.tenancy import own_tenant
 LETTERS = string.digits + string.ascii_uppercase + string.ascii_lowercase
 KEY = re.compile(r"(myo_([0-9A-Za-z]{12})[0-9A-Za-z]{32})([0-9A-Za-z]{6})")
 # Living keys of a tenant
-MOST_KEYS = 100
+MOST_TENANT_KEYS = 100
 # Resolution of a key's `last_used_at`: one write a minute, not one a request
 USED_EVERY = timedelta(minutes=1)
 
@@ -165,9 +165,9 @@ def _refuse_many(session: Session) -> None:
     moment = clock(session)
     lasting = or_(ApiKey.expires_at.is_(None), ApiKey.expires_at > moment)
     living = select(func.count()).select_from(ApiKey).where(ApiKey.revoked_at.is_(None), lasting)
-    if (session.scalar(living) or 0) >= MOST_KEYS:
-        detail = f"there are {MOST_KEYS} keys already: revoke some first"
-        raise Problem(409, "key.too_many", detail, expected=MOST_KEYS)
+    if (session.scalar(living) or 0) >= MOST_TENANT_KEYS:
+        detail = f"there are {MOST_TENANT_KEYS} keys already: revoke some first"
+        raise Problem(409, "key.too_many", detail, expected=MOST_TENANT_KEYS)
 
 
 def revoke(session: Session, key_id: str) -> None:

@@ -58,7 +58,7 @@ PATIENCE = 0.25
 # Seconds for which a broker that did not answer is not asked
 TRY_AGAIN = 5.0
 # Buckets that a process keeps while the broker is away
-MOST_KEYS = 10_000
+MOST_BUCKETS = 10_000
 # `Retry-After` of a refused connection, in seconds
 COME_BACK = "5"
 
@@ -252,7 +252,7 @@ class _Buckets:
             left = [tokens - allowed for tokens in left]
             for name, tokens in zip(names, left, strict=True):
                 self._kept[name] = (tokens, moment)
-            while len(self._kept) > MOST_KEYS:
+            while len(self._kept) > MOST_BUCKETS:
                 self._kept.popitem(last=False)
         return allowed, left
 

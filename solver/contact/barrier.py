@@ -140,7 +140,7 @@ class Barrier:
         matrix = self._second(x, ipctk.PSDProjectionMethod.CLAMP)
         return self._on_flesh(matrix[:own, own:] @ motion.ravel())
 
-    def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:
+    def max_step(self, x: Floats, y: Floats, goal: Boundary) -> float:
         """See :class:`solver.mechanics.boundary.Potential`."""
         start = self._points(x, self._objects)
         motion = self._points(y, goal.objects) - start

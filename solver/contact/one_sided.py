@@ -34,6 +34,9 @@ class OneSidedOptions:
     stiffness_per_mm: float = 100.0  # stress that pushes out, over depth and the flesh's stiffness
 
 
+ONE_SIDED = OneSidedOptions()
+
+
 def free_depths(obstacle: DepthField, rest: Floats, least: float) -> Floats:
     """Return how deep (k,) in mm points may lie: as deep as they do in the neutral face.
 
@@ -165,7 +168,7 @@ class OneSided:
         nearer = np.einsum("ki,ki->k", slope, seen @ self._turn.T)
         return np.asarray(self._rows.T @ ((self._stiffness * nearer)[:, None] * slope))
 
-    def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:  # noqa: ARG002 - no bounds
+    def max_step(self, x: Floats, y: Floats, goal: Boundary) -> float:  # noqa: ARG002 - no bounds
         """See :class:`solver.mechanics.boundary.Potential`."""
         return 1.0
 

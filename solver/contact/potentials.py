@@ -11,7 +11,7 @@ from solver.contact.barrier import Barrier
 from solver.contact.crossing import crossing_at, depth_inside
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.contact.obstacles import Arch, Eyeball
-from solver.contact.one_sided import OneSided, OneSidedOptions, free_depths
+from solver.contact.one_sided import ONE_SIDED, OneSided, OneSidedOptions, free_depths
 from solver.contact.surface import ContactSurface
 from solver.mechanics.boundary import Potential, move_jaw
 from solver.model import SubjectModel
@@ -77,14 +77,13 @@ def arches(
     mouth: Mouth,
     stiffness_pa: float,
     unedited: SubjectModel | None = None,
-    options: OneSidedOptions | None = None,
+    options: OneSidedOptions = ONE_SIDED,
 ) -> list[OneSided]:
     """Return what keeps lips in front of upper and of lower teeth, as far as there are any.
 
     ``mouth`` is that of the ``unedited`` person (the model itself by default): lips may lie in
     teeth that an edit has moved as deep as they did where these were before.
     """
-    options = options or OneSidedOptions()
     before, now = ((each or model).skin.vertices[mouth.skin] for each in (unedited, model))
     rest = mouth.points(model.rest)
     lips = np.flatnonzero(mouth.label == LIPS)
@@ -104,10 +103,9 @@ def arches(
 
 
 def eyeballs(
-    model: SubjectModel, stiffness_pa: float, options: OneSidedOptions | None = None
+    model: SubjectModel, stiffness_pa: float, options: OneSidedOptions = ONE_SIDED
 ) -> list[OneSided]:
     """Return what keeps lids on their eyeballs, as far as the model names them."""
-    options = options or OneSidedOptions()
     nothing: Ints = np.empty(0, dtype=np.int64)
     skin, faces = model.skin.vertices, model.skin.faces
     area = vertex_areas(skin, faces[np.isin(faces, model.embedded).all(axis=1)])

@@ -26,10 +26,10 @@ from solver.fitting.controls import Layout
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.least_squares import (
     DampingOptions,
-    Ending,
     LeastSquaresStep,
     Listener,
     StopOptions,
+    Termination,
     TrustRegion,
     minimise,
 )
@@ -63,7 +63,7 @@ class DescentOptions:
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(0.1, least=1e-6, grow=8.0, shrink=8.0)
     )
-    settlings: int = 3  # descents, each from the settled end of the one before
+    restarts: int = 3  # descents, each from the settled end of the one before
     buckled: float = 1.005  # growth of f beyond which a state that settles was not near its rest
     products: int = 16  # with J^T C J for a step, at most
     # length of the correction that a step is left without, relative to it in the model's own norm
@@ -82,7 +82,7 @@ class ActivationFit:
 
 # from a state to a pose nearby by the flesh's linear response: Face.newton_predict,
 # newton_continuation or predict_and_solve
-Mover = Callable[[Face, PosedFace, Floats, Pose], PosedFace]
+Continuation = Callable[[Face, PosedFace, Floats, Pose], PosedFace]
 
 
 def objective(data: Term, regulariser: Regulariser, state: PosedFace) -> float:
@@ -115,9 +115,9 @@ def fit(
         matrix = rest_curvature(face)
     best = None
     iterations, begin, go = 0, start or face.rest, Face.newton_continuation
-    for _ in range(descent.settlings):
+    for _ in range(descent.restarts):
         try:
-            found = improve(face, data, regulariser, begin, options, listen, go, matrix, descent)
+            found = descend(face, data, regulariser, begin, options, listen, go, matrix, descent)
         except SolveError:
             if best is None:
                 raise
@@ -144,14 +144,14 @@ def fit(
     return best
 
 
-def improve(
+def descend(
     face: Face,
     data: Term,
     regulariser: Regulariser,
     start: PosedFace,
     options: ActivationOptions,
     listen: Listener | None = None,
-    go: Mover = Face.newton_continuation,
+    go: Continuation = Face.newton_continuation,
     matrix: Floats | None = None,
     descent: DescentOptions = DescentOptions(),
 ) -> ActivationFit:
@@ -161,7 +161,7 @@ def improve(
     problem = _PoseProblem(face, data, regulariser, go, matrix, descent)
     stop = StopOptions(options.max_iterations, options.tolerance, options.tolerance)
     found = minimise(problem, start, TrustRegion(descent.damping), stop, listen)
-    converged = found.ending == Ending.CONVERGED
+    converged = found.termination == Termination.CONVERGED
     return ActivationFit(found.point, found.value, found.steps + found.idle, converged)
 
 
@@ -172,7 +172,7 @@ class _PoseProblem:
     face: Face
     data: Term
     regulariser: Regulariser
-    go: Mover
+    go: Continuation
     matrix: Floats
     options: DescentOptions
     model: GaussNewton | None = None
@@ -207,10 +207,12 @@ class GaussNewton:
         options: DescentOptions = DescentOptions(),
     ) -> None:
         self._options, self._layout = options, state.pose.layout
-        self._sensitivity = known = Sensitivity(face, state)
+        sensitivity = Sensitivity(face, state)
+        by_x = data.gradient(state.estimate)
+        self._sensitivity = sensitivity
         self._curvature = data.curvature(state.estimate)
         self._regulariser = regulariser.gauss_newton(state.pose)
-        self._gradient = known.response.adjoint(known.pose, data.gradient(state.estimate))
+        self._gradient = sensitivity.response.adjoint(sensitivity.pose, by_x)
         self._gradient += regulariser.gradient(state.pose)
         self.matrix = matrix
 
@@ -233,9 +235,9 @@ class GaussNewton:
             curved = curved + length * image
         fraction = 1.0 / max(self._layout.reach(step) / trust, 1.0)
         step, curved = fraction * step, fraction * (curved - units * step)
-        slope, bend = float(self._gradient @ step), float(step @ curved)
+        slope, quadratic = float(self._gradient @ step), float(step @ curved)
         response = self._sensitivity.response.free_motion(self._sensitivity.pose, step)
-        return LeastSquaresStep(step, slope, bend, self._layout.reach(step), response)
+        return LeastSquaresStep(step, slope, quadratic, self._layout.reach(step), response)
 
 
 def curvature(face: Face, data: Term, state: PosedFace) -> Floats:
@@ -283,8 +285,8 @@ class DenseModel:
         damped[np.diag_indices_from(damped)] += damping * self.layout.damping
         step = _solve_positive(damped, -self.gradient)
         step = step / max(self.layout.reach(step) / trust, 1.0)
-        slope, bend = float(self.gradient @ step), float(step @ self.hessian @ step)
-        return LeastSquaresStep(step, slope, bend, self.layout.reach(step))
+        slope, quadratic = float(self.gradient @ step), float(step @ self.hessian @ step)
+        return LeastSquaresStep(step, slope, quadratic, self.layout.reach(step))
 
 
 def _solve_positive(matrix: Floats, right: Floats) -> Floats:

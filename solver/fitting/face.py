@@ -23,7 +23,6 @@ from solver.mechanics.equilibrium import (
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
-from solver.mechanics.response import Response, SparseControls
 from solver.mechanics.terms import SlidingPlanes, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
@@ -330,12 +329,10 @@ class Face:
         x = state.x.copy()
         x[self.model.mandible] = self.mandible(target.b)
         before = self.tet_activations(state.pose.a)
-        pull = self.flesh.coupling(state.x, before, (x - state.x)[:, :, None])
-        change = self.flesh.gradient(state.x, self.tet_activations(target.a))
         # the held vertices are where they will be
-        way = SparseControls(sp.csc_array(pull + change[:, None]), sp.csr_array((x.size, 1)))
-        response = Response(self.flesh, state.equilibrium.factor)
-        return self.flesh.moved(x, response.free_motion(way, np.ones(1)))
+        pull = self.flesh.coupling(state.x, before, (x - state.x)[:, :, None])[:, 0]
+        change = self.flesh.gradient(state.x, self.tet_activations(target.a))
+        return self.flesh.moved(x, -state.equilibrium.factor.solve(pull + change))
 
     def _sliding_planes(self, mu: Floats | float) -> SlidingPlanes:
         """Return the planes along the skull that the model's sliding vertices stay on."""

@@ -83,7 +83,7 @@ def fit(
     first, known = ActivationOptions(options.first_iterations), rest_curvature(face)
     begin = _problem(face, first_terms, options, 0, structure).regulariser
     states = {
-        name: activation.improve(
+        name: activation.descend(
             face, term, begin, face.rest, first, go=Face.newton_predict, matrix=known
         ).state
         for name, term in first_terms.items()

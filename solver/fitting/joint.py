@@ -112,14 +112,14 @@ def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOp
         if gain > 0.0:
             predicted = sum(trial.predicted for trial in trials.values()) + nearer
             # a step that had to be halved says how much too far the linear model reached
-            grown = rule.increase(now.damping, halving)
+            increased = rule.increase(now.damping, halving)
             states = {name: trial.state for name, trial in trials.items() if trial.state}
-            return Iterate(S, states, rule.adapt(grown, gain / predicted), damping)
+            return Iterate(S, states, rule.adapt(increased, gain / predicted), damping)
     # near buckling the value at an estimate may flatter: settle those that lose, where possible
-    states = {
-        name: (face.settle(state.pose, state.x) if trials[name].gain < 0.0 else None) or state
-        for name, state in now.states.items()
-    }
+    states = dict(now.states)
+    for name, state in now.states.items():
+        if trials[name].gain < 0.0:
+            states[name] = face.settle(state.pose, state.x) or state
     return Iterate(now.S, states, rule.increase(now.damping, options.halvings), damping)
 
 
@@ -157,12 +157,15 @@ class _Linearised:
     def __init__(
         self, problem: GeometryProblem, face: Face, name: str, state: PosedFace, damping: float
     ) -> None:
-        self._problem, self._face, self._name, self._state = problem, face, name, state
+        self._problem, self._face = problem, face
+        self._name, self._state = name, state
         sensitivity = Sensitivity(face, state)
+        jacobian = sensitivity.by_pose()
         self._response, self._weights = sensitivity.response, sensitivity.weights
-        self._jacobian = jacobian = sensitivity.by_pose()
+        self._jacobian = jacobian
         data, regulariser = problem.data[name], problem.regulariser
-        gradient, curvature = data.gradient(state.estimate), data.curvature(state.estimate)
+        gradient = data.gradient(state.estimate)
+        curvature = data.curvature(state.estimate)
         self._by_x = gradient.ravel()[jacobian.free]
         rows = curvature[jacobian.free]
         self._curvature = rows[:, jacobian.free]
@@ -203,9 +206,10 @@ class _Linearised:
         response = flesh + self._jacobian.flesh @ by_pose
         found = self._move(S, response, state.pose.add(by_pose))
         if found is None:
-            return _Trial(None, -np.inf, predicted)
-        before, after = (problem.expression_value(self._name, each) for each in (state, found))
-        return _Trial(found, before - after, predicted)
+            return _Trial(state=None, gain=-np.inf, predicted=predicted)
+        before = problem.expression_value(self._name, state)
+        after = problem.expression_value(self._name, found)
+        return _Trial(state=found, gain=before - after, predicted=predicted)
 
     def _move(self, S: sp.csr_array, response: Floats, pose: Pose) -> PosedFace | None:
         """Approach a pose with S; settle where that is too far; None where that fails too."""

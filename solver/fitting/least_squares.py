@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Generic, Protocol, TypeAlias, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -55,26 +55,26 @@ class DampingOptions:
 class LeastSquaresStep:
     """A ``change`` of the variables (k,), with its linear model.
 
-    ``slope`` is g . s and ``bend`` s . B s, ``reach`` its length, 1 being what a linear model is
-    surely good for; ``response`` is whatever else is linear in it, as the flesh's motion (size,).
+    ``slope`` is g . s and ``curvature`` s . B s, ``reach`` its length, 1 being what a linear model
+    is surely good for; ``response`` is what else is linear in it, as the flesh's motion (size,).
     """
 
     change: Floats
     slope: float
-    bend: float
+    curvature: float
     reach: float = 0.0
     response: Floats = field(default_factory=lambda: np.zeros(0))
 
     @property
     def gain(self) -> float:
         """Return what the model promises f to fall by."""
-        return -self.slope - 0.5 * self.bend
+        return -self.slope - 0.5 * self.curvature
 
     def cut(self, part: float) -> LeastSquaresStep:
         """Return a part of the step."""
-        slope, bend = part * self.slope, part**2 * self.bend
+        slope, curvature = part * self.slope, part**2 * self.curvature
         return LeastSquaresStep(
-            part * self.change, slope, bend, part * self.reach, part * self.response
+            part * self.change, slope, curvature, part * self.reach, part * self.response
         )
 
 
@@ -98,7 +98,7 @@ class LeastSquaresProblem(Protocol[Point]):
         """Return the point a step leads to, None where that is too far."""
 
 
-class Ending(StrEnum):
+class Termination(StrEnum):
     """Why a search leads no further."""
 
     CONVERGED = "converged"
@@ -116,8 +116,13 @@ class StopOptions:
     gained: float = 0.0  # by the step that was taken
 
 
-# a better point with its f, None if there is none; and the end, None if the fit goes on from here
-Trial: TypeAlias = tuple[Point | None, float, Ending | None]
+@dataclass(frozen=True)
+class Trial(Generic[Point]):
+    """Result of a search: a better ``point`` with its f, or None with f where it began."""
+
+    point: Point | None
+    value: float
+    termination: Termination | None = None  # None if the fit goes on from here
 
 
 class StepSearch(Protocol):
@@ -139,7 +144,7 @@ class LeastSquaresSolution(Generic[Point]):
     point: Point
     value: float
     steps: int
-    ending: Ending
+    termination: Termination
     idle: bool = False
 
 
@@ -154,15 +159,15 @@ def minimise(
     point, value = start, problem.value(start)
     for number in range(stop.iterations):
         found = search.descend(problem, point, value, stop)
-        better, reached, ending = found
-        if better is None:
-            return LeastSquaresSolution(point, value, number, ending or Ending.STUCK, idle=True)
-        point, value = better, reached
+        if found.point is None:
+            termination = found.termination or Termination.STUCK
+            return LeastSquaresSolution(point, value, number, termination, idle=True)
+        point, value = found.point, found.value
         if listen:
             listen(number + 1, value)
-        if ending:
-            return LeastSquaresSolution(point, value, number + 1, ending)
-    return LeastSquaresSolution(point, value, stop.iterations, Ending.ITERATIONS)
+        if found.termination:
+            return LeastSquaresSolution(point, value, number + 1, found.termination)
+    return LeastSquaresSolution(point, value, stop.iterations, Termination.ITERATIONS)
 
 
 @dataclass
@@ -187,7 +192,7 @@ class TrustRegion:
             # a step that was cut says nothing of what is left
             whole = step.reach < 0.99 * self.reach
             if not trial and whole and step.gain <= stop.promised * value:
-                return None, value, Ending.CONVERGED
+                return Trial(point=None, value=value, termination=Termination.CONVERGED)
             moved = problem.move(point, step)
             if moved is None:
                 self._shorten(step.reach)
@@ -196,8 +201,8 @@ class TrustRegion:
             self._adapt((value - reached) / step.gain, step.reach)
             if reached < value:
                 done = whole and value - reached <= stop.gained * reached
-                return moved, reached, Ending.CONVERGED if done else None
-        return None, value, Ending.STUCK
+                return Trial(moved, reached, termination=Termination.CONVERGED if done else None)
+        return Trial(point=None, value=value, termination=Termination.STUCK)
 
     def _adapt(self, ratio: float, taken: float) -> None:
         """Learn from a step of reach ``taken`` that gained ``ratio`` of what was promised."""
@@ -212,7 +217,7 @@ class TrustRegion:
 
 
 @dataclass
-class Halving:
+class Backtracking:
     """A search along one step, cut in half and in half again; ``damping`` is of the next one."""
 
     rule: DampingOptions
@@ -228,7 +233,7 @@ class Halving:
         """See :class:`StepSearch`."""
         step = problem.linearise(point).step(self.damping, 1.0)
         if step.gain <= stop.promised * value:
-            return None, value, Ending.CONVERGED
+            return Trial(point=None, value=value, termination=Termination.CONVERGED)
         for _ in range(self.tries):
             moved = problem.move(point, step)
             reached = np.inf if moved is None else problem.value(moved)
@@ -236,9 +241,9 @@ class Halving:
                 ratio = (value - reached) / step.gain
                 self.damping = self.rule.adapt(self.damping, ratio)
                 if ratio < self.least_ratio:
-                    return moved, reached, Ending.UNRELIABLE
+                    return Trial(moved, reached, termination=Termination.UNRELIABLE)
                 done = value - reached <= stop.gained * reached
-                return moved, reached, Ending.CONVERGED if done else None
+                return Trial(moved, reached, termination=Termination.CONVERGED if done else None)
             step = step.cut(0.5)
             self.damping = self.rule.increase(self.damping)
-        return None, value, Ending.STUCK
+        return Trial(point=None, value=value, termination=Termination.STUCK)

@@ -95,7 +95,7 @@ class Regulariser:
     prior: Pose
     w_e: float = 0.1  # of least eigenvalues
 
-    def drawn_to(self, pose: Pose, weight: float) -> Regulariser:
+    def with_proximal_term(self, pose: Pose, weight: float) -> Regulariser:
         """Return, but for a constant, the sum with ``weight``/2 |a - a_pose|^2, the jaw's alike."""
         if weight == 0.0:
             return self
@@ -107,28 +107,28 @@ class Regulariser:
         """Return the regularisers' sum."""
         det = determinants(pose.a) - 1.0
         jaw = JAW_UNITS * (pose.b - self.prior.b)
-        lack, _ = lacking_eigenvalues(pose.a)
+        deficit, _ = eigenvalue_deficits(pose.a)
         return float(
             0.5 * self.w_a * np.sum((pose.a - self.prior.a) ** 2)
             + 0.5 * self.w_v * det @ det
             + 0.5 * self.w_b * jaw @ jaw
-            + 0.5 * self.w_e * np.sum(lack**2)
+            + 0.5 * self.w_e * np.sum(deficit**2)
         )
 
     def gradient(self, pose: Pose) -> Floats:
         """Return the derivative by (a, b), shape (6 m + 5,)."""
         det = determinants(pose.a) - 1.0
-        lack, gradients = lacking_eigenvalues(pose.a)
+        deficit, gradients = eigenvalue_deficits(pose.a)
         by_a = self.w_a * (pose.a - self.prior.a)
         by_a += self.w_v * det[:, None] * determinant_gradients(pose.a)
-        by_a -= self.w_e * np.einsum("jk,jkq->jq", lack, gradients)
+        by_a -= self.w_e * np.einsum("jk,jkq->jq", deficit, gradients)
         by_b = self.w_b * JAW_UNITS**2 * (pose.b - self.prior.b)
         return pose.layout.join([by_a, by_b])
 
     def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
         """Return the Gauss-Newton Hessian: a block of each a_j, (m, 6, 6), and b's diagonal."""
         gradients = determinant_gradients(pose.a)
-        _, towards = lacking_eigenvalues(pose.a)
+        _, towards = eigenvalue_deficits(pose.a)
         blocks = self.w_v * gradients[:, :, None] * gradients[:, None, :]
         blocks += self.w_e * towards.transpose(0, 2, 1) @ towards
         blocks[:, np.arange(6), np.arange(6)] += self.w_a
@@ -137,17 +137,19 @@ class Regulariser:
     def gauss_newton(self, pose: Pose) -> Floats:
         """Return :meth:`curvature` as one matrix (6 m + 5, 6 m + 5)."""
         muscles, jaw = (pose.layout.places(name) for name in ("activations", "jaw"))
+        blocks, diagonal = self.curvature(pose)
         out = np.zeros((pose.layout.size, pose.layout.size))
-        out[muscles[:, :, None], muscles[:, None, :]], out[jaw, jaw] = self.curvature(pose)
+        out[muscles[:, :, None], muscles[:, None, :]] = blocks
+        out[jaw, jaw] = diagonal
         return out
 
 
-def lacking_eigenvalues(a: Floats) -> tuple[Floats, Floats]:
+def eigenvalue_deficits(a: Floats) -> tuple[Floats, Floats]:
     """Return max(0, e - lambda_k(S(a_j))), (m, 3), and where not 0 d lambda_k/da_j, (m, 3, 6)."""
     values, vectors = np.linalg.eigh(matrices(a))
-    lack = np.maximum(LEAST_STRETCH - values, 0.0)
+    deficit = np.maximum(LEAST_STRETCH - values, 0.0)
     gradients = FROBENIUS * entries(vectors.transpose(0, 2, 1))
-    return lack, gradients * (lack > 0.0)[:, :, None]
+    return deficit, gradients * (deficit > 0.0)[:, :, None]
 
 
 class Term(Protocol):

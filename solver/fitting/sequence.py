@@ -1,7 +1,7 @@
-"""Activations and jaw frame after frame: what one frame has cost is kept for the next.
+"""Activations and jaw frame after frame, by derivatives that lag behind.
 
 A frame takes a few SQP steps in (x, a, b): a Gauss-Newton step of the pose, then corrections of the
-equilibrium with the Hessian of a frame or a few ago. The sensitivities are kept for longer still,
+equilibrium with the Hessian of a frame or a few ago. The sensitivities lag for longer still,
 as they cost most and an error in them changes the objective to second order only. Where nothing
 comes of new sensitivities either, the frame is fitted as any expression is, from the frame before;
 or left at that, if that is about as good as it was.
@@ -17,12 +17,12 @@ from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions, DenseModel
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.least_squares import (
+    Backtracking,
     DampingOptions,
-    Ending,
-    Halving,
     LeastSquaresSolution,
     LeastSquaresStep,
     StopOptions,
+    Termination,
     minimise,
 )
 from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
@@ -34,7 +34,7 @@ from solver.surface import Floats
 
 @dataclass(frozen=True)
 class TrackingOptions:
-    """The steps of a frame, and when what is kept is made anew."""
+    """The steps of a frame, and when what lags is made anew."""
 
     # SQP steps at most (a frame that takes them all would like new sensitivities), and the part
     # of f that a step has to promise
@@ -43,14 +43,15 @@ class TrackingOptions:
     damping: DampingOptions = field(
         default_factory=lambda: DampingOptions(1e-3, least=1e-4, most=1.0, good=0.7, bad=0.4)
     )
-    # age in frames before sensitivities are made anew: where flesh buckles new ones help little
-    kept_frames: int = 15
+    # age in frames before which a frame that takes all its steps gets no new sensitivities: where
+    # flesh buckles these help little
+    lagged_frames: int = 15
     stuck: float = 1.1  # growth of f up to which a frame without a way down stays as it was
     reseen: float = 0.1  # part of the points' weight that moves before a matrix is made anew
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _LaggedModel:
     """Sensitivities of a frame before, and the pose's Gauss-Newton matrix without regulariser."""
 
     jacobian: Jacobian
@@ -58,7 +59,7 @@ class _Kept:
     hessian: Floats
 
     @classmethod
-    def of(cls, jacobian: Jacobian, data: SkinDistance, x: Floats) -> _Kept:
+    def of(cls, jacobian: Jacobian, data: SkinDistance, x: Floats) -> _LaggedModel:
         return cls(jacobian, data.target.weights, jacobian.contract(data.curvature(x)))
 
 
@@ -85,9 +86,9 @@ class Tracker:
         self.state = start
         self._regulariser, self._temporal, self._options = regulariser, temporal, options
         self._whole_fit = ActivationOptions(max_iterations, tolerance=1e-3)
-        self._kept: _Kept | None = None
+        self._lagged: _LaggedModel | None = None
         self._age, self._value = 0, np.inf
-        self._search = Halving(self._options.damping, least_ratio=self._options.least_ratio)
+        self._search = Backtracking(self._options.damping, least_ratio=self._options.least_ratio)
 
     def fit(self, target: Target, before: Pose | None = None) -> int:
         """Fit a frame and return the steps it took.
@@ -96,61 +97,63 @@ class Tracker:
         another placing of the head. Raises :class:`SolveError` if it cannot be fitted; the state
         stays that of the frame before.
         """
-        options, kept = self._options, self._kept
+        options, lagged = self._options, self._lagged
         data = SkinDistance(self.face, target)
-        regulariser = self._regulariser.drawn_to(before or self.state.pose, self._temporal)
+        regulariser = self._regulariser.with_proximal_term(
+            before or self.state.pose, self._temporal
+        )
         found = None
-        if kept:
+        if lagged:
             # points may be seen otherwise
-            if np.abs(data.target.weights - kept.weights).sum() >= options.reseen:
-                kept = self._kept = _Kept.of(kept.jacobian, data, self.state.x)
-            found = self._quick(kept, data, regulariser)
+            if np.abs(data.target.weights - lagged.weights).sum() >= options.reseen:
+                lagged = self._lagged = _LaggedModel.of(lagged.jacobian, data, self.state.x)
+            found = self._fit_lagged(lagged, data, regulariser)
             if found is None and self._age:
-                found = self._quick(self._keep(data), data, regulariser)
+                found = self._fit_lagged(self._relinearise(data), data, regulariser)
             value = activation.objective(data, regulariser, self.state)
             if found is None and value < options.stuck * self._value:
                 return 0
         if found is None:
-            known = None if self._kept is None else self._kept.hessian
-            whole, stop = self._whole_fit, Ending.ITERATIONS
+            known = None if self._lagged is None else self._lagged.hessian
+            whole, stop = self._whole_fit, Termination.ITERATIONS
             fitted = activation.fit(self.face, data, regulariser, self.state, whole, matrix=known)
             found = LeastSquaresSolution(fitted.state, fitted.objective, fitted.iterations, stop)
-            self._age = options.kept_frames
+            self._age = options.lagged_frames
         self.state, self._value = found.point, found.value
         self._age += 1
-        if found.ending != Ending.CONVERGED and self._age >= options.kept_frames:
-            self._keep(data)
+        if found.termination != Termination.CONVERGED and self._age >= options.lagged_frames:
+            self._relinearise(data)
         return found.steps
 
-    def _keep(self, data: SkinDistance) -> _Kept:
-        """Take the Hessian and the sensitivities of the state as it is."""
+    def _relinearise(self, data: SkinDistance) -> _LaggedModel:
+        """Make the sensitivities of the state as it is, with its Hessian if that is another's."""
         pose, found = self.state.pose, self.state.equilibrium
         far = np.abs(found.factor.x - found.x).max() > CorrectorOptions.close_mm
-        # what was projected, too, would be wrong in every frame that it is kept for
+        # what was projected, too, would be wrong in every frame that it serves
         if found.factor.projection > 0 or far:
             a = self.face.tet_activations(pose.a)
             factorization = Factorization(self.face.flesh, self.face.linear, found.x, a)
             self.state = PosedFace(pose, replace(found, factor=factorization))
         jacobian = Sensitivity(self.face, self.state).by_pose()
-        self._kept = _Kept.of(jacobian, data, self.state.x)
+        self._lagged = _LaggedModel.of(jacobian, data, self.state.x)
         self._age = 0
-        return self._kept
+        return self._lagged
 
-    def _quick(
-        self, kept: _Kept, data: Term, regulariser: Regulariser
+    def _fit_lagged(
+        self, lagged: _LaggedModel, data: Term, regulariser: Regulariser
     ) -> LeastSquaresSolution[PosedFace] | None:
-        """Fit a frame with what is kept; None if the first step leads nowhere."""
-        problem = _FrameProblem(self.face, kept, data, regulariser)
+        """Fit a frame with lagged derivatives; None if the first step leads nowhere."""
+        problem = _FrameProblem(self.face, lagged, data, regulariser)
         found = minimise(problem, self.state, self._search, self._options.stop)
-        return None if found.ending == Ending.STUCK and not found.steps else found
+        return None if found.termination == Termination.STUCK and not found.steps else found
 
 
 @dataclass(frozen=True)
 class _FrameProblem:
-    """f of a frame by what is kept: a :class:`~.least_squares.LeastSquaresProblem`."""
+    """f of a frame by lagged derivatives: a :class:`~.least_squares.LeastSquaresProblem`."""
 
     face: Face
-    kept: _Kept
+    lagged: _LaggedModel
     data: Term
     regulariser: Regulariser
 
@@ -158,15 +161,15 @@ class _FrameProblem:
         return activation.objective(self.data, self.regulariser, point)
 
     def linearise(self, point: PosedFace) -> DenseModel:
-        gradient = self.kept.jacobian.adjoint(self.data.gradient(point.x))
+        gradient = self.lagged.jacobian.adjoint(self.data.gradient(point.x))
         gradient += self.regulariser.gradient(point.pose)
-        hessian = self.kept.hessian + self.regulariser.gauss_newton(point.pose)
+        hessian = self.lagged.hessian + self.regulariser.gauss_newton(point.pose)
         return DenseModel(point.pose.layout, hessian, gradient)
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
         """Correct the equilibrium, no more."""
         face, flesh, pose = self.face, self.face.flesh, point.pose.add(step.change)
-        x = flesh.moved(point.x, self.kept.jacobian.flesh @ step.change)
+        x = flesh.moved(point.x, self.lagged.jacobian.flesh @ step.change)
         x[face.model.mandible] = face.mandible(pose.b)
         guess = untangle(flesh, point.x, x)
         if guess is None:

@@ -17,8 +17,8 @@ from solver.errors import SolveError
 from solver.fitting.controls import FitControls
 from solver.fitting.face import Face
 from solver.fitting.least_squares import (
+    Backtracking,
     DampingOptions,
-    Halving,
     LeastSquaresSolution,
     LeastSquaresStep,
     StopOptions,
@@ -62,7 +62,7 @@ class SkinFit:
     def solve(self) -> LeastSquaresSolution[SkinPoint]:
         """Minimise f from rest."""
         start = self.settle(self._controls.layout.rest, self._face.model.rest)
-        search = Halving(DampingOptions(0.0, least=0.0), self._options.tries)
+        search = Backtracking(DampingOptions(0.0, least=0.0), self._options.tries)
         return minimise(self, start, search, self._options.stop)
 
     def settle(self, q: Floats, x: Floats) -> SkinPoint:
@@ -118,5 +118,5 @@ class _BoundedModel:
     def step(self, damping: float, trust: float) -> LeastSquaresStep:  # noqa: ARG002 - bounds hold it
         change = np.asarray(lsq_linear(self.matrix, self.right, self.bounds).x)
         image = self.matrix @ change
-        slope, bend = float(-2.0 * self.right @ image), float(2.0 * image @ image)
-        return LeastSquaresStep(change, slope, bend)
+        slope, quadratic = float(-2.0 * self.right @ image), float(2.0 * image @ image)
+        return LeastSquaresStep(change, slope, quadratic)

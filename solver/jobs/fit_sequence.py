@@ -63,15 +63,14 @@ class Follower:
 
     ``still`` (k,) says how still each point of the face lies on the skull and asks for the head's
     rigid motion: it takes the still points from where the fitted face has them to where they were
-    seen, so face and head are fitted in turns. ``last`` is the frame to go on from. Raises
-    :class:`InputError` (``sequence.no_still_points``) if nothing of the face lies still.
+    seen, so face and head are fitted in turns. Raises :class:`InputError`
+    (``sequence.no_still_points``) if nothing of the face lies still.
     """
 
     def __init__(
         self,
         tracker: Tracker,
         targets: Targets,
-        last: SequenceFrame | None = None,
         still: Floats | None = None,
         options: FollowOptions = FOLLOW,
     ) -> None:
@@ -83,7 +82,7 @@ class Follower:
                 "point of the model's face"
             )
             raise InputError("sequence.no_still_points", message)
-        self._head = IDENTITY if last is None else small_motion(last.head)
+        self._head = IDENTITY
         self._target: Target | None = None
 
     def fit(self, number: int, scan: RegisteredScan) -> SequenceFrame:
@@ -102,12 +101,24 @@ class Follower:
                 self._tracker.state, self._head = state, head
         return self._frame(number, status, seen, iterations, time.perf_counter() - start)
 
+    def take_up(self, frame: SequenceFrame, scan: RegisteredScan | None) -> None:
+        """Go to a frame that an earlier attempt has fitted; ``scan`` is needed for its shot."""
+        if frame.status != "fitted":
+            return  # and kept what the frame before had
+        self._head = small_motion(frame.head)
+        pose = Pose(frame.activations, frame.jaw)
+        with suppress(SolveError):  # out of reach: the next frame begins where this one did
+            self._tracker.state = self._face.continuation(self._tracker.state, pose)
+        if scan is not None:
+            points = self._head.inverse()(scan.vertices)
+            self._target = self._targets.of_points(points, scan.confidence)
+
     def skin(self) -> Floats:
         """Return the whole skin (v, 3) as it is now, without the head's motion."""
         return self._face.whole_skin(self._tracker.state.x, self._tracker.state.pose.b)
 
     def shot(self, frame: SequenceFrame) -> SequenceShot:
-        """Return the frame that was fitted last, to be drawn."""
+        """Return the frame that was fitted or taken up last, to be drawn."""
         assert self._target is not None, "a frame was fitted"
         skin, vertices = self.skin(), self._face.model.face
         seen, error = skin.copy(), np.full(len(skin), np.nan)
@@ -176,6 +187,21 @@ class Follower:
         )
 
 
+class Drawn:
+    """What is drawn of a sequence of ``count`` frames: all as a skin, ``shown`` ones as a shot."""
+
+    def __init__(self, model: SubjectModel, count: int) -> None:
+        self.skin = AnimatedSkin(model.skin)
+        self.shown = set(np.linspace(0, count - 1, MOST_SHOTS).round().astype(int).tolist())
+        self.shots: list[SequenceShot] = []
+
+    def add(self, position: int, frame: SequenceFrame, follower: Follower) -> None:
+        """Take the frame at a position in the sequence, which ``follower`` is at."""
+        self.skin.add(frame, follower.skin())
+        if position in self.shown and frame.status == "fitted":
+            self.shots.append(follower.shot(frame))
+
+
 CHUNKS = ChunkOptions(frames=30)
 UNLIKE_MM = 5.0  # mean distance that says it is not this person's: a fit leaves less than 2
 MOST_SHOTS = 6  # frames in the picture
@@ -185,9 +211,9 @@ def run(task: Task[FitSequence]) -> list[Path]:
     """Fit the frames of a performance with the S of ``rig``, each from the one before.
 
     Frames that are ready are in ``out/frames``; with ``resume`` those that are there already are
-    kept and the fit goes on after them. A frame that cannot be fitted keeps the pose before it.
-    Raises :class:`InputError` for what cannot be used, ``sequence.nothing`` if no frame could be
-    fitted.
+    kept, the face is put into their poses for the animation, and the fit goes on after them. A
+    frame that cannot be fitted keeps the pose before it. Raises :class:`InputError` for what
+    cannot be used, ``sequence.nothing`` if no frame could be fitted.
     """
     given, out, progress = task.options, task.out, task.progress
     performance = task.inputs["performance"]
@@ -195,7 +221,7 @@ def run(task: Task[FitSequence]) -> list[Path]:
     rig = Rig.load(task.inputs)
     subject = rig.model
     source = open_performance(performance, subject.skin, subject.face)
-    numbers = _chosen(source, given)
+    numbers = _frame_numbers(source, given)
     if not given.head_motion:
         _check_place(source, numbers[0], subject)
     face = Face(subject, rig.weights, linear=given.linear_solver or fastest())
@@ -209,10 +235,13 @@ def run(task: Task[FitSequence]) -> list[Path]:
             f"the {len(done)} frames that are ready were chosen with another start, end or step",
         )
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
-    follower = _follower(face, given, done[-1] if done else None)
-    shown = set(np.linspace(0, len(numbers) - 1, MOST_SHOTS).round().astype(int).tolist())
-    shots: list[SequenceShot] = []
-    animated = AnimatedSkin(subject.skin)
+    follower = _follower(face, given)
+    drawn = Drawn(subject, len(numbers))
+    for position, frame in enumerate(done):
+        follower.take_up(frame, source.frame(frame.frame) if position in drawn.shown else None)
+        drawn.add(position, frame, follower)
+        words = f"frame {position + 1} of {len(numbers)} was fitted before"
+        progress(Step("frames", _part(position + 1, len(numbers)), message=words))
     chunks = ChunkWriter[SequenceFrame](out / FRAMES, len(done), CHUNKS)
     try:
         for position in range(len(done), len(numbers)):
@@ -221,9 +250,7 @@ def run(task: Task[FitSequence]) -> list[Path]:
                 _check_likeness(source, frame)
             chunks.add(frame)
             done.append(frame)
-            animated.add(frame, follower.skin())
-            if position in shown and frame.status == "fitted":
-                shots.append(follower.shot(frame))
+            drawn.add(position, frame, follower)
             _tell(progress, frame, position + 1, len(numbers))
     finally:
         chunks.flush()
@@ -234,31 +261,30 @@ def run(task: Task[FitSequence]) -> list[Path]:
     report = sequence_report(done, given.fps, source.name)
     files = write_sequence(out, done, subject.muscle_names, given.fps, report)
     files.append(out / "sequence.glb")
-    animated.write(files[-1], given.fps)
-    if shots:
+    drawn.skin.write(files[-1], given.fps)
+    if drawn.shots:
         files.append(out / "sequence.png")
         words = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average"
         detail = words.format(**report)
-        sequence_picture(subject, shots, source.name, detail, files[-1])
+        sequence_picture(subject, drawn.shots, source.name, detail, files[-1])
     progress(Step("done", 1.0))
     return files
 
 
-def _follower(face: Face, given: FitSequence, last: SequenceFrame | None) -> Follower:
-    """Return a follower that begins at rest or at the ``last`` frame that is ready."""
-    state = face.rest
-    if last is not None:
-        with suppress(SolveError):  # out of reach from rest: the next frame begins there
-            state = face.continuation(state, Pose(last.activations, last.jaw))
-    regulariser = unseen_regulariser(face)
+def _follower(face: Face, given: FitSequence) -> Follower:
+    """Return a follower that begins at rest."""
     tracker = Tracker(
-        face, regulariser, state, temporal=given.temporal, max_iterations=given.max_iterations
+        face,
+        unseen_regulariser(face),
+        face.rest,
+        temporal=given.temporal,
+        max_iterations=given.max_iterations,
     )
     targets = Targets(face.model, given.distance)
-    return Follower(tracker, targets, last, stillness(face) if given.head_motion else None)
+    return Follower(tracker, targets, stillness(face) if given.head_motion else None)
 
 
-def _chosen(source: Performance, given: FitSequence) -> range:
+def _frame_numbers(source: Performance, given: FitSequence) -> range:
     end = len(source) if given.end is None else given.end
     numbers = range(given.start, end, given.step)
     if end > len(source) or not numbers:
@@ -299,8 +325,13 @@ def _check_likeness(source: Performance, frame: SequenceFrame) -> None:
         )
 
 
+def _part(count: int, total: int) -> float:
+    """Return the part of the job that is done with so many frames."""
+    return 0.01 + 0.95 * count / total
+
+
 def _tell(progress: Progress, frame: SequenceFrame, count: int, total: int) -> None:
-    done, warning = 0.01 + 0.95 * count / total, None
+    done, warning = _part(count, total), None
     if frame.status != "fitted":
         why = "hardly any of the face is seen" if frame.status == "unseen" else "it does not settle"
         warning = f"frame {frame.frame} keeps the pose of the frame before: {why}"

@@ -20,7 +20,7 @@ from solver.kinds.document import (
     tell_forms,
 )
 
-MOST_KEYS = 10000  # of one track of a scene
+MOST_TRACK_KEYS = 10000  # of one track of a scene
 STIFFNESS_PA = 3000.0  # mu of facial soft tissue: a Young's modulus of 7.5 kPa, 8.6 by other laws
 
 Time = Annotated[float, Field(ge=0, le=600, description="in seconds")]
@@ -206,7 +206,7 @@ class Object(Document):
     )
     path: list[MotionKey] = Field(
         default=[],
-        max_length=MOST_KEYS,
+        max_length=MOST_TRACK_KEYS,
         description="turns about its origin, and moves from where it was put",
     )
 
@@ -356,7 +356,9 @@ class PlayedScene(FleshEntry):
         description="of a dynamic face's motion in its head, per mass, in 1/s",
     )
     head: list[MotionKey] = Field(
-        default=[], max_length=MOST_KEYS, description="where the head is; it turns about the neck"
+        default=[],
+        max_length=MOST_TRACK_KEYS,
+        description="where the head is; it turns about the neck",
     )
     forces: list[Force] = Field(default=[], max_length=32)
     objects: list[Object] = Field(
@@ -380,7 +382,7 @@ class SimulateScene(PlayedScene):
     )
     keys: list[Key] = Field(
         default=[],
-        max_length=MOST_KEYS,
+        max_length=MOST_TRACK_KEYS,
         description="what the face does; what a key does not name is at rest there",
     )
 

@@ -102,7 +102,7 @@ class Potential(Protocol):
         """Let everything rigid be where ``boundary`` says, from here on."""
 
     def value(self, x: Floats) -> float:
-        """Return the energy of a feasible x; :meth:`longest` tells what is."""
+        """Return the energy of a feasible x; :meth:`max_step` tells what is."""
 
     def gradient(self, x: Floats) -> Floats:
         """Return the energy's derivative (p, 3), held vertices included."""
@@ -119,5 +119,5 @@ class Potential(Protocol):
     def pull(self, x: Floats, goal: Boundary) -> Floats:
         """Return how the gradient (p, 3) would change if the rigid parts moved to ``goal``."""
 
-    def longest(self, x: Floats, y: Floats, goal: Boundary) -> float:
+    def max_step(self, x: Floats, y: Floats, goal: Boundary) -> float:
         """Return the part of the way x -> y, with the rigid parts to ``goal``, that is feasible."""

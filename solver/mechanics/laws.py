@@ -18,7 +18,9 @@ from solver.surface import Floats
 
 Law = Literal["corotated", "neo_hookean"]
 
-COROTATED, NEO_HOOKEAN = 0, 1  # places in Law
+# places in Law, as kernels know them
+COROTATED = get_args(Law).index("corotated")
+NEO_HOOKEAN = get_args(Law).index("neo_hookean")
 
 MODES = 12  # a law's Hessian has no more
 

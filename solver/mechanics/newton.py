@@ -189,11 +189,11 @@ class Energy:
         """Return the sum of the potentials' Hessians (3 p, 3 p)."""
         return sum((each.hessian(x) for each in self._potentials), sp.csr_array((x.size, x.size)))
 
-    def longest(self, x: Floats, y: Floats, options: NewtonOptions) -> float:
+    def max_step(self, x: Floats, y: Floats, options: NewtonOptions) -> float:
         """Return the part of the way x -> y that crosses nothing and makes no tet collapse."""
         part, goal = 1.0, self._goal
         if goal is not None:
-            part = min((each.longest(x, y, goal) for each in self._potentials), default=1.0)
+            part = min((each.max_step(x, y, goal) for each in self._potentials), default=1.0)
             part = 1.0 if part >= 1.0 else options.margin * part
         while part > options.shortest_step:
             if self.flesh.min_jacobian_ratio(x, x + part * (y - x)) >= options.min_jacobian_ratio:
@@ -285,7 +285,7 @@ class Search:
             enough = reached <= value + options.armijo * length * slope + 1e-13 * abs(value)
             return (trial, reached) if enough else None
 
-        length = self._energy.longest(x, flesh.moved(x, direction), options)
+        length = self._energy.max_step(x, flesh.moved(x, direction), options)
         found = None
         while found is None and length > options.shortest_step:
             found = try_step(length)
@@ -310,7 +310,7 @@ class Search:
         correction = self.factorization.solve(-self.gradient)
         point = self.x[flesh.free].ravel()
         y = flesh.moved(self.x, self._accelerator.step(point, correction))
-        if energy.longest(self.x, y, self._options) < 1.0:
+        if energy.max_step(self.x, y, self._options) < 1.0:
             return None
         after = energy.gradient(y)
         # NaN is no progress either

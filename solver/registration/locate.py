@@ -17,12 +17,12 @@ from solver.errors import Finding, InputError, Severity
 from solver.meshio.raw import RawScan
 from solver.registration.scan_surface import Samples, orient_outward, sample
 from solver.registration.search import (
-    QUICK,
+    QUICK_SEARCH,
     Axes,
     FacePoints,
     FacePose,
     find_pose,
-    slide_into_place,
+    refine_pose,
 )
 from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats, Surface
@@ -90,7 +90,7 @@ def locate_face(
         pose = _search(face, samples, unit, scan.mm_per_unit, _given_axes(frame))
     else:
         start = fit_similarity(*marks)
-        pose = slide_into_place(face, samples, KDTree(samples.points), start, start.scale)
+        pose = refine_pose(face, samples, KDTree(samples.points), start, start.scale)
     motion = pose.motion
     factor, name = choose_unit(motion.scale, unit, scan.mm_per_unit)
     centre = face.points.mean(axis=0)
@@ -159,7 +159,7 @@ def _search(
     best = find_pose(face, samples, known, upright)
     for scales in others:
         if not best.is_face or choose_unit(best.motion.scale, unit, declared)[1] is None:
-            found = find_pose(face, samples, scales, upright, QUICK)
+            found = find_pose(face, samples, scales, upright, QUICK_SEARCH)
             if found.cost < best.cost:
                 best, known = found, [found.motion.scale]
     if best.is_good:

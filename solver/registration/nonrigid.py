@@ -22,7 +22,7 @@ from scipy.sparse.linalg import spsolve
 
 from solver.mechanics.linear import Rslab
 from solver.registration.scan_surface import ScanSurface
-from solver.registration.shape_fit import Pins, pair
+from solver.registration.shape_fit import Pins, find_correspondences
 from solver.registration.topology import Topology
 from solver.similarity import Similarity
 from solver.surface import (
@@ -52,18 +52,18 @@ class FreeFormOptions:
 class Round:
     """One round: smoothing ``length`` and ``reach`` of the closest points, in mm.
 
-    A round with ``alike`` follows points that face the same way, and so moves vertices along the
+    A ``compatible`` round follows points that face the same way, and so moves vertices along the
     surface to where they belong; the others follow the tangent planes at the closest points.
     """
 
     length: float
     reach: float
-    alike: bool = False
+    compatible: bool = False
 
 
-def _rounds(alike: bool, *groups: tuple[float, float, int]) -> tuple[Round, ...]:
+def _rounds(compatible: bool, *groups: tuple[float, float, int]) -> tuple[Round, ...]:
     """Return the rounds of (length, reach, how many)."""
-    return tuple(Round(length, reach, alike) for length, reach, n in groups for _ in range(n))
+    return tuple(Round(length, reach, compatible) for length, reach, n in groups for _ in range(n))
 
 
 # From a start that a shape model has brought close.
@@ -138,7 +138,7 @@ def free_form(
     """Return the vertices (n, 3) of ``start`` (n, 3) moved onto the scan.
 
     ``motion`` takes the scan into the frame of ``start``, ``schedule`` has the rounds, coarse to
-    fine. Landmarks (``pins``) guide the rounds that follow points alike.
+    fine. Landmarks (``pins``) guide the rounds that follow compatible points.
     """
     skin = Skin(start, topology, options)
     moved = np.zeros_like(skin.start)
@@ -146,14 +146,16 @@ def free_form(
         current = skin.start + moved
         normals = vertex_normals(Surface(current, skin.faces))[skin.outer]
         here = current[skin.outer]
-        pairs = pair(scan, motion, here, normals, stage.reach, alike=stage.alike)
+        pairs = find_correspondences(
+            scan, motion, here, normals, stage.reach, compatible=stage.compatible
+        )
         goals, weights = moved.copy(), np.zeros(len(moved))
-        if stage.alike:
+        if stage.compatible:
             goals[skin.outer] += pairs.points - here
         else:
             goals[skin.outer] += pairs.offset[:, None] * pairs.normals
         weights[skin.outer] = pairs.weights
-        if pins is not None and stage.alike:
+        if pins is not None and stage.compatible:
             numbers = np.searchsorted(skin.vertices, pins.vertices)
             goals[numbers] = motion(pins.points) - skin.start[numbers]
             weights[numbers] = options.pin_mm2 / skin.area[numbers]

@@ -38,10 +38,11 @@ from solver.registration.shape_fit import (
     Pins,
     ShapeFit,
     align,
-    expressions,
+    expression_model,
+    facing_weights,
+    find_correspondences,
     fit_shapes,
-    pair,
-    persons,
+    identity_model,
 )
 from solver.registration.topology import Topology, carry_hidden
 from solver.similarity import IDENTITY, Similarity, robust_motion
@@ -159,7 +160,7 @@ def _fit_person(
     """Return a neutral's shape and the rounds that follow; without shapes the template's, sized."""
     basis, rest, face = topology.template.shapes, topology.template.skin, topology.face
     if basis is not None and len(basis.identity):
-        match, shapes = partial(pair, scan), persons(topology, basis)
+        match, shapes = partial(find_correspondences, scan), identity_model(topology, basis)
         return fit_shapes(match, start.motion, shapes, pins, sizes=not start.size_known), REFINE
     normals = vertex_normals(rest)[face]
     motion = align(scan, start.motion, rest.vertices[face], normals, sizes=True)
@@ -180,8 +181,9 @@ def _fit_expression(
     motion = align(scan, start.motion, neutral[still], normals, share, sizes=sizes)
     if basis is None or not len(basis.expressions):
         return ShapeFit(np.zeros(0), neutral, motion), FROM_AFAR
-    shapes = expressions(neutral, topology, basis)
-    return fit_shapes(partial(pair, scan), motion, shapes, pins, sizes=sizes), REFINE
+    shapes = expression_model(neutral, topology, basis)
+    match = partial(find_correspondences, scan)
+    return fit_shapes(match, motion, shapes, pins, sizes=sizes), REFINE
 
 
 def _check(file: str, found: Trust, topology: Topology) -> None:
@@ -244,9 +246,8 @@ def trust(
     covered = np.zeros(count, dtype=bool)
     covered[outer] = seen
     near = np.zeros(count)
-    near[outer] = np.exp(-((distance / options.trusted_mm) ** 2)) * np.clip(
-        (cosine - options.covered_cosine) / (0.9 - options.covered_cosine), 0.0, 1.0
-    )
+    near[outer] = np.exp(-((distance / options.trusted_mm) ** 2))
+    near[outer] *= facing_weights(cosine, options.covered_cosine)
     apart = np.full(count, np.nan)
     apart[outer[seen]] = distance[seen]
     graph = adjacency(skin.faces, count)

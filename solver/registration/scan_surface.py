@@ -31,7 +31,7 @@ class ScanSurfaceOptions:
     small_piece: float = 0.01  # share of the area under which a piece is debris
     cloud_neighbours: int = NEIGHBOURS  # of a point, on a plane
     turn: float = 20.0  # a turn by a radian counts as this distance
-    alike_neighbours: int = 3  # that are averaged
+    compatible_neighbours: int = 3  # that are averaged
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,13 @@ class ScanSurface(ABC):
     def _at_edge(self, points: Floats, near: Ints) -> NDArray[np.bool_]:
         """Return which ``points`` (n, 3) or vertices (n, k) ``near`` them are at an edge."""
 
-    def alike(self, points: Floats, normals: Floats) -> Matches:
+    def closest_compatible(self, points: Floats, normals: Floats) -> Matches:
         """Return means of vertices that are close and face the same way as ``normals`` (n, 3).
 
         Places and directions are compared together, as in White et al. (Sci. Rep. 2019).
         """
         places = np.hstack([points, self._options.turn * normals])
-        apart, near = self._directed_tree.query(places, self._options.alike_neighbours)
+        apart, near = self._directed_tree.query(places, self._options.compatible_neighbours)
         weights = 1 / (apart + 0.5) ** 2
         place, direction = self._means(weights, near)
         distance = np.linalg.norm(points - place, axis=1)

@@ -47,7 +47,7 @@ class SearchOptions:
 
 
 @dataclass(frozen=True)
-class JudgeOptions:
+class RefinementOptions:
     """Sliding into place, and what counts as a face; lengths in mm.
 
     Faces of other persons, with any expression, cost up to 2.7; the back of a head 3.4, skulls and
@@ -69,10 +69,10 @@ class JudgeOptions:
     face_cost: float = 3.3  # ... and costs at most this
 
 
-SEARCH, JUDGE = SearchOptions(), JudgeOptions()
-BRIEFLY = JudgeOptions(steps=15)  # for a choice among poses
+SEARCH, REFINEMENT = SearchOptions(), RefinementOptions()
+BRIEF_REFINEMENT = RefinementOptions(steps=15)  # for a choice among poses
 # For a choice among sizes where no unit fits.
-QUICK = SearchOptions(
+QUICK_SEARCH = SearchOptions(
     cell=5.0, first_tips=60, rolls=12, stages=((30, 2, 150), (70, 5, 24), (250, 10, 8)), finer=1
 )
 FACE_SAMPLES = 1200  # points that stand for a face
@@ -111,16 +111,8 @@ class FacePose:
     residual_mm: float  # mean distance of the scan from the face's planes where it is covered
     coverage: float  # share of the face's points with the scan close, facing the same way
     cost: float  # mean distance in mm where what is not covered counts as far
-
-    @property
-    def is_good(self) -> bool:
-        """Whether the pose is so good that no other start need be tried."""
-        return self.cost < JUDGE.good_cost
-
-    @property
-    def is_face(self) -> bool:
-        """Whether what the pose found is a whole face."""
-        return self.coverage > JUDGE.face_share and self.cost < JUDGE.face_cost
+    is_good: bool = False  # so good that no other start need be tried
+    is_face: bool = False  # whether what is found is a whole face
 
 
 def find_pose(
@@ -149,12 +141,12 @@ def find_pose(
         found: list[FacePose] = []
         for start in _improve(poses, face, cloud, search):
             motion = Similarity(start.scale * scale, start.rotation, start.shift)
-            found.append(slide_into_place(few, samples, tree, motion, scale, BRIEFLY))
+            found.append(refine_pose(few, samples, tree, motion, scale, BRIEF_REFINEMENT))
             if found[-1].is_good:
                 break
         found.sort(key=lambda pose: pose.cost)
         for pose in found[: search.finer]:
-            slid = slide_into_place(face, samples, tree, pose.motion, scale)
+            slid = refine_pose(face, samples, tree, pose.motion, scale)
             best = min(best, slid, key=lambda pose: pose.cost)
         if best.is_good:
             break
@@ -307,13 +299,13 @@ def _step(
 # Sliding into place, and the verdict.
 
 
-def slide_into_place(
+def refine_pose(
     face: FacePoints,
     scan: Samples,
     tree: KDTree,
     start: Similarity,
     size: float,
-    options: JudgeOptions = JUDGE,
+    options: RefinementOptions = REFINEMENT,
 ) -> FacePose:
     """Return the better of ``start`` and the pose after linearised steps with the scale.
 
@@ -349,7 +341,7 @@ def slide_into_place(
 
 
 def _judge_pose(
-    face: FacePoints, scan: Samples, tree: KDTree, motion: Similarity, options: JudgeOptions
+    face: FacePoints, scan: Samples, tree: KDTree, motion: Similarity, options: RefinementOptions
 ) -> FacePose:
     """Return ``motion`` with how much of the face it finds in the scan, and how well that fits."""
     gap, near = tree.query(motion.inverse()(face.points))
@@ -363,4 +355,11 @@ def _judge_pose(
     off_plane = np.abs(((motion(scan.points[near]) - face.points) * face.normals).sum(axis=1))
     residual, share = float(off_plane[covered].mean()), float(covered.mean())
     cost = share * residual + (1 - share) * options.uncovered
-    return FacePose(motion, residual, share, cost)
+    return FacePose(
+        motion,
+        residual,
+        share,
+        cost,
+        is_good=cost < options.good_cost,
+        is_face=share > options.face_share and cost < options.face_cost,
+    )

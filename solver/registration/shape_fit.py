@@ -25,13 +25,14 @@ from solver.registration.topology import Topology
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
-# Normals further apart are not of the same place: of a scan's surface, of its samples.
-MIN_COSINE, LEAST_COSINE = 0.5, 0.6
+# Normals further apart are not of the same place: of a scan's surface, of its samples; those
+# that are closer than the last count in full.
+SURFACE_COSINE, SAMPLES_COSINE, FULL_COSINE = 0.5, 0.6, 0.9
 
 
 @dataclass(frozen=True)
-class Pairs:
-    """Scan points for the model's points, in the template's frame."""
+class Correspondences:
+    """Closest scan points of the model's points, in the template's frame."""
 
     points: Floats  # (n, 3) of the scan
     normals: Floats  # (n, 3)
@@ -40,7 +41,7 @@ class Pairs:
 
 
 # Takes the scan's motion, the model's points and normals (n, 3), and the reach in mm.
-Match = Callable[[Similarity, Floats, Floats, float], Pairs]
+Match = Callable[[Similarity, Floats, Floats, float], Correspondences]
 
 
 @dataclass(frozen=True)
@@ -51,31 +52,39 @@ class Pins:
     vertices: Ints
 
 
-def pair(
+def find_correspondences(
     scan: ScanSurface,
     motion: Similarity,
     points: Floats,
     normals: Floats,
     reach: float,
     *,
-    alike: bool = False,
-) -> Pairs:
+    compatible: bool = False,
+) -> Correspondences:
     """Return the closest points of a moved scan to model ``points`` (n, 3).
 
     ``reach`` (mm) is the distance at which a pair's weight is a quarter (Geman & McClure 1987) and
     a third of the one at which it is none; neither edges of the scan nor surfaces that face
-    elsewhere count. With ``alike``, points that face the same way come before closer ones.
+    elsewhere count. With ``compatible``, points that face the same way come before closer ones.
     """
     back = motion.inverse()
-    found = scan.alike(back(points), back.turn(normals)) if alike else scan.closest(back(points))
+    if compatible:
+        found = scan.closest_compatible(back(points), back.turn(normals))
+    else:
+        found = scan.closest(back(points))
     targets, directions = motion(found.points), motion.turn(found.normals)
     distance = found.distance * motion.scale
     cosine = np.einsum("nd,nd->n", normals, directions)
     weights = 1 / (1 + (distance / reach) ** 2) ** 2
-    weights *= np.clip((cosine - MIN_COSINE) / (0.9 - MIN_COSINE), 0.0, 1.0)
+    weights *= facing_weights(cosine, SURFACE_COSINE)
     weights[found.at_edge | (distance > 3 * reach)] = 0.0
     offset = np.einsum("nd,nd->n", targets - points, directions)
-    return Pairs(targets, directions, offset, weights)
+    return Correspondences(targets, directions, offset, weights)
+
+
+def facing_weights(cosine: Floats, least: float) -> Floats:
+    """Return weights that rise from none at the ``least`` cosine of two normals to 1."""
+    return np.clip((cosine - least) / (FULL_COSINE - least), 0.0, 1.0)
 
 
 def match_samples(scan: Samples, area: Floats) -> Match:
@@ -86,22 +95,26 @@ def match_samples(scan: Samples, area: Floats) -> Match:
     """
     tree = KDTree(scan.points)
 
-    def match(motion: Similarity, points: Floats, normals: Floats, reach: float) -> Pairs:
+    def match(motion: Similarity, points: Floats, normals: Floats, reach: float) -> Correspondences:
         gap, near = tree.query(motion.inverse()(points))
         targets = motion(scan.points[near])
         facing = np.abs(np.einsum("nd,nd->n", motion.turn(scan.normals[near]), normals))
         weights = area / area.mean() * np.clip(1 - (gap * motion.scale / reach) ** 2, 0, 1) ** 2
-        weights *= facing > LEAST_COSINE
-        return Pairs(targets, normals, np.einsum("nd,nd->n", targets - points, normals), weights)
+        weights *= facing > SAMPLES_COSINE
+        return Correspondences(
+            targets, normals, np.einsum("nd,nd->n", targets - points, normals), weights
+        )
 
     return match
 
 
-def add_pins(pairs: Pairs, points: Floats, targets: Floats, weight: float) -> Pairs:
+def add_pins(
+    pairs: Correspondences, points: Floats, targets: Floats, weight: float
+) -> Correspondences:
     """Add landmarks: model ``points`` (k, 3) held at ``targets`` (k, 3) along all three axes."""
     axes = np.tile(np.eye(3), (len(points), 1))
     goals, offset = np.repeat(targets, 3, axis=0), (targets - points).ravel()
-    return Pairs(
+    return Correspondences(
         np.concatenate([pairs.points, goals]),
         np.concatenate([pairs.normals, axes]),
         np.concatenate([pairs.offset, offset]),
@@ -109,7 +122,7 @@ def add_pins(pairs: Pairs, points: Floats, targets: Floats, weight: float) -> Pa
     )
 
 
-def motion_columns(pairs: Pairs, *, sizes: bool) -> Floats:
+def motion_columns(pairs: Correspondences, *, sizes: bool) -> Floats:
     """Return the change (n, 6 or 7) of ``offset`` by the scan's rotation, shift and growth."""
     columns = [np.cross(pairs.points, pairs.normals), pairs.normals]
     if sizes:
@@ -152,13 +165,13 @@ IGNORED = ("eyeLook", "Pupil", "tongue")  # expressions that no scan shows
 
 
 @dataclass(frozen=True)
-class Shapes:
-    """Shapes of a skin with ``faces`` (f, 3), by their weights."""
+class ShapeModel:
+    """Linear shape model of a skin with ``faces`` (f, 3)."""
 
     start: Floats  # (n, 3) of the skin
     displacements: NDArray[np.floating]  # (k, n, 3) in mm
     prior: Floats  # (k, k) on weights
-    bounded: NDArray[np.bool_]  # (k,) weights that lie in [0, 1.2]
+    bounded: NDArray[np.bool_]  # (k,) weights from 0 to ShapeFitOptions.strongest
     faces: Ints
     used: Ints  # (m,) vertices that are fitted
 
@@ -167,29 +180,31 @@ class Shapes:
         return np.asarray(self.start + np.tensordot(weights, self.displacements, 1))
 
 
-def persons(topology: Topology, basis: ShapeBasis, options: ShapeFitOptions = FIT) -> Shapes:
+def identity_model(
+    topology: Topology, basis: ShapeBasis, options: ShapeFitOptions = FIT
+) -> ShapeModel:
     """Return the identities of a template: independent, of unit variance, the lips closed."""
     skin, (one, other) = topology.template.skin, topology.touching.T
     count = len(basis.identity)
     gaps = (basis.identity[:, one] - basis.identity[:, other]).reshape(count, -1)
     prior = np.eye(count) + options.independent / options.closed_mm**2 * (gaps @ gaps.T)
     free = np.zeros(count, bool)
-    return Shapes(skin.vertices, basis.identity, prior, free, skin.faces, topology.outer)
+    return ShapeModel(skin.vertices, basis.identity, prior, free, skin.faces, topology.outer)
 
 
-def expressions(
+def expression_model(
     neutral: Floats, topology: Topology, basis: ShapeBasis, options: ShapeFitOptions = FIT
-) -> Shapes:
+) -> ShapeModel:
     """Return the expressions of a person with this ``neutral`` (n, 3)."""
     count, faces = len(basis.expressions), topology.template.skin.faces
     prior, bounded = options.expression_prior * np.eye(count), np.ones(count, bool)
-    return Shapes(neutral, basis.expressions, prior, bounded, faces, topology.outer)
+    return ShapeModel(neutral, basis.expressions, prior, bounded, faces, topology.outer)
 
 
-def anybody(
+def full_model(
     skin: Floats, face: Surface, basis: ShapeBasis, options: ShapeFitOptions = LIKENESS
-) -> Shapes:
-    """Return persons and expressions of a template's ``skin`` (n, 3) together.
+) -> ShapeModel:
+    """Return identities and expressions of a template's ``skin`` (n, 3) together.
 
     ``face`` is the part of it that is fitted, in its numbers.
     """
@@ -199,7 +214,7 @@ def anybody(
     bounded = np.arange(len(people) + len(shown)) >= len(people)
     prior = np.diag(np.where(bounded, options.expression_prior, 1.0))
     both = np.concatenate([people, basis.expressions[shown]])
-    return Shapes(skin, both, prior, bounded, face.faces, np.unique(face.faces))
+    return ShapeModel(skin, both, prior, bounded, face.faces, np.unique(face.faces))
 
 
 @dataclass(frozen=True)
@@ -214,7 +229,7 @@ class ShapeFit:
 def fit_shapes(
     match: Match,
     motion: Similarity,
-    shapes: Shapes,
+    shapes: ShapeModel,
     pins: Pins | None = None,
     options: ShapeFitOptions = FIT,
     *,
@@ -282,7 +297,7 @@ def align(
     points, all 1 by default. With ``sizes`` the scan's size may change.
     """
     for reach in RIGID_REACHES_MM:
-        pairs = pair(scan, motion, points, normals, reach)
+        pairs = find_correspondences(scan, motion, points, normals, reach)
         weights = pairs.weights if trust is None else pairs.weights * trust
         columns = motion_columns(pairs, sizes=sizes)
         weighted = columns * weights[:, None]

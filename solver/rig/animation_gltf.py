@@ -207,7 +207,7 @@ class AnimatedSkin:
                     tracks.append(one_way[:, None] / most)
 
         times = np.array([frame.frame / fps for frame in self._frames])
-        heads = np.array([frame.head for frame in self._frames]).reshape(-1, 6)
+        heads = np.array([frame.head for frame in self._frames])
         table = np.hstack(tracks)
 
         def animate(buffer: Buffer, _count: int) -> gl.Animation | None:

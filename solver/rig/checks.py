@@ -20,7 +20,7 @@ ORDER: tuple[Verdict, ...] = ("good", "usable", "bad")
 
 
 @dataclass(frozen=True)
-class Limits:
+class CheckLimits:
     """A figure up to ``good`` is good, up to ``usable`` usable, else bad.
 
     With ``least`` it is from ``good`` upwards.
@@ -62,7 +62,7 @@ class RigCheck:
 
     code: str
     title: str
-    limits: Limits
+    limits: CheckLimits
     meaning: str
     advice: str
 
@@ -84,7 +84,7 @@ CHECKS = (
     RigCheck(
         "skin.mean",
         "Mean distance",
-        Limits(0.45, 1.0, "mm"),
+        CheckLimits(0.45, 1.0, "mm"),
         "between scan and fit, over the part of the face that the scan shows",
         "Look at the expression's picture. If the error is all over the face, the scan is not "
         "registered to this neutral: register it again. If it is in one place, look there.",
@@ -92,7 +92,7 @@ CHECKS = (
     RigCheck(
         "skin.p95",
         "Distance of the worst twentieth",
-        Limits(1.3, 2.5, "mm"),
+        CheckLimits(1.3, 2.5, "mm"),
         "19 of 20 vertices of the face are nearer to the scan than this",
         "Look at the red patches in the picture: hair, a shadow or a hole in the scan shows as a "
         "patch with a sharp rim. Mask it or scan again.",
@@ -100,28 +100,28 @@ CHECKS = (
     RigCheck(
         "skin.region",
         "Mean distance in the worst region",
-        Limits(1.0, 2.0, "mm"),
+        CheckLimits(1.0, 2.0, "mm"),
         "the region of the face that fits worst",
         "Run fit_geometry again with one more scan, of an expression that moves this region.",
     ),
     RigCheck(
         "skin.coverage",
         "Face that the scan shows",
-        Limits(95.0, 60.0, "%", least=True),
+        CheckLimits(95.0, 60.0, "%", least=True),
         "share of the face's vertices with confidence in the scan",
         "The rest of the face follows the muscles and is not measured. Scan again if it matters.",
     ),
     RigCheck(
         "flesh.inverted",
         "Inverted tets",
-        Limits(0, 0),
+        CheckLimits(0, 0),
         "tets that are turned inside out",
         "Do not simulate with this expression. Fit it again with {longer}.",
     ),
     RigCheck(
         "flesh.flattest",
         "Flattest tet",
-        Limits(0.05, 0.005, "of its volume", least=True),
+        CheckLimits(0.05, 0.005, "of its volume", least=True),
         "the smallest volume of a tet by its volume at rest",
         "The skin may be used. A simulation that starts here takes small steps; if it fails, run "
         "build_model with edge_mm 16 instead of 9 and fit again: the flattest tet then keeps "
@@ -130,28 +130,28 @@ CHECKS = (
     RigCheck(
         "flesh.volume",
         "Change of volume",
-        Limits(5.0, 10.0, "%"),
+        CheckLimits(5.0, 10.0, "%"),
         "of the flesh as a whole; living flesh keeps its volume",
         "The skin is not touched by this. Do not take masses or volumes from this expression.",
     ),
     RigCheck(
         "flesh.residual",
         "Residual force",
-        Limits(10 * NewtonOptions.tolerance, NewtonOptions.stalled),
+        CheckLimits(10 * NewtonOptions.tolerance, NewtonOptions.stalled),
         "what is left of the forces, by the forces at unit strain",
         "The flesh has not come to rest. Fit this expression again with {longer}.",
     ),
     RigCheck(
         "flesh.minimum",
         "Unstable equilibrium",
-        Limits(0, 0),
+        CheckLimits(0, 0),
         "1 if the flesh could snap into another shape",
         "The skin may be used. Simulations may snap away from this shape: leave it out of them.",
     ),
     RigCheck(
         "muscles.inside_out",
         "Muscles turned inside out",
-        Limits(0, 0),
+        CheckLimits(0, 0),
         "muscles whose activation has no physical shape",
         "The skin is right, the muscles are not: play the expression back, but do not edit its "
         "activations. A training scan that moves these muscles differently helps.",
@@ -159,7 +159,7 @@ CHECKS = (
     RigCheck(
         "muscles.beyond",
         "Muscles beyond what muscles can do",
-        Limits(0, np.inf),
+        CheckLimits(0, np.inf),
         "shrinking below half, growing beyond double, pushing, or losing volume",
         "The expression may be played back and blended. Do not read these activations as effort; "
         "no option changes that.",
@@ -167,14 +167,14 @@ CHECKS = (
     RigCheck(
         "jaw.range",
         "Jaw beyond what jaws can do",
-        Limits(0, np.inf),
+        CheckLimits(0, np.inf),
         "figures of its motion that are outside the range of adults' jaws",
         "Check the neutral scan: with parted or clenched teeth there, every jaw angle is off.",
     ),
     RigCheck(
         "contact.lips",
         "Lips in each other",
-        Limits(0.5, 3.0, "mm"),
+        CheckLimits(0.5, 3.0, "mm"),
         "greatest depth of a lip in the other one",
         "A fit follows its scan: correct the scan if its lips cross by as much, else fit it again "
         "with {longer}.",
@@ -182,21 +182,21 @@ CHECKS = (
     RigCheck(
         "contact.teeth",
         "Lips in teeth",
-        Limits(0.5, 3.0, "mm"),
+        CheckLimits(0.5, 3.0, "mm"),
         "greatest depth of a lip in the teeth",
         "Seen from the side, teeth may show through a lip. Sculpt it, or leave the expression out.",
     ),
     RigCheck(
         "contact.bite",
         "Teeth in teeth",
-        Limits(1.0, 3.0, "mm"),
+        CheckLimits(1.0, 3.0, "mm"),
         "greatest depth of lower teeth in upper ones",
         "The jaw closes too far or goes back too far: see its motion.",
     ),
     RigCheck(
         "trip.skin",
         "Simulated from rest",
-        Limits(0.05, 0.3, "mm"),
+        CheckLimits(0.05, 0.3, "mm"),
         "mean distance between the fitted skin and the one simulated from its activations",
         "The skin may be used. This pose has two shapes of rest: blend into it from a "
         "neighbouring expression instead of from rest.",
@@ -204,7 +204,7 @@ CHECKS = (
     RigCheck(
         "trip.snap",
         "Simulated from rest, greatest",
-        Limits(0.5, 2.0, "mm"),
+        CheckLimits(0.5, 2.0, "mm"),
         "where the fitted and the simulated skin are furthest apart",
         "A patch of skin snaps into another shape. Look there in the picture; blend into this "
         "pose from a neighbouring expression.",
@@ -212,35 +212,35 @@ CHECKS = (
     RigCheck(
         "trip.refit",
         "Fitted again",
-        Limits(0.05, 0.3, "mm"),
+        CheckLimits(0.05, 0.3, "mm"),
         "mean distance between the simulated skin and a new fit to it",
         "The solver stops before the minimum: fit with {longer}.",
     ),
     RigCheck(
         "trip.activations",
         "Activations found again",
-        Limits(10.0, 30.0, "%"),
+        CheckLimits(10.0, 30.0, "%"),
         "difference of the excited muscles' activations by their distance from rest",
         "Other activations give the same skin: do not compare single muscles between expressions.",
     ),
     RigCheck(
         "solver.failed",
         "Fits that broke down",
-        Limits(0, 0),
+        CheckLimits(0, 0),
         "the best state on the way was kept",
         "Do not use this expression. Mend what its warnings say of its scan, and fit it again.",
     ),
     RigCheck(
         "solver.stopped",
         "Fits that ended early",
-        Limits(0, np.inf),
+        CheckLimits(0, np.inf),
         "stopped before the minimum",
         "If the picture shows errors, fit this expression again with {longer}.",
     ),
     RigCheck(
         "solver.warnings",
         "Warnings",
-        Limits(0, np.inf),
+        CheckLimits(0, np.inf),
         "what the solver noticed about scan, model or solve",
         "Read them with the expression.",
     ),

@@ -32,7 +32,7 @@ from solver.registration.locate import (
 )
 from solver.registration.scan_surface import Samples, estimated_normals
 from solver.registration.search import face_points
-from solver.registration.shape_fit import LIKENESS, ShapeFit, anybody, fit_shapes, match_samples
+from solver.registration.shape_fit import LIKENESS, ShapeFit, fit_shapes, full_model, match_samples
 from solver.scans.cover import FAR_MM, Cover, cover, has_second_face, visible_part
 from solver.scans.findings import (
     axis_findings,
@@ -195,7 +195,7 @@ def _fit_roughly(scan: Samples, motion: Similarity, template: Template, face: Su
     skin = template.skin.vertices
     if template.shapes is None:
         return ShapeFit(np.zeros(0), skin, motion)
-    shapes = anybody(skin, face, template.shapes)
+    shapes = full_model(skin, face, template.shapes)
     match = match_samples(scan, vertex_areas(skin, face.faces)[shapes.used])
     return fit_shapes(match, motion, shapes, options=LIKENESS, sizes=True)
 

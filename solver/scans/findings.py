@@ -19,7 +19,7 @@ from solver.meshio.raw import WELDED_SHARE, Mending, RawScan
 from solver.registration.landmarks import match, read_landmarks
 from solver.registration.locate import Location, choose_unit
 from solver.registration.scan_surface import Samples
-from solver.registration.search import JUDGE, FacePoints
+from solver.registration.search import REFINEMENT, FacePoints
 from solver.scans.cover import Cover
 from solver.similarity import fit_similarity
 from solver.surface import Floats
@@ -360,5 +360,5 @@ def _share_inward(samples: Samples, face: FacePoints, place: Location) -> float:
     there = samples.transform(place.pose.motion)
     gap, near = KDTree(there.points).query(face.points)
     facing = (there.normals[near] * face.normals).sum(axis=1)
-    clear = facing[(gap < JUDGE.close) & (np.abs(facing) > 0.5)]
+    clear = facing[(gap < REFINEMENT.close) & (np.abs(facing) > REFINEMENT.facing)]
     return float((clear < 0).mean()) if len(clear) else 0.0

@@ -257,7 +257,7 @@ class _Newton:
             motion[held] = goal.held - x[held]
             force = energy.gradient(x) + self._pull(energy, x, motion, goal)
             y = self._flesh.moved(x + motion, -self._factor.solve(force))
-            part = energy.longest(x, y, self._options)
+            part = energy.max_step(x, y, self._options)
             if part < 1.0 and old:
                 # an old factor knows nothing of what is in the way now
                 self._factor, old = None, False

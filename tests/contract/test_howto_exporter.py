@@ -6,24 +6,17 @@ job as the API offers and a worker does it, and by what each fit calls.
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.rig import ExpressionFit, Rig
+from tests.contract.howto import Followed, copy_tree, follow, page
 from tests.solver.block import block_model
 
-ROOT = Path(__file__).parents[2]
-HOWTO = ROOT / "docs" / "develop" / "add-an-exporter.md"
-ROOMS = ("solver", "service", "worker", "myoface", "tests/solver")
-FILE = re.compile(r"`([\w/.]+)`:\n\n```python\n(.*?)```", re.DOTALL)
+PAGE = page("add-an-exporter")
 COMMAND = "from myoface.cli import main; main()"
 BY_A_JOB = """
 import json
@@ -48,60 +41,34 @@ print(*(path.name for path in write_all(Rig.load(Path("rig.npz")), Path("made"))
 
 
 @pytest.fixture(scope="module")
-def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def followed(tmp_path_factory: pytest.TempPathFactory) -> Followed:
     """Return a copy of the tree with the how-to's files and a rig."""
-    folder = tmp_path_factory.mktemp("tree")
-    for room in ROOMS:
-        shutil.copytree(ROOT / room, folder / room)
-    for file in ("pyproject.toml", "tests/__init__.py"):
-        if (ROOT / file).exists():
-            shutil.copy2(ROOT / file, folder / file)
-    written = FILE.findall(HOWTO.read_text(encoding="utf-8"))
-    assert len(written) == 2
-    for path, content in written:
-        assert not (folder / path).exists()
-        (folder / path).write_text(content, encoding="utf-8")
-    _rig().save(folder / "rig.npz")
-    return folder
+    tree = tmp_path_factory.mktemp("tree")
+    copy_tree(tree, "solver", "service", "worker", "myoface", "tests/solver")
+    _rig().save(tree / "rig.npz")
+    return follow(PAGE, tree)
 
 
-def test_the_files_of_the_how_to_are_in_style(copy: Path) -> None:
-    files = [path for path, _ in FILE.findall(HOWTO.read_text(encoding="utf-8"))]
-    for command in (["check", "-q"], ["format", "--check", "-q"]):
-        _run(copy, "-m", "ruff", *command, *files)
+def test_the_files_of_the_how_to_are_in_style(followed: Followed) -> None:
+    assert (len(followed.created), followed.changed) == (2, [])
+    followed.check_style()
 
 
-def test_its_test_passes(copy: Path) -> None:
-    _run(copy, "-m", "pytest", "-q", "tests/solver/rig/exporters/test_pc2.py")
+def test_its_test_passes(followed: Followed) -> None:
+    followed.run("-m", "pytest", "-q", "tests/solver/rig/exporters/test_pc2.py")
 
 
-def test_the_command_line_a_job_and_each_fit_write_the_file(copy: Path) -> None:
-    [line] = [
-        line.strip()
-        for line in HOWTO.read_text(encoding="utf-8").splitlines()
-        if line.startswith("    myoface solve export-rig")
-    ]
-    arguments = [part.strip("'") for part in re.findall(r"'[^']*'|\S+", line)[1:]]
-    _run(copy, "-c", COMMAND, *arguments)
-    made = (copy / "smile" / "rig.pc2").read_bytes()
+def test_the_command_line_a_job_and_each_fit_write_the_file(followed: Followed) -> None:
+    [line] = re.findall("^    myoface (solve export-rig .*)$", PAGE, re.MULTILINE)
+    arguments = [part.strip("'") for part in re.findall(r"'[^']*'|\S+", line)]
+    followed.run("-c", COMMAND, *arguments)
+    made = (followed.tree / "smile" / "rig.pc2").read_bytes()
     assert made.startswith(b"POINTCACHE2\0")
-    offered, file, size = _run(copy, "-c", BY_A_JOB).splitlines()[-1].split()
+    offered, file, size = followed.run("-c", BY_A_JOB).splitlines()[-1].split()
     assert (offered, file, int(size)) == ("True", "rig.pc2", len(made))
-    listed = _run(copy, "-c", AFTER_A_FIT).split()
+    listed = followed.run("-c", AFTER_A_FIT).split()
     assert {"rig.pc2", "rig.glb", "rig.npz"} <= set(listed)
-    assert len((copy / "made" / "rig.pc2").read_bytes()) == len(made)
-
-
-def _run(copy: Path, *arguments: str) -> str:
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=copy,
-        env={**os.environ, "PYTHONPATH": str(copy)},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    assert len((followed.tree / "made" / "rig.pc2").read_bytes()) == len(made)
 
 
 def _rig() -> Rig:

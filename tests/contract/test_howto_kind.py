@@ -7,10 +7,6 @@ HTTP, with the client, on the command line, and from the list that the page show
 from __future__ import annotations
 
 import json
-import os
-import re
-import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -18,58 +14,29 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-ROOT = Path(__file__).parents[2]
-HOWTO = ROOT / "docs" / "develop" / "add-a-kind.md"
-ROOMS = ("solver", "service", "worker", "myoface", "tests")
-FILE = re.compile(r"`([\w/.]+)`:\n\n```python\n(.*?)```", re.DOTALL)
+from tests.contract.howto import Followed, copy_tree, follow, page
 
 
 @pytest.fixture(scope="module")
-def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def followed(tmp_path_factory: pytest.TempPathFactory) -> Followed:
     """Return a copy of the tree with the how-to's files."""
-    folder = tmp_path_factory.mktemp("tree")
-    for room in ROOMS:
-        shutil.copytree(ROOT / room, folder / room)
-    shutil.copy2(ROOT / "pyproject.toml", folder)
-    written = FILE.findall(HOWTO.read_text(encoding="utf-8"))
-    assert [Path(path).parts[:2] for path, _ in written][:2] == [
-        ("solver", "kinds"),
-        ("solver", "jobs"),
-    ]
-    assert len(written) == 3
-    for path, content in written:
-        assert not (folder / path).exists()
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        (folder / path).write_text(content, encoding="utf-8")
-    return folder
+    tree = tmp_path_factory.mktemp("tree")
+    copy_tree(tree, "solver", "service", "worker", "myoface", "tests")
+    return follow(page("add-a-kind"), tree)
 
 
-def test_the_files_of_the_how_to_are_in_style(copy: Path) -> None:
-    files = [path for path, _ in FILE.findall(HOWTO.read_text(encoding="utf-8"))]
-    for command in (["check", "-q"], ["format", "--check", "-q"]):
-        ruff = [sys.executable, "-m", "ruff", *command, *files]
-        subprocess.run(ruff, cwd=copy, check=True)
+def test_the_files_of_the_how_to_are_in_style(followed: Followed) -> None:
+    assert (len(followed.created), followed.changed) == (3, [])
+    followed.check_style()
 
 
-def test_its_test_passes(copy: Path) -> None:
-    path = FILE.findall(HOWTO.read_text(encoding="utf-8"))[2][0]
-    _run(copy, "-m", "pytest", "-q", path)
+def test_its_test_passes(followed: Followed) -> None:
+    followed.run("-m", "pytest", "-q", followed.created[2])
 
 
 @pytest.mark.slow
-def test_the_kind_is_there_for_everybody(copy: Path, tmp_path: Path) -> None:
-    _run(copy, str(copy / "tests" / "contract" / Path(__file__).name), str(tmp_path))
-
-
-def _run(copy: Path, *arguments: str) -> None:
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=copy,
-        env={**os.environ, "PYTHONPATH": str(copy)},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+def test_the_kind_is_there_for_everybody(followed: Followed, tmp_path: Path) -> None:
+    followed.run(str(Path("tests", "contract", Path(__file__).name)), str(tmp_path))
 
 
 def ask_in_all_ways(folder: Path) -> None:

@@ -11,6 +11,6 @@ a and b are solved for together (global; :mod:`.saddle`). :mod:`.descent` is the
 """
 
 from solver.fitting.per_tet.descent import PerTetFit, fit
-from solver.fitting.per_tet.objective import Objective, PerTetOptions, PerTetPriors
+from solver.fitting.per_tet.objective import PER_TET, Objective, PerTetOptions, PerTetPriors
 
-__all__ = ["Objective", "PerTetFit", "PerTetOptions", "PerTetPriors", "fit"]
+__all__ = ["PER_TET", "Objective", "PerTetFit", "PerTetOptions", "PerTetPriors", "fit"]

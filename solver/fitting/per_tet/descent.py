@@ -22,7 +22,7 @@ from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.least_squares import DampingOptions, Listener
 from solver.fitting.objective import Term
 from solver.fitting.per_tet import tissue as tissues
-from solver.fitting.per_tet.objective import Objective, PerTetOptions
+from solver.fitting.per_tet.objective import PER_TET, Objective, PerTetOptions
 from solver.fitting.per_tet.saddle import Quadratic, SaddleSolver
 from solver.fitting.per_tet.tissue import Tissue
 from solver.surface import Floats, Ints
@@ -80,11 +80,12 @@ class Damping:
         options = self.options
         square = np.einsum("ei,eij,ej->e", a, stretches.metric(at), a)
         length = np.sqrt(square) / options.largest_step
-        jaw = float(np.abs(JAW_UNITS * b).max()) / options.largest_jaw_step
+        jaw_length = float(np.abs(JAW_UNITS * b).max()) / options.largest_jaw_step
+        cut_a = a / np.maximum(length, 1.0)[:, None]
+        cut_b = b / max(jaw_length, 1.0)
         tets = options.tets.scale(self.tets, length, self.fall)
-        by_jaw = float(options.jaw.scale(np.array(self.jaw), np.array(jaw), self.fall))
-        cut = a / np.maximum(length, 1.0)[:, None], b / max(jaw, 1.0)
-        return *cut, replace(self, tets=tets, jaw=by_jaw)
+        jaw = options.jaw.scale(np.array(self.jaw), np.array(jaw_length), self.fall)
+        return cut_a, cut_b, replace(self, tets=tets, jaw=float(jaw))
 
     def scale(self, factor: float) -> Damping:
         """Return this damping times ``factor``."""
@@ -95,7 +96,7 @@ class Damping:
         """Tell whether small gains may be the damping's doing."""
         return self.fall > 1.0 / self.options.tets.shrink
 
-    def afresh(self) -> Damping:
+    def without_refusals(self) -> Damping:
         """Return this damping without the memory of refused steps."""
         return replace(self, fall=1.0 / self.options.tets.shrink)
 
@@ -121,8 +122,9 @@ class TetStep:
     ) -> TetStep:
         """Minimise the damped Gauss-Newton model at a state."""
         model = objective.quadratic(state, damping.tets, damping.jaw)
-        a, b = state.pose.layout.split(solver.step(model))
-        return cls(state, objective.value(state), model, *damping.limit(state.pose.a, a, b))
+        whole_a, whole_b = state.pose.layout.split(solver.step(model))
+        a, b, lowered = damping.limit(state.pose.a, whole_a, whole_b)
+        return cls(state, objective.value(state), model, a, b, lowered)
 
     def pose(self, fraction: float = 1.0) -> Pose:
         """Return the pose that a fraction of the step leads to."""
@@ -174,11 +176,16 @@ class Descent:
     ) -> None:
         self._objective, self._options, self._listen = objective, options, listen
         self._solver = SaddleSolver(objective.tissue)
-        self._first = self._damping = Damping.start(len(objective.tissue.active), options)
-        self._state, self._value = self.best = state, objective.value(state)
+        self._first = Damping.start(len(objective.tissue.active), options)
+        self._damping = self._first
+        self._state, self._value = state, objective.value(state)
+        self.best = self._state, self._value
         self.taken = taken
-        self._since_best = self._small = self._snaps = 0
-        self._stuck = self._slow = False
+        self._since_best = 0  # iterations
+        self._small = 0  # gains in turn
+        self._snaps = 0
+        self._stuck = False  # a step was refused, and little gained since
+        self._slow = False  # the last step gained little
 
     def run(self, max_iterations: int, tolerance: float) -> Status:
         """Go on until ``max_iterations``, or steps that gain less than ``tolerance`` f."""
@@ -226,7 +233,7 @@ class Descent:
                 continue
             limit = self._options.snap_loss * self.best[1]
             if state.equilibrium.minimum and self._objective.value(state) < limit:
-                return state, step.lowered.afresh()
+                return state, step.lowered.without_refusals()
         return None
 
     def _take(self, state: PosedFace, damping: Damping, tolerance: float) -> None:
@@ -294,7 +301,7 @@ def fit(
     face: Face,
     data: Term,
     start: PosedFace | None = None,
-    options: PerTetOptions | None = None,
+    options: PerTetOptions = PER_TET,
     listen: Listener | None = None,
     way: TetDescentOptions = TetDescentOptions(),
 ) -> PerTetFit:
@@ -304,7 +311,7 @@ def fit(
     hears of equilibria only. Raises :class:`InputError` (``model.no_fibres``, ``model.no_muscle``,
     ``start.activations``) and :class:`SolveError` if the face cannot be settled.
     """
-    options, tissue = options or PerTetOptions(), tissues.of_face(face)
+    tissue = tissues.of_face(face)
     state = start or tissue.face.rest
     if state.pose.layout is not tissue.face.layout:
         raise InputError("start.activations", "the start has not six activations per active tet")

@@ -101,6 +101,9 @@ class PerTetOptions:
     smoothing: float = 1e-3  # delta: a whole face with activations of this size counts as passive
 
 
+PER_TET = PerTetOptions()
+
+
 class PerTetPriors:
     """f but for the data: the regularisers of a ``tissue``, the jaw's around ``b`` (5,).
 

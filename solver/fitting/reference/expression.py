@@ -15,7 +15,7 @@ from solver.fitting.controls import Block, Layout
 from solver.fitting.face import Face, Pose
 from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Regulariser, Term
-from solver.fitting.per_tet import PerTetOptions, PerTetPriors
+from solver.fitting.per_tet import PER_TET, PerTetOptions, PerTetPriors
 from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.reference.common import IpoptProblem, Reference, finite, solve
 from solver.fitting.sensitivity import PoseRates, TetForces, coordinates
@@ -68,10 +68,11 @@ class Expression(IpoptProblem):
         touched = data.curvature(flesh.rest).copy()
         touched.data[:] = 1.0
         ones = self._motion(np.ones((3 * len(face.model.mandible), len(jaw))))
-        self._curved = rows, columns = sp.tril(ones.T @ touched @ ones).coords
+        curved_rows, curved_columns = sp.tril(ones.T @ touched @ ones).coords
+        self._curved = curved_rows, curved_columns
         self._hessian_structure: tuple[Ints, Ints] = (
-            np.concatenate([rows, muscles[:, self._block[0]].ravel(), jaw]),
-            np.concatenate([columns, muscles[:, self._block[1]].ravel(), jaw]),
+            np.concatenate([curved_rows, muscles[:, self._block[0]].ravel(), jaw]),
+            np.concatenate([curved_columns, muscles[:, self._block[1]].ravel(), jaw]),
         )
 
     def minimise(self, start: Pose, x: Floats, tolerance: float, max_iterations: int) -> Reference:
@@ -190,7 +191,7 @@ def activations(
 def per_tet(
     face: Face,
     data: Term,
-    options: PerTetOptions | None = None,
+    options: PerTetOptions = PER_TET,
     *,
     tolerance: float = 1e-7,
     max_iterations: int = 1000,
@@ -205,7 +206,7 @@ def per_tet(
     """
     tissue = tissues.of_face(face)
     rest = tissue.face.rest
-    priors = PerTetPriors(tissue, options or PerTetOptions(), rest.pose.b)
+    priors = PerTetPriors(tissue, options, rest.pose.b)
     expression = Expression(tissue.face, data, priors, listen=listen)
     return expression.minimise(rest.pose, rest.x, tolerance, max_iterations)
 

@@ -99,7 +99,7 @@ def test_nothing_tunnels(moving):
         objects, goals = [glass.vertices], [glass.vertices - [0.0, 60.0, 0.0]]
     place(barrier, x, *objects)
     goal = Boundary(np.empty((0, 3)), np.zeros(5), tuple(goals))
-    part = barrier.longest(x, y, goal)
+    part = barrier.max_step(x, y, goal)
     assert 0.0 < part < 0.25
     arrived = [a + part * (b - a) for a, b in zip(objects, goals, strict=True)]
     place(barrier, x + part * (y - x), *arrived)
@@ -143,11 +143,11 @@ def test_no_step_goes_metres():
     away = surface.rest.copy()
     away[:upper, 1] += 3000.0
     held = Boundary(np.empty((0, 3)), np.zeros(5))
-    assert barrier.longest(surface.rest, away, held) == pytest.approx(
+    assert barrier.max_step(surface.rest, away, held) == pytest.approx(
         BarrierOptions.furthest_mm / 3000.0
     )
     away[:upper, 1] -= 6000.0
-    part = barrier.longest(surface.rest, away, held)
+    part = barrier.max_step(surface.rest, away, held)
     assert 0.0 < part * 3000.0 < 2.0 * GAP
 
 
@@ -225,7 +225,7 @@ def test_skin_that_crosses_itself_does_not_meet_itself_but_objects():
     nothing = Boundary(np.empty((0, 3)), np.zeros(5))
     alone.begin(model.rest, nothing, 1.0)
     assert 0.0 <= alone.value(model.rest) < barrier.value(model.rest) < np.inf
-    assert alone.longest(model.rest, model.rest + 0.01, nothing) == 1.0
+    assert alone.max_step(model.rest, model.rest + 0.01, nothing) == 1.0
 
 
 def test_lips_that_cross_are_moved_apart_and_meet():

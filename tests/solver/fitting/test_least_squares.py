@@ -8,11 +8,11 @@ import pytest
 from solver.fitting.activation import DescentOptions
 from solver.fitting.joint import JointOptions
 from solver.fitting.least_squares import (
+    Backtracking,
     DampingOptions,
-    Ending,
-    Halving,
     LeastSquaresStep,
     StopOptions,
+    Termination,
     TrustRegion,
     minimise,
 )
@@ -56,7 +56,7 @@ class Linearised:
 
 SEARCHES = [
     lambda: TrustRegion(DescentOptions().damping),
-    lambda: Halving(DampingOptions(0.0, least=0.0), tries=12),
+    lambda: Backtracking(DampingOptions(0.0, least=0.0), tries=12),
 ]
 
 
@@ -75,14 +75,14 @@ def test_the_valley_is_descended(search, far):
 def test_the_end_is_told():
     search = SEARCHES[0]()
     found = minimise(Valley(), START, search, StopOptions(2))
-    assert (found.ending, found.steps, found.idle) == (Ending.ITERATIONS, 2, False)
+    assert (found.termination, found.steps, found.idle) == (Termination.ITERATIONS, 2, False)
     found = minimise(Valley(far=0.0), START, search, StopOptions(9))
-    assert (found.ending, found.steps, found.idle) == (Ending.STUCK, 0, True)
+    assert (found.termination, found.steps, found.idle) == (Termination.STUCK, 0, True)
     found = minimise(Valley(), np.ones(2), search, StopOptions(9))
-    assert (found.ending, found.steps, found.idle) == (Ending.CONVERGED, 0, True)
-    wary = Halving(DampingOptions(0.0, least=0.0), least_ratio=2.0)
+    assert (found.termination, found.steps, found.idle) == (Termination.CONVERGED, 0, True)
+    wary = Backtracking(DampingOptions(0.0, least=0.0), least_ratio=2.0)
     found = minimise(Valley(), START, wary, StopOptions(9))
-    assert (found.ending, found.steps) == (Ending.UNRELIABLE, 1)
+    assert (found.termination, found.steps) == (Termination.UNRELIABLE, 1)
 
 
 # the rules as each fit had them for itself: (start, [(ratio, damping after it from 1e-2)])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError, SolveError
@@ -17,12 +18,15 @@ from solver.fitting.sequence import Tracker, stillness
 from solver.jobs import run_job
 from solver.jobs.fit_sequence import Follower
 from solver.jobs.fits import Targets
+from solver.mechanics.equilibrium import CorrectorOptions
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step
 from solver.rig.frames import ChunkOptions, read_frames
 from solver.rig.rig import Rig
+from solver.rig.skin_basis import SEQUENCE_BASIS
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model
+from tests.solver.glb import shown_skins
 
 pytestmark = pytest.mark.long
 
@@ -99,12 +103,27 @@ def test_frames_are_there_before_the_end_and_a_fit_goes_on_after_them(
     assert parts["frame"].tolist() == [0, 2, 4, 6]
     np.testing.assert_array_equal(whole["activations"][:3], parts["activations"][:3])
     np.testing.assert_allclose(whole["mean_mm"], parts["mean_mm"], atol=0.005)
+    check_drawn(tmp_path / "whole", tmp_path / "parts")
     fit(files, tmp_path / "parts", resume=True, step=2)  # nothing left to fit: written anew
     with np.load(tmp_path / "parts" / "sequence.npz") as again:
         np.testing.assert_array_equal(again["activations"], parts["activations"])
+    check_drawn(tmp_path / "whole", tmp_path / "parts")
     with pytest.raises(InputError) as caught:
         fit(files, tmp_path / "parts", resume=True, step=1)
     assert caught.value.code == "sequence.resume"
+
+
+def check_drawn(whole: Path, parts: Path) -> None:
+    """Check that a sequence is drawn as one that was fitted without a break, all of its frames."""
+    expected, found = (
+        shown_skins(folder / "sequence.glb", MODEL.skin.vertices) for folder in (whole, parts)
+    )
+    assert len(expected) == len(np.load(whole / "sequence.npz")["frame"])
+    # stored poses are settled, a frame that is tracked ends near its equilibrium
+    within = CorrectorOptions.close_mm + SEQUENCE_BASIS.within_mm
+    np.testing.assert_allclose(found, expected, atol=within)
+    pictures = [Image.open(folder / "sequence.png") for folder in (whole, parts)]
+    assert pictures[0].size == pictures[1].size  # a column a frame
 
 
 def test_what_can_not_be_seen_keeps_the_pose(files: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import Template
@@ -25,7 +26,7 @@ from solver.registration.locate import (
     scan_samples,
 )
 from solver.registration.register import find_start
-from solver.registration.search import face_points
+from solver.registration.search import RefinementOptions, face_points, refine_pose
 from solver.scans.check import check
 from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats, Surface
@@ -140,6 +141,21 @@ def test_a_given_unit_that_cannot_be_is_refused_by_both(tmp_path: Path) -> None:
         find_start(mend(read_raw(path))[0], template(), frame, None)
     assert (caught.value.code, caught.value.message) == (refused.code, refused.message)
     assert refused.code == "scan.scale"
+
+
+def test_a_verdict_is_by_the_limits_that_are_given() -> None:
+    face = face_points(face_surface(template()))
+    samples = scan_samples(raw_scan(template().skin.vertices, template().skin.faces))
+    here = Similarity(1.0, np.eye(3), np.zeros(3))
+
+    def judge(options: RefinementOptions) -> tuple[bool, bool]:
+        pose = refine_pose(face, samples, KDTree(samples.points), here, 1.0, options)
+        return pose.is_face, pose.is_good
+
+    assert judge(RefinementOptions()) == (True, True)
+    assert judge(RefinementOptions(good_cost=0.0)) == (True, False)
+    assert judge(RefinementOptions(face_cost=0.0)) == (False, True)
+    assert judge(RefinementOptions(face_share=1.0)) == (False, True)
 
 
 def test_landmarks_replace_the_search(tmp_path: Path) -> None:

@@ -12,13 +12,13 @@ from solver.registration.locate import face_surface
 from solver.registration.scan_surface import sample, scan_surface
 from solver.registration.shape_fit import (
     LIKENESS,
-    Shapes,
-    anybody,
-    expressions,
+    ShapeModel,
+    expression_model,
+    find_correspondences,
     fit_shapes,
+    full_model,
+    identity_model,
     match_samples,
-    pair,
-    persons,
 )
 from solver.registration.topology import topology
 from solver.similarity import small_motion
@@ -35,10 +35,10 @@ def test_a_face_of_known_weights_is_found(kind: str) -> None:
     skin, basis, known = template.skin, template.shapes, topology(template)
     assert basis is not None
     face = face_surface(template)
-    shapes: Shapes = {
-        "persons": lambda: persons(known, basis),
-        "expressions": lambda: expressions(skin.vertices, known, basis),
-        "anybody": lambda: anybody(skin.vertices, face, basis),
+    shapes: ShapeModel = {
+        "persons": lambda: identity_model(known, basis),
+        "expressions": lambda: expression_model(skin.vertices, known, basis),
+        "anybody": lambda: full_model(skin.vertices, face, basis),
     }[kind]()
     rng = np.random.default_rng(3)
     weights = 0.5 * rng.standard_normal(len(shapes.prior)) * ~shapes.bounded
@@ -51,7 +51,7 @@ def test_a_face_of_known_weights_is_found(kind: str) -> None:
         fit = fit_shapes(match, small_motion(np.zeros(6)), shapes, options=LIKENESS, sizes=True)
     else:
         raw = RawScan("a.obj", there, skin.faces, None, None, None, "obj", "obj")
-        match = partial(pair, scan_surface(raw, 1.0))
+        match = partial(find_correspondences, scan_surface(raw, 1.0))
         fit = fit_shapes(match, small_motion(np.zeros(6)), shapes, sizes=False)
     away = np.linalg.norm(fit.vertices - truth, axis=1)[np.unique(face.faces)]
     assert away.mean() < 0.8

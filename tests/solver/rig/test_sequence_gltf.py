@@ -13,7 +13,8 @@ from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.frames import SequenceFrame
 from solver.rig.gltf_check import validate_glb
 from solver.rig.skin_basis import SEQUENCE_BASIS
-from solver.surface import Floats, Surface
+from solver.surface import Surface
+from tests.solver.glb import shown_skins, tracks
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=90.0)
 NEUTRAL = Surface(np.asarray(BALL.vertices, np.float64), np.asarray(BALL.faces, np.int64))
@@ -41,20 +42,15 @@ def test_skins_read_back(tmp_path: Path) -> None:
     names = document.meshes[0].extras["targetNames"]
     assert set(names) == {"shape_0", "shape_0_back", "shape_1"}
     assert validate_glb(tmp_path / "sequence.glb", names) == []
-    shapes = [
-        _values(document, target["POSITION"]) for target in document.meshes[0].primitives[0].targets
-    ]
-    tracks = _tracks(document)
-    weights = tracks["weights"].reshape(FRAMES, len(names))
-    assert (weights.min(), weights.max()) == (0.0, 1.0)
-    for number, skin in enumerate(skins):
-        shown = NEUTRAL.vertices + 1e3 * np.tensordot(weights[number], shapes, 1)
-        assert np.linalg.norm(shown - skin, axis=1).max() < SEQUENCE_BASIS.within_mm
-    turns = Rotation.from_quat(tracks["rotation"]).as_matrix()
+    moves = tracks(document)
+    assert (moves["weights"].min(), moves["weights"].max()) == (0.0, 1.0)
+    shown = shown_skins(tmp_path / "sequence.glb", NEUTRAL.vertices)
+    assert np.linalg.norm(shown - skins, axis=2).max() < SEQUENCE_BASIS.within_mm
+    turns = Rotation.from_quat(moves["rotation"]).as_matrix()
     expected = Rotation.from_rotvec([[0.0, 0.6 * number, 0.0] for number in range(FRAMES)])
     np.testing.assert_allclose(turns, expected.as_matrix(), atol=1e-6)
-    assert (np.sum(tracks["rotation"][1:] * tracks["rotation"][:-1], axis=1) > 0).all()
-    np.testing.assert_allclose(tracks["translation"][3], [0.005, 0.0, 0.003], atol=1e-7)
+    assert (np.sum(moves["rotation"][1:] * moves["rotation"][:-1], axis=1) > 0).all()
+    np.testing.assert_allclose(moves["translation"][3], [0.005, 0.0, 0.003], atol=1e-7)
 
 
 def test_a_still_face_keeps_the_motion_of_its_head(tmp_path: Path) -> None:
@@ -63,28 +59,6 @@ def test_a_still_face_keeps_the_motion_of_its_head(tmp_path: Path) -> None:
         animated.add(frame(number), NEUTRAL.vertices)
     animated.write(tmp_path / "sequence.glb", 25.0)
     assert validate_glb(tmp_path / "sequence.glb", []) == []
-    tracks = _tracks(pygltflib.GLTF2().load(str(tmp_path / "sequence.glb")))
-    assert set(tracks) == {"rotation", "translation"}
-    np.testing.assert_allclose(tracks["translation"][3], [0.005, 0.0, 0.003], atol=1e-7)
-
-
-def test_without_frames_it_is_the_neutral(tmp_path: Path) -> None:
-    """As of a job whose worker was lost after its last frame."""
-    AnimatedSkin(NEUTRAL).write(tmp_path / "sequence.glb", 25.0)
-    assert validate_glb(tmp_path / "sequence.glb", []) == []
-
-
-def _tracks(document: pygltflib.GLTF2) -> dict[str, Floats]:
-    """Return the output of each channel, by what it moves."""
-    animation = document.animations[0]
-    return {
-        channel.target.path: _values(document, animation.samplers[channel.sampler].output)
-        for channel in animation.channels
-    }
-
-
-def _values(document: pygltflib.GLTF2, number: int) -> Floats:
-    accessor = document.accessors[number]
-    view = document.bufferViews[accessor.bufferView]
-    content = document.binary_blob()[view.byteOffset : view.byteOffset + view.byteLength]
-    return np.frombuffer(content, "<f4").reshape(accessor.count, -1).astype(float)
+    moves = tracks(pygltflib.GLTF2().load(str(tmp_path / "sequence.glb")))
+    assert set(moves) == {"rotation", "translation"}
+    np.testing.assert_allclose(moves["translation"][3], [0.005, 0.0, 0.003], atol=1e-7)

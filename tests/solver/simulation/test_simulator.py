@@ -219,7 +219,7 @@ class Lid:
         down[2::3] = goal.objects[0][0, 2] - self.height
         return -(self.hessian(x) @ down).reshape(-1, 3)
 
-    def longest(self, x, y, goal):
+    def max_step(self, x, y, goal):
         before, after = self.height - x[:, 2], goal.objects[0][0, 2] - y[:, 2]
         crossing = after <= 0.0
         parts = before[crossing] / (before - after)[crossing]
