@@ -51,8 +51,9 @@ def run(tree: Path, selection: Selection, kernels: Path) -> Run:
     """Run a part of a suite in ``tree`` until a test fails; compiled code is in ``kernels``."""
     began = time.monotonic()
     done = _part(tree, selection, kernels, selection.keywords)
-    if done is not None and done[0] == NOTHING_SELECTED and selection.keywords:
-        done = _part(tree, selection, kernels, "")  # its tests have other names by now
+    if done is not None and done[0] in (0, NOTHING_SELECTED) and selection.keywords:
+        # the test that notices it may have another name by now
+        done = _part(tree, selection, kernels, "")
     seconds = round(time.monotonic() - began, 1)
     if done is None:
         return Run("failed", f"no end within {LONGEST:.0f} s", seconds)
