@@ -125,6 +125,14 @@ class Tracker:
             self._relinearise(data)
         return found.steps
 
+    def go_to(self, pose: Pose) -> None:
+        """Go to a pose, as near its equilibrium as fitted frames are.
+
+        Raises :class:`SolveError` if it cannot be reached; the state stays what it was.
+        """
+        near = _correct(self.face, self.state, pose, self.face.predict(self.state, pose))
+        self.state = near or self.face.continuation(self.state, pose)
+
     def _relinearise(self, data: SkinDistance) -> _LaggedModel:
         """Make the sensitivities of the state as it is, with its Hessian if that is another's."""
         pose, found = self.state.pose, self.state.equilibrium
@@ -171,12 +179,17 @@ class _FrameProblem:
         face, flesh, pose = self.face, self.face.flesh, point.pose.add(step.change)
         x = flesh.moved(point.x, self.lagged.jacobian.flesh @ step.change)
         x[face.model.mandible] = face.mandible(pose.b)
-        guess = untangle(flesh, point.x, x)
-        if guess is None:
-            return None
-        a = face.tet_activations(pose.a)
-        found = correct(flesh, face.linear, guess, a, point.equilibrium.factor)
-        return None if found is None else PosedFace(pose, found)
+        return _correct(face, point, pose, x)
+
+
+def _correct(face: Face, state: PosedFace, pose: Pose, x: Floats) -> PosedFace | None:
+    """Correct a guess ``x`` (p, 3) of a pose near ``state``; None if it is far."""
+    guess = untangle(face.flesh, state.x, x)
+    if guess is None:
+        return None
+    a = face.tet_activations(pose.a)
+    found = correct(face.flesh, face.linear, guess, a, state.equilibrium.factor)
+    return None if found is None else PosedFace(pose, found)
 
 
 @dataclass(frozen=True)

@@ -106,9 +106,8 @@ class Follower:
         if frame.status != "fitted":
             return  # and kept what the frame before had
         self._head = small_motion(frame.head)
-        pose = Pose(frame.activations, frame.jaw)
         with suppress(SolveError):  # out of reach: the next frame begins where this one did
-            self._tracker.state = self._face.continuation(self._tracker.state, pose)
+            self._tracker.go_to(Pose(frame.activations, frame.jaw))
         if scan is not None:
             points = self._head.inverse()(scan.vertices)
             self._target = self._targets.of_points(points, scan.confidence)
