@@ -10,7 +10,7 @@ import trimesh
 
 from solver.contact.barrier import Barrier, BarrierOptions
 from solver.contact.crossing import crossing
-from solver.contact.mouth import LIPS, Mouth
+from solver.contact.mouth import LIPS, Mouth, area_weighted_normals
 from solver.contact.surface import (
     ContactSurface,
     SurfaceOptions,
@@ -21,7 +21,7 @@ from solver.contact.surface import (
 from solver.errors import InputError
 from solver.mechanics.boundary import Boundary, BoundaryRates
 from solver.scene.objects import check_objects
-from solver.surface import Surface
+from solver.surface import Surface, own_numbers
 from tests.fixtures import small_model
 from tests.solver.ball import ball
 
@@ -193,6 +193,8 @@ def test_the_contact_surface_lies_under_the_skin_and_turns_with_it():
     skin = (model.embedding @ model.rest + model.offset)[number]
     depth = np.linalg.norm(surface.rest - skin, axis=1)
     assert depth.min() == pytest.approx(SurfaceOptions.inset_mm, abs=1e-6)
+    outward = area_weighted_normals(skin, own_numbers(faces)[1])
+    assert np.median(np.einsum("nd,nd->n", surface.rest - skin, outward)) < 0.0
     np.testing.assert_allclose(surface.points(model.rest), surface.rest, atol=1e-9)
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     turned = surface.points(model.rest @ turn.T) - surface.offset

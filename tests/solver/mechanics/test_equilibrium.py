@@ -37,6 +37,14 @@ def test_coasting_ends_where_newton_does():
     np.testing.assert_allclose(coasted.x, newton.x, atol=1e-4)
 
 
+def test_what_stops_early_is_no_equilibrium():
+    face = Face(block_model())
+    with pytest.raises(SolveError, match="after 1 steps") as caught:
+        face.solve_equilibrium(poses(1)[0], face.model.rest, max_iterations=1)
+    assert caught.value.code == "solve.no_convergence"
+    assert caught.value.context["residual"] > newton.NewtonOptions.stalled
+
+
 @pytest.fixture(scope="module")
 def column():
     """A slender column, held at both ends, and the squeeze at which it is straight but unstable."""

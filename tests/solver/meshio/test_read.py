@@ -60,6 +60,19 @@ def test_vertices_come_back_in_order(suffix: str, ascii_form: bool, tmp_path: Pa
     np.testing.assert_allclose(vertices, HEAD.vertices, atol=1e-4)
 
 
+def test_a_big_endian_ply_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "head.ply"
+    header = ["ply", "format binary_big_endian 1.0", f"element vertex {COUNT}"]
+    header += [f"property float {axis}" for axis in "xyz"]
+    header += [f"element face {len(HEAD.faces)}", "property list uchar int vertex_indices"]
+    faces = np.zeros(len(HEAD.faces), [("count", "u1"), ("corners", ">i4", 3)])
+    faces["count"], faces["corners"] = 3, HEAD.faces
+    content = "\n".join([*header, "end_header\n"]).encode()
+    path.write_bytes(content + HEAD.vertices.astype(">f4").tobytes() + faces.tobytes())
+    vertices = read_registered(path, HEAD.faces, COUNT, neutral=HEAD.vertices).vertices
+    np.testing.assert_allclose(vertices, HEAD.vertices, atol=1e-4)
+
+
 def test_blank_lines_after_an_ascii_stl_are_no_cut(tmp_path: Path) -> None:
     path = write(tmp_path / "head.stl", HEAD, ascii_form=True)
     path.write_bytes(path.read_bytes() + b"\n\n")
