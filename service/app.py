@@ -14,7 +14,7 @@ from fastapi import FastAPI
 from service import errors, http
 from service.access import bootstrap
 from service.access.keys import Keyring
-from service.access.limits import ConnectionLimit, RateHeaders, Rates
+from service.access.limits import ConnectionLimit, KeyLookups, RateHeaders, Rates
 from service.access.routes import keys_router, tenants_router
 from service.access.signed import Signer
 from service.background import Background
@@ -72,7 +72,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     settings = settings or Settings()
     store = Store(settings.database, settings.files, settings.broker)
     master = secret(settings)
-    keyring = Keyring(store, master)
+    keyring = Keyring(store, master, KeyLookups(settings.unknown_keys_per_minute))
     rates = Rates(settings.broker, settings.rate_per_minute, settings.tenant_rate_per_minute)
     ballast = Ballast(None if settings.database_url else settings.data_dir)
 
