@@ -223,9 +223,7 @@ def read_frames(
 
     They stay when the job fails or is canceled.
     """
-    found, ready = service.read_frames(session, store, job_id, start, limit)
-    views: Any = found
-    return FramesView(frames=views, next=start + len(found), ready=ready)
+    return service.read_frames(session, store, job_id, start, limit)
 
 
 @router.get(
