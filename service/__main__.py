@@ -12,7 +12,7 @@ from service import tracing
 from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
 from service.http.deadline import DeadlineProtocol, protocol
-from service.http.seats import Seats
+from service.http.slots import ConnectionSlots
 from service.process import configure_logs, die_with_parent, hide_memory, keep_private
 from service.settings import Settings
 from service.store.database import NewerDatabaseError, UnfinishedRestoreError
@@ -38,13 +38,15 @@ def main() -> None:
         sys.exit(str(error))
     gc.collect()
     gc.freeze()  # what is there for good is not walked at each collection
-    seats = Seats[DeadlineProtocol](settings.max_connections, settings.max_address_connections)
+    slots = ConnectionSlots[DeadlineProtocol](
+        settings.max_connections, settings.max_address_connections, settings.max_tenant_connections
+    )
     uvicorn.run(
         app,
         host=settings.host,
         port=settings.port,
-        http=protocol(settings.header_timeout, settings.send_timeout, seats),
-        # One too many is let in: the seats say who goes for it, if anybody
+        http=protocol(settings.header_timeout, settings.send_timeout, slots),
+        # One too many is let in: the slots say which goes for it
         limit_concurrency=settings.max_connections + 1,
         log_config=None,
         access_log=False,

@@ -14,7 +14,7 @@ from fastapi import FastAPI
 from service import errors, http
 from service.access import bootstrap
 from service.access.keys import Keyring
-from service.access.limits import ConnectionLimit, RateHeaders, Rates
+from service.access.limits import ConnectionLimit, KeyLookups, RateHeaders, Rates
 from service.access.routes import keys_router, tenants_router
 from service.access.signed import Signer
 from service.background import Background
@@ -26,6 +26,7 @@ from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
 from service.outbound import Sender
 from service.page.routes import router as page
+from service.records.reads import ReadLog
 from service.records.routes import audit_router, deletions_router
 from service.rigs.routes import router as rigs
 from service.secret import secret
@@ -72,9 +73,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     settings = settings or Settings()
     store = Store(settings.database, settings.files, settings.broker)
     master = secret(settings)
-    keyring = Keyring(store, master)
+    keyring = Keyring(store, master, KeyLookups(settings.unknown_keys_per_minute))
     rates = Rates(settings.broker, settings.rate_per_minute, settings.tenant_rate_per_minute)
     ballast = Ballast(None if settings.database_url else settings.data_dir)
+    reads = ReadLog(store)
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
@@ -84,6 +86,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             UploadCleaner(store, settings),
             keyring.uses,
             ballast,
+            reads,
         ]
         if settings.scrub_per_minute:
             background.append(Scrubber(store, settings))
@@ -121,6 +124,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.keyring = keyring
     app.state.readiness = ReadinessCache(store, settings)
     app.state.ballast = ballast
+    app.state.reads = reads
     app.state.master = master
     app.state.rates = rates
     app.state.signer = Signer(master)

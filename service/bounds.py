@@ -7,6 +7,7 @@ them through `shorten` or `fit` first.
 from __future__ import annotations
 
 import json
+import math
 import unicodedata
 from dataclasses import dataclass
 from typing import Any
@@ -65,6 +66,13 @@ def fit_result(summary: dict[str, Any], expressions: list[Any]) -> dict[str, Any
     return {"expressions": names, "summary": fit(summary, SUMMARY)}
 
 
+def fit_progress(step: dict[str, Any]) -> dict[str, Any]:
+    """Return a report of progress within `PROGRESS`, its phase and its fraction first."""
+    fraction = float(min(1.0, max(0.0, step["fraction"])))
+    head = {"phase": str(step["phase"]), "fraction": fraction}
+    return fit(head | step | head, PROGRESS)
+
+
 def refuse_constant(name: str) -> float:
     """Raise ValueError for NaN and infinity, which are no JSON: ``parse_constant`` of a reader."""
     raise ValueError(f"{name} is no JSON")
@@ -89,6 +97,9 @@ class _Cut:
                 members = list(value.items())[:most]
                 return {self.of(str(key), depth): self.of(item, depth - 1) for key, item in members}
             return [self.of(item, depth - 1) for item in value[:most]]
+        if isinstance(value, float) and not math.isfinite(value):  # written as 1e999
+            self.something = True
+            return None
         return value
 
 

@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 
 from service.access.principal import Caller, Scope, require
 from service.access.signed import FileReader
+from service.records.reads import ReadLog
 from service.settings import Settings
 from service.store.ballast import Ballast
 from service.store.database import Store
@@ -46,6 +47,8 @@ def check_parts(app: FastAPI) -> None:
 
 
 SettingsDep = Annotated[Settings, Depends(part("settings"))]
+BallastDep = Annotated[Ballast, Depends(part("ballast"))]
+ReadsDep = Annotated[ReadLog, Depends(part("reads"))]
 # All tenants' data: for the service's own health, never for what a route is asked about
 WholeStore = Annotated[Store, Depends(part("store"))]
 
@@ -61,14 +64,17 @@ def own_store(scope: Scope) -> Callable[[Store, Caller], Awaitable[Store]]:
 
 
 @cache
-def own_session(scope: Scope) -> Callable[[Store, Caller, Ballast], Iterator[Session]]:
-    """Return the dependency that gives a session of it, which only `read` does not commit."""
+def own_session(scope: Scope) -> Callable[[Store, Caller, Ballast, Request], Iterator[Session]]:
+    """Return the dependency that gives a session of it, which only `read` does not commit.
+
+    Whatever deletes finds room on a full disk: a key that leaked must be revoked then, too.
+    """
 
     def session(
-        store: WholeStore, who: Caller, ballast: Annotated[Ballast, Depends(part("ballast"))]
+        store: WholeStore, who: Caller, ballast: BallastDep, request: Request
     ) -> Iterator[Session]:
         own = store.of(require(scope, who).tenant_id)
-        if scope is Scope.DELETE:
+        if request.method == "DELETE":
             ballast.drop()
         with own.read() if scope is Scope.READ else own.write() as session:
             yield session

@@ -58,6 +58,9 @@ class Settings(BaseSettings):
     tenant_rate_per_minute: int = Field(
         default=24_000, ge=1, description="requests that a tenant may send with all its keys"
     )
+    unknown_keys_per_minute: int = Field(
+        default=600, ge=1, description="keys that have not worked yet, from one address"
+    )
     signed_url_seconds: int = Field(
         default=300, ge=1, le=3600, description="how long a signed URL works"
     )
@@ -81,12 +84,19 @@ class Settings(BaseSettings):
         default=60, gt=0, description="for a client that takes nothing of what it is sent"
     )
     max_connections: int = Field(
-        default=512, ge=2, description="of an API process, half of them of strangers; then 503"
+        default=512,
+        ge=2,
+        description="of an API process; half of them at most have shown no key, three quarters one",
     )
     max_address_connections: int = Field(
         default=128,
         ge=1,
         description="of one address, before they have shown a key; of more the oldest is closed",
+    )
+    max_tenant_connections: int = Field(
+        default=256,
+        ge=1,
+        description="of one tenant, in an API process; for another the longest idle is closed",
     )
     max_tenant_streams: int = Field(
         default=128, ge=1, description="of events, open at a time in an API process"

@@ -20,6 +20,7 @@ from sqlalchemy.orm import Session
 
 from service import paging
 from service.access.last_used import LastUses
+from service.access.limits import KeyLookups
 from service.access.principal import Principal, Scope, unauthorized_problem
 from service.access.schemas import NewKey
 from service.errors import Problem, not_found
@@ -39,8 +40,9 @@ USED_EVERY = timedelta(minutes=1)
 class Keyring:
     """The keys of a store, hashed with ``secret`` (bytes, the same in every API process)."""
 
-    def __init__(self, store: Store, secret: bytes) -> None:
+    def __init__(self, store: Store, secret: bytes, lookups: KeyLookups | None = None) -> None:
         self._store = store
+        self._lookups = lookups
         self.uses = LastUses(store)
         self._pepper = hmac.digest(secret, b"api keys", "sha256")
 
@@ -69,18 +71,31 @@ class Keyring:
         session.flush()
         return key, text
 
-    def verify(self, text: str) -> Principal:
-        """Return whose key ``text`` is.
+    def verify(self, text: str, address: str = "") -> Principal:
+        """Return whose key ``text`` is, which came from ``address``.
 
         Raises
         ------
         Problem
-            401 for what is no key, is not known here, was revoked or has expired.
+            401 for what is no key, is not known here, was revoked or has expired; 429 if the
+            address has tried too many.
         """
-        key_id = check_text(text)
+        key_id, key_hash = check_text(text), self._hash(text)
+        if self._lookups is None:
+            return self._look_up(key_id, key_hash)
+        self._lookups.check(address, key_hash)
+        try:
+            who = self._look_up(key_id, key_hash)
+        except Problem:
+            self._lookups.note(key_hash, opens=False)
+            raise
+        self._lookups.note(key_hash, opens=True)
+        return who
+
+    def _look_up(self, key_id: str, key_hash: str) -> Principal:
         with self._store.read() as session:
             key, moment = session.get(ApiKey, key_id), clock(session)
-        if key is None or not hmac.compare_digest(key.hash, self._hash(text)):
+        if key is None or not hmac.compare_digest(key.hash, key_hash):
             raise unauthorized_problem("auth.invalid", "this service does not know the API key")
         if key.revoked_at is not None and key.revoked_at <= moment:
             raise unauthorized_problem("auth.expired", "the API key was revoked")

@@ -30,7 +30,7 @@ from service.store.models import Artifact, Capture, FrameChunk, Job, Template, T
 from service.store.tenancy import own_tenant
 
 ASK_AGAIN = "60"
-# Jobs of a tenant without a quota of its own that wait: places in the queue count them all
+# Jobs of a tenant without a quota of its own that wait
 MOST_QUEUED = 10_000
 
 # A token of each bucket, or of none; `ARGV` has what each holds, and is refilled with in a minute
@@ -57,7 +57,7 @@ return {allowed, unpack(left)}
 PATIENCE = 0.25
 # Seconds for which a broker that did not answer is not asked
 TRY_AGAIN = 5.0
-# Buckets that a process keeps while the broker is away
+# Buckets of a kind that a process keeps, and keys that it remembers
 MOST_BUCKETS = 10_000
 # `Retry-After` of a refused connection, in seconds
 COME_BACK = "5"
@@ -257,6 +257,46 @@ class _Buckets:
         return allowed, left
 
 
+class KeyLookups:
+    """Limit on the keys that an address tries, in this process: guessing costs looks into a table.
+
+    Keys that have opened something lately, by their hash, are not counted.
+    """
+
+    def __init__(self, per_minute: int) -> None:
+        self._limit = per_minute
+        self._tries = _Buckets()
+        self._lock = threading.Lock()
+        self._known: OrderedDict[str, None] = OrderedDict()
+
+    def check(self, address: str, key_hash: str) -> None:
+        """Count a key that comes from an address.
+
+        Raises
+        ------
+        Problem
+            429 if too many came that are not known here.
+        """
+        with self._lock:
+            if key_hash in self._known:
+                return
+        allowed, [left] = self._tries.take([address], [self._limit])
+        if not allowed:
+            detail = f"more than {self._limit} keys a minute came from this address"
+            problem = Problem(429, "request.rate", detail, expected=self._limit)
+            problem.headers = {"Retry-After": str(Verdict(allowed, self._limit, left).wait)}
+            raise problem
+
+    def note(self, key_hash: str, opens: bool) -> None:
+        """Remember a key that opens something, forget one that does not."""
+        with self._lock:
+            self._known.pop(key_hash, None)
+            if opens:
+                self._known[key_hash] = None
+            while len(self._known) > MOST_BUCKETS:
+                self._known.popitem(last=False)
+
+
 class RateHeaders:
     """Middleware that adds the rate headers to each answer."""
 
@@ -299,11 +339,11 @@ class ConnectionLimit:
         Problem
             429 if the tenant or the key has as many as it may.
         """
-        seats = {
+        limits = {
             ("key", who.tenant_id, who.key_id): self._most_of_key,
             ("tenant", who.tenant_id): self._most_of_tenant,
         }
-        for owner, most in seats.items():
+        for owner, most in limits.items():
             if self._taken[owner] >= most:
                 problem = Problem(
                     429,
@@ -313,9 +353,9 @@ class ConnectionLimit:
                 )
                 problem.headers = {"Retry-After": COME_BACK}
                 raise problem
-        self._taken.update(seats.keys())
+        self._taken.update(limits.keys())
         try:
             yield
         finally:
-            self._taken.subtract(seats.keys())
+            self._taken.subtract(limits.keys())
             self._taken = +self._taken  # those that nobody has any more are forgotten

@@ -12,6 +12,9 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from service.errors import Problem
 
+# Name in a request's state of the function that its connection wants the tenant told by
+AUTHENTICATED = "note_authenticated"
+
 
 class Scope(StrEnum):
     """Permission of a key."""
@@ -50,17 +53,18 @@ def principal(request: Request, credentials: Credentials) -> Principal:
     """
     if credentials is None:
         raise missing_problem()
-    who: Principal = request.app.state.keyring.verify(credentials.credentials)
+    address = request.client.host if request.client else ""
+    who: Principal = request.app.state.keyring.verify(credentials.credentials, address)
     request.state.key_id = who.key_id
-    vouch_for(request)
+    note_authenticated(request, who.tenant_id)
     request.state.rate = request.app.state.rates.check(who.key_id, who.tenant_id)
     return replace(who, request_id=request.state.request_id)
 
 
-def vouch_for(request: Request) -> None:
-    """Tell the connection, if it wants to know, that a request of it is of a customer."""
-    if vouch := getattr(request.state, "vouch", None):
-        vouch()
+def note_authenticated(request: Request, tenant_id: str) -> None:
+    """Tell the connection, if it wants to know, that its request is a tenant's."""
+    if note := getattr(request.state, AUTHENTICATED, None):
+        note(tenant_id)
 
 
 def missing_problem() -> Problem:

@@ -13,7 +13,14 @@ from typing import Annotated
 
 from fastapi import Depends, Query, Request
 
-from service.access.principal import Credentials, Principal, Scope, principal, require, vouch_for
+from service.access.principal import (
+    Credentials,
+    Principal,
+    Scope,
+    note_authenticated,
+    principal,
+    require,
+)
 from service.errors import Problem
 
 TOKEN = re.compile(r"([0-9a-z-]{1,36})\.([0-9]{1,12})\.([0-9A-Za-z_-]{43})")
@@ -65,7 +72,7 @@ def _file_reader(
     if signed is None:
         return require(Scope.READ, principal(request, credentials))
     tenant_id = request.app.state.signer.verify(request.url.path, signed)
-    vouch_for(request)
+    note_authenticated(request, tenant_id)
     request.state.rate = request.app.state.rates.check(f"{BEARER}:{tenant_id}", tenant_id)
     return Principal(tenant_id, BEARER, frozenset({Scope.READ}), request.state.request_id)
 

@@ -2,7 +2,7 @@
 
 uvicorn waits for ever for the first byte, for the end of the headers, for the rest of a body after
 it was refused, and for a client that does not read its answer. A few hundred such connections would
-be all that the process can hold; those of strangers are fewer than all of them (`Seats`).
+be all that the process can hold; `ConnectionSlots` says which of them is closed for another.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from typing import Any, ClassVar
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from service.access.principal import AUTHENTICATED
 from service.errors import Problem, render
-from service.http.seats import Seats
+from service.http.slots import ConnectionSlots
 
 # Cap on unsent kernel bytes. The default buffer is megabytes, so a stalled reader would go
 # unnoticed.
@@ -41,11 +42,12 @@ class DeadlineProtocol(H11Protocol):
 
     seconds: ClassVar[float]
     send_seconds: ClassVar[float]
-    seats: ClassVar[Seats[DeadlineProtocol]]
+    slots: ClassVar[ConnectionSlots[DeadlineProtocol]]
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.app_state = {**self.app_state, "vouch": self._vouch}  # of every request's state
+        # of every request's state
+        self.app_state = {**self.app_state, AUTHENTICATED: self._authenticated}
         self._deadline: asyncio.TimerHandle | None = None
         self._patience: asyncio.TimerHandle | None = None
 
@@ -60,8 +62,7 @@ class DeadlineProtocol(H11Protocol):
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit)
         self._start()
         address = self.client[0] if self.client else ""
-        if (stranger := self.seats.arrive(self, address)) is not None:
-            stranger.transport.abort()
+        _abort(self.slots.open(self, address))
 
     def pause_writing(self) -> None:
         """Hold the answer, until the client has taken what waits for it."""
@@ -84,7 +85,7 @@ class DeadlineProtocol(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clock."""
         super().connection_lost(exc)
-        self.seats.leave(self)
+        self.slots.close(self)
         self._stop()
         self._stop_being_patient()
 
@@ -92,9 +93,17 @@ class DeadlineProtocol(H11Protocol):
         """Answer what is not HTTP with a problem document like all others."""
         self._refuse(Problem(400, "request.malformed", msg))
 
-    def _vouch(self) -> None:
-        """Note that a request has shown a key; called from the thread that looked it up."""
-        self.loop.call_soon_threadsafe(self.seats.vouch, self)
+    def on_response_complete(self) -> None:
+        """Wait for the next request."""
+        self.slots.rest(self)  # first: a request that came with this one begins in the next line
+        super().on_response_complete()
+
+    def _authenticated(self, tenant_id: str) -> None:
+        """Note whose request this is; called from the thread that looked its key up."""
+        self.loop.call_soon_threadsafe(self._take_slot, tenant_id)
+
+    def _take_slot(self, tenant_id: str) -> None:
+        _abort(self.slots.authenticate(self, tenant_id))
 
     def _busy(self) -> bool:
         return self.cycle is not None and not self.cycle.response_complete
@@ -151,9 +160,14 @@ class DeadlineProtocol(H11Protocol):
         self.transport.close()
 
 
+def _abort(connection: DeadlineProtocol | None) -> None:
+    if connection is not None:
+        connection.transport.abort()
+
+
 def protocol(
-    seconds: float, send_seconds: float, seats: Seats[DeadlineProtocol]
+    seconds: float, send_seconds: float, slots: ConnectionSlots[DeadlineProtocol]
 ) -> type[DeadlineProtocol]:
-    """Return the protocol class for uvicorn's ``http``: its limits on requests, answers, seats."""
-    limits = {"seconds": seconds, "send_seconds": send_seconds, "seats": seats}
+    """Return the protocol class for uvicorn's ``http``: its limits on requests, answers, slots."""
+    limits = {"seconds": seconds, "send_seconds": send_seconds, "slots": slots}
     return type("Protocol", (DeadlineProtocol,), limits)

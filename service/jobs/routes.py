@@ -16,6 +16,7 @@ from service.access.principal import Principal, Reader, Writer
 from service.dependencies import (
     Cursor,
     Limit,
+    ReadsDep,
     ReadSession,
     ReadStore,
     SettingsDep,
@@ -217,15 +218,22 @@ def log(
     responses=problems(404, 409, 410, 422),
 )
 def read_frames(
-    job_id: Id, session: ReadSession, store: ReadStore, start: Position = 0, limit: Limit = 100
+    job_id: Id,
+    session: ReadSession,
+    store: ReadStore,
+    who: Reader,
+    reads: ReadsDep,
+    start: Position = 0,
+    limit: Limit = 100,
 ) -> FramesView:
     """Read the frames that are ready, from the `start`-th (0 is the first), also while it runs.
 
     They stay when the job fails or is canceled.
     """
-    found, ready = service.read_frames(session, store, job_id, start, limit)
-    views: Any = found
-    return FramesView(frames=views, next=start + len(found), ready=ready)
+    found = service.read_frames(session, store, job_id, start, limit)
+    if found.frames:
+        reads.note(who, "job.frames_read", job_id)
+    return found
 
 
 @router.get(
@@ -238,11 +246,14 @@ def read_frames(
         **problems(404, 409, 410, 422),
     },
 )
-def read_picture(job_id: Id, session: ReadSession, store: ReadStore) -> Response:
+def read_picture(
+    job_id: Id, session: ReadSession, store: ReadStore, who: Reader, reads: ReadsDep
+) -> Response:
     """Read a small picture of the newest frame that has one, also while the job runs."""
     picture = service.newest_picture(session, store, job_id)
     if picture is None:
         return Response(status_code=204)
+    reads.note(who, "job.frames_read", job_id)
     return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
 

@@ -171,7 +171,8 @@ class JobView(View):
     max_attempts: int = Field(description="attempts that may be lost before it fails")
     not_before: datetime | None = Field(description="put off until then: a disk was full")
     queue_position: int | None = Field(
-        description="1 is next, by the order in which tenants take turns; null when not waiting"
+        description="1 is next, by the order in which tenants take turns; null when not waiting, "
+        "and while a thousand jobs of the tenant's own come before it"
     )
     phase: str | None
     progress: Progress | None

@@ -6,6 +6,7 @@ import base64
 import json
 from typing import Any
 
+from pydantic import ValidationError
 from sqlalchemy.orm import Session
 
 from service import tracing
@@ -14,7 +15,7 @@ from service.errors import Problem, lost
 from service.jobs import repository
 from service.jobs.inputs import resolve
 from service.jobs.options import check_options, find_kind
-from service.jobs.schemas import Cancel, NewJob, Retry
+from service.jobs.schemas import Cancel, FramesView, NewJob, Retry
 from service.queue import table
 from service.queue.states import FINAL
 from service.store.database import Store
@@ -22,6 +23,13 @@ from service.store.integrity import LostFileError, note_fault, open_checked
 from service.store.models import FrameChunk, Job, new_id
 from service.subjects import repository as subjects
 from solver.kinds import KINDS
+
+# Bytes of a file of frames, into which a solver writes 30 at most, and bytes read for an answer
+LARGEST_CHUNK, MOST_READ = 64 * 1024**2, 64 * 1024**2
+# Values of one: vertices are packed, so that a frame has some hundred
+MOST_VALUES = 1_000_000
+# Files of frames, the newest, that are looked at for a picture
+MOST_LOOKED_AT = 5
 
 
 def submit(
@@ -94,37 +102,69 @@ def cancel(session: Session, job_id: str, order: Cancel) -> None:
     table.cancel(session, job_id, order.by, order.reason)
 
 
-def read_frames(
-    session: Session, store: Store, job_id: str, start: int, limit: int
-) -> tuple[list[dict[str, Any]], int]:
-    """Return the frames from the ``start``-th on, at most ``limit``, and how many are ready."""
+def read_frames(session: Session, store: Store, job_id: str, start: int, limit: int) -> FramesView:
+    """Return the frames from the ``start``-th on, at most ``limit``, of few large files fewer."""
     _check_frames(session, job_id)
     chunks = table.frames(session, job_id)
-    found: list[dict[str, Any]] = []
+    found: list[Any] = []
+    room = MOST_READ
     for chunk in chunks:
+        if room <= 0 or len(found) >= limit:
+            break
         if chunk.first < start + limit and chunk.last >= start:
-            frames = _read_chunk(store, chunk)["frames"]
+            content = _read_chunk(store, chunk)
+            room -= len(content)
+            frames = _parse_chunk(chunk, content)["frames"]
             found += frames[max(start - chunk.first, 0) : start + limit - chunk.first]
-    return found, chunks[-1].last + 1 if chunks else 0
+    ready = chunks[-1].last + 1 if chunks else 0
+    try:
+        return FramesView(frames=found[:limit], next=start + len(found[:limit]), ready=ready)
+    except ValidationError as error:
+        raise _bad_frames(job_id) from error
 
 
 def newest_picture(session: Session, store: Store, job_id: str) -> bytes | None:
     """Return a JPEG of the newest frame that has one, None before there is any."""
     _check_frames(session, job_id)
-    for chunk in reversed(table.frames(session, job_id)):
-        if picture := _read_chunk(store, chunk).get("picture"):
-            return base64.b64decode(picture)
+    for chunk in table.frames(session, job_id)[: -MOST_LOOKED_AT - 1 : -1]:
+        if picture := _parse_chunk(chunk, _read_chunk(store, chunk)).get("picture"):
+            try:
+                return base64.b64decode(picture)
+            except (TypeError, ValueError) as error:
+                raise _bad_frames(job_id) from error
     return None
 
 
-def _read_chunk(store: Store, chunk: FrameChunk) -> dict[str, Any]:
-    """Return a file of frames; raises a problem if it is lost or damaged."""
+def _read_chunk(store: Store, chunk: FrameChunk) -> bytes:
+    """Return the bytes of a file of frames; a problem if it is lost, damaged or too large."""
+    content = bytearray()
     try:
-        content: dict[str, Any] = json.loads(b"".join(open_checked(store.files, chunk.sha256)))
+        for block in open_checked(store.files, chunk.sha256):
+            content += block
+            if len(content) > LARGEST_CHUNK:
+                raise _bad_frames(chunk.job_id)
     except LostFileError as error:
         note_fault(store, error.sha256, error.fault)
         raise lost(chunk.filename, error.fault, job_id=chunk.job_id) from error
-    return content
+    return bytes(content)
+
+
+def _parse_chunk(chunk: FrameChunk, content: bytes) -> dict[str, Any]:
+    """Return what a file of frames holds: a solver wrote it, which may have been taken over."""
+    if content.count(b",") > MOST_VALUES:  # a list of numbers takes many times its text
+        raise _bad_frames(chunk.job_id)
+    try:
+        found = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise _bad_frames(chunk.job_id) from error
+    if not isinstance(found, dict) or not isinstance(found.get("frames"), list):
+        raise _bad_frames(chunk.job_id)
+    return found
+
+
+def _bad_frames(job_id: str) -> Problem:
+    detail = "the solver left a file of frames that is too large, or holds no frames"
+    return Problem(409, "job.bad_frames", detail, job_id=job_id)
 
 
 def _check_frames(session: Session, job_id: str) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session, aliased
@@ -16,6 +17,8 @@ from service.store.database import clock
 from service.store.models import Job, Tenant
 
 MOST_EXPIRED = 100
+# Jobs of a tenant that have a place in the queue
+MOST_TURNS = 1000
 
 # Places count the jobs of all tenants, so these queries go round the tenant's view of `Job`
 JOBS = Job.__table__.c
@@ -117,32 +120,66 @@ def positions(session: Session, jobs: Sequence[Job]) -> dict[str, int]:
     """Return the places of those of ``jobs`` that wait for a worker, 1 for the next.
 
     A tenant's turns alternate with those of the others, and one with running jobs waits for as many
-    turns more. A job that was put off has no place until its time has come.
+    turns more. A job that was put off has no place until its time has come, and one of which its
+    tenant has `MOST_TURNS` before it has none yet: of another's backlog no more is read than comes
+    before these jobs.
     """
-    wanted = [job.id for job in jobs if job.state is State.QUEUED]
-    if not wanted:
-        return {}
-    queues = {job.queue for job in jobs if job.state is State.QUEUED}
-    running = (
-        select(JOBS.queue, JOBS.tenant_id, func.count().label("load"))
-        .where(JOBS.queue.in_(queues), JOBS.state.in_(HELD))
-        .group_by(JOBS.queue, JOBS.tenant_id)
-        .subquery()
+    found: dict[str, int] = {}
+    waiting = [job for job in jobs if job.state is State.QUEUED]
+    for queue in {job.queue for job in waiting}:
+        found |= _places(session, queue, [job for job in waiting if job.queue == queue])
+    return found
+
+
+class _Turn(NamedTuple):
+    """The turn of a waiting job; of the same turn the older job comes first."""
+
+    number: int
+    created_at: datetime
+    job_id: str
+
+
+def _places(session: Session, queue: str, jobs: Sequence[Job]) -> dict[str, int]:
+    moment = clock(session)
+    held = (
+        select(JOBS.tenant_id, func.count())
+        .where(JOBS.queue == queue, JOBS.state.in_(HELD))
+        .group_by(JOBS.tenant_id)
     )
-    due = or_(JOBS.not_before.is_(None), JOBS.not_before <= clock(session))
-    rank = func.row_number().over(
-        partition_by=(JOBS.queue, JOBS.tenant_id), order_by=own_order(JOBS)
+    loads: Counter[str] = Counter(dict(session.execute(held).all()))
+    own = {job.tenant_id for job in jobs}
+    turns = [
+        turn
+        for tenant_id in own
+        for turn in _turns(session, queue, tenant_id, moment, loads[tenant_id], MOST_TURNS)
+    ]
+    wanted = {job.id for job in jobs}
+    last = max((turn.number for turn in turns if turn.job_id in wanted), default=0)
+    some = (
+        select(JOBS.id)
+        .where(JOBS.queue == queue, JOBS.state == State.QUEUED, JOBS.tenant_id == Tenant.id)
+        .limit(1)
     )
-    waiting = (
-        select(JOBS.id, JOBS.queue, JOBS.tenant_id, JOBS.created_at, rank.label("rank"))
-        .where(JOBS.queue.in_(queues), JOBS.state == State.QUEUED, due)
-        .subquery()
+    others = select(Tenant.id).where(Tenant.id.not_in(own), some.exists())
+    for tenant_id in session.scalars(others) if last else ():
+        before = last - loads[tenant_id]
+        turns += _turns(session, queue, tenant_id, moment, loads[tenant_id], before)
+    order = sorted(turn for turn in turns if turn.number <= last)
+    return {turn.job_id: place for place, turn in enumerate(order, 1) if turn.job_id in wanted}
+
+
+def _turns(
+    session: Session, queue: str, tenant_id: str, moment: datetime, load: int, most: int
+) -> list[_Turn]:
+    """Return the turns of a tenant's first waiting jobs, at most so many."""
+    if most <= 0:
+        return []
+    due = or_(JOBS.not_before.is_(None), JOBS.not_before <= moment)
+    first = (
+        select(JOBS.created_at, JOBS.id)
+        .where(JOBS.queue == queue, JOBS.state == State.QUEUED, JOBS.tenant_id == tenant_id, due)
+        .order_by(*own_order(JOBS))
+        .limit(most)
     )
-    turn = waiting.c.rank + func.coalesce(running.c.load, 0)
-    place = func.row_number().over(
-        partition_by=waiting.c.queue, order_by=(turn, waiting.c.created_at, waiting.c.id)
-    )
-    same = (running.c.queue == waiting.c.queue) & (running.c.tenant_id == waiting.c.tenant_id)
-    places = select(waiting.c.id, place.label("place")).outerjoin(running, same).subquery()
-    rows = session.execute(select(places.c.id, places.c.place).where(places.c.id.in_(wanted)))
-    return {row.id: row.place for row in rows}
+    rows = enumerate(session.execute(first), load + 1)
+    return [_Turn(number, created_at, job_id) for number, (created_at, job_id) in rows]

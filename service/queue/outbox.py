@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import ColumnElement, delete, func, or_, select, update
+from sqlalchemy import ColumnElement, delete, func, literal, or_, select, union_all, update
 from sqlalchemy.orm import Session
 
 from service.queue.states import FINAL, State
@@ -31,7 +31,7 @@ AT_ONCE_PER_WEBHOOK = 2
 # Longest `Retry-After` that a receiver is granted
 LONGEST_WISH = timedelta(days=1)
 GONE = 410
-# Deliveries that may wait for a webhook: each look for what is due counts them
+# Deliveries that may wait for a webhook that fails
 MOST_PENDING = 10_000
 
 
@@ -268,7 +268,8 @@ def _due(moment: datetime) -> Any:
         .group_by(Delivery.webhook_id)
         .subquery()
     )
-    waiting = func.row_number().over(partition_by=Delivery.webhook_id, order_by=Delivery.next_at)
+    first = union_all(*(_waiting(moment, number) for number in range(AT_ONCE_PER_WEBHOOK)))
+    waiting = first.subquery()
     due = (
         select(
             Delivery.id,
@@ -276,11 +277,12 @@ def _due(moment: datetime) -> Any:
             Delivery.attempt,
             Delivery.next_at,
             is_failing.label("is_failing"),
-            (waiting + func.coalesce(at_webhook.c.count, 0)).label("place"),
+            (waiting.c.number + func.coalesce(at_webhook.c.count, 0)).label("place"),
         )
+        .select_from(waiting)
+        .join(Delivery, Delivery.id == waiting.c.delivery_id)
         .join(Webhook, Webhook.id == Delivery.webhook_id)
         .outerjoin(at_webhook, at_webhook.c.webhook_id == Delivery.webhook_id)
-        .where(*_free(moment))
         .subquery()
     )
     turn = func.row_number().over(
@@ -292,6 +294,25 @@ def _due(moment: datetime) -> Any:
         .where(due.c.place <= AT_ONCE_PER_WEBHOOK)
         .order_by("turn", due.c.next_at, due.c.id)
     )
+
+
+def _waiting(moment: datetime, before: int) -> Any:
+    """Return a query for each webhook's delivery that may be sent after ``before`` others.
+
+    Such a look reads a few rows of a webhook, however many wait for it.
+    """
+    delivery_id = (
+        select(Delivery.id)
+        .where(Delivery.webhook_id == Webhook.id, *_free(moment))
+        .order_by(Delivery.next_at)
+        .limit(1)
+        .offset(before)
+        .correlate(Webhook)
+        .scalar_subquery()
+    )
+    return select(
+        literal(before + 1).label("number"), delivery_id.label("delivery_id")
+    ).select_from(Webhook)
 
 
 def _free(moment: datetime) -> Iterable[ColumnElement[bool]]:

@@ -13,6 +13,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, delete, func, literal, select, update
 from sqlalchemy.orm import Session
 
+from service.bounds import fit_progress
 from service.queue import outbox
 from service.queue.states import FINAL, HELD, State, before
 from service.queue.wakeups import wake
@@ -32,6 +33,8 @@ from service.store.models import (
 WORKER_LOST = "worker_lost"
 # Progress events kept of a job that is over
 MOST_STEPS_KEPT = 200
+# Of one that runs: of more every other one goes, of those of one beat all but the last
+MOST_STEPS, MOST_STEPS_OF_BEAT = 2000, 50
 SHORTEST_WAIT, LONGEST_WAIT = timedelta(seconds=5), timedelta(minutes=5)
 # Longest wait for room on a full disk before the job fails
 WAIT_FOR_ROOM = timedelta(hours=1)
@@ -129,8 +132,9 @@ def beat(
     Returns ``running`` or ``canceling``; None: the attempt is no longer this worker's.
     """
     values: dict[str, Any] = {"lease_until": clock(session) + timedelta(seconds=lease)}
-    if steps:
-        values["progress"] = steps[-1]
+    reports = [fit_progress(step) for step in steps[-MOST_STEPS_OF_BEAT:]]
+    if reports:
+        values["progress"] = reports[-1]
     state = session.execute(
         update(Job)
         .where(Job.id == job_id, Job.attempt == attempt, Job.state.in_(HELD))
@@ -139,8 +143,8 @@ def beat(
     ).scalar_one_or_none()
     if state is None:
         return None
-    for step in steps:
-        session.add(Event(job_id=job_id, kind="progress", data={**step, "attempt": attempt}))
+    if reports:
+        _record_progress(session, job_id, attempt, reports)
     if lines:
         last = session.scalar(select(func.max(LogLine.number)).where(LogLine.job_id == job_id)) or 0
         for number, line in enumerate(lines, last + 1):
@@ -148,7 +152,7 @@ def beat(
     for chunk in chunks:
         # a worker that did not hear that they were written sends them again
         session.merge(FrameChunk(job_id=job_id, attempt=attempt, **chunk))
-    _add_artifacts(session, kept)
+    _add_artifacts(session, job_id, kept)
     return state
 
 
@@ -165,7 +169,7 @@ def succeed(
     values: dict[str, Any] = {"error": None, "summary": summary}
     if _step(session, job_id, State.SUCCEEDED, Job.attempt == attempt, **values) is None:
         return False
-    _add_artifacts(session, artifacts)
+    _add_artifacts(session, job_id, artifacts)
     if rig is not None:
         session.add(rig)
     return True
@@ -175,12 +179,13 @@ def _artifacts(session: Session, job_id: str) -> Sequence[Artifact]:
     return session.scalars(select(Artifact).where(Artifact.job_id == job_id)).all()
 
 
-def _add_artifacts(session: Session, artifacts: Iterable[Artifact]) -> None:
+def _add_artifacts(session: Session, job_id: str, artifacts: Iterable[Artifact]) -> None:
     """Add the files of a job, each in the place of the one of its name that was left before."""
-    for artifact in artifacts:
-        same = (Artifact.job_id == artifact.job_id, Artifact.name == artifact.name)
+    added = {artifact.name: artifact for artifact in artifacts}
+    if added:
+        same = (Artifact.job_id == job_id, Artifact.name.in_(added))
         session.execute(delete(Artifact).where(*same))
-        session.add(artifact)
+        session.add_all(added.values())
 
 
 def fail(session: Session, job_id: str, attempt: int, error: dict[str, Any]) -> bool:
@@ -281,17 +286,27 @@ def _step(
         )
         call_waiting(session, job.tenant_id)
     if to in FINAL:
-        _thin_progress(session, job_id)
+        _thin_progress(session, job_id, MOST_STEPS_KEPT, MOST_STEPS_KEPT)
     _record_state(session, job)
     return job
 
 
-def _thin_progress(session: Session, job_id: str) -> None:
-    """Keep every n-th report of progress of a job that is over."""
+def _record_progress(
+    session: Session, job_id: str, attempt: int, reports: Sequence[dict[str, Any]]
+) -> None:
+    """Add reports of progress, whose number is bounded however long and much a solver reports."""
+    for report in reports:
+        session.add(Event(job_id=job_id, kind="progress", data={**report, "attempt": attempt}))
+    session.flush()
+    _thin_progress(session, job_id, MOST_STEPS, MOST_STEPS // 2)
+
+
+def _thin_progress(session: Session, job_id: str, most: int, kept: int) -> None:
+    """Keep every n-th of more than ``most`` reports of progress: at most ``kept``."""
     reports = (Event.job_id == job_id, Event.kind == "progress")
     count = session.scalar(select(func.count()).select_from(Event).where(*reports)) or 0
-    every = -(-count // MOST_STEPS_KEPT)
-    if every > 1:
+    if count > most:
+        every = -(-count // kept)
         number = func.row_number().over(order_by=Event.id).label("number")
         numbered = select(Event.id, number).where(*reports).subquery()
         superfluous = select(numbered.c.id).where(numbered.c.number % every != 0)

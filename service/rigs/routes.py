@@ -5,21 +5,34 @@ from __future__ import annotations
 import time
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime
+from http import HTTPStatus
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from service import paging
 from service.access.limits import ConnectionLimit
-from service.access.principal import Reader
+from service.access.principal import Principal, Reader
 from service.access.signed import FileReader, Signer
-from service.dependencies import Cursor, FileStore, Limit, ReadSession, ReadStore, SettingsDep, part
+from service.dependencies import (
+    Cursor,
+    FileStore,
+    Limit,
+    ReadsDep,
+    ReadSession,
+    ReadStore,
+    SettingsDep,
+    part,
+)
 from service.errors import problems
 from service.records.audit import record
+from service.records.reads import ReadLog
 from service.rigs import repository
 from service.rigs.download import send
 from service.rigs.schemas import ArtifactView, RigView, SignedUrl
 from service.schemas import FileName, Id, Page
+from service.store.database import Store
+from service.store.models import Artifact
 from service.store.retention import own_days
 
 router = APIRouter(prefix="/v1", tags=["rigs"])
@@ -91,14 +104,20 @@ def show(rig_id: Id, session: ReadSession, settings: SettingsDep) -> RigView:
     dependencies=[Depends(_limit_by_key)],
 )
 def download_by_name(
-    rig_id: Id, name: FileName, session: ReadSession, store: ReadStore, request: Request
+    rig_id: Id,
+    name: FileName,
+    session: ReadSession,
+    store: ReadStore,
+    request: Request,
+    who: Reader,
+    reads: ReadsDep,
 ) -> Response:
     """Download for example `rig.npz`; `Range`, `If-Range` and `If-None-Match` work.
 
     `activations.npz` and `muscle_weights.npz` beside a `rig.npz` are deprecated: it holds both.
     """
     rig = repository.get(session, rig_id)
-    response = send(repository.artifact_of_rig(session, rig, name), store, request)
+    response = _send(repository.artifact_of_rig(session, rig, name), store, request, who, reads)
     if name in FILES_OF_0_1 and any(each.name == repository.RIG_FILE for each in rig.artifacts):
         whole = f"/v1/rigs/{rig.id}/artifacts/{repository.RIG_FILE}"
         response.headers["Deprecation"] = FILES_DEPRECATED
@@ -120,14 +139,25 @@ def download_by_name(
     responses=FILE,
     dependencies=[Depends(_limit_connections)],
 )
-def download(artifact_id: Id, store: FileStore, request: Request) -> Response:
+def download(
+    artifact_id: Id, store: FileStore, request: Request, who: FileReader, reads: ReadsDep
+) -> Response:
     """Download an artifact, with a key or by a signed URL.
 
     It never changes: `If-None-Match` spares who has it the bytes.
     """
     with store.read() as session:
         artifact = repository.artifact(session, artifact_id)
-    return send(artifact, store, request)
+    return _send(artifact, store, request, who, reads)
+
+
+def _send(
+    artifact: Artifact, store: Store, request: Request, who: Principal, reads: ReadLog
+) -> Response:
+    response = send(artifact, store, request)
+    if request.method == "GET" and response.status_code != HTTPStatus.NOT_MODIFIED:
+        reads.note(who, "artifact.downloaded", artifact.id)
+    return response
 
 
 @router.post(

@@ -95,7 +95,10 @@ def health() -> dict[str, str]:
 def ready(
     cache: Annotated[ReadinessCache, Depends(part("readiness"))], response: Response
 ) -> Readiness:
-    """Ask database, broker and files, and count the living workers of each queue."""
+    """Ask database, broker and files, count each queue's living workers, look for the sweeper.
+
+    503 while a part does not answer. The answer is at most two seconds old, unless a part hangs.
+    """
     state = cache.ask()
     response.status_code = 200 if state.ready else 503
     return state

@@ -78,9 +78,21 @@ class WorkerView(View):
     seen_at: datetime
 
 
+SweeperState = Literal["ok", "silent", "unknown"]
+
+
 class Readiness(BaseModel):
-    """Readiness of the parts; without a worker jobs wait, which is not an error."""
+    """Readiness of the parts.
+
+    Without a worker jobs wait, and without a sweeper what was lost waits for its repair, expired
+    things and deleted files for their end: neither gets better by sending requests elsewhere, so
+    both are told beside `ready`.
+    """
 
     ready: bool
     checks: dict[str, Literal["ok", "failed"]]
     workers: dict[str, int] = Field(description="how many live, by queue")
+    sweeper: SweeperState = Field(
+        description="`silent`: for a minute no worker has repaired and tidied up; "
+        "`unknown`: the database does not answer"
+    )

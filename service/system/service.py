@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections import Counter
+from collections.abc import Mapping
 from datetime import timedelta
 
 import redis
@@ -13,39 +14,42 @@ import structlog
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
+from service.queue.sweep import SWEEPER
 from service.queue.wakeups import connect
 from service.settings import Settings
 from service.store.database import Store, clock
 from service.store.models import Lease, Worker
-from service.system.schemas import Readiness, WorkerView
+from service.system.schemas import Readiness, SweeperState, WorkerView
 
 # Row of the table of leases that is written to see whether anything can be
 OFFICE = "readiness"
 HOST = socket.gethostname()[:100]
 # Seconds for which an answer is good: everybody may ask
 KEPT = 2.0
+PARTS = ("database", "broker", "files")
+# After it a sweeper's term, which is three of its rounds, has been over for long
+SILENT = timedelta(minutes=1)
 
 log = structlog.get_logger()
 
 
 class ReadinessCache:
-    """The last answer of `readiness`, asked for anew by one at a time; others are told the last."""
+    """The last answer of `readiness`, asked for anew by one at a time; others are told the last.
+
+    Nobody waits for another: before the first answer it is "not ready", also while a part hangs.
+    """
 
     def __init__(self, store: Store, settings: Settings) -> None:
         self._store = store
         self._settings = settings
         self._asking = threading.Lock()
         self._asked = -KEPT
-        self._last: Readiness | None = None
+        self._last = _answer(dict.fromkeys(PARTS, False), {}, "unknown")
 
     def ask(self) -> Readiness:
         """Return whether the parts answer, as of `KEPT` seconds ago, or of longer if they hang."""
-        if self._last is not None:
-            fresh = time.monotonic() - self._asked < KEPT
-            if fresh or not self._asking.acquire(blocking=False):
-                return self._last
-        else:
-            self._asking.acquire()
+        if time.monotonic() - self._asked < KEPT or not self._asking.acquire(blocking=False):
+            return self._last
         try:
             self._last = readiness(self._store, self._settings)
             self._asked = time.monotonic()
@@ -55,11 +59,15 @@ class ReadinessCache:
 
 
 def readiness(store: Store, settings: Settings) -> Readiness:
-    """Ask database, broker and files, and count the workers seen lately."""
+    """Ask database, broker and files, count the workers seen lately, and look for the sweeper."""
     workers: Counter[str] | None = None
+    sweeper: SweeperState = "unknown"
     try:
         with store.write() as session:  # a full disk can be read
-            session.merge(Lease(office=OFFICE, holder=HOST, until=clock(session)))
+            moment = clock(session)
+            session.merge(Lease(office=OFFICE, holder=HOST, until=moment))
+            until = session.scalar(select(Lease.until).where(Lease.office == SWEEPER))
+        sweeper = "ok" if until is not None and until > moment - SILENT else "silent"
         workers = Counter(worker.queue for worker in living_workers(store, settings))
     except SQLAlchemyError as error:
         log.warning("database.unreachable", error=str(error))
@@ -68,10 +76,17 @@ def readiness(store: Store, settings: Settings) -> Readiness:
         "broker": _broker_answers(settings.broker),
         "files": store.files.ready(),
     }
+    return _answer(checks, workers or {}, sweeper)
+
+
+def _answer(
+    checks: Mapping[str, bool], workers: Mapping[str, int], sweeper: SweeperState
+) -> Readiness:
     return Readiness(
         ready=all(checks.values()),
         checks={name: "ok" if fine else "failed" for name, fine in checks.items()},
-        workers=workers or {},
+        workers=dict(workers),
+        sweeper=sweeper,
     )
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Request, Response
 
 from service.access.principal import Scope, need_scope
-from service.dependencies import SettingsDep, WriteStore
+from service.dependencies import BallastDep, SettingsDep, WriteStore
 from service.errors import CHECKSUM_MISMATCH, Problem, problems
 from service.schemas import Id, Position
 from service.store.models import Upload
@@ -152,6 +152,7 @@ async def receive(
     summary="Give an upload up",
     responses=problems(404, 409, 410, 412, 422, 423),
 )
-def delete(upload_id: Id, service: Service) -> None:
+def delete(upload_id: Id, service: Service, ballast: BallastDep) -> None:
     """Forget an upload; captures made from it stay. 423 while another request is writing."""
+    ballast.drop()
     service.delete(upload_id)

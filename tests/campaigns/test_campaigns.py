@@ -45,8 +45,8 @@ def test_no_reader_of_hostile_inputs_crashes() -> None:
 
 
 @pytest.mark.slow
-def test_a_crowd_of_strangers_takes_nothing_from_a_customer() -> None:
-    printed = run("strangers", "--strangers", "600", "--seconds", "10")
+def test_a_crowd_of_slow_clients_takes_nothing_from_a_customer() -> None:
+    printed = run("slow_clients", "--clients", "600", "--seconds", "10")
     assert printed.count(" 0 refused") == 2
 
 

@@ -13,18 +13,18 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from service.http.deadline import protocol
-from service.http.seats import Seats
+from service.http.slots import ConnectionSlots
 
-ROOM: Seats[Any] = Seats(10_000, 10_000)
+ROOM: ConnectionSlots[Any] = ConnectionSlots(10_000, 10_000, 10_000)
 
 
 @contextmanager
 def serving(
-    app: ASGIApp, seconds: float, seats: Seats[Any] | None = None, **tls: str
+    app: ASGIApp, seconds: float, slots: ConnectionSlots[Any] | None = None, **more: Any
 ) -> Iterator[int]:
     """Serve ``app`` as `service.__main__` does; gives the port."""
-    more: dict[str, Any] = {"log_config": None, **tls}
-    config = uvicorn.Config(app, port=0, http=protocol(seconds, seconds, seats or ROOM), **more)
+    http = protocol(seconds, seconds, slots or ROOM)
+    config = uvicorn.Config(app, port=0, http=http, log_config=None, **more)
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)
     thread.start()

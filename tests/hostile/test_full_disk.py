@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
@@ -82,6 +82,45 @@ def test_a_full_disk_is_read_and_made_room_on(disk: Disk, tmp_path: Path) -> Non
         kept.lay()
         assert os.path.exists(settings.data_dir / "ballast")
         assert studio.post("/v1/subjects", name="Alex")["id"]
+
+
+def _template(studio: Studio) -> str:
+    upload = studio.upload("face.npz", b"a template")
+    made = studio.post("/v1/templates", name="face", upload_id=upload)
+    return f"/v1/templates/{made['id']}"
+
+
+def _scan(studio: Studio) -> str:
+    subject = studio.subject()
+    return f"/v1/subjects/{subject}/captures/{studio.capture(subject, 'smile')}"
+
+
+DELETABLE: dict[str, Callable[[Studio], str]] = {
+    "subject": lambda studio: f"/v1/subjects/{studio.subject()}",
+    "capture": _scan,
+    "template": _template,
+    "upload": lambda studio: f"/v1/uploads/{studio.upload('smile.obj', b'a scan')}",
+    "unfinished upload": lambda studio: studio.start_upload("smile.obj", 6),
+    "key": lambda studio: f"/v1/keys/{studio.post('/v1/keys', name='x', scopes=['read'])['id']}",
+    "webhook": lambda studio: (
+        f"/v1/webhooks/{studio.post('/v1/webhooks', url='https://x.example')['id']}"
+    ),
+}
+
+
+@pytest.mark.parametrize("what", DELETABLE)
+def test_whatever_is_deleted_has_the_ballast_s_room(tmp_path: Path, what: str) -> None:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        path = DELETABLE[what](studio)
+        full = Ballast(tmp_path, 1000, 1 << 60)
+        full.lay()
+        ballast = tmp_path / "ballast"
+        studio.http.app.state.ballast = full  # type: ignore[attr-defined]
+        assert studio.http.delete(path, headers={"Authorization": ""}).status_code == 401
+        assert studio.http.get(path).is_success or what == "key"
+        assert ballast.exists()
+        assert studio.http.delete(path).status_code == 204
+        assert not ballast.exists()
 
 
 def test_ballast_is_given_up_when_it_is_needed_only(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from starlette.types import Receive, Scope, Send
 
 from service.app import create_app
 from service.settings import Settings
-from tests.campaigns.strangers.crowd import forged_key
+from tests.campaigns.slow_clients.crowd import forged_key
 from tests.certificate import self_signed
 from tests.hostile.edge import connected, serving, until_closed
 from tests.service_client import eventually

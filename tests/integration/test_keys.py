@@ -134,6 +134,24 @@ def test_a_tenant_s_keys_share_a_rate(tmp_path: Path) -> None:
         assert refused.headers["RateLimit-Limit"] == "10"
 
 
+def test_an_address_guesses_so_many_keys(tmp_path: Path) -> None:
+    with served(Settings(data_dir=tmp_path, unknown_keys_per_minute=5)) as studio:
+        assert studio.get("/v1/me")
+        fresh = studio.post("/v1/keys", name="x", scopes=["read"])["key"]
+        guessed = ["myo_" + f"{number}" * 44 for number in range(1, 9)]
+        answers = [_status(studio, body + keys._checksum(body)) for body in guessed]
+        assert answers.count(401) in (3, 4, 5)
+        assert answers[-1] == 429
+        assert studio.get("/v1/me")  # the key has worked before
+        assert _status(studio, fresh) == 429
+        assert _status(studio, "myo_mistyped") == 401  # needs no look into a table
+        studio.http.app.state.keyring._lookups._tries._kept.clear()  # type: ignore[attr-defined]
+        assert _status(studio, fresh) == 200
+        [mine] = [each for each in studio.get("/v1/keys")["items"] if each["name"] == "x"]
+        studio.http.delete(f"/v1/keys/{mine['id']}")
+        assert [_status(studio, fresh) for _ in range(8)].count(429) >= 3  # it is unknown again
+
+
 def test_jobs_and_landmarks_are_in_the_audit_log(studio: Studio) -> None:
     subject = studio.subject()
     smile = studio.raw(subject, "smile")

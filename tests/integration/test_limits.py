@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import update
 
+from service.access import limits
 from service.access.limits import Rates
 from service.queue import sweep, table
 from service.settings import Settings
@@ -90,6 +91,23 @@ def test_a_tenant_has_room_for_so_many_bytes_and_jobs(tmp_path: Path) -> None:
         _limit(studio, max_bytes=used["used"], max_queued=9)  # what jobs left went beyond it
         refused = studio.http.post("/v1/jobs", json=body)
         assert (refused.status_code, refused.json()["code"]) == (413, "quota.bytes")
+
+
+def test_a_tenant_without_a_quota_has_one_of_queued_jobs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert limits.MOST_QUEUED == 10_000
+    monkeypatch.setattr(limits, "MOST_QUEUED", 2)
+    with served(Settings(data_dir=tmp_path)) as studio:
+        subject = studio.subject()
+        assert studio.get("/v1/usage")["queued"] == {"used": 0, "limit": 2}
+        for _ in range(2):
+            studio.submit("build_model", subject)
+        body = {"kind": "build_model", "subject_id": subject}
+        refused = studio.http.post("/v1/jobs", json=body)
+        assert (refused.status_code, refused.json()["code"]) == (429, "quota.queued")
+        _limit(studio, max_queued=3)  # the operator may allow more
+        assert studio.http.post("/v1/jobs", json=body).status_code == 201
 
 
 def test_landmarks_and_frames_are_among_the_stored_bytes(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from sqlalchemy import (
     and_,
     func,
     select,
+    text,
 )
 from sqlalchemy.orm import (
     InstrumentedAttribute,
@@ -59,8 +60,11 @@ class Job(Owned, Base):
 
     __tablename__ = "jobs"
     __table_args__ = (
-        # a claim reads a tenant's first jobs of a queue
-        Index("ix_jobs_claim", "queue", "state", "tenant_id", "priority", "created_at"),
+        # a claim reads a tenant's first jobs of a queue, in the order of `claims.own_order`
+        Index(
+            "ix_jobs_claim",
+            *("queue", "state", "tenant_id", text("priority DESC"), "created_at", "id"),
+        ),
     )
     id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
     subject_id: Mapped[str] = mapped_column(

@@ -100,11 +100,14 @@ class Delivery(Owned, Base):
     """
 
     __tablename__ = "deliveries"
-    __table_args__ = (Index("ix_deliveries_state_next_at", "state", "next_at"),)
-    id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
-    webhook_id: Mapped[str] = mapped_column(
-        ForeignKey("webhooks.id", ondelete="CASCADE"), index=True
+    __table_args__ = (
+        Index("ix_deliveries_state_next_at", "state", "next_at"),
+        # the next ones of a webhook, and those that are under way
+        Index("ix_deliveries_turn", "webhook_id", "state", "next_at"),
+        Index("ix_deliveries_under_way", "state", "lease_until"),
     )
+    id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
+    webhook_id: Mapped[str] = mapped_column(ForeignKey("webhooks.id", ondelete="CASCADE"))
     event_id: Mapped[str] = mapped_column(
         ForeignKey("webhook_events.id", ondelete="CASCADE"), index=True
     )

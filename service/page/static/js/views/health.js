@@ -12,6 +12,10 @@ const EVERY_MS = 10_000;
 const LEAST_KNOWN = 5;
 const LEAST_USUAL_S = 30;
 const PARTS = { database: "Database", broker: "Broker", files: "Files" };
+const SWEEPER = {
+  ok: () => state("ok", "Works"),
+  silent: () => state("usable", "Silent for a minute: lost jobs and deleted files wait"),
+};
 
 export async function mount(root) {
   const ending = new AbortController();
@@ -40,7 +44,7 @@ export async function mount(root) {
   );
   let toldReady = null;
   const refresh = async () => {
-    const [{ ready, checks, workers: serving }, living, lengths, used] = await Promise.all([
+    const [{ ready, checks, workers: serving, sweeper }, living, lengths, used] = await Promise.all([
       readiness(signal),
       livingWorkers(signal),
       queueLengths(kinds, signal),
@@ -67,17 +71,12 @@ export async function mount(root) {
         ),
       );
     }
-    show(
-      parts,
-      Object.entries(checks).map(([name, found]) =>
-        h(
-          "tr",
-          {},
-          h("th", { scope: "row" }, PARTS[name] ?? name),
-          h("td", {}, state(found, found === "ok" ? "Answers" : "Does not answer")),
-        ),
+    show(parts, [
+      ...Object.entries(checks).map(([name, found]) =>
+        partRow(PARTS[name] ?? name, state(found, found === "ok" ? "Answers" : "Does not answer")),
       ),
-    );
+      partRow("Sweeper", SWEEPER[sweeper]?.() ?? "unknown"),
+    ]);
     show(workers, workerRows(living, serving));
     show(usage, usageRows(used));
     show(queues, queueRows(lengths, serving));
@@ -86,6 +85,10 @@ export async function mount(root) {
   };
   await repeat(refresh, EVERY_MS, signal);
   return () => ending.abort();
+}
+
+function partRow(name, found) {
+  return h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, found));
 }
 
 /** Ask the service how it is; that it is not ready is an answer too. */
@@ -158,7 +161,9 @@ async function queueLengths(kinds, signal) {
   lengths.running = running.items;
   for (const job of newest.flatMap(({ items }) => items)) {
     const queue = queueOf(job);
-    if (queue) queue.place = Math.max(queue.place, job.queue_position ?? 0);
+    // one that was not put off has no place while it is far behind
+    const unknown = job.not_before ? 0 : Infinity;
+    if (queue) queue.place = Math.max(queue.place, job.queue_position ?? unknown);
   }
   return lengths;
 }
@@ -175,7 +180,7 @@ function queueRows(lengths, serving) {
         !serving[name] && h("div", {}, state("usable", "No worker: its jobs wait")),
       ),
       h("td", {}, running),
-      h("td", {}, place || "none waits"),
+      h("td", {}, place === Infinity ? "beyond 1,000" : place || "none waits"),
     );
   });
 }

@@ -30,14 +30,14 @@ OPENINGS = {
 
 
 def besiege(port: int, count: int, seconds: float) -> Counter[str]:
-    """Besiege a port for some seconds; returns how the strangers' connections ended."""
+    """Besiege a port for some seconds; returns how the connections ended."""
     crowd = Crowd(port, count)
     asyncio.run(crowd.besiege(seconds))
     return crowd.ends
 
 
 class Crowd:
-    """``count`` strangers who come back whenever they are shown out; ``ends`` counts how."""
+    """``count`` clients who come back whenever they are closed; ``ends`` counts how."""
 
     def __init__(self, port: int, count: int) -> None:
         self.ends: Counter[str] = Counter()

@@ -1,4 +1,4 @@
-"""``python -m tests.campaigns.strangers``: 2,000 slow strangers, and a customer who notices none.
+"""``python -m tests.campaigns.slow_clients``: 2,000 without a key, and a customer who notices none.
 
 Starts an API of its own on this machine and besieges it from loopback, with silence, slow headers,
 slow bodies, and slow bodies behind a forged key. A customer asks all the while, by a connection
@@ -26,7 +26,7 @@ from pathlib import Path
 import httpx
 from typer import echo as say
 
-from tests.campaigns.strangers.crowd import besiege
+from tests.campaigns.slow_clients.crowd import besiege
 
 MOST_S = 0.5
 ASK_EVERY = 0.05
@@ -67,30 +67,30 @@ class Customer(threading.Thread):
 def main() -> int:
     """Besiege a service; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m tests.campaigns.strangers", description=__doc__
+        prog="python -m tests.campaigns.slow_clients", description=__doc__
     )
-    parser.add_argument("--strangers", type=int, default=2000)
+    parser.add_argument("--clients", type=int, default=2000)
     parser.add_argument("--seconds", type=float, default=60)
     given = parser.parse_args()
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
     with (
-        tempfile.TemporaryDirectory(prefix="myoface-strangers-") as folder,
+        tempfile.TemporaryDirectory(prefix="myoface-slow-clients-") as folder,
         _served(Path(folder)) as (port, key),
     ):
-        return _run(port, key, given.strangers, given.seconds)
+        return _run(port, key, given.clients, given.seconds)
 
 
-def _run(port: int, key: str, strangers: int, seconds: float) -> int:
+def _run(port: int, key: str, clients: int, seconds: float) -> int:
     stop = threading.Event()
     customers = [Customer(f"http://127.0.0.1:{port}", key, stop, fresh) for fresh in (False, True)]
     for customer in customers:
         customer.start()
     with ProcessPoolExecutor(1, get_context("spawn")) as apart:  # the customer has a process alone
-        ends = apart.submit(besiege, port, strangers, seconds).result()
+        ends = apart.submit(besiege, port, clients, seconds).result()
     stop.set()
     for end, count in sorted(ends.items()):
-        say(f"{count:8} strangers' connections: {end}")
+        say(f"{count:8} slow clients' connections: {end}")
     well = True
     for customer in customers:
         customer.join()

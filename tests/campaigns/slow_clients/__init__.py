@@ -1,0 +1,1 @@
+"""Clients without a key, slow and many, while a customer works."""

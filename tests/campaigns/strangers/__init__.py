@@ -1,1 +1,0 @@
-"""Strangers without a key, slow and many, while a customer works."""
