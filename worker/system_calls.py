@@ -30,6 +30,7 @@ ALLOWED: Final[dict[str, Numbers]] = {
     "madvise": (28, 233),
     "msync": (26, 227),
     "membarrier": (324, 283),
+    "mbind": (237, 235),
     "get_mempolicy": (239, 236),
     "set_mempolicy": (238, 237),
     # Threads of OpenMP, TBB, BLAS and numba: their locks, their processors, their ends
