@@ -41,7 +41,6 @@ PROGRAMS = {
     "python": PYTHON,
     "myoface": [*PYTHON, "-c", "from myoface.cli import main; main()"],
     "valkey-server": [str(get_binary_path())],
-    "valkey-cli": ["redis-cli"],
 }
 IMAGE = {"MYOFACE_LOG_JSON": "true"}
 # Where rclone is here, which a shell of the file looks for
@@ -84,18 +83,16 @@ class Host:
             file.write_text(self._here(file.read_text()))
 
     def check_health(self, name: str) -> None:
-        """Run a service's health check until it passes; those of programs not here are left out."""
-        words = [self._here(word) for word in self._services[name].health]
-        words[-1] = words[-1].replace("valkey-cli", f"redis-cli -p {self.port['valkey']}")
-        if not words or shutil.which(words[0]) is None:
-            say(f"--   {name}: no {words[0] if words else 'health check'} here")
-            return
+        """Run a service's health check until it passes."""
+        client = f"redis-cli -p {self.port['valkey']}"
+        told = self._services[name].health
+        words = [self._here(word).replace("valkey-cli", client) for word in told]
         deadline = time.monotonic() + START_TIMEOUT
         while subprocess.run(words, check=False, timeout=START_TIMEOUT).returncode:
             if time.monotonic() > deadline:
                 raise RuntimeError(f"{name} is not healthy: {' '.join(words)}")
             time.sleep(0.5)
-        say(f"ok   {name} is healthy: {' '.join(self._services[name].health)}")
+        say(f"ok   {name} is healthy: {' '.join(told)}")
 
     def start_postgres(self) -> None:
         """Run PostgreSQL with the user of the file."""
@@ -228,8 +225,8 @@ def main() -> int:
     """Check; returns the exit code."""
     try:
         with host() as here:
-            run_a_job(here)
             check_health(here)
+            run_a_job(here)
     except UnavailableError as error:
         say(f"skipped: {error}")
         return int(required())
