@@ -1,5 +1,6 @@
 # One image for API and workers; docker-compose.yml says which command runs where.
-FROM python:3.11-slim-bookworm AS build
+ARG PYTHON_IMAGE=python:3.11-slim-bookworm
+FROM $PYTHON_IMAGE AS build
 ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1
 RUN python -m venv /opt/myoface
 WORKDIR /opt/myoface/src
@@ -17,7 +18,7 @@ RUN /opt/myoface/bin/pip install --no-deps --no-build-isolation --editable .
 RUN MYOFACE_CACHE=/opt/myoface/cache NUMBA_CACHE_DIR=/tmp/kernels \
     /opt/myoface/bin/python -m worker.kernels
 
-FROM python:3.11-slim-bookworm
+FROM $PYTHON_IMAGE
 RUN useradd --system --uid 10001 --create-home myoface \
     && install -d -o myoface -g myoface /data
 COPY --from=build /opt/myoface /opt/myoface
@@ -31,7 +32,7 @@ ENV PATH=/opt/myoface/bin:$PATH \
 USER myoface
 VOLUME /data
 EXPOSE 8765
-# Of the API; a worker shows its life in the table of workers (GET /v1/workers, /metrics).
+# Of the API; docker-compose.yml has the workers'.
 HEALTHCHECK --interval=10s --timeout=5s --start-period=30s CMD \
     ["python", "-c", "import httpx; httpx.get('http://127.0.0.1:8765/readyz').raise_for_status()"]
 CMD ["python", "-m", "service"]

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from solver.storage import cache_directory
+from solver.cache import cache_directory
 
 VERSIONS = ((3, 12), (3, 13))
 INSTALL_LIMIT_S = 900.0

@@ -13,7 +13,7 @@ from service.access.bootstrap import OpenDoorError, prepare
 from service.app import create_app
 from service.http.deadline import DeadlineProtocol, protocol
 from service.http.slots import ConnectionSlots
-from service.process import configure_logs, die_with_parent, hide_memory, keep_private
+from service.process import configure_logs, die_with_parent, forbid_dumps, keep_private
 from service.settings import Settings
 from service.store.database import NewerDatabaseError, UnfinishedRestoreError
 
@@ -28,7 +28,7 @@ def main() -> None:
     settings = Settings()
     if settings.stack_pid:
         die_with_parent(settings.stack_pid, signal.SIGTERM)
-    hide_memory()
+    forbid_dumps()
     configure_logs(settings.log_json)
     tracing.start("myoface-api")
     app = create_app(settings)

@@ -52,7 +52,7 @@ def configure_logs(json: bool) -> None:
     logging.getLogger("alembic").setLevel(logging.WARNING)
 
 
-def hide_memory() -> None:
+def forbid_dumps() -> None:
     """Keep other processes of the same user from reading memory and environment (Linux).
 
     A solver reads strangers' files; one that was taken over must not find the service's secrets.

@@ -6,15 +6,19 @@ import hashlib
 import json
 import os
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
-from pydantic import Field, IPvAnyNetwork, SecretStr, field_validator
+from pydantic import Field, IPvAnyNetwork, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from solver.kinds import Kind
 
 # A unix socket's path must fit into sockaddr_un (104 bytes on macOS, 108 on Linux).
 LONGEST_SOCKET_PATH = 100
+
+# Settings that hold passwords: files can have them, which no list of processes or containers shows
+SECRETS = ("secret_key", "database_url", "broker_url")
 
 
 class Settings(BaseSettings):
@@ -113,6 +117,11 @@ class Settings(BaseSettings):
     )
     max_short_seconds: int | None = Field(default=None, ge=1, description="default: 3600")
     max_long_seconds: int | None = Field(default=None, ge=1, description="default: 86400")
+    min_read_rate: float = Field(
+        default=1024**2,
+        gt=0,
+        description="bytes a second: an attempt that reads large files has so much more time",
+    )
     lease: float = Field(
         default=30, gt=0, description="a worker silent for so long has lost its job"
     )
@@ -142,6 +151,11 @@ class Settings(BaseSettings):
     solver_variables: list[str] = Field(
         default=[], description="further variables of the environment that solver processes see"
     )
+    tenant_cache_bytes: int = Field(
+        default=2 * 1024**3,
+        ge=0,
+        description="of meshed templates that a host keeps of a tenant; the oldest go",
+    )
     jobs: str = Field(
         default="solver.jobs",
         description="package with a module for each kind of job; tests have a stand-in",
@@ -162,15 +176,26 @@ class Settings(BaseSettings):
     log_json: bool = False
     stack_pid: int | None = Field(default=None, description="the launcher to end with, if any")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _read_secrets(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """Read from a file what ``MYOFACE_..._FILE`` says is in one, as containers get secrets."""
+        files = {name: os.environ.get(f"MYOFACE_{name.upper()}_FILE") for name in SECRETS}
+        found = {name: Path(file).read_text().strip() for name, file in files.items() if file}
+        return {**found, **given}
+
     @field_validator("data_dir", "files_dir", "uploads_dir", "work_dir")
     @classmethod
     def _absolute(cls, value: Path | None) -> Path | None:
         return value.expanduser().resolve() if value else None
 
-    def max_seconds(self, kind: Kind) -> int:
-        """Return the seconds after which an attempt at a kind of job is ended."""
+    def max_seconds(self, kind: Kind, input_bytes: int = 0) -> int:
+        """Return the seconds after which an attempt at a kind of job is ended.
+
+        Large files have more time, unless it is set.
+        """
         own: int | None = getattr(self, f"max_{kind.queue}_seconds")
-        return own or kind.max_seconds
+        return own or kind.max_seconds + int(input_bytes / self.min_read_rate)
 
     @property
     def admin_key(self) -> Path:

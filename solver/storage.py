@@ -223,10 +223,3 @@ def with_prefix(arrays: Arrays, prefix: str) -> Arrays:
 def write_json(path: Path, values: Any) -> None:
     """Write JSON values for people as well as programs: indented, all of them finite."""
     path.write_text(json.dumps(values, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def cache_directory() -> Path:
-    """Return the cache folder: ``$MYOFACE_CACHE``, else ``~/.cache/myoface``; made if missing."""
-    folder = Path(os.environ.get("MYOFACE_CACHE") or Path.home() / ".cache" / "myoface")
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder

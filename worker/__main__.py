@@ -7,7 +7,7 @@ import signal
 import threading
 
 from service import tracing
-from service.process import configure_logs, die_with_parent, hide_memory, keep_private
+from service.process import configure_logs, die_with_parent, forbid_dumps, keep_private
 from service.queue.wakeups import QUEUES, WEBHOOKS
 from service.settings import Settings
 from service.store.database import Store
@@ -33,7 +33,7 @@ def main() -> None:
         can = abilities(settings, filter(None, given.kinds.split(",")))
     except ValueError as error:
         parser.error(str(error))
-    hide_memory()
+    forbid_dumps()
     configure_logs(settings.log_json)
     tracing.start(f"myoface-{given.queue}")
     if settings.stack_pid:

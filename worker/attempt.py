@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,8 @@ from service.store.files import Files
 from service.store.integrity import find_fault, note_fault
 from service.store.models import Artifact, Rig
 from solver.kinds import KINDS
-from worker.errors import LostInputError, VerdictError
-from worker.process import remove_tree
+from worker.errors import InvalidOutputError, LostInputError
+from worker.orphans import remove_attempt
 
 MEDIA_TYPES = {
     ".glb": "model/gltf-binary",
@@ -38,7 +39,7 @@ FRAMES = "frames"
 # Bytes of a result: its summary, and the names of its expressions
 LARGEST_RESULT = 2 * SUMMARY.size
 
-CHUNK = re.compile(r"([0-9]{1,9})-([0-9]{1,9})\.json")
+CHUNK = re.compile(r"[0-9]{1,9}-[0-9]{1,9}\.json")
 MOST_ARTIFACTS = 200
 ARTIFACT = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,254}")
 
@@ -77,7 +78,9 @@ class AttemptFolder:
         for name, sha256 in self._claim.frames.items():
             _fetch(store, _left("frames", name, sha256), self.path / "out" / FRAMES / name)
         for name, sha256 in self._claim.kept.items():
-            _fetch(store, _left("result so far", name, sha256), self.path / "out" / name)
+            kept = self.path / "out" / name
+            _fetch(store, _left("result so far", name, sha256), kept)
+            self._written[name] = kept.stat().st_mtime_ns
         job = {
             "kind": self._claim.kind,
             "inputs": inputs,
@@ -91,12 +94,12 @@ class AttemptFolder:
 
         Raises
         ------
-        VerdictError
+        InvalidOutputError
             For one that no solver of ours writes.
         """
         found = self._read("error.json", ERROR.size)
         if found is not None and not isinstance(found.get("code"), str):
-            raise VerdictError("the solver left an error without a code")
+            raise InvalidOutputError("the solver left an error without a code")
         return None if found is None else fit({"code": found["code"], **found}, ERROR)
 
     def result(self) -> dict[str, Any] | None:
@@ -106,37 +109,52 @@ class AttemptFolder:
             return None
         names = found.get("expressions")
         if not isinstance(found.get("summary"), dict) or not isinstance(names, list):
-            raise VerdictError("the solver left a result without a summary or expressions")
+            raise InvalidOutputError("the solver left a result without a summary or expressions")
         return fit_result(found["summary"], names)
 
     def store(self, files: Files) -> list[Artifact]:
         """Put the outputs into the file store."""
         paths = sorted(self._left())
         if len(paths) > MOST_ARTIFACTS:
-            raise VerdictError(f"the solver left {len(paths)} files: {MOST_ARTIFACTS} are the most")
+            count = f"{len(paths)} files: {MOST_ARTIFACTS} are the most"
+            raise InvalidOutputError(f"the solver left {count}")
         return [self._put(path, files) for path in paths]
+
+    @property
+    def input_bytes(self) -> int:
+        """The bytes of all inputs."""
+        return _total_bytes((self.path / "inputs").glob("*/*"))
+
+    @property
+    def output_bytes(self) -> int:
+        """The bytes of all outputs, stored or not."""
+        return _total_bytes((*self._left(), *self._left(FRAMES)))
+
+    def unstored_bytes(self, *, at_end: bool = False) -> int:
+        """Return the bytes of outputs that are due to be stored but are not yet.
+
+        While it works these are frames and files to go on with, at the end all.
+        """
+        due = (path for path in self._left() if at_end or path.name in KEPT)
+        return _total_bytes((*filter(self._is_new, due), *self._unstored_frames()))
 
     def new_frames(self, files: Files) -> list[dict[str, Any]]:
         """Put the frames that are ready since the last call into the file store; returns rows."""
         rows = []
-        for path in sorted(self._left(FRAMES)):
-            if path.name not in self._stored and (numbers := CHUNK.fullmatch(path.name)):
-                first, last = map(int, numbers.groups())
-                blob = files.put(path)
-                rows.append(
-                    {"first": first, "last": last, "size": blob.size, "sha256": blob.sha256}
-                )
-                self._stored.add(path.name)
+        for path in sorted(self._unstored_frames()):
+            first, last = map(int, path.stem.split("-"))
+            blob = files.put(path)
+            rows.append({"first": first, "last": last, "size": blob.size, "sha256": blob.sha256})
+            self._stored.add(path.name)
         return rows
 
     def new_kept(self, files: Files) -> dict[str, Artifact]:
         """Put those of :data:`KEPT` that were written since the last call into the file store."""
         found = {}
-        for path in (each for each in self._left() if each.name in KEPT):
+        for path in (each for each in self._left() if each.name in KEPT and self._is_new(each)):
             written = path.stat().st_mtime_ns
-            if written != self._written.get(path.name):
-                found[path.name] = self._put(path, files)
-                self._written[path.name] = written
+            found[path.name] = self._put(path, files)
+            self._written[path.name] = written
         return found
 
     @property
@@ -166,7 +184,16 @@ class AttemptFolder:
 
     def remove(self) -> None:
         """Remove the folder."""
-        remove_tree(self.path)
+        remove_attempt(self.path)
+
+    def _unstored_frames(self) -> Iterator[Path]:
+        for path in self._left(FRAMES):
+            if path.name not in self._stored and CHUNK.fullmatch(path.name):
+                yield path
+
+    def _is_new(self, path: Path) -> bool:
+        """Tell whether a file was written since it was stored as one to go on with, if it was."""
+        return path.name not in KEPT or path.stat().st_mtime_ns != self._written.get(path.name)
 
     def _left(self, folder: str = ".") -> Iterator[Path]:
         """Yield the plain files in ``out`` or a folder of it, never what a link leads to.
@@ -204,16 +231,25 @@ class AttemptFolder:
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise VerdictError(f"the solver left {name} that is no file") from error
+            raise InvalidOutputError(f"the solver left {name} that is no file") from error
         if len(content) > most:
-            raise VerdictError(f"the solver left {name} of more than {most} bytes")
+            raise InvalidOutputError(f"the solver left {name} of more than {most} bytes")
         try:
             found = json.loads(content, parse_constant=refuse_constant)
         except (ValueError, RecursionError):
             found = None
         if not isinstance(found, dict):
-            raise VerdictError(f"the solver left {name} that is no JSON object")
+            raise InvalidOutputError(f"the solver left {name} that is no JSON object")
         return found
+
+
+def _total_bytes(paths: Iterable[Path]) -> int:
+    """Return the bytes of files, of which a solver may rename some at this moment."""
+    total = 0
+    for path in paths:
+        with suppress(FileNotFoundError):
+            total += path.stat().st_size
+    return total
 
 
 def _left(role: str, name: str, sha256: str) -> dict[str, Any]:

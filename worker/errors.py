@@ -8,6 +8,8 @@ import signal
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from service.bounds import shorten
+
 # The exit code of a solver process that found the disk full
 NO_ROOM = os.EX_TEMPFAIL
 STORAGE_FULL = {"code": "storage.full", "message": "there is no room left for files"}
@@ -21,7 +23,7 @@ class CanceledError(Exception):
     """Somebody asked for the job to stop."""
 
 
-class VerdictError(Exception):
+class InvalidOutputError(Exception):
     """What the solver left is nothing that it would leave by itself."""
 
 
@@ -29,20 +31,37 @@ class ShutdownError(Exception):
     """The worker is to stop."""
 
 
-class LostInputError(Exception):
-    """A file that a job reads is lost or damaged: no attempt can succeed."""
+class HopelessError(Exception):
+    """No attempt at the job can succeed; ``error`` is what it tells of that."""
+
+    def __init__(self, error: dict[str, Any]) -> None:
+        super().__init__(error["message"])
+        self.error = error
+
+
+class OutputSizeError(HopelessError):
+    """A job leaves more bytes than its kind may leave, or its tenant may store."""
+
+    def __init__(self, code: str, message: str, expected: int, found: int) -> None:
+        told = {"code": code, "message": message, "expected": expected, "found": found}
+        super().__init__(told)
+
+
+class LostInputError(HopelessError):
+    """A file that a job reads is lost or damaged."""
 
     def __init__(self, item: Mapping[str, Any], fault: str) -> None:
         what = item["filename"]
         if item["name"] != what:
             what += f" of {item['name']}"
-        super().__init__(f"the job's {item['role']}, {what}, is {fault} in the file store")
-        self.error = {
-            "code": "files.lost",
-            "message": str(self),
-            "file": item["filename"],
-            "capture": item["name"],
-        }
+        super().__init__(
+            {
+                "code": "files.lost",
+                "message": f"the job's {item['role']}, {what}, is {fault} in the file store",
+                "file": item["filename"],
+                "capture": item["name"],
+            }
+        )
 
 
 def is_full(error: BaseException | None) -> bool:
@@ -70,7 +89,7 @@ def exit_error(code: int) -> dict[str, Any]:
     }
 
 
-def verdict_error(error: VerdictError) -> dict[str, Any]:
+def invalid_output_error(error: InvalidOutputError) -> dict[str, Any]:
     """Return the error of a job whose solver left what cannot be read."""
     return {"code": "solver.verdict", "message": str(error)}
 
@@ -87,6 +106,12 @@ def timeout_error(kind: str, seconds: float, frames: int, files: Sequence[str]) 
         "frames": frames,
         "kept": list(files),
     }
+
+
+def crash_error(error: Exception) -> dict[str, Any]:
+    """Return the error of an attempt that ended by a fault of the worker's own."""
+    message = shorten(f"the worker failed: {type(error).__name__}: {error}")
+    return {"code": "worker.crash", "message": message}
 
 
 def storage_error(error: OSError) -> dict[str, Any]:

@@ -1,8 +1,9 @@
-"""The solver's compiled kernels: made from trusted input, lent to each attempt as a copy.
+"""The solver's compiled kernels: made from trusted input, read by every attempt, written by none.
 
 Numba keeps what it compiled in pickles, and reading a pickle runs what is in it. So no solver
 process, which reads strangers' files, may write where the next one reads: the installation's are
-compiled here, and an attempt gets a copy in its own folder, where it may add what is missing.
+compiled here, and an attempt has a folder of its own with links to them. Numba replaces files and
+never writes into one, so what it adds or compiles anew stays in that folder.
 
 ``python -m worker.kernels`` compiles them, about a minute and a half on two processors.
 """
@@ -13,27 +14,24 @@ import fcntl
 import hashlib
 import importlib.metadata
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 SOLVER = Path(__file__).resolve().parents[1] / "solver"
 # The installation's folder where it is not beside the code, as in a read-only image
-VARIABLE = "NUMBA_CACHE_DIR"
+CACHE_VARIABLE = "NUMBA_CACHE_DIR"
 
 
-def lend(folder: Path) -> None:
-    """Copy the installation's kernels into ``folder``, laid out as numba looks for them there."""
-    place = _place()
+def link_kernels(folder: Path) -> None:
+    """Link the installation's kernels into ``folder``, laid out as numba looks for them there."""
+    place = installed_place()
     for kernel in _installed():
         home = folder / (kernel.parent.name if place else _subfolder(kernel.parents[1]))
         home.mkdir(parents=True, exist_ok=True)
-        with suppress(FileNotFoundError):  # compiled anew at this moment
-            shutil.copyfile(kernel, home / kernel.name)
+        (home / kernel.name).symlink_to(kernel)
 
 
 def are_compiled() -> bool:
@@ -95,14 +93,14 @@ def _run_jobs(folder: Path) -> None:
     run_job("simulate", folder / "film", options={"scene": scene}, rig=rig)
 
 
-def _place() -> Path | None:
+def installed_place() -> Path | None:
     """Return the installation's folder; None: each kernel is beside its code."""
-    place = os.environ.get(VARIABLE)
+    place = os.environ.get(CACHE_VARIABLE)
     return Path(place) if place else None
 
 
 def _installed() -> Iterator[Path]:
-    place = _place()
+    place = installed_place()
     return place.glob("*/*.nb[ic]") if place else SOLVER.rglob("__pycache__/*.nb[ic]")
 
 
@@ -122,7 +120,7 @@ def _hash() -> str:
 
 
 def _stamp() -> Path:
-    return (_place() or SOLVER / "__pycache__") / "compiled"
+    return (installed_place() or SOLVER / "__pycache__") / "compiled"
 
 
 def main() -> None:

@@ -5,26 +5,21 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
-import shutil
 import signal
 import subprocess
 import sys
 import threading
-import time
 from collections import deque
-from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
-import structlog
-
 from service.bounds import PROGRESS, fit, refuse_constant, shorten
-from service.queue.states import HELD
 from service.settings import Settings
-from service.store.database import Store
-from service.store.models import Job
+from solver.cache import VARIABLE as CACHE_VARIABLE
+from solver.cache import cache_path
 from worker import kernels
+from worker.caches import TenantCache
+from worker.orphans import note_session
 from worker.sandbox import allowed_environment
 
 GRACE = 1.0
@@ -34,17 +29,10 @@ LONGEST_LINE = 4000
 MOST_LINES = 500
 MOST_LINES_KEPT = 20_000
 
-# In the environment of a solver process, and so of every process that it starts
+# In the environment of a solver process and all that it starts, for whoever looks at processes
 FOLDER_VARIABLE = "MYOFACE_ATTEMPT"
-# Names the folder of what the solver keeps from job to job (`solver.storage.cache_directory`)
-CACHE_VARIABLE = "MYOFACE_CACHE"
-# Below the work folder, a folder for each tenant
-CACHES = "caches"
-CACHED_SECONDS = 30 * 24 * 3600.0
-# The name of an attempt's folder, `<job>.<attempt>`; nothing else is ever removed
-ATTEMPT = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}\.\d+")
-
-log = structlog.get_logger()
+# The cache folder in an attempt's
+CACHE = "cache"
 
 
 class SolverProcess:
@@ -56,48 +44,56 @@ class SolverProcess:
     """
 
     def __init__(self, folder: Path, settings: Settings, tenant: str, seconds: float) -> None:
-        temporary = folder / "tmp"  # goes with the folder, also when the solver is killed
+        # these go with the folder, also when the solver is killed
+        temporary, cache, compiled = (folder / name for name in ("tmp", CACHE, "kernels"))
         temporary.mkdir()
-        compiled = folder / "kernels"
-        kernels.lend(compiled)
-        assets = Path(os.environ.get(CACHE_VARIABLE) or Path.home() / ".cache" / "myoface")
+        kept = TenantCache(tenant, settings)
+        kept.link_into(cache)
+        kernels.link_kernels(compiled)
+        reads = [cache_path(), kept.folder, kernels.installed_place()]
         reading, writing = os.pipe()
-        (folder / "process.json").write_text(
-            json.dumps(
-                {
-                    "progress_fd": writing,
-                    "parent": os.getpid(),
-                    "memory_bytes": settings.solver_memory_mb * 1024**2,
-                    "cpu_seconds": math.ceil(seconds * settings.solver_threads + CPU_MARGIN),
-                    "jobs": settings.jobs,
-                    "confined": settings.solver_confined,
-                    "assets": str(assets),
-                }
+        try:
+            (folder / "process.json").write_text(
+                json.dumps(
+                    {
+                        "progress_fd": writing,
+                        "parent": os.getpid(),
+                        "memory_bytes": settings.solver_memory_mb * 1024**2,
+                        "cpu_seconds": math.ceil(seconds * settings.solver_threads + CPU_MARGIN),
+                        "jobs": settings.jobs,
+                        "confined": settings.solver_confined,
+                        "reads": [str(place) for place in reads if place],
+                    }
+                )
             )
-        )
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "worker.solve", str(folder)],
-            cwd=folder,
-            env=allowed_environment(settings.solver_variables)
-            | _thread_counts(settings.solver_threads)
-            | {
-                FOLDER_VARIABLE: str(folder),
-                "TMPDIR": str(temporary),
-                "HOME": str(temporary),
-                CACHE_VARIABLE: str(_cache_of(tenant, settings.work, assets)),
-                kernels.VARIABLE: str(compiled),
-            },
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            pass_fds=[writing],
-            start_new_session=True,
-        )
-        os.close(writing)
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "worker.solve", str(folder)],
+                cwd=folder,
+                env=allowed_environment(settings.solver_variables)
+                | _thread_counts(settings.solver_threads)
+                | {
+                    FOLDER_VARIABLE: str(folder),
+                    "TMPDIR": str(temporary),
+                    "HOME": str(temporary),
+                    CACHE_VARIABLE: str(cache),
+                    kernels.CACHE_VARIABLE: str(compiled),
+                },
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                pass_fds=[writing],
+                start_new_session=True,
+            )
+        except BaseException:
+            os.close(reading)
+            raise
+        finally:
+            os.close(writing)
         assert self._process.stdout is not None
         self._steps = _Lines(os.fdopen(reading, "rb"), newest=True)
         self._log = _Lines(self._process.stdout)
         self._room = MOST_LINES_KEPT
+        note_session(folder, self.pid)
 
     @property
     def pid(self) -> int:
@@ -216,70 +212,3 @@ def _thread_counts(threads: int) -> dict[str, str]:
     names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     # and those of kernels sleep while they wait for the next one
     return dict.fromkeys(names, str(threads)) | {"OMP_WAIT_POLICY": "passive"}
-
-
-def _cache_of(tenant: str, work: Path, assets: Path) -> Path:
-    """Return the folder in which a tenant's jobs keep what they made of his templates.
-
-    What another's job wrote is never read. The installation's assets are there as links.
-    """
-    folder = work / CACHES / tenant
-    folder.mkdir(parents=True, exist_ok=True)
-    for asset in filter(Path.is_file, assets.glob("*")):
-        with suppress(FileExistsError):
-            (folder / asset.name).symlink_to(asset)
-    return folder
-
-
-def remove_orphans(store: Store, work: Path) -> None:
-    """Remove the folders of attempts that nobody is at any more, and end their processes.
-
-    The solver itself dies with its supervisor, but not what it had started (the mesher).
-    """
-    if not work.is_dir():
-        return
-    _remove_unused(work / CACHES)
-    for folder in work.iterdir():
-        if ATTEMPT.fullmatch(folder.name) and not _is_held(store, folder.name):
-            end_processes(folder)
-            remove_tree(folder)
-            log.info("attempt.removed", folder=folder.name)
-
-
-def remove_tree(folder: Path) -> None:
-    """Remove a folder that a solver could write: however deep it is, and whatever its modes are."""
-    with suppress(RecursionError):
-        shutil.rmtree(folder, ignore_errors=True)
-    if folder.exists():
-        for command in (["chmod", "-R", "u+rwX"], ["rm", "-rf"]):
-            subprocess.run([*command, "--", str(folder)], check=False, capture_output=True)
-
-
-def _remove_unused(caches: Path) -> None:
-    """Remove what tenants' caches have had for long; whoever needs it makes it anew."""
-    for file in caches.glob("*/*"):
-        with suppress(FileNotFoundError):
-            if file.lstat().st_mtime > time.time() - CACHED_SECONDS:
-                continue
-            if file.is_dir() and not file.is_symlink():
-                remove_tree(file)
-            else:
-                file.unlink()
-
-
-def end_processes(folder: Path) -> None:
-    """Kill the processes of an attempt (Linux; elsewhere they end by themselves)."""
-    mark = f"{FOLDER_VARIABLE}={folder}".encode()
-    for environment in Path("/proc").glob("[0-9]*/environ"):
-        try:
-            if mark in environment.read_bytes().split(b"\0"):
-                os.kill(int(environment.parent.name), signal.SIGKILL)
-        except OSError:
-            continue  # gone meanwhile, or another user's
-
-
-def _is_held(store: Store, name: str) -> bool:
-    job_id, _, attempt = name.rpartition(".")
-    with store.read() as session:
-        job = session.get(Job, job_id)
-        return job is not None and job.state in HELD and str(job.attempt) == attempt

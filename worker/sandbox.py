@@ -1,18 +1,16 @@
 """Confinement of the solver process: code that reads strangers' files finds nothing to take.
 
 Layers, each where the machine has it (Linux): files by Landlock (the code to read, its own folder
-to write, no other file), signals and abstract sockets by Landlock's scopes, no sockets, no
-debugging of others and no change of owners or modes by seccomp, limits by setrlimit. None needs
-privileges; none can be taken off again, and processes that the solver starts inherit all.
+to write, no other file), signals and abstract sockets by Landlock's scopes, no system calls but
+those that jobs make by seccomp (`worker.system_calls`), limits by setrlimit. None needs privileges;
+none can be taken off again, and processes that the solver starts inherit all.
 
-Landlock: kernel documentation, userspace-api/landlock; seccomp: seccomp(2), filters as in
-userspace-api/seccomp_filter.
+Landlock: kernel documentation, userspace-api/landlock.
 """
 
 from __future__ import annotations
 
 import ctypes
-import errno
 import functools
 import importlib.util
 import os
@@ -25,8 +23,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-PR_SET_PDEATHSIG = 1
-PR_SET_DUMPABLE = 4
+from worker.system_calls import ARCHITECTURES, call_filter
+
 PR_SET_SECCOMP = 22
 PR_SET_NO_NEW_PRIVS = 38
 SECCOMP_MODE_FILTER = 2
@@ -47,95 +45,6 @@ RIGHTS_TO_A_FILE = EXECUTE | WRITE_FILE | READ_FILE | 1 << 14 | 1 << 15
 # Rights to bind and connect TCP (version 4), scopes of abstract sockets and signals (version 6)
 NET_RIGHTS, NET_ABI = 0b11, 4
 SCOPES, SCOPE_ABI = 0b11, 6
-
-# Instructions and answers of seccomp's filters
-LOAD, JUMP_IF_EQUAL, JUMP_IF_AT_LEAST, JUMP_IF_ANY, RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
-ALLOW, REFUSE = 0x7FFF0000, 0x00050000
-NUMBER_AT, ARCHITECTURE_AT, FIRST_ARGUMENT_AT = 0, 4, 16
-# Numbers from here on are of calls newer than this table, or of the x32 interface
-NEWER = 463
-# Flags of clone: namespaces of one's own, and children that are the parent's
-CLONE_REFUSED = 0x7E020000 | 0x8000
-
-# AUDIT_ARCH_* of the machines that the filter is made for
-ARCHITECTURES = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
-
-# Calls that are allowed for this process (a first argument of 0) and refused for others
-OF_OTHERS: Final[dict[str, tuple[int, int]]] = {
-    "prlimit64": (302, 261),
-    "sched_setaffinity": (203, 122),
-}
-PRCTL, CLONE, CLONE3 = (157, 167), (56, 220), (435, 435)
-
-# Calls that no job needs, by machine: (x86_64, aarch64); None: the machine has no such call
-REFUSED: Final[dict[str, tuple[int | None, int | None]]] = {
-    "socket": (41, 198),
-    "socketpair": (53, 199),
-    "connect": (42, 203),
-    "bind": (49, 200),
-    "sendto": (44, 206),
-    "sendmsg": (46, 211),
-    "setpriority": (141, 140),
-    "ioprio_set": (251, 30),
-    "sched_setscheduler": (144, 119),
-    "sched_setparam": (142, 118),
-    "sched_setattr": (314, 274),
-    "inotify_init": (253, None),
-    "inotify_init1": (294, 26),
-    "fanotify_init": (300, 262),
-    "shmget": (29, 194),
-    "shmat": (30, 196),
-    "semget": (64, 190),
-    "semop": (65, 193),
-    "msgget": (68, 186),
-    "msgsnd": (69, 189),
-    "mq_open": (240, 180),
-    "removexattr": (197, 14),
-    "lremovexattr": (198, 15),
-    "fremovexattr": (199, 16),
-    "name_to_handle_at": (303, 264),
-    "ptrace": (101, 117),
-    "process_vm_readv": (310, 270),
-    "process_vm_writev": (311, 271),
-    "pidfd_getfd": (438, 438),
-    "io_uring_setup": (425, 425),
-    "io_uring_enter": (426, 426),
-    "io_uring_register": (427, 427),
-    "chmod": (90, None),
-    "fchmod": (91, 52),
-    "fchmodat": (268, 53),
-    "fchmodat2": (452, 452),
-    "chown": (92, None),
-    "fchown": (93, 55),
-    "lchown": (94, None),
-    "fchownat": (260, 54),
-    "utime": (132, None),
-    "utimes": (235, None),
-    "futimesat": (261, None),
-    "utimensat": (280, 88),
-    "setxattr": (188, 5),
-    "lsetxattr": (189, 6),
-    "fsetxattr": (190, 7),
-    "setsid": (112, 157),
-    "setpgid": (109, 154),
-    "mount": (165, 40),
-    "umount2": (166, 39),
-    "pivot_root": (155, 41),
-    "chroot": (161, 51),
-    "unshare": (272, 97),
-    "setns": (308, 268),
-    "bpf": (321, 280),
-    "perf_event_open": (298, 241),
-    "userfaultfd": (323, 282),
-    "add_key": (248, 217),
-    "request_key": (249, 218),
-    "keyctl": (250, 219),
-    "init_module": (175, 105),
-    "finit_module": (313, 273),
-    "delete_module": (176, 106),
-    "kexec_load": (246, 104),
-    "open_by_handle_at": (304, 265),
-}
 
 # Places of the system that Python and the libraries use; of /etc, /proc and /dev no more than these
 PLACES: Final[dict[str, int]] = {
@@ -222,7 +131,7 @@ def confine(packages: Iterable[str], reads: Iterable[Path], writes: Iterable[Pat
     if abi := landlock_abi():
         _restrict_files(abi, _folders(packages), reads, writes)
     if platform.machine() in ARCHITECTURES:
-        _refuse_calls()
+        _filter_calls()
 
 
 def _limit() -> None:
@@ -291,43 +200,11 @@ def _allow(ruleset: int, path: Path, rights: int) -> None:
         os.close(place)
 
 
-def _refuse_calls() -> None:
-    """Answer EPERM to the calls that no job needs, ENOSYS to those that glibc can do without."""
-    machine = platform.machine()
-    program = _filter(ARCHITECTURES[machine], list(ARCHITECTURES).index(machine))
+def _filter_calls() -> None:
+    """Allow only the calls that jobs make, to this process and its children, for good."""
+    program = call_filter(platform.machine())
     code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *each) for each in program))
     _prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, _Program(len(program), ctypes.addressof(code)))
-
-
-def _filter(architecture: int, column: int) -> list[tuple[int, int, int, int]]:
-    """Return the filter's instructions: operation, jump if true, jump if false, operand."""
-    allow, refuse = (RETURN, 0, 0, ALLOW), (RETURN, 0, 0, REFUSE | errno.EPERM)
-    unknown = (RETURN, 0, 0, REFUSE | errno.ENOSYS)
-    argument = (LOAD, 0, 0, FIRST_ARGUMENT_AT)
-    program = [
-        (LOAD, 0, 0, ARCHITECTURE_AT),
-        (JUMP_IF_EQUAL, 1, 0, architecture),
-        refuse,
-        (LOAD, 0, 0, NUMBER_AT),
-        (JUMP_IF_AT_LEAST, 0, 1, NEWER),
-        unknown,
-        (JUMP_IF_EQUAL, 0, 1, CLONE3[column]),
-        unknown,
-    ]
-    for calls in REFUSED.values():
-        if (number := calls[column]) is not None:
-            program += [(JUMP_IF_EQUAL, 0, 1, number), refuse]
-    for number in (calls[column] for calls in OF_OTHERS.values()):
-        checks = [argument, (JUMP_IF_EQUAL, 0, 1, 0), allow, refuse]
-        program += [(JUMP_IF_EQUAL, 0, len(checks), number), *checks]
-    checks = [argument, (JUMP_IF_ANY, 0, 1, CLONE_REFUSED), refuse, allow]
-    program += [(JUMP_IF_EQUAL, 0, len(checks), CLONE[column]), *checks]
-    checks = [argument]
-    for option in (PR_SET_PDEATHSIG, PR_SET_DUMPABLE):
-        checks += [(JUMP_IF_EQUAL, 0, 1, option), refuse]
-    checks.append(allow)
-    program += [(JUMP_IF_EQUAL, 0, len(checks), PRCTL[column]), *checks, allow]
-    return program
 
 
 class _Program(ctypes.Structure):

@@ -50,7 +50,7 @@ def main(folder: Path) -> int:
     # the soft limit's signal says why; at the hard one Linux kills without a word
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
     if process["confined"]:
-        _confine(folder, process["jobs"], process["assets"])
+        _confine(folder, process["jobs"], process["reads"])
     try:
         try:
             with os.fdopen(process["progress_fd"], "w", buffering=1) as pipe:
@@ -68,15 +68,14 @@ def main(folder: Path) -> int:
     return 0 if verdict == RESULT else 1
 
 
-def _confine(folder: Path, jobs: str, assets: str) -> None:
-    """Shut this process off from all but the code, the assets, its folder and its cache."""
+def _confine(folder: Path, jobs: str, reads: list[str]) -> None:
+    """Shut this process off from all but the code, what it may read, and its folder."""
     importlib.import_module(jobs)
     packages = ("solver", "service", "worker", jobs.partition(".")[0])
     landmarker = os.environ.get("MYOFACE_FACE_LANDMARKER")
-    reads = [Path(assets), *([Path(landmarker)] if landmarker else [])]
-    cache = Path(os.environ["MYOFACE_CACHE"])
-    sandbox.confine(packages, reads, writes=[folder, cache])
-    for missing in sandbox.missing_layers():
+    absent = sandbox.missing_layers()  # afterwards the kernel is no more asked
+    sandbox.confine(packages, map(Path, filter(None, [*reads, landmarker])), writes=[folder])
+    for missing in absent:
         log.warning("solver.not_confined", missing=missing)
 
 

@@ -6,10 +6,11 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, NamedTuple, TypeVar
 
 import structlog
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.exc import DataError, IntegrityError, ProgrammingError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service import tracing
@@ -20,25 +21,32 @@ from service.queue.table import Claim
 from service.settings import Settings
 from service.store.database import Store
 from service.store.models import Artifact, Rig
+from service.store.usage import free_bytes
 from solver.kinds import KINDS
 from worker.attempt import AttemptFolder
+from worker.caches import TenantCache
 from worker.errors import (
     NO_ROOM,
     STORAGE_FULL,
     CanceledError,
+    HopelessError,
+    InvalidOutputError,
     LeaseLostError,
-    LostInputError,
+    OutputSizeError,
     ShutdownError,
-    VerdictError,
+    crash_error,
     exit_error,
+    invalid_output_error,
     is_full,
     storage_error,
     timeout_error,
-    verdict_error,
 )
-from worker.process import SolverProcess
+from worker.process import CACHE, SolverProcess
 
 Done = TypeVar("Done")
+
+# Errors of the database that no waiting mends: it answers, and does not take what it is given
+HOPELESS = (DataError, IntegrityError, ProgrammingError)
 
 log = structlog.get_logger()
 
@@ -81,21 +89,38 @@ class Supervisor:
             log.info("job.claimed", kind=claim.kind)
             folder = AttemptFolder(self._settings.work, claim)
             try:
-                self._attempt(claim, folder)
-            except LostInputError as error:
-                self._fail(claim, error.error)
-            except OSError as error:
-                if is_full(error):
-                    self._postpone(claim)
-                else:
-                    self._lose(claim, storage_error(error))
+                self._run(claim, folder)
+            except Exception as error:  # whatever it is, other jobs must go on
+                log.exception("worker.crashed")
+                with suppress(SQLAlchemyError):  # then the lease will run out
+                    self._lose(claim, crash_error(error))
             finally:
-                folder.remove()
+                self._clear(claim, folder)
         return True
+
+    def _run(self, claim: Claim, folder: AttemptFolder) -> None:
+        """Do a job, and commit how it ended."""
+        try:
+            self._attempt(claim, folder)
+        except HopelessError as error:
+            self._fail(claim, error.error)
+        except OSError as error:
+            if is_full(error):
+                self._postpone(claim)
+            else:
+                self._lose(claim, storage_error(error))
+
+    def _clear(self, claim: Claim, folder: AttemptFolder) -> None:
+        """Keep what later jobs of the tenant need, and remove the rest."""
+        try:
+            TenantCache(claim.tenant_id, self._settings).keep_new(folder.path / CACHE)
+            folder.remove()
+        except OSError as error:  # the sweeper tries again
+            log.warning("attempt.not_removed", error=str(error))
 
     def _attempt(self, claim: Claim, folder: AttemptFolder) -> None:
         folder.stage(self._store)
-        limit = self._limit(claim)
+        limit = self._limit(claim, folder)
         process = SolverProcess(folder.path, self._settings, claim.tenant_id, limit)
         log.info("solver.started", pid=process.pid)
         try:
@@ -116,13 +141,13 @@ class Supervisor:
             process.stop()
             _report_end("lease_lost", failed=True)
         else:
-            self._settle(claim, folder, code)
+            self._commit_outcome(claim, folder, code)
         finally:
             process.finish()
 
-    def _limit(self, claim: Claim) -> float:
+    def _limit(self, claim: Claim, folder: AttemptFolder) -> float:
         """Return the seconds that an attempt may last."""
-        most = self._settings.max_seconds(KINDS[claim.kind])
+        most = self._settings.max_seconds(KINDS[claim.kind], folder.input_bytes)
         return min(most, claim.deadline_s or most)
 
     def _watch(
@@ -146,10 +171,11 @@ class Supervisor:
         news = self._unwritten
         news.steps.extend(process.steps())
         news.lines.extend(process.lines())
-        news.chunks.extend(folder.new_frames(self._store.files))
-        # after the frames: what they were made with is whole then
-        news.kept.update(folder.new_kept(self._store.files))
         try:
+            self._check_size(claim, folder)
+            news.chunks.extend(folder.new_frames(self._store.files))
+            # after the frames: what they were made with is whole then
+            news.kept.update(folder.new_kept(self._store.files))
             with self._store.write() as session:
                 state = table.beat(
                     session,
@@ -161,6 +187,8 @@ class Supervisor:
                     chunks=news.chunks,
                     kept=news.kept.values(),
                 )
+        except HOPELESS:
+            raise
         except SQLAlchemyError as error:
             log.warning("database.unreachable", error=str(error))
             if time.monotonic() - self._renewed > self._settings.lease:
@@ -173,20 +201,42 @@ class Supervisor:
         if state is State.CANCELING:
             raise CanceledError
 
-    def _settle(self, claim: Claim, folder: AttemptFolder, code: int | None) -> None:
+    def _check_size(self, claim: Claim, folder: AttemptFolder, *, at_end: bool = False) -> None:
+        """Check, before anything is stored, that there is room for what a solver leaves.
+
+        Raises
+        ------
+        OutputSizeError
+            If it is more than its kind may leave, or its tenant may store.
+        """
+        most, found = KINDS[claim.kind].max_bytes, folder.output_bytes
+        if found > most:
+            message = f"{claim.kind} left {found} bytes, more than the {most} that it may leave"
+            raise OutputSizeError("solver.output", message, most, found)
+        if new := folder.unstored_bytes(at_end=at_end):
+            with self._store.read() as session:
+                free = free_bytes(session, claim.tenant_id)
+            if free is not None and new > free:
+                message = f"the job leaves {new} bytes, and the quota has room for {free}"
+                raise OutputSizeError("quota.bytes", message, free, new)
+
+    def _commit_outcome(self, claim: Claim, folder: AttemptFolder, code: int | None) -> None:
         """Commit what the solver left: a result, an error, or nothing; without ``code``, its end.
 
         A job that took too long would take as long once more: it has failed.
         """
         if code is None or code == -signal.SIGXCPU:
-            limit = self._limit(claim)
+            limit = self._limit(claim, folder)
             self._fail(claim, timeout_error(claim.kind, limit, folder.frames, folder.kept))
             return
         try:
             result, error = folder.result(), folder.error()
-            artifacts = folder.store(self._store.files) if code == 0 and result else []
-        except VerdictError as fault:
-            self._fail(claim, verdict_error(fault))
+            artifacts = []
+            if code == 0 and result is not None:
+                self._check_size(claim, folder, at_end=True)
+                artifacts = folder.store(self._store.files)
+        except InvalidOutputError as fault:
+            self._fail(claim, invalid_output_error(fault))
             return
         if code == 0 and result is not None:
             self._succeed(claim, artifacts, result["summary"], folder.rig(result))
@@ -242,6 +292,8 @@ class Supervisor:
             try:
                 with self._store.write() as session:
                     return change(session)
+            except HOPELESS:
+                raise
             except SQLAlchemyError as error:
                 if time.monotonic() - self._renewed > self._settings.lease:
                     raise

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import structlog
 from sqlalchemy import delete
@@ -16,7 +18,8 @@ from service.store import deletion, retention
 from service.store.database import Store
 from service.store.models import Worker
 from worker.abilities import show_life
-from worker.process import remove_orphans
+from worker.caches import remove_surplus
+from worker.orphans import remove_orphans
 
 log = structlog.get_logger()
 
@@ -49,16 +52,29 @@ class Heartbeat(threading.Thread):
         while True:
             try:
                 self._round()
+                self._show_pulse()
             except Exception as error:  # whatever it is, leases and receipts must go on
                 log.warning("sweeper.failed", error=str(error), exc_info=True)
             if self._stopping.wait(self._settings.sweep):
                 break
+        with suppress(OSError):
+            self._pulse.unlink()
         with self._store.write() as session:
             session.execute(delete(Worker).where(Worker.name == self._can.worker))
 
     def _round(self) -> None:
         with self._store.write() as session:
             self._show_life(session)
+
+    def _show_pulse(self) -> None:
+        """Touch a file whose age tells a container's health check that the rounds go on."""
+        with suppress(OSError):
+            self._pulse.parent.mkdir(parents=True, exist_ok=True)
+            self._pulse.touch()
+
+    @property
+    def _pulse(self) -> Path:
+        return self._settings.work / f"alive.{self._queue}"
 
     def _show_life(self, session: Session) -> None:
         show_life(session, self._queue, self._can, self._slots)
@@ -89,6 +105,7 @@ class Sweeper(Heartbeat):
         if elected:
             retention.enforce(self._store, settings)
         remove_orphans(self._store, settings.work)
+        remove_surplus(settings)
         due = self._collected + min(deletion.COLLECT_EVERY, settings.garbage_age)
         if elected and time.monotonic() > due:
             self._collected = time.monotonic()

@@ -22,6 +22,7 @@ from benchmarks.physics.fitted import Fitted
 from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import ShapeBasis
 from solver.animation.drives import RecordedDrives
+from solver.cache import cache_directory
 from solver.drawing.head import DrawnHead
 from solver.drawing.render import render_bust
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
@@ -33,7 +34,6 @@ from solver.rig.pictures import face_camera
 from solver.scans.live_link import LiveLinkTake
 from solver.scene.places import Places
 from solver.scene.stage import Stage
-from solver.storage import cache_directory
 from solver.surface import Floats
 
 START, FRAMES = 2000, 300

@@ -52,8 +52,8 @@ def demo(
 ) -> None:
     """Fit a face: the built-in one, or with --anatomy and --faces one of your folders."""
     from myoface.demo.session import Session
+    from solver.cache import cache_directory
     from solver.rig.gltf_check import validate_glb
-    from solver.storage import cache_directory
 
     to_stdout = str(json_file) == "-"
     out.stderr = to_stdout  # standard output is then for the figures alone

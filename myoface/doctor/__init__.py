@@ -25,6 +25,8 @@ def examine(settings: Settings) -> Iterator[Diagnosis]:
     yield service.secret(settings)
     yield from service.stores(settings)
     yield machine.confinement()
+    yield machine.limits(settings)
+    yield machine.tenant_caches(settings)
     yield machine.compiler()
     yield machine.kernels()
     yield machine.mesher()

@@ -18,9 +18,12 @@ import trimesh
 from packaging.requirements import Requirement
 
 from myoface.stack import check_port
+from service.settings import Settings
 from solver.anatomy.tetrahedra import EdgeLengths, background_grid, tetrahedralize
 from solver.errors import SolveError
+from solver.kinds import KINDS, Kind
 from solver.surface import Surface
+from worker.caches import CACHES
 from worker.kernels import are_compiled
 from worker.sandbox import missing_layers
 
@@ -130,6 +133,36 @@ def confinement() -> Diagnosis:
         return Diagnosis("confinement", "ok", "solver processes reach their own folder only")
     advice = "a file that takes a solver over could reach these: use a newer Linux"
     return Diagnosis("confinement", "warning", "; ".join(missing), advice)
+
+
+def limits(settings: Settings) -> Diagnosis:
+    """Say within which limits solver processes work here, and whether memory can hold them."""
+    slots = settings.ingest_workers + settings.short_workers + settings.long_workers
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 1024**2
+    largest = {queue: settings.max_seconds(kind) for queue, kind in _kinds().items()}
+    times = ", ".join(f"{queue} {seconds} s" for queue, seconds in largest.items())
+    found = f"{times}; {slots} at a time with {settings.solver_memory_mb} MB each"
+    if slots * settings.solver_memory_mb <= total:
+        return Diagnosis("job limits", "ok", found)
+    advice = f"this machine has {total} MB: lower MYOFACE_SOLVER_MEMORY_MB, or run fewer at a time"
+    return Diagnosis("job limits", "warning", found, advice)
+
+
+def _kinds() -> dict[str, Kind]:
+    """Return a kind of each queue."""
+    return {kind.queue: kind for kind in KINDS.values()}
+
+
+def tenant_caches(settings: Settings) -> Diagnosis:
+    """Measure what is kept of tenants' templates here."""
+    folders = (settings.work / CACHES).glob("*/")
+    sizes = [sum(file.lstat().st_size for file in folder.iterdir()) for folder in folders]
+    most = settings.tenant_cache_bytes
+    megabytes, largest = sum(sizes) / 1024**2, most / 1024**2
+    found = f"{megabytes:.0f} MB of {len(sizes)} tenants, {largest:.0f} MB each at most"
+    if max(sizes, default=0) <= most:
+        return Diagnosis("solver caches", "ok", found)
+    return Diagnosis("solver caches", "warning", found, "a worker's sweeper removes the oldest")
 
 
 def kernels() -> Diagnosis:

@@ -54,7 +54,8 @@ def broker(settings: Settings) -> Diagnosis:
 def secret(settings: Settings) -> Diagnosis:
     """Check that the secret is there and nobody else can read it."""
     if settings.secret_key is not None:
-        return Diagnosis("secret", "ok", "in MYOFACE_SECRET_KEY")
+        place = os.environ.get("MYOFACE_SECRET_KEY_FILE") or "MYOFACE_SECRET_KEY"
+        return Diagnosis("secret", "ok", f"in {place}")
     path = settings.data_dir / "secret"
     if not path.exists():
         return Diagnosis("secret", "ok", "the first start makes one")

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import redis
 import structlog
-from sqlalchemy import func, select, union
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -26,8 +26,9 @@ from service.access.principal import Principal
 from service.errors import Problem
 from service.queue.states import HELD, State
 from service.queue.wakeups import connect
-from service.store.models import Artifact, Capture, FrameChunk, Job, Template, Tenant, Upload
+from service.store.models import Job, Tenant
 from service.store.tenancy import own_tenant
+from service.store.usage import stored_bytes
 
 ASK_AGAIN = "60"
 # Jobs of a tenant without a quota of its own that wait
@@ -117,26 +118,6 @@ def check_queued(session: Session) -> None:
 def most_queued(tenant: Tenant) -> int:
     """Return how many of a tenant's jobs may wait."""
     return MOST_QUEUED if tenant.max_queued is None else tenant.max_queued
-
-
-def stored_bytes(session: Session, tenant_id: str) -> int:
-    """Return the bytes of a tenant's files, each counted once, and of its open uploads."""
-    tables = (Capture, Template, Artifact)
-    files = (
-        select(table.sha256, table.size).where(table.tenant_id == tenant_id) for table in tables
-    )
-    sent = select(Upload.sha256, Upload.size).where(Upload.tenant_id == tenant_id, Upload.complete)
-    landmarks = select(Capture.landmarks_sha256, Capture.landmarks_size).where(
-        Capture.tenant_id == tenant_id
-    )
-    frames = select(FrameChunk.sha256, FrameChunk.size).join(Job, Job.id == FrameChunk.job_id)
-    frames = frames.where(Job.tenant_id == tenant_id)
-    counted = union(sent, landmarks, frames, *files).subquery()
-    stored = session.scalar(select(func.sum(counted.c.size)))
-    opened = session.scalar(
-        select(func.sum(Upload.size)).where(Upload.tenant_id == tenant_id, ~Upload.complete)
-    )
-    return int(stored or 0) + int(opened or 0)
 
 
 def count_queued(session: Session) -> int:

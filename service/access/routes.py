@@ -18,6 +18,7 @@ from service.schemas import Page
 from service.store.integrity import faults, holders
 from service.store.models import ApiKey
 from service.store.tenancy import own_tenant
+from service.store.usage import stored_bytes
 
 keys_router = APIRouter(prefix="/v1/keys", tags=["keys"])
 
@@ -95,7 +96,7 @@ def usage(session: ReadSession) -> Usage:
     """Show how much is stored, queued and running, and the quotas."""
     tenant = own_tenant(session)
     return Usage(
-        bytes=Use(used=limits.stored_bytes(session, tenant.id), limit=tenant.max_bytes),
+        bytes=Use(used=stored_bytes(session, tenant.id), limit=tenant.max_bytes),
         queued=Use(used=limits.count_queued(session), limit=limits.most_queued(tenant)),
         running=Use(used=limits.count_running(session), limit=tenant.max_running),
         lost_files=len(holders(session, faults(session))),

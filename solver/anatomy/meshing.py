@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,9 +28,9 @@ from solver.anatomy.relaxation import relax
 from solver.anatomy.template import Template, TemplateMesh
 from solver.anatomy.tetrahedra import tetrahedralize
 from solver.anatomy.transfer import guidance
+from solver.cache import cache_directory
 from solver.errors import InputError, SolveError
 from solver.progress import Progress, Step, silent
-from solver.storage import cache_directory
 from solver.surface import Floats, Ints
 
 EDGE_MM = 9.0  # the usual edge length on the face
@@ -240,22 +238,34 @@ def find_or_make_mesh(
     """Return the template with tets of ``edge_mm``: its own, those in the cache, or new ones.
 
     New ones take minutes and are not reproducible, so they are kept in the cache folder under the
-    hash of what they were made from. Raises as :func:`make_mesh`.
+    hash of what they were made from, and read only if that is what they were made from. Raises as
+    :func:`make_mesh`.
     """
     if template.mesh is not None and template.mesh.edge_mm == edge_mm:
         return template
     bare = replace(template, mesh=None)
     path = cache_directory() / f"meshed-{MAKING}-{bare.sha256[:16]}-{edge_mm:g}mm.npz"
-    try:
-        if path.exists():
-            return Template.load(path)
-    except InputError as error:
-        log.warning("the template's tets are made anew", reason=str(error))
-        path.unlink(missing_ok=True)
+    if (kept := _read_kept(path, bare, edge_mm)) is not None:
+        return kept
     log.info("making the template's tets", template=template.name, to=str(path))
-    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-        whole = Path(folder) / path.name
-        with_mesh(bare, edge_mm, progress).save(whole)
-        if not path.exists():  # else another process was faster: then its tets are everybody's
-            os.replace(whole, path)
+    made = with_mesh(bare, edge_mm, progress)
+    if not path.exists():  # else another process was faster: then its tets are everybody's
+        made.save(path)
     return Template.load(path)
+
+
+def _read_kept(path: Path, bare: Template, edge_mm: float) -> Template | None:
+    """Return a template from the cache; None: it is not there, or not the one that is wanted."""
+    if not path.exists():
+        return None
+    try:
+        found = Template.load(path)
+        same = replace(found, mesh=None).sha256 == bare.sha256
+        if same and found.mesh is not None and found.mesh.edge_mm == edge_mm:
+            return found
+        reason = "they are of another template or size"
+    except InputError as error:
+        reason = str(error)
+    log.warning("the template's tets are made anew", reason=reason)
+    path.unlink(missing_ok=True)
+    return None

@@ -14,7 +14,7 @@ from solver.fitting.target_checks import check_held, check_replaced
 from solver.jobs import Task
 from solver.jobs.fits import (
     Targets,
-    Telling,
+    WarningLog,
     describe_fit,
     find_oddities,
     leave_rig,
@@ -41,7 +41,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     scans = read_scans(subject, task.captures)
     face = Face(subject, parent.weights, linear=given.linear_solver or fastest())
     check_held(face)
-    told = Telling(subject, progress)
+    told = WarningLog(subject, progress)
     oddities = find_oddities(face, scans)
     for fit in carried:
         if fit.name in scans:

@@ -21,7 +21,7 @@ from solver.fitting.target_checks import check_held
 from solver.jobs import Task
 from solver.jobs.fits import (
     Targets,
-    Telling,
+    WarningLog,
     describe_fit,
     find_oddities,
     leave_rig,
@@ -54,7 +54,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
         priors["start"] = transfer(start.weights, start.model, subject)
     if given.symmetry > 0.0:
         priors["structure"] = mirror_structure(subject, given.symmetry)
-    told = Telling(subject, progress)
+    told = WarningLog(subject, progress)
     oddities = find_oddities(face, scans)
     if len(scans) == 1:
         message = (

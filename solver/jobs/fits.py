@@ -162,7 +162,7 @@ def _normals(points: Floats, triangles: Ints) -> Floats:
 # The warnings of a job: told while it runs, and kept for its report.
 
 
-class Telling:
+class WarningLog:
     """Notices are sent as steps of the phase ``warning`` and sorted by expression."""
 
     def __init__(self, model: SubjectModel, progress: Progress) -> None:

@@ -30,6 +30,9 @@ Input = Literal[
 # Seconds after which a job of a queue is ended: while a person waits, at a desk, over night
 QUEUE_SECONDS: Mapping[Queue, int] = {"ingest": 120, "short": 3600, "long": 24 * 3600}
 
+# Bytes that a job of a queue may leave: pictures and a registered scan, a model, films in frames
+QUEUE_BYTES: Mapping[Queue, int] = {"ingest": 1 << 30, "short": 4 << 30, "long": 16 << 30}
+
 
 class JobOptions(Document):
     """Base of a kind's options: a field each, with default, bounds and a description."""
@@ -77,6 +80,11 @@ class Kind:
     def max_seconds(self) -> int:
         """Seconds after which an attempt at it is ended, where an installation sets no others."""
         return QUEUE_SECONDS[self.queue]
+
+    @property
+    def max_bytes(self) -> int:
+        """Bytes that a job of it may leave; one that leaves more has failed."""
+        return QUEUE_BYTES[self.queue]
 
     @property
     def schema(self) -> dict[str, Any]:

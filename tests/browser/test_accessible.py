@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from solver.storage import cache_directory
+from solver.cache import cache_directory
 from tests.service_client import Studio
 
 pytestmark = pytest.mark.slow

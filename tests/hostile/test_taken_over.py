@@ -24,9 +24,13 @@ def _tried(folder: Path) -> dict[str, str]:
         other = stack.settings.work / "other"
         other.mkdir(parents=True, exist_ok=True)
         (other / "scan").write_text("of another tenant")
+        cache = stack.settings.work / "caches" / "default"
+        cache.mkdir(parents=True)
+        (cache / "meshed-4-there.npz").write_text("tets")
         subject = studio.subject()
         scan = studio.raw(subject, "smile")
         done = studio.finished(studio.submit("check_scan", subject, captures=[scan]))
+        assert [each.read_text() for each in cache.iterdir()] == ["tets"]
     assert done["state"] == "succeeded", done
     got: dict[str, str] = done["result"]["summary"]["figures"]["got"]
     return got
@@ -43,21 +47,30 @@ def test_a_solver_that_is_taken_over_gets_nothing(
     assert not any(got.values())
 
 
-def test_kernels_are_lent_as_copies_where_numba_looks_for_them(
+def test_kernels_are_read_from_the_installation_and_never_written_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     caching = pytest.importorskip("numba.core.caching")
-    package = tmp_path / "solver" / "mechanics"
-    (package / "__pycache__").mkdir(parents=True)
-    (package / "__pycache__" / "laws.energy-1.py311.nbi").write_bytes(b"compiled")
+    package, attempt = tmp_path / "solver" / "mechanics", tmp_path / "attempt"
+    installed = package / "__pycache__" / "laws.energy-1.py311.nbi"
+    installed.parent.mkdir(parents=True)
+    file = caching.IndexDataCacheFile(str(installed.parent), "laws.energy-1.py311", "stamp")
+    file.save("signature", "compiled")
+    kept = installed.read_bytes()
     monkeypatch.setattr(kernels, "SOLVER", tmp_path / "solver")
-    monkeypatch.delenv(kernels.VARIABLE, raising=False)
-    kernels.lend(tmp_path / "lent")
-    home = caching._CacheLocator.get_suitable_cache_subpath(str(package / "laws.py"))
-    copy = tmp_path / "lent" / home / "laws.energy-1.py311.nbi"
-    assert copy.read_bytes() == b"compiled"
-    copy.write_bytes(b"poisoned")
-    assert (package / "__pycache__" / "laws.energy-1.py311.nbi").read_bytes() == b"compiled"
+    monkeypatch.delenv(kernels.CACHE_VARIABLE, raising=False)
+    kernels.link_kernels(attempt)
+    home = attempt / caching._CacheLocator.get_suitable_cache_subpath(str(package / "laws.py"))
+    file = caching.IndexDataCacheFile(str(home), "laws.energy-1.py311", "stamp")
+    assert file.load("signature") == "compiled"
+    file.save("signature", "poisoned")
+    file.save("another", "poisoned")
+    assert file.load("signature") == "poisoned"
+    assert installed.read_bytes() == kept
+    assert {each.name for each in installed.parent.iterdir()} == {
+        "laws.energy-1.py311.nbi",
+        "laws.energy-1.py311.1.nbc",
+    }
 
 
 def test_the_environment_of_a_solver_is_an_allow_list(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,7 +84,7 @@ def test_the_environment_of_a_solver_is_an_allow_list(monkeypatch: pytest.Monkey
 
 def test_the_memory_of_api_and_workers_is_their_own() -> None:
     code = (
-        "import ctypes; from service.process import hide_memory; hide_memory();"
+        "import ctypes; from service.process import forbid_dumps; forbid_dumps();"
         "print(ctypes.CDLL(None).prctl(3, 0, 0, 0, 0))"  # PR_GET_DUMPABLE
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -9,6 +9,7 @@ import pytest
 
 from myoface.stack import Stack
 from service.settings import Settings
+from solver.kinds import KINDS
 from tests.servers.production import Production
 from tests.service_client import Studio, running, served
 
@@ -72,3 +73,10 @@ def test_a_scene_that_nobody_would_live_to_see_is_refused(tmp_path: Path) -> Non
         assert answer.json()["found"] == 9_216_000
         scene["steps_per_frame"] = 1
         assert studio.http.post("/v1/jobs", json=order).json()["code"] == "job.missing"
+
+
+def test_large_files_have_more_time_unless_somebody_set_it(tmp_path: Path) -> None:
+    check, largest = KINDS["check_scan"], 2 * 1024**3
+    assert Settings(data_dir=tmp_path).max_seconds(check, 146_000) == 120
+    assert Settings(data_dir=tmp_path).max_seconds(check, largest) == 120 + 2048
+    assert Settings(data_dir=tmp_path, max_ingest_seconds=60).max_seconds(check, largest) == 60

@@ -12,7 +12,7 @@ from myoface.doctor import machine
 from service.settings import LONGEST_SOCKET_PATH, Settings
 from service.store.broker import BrokerNotFoundError, EmbeddedBroker
 from service.store.database import Store
-from worker.process import remove_orphans
+from worker.orphans import remove_orphans
 
 
 @pytest.fixture

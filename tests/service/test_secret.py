@@ -26,3 +26,20 @@ def test_a_configured_secret_needs_no_file(tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path, secret_key="s" * 32)
     assert wait_for_secret(settings, 0) == b"s" * 32
     assert not (tmp_path / "secret").exists()
+
+
+def test_secrets_come_from_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = {
+        "secret_key": "s" * 32,
+        "database_url": "postgresql://u:p@h/n",
+        "broker_url": "redis://",
+    }
+    for name, value in kept.items():
+        (tmp_path / name).write_text(f"{value}\n")
+        monkeypatch.setenv(f"MYOFACE_{name.upper()}_FILE", str(tmp_path / name))
+    settings = Settings(data_dir=tmp_path)
+    assert secret(settings) == b"s" * 32
+    assert settings.database == "postgresql+psycopg://u:p@h/n"
+    assert settings.broker == "redis://"
+    monkeypatch.setenv("MYOFACE_BROKER_URL", "redis://here")  # says so itself: that counts
+    assert Settings(data_dir=tmp_path).broker == "redis://here"

@@ -16,7 +16,7 @@ from solver.errors import InputError
 from solver.progress import Step
 from worker import solve
 from worker.attempt import AttemptFolder
-from worker.errors import VerdictError
+from worker.errors import InvalidOutputError
 from worker.process import LONGEST_LINE, MOST_LINES, _Lines, _step
 
 HOSTILE = "\x1b]0;owned\x07\x1b[8m\u202e\u009b"
@@ -81,10 +81,10 @@ def test_a_result_quotes_little_and_keeps_its_figures(folder: AttemptFolder) -> 
 )
 def test_a_verdict_of_nobody_s_is_refused(folder: AttemptFolder, content: bytes) -> None:
     (folder.path / "error.json").write_bytes(content)
-    with pytest.raises(VerdictError):
+    with pytest.raises(InvalidOutputError):
         folder.error()
     (folder.path / "result.json").write_bytes(content)
-    with pytest.raises(VerdictError):
+    with pytest.raises(InvalidOutputError):
         folder.result()
 
 

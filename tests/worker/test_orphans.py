@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
+import signal
+import subprocess
+import sys
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +15,8 @@ import pytest
 
 from service.store import deletion
 from service.store.database import Store
-from worker.process import remove_orphans
+from tests.service_client import eventually
+from worker.orphans import note_session, remove_orphans
 
 
 @pytest.fixture
@@ -29,6 +34,62 @@ def test_only_folders_of_attempts_are_removed(store: Store, tmp_path: Path) -> N
         folder.mkdir(parents=True)
     remove_orphans(store, work)
     assert [path.name for path in work.iterdir()] == [other.name]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are found on Linux only")
+def test_processes_are_found_whatever_they_say_of_themselves(store: Store, tmp_path: Path) -> None:
+    """One that was taken over has cleared its environment, and its solver has ended."""
+    attempt = tmp_path / "work" / f"{uuid.uuid4()}.1"
+    attempt.mkdir(parents=True)
+    code = (
+        "import subprocess as s; print(s.Popen(['sleep', '600'], env={}).pid, flush=True); input()"
+    )
+    solver = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+        env={},
+    )
+    assert solver.stdout is not None
+    left = int(solver.stdout.readline())
+    note_session(attempt, solver.pid)
+    (attempt / "process.json").write_text(json.dumps({"leader": 1}))  # what it writes is not asked
+    os.kill(solver.pid, signal.SIGKILL)
+    solver.wait()
+    try:
+        remove_orphans(store, tmp_path / "work")
+        eventually(lambda: not Path(f"/proc/{left}/cmdline").exists() or _is_zombie(left))
+    finally:
+        if Path(f"/proc/{left}").exists():
+            os.kill(left, signal.SIGKILL)
+    assert list((tmp_path / "work").iterdir()) == []
+
+
+def _is_zombie(process: int) -> bool:
+    return Path(f"/proc/{process}/cmdline").read_bytes() == b""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are found on Linux only")
+def test_a_session_whose_number_is_another_one_s_now_is_left_alone(
+    store: Store, tmp_path: Path
+) -> None:
+    attempt = tmp_path / "work" / f"{uuid.uuid4()}.1"
+    attempt.mkdir(parents=True)
+    other = subprocess.Popen(["sleep", "600"], start_new_session=True)
+    try:
+        note_session(attempt, other.pid)
+        noted = next(attempt.parent.glob("*.session"))
+        known = json.loads(noted.read_text())
+        for change in ({"started": "1"}, {"system": "another"}):
+            attempt.mkdir(exist_ok=True)
+            noted.write_text(json.dumps(known | change))
+            remove_orphans(store, attempt.parent)
+            assert not attempt.exists()
+            assert other.poll() is None
+    finally:
+        other.kill()
+        other.wait()
 
 
 def test_only_stored_files_are_collected(store: Store, tmp_path: Path) -> None:

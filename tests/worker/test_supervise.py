@@ -5,14 +5,18 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
+import signal
+import sys
+import textwrap
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import select
+from sqlalchemy import delete, select, text
 from sqlalchemy.exc import OperationalError
 
 from service.queue import table
@@ -21,12 +25,14 @@ from service.queue.table import Claim
 from service.settings import Settings
 from service.store import deletion
 from service.store.database import Store
-from service.store.models import DEFAULT_TENANT, Job, LogLine, Subject
-from worker import solve
+from service.store.models import DEFAULT_TENANT, Artifact, Job, LogLine, Subject, Tenant
+from solver.kinds import kind
+from tests.service_client import ROOT, eventually
+from worker import process, solve
 from worker.abilities import abilities
 from worker.attempt import FRAMES, KEPT, AttemptFolder
-from worker.errors import VerdictError
-from worker.process import remove_tree
+from worker.errors import InvalidOutputError
+from worker.orphans import remove_tree
 from worker.supervise import Supervisor
 
 
@@ -138,7 +144,7 @@ def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, sto
     assert json.loads((folder.path / "job.json").read_text())["resume"] is True
     shapes.write_text("all")
     (folder.path / "result.json").write_text(json.dumps({"summary": {}, "expressions": []}))
-    supervisor._settle(again, folder, 0)
+    supervisor._commit_outcome(again, folder, 0)
     with store.read() as session:
         (artifact,) = session.get_one(Job, claim.job_id).artifacts
     assert store.files.read(artifact.sha256) == b"all"
@@ -168,7 +174,7 @@ def test_a_result_is_written_down_when_the_database_is_back(
                 raise OperationalError("COMMIT", None, Exception(f"gone {failures.pop()}"))
 
     monkeypatch.setattr(store, "write", failing)
-    supervisor._settle(claim, folder, 0)
+    supervisor._commit_outcome(claim, folder, 0)
     with store.read() as session:
         job = session.get_one(Job, claim.job_id)
         assert job.state is State.SUCCEEDED
@@ -203,7 +209,7 @@ def test_a_solver_without_room_puts_its_job_off(
     os.close(reading)
     supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
     supervisor._renewed = float("inf")
-    supervisor._settle(claim, folder, code)
+    supervisor._commit_outcome(claim, folder, code)
     with store.read() as session:
         job = session.get_one(Job, claim.job_id)
         assert (job.state, job.lost, job.attempts[0].outcome) == (State.QUEUED, 0, "postponed")
@@ -223,10 +229,10 @@ def test_what_a_solver_links_to_is_not_stored(settings: Settings, store: Store) 
     assert [each.name for each in folder.store(store.files)] == ["report.json"]
     assert folder.new_frames(store.files) == []
     (folder.path / "error.json").symlink_to(secret)
-    with pytest.raises(VerdictError):
+    with pytest.raises(InvalidOutputError):
         folder.error()
     os.mkfifo(folder.path / "result.json")
-    with pytest.raises(VerdictError):
+    with pytest.raises(InvalidOutputError):
         folder.result()
     out.rename(folder.path / "elsewhere")
     out.symlink_to(settings.data_dir)
@@ -243,3 +249,164 @@ def test_an_attempt_goes_however_deep_its_folders_are(tmp_path: Path) -> None:
     os.close(here)
     remove_tree(tmp_path / "deep")
     assert not (tmp_path / "deep").exists()
+
+
+class Jobs:
+    """Jobs of a package of their own, claimed and done by a supervisor with real processes."""
+
+    def __init__(
+        self, folder: Path, settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        (folder / "made").mkdir()
+        (folder / "made" / "__init__.py").touch()
+        self._code = folder / "made" / "build_model.py"
+        self._settings = settings.model_copy(
+            update={"jobs": "made", "lease": 2.0, "beat": 0.2, "solver_threads": 1}
+        )
+        self._store = store
+        monkeypatch.setenv("PYTHONPATH", f"{folder}:{ROOT}")
+
+    def add(self, code: str, inputs: Sequence[dict[str, Any]] = ()) -> str:
+        """Queue a job that does what ``code`` says; returns its id."""
+        body = textwrap.indent(textwrap.dedent(code), "    ")
+        self._code.write_text(f"import os, time\n\ndef run(task):\n{body}\n")
+        with self._store.write() as session:
+            session.add(subject := Subject(tenant_id=DEFAULT_TENANT, name="Alex"))
+            session.flush()
+            job = Job(
+                tenant_id=DEFAULT_TENANT,
+                subject_id=subject.id,
+                kind="build_model",
+                queue="short",
+                request={"options": {}, "rig_id": None},
+                inputs=list(inputs),
+                max_attempts=3,
+            )
+            table.create(session, job)
+            return job.id
+
+    def run_next(self) -> Supervisor:
+        """Do the next job."""
+        can = abilities(self._settings)
+        supervisor = Supervisor(self._store, self._settings, can, threading.Event())
+        assert supervisor.run_next("short")
+        return supervisor
+
+    def state(self, job_id: str) -> tuple[State, int, str | None]:
+        """Return a job's state, how many attempts were lost, and the code of its error."""
+        with self._store.read() as session:
+            job = session.get_one(Job, job_id)
+            return job.state, job.lost, (job.error or {}).get("code")
+
+
+@pytest.fixture
+def jobs(tmp_path: Path, settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch) -> Jobs:
+    return Jobs(tmp_path, settings, store, monkeypatch)
+
+
+SUCCEED = """
+    (task.out / "model.json").write_text("{}")
+    (task.out / "model.npz").write_bytes(bytes(600))
+"""
+
+
+@pytest.mark.parametrize(
+    ("quota", "bound", "code"), [(1000, 4000, "quota.bytes"), (None, 1000, "solver.output")]
+)
+def test_nothing_of_what_is_too_much_is_stored(
+    jobs: Jobs,
+    store: Store,
+    monkeypatch: pytest.MonkeyPatch,
+    quota: int | None,
+    bound: int,
+    code: str,
+) -> None:
+    monkeypatch.setitem(kind.QUEUE_BYTES, "short", bound)
+    with store.write() as session:
+        session.get_one(Tenant, DEFAULT_TENANT).max_bytes = quota
+    more = '    (task.out / "more.npz").write_bytes(bytes(600))'
+    too_much = jobs.add(SUCCEED + more)
+    jobs.run_next()
+    assert jobs.state(too_much) == (State.FAILED, 0, code)
+    assert list(store.files.list_stored()) == []
+    fitting = jobs.add(SUCCEED)
+    jobs.run_next()
+    assert jobs.state(fitting)[0] is State.SUCCEEDED
+    assert len(list(store.files.list_stored())) == 2
+
+
+def test_frames_are_too_much_while_they_come(
+    jobs: Jobs, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(kind.QUEUE_BYTES, "short", 10_000)
+    endless = """
+    (task.out / "frames").mkdir()
+    for number in range(1000):
+        (task.out / "frames" / f"{number:06d}-{number:06d}.json").write_bytes(bytes(1000))
+        time.sleep(0.1)
+    """
+    job = jobs.add(endless)
+    jobs.run_next()
+    assert jobs.state(job) == (State.FAILED, 0, "solver.output")
+    assert len(list(store.files.list_stored())) <= 10
+
+
+def _remove_work(settings: Settings, _: Store) -> None:
+    eventually(lambda: any(settings.work.glob("*.1/out/begun")), seconds=30)
+    shutil.rmtree(settings.work, ignore_errors=True)
+
+
+def _drop_artifacts(settings: Settings, store: Store) -> None:
+    eventually(lambda: any(settings.work.glob("*.1/out/begun")), seconds=30)
+    with store.write() as session:
+        session.execute(text("DROP TABLE artifacts"))
+
+
+@pytest.mark.parametrize("fault", [None, _remove_work, _drop_artifacts])
+def test_a_worker_goes_on_whatever_happens(
+    jobs: Jobs, settings: Settings, store: Store, fault: Callable[[Settings, Store], None] | None
+) -> None:
+    """A row of another release, a work folder that is removed, a database that is spoilt."""
+    code = '(task.out / "begun").touch()\ntime.sleep(1)\n' + textwrap.dedent(SUCCEED)
+    job = jobs.add(code, inputs=[{"role": "neutral"}] if fault is None else ())
+    if fault is not None:
+        threading.Thread(target=fault, args=[settings, store], daemon=True).start()
+    jobs.run_next()
+    state, lost, _ = jobs.state(job)
+    assert (state, lost) == (State.QUEUED, 1)
+    with store.write() as session:
+        session.execute(delete(Job).where(Job.id == job))
+        Artifact.__table__.create(session.connection(), checkfirst=True)  # type: ignore[attr-defined]
+    next_one = jobs.add(SUCCEED)
+    jobs.run_next()
+    assert jobs.state(next_one)[0] is State.SUCCEEDED
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the signal of the limit is Linux's")
+def test_the_system_ends_a_job_whose_supervisor_does_not(
+    jobs: Jobs, settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process, "CPU_MARGIN", 2.0)
+    spinning = """
+    import signal
+    (task.out / "begun").touch()
+    while True:
+        pass
+    """
+    job = jobs.add(spinning)
+    with store.write() as session:
+        claim = table.take(session, job, "me", 60)
+    assert claim is not None
+    folder = AttemptFolder(settings.work, claim)
+    folder.stage(store)
+    solver = process.SolverProcess(folder.path, jobs._settings, DEFAULT_TENANT, 1.0)
+    try:
+        code = solver.wait(60)  # as long as nobody looks at the clock
+        assert code == -signal.SIGXCPU
+    finally:
+        solver.finish()
+    assert (folder.path / "out" / "begun").exists()
+    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
+    supervisor._renewed = float("inf")
+    supervisor._commit_outcome(claim, folder, code)
+    assert jobs.state(job) == (State.FAILED, 0, "job.timeout")

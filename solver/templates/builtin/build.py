@@ -17,7 +17,7 @@ import structlog
 from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, first_match, lips_apart
 from solver.anatomy.data import read_json
 from solver.anatomy.template import Template
-from solver.storage import cache_directory
+from solver.cache import cache_directory
 from solver.surface import Ints, Surface, join_surfaces
 from solver.templates.builtin.head import WHEEL_SHA256, Head, SourceFiles, fetch_wheel, shape_basis
 from solver.templates.builtin.muscles import build_muscles

@@ -30,8 +30,8 @@ from scipy.spatial import cKDTree
 from solver.anatomy.data import read_table
 from solver.anatomy.template import ShapeBasis
 from solver.anatomy.warp import MIRROR
+from solver.cache import cache_directory
 from solver.errors import InputError
-from solver.storage import cache_directory
 from solver.surface import Floats, Ints, Surface, own_numbers
 from solver.templates.tables import file_fault
 

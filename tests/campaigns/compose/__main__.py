@@ -41,9 +41,10 @@ PROGRAMS = {
     "python": PYTHON,
     "myoface": [*PYTHON, "-c", "from myoface.cli import main; main()"],
     "valkey-server": [str(get_binary_path())],
-    "rclone": [str(Path(sys.executable).parent / "rclone")],
 }
 IMAGE = {"MYOFACE_LOG_JSON": "true"}
+# Where rclone is here, which a shell of the file looks for
+PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
 START_TIMEOUT = 60.0
 
 
@@ -60,18 +61,48 @@ class Host:
             "objects:9000": f"{HERE}:{self.port['objects']}",
             "api:8765": f"{HERE}:{self.port['api']}",
             ":9000": f"{HERE}:{self.port['objects']}",
-            "/objects": str(folder / "objects"),
+            " /objects": f" {folder / 'objects'}",
+            "/run/secrets": str(folder / "secrets"),
+            "/tmp/work": str(folder / "work"),
             "/etc/caddy/Caddyfile": str(ROOT / "deploy" / "Caddyfile"),
         }
+
+    def make_secrets(self) -> None:
+        """Make the secrets, as the file's first lines say."""
+        script, folder = ROOT / "deploy" / "make-secrets", self.folder / "secrets"
+        for _ in range(2):  # the second time it keeps them
+            subprocess.run([script, folder], check=True)
+        say(
+            f"ok   deploy/make-secrets: {', '.join(sorted(each.name for each in folder.iterdir()))}"
+        )
+
+    def put_addresses_into_secrets(self) -> None:
+        """Have the secrets' addresses be those of this machine."""
+        for file in (self.folder / "secrets").iterdir():
+            file.chmod(0o600)
+            file.write_text(self._here(file.read_text()))
+
+    def check_health(self, name: str) -> None:
+        """Run a service's health check until it passes."""
+        client = f"redis-cli -p {self.port['valkey']}"
+        told = self._services[name].health
+        words = [self._here(word).replace("valkey-cli", client) for word in told]
+        deadline = time.monotonic() + START_TIMEOUT
+        while subprocess.run(words, check=False, timeout=START_TIMEOUT).returncode:
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"{name} is not healthy: {' '.join(words)}")
+            time.sleep(0.5)
+        say(f"ok   {name} is healthy: {' '.join(told)}")
 
     def start_postgres(self) -> None:
         """Run PostgreSQL with the user of the file."""
         wanted = self._services["postgres"].environment
+        password_file = Path(self._here(wanted["POSTGRES_PASSWORD_FILE"]))
         url = self._running.enter_context(postgres(HERE))
         self._places["postgres:5432"] = url.rpartition("@")[2].partition("/")[0]
         user = sql.Identifier(wanted["POSTGRES_USER"])
         with psycopg.connect(url, autocommit=True) as connection:
-            password = sql.Literal(wanted["POSTGRES_PASSWORD"])
+            password = sql.Literal(password_file.read_text())
             connection.execute(sql.SQL("CREATE ROLE {} LOGIN PASSWORD {}").format(user, password))
             connection.execute(sql.SQL("CREATE DATABASE {} OWNER {}").format(user, user))
         say("ok   postgres")
@@ -87,7 +118,7 @@ class Host:
             self.folder / f"{name}.log",
             HERE,
             port,
-            env=os.environ | self._environment(service) | environment,
+            env=os.environ | {"PATH": PATH} | self._environment(service) | environment,
             cwd=ROOT,
         )
         process = self._running.enter_context(context)
@@ -98,6 +129,7 @@ class Host:
     def _environment(self, service: Service) -> dict[str, str]:
         values = {name: self._here(value) for name, value in service.environment.items()}
         own = {"MYOFACE_DATA_DIR": str(self.folder / "data"), "PYTHONPATH": str(ROOT)}
+        own["MYOFACE_WORK_DIR"] = str(self.folder / "work")
         own["MYOFACE_PORT"] = str(self.port["api"])
         return IMAGE | values | own
 
@@ -121,7 +153,9 @@ def host() -> Iterator[Host]:
     with tempfile.TemporaryDirectory(prefix="myoface-deploy-") as name, ExitStack() as running:
         here = Host(Path(name), described, running)
         (here.folder / "objects" / "faces").mkdir(parents=True)
+        here.make_secrets()
         here.start_postgres()
+        here.put_addresses_into_secrets()
         valkey = here.port["valkey"]
         here.start("valkey", "--port", str(valkey), "--dir", name, port=valkey)
         here.start("objects", port=here.port["objects"])
@@ -179,7 +213,9 @@ def _wait_until_ready(http: httpx.Client) -> None:
 
 
 def check_health(here: Host) -> None:
-    """Run the image's health check."""
+    """Run the image's health check, and those of the file."""
+    for name in ("valkey", *sorted(name for name in services() if name.startswith("worker-"))):
+        here.check_health(name)
     words = [word.replace("8765", str(here.port["api"])) for word in healthcheck()[1:]]
     subprocess.run([*PYTHON, *words], check=True, timeout=START_TIMEOUT)
     say("ok   the image's health check")
@@ -189,8 +225,8 @@ def main() -> int:
     """Check; returns the exit code."""
     try:
         with host() as here:
-            run_a_job(here)
             check_health(here)
+            run_a_job(here)
     except UnavailableError as error:
         say(f"skipped: {error}")
         return int(required())

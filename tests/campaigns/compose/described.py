@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fnmatch
-import os
 import re
 import shlex
 import shutil
@@ -17,15 +16,16 @@ import yaml
 from tests.servers import UnavailableError
 
 ROOT = Path(__file__).parents[3]
-PASSWORDS = {f"MYOFACE_{part}_PASSWORD": f"check-{part.lower()}" for part in ("DB", "BROKER", "S3")}
 
 
 @dataclass(frozen=True)
 class Service:
-    """What a container runs, and with which variables."""
+    """What a container runs, with which variables, and how its health is asked for."""
 
     command: list[str]
     environment: dict[str, str]
+    health: list[str]
+    described: dict[str, Any]
 
 
 def services() -> dict[str, Service]:
@@ -42,12 +42,7 @@ def services() -> dict[str, Service]:
     if program is None:
         raise UnavailableError("no docker-compose here: apt-get install docker-compose")
     done = subprocess.run(
-        [program, "config"],
-        cwd=ROOT,
-        env=os.environ | PASSWORDS,
-        capture_output=True,
-        text=True,
-        check=False,
+        [program, "config"], cwd=ROOT, capture_output=True, text=True, check=False
     )
     if done.returncode:
         raise ValueError(done.stderr)
@@ -57,11 +52,19 @@ def services() -> dict[str, Service]:
 def _service(described: dict[str, Any]) -> Service:
     words = [*_words(described.get("entrypoint")), *_words(described.get("command"))]
     environment = {key: str(value) for key, value in described.get("environment", {}).items()}
-    return Service(words, environment)
+    test = described.get("healthcheck", {}).get("test", [])
+    health = ["sh", "-c", *test[1:]] if test[:1] == ["CMD-SHELL"] else test[1:]
+    return Service(words, environment, [_plain(word) for word in health], described)
 
 
 def _words(given: str | list[str] | None) -> list[str]:
-    return shlex.split(given) if isinstance(given, str) else list(given or ())
+    words = shlex.split(given) if isinstance(given, str) else list(given or ())
+    return [_plain(word) for word in words]
+
+
+def _plain(word: str) -> str:
+    """Return a word as a container gets it: the file doubles the dollars of no variable of its."""
+    return word.replace("$$", "$")
 
 
 def check_build_context() -> list[str]:

@@ -1,5 +1,7 @@
 """Tets of a template without any are made once and kept."""
 
+from dataclasses import replace
+
 from solver.anatomy import meshing
 from solver.anatomy.meshing import find_or_make_mesh
 from tests.solver.ball import EDGE_MM, ball_template, meshed_ball
@@ -24,4 +26,7 @@ def test_tets_are_made_once_and_anew_if_the_file_was_spoilt(tmp_path, monkeypatc
     kept.write_bytes(kept.read_bytes()[:1000])
     assert find_or_make_mesh(ball_template(), EDGE_MM).sha256 == first.sha256
     assert made == [EDGE_MM, EDGE_MM]
+    replace(meshed_ball(), name="another").save(kept)  # what a job may leave that was taken over
+    assert find_or_make_mesh(ball_template(), EDGE_MM).sha256 == first.sha256
+    assert made == 3 * [EDGE_MM]
     assert list(tmp_path.iterdir()) == [kept]

@@ -1,6 +1,7 @@
 """Tries what a process could take, do or leave behind; the job's figures say what it got."""
 
 import ctypes
+import fcntl
 import json
 import os
 import resource
@@ -8,6 +9,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import termios
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -33,7 +35,7 @@ def _got(try_it: Callable[[], Any]) -> str:
     """Return what a try brought, nothing if it was refused."""
     try:
         found = try_it()
-    except (OSError, subprocess.SubprocessError, RuntimeError):
+    except (OSError, subprocess.SubprocessError, RuntimeError, StopIteration):
         return ""
     return repr(found)[:100] if found or found == 0 else ""
 
@@ -57,6 +59,19 @@ def _tries(task: Task, attempt: Path) -> dict[str, Callable[[], Any]]:
         "write for the next job": lambda: (Path("/tmp") / "left").write_text("x"),
         "change the code": lambda: (code / "left.py").write_text("x"),
         "change the kernels": lambda: (code / "__pycache__" / "left.nbi").write_text("x"),
+        "change a kernel that it reads": lambda: next(
+            each.write_bytes(b"x") for each in (attempt / "kernels").rglob("*.nb[ic]")
+        ),
+        "write for the tenant's next job": lambda: (
+            attempt.parent / "caches" / "default" / "meshed-4-x-9mm.npz"
+        ).write_text("x"),
+        "change the cache that it reads": lambda: (
+            attempt / "cache" / "meshed-4-there.npz"
+        ).write_text("x"),
+        "say whose its processes are": lambda: attempt.with_name(
+            f"{attempt.name}.session"
+        ).write_text("{}"),
+        "show that its worker lives": lambda: (attempt.parent / "alive.ingest").write_text("x"),
         "remove the database": lambda: (data / "myoface.db").rename(data / "gone"),
         "lock others out": lambda: os.chmod(data / "files", 0o700) or "may",
         "limit the parent": lambda: (
@@ -80,6 +95,16 @@ def _tries(task: Task, attempt: Path) -> dict[str, Callable[[], Any]]:
             (task.out / "link.json").symlink_to(data / "secret") or "may"
         ),
         "a pipe in its results": lambda: os.mkfifo(task.out / "pipe.json") or "may",
+        "a program in memory": lambda: os.memfd_create("program") >= 0 or None,
+        "to type into a terminal": lambda: fcntl.ioctl(0, termios.TIOCSTI, b"x") == 0 or None,
+        "signals to others by a pipe": lambda: fcntl.fcntl(1, fcntl.F_SETOWN, parent) == 0 or None,
+        "memory of its own faults": lambda: LIBC.syscall(323, 0) >= 0 or None,
+        "keys of the kernel": lambda: LIBC.syscall(250, 0, -3, 0) >= 0 or None,
+        "another personality": lambda: LIBC.personality(0x0040000) >= 0 or None,
+        "a ring of calls": lambda: LIBC.syscall(425, 8, bytes(120)) >= 0 or None,
+        "a filter of its own": lambda: LIBC.prctl(22, 2, 0) == 0 or None,
+        "to be dumped": lambda: LIBC.prctl(4, 1) == 0 or None,
+        "to count what others do": lambda: LIBC.syscall(298, bytes(128), 0, -1, -1, 0) >= 0 or None,
         "a second name of the database": lambda: (
             os.link(data / "myoface.db", attempt / "tmp" / "db") or "may"
         ),

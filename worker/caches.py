@@ -1,0 +1,87 @@
+"""Tenants' caches: meshed templates, which take minutes, kept from job to job.
+
+A solver reads its tenant's through links in its attempt's folder and makes new ones there. Only
+supervisors write here, so no job changes what another one is reading. What a solver made is right
+only as far as that solver was: whoever reads it compares it with the template that it asked for.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from service.settings import Settings
+from solver.cache import cache_path
+from worker.orphans import remove_tree
+
+# Below the work folder, a folder for each tenant
+CACHES = "caches"
+# The name of what is kept, as `solver.anatomy.meshing` gives it
+MESHED = re.compile(r"meshed-[0-9a-z.-]{1,100}\.npz")
+# Seconds after which what nobody made anew is removed
+LONGEST_KEPT = 30 * 24 * 3600.0
+
+
+class TenantCache:
+    """What is kept of a tenant's templates on this host, besides the installation's own files."""
+
+    def __init__(self, tenant: str, settings: Settings) -> None:
+        self.folder = settings.work / CACHES / tenant
+        self._most_bytes = settings.tenant_cache_bytes
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def link_into(self, folder: Path) -> None:
+        """Link the installation's files and the tenant's into a new folder of an attempt."""
+        folder.mkdir()
+        for place in (cache_path(), self.folder):
+            for file in filter(Path.is_file, place.glob("*")):
+                with suppress(FileExistsError):
+                    (folder / file.name).symlink_to(file)
+
+    def keep_new(self, folder: Path) -> None:
+        """Keep what an attempt made in its folder, now that its processes have ended."""
+        if folder.is_symlink() or not folder.is_dir():
+            return
+        for file in folder.iterdir():
+            if _is_mesh(file) and _size(file) <= self._most_bytes:
+                file.replace(self.folder / file.name)
+        self.remove_surplus()
+
+    def remove_surplus(self) -> None:
+        """Remove the oldest until the rest is within its bounds of bytes and age."""
+        kept = 0
+        for file in sorted(self.folder.iterdir(), key=_age):
+            room = self._most_bytes - kept
+            if _is_mesh(file) and _size(file) <= room and _age(file) <= LONGEST_KEPT:
+                kept += _size(file)
+            else:
+                remove_tree(file)
+
+
+def remove_surplus(settings: Settings) -> None:
+    """Remove what is too old or too much in the cache of each tenant."""
+    for folder in (settings.work / CACHES).glob("*/"):
+        TenantCache(folder.name, settings).remove_surplus()
+
+
+def _is_mesh(file: Path) -> bool:
+    """Tell whether this is what a solver keeps: a plain file, and no link, of such a name."""
+    named = MESHED.fullmatch(file.name) is not None
+    return named and file.is_file() and not file.is_symlink()
+
+
+def _age(file: Path) -> float:
+    """Return the seconds since a file was made; another worker may remove it meanwhile."""
+    try:
+        return time.time() - file.lstat().st_mtime
+    except FileNotFoundError:
+        return 0.0
+
+
+def _size(file: Path) -> int:
+    try:
+        return file.lstat().st_size
+    except FileNotFoundError:
+        return 0
