@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import uuid
 import warnings
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Iterable, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import anyio
 import httpx
 
 from myoface.client.aio_connection import AsyncConnection
-from myoface.client.files import Transferred, ignore_transfer
+from myoface.client.files import Transferred, ignore_transfer, write_rig_note
 from myoface.client.jobs import (
     BatchWatcher,
     EventReader,
@@ -26,12 +27,15 @@ from myoface.client.jobs import (
 )
 from myoface.client.retry import Backoff, requested_pause
 from myoface.errors import ApiError
+from myoface.names import name_scans
 from myoface.resources import (
     FINAL_STATES,
+    NO_SCANS,
     AuditEntry,
     Batch,
     Capture,
     Deletion,
+    Delivery,
     Frame,
     Job,
     JobKind,
@@ -40,6 +44,7 @@ from myoface.resources import (
     Me,
     MotionFrame,
     NewKey,
+    NewWebhook,
     Progress,
     Rig,
     Role,
@@ -48,6 +53,7 @@ from myoface.resources import (
     Template,
     Then,
     Usage,
+    Webhook,
 )
 
 TOO_MANY_STREAMS = "stream.too_many"
@@ -147,25 +153,31 @@ class AsyncClient(AsyncConnection):
         subject_id: str,
         path: Path,
         *,
-        role: Role = "expression",
+        role: Role | None = None,
         name: str | None = None,
-        registered: bool = True,
+        registered: bool = False,
         landmarks: Path | None = None,
+        replaces: str | None = None,
         progress: Transferred = ignore_transfer,
     ) -> Capture:
-        """Upload a scan and add it to a subject, named like the file unless ``name`` is given.
+        """Upload a scan and add it to a subject; name and role are the file's unless given.
 
-        ``registered`` is false for what comes from the scanner; ``landmarks`` is a file.
+        ``registered`` scans have the template's vertices, others are what the scanner made;
+        ``landmarks`` is a file. The capture ``replaces`` goes once the new file has arrived.
+        :mod:`myoface.names` says what name and role a file has.
         """
+        (scan,) = name_scans([path], names=[name], roles=[role])
         marks = None if landmarks is None else (await self.upload(landmarks)).id
         sent = await self.upload(path, progress=progress)
+        if replaces is not None:
+            await self.delete_capture(subject_id, replaces)
         return await self._create(
             f"/v1/subjects/{subject_id}/captures",
             Capture,
-            name=name or path.stem,
-            role=role,
+            name=scan.name,
+            role=scan.role,
             upload_id=sent.id,
-            registered=registered,
+            registered=registered or scan.role in NO_SCANS,
             landmarks_upload_id=marks,
         )
 
@@ -182,7 +194,7 @@ class AsyncClient(AsyncConnection):
         url = f"/v1/subjects/{subject_id}/captures/{capture_id}/landmarks"
         sent = await self.upload(path)
         response = await self._request("PUT", url, json={"upload_id": sent.id})
-        return Capture.model_validate(response.json())
+        return Capture.read(response.json())
 
     async def delete_capture(self, subject_id: str, capture_id: str) -> str:
         """Delete a scan with its checks and registrations; returns the id of the receipt."""
@@ -220,7 +232,7 @@ class AsyncClient(AsyncConnection):
         }
         given = {key: value for key, value in body.items() if value}
         response = await self._request("PUT", f"/v1/jobs/{uuid.uuid4()}", json=given)
-        return Job.model_validate(response.json())
+        return Job.read(response.json())
 
     async def run(
         self, kind: str, subject_id: str, *, watch: Watcher = unwatched, **request: Any
@@ -259,7 +271,7 @@ class AsyncClient(AsyncConnection):
         url = f"/v1/jobs/{job_id}/log"
         while True:
             page = (await self._request("GET", url, params={"after": after})).json()
-            lines = list(map(LogLine.model_validate, page["lines"]))
+            lines = list(map(LogLine.read, page["lines"]))
             if not lines:
                 return
             for line in lines:
@@ -292,7 +304,7 @@ class AsyncClient(AsyncConnection):
         """Ask for a job to be stopped."""
         url = f"/v1/jobs/{job_id}/cancel"
         response = await self._request_once("POST", url, json={"reason": reason})
-        return Job.model_validate(response.json())
+        return Job.read(response.json())
 
     async def wait(self, job_id: str, watch: Watcher = unwatched) -> Job:
         """Follow a job by its events until it has ended, through broken connections.
@@ -328,8 +340,8 @@ class AsyncClient(AsyncConnection):
                     backoff.reset()
                     if event.kind != "progress":
                         return
-                    progress = Progress.model_validate(event.data)
-                    watch(job.model_copy(update={"progress": progress}))
+                    progress = Progress.read(event.data)
+                    watch(dataclasses.replace(job, progress=progress))
 
     # Batches
 
@@ -343,21 +355,32 @@ class AsyncClient(AsyncConnection):
         registered: bool = False,
         then: Iterable[Then] = ("register", "model", "geometry"),
         options: dict[str, dict[str, Any]] | None = None,
+        landmarks: Mapping[Path, Path] | None = None,
         priority: int = 0,
         progress: Transferred = ignore_transfer,
     ) -> Batch:
         """Upload a session's scans, each named like its file, and make of them what ``then`` says.
 
-        They are the scans of the subject ``subject_id``, or of a new one named ``person``.
-        ``options`` are those of the jobs, by kind.
+        They are the scans of the subject ``subject_id``, or of a new one named ``person``. Without
+        ``neutral`` the one whose name says so is the neutral. ``options`` are those of the jobs, by
+        kind; ``landmarks`` are files, by the scan's.
         """
-        files: list[tuple[Path, Role]] = [] if neutral is None else [(neutral, "neutral")]
-        files += [(path, "expression") for path in expressions]
+        paths = [*([] if neutral is None else [neutral]), *expressions]
+        roles: list[Role | None] = [None] * len(paths)
+        if neutral is not None:
+            roles = ["neutral", *["expression"] * (len(paths) - 1)]
         captures = []
-        for path, role in files:
-            sent = await self.upload(path, progress=progress)
+        for scan in name_scans(paths, roles=roles):
+            marks = (landmarks or {}).get(scan.path)
+            sent = await self.upload(scan.path, progress=progress)
             captures.append(
-                {"name": path.stem, "role": role, "upload_id": sent.id, "registered": registered}
+                {
+                    "name": scan.name,
+                    "role": scan.role,
+                    "upload_id": sent.id,
+                    "registered": registered or scan.role in NO_SCANS,
+                    "landmarks_upload_id": marks and (await self.upload(marks)).id,
+                }
             )
         return await self._create(
             "/v1/batches",
@@ -382,7 +405,7 @@ class AsyncClient(AsyncConnection):
         """Stop a batch and its jobs."""
         url = f"/v1/batches/{batch_id}/cancel"
         response = await self._request_once("POST", url, json={"reason": reason})
-        return Batch.model_validate(response.json())
+        return Batch.read(response.json())
 
     async def wait_for_batch(self, batch_id: str, watch: BatchWatcher = unwatched_batch) -> Batch:
         """Wait until a batch has ended; raises :class:`ApiError` if it did not succeed."""
@@ -402,3 +425,87 @@ class AsyncClient(AsyncConnection):
     async def rig(self, rig_id: str) -> Rig:
         """Return one rig."""
         return await self._get(f"/v1/rigs/{rig_id}", Rig)
+
+    async def download_rig(
+        self, rig_id: str, folder: Path, *, progress: Transferred = ignore_transfer
+    ) -> Rig:
+        """Fetch all files of a rig, and say in ``rig.json`` whose it is; see :meth:`download`."""
+        rig = await self.rig(rig_id)
+        subject = await self.subject(rig.subject_id)
+        total, before = sum(each.size for each in rig.artifacts), 0
+        for artifact in rig.artifacts:
+
+            def told(done: int, _size: int, before: int = before) -> None:
+                progress(before + done, total)
+
+            await self.download(artifact, folder / artifact.name, progress=told)
+            before += artifact.size
+        write_rig_note(folder, rig, subject)
+        return rig
+
+    # Webhooks
+
+    async def webhooks(self) -> list[Webhook]:
+        """Return the webhooks, newest first."""
+        return await self._list("/v1/webhooks", Webhook)
+
+    async def webhook(self, webhook_id: str) -> Webhook:
+        """Return one webhook, and whether it works."""
+        return await self._get(f"/v1/webhooks/{webhook_id}", Webhook)
+
+    async def create_webhook(
+        self, url: str, *, events: Iterable[str] = (), kinds: Iterable[str] = ()
+    ) -> NewWebhook:
+        """Have an address told what happens; its secret is told this once.
+
+        Without ``events`` it is told all of them, without ``kinds`` of jobs of all kinds.
+        """
+        return await self._create(
+            "/v1/webhooks", NewWebhook, url=url, events=list(events), kinds=list(kinds)
+        )
+
+    async def change_webhook(
+        self,
+        webhook_id: str,
+        *,
+        url: str | None = None,
+        events: Iterable[str] | None = None,
+        kinds: Iterable[str] | None = None,
+        active: bool | None = None,
+    ) -> Webhook:
+        """Change a webhook; what is not given stays. ``active`` starts a failed one again."""
+        change = {
+            "url": url,
+            "events": None if events is None else list(events),
+            "kinds": None if kinds is None else list(kinds),
+            "active": active,
+        }
+        given = {key: value for key, value in change.items() if value is not None}
+        response = await self._request("PATCH", f"/v1/webhooks/{webhook_id}", json=given)
+        return Webhook.read(response.json())
+
+    async def delete_webhook(self, webhook_id: str) -> None:
+        """Delete a webhook with its log."""
+        await self._request("DELETE", f"/v1/webhooks/{webhook_id}")
+
+    async def rotate_webhook(self, webhook_id: str) -> NewWebhook:
+        """Give a webhook a new secret; for a day the old one signs too."""
+        return await self._create(f"/v1/webhooks/{webhook_id}/rotate", NewWebhook)
+
+    async def try_webhook(self, webhook_id: str) -> Delivery:
+        """Send a ``webhook.test``; the delivery tells how it went."""
+        response = await self._request_once("POST", f"/v1/webhooks/{webhook_id}/test")
+        return Delivery.read(response.json())
+
+    async def deliveries(self, webhook_id: str, *, state: str | None = None) -> list[Delivery]:
+        """Return what was sent in the last 30 days, newest first, in one ``state`` if given."""
+        return await self._list(f"/v1/webhooks/{webhook_id}/deliveries", Delivery, state=state)
+
+    async def delivery(self, delivery_id: str) -> Delivery:
+        """Return an event on its way, or what became of it."""
+        return await self._get(f"/v1/deliveries/{delivery_id}", Delivery)
+
+    async def redeliver(self, delivery_id: str) -> Delivery:
+        """Send an event to its webhook once more, with the same id."""
+        response = await self._request_once("POST", f"/v1/deliveries/{delivery_id}/redeliver")
+        return Delivery.read(response.json())

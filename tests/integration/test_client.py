@@ -74,7 +74,7 @@ def scan(folder: Path, name: str, *orders: str) -> Path:
 
 def subject_with_model(client: Client, folder: Path) -> str:
     subject = client.create_subject("Ada")
-    client.add_capture(subject.id, scan(folder, "neutral"), role="neutral")
+    client.add_capture(subject.id, scan(folder, "neutral"), role="neutral", registered=True)
     client.wait(client.submit("build_model", subject.id).id)
     return subject.id
 
@@ -114,7 +114,9 @@ def test_a_job_is_followed_over_a_breaking_line(
     breaking: Client, client: Client, tmp_path: Path
 ) -> None:
     subject = client.create_subject("Ada")
-    client.add_capture(subject.id, scan(tmp_path, "neutral", "seconds 2"), role="neutral")
+    client.add_capture(
+        subject.id, scan(tmp_path, "neutral", "seconds 2"), role="neutral", registered=True
+    )
     seen: list[Job] = []
     job = breaking.wait(client.submit("build_model", subject.id).id, seen.append)
     assert job.state == "succeeded"
@@ -123,7 +125,9 @@ def test_a_job_is_followed_over_a_breaking_line(
 
 def test_who_comes_late_is_not_told_the_old_news(client: Client, tmp_path: Path) -> None:
     subject = client.create_subject("Ada")
-    client.add_capture(subject.id, scan(tmp_path, "neutral", "seconds 2"), role="neutral")
+    client.add_capture(
+        subject.id, scan(tmp_path, "neutral", "seconds 2"), role="neutral", registered=True
+    )
     job = client.submit("build_model", subject.id)
     while (begun := client.job(job.id)).progress is None or not begun.progress.iteration:
         time.sleep(0.05)
@@ -142,7 +146,9 @@ def test_lists_are_read_to_their_end(url: str) -> None:
 
 def test_a_failed_job_is_an_error_that_locates_the_fault(client: Client, tmp_path: Path) -> None:
     subject = client.create_subject("Ada")
-    client.add_capture(subject.id, scan(tmp_path, "neutral", "fault nan"), role="neutral")
+    client.add_capture(
+        subject.id, scan(tmp_path, "neutral", "fault nan"), role="neutral", registered=True
+    )
     with pytest.raises(ApiError, match=r"NaN.*line 3.*scan\.nan"):
         client.wait(client.submit("build_model", subject.id).id)
     assert [job.kind for job in client.jobs(subject_id=subject.id, state="failed")] == [
@@ -152,7 +158,7 @@ def test_a_failed_job_is_an_error_that_locates_the_fault(client: Client, tmp_pat
 
 def test_download_goes_on_and_is_checked(client: Client, tmp_path: Path) -> None:
     subject = subject_with_model(client, tmp_path)
-    smile = client.add_capture(subject, scan(tmp_path, "smile"))
+    smile = client.add_capture(subject, scan(tmp_path, "smile"), registered=True)
     job = client.wait(client.submit("fit_geometry", subject, captures=[smile.id]).id)
     assert job.result is not None
     glb = next(each for each in job.result.artifacts if each.name == "rig.glb")
@@ -187,12 +193,16 @@ def test_the_awaited_client_does_the_same(url: str, tmp_path: Path) -> None:
     async def session() -> None:
         async with AsyncClient(url) as client:
             subject = await client.create_subject("Ada")
-            await client.add_capture(subject.id, scan(tmp_path, "neutral"), role="neutral")
+            await client.add_capture(
+                subject.id, scan(tmp_path, "neutral"), role="neutral", registered=True
+            )
             names = ("smile", "frown", "kiss")
             added: list[str] = []
 
             async def add(name: str) -> None:
-                added.append((await client.add_capture(subject.id, scan(tmp_path, name))).id)
+                added.append(
+                    (await client.add_capture(subject.id, scan(tmp_path, name), registered=True)).id
+                )
 
             async with anyio.create_task_group() as stations:
                 for name in names:
