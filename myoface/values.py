@@ -134,7 +134,7 @@ def _require(holds: bool, given: Any, what: str) -> Any:
 
 
 @functools.cache
-def _fields(kind: type[Resource]) -> dict[str, tuple[Any, bool]]:
+def _fields(kind: Any) -> dict[str, tuple[Any, bool]]:
     """Return the type of each field, and True where an answer must have it."""
     hints = get_type_hints(kind, include_extras=True)
     missing = dataclasses.MISSING

@@ -366,9 +366,9 @@ class AsyncClient(AsyncConnection):
         kind; ``landmarks`` are files, by the scan's.
         """
         paths = [*([] if neutral is None else [neutral]), *expressions]
-        roles: list[Role | None] = [None] * len(paths)
+        roles: list[Role | None] = [None if neutral is None else "expression"] * len(paths)
         if neutral is not None:
-            roles = ["neutral", *["expression"] * (len(paths) - 1)]
+            roles[0] = "neutral"
         captures = []
         for scan in name_scans(paths, roles=roles):
             marks = (landmarks or {}).get(scan.path)

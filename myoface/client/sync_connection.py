@@ -39,7 +39,8 @@ from myoface.client.retry import (
     transport_errors,
 )
 from myoface.errors import ApiError
-from myoface.resources import Artifact, Resource, Upload
+from myoface.resources import Artifact, Upload
+from myoface.values import Resource
 
 R = TypeVar("R", bound=Resource)
 

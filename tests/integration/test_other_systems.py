@@ -48,7 +48,7 @@ import asyncio
 from myoface.client import AsyncClient
 async def main():
     async with AsyncClient(sys.argv[1]) as client:
-        print(*sorted(each.name for each in await client.subjects()))
+        print(*(ascii(each.name) for each in await client.subjects()))
 asyncio.run(main())
 """
 
