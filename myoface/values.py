@@ -91,7 +91,7 @@ def _read(kind: Any, given: Any) -> Any:
     return _read_plain(kind, given)
 
 
-def _read_fields(kind: type[Resource], given: Any) -> Resource:
+def _read_fields(kind: Any, given: Any) -> Any:
     _require(isinstance(given, dict), given, "an object")
     found = {}
     for name, (hint, is_required) in _fields(kind).items():
