@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Iterator
@@ -259,3 +260,46 @@ def test_a_session_in_one_call(client: Client, tmp_path: Path) -> None:
     again = client.retry(done.fit.job_id, priority=1)
     assert (again.parent_id, again.priority) == (done.fit.job_id, 1)
     assert client.wait(again.id).result is not None
+
+
+def test_a_rig_is_fetched_whole_and_then_only_what_is_missing(
+    client: Client, tmp_path: Path
+) -> None:
+    neutral = scan(tmp_path, "James Neutral 01")
+    batch = client.create_batch(None, [neutral, scan(tmp_path, "James Smile 02")], person="James")
+    done = client.wait_for_batch(batch.id)
+    assert {(each.name, each.role) for each in done.scans} == {
+        ("Neutral_01", "neutral"),
+        ("Smile_02", "expression"),
+    }
+    assert done.fit is not None
+    assert done.fit.rig_id is not None
+    folder = tmp_path / "empty" / "rig"
+    steps: list[tuple[int, int]] = []
+    rig = client.download_rig(done.fit.rig_id, folder, progress=lambda *step: steps.append(step))
+    names = {each.name for each in rig.artifacts}
+    assert {path.name for path in folder.iterdir()} == {*names, files.RIG_NOTE}
+    assert steps[-1] == (sum(each.size for each in rig.artifacts),) * 2
+    note = json.loads((folder / files.RIG_NOTE).read_text())
+    assert (note["job_id"], note["subject"]["name"]) == (done.fit.job_id, "James")
+
+    asked: list[str] = []
+    client.http.event_hooks = {"request": [lambda request: asked.append(request.url.path)]}
+    damaged, *_ = sorted(folder.glob("*.glb"))
+    damaged.write_bytes(b"x" * damaged.stat().st_size)
+    client.download_rig(rig.id, folder)
+    (wanted,) = [each for each in rig.artifacts if each.name == damaged.name]
+    assert [path for path in asked if "artifacts" in path] == [f"/v1/artifacts/{wanted.id}"]
+    assert files.sha256_of(damaged) == wanted.sha256
+
+
+def test_a_scan_goes_when_its_successor_is_there(client: Client, tmp_path: Path) -> None:
+    subject = client.create_subject("Ada")
+    first = client.add_capture(subject.id, scan(tmp_path, "NEUTRAL"))
+    assert (first.name, first.role, first.registered) == ("NEUTRAL", "neutral", False)
+    with pytest.raises(FileNotFoundError):
+        client.add_capture(subject.id, tmp_path / "gone.obj", replaces=first.id)
+    assert [each.id for each in client.captures(subject.id)] == [first.id]
+    again = scan(tmp_path, "NEUTRAL", "verdict bad")
+    second = client.add_capture(subject.id, again, replaces=first.id)
+    assert [each.id for each in client.captures(subject.id)] == [second.id]
