@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,7 +63,8 @@ def name_scans(
         NamedScan(path, name if own is None else as_name(own), role)
         for path, own, (name, role) in zip(paths, given, by_file, strict=True)
     ]
-    _require_names(found)
+    texts = [path.name if own is None else own for path, own in zip(paths, given, strict=True)]
+    _require_names(found, texts)
     return found
 
 
@@ -121,15 +122,16 @@ def _split(file: str) -> tuple[str, str]:
     return (file[:dot], file[dot:].lower()) if dot > 0 else (file, "")
 
 
-def _require_names(scans: Iterable[NamedScan]) -> None:
+def _require_names(scans: Sequence[NamedScan], texts: Sequence[str]) -> None:
+    """Refuse scans without a name of their own; ``texts`` are what the names are made of."""
     taken: dict[str, Path] = {}
     neutral: Path | None = None
-    for scan in scans:
+    for scan, text in zip(scans, texts, strict=True):
         if not scan.name:
             _refuse(
                 scan.path,
-                f"no name can be made of {scan.path.name!r}, which has no letter of a to z and no "
-                "digit: give it one (--name)",
+                f"no name can be made of {text!r}, which has no letter of a to z and no "
+                "digit: give the scan another (--name)",
             )
         # Two that differ in case alone are one morph target to many programs, and one file to some
         other = taken.setdefault(scan.name.casefold(), scan.path)

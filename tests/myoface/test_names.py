@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from myoface.errors import ApiError
-from myoface.names import LEGAL, as_name, by_files, name_scans
+from myoface.names import LEGAL, by_files, name_scans
 
 ROOT = Path(__file__).parents[2]
 CASES = json.loads((ROOT / "tests/fixtures/scan_names.json").read_text(encoding="utf-8"))
@@ -66,4 +66,5 @@ def test_what_is_given_comes_before_the_file_s_name() -> None:
         ("neutral", "neutral"),
         ("Grosser_2", "expression"),
     ]
-    assert as_name("   ") == ""
+    with pytest.raises(ApiError, match="no name can be made of '  '"):
+        name_scans([Path("smile.obj")], names=["  "])
