@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints, ValidationError
-
-from myoface.errors import ApiError
+from myoface.values import Resource, ValueFaultError, matching
 
 Role = Literal["neutral", "expression", "performance", "asset"]
 Scope = Literal["read", "write", "delete", "webhooks", "metrics", "admin"]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
+
+# Roles of what is checked and registered by nobody
+NO_SCANS: frozenset[Role] = frozenset({"performance", "asset"})
 
 Then = Literal["register", "model", "geometry"]
 
@@ -19,43 +21,22 @@ FINAL_STATES: frozenset[State] = frozenset({"succeeded", "failed", "canceled"})
 
 
 # What becomes a file's or a folder's name here is a plain name, whatever a service says
-FileName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$")]
-Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+FileName = Annotated[str, matching(r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$")]
+Sha256 = Annotated[str, matching(r"^[0-9a-f]{64}$")]
 
 
-class Resource(BaseModel):
-    """A value of the API."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-    @classmethod
-    def model_validate(cls, obj: Any, **how: Any) -> Self:
-        """Read a value of an answer.
-
-        Raises
-        ------
-        ApiError
-            With ``client.answer`` if it is not what this API answers.
-        """
-        try:
-            return super().model_validate(obj, **how)
-        except ValidationError as error:
-            fault = error.errors(include_url=False, include_input=False)[0]
-            where = ".".join(map(str, (cls.__name__, *fault["loc"])))
-            detail = f"the service's answer is not this API's: {where}: {fault['msg']}"
-            raise ApiError({"code": "client.answer", "detail": detail}) from error
-
-
+@dataclass(frozen=True, kw_only=True)
 class JobKind(Resource):
     """A kind of job; ``reads`` names its inputs, ``options`` is the JSON Schema of its options."""
 
     kind: str
     title: str
     description: str
-    reads: list[str] = []
+    reads: list[str] = field(default_factory=list)
     options: dict[str, Any]
 
 
+@dataclass(frozen=True, kw_only=True)
 class Upload(Resource):
     """A resumable upload: ``offset`` of ``size`` bytes have arrived."""
 
@@ -67,6 +48,7 @@ class Upload(Resource):
     state: Literal["open", "complete"]
 
 
+@dataclass(frozen=True, kw_only=True)
 class Template(Resource):
     """A template anatomy."""
 
@@ -76,6 +58,7 @@ class Template(Resource):
     created_at: datetime | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class Subject(Resource):
     """A person."""
 
@@ -86,6 +69,7 @@ class Subject(Resource):
     retain_until: datetime | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class Check(Resource):
     """The newest check of a scan: ``good``, ``usable`` or ``bad``."""
 
@@ -93,6 +77,7 @@ class Check(Resource):
     verdict: str
 
 
+@dataclass(frozen=True, kw_only=True)
 class Registration(Resource):
     """The newest registration of a raw scan; ``artifact_id`` is its mesh.
 
@@ -105,6 +90,7 @@ class Registration(Resource):
     neutral_sha256: str | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class Capture(Resource):
     """A named scan of a subject, ``registered`` or as the scanner made it."""
 
@@ -128,6 +114,7 @@ class Capture(Resource):
         return self.registration.sha256 if self.registration else None
 
 
+@dataclass(frozen=True, kw_only=True)
 class Artifact(Resource):
     """A file that a job left; ``size`` in bytes."""
 
@@ -138,16 +125,16 @@ class Artifact(Resource):
     media_type: str
 
 
-def _once_each(artifacts: Artifacts) -> list[Artifact]:
+def _once_each(artifacts: list[Artifact]) -> None:
     """Refuse two files of one name: fetched into a folder, one would overwrite the other."""
     if len({artifact.name for artifact in artifacts}) < len(artifacts):
-        raise ValueError("two files have the same name")
-    return artifacts
+        raise ValueFaultError("two files have the same name")
 
 
-Artifacts = Annotated[list[Artifact], AfterValidator(_once_each)]
+Artifacts = Annotated[list[Artifact], _once_each]
 
 
+@dataclass(frozen=True, kw_only=True)
 class Progress(Resource):
     """Progress of a running job; ``fraction`` of the whole job in [0, 1]."""
 
@@ -159,14 +146,16 @@ class Progress(Resource):
     message: str | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class Result(Resource):
     """Result of a succeeded job; ``summary`` holds its verdict or figures."""
 
     rig_id: str | None = None
     summary: dict[str, Any] | None = None
-    artifacts: Artifacts = []
+    artifacts: Artifacts = field(default_factory=list)
 
 
+@dataclass(frozen=True, kw_only=True)
 class Cancel(Resource):
     """Who asked for a job to stop, and why."""
 
@@ -174,6 +163,7 @@ class Cancel(Resource):
     reason: str
 
 
+@dataclass(frozen=True, kw_only=True)
 class Job(Resource):
     """A piece of work."""
 
@@ -197,6 +187,7 @@ class Job(Resource):
     finished_at: datetime | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class LogLine(Resource):
     """A line that the solver printed in its ``attempt``; ``number`` counts over all attempts."""
 
@@ -205,6 +196,7 @@ class LogLine(Resource):
     text: str
 
 
+@dataclass(frozen=True, kw_only=True)
 class Frame(Resource):
     """A fitted frame of a sequence, see docs/guide/sequences.md; rad and mm."""
 
@@ -222,6 +214,7 @@ class Frame(Resource):
     seconds: float
 
 
+@dataclass(frozen=True, kw_only=True)
 class MotionFrame(Resource):
     """A frame of a simulation, see docs/guide/simulation.md; rad, mm and s."""
 
@@ -240,19 +233,22 @@ class MotionFrame(Resource):
     seconds: float
 
 
+@dataclass(frozen=True, kw_only=True)
 class Rig(Resource):
     """A fitted face."""
 
     id: str
     subject_id: str
+    job_id: str | None = None
     parent_id: str | None = None
-    expressions: list[str] = []
-    summary: dict[str, Any] = {}
-    artifacts: Artifacts = []
+    expressions: list[str] = field(default_factory=list)
+    summary: dict[str, Any] = field(default_factory=dict)
+    artifacts: Artifacts = field(default_factory=list)
     created_at: datetime | None = None
     retain_until: datetime | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class BatchStep(Resource):
     """A job of a batch."""
 
@@ -260,18 +256,21 @@ class BatchStep(Resource):
     state: State
 
 
+@dataclass(frozen=True, kw_only=True)
 class BatchCheck(BatchStep):
     """The check of a scan; ``verdict`` is ``good``, ``usable`` or ``bad`` when it is over."""
 
     verdict: str | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class BatchFit(BatchStep):
     """The fit of a batch's expressions."""
 
     rig_id: str | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class BatchScan(Resource):
     """A scan's way through a batch; ``left_out`` says why nothing more is made of it."""
 
@@ -283,6 +282,7 @@ class BatchScan(Resource):
     left_out: str | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class Batch(Resource):
     """All scans of a session: checked, and made into what was asked."""
 
@@ -300,6 +300,7 @@ class Batch(Resource):
     finished_at: datetime | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class Me(Resource):
     """Whose key a client has, and what it may be used for."""
 
@@ -308,6 +309,7 @@ class Me(Resource):
     scopes: list[Scope]
 
 
+@dataclass(frozen=True, kw_only=True)
 class Use(Resource):
     """Amount in use; a ``limit`` of None is none."""
 
@@ -315,6 +317,7 @@ class Use(Resource):
     limit: int | None
 
 
+@dataclass(frozen=True, kw_only=True)
 class Usage(Resource):
     """The tenant's stored bytes, its jobs that wait and run, and files that were lost."""
 
@@ -324,6 +327,7 @@ class Usage(Resource):
     lost_files: int = 0
 
 
+@dataclass(frozen=True, kw_only=True)
 class Key(Resource):
     """An API key, without its text."""
 
@@ -336,6 +340,7 @@ class Key(Resource):
     revoked_at: datetime | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class NewKey(Key):
     """A key that was just made; its text is told once.
 
@@ -345,6 +350,7 @@ class NewKey(Key):
     key: str | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class Deletion(Resource):
     """The receipt of a deletion: when nothing showed the object, and when its files were gone."""
 
@@ -357,6 +363,7 @@ class Deletion(Resource):
     files_at: datetime | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class AuditEntry(Resource):
     """An action with a key, and the object that it was done to."""
 
@@ -366,3 +373,48 @@ class AuditEntry(Resource):
     request_id: str
     action: str
     object_id: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Webhook(Resource):
+    """An address that is told what happens; ``disabled_reason`` says why it is off."""
+
+    id: str
+    url: str
+    events: list[str] = field(default_factory=list)
+    kinds: list[str] = field(default_factory=list)
+    active: bool
+    disabled_reason: str | None = None
+    failing_since: datetime | None = None
+    rotated_at: datetime | None = None
+    created_at: datetime | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewWebhook(Webhook):
+    """A webhook with the secret that its receiver verifies signatures by: told once.
+
+    It is None if the answer that told it was lost on the line: rotate it then.
+    """
+
+    secret: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delivery(Resource):
+    """An event on its way, or what became of it; ``error`` is the code of what went wrong."""
+
+    id: str
+    webhook_id: str
+    event_id: str
+    type: str
+    data: dict[str, Any]
+    state: Literal["pending", "delivered", "failed"]
+    attempt: int
+    next_at: datetime | None = None
+    status: int | None = None
+    ms: int | None = None
+    error: str | None = None
+    excerpt: str | None = None
+    created_at: datetime | None = None
+    finished_at: datetime | None = None

@@ -14,15 +14,19 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 CLIENT = ROOT / "myoface" / "client"
-MODULES = {"aio_connection.py": "sync_connection.py", "aio.py": "sync.py"}
+MODULES = {
+    "aio_connection.py": "sync_connection.py",
+    "aio_access.py": "sync_access.py",
+    "aio.py": "sync.py",
+}
 # Applied in this order, to whole words.
 WORDS = {
     r"(async|await)\s+": "",
     "anyio": "time",
-    "aio_connection": "sync_connection",
+    "aio_(access|connection)": r"sync_\1",
     "async_sha256_of": "sha256_of",
     "asynccontextmanager": "contextmanager",
-    r"Async(Client|Connection|Iterator)": r"\1",
+    r"Async(Access|Client|Connection|Iterator)": r"\1",
     r"__a(enter|exit)__": r"__\1__",
     r"a(close|iter_bytes|read)": r"\1",
 }

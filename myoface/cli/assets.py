@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Annotated
 
 import httpx
-import typer
 
 from myoface.assets.catalogue import CATALOGUE, Name, PublicAsset
 from myoface.assets.fetch import fetch as fetch_asset
-from myoface.cli.console import out, show_table, transfer_bar
+from myoface.cli.commands import Group, Option, UsageError
+from myoface.cli.console import confirm, out, show_table, transfer_bar
 from myoface.errors import ApiError
 
-assets = typer.Typer(help="Anatomy and face models of others.", no_args_is_help=True)
+assets = Group("Anatomy and face models of others.")
 
 TIMEOUT = httpx.Timeout(30.0, connect=10.0)
 
@@ -30,22 +30,20 @@ def list_assets() -> None:
 def fetch(
     name: Name,
     to: Annotated[
-        Path | None, typer.Option(file_okay=False, help="folder; default: one of that name here")
+        Path | None, Option(file_okay=False, help="folder; default: one of that name here")
     ] = None,
-    mirror: Annotated[
-        str | None, typer.Option(help="address of a folder that holds the archive")
-    ] = None,
+    mirror: Annotated[str | None, Option(help="address of a folder that holds the archive")] = None,
     file: Annotated[
-        Path | None, typer.Option(exists=True, dir_okay=False, help="a copy that you have")
+        Path | None, Option(exists=True, dir_okay=False, help="a copy that you have")
     ] = None,
-    sha256: Annotated[str | None, typer.Option(help="what the archive must be")] = None,
+    sha256: Annotated[str | None, Option(help="what the archive must be")] = None,
     accept_licence: Annotated[
-        bool, typer.Option("--accept-licence", help="do not ask about the licence")
+        bool, Option("--accept-licence", help="do not ask about the licence")
     ] = False,
 ) -> None:
     """Fetch a model from its owner after showing its licence; checked, and resumed if it broke."""
     if mirror is not None and file is not None:
-        raise typer.BadParameter("--mirror and --file exclude one another")
+        raise UsageError("--mirror and --file exclude one another")
     asset = CATALOGUE[name]
     _agree(asset, accept_licence)
     folder = to or Path(name)
@@ -61,13 +59,13 @@ def fetch(
         detail = f"{error.problem['detail']}; --mirror or --file take it from elsewhere"
         raise ApiError({**error.problem, "detail": detail}) from error
     option = "--anatomy" if name == "bodyparts3d" else "--faces"
-    out.print(f"{archive}\nUse it: myoface template build {option} {folder} ...", markup=False)
+    out.print(f"{archive}\nUse it: myoface template build {option} {folder} ...")
 
 
 def _agree(asset: PublicAsset, accepted: bool) -> None:
-    out.print(asset.licence, markup=False)
+    out.print(asset.licence)
     if accepted:
         return
     if not sys.stdin.isatty():
-        raise typer.BadParameter("nobody can answer here: accept with --accept-licence")
-    typer.confirm("Do you accept this licence?", abort=True)
+        raise UsageError("nobody can answer here: accept with --accept-licence")
+    confirm("Do you accept this licence?")

@@ -3,52 +3,69 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated
 
-import typer
-
-from myoface.cli.app import Url
+from myoface.cli.app import EyeDistance, Forward, Unit, Up, Url, frame_options, read_object
+from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import out, show_table, transfer_bar
+from myoface.cli.lookup import find_batch, find_subject
 from myoface.client import DEFAULT_URL, Client
 from myoface.resources import Batch, Then
 
-batches = typer.Typer(help="All scans of a session in one call.", no_args_is_help=True)
+batches = Group("All scans of a session in one call.")
 
-BatchId = Annotated[str, typer.Argument(help="batch id")]
+BatchId = Annotated[str, Argument(help="batch: its id, start of it, or name")]
 
 
 @batches.command("add")
 def add_batch(
-    files: Annotated[
-        list[Path], typer.Argument(exists=True, dir_okay=False, help="scans of expressions")
-    ],
+    files: Annotated[list[Path], Argument(exists=True, dir_okay=False, help="the scans")],
     neutral: Annotated[
-        Path | None, typer.Option(exists=True, dir_okay=False, help="the neutral scan")
+        Path | None,
+        Option(exists=True, dir_okay=False, help="the neutral scan; default: the one called so"),
     ] = None,
-    subject: Annotated[str | None, typer.Option(help="subject id")] = None,
-    person: Annotated[str | None, typer.Option(help="name of a new subject")] = None,
+    subject: Annotated[str | None, Option(help="subject: its id, start of it, or name")] = None,
+    person: Annotated[str | None, Option(help="name of a new subject")] = None,
     registered: Annotated[
-        bool, typer.Option("--registered", help="they have the template's vertices")
+        bool, Option("--registered", help="they have the template's vertices")
     ] = False,
-    then: Annotated[
-        list[str] | None, typer.Option(help="register, model, geometry; repeat; default: all")
+    landmarks: Annotated[
+        list[str] | None, Option(help="SCAN=FILE, landmarks on one of the scans; repeat")
     ] = None,
-    wait: Annotated[bool, typer.Option(help="follow the batch until it ends")] = True,
+    unit: Unit = "auto",
+    eye_distance_mm: EyeDistance = None,
+    up: Up = "auto",
+    forward: Forward = "auto",
+    options: Annotated[
+        str, Option(metavar="JSON", help='of the jobs, by kind: {"fit_geometry": {"rounds": 3}}')
+    ] = "{}",
+    then: Annotated[
+        list[Then] | None, Option(help="what to make of them; repeat; default: all")
+    ] = None,
+    wait: Annotated[bool, Option(help="follow the batch until it ends")] = True,
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Upload scans, each named like its file, and check, register, model and fit them."""
+    """Upload scans with the names and roles that their files have; check, register, fit them."""
     if (subject is None) == (person is None):
-        raise typer.BadParameter("give either --subject or --person")
-    steps = cast(list[Then], then or ["register", "model", "geometry"])
+        raise UsageError("give either --subject or --person")
+    steps = then or ["register", "model", "geometry"]
+    frame = frame_options(unit, up, forward, eye_distance_mm)
+    given = read_object(options, "--options")
+    for kind in ("check_scan", *(["register_scan"] if "register" in steps else [])):
+        given[kind] = {**frame, **given.get(kind, {})}
+    marks = _landmarks(landmarks or [], [*files, *([] if neutral is None else [neutral])])
     with Client(url) as client:
+        whose = subject and find_subject(client, subject)
         with transfer_bar("scans") as progress:
             batch = client.create_batch(
                 neutral,
                 files,
-                subject_id=subject,
+                subject_id=whose,
                 person=person,
                 registered=registered,
                 then=steps,
+                options=given,
+                landmarks=marks,
                 progress=progress,
             )
         out.print(batch.id)
@@ -56,13 +73,27 @@ def add_batch(
             _show(client.wait_for_batch(batch.id))
 
 
+def _landmarks(given: list[str], scans: list[Path]) -> dict[Path, Path]:
+    """Return the files ``SCAN=FILE`` by the scan's, which is named as on the command line."""
+    found = {}
+    for each in given:
+        scan, _, file = each.partition("=")
+        of = [path for path in scans if scan in (str(path), path.name, path.stem)]
+        if len(of) != 1 or not Path(file).is_file():
+            message = f"--landmarks {each}: SCAN=FILE is expected, of one of the scans and a file"
+            raise UsageError(message)
+        found[of[0]] = Path(file)
+    return found
+
+
 @batches.command("list")
 def list_batches(
-    subject: Annotated[str | None, typer.Option(help="subject id")] = None, url: Url = DEFAULT_URL
+    subject: Annotated[str | None, Option(help="subject: its id, start of it, or name")] = None,
+    url: Url = DEFAULT_URL,
 ) -> None:
     """List batches."""
     with Client(url) as client:
-        found = client.batches(subject_id=subject)
+        found = client.batches(subject_id=subject and find_subject(client, subject))
     rows = [(each.id, each.name, each.state, each.subject_id, len(each.scans)) for each in found]
     show_table(("batch", "name", "state", "subject", "scans"), rows)
 
@@ -71,18 +102,18 @@ def list_batches(
 def show_batch(batch: BatchId, url: Url = DEFAULT_URL) -> None:
     """Show what became of each scan of a batch."""
     with Client(url) as client:
-        _show(client.batch(batch))
+        _show(client.batch(find_batch(client, batch)))
 
 
 @batches.command("cancel")
 def cancel_batch(
     batch: BatchId,
-    reason: Annotated[str, typer.Option(help="why, for the record")] = "by the command line",
+    reason: Annotated[str, Option(help="why, for the record")] = "by the command line",
     url: Url = DEFAULT_URL,
 ) -> None:
     """Stop a batch and its jobs."""
     with Client(url) as client:
-        out.print(client.cancel_batch(batch, reason).state)
+        out.print(client.cancel_batch(find_batch(client, batch), reason).state)
 
 
 def _show(batch: Batch) -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Annotated, Any, cast
 
 from myoface.cli.app import (
     BAD_SCAN,
+    EyeDistance,
     Forward,
     LandmarksFile,
     SubjectId,
@@ -18,6 +17,7 @@ from myoface.cli.app import (
     Url,
     frame_options,
 )
+from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import (
     JobView,
     complain,
@@ -28,26 +28,22 @@ from myoface.cli.console import (
     show_verdict,
     transfer_bar,
 )
+from myoface.cli.lookup import find_subject, matching
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import UNREACHABLE, ApiError
-from myoface.resources import Capture, Job, Result, Role
+from myoface.names import NamedScan, name_scans
+from myoface.resources import NO_SCANS, Capture, Job, Result, Role
 
-captures = typer.Typer(
-    help="A subject's scans: add, check, register, list, delete.", no_args_is_help=True
-)
-
-NO_SCANS = ("performance", "asset")
-FRAMES = ".npy"  # the ending of a performance's files
+captures = Group("A subject's scans: add, check, register, list, delete.")
 
 Names = Annotated[
-    list[str] | None, typer.Argument(help="names or ids of captures; default: all that apply")
+    list[str] | None, Argument(help="names or ids of captures; default: all that apply")
 ]
 Files = Annotated[
-    list[Path],
-    typer.Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL; raw also XYZ"),
+    list[Path], Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL; raw also XYZ")
 ]
 Results = Annotated[
-    Path | None, typer.Option("--output", "-o", file_okay=False, help="folder for the jobs' files")
+    Path | None, Option("--output", "-o", file_okay=False, help="folder for the jobs' files")
 ]
 
 
@@ -55,51 +51,64 @@ Results = Annotated[
 def add(
     subject: SubjectId,
     files: Files,
-    neutral: Annotated[bool, typer.Option("--neutral", help="this is the neutral scan")] = False,
+    name: Annotated[
+        str | None, Option(help="its name, made legal; default: of the file's name")
+    ] = None,
+    role: Annotated[
+        Role | None, Option(help="what it is; default: what the file's name says")
+    ] = None,
+    neutral: Annotated[bool, Option("--neutral", help="short for --role neutral")] = False,
     performance: Annotated[
-        bool, typer.Option("--performance", help="frames of skin points, .npy")
+        bool, Option("--performance", help="short for --role performance: skin points, .npy")
     ] = False,
     asset: Annotated[
-        bool, typer.Option("--asset", help="a file that scenes name: CSV, NPY, OBJ, PLY, STL, GLB")
+        bool,
+        Option(
+            "--asset", help="short for --role asset: a file that scenes name, CSV, NPY or a mesh"
+        ),
     ] = False,
-    raw: Annotated[bool, typer.Option("--raw", help="as the scanner made it")] = False,
+    registered: Annotated[
+        bool, Option("--registered", help="it has the template's vertices in their order")
+    ] = False,
+    raw: Annotated[
+        bool, Option("--raw", help="it is as the scanner made it, which is the default")
+    ] = False,
     landmarks: LandmarksFile = None,
-    check: Annotated[bool, typer.Option("--check", help="and tell whether it can be used")] = False,
+    check: Annotated[bool, Option("--check", help="and tell whether it can be used")] = False,
     unit: Unit = "auto",
+    eye_distance_mm: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Upload scans, each named like its file, and print the capture ids.
+    """Upload scans, each with the name and role that its file has, and print the capture ids.
 
-    With --check the command ends with 3 if a scan is bad.
+    Names become legal ones before anything is sent; neutral, rest or relaxed as a word of a file's
+    name is the neutral. With --check the command ends with 3 if a scan is bad.
     """
-    if len(files) > 1 and (neutral or landmarks):
-        raise typer.BadParameter("--neutral and --landmarks take one file")
-    if performance and (neutral or raw or check):
-        raise typer.BadParameter("--performance takes neither --neutral, --raw nor --check")
-    if asset and (performance or neutral or raw or check):
-        raise typer.BadParameter("--asset takes no --performance, --neutral, --raw or --check")
-    for file in files:
-        if not (performance or asset) and file.suffix.lower() == FRAMES:
-            raise typer.BadParameter(f"{file.name}: frames are added with --performance")
-    role: Role = "expression"
-    if neutral or performance or asset:
-        role = "neutral" if neutral else "performance" if performance else "asset"
+    role = _role(role, neutral=neutral, performance=performance, asset=asset)
+    if len(files) > 1 and (name is not None or landmarks or role == "neutral"):
+        raise UsageError("--name, --neutral and --landmarks take one file")
+    if registered and raw:
+        raise UsageError("--registered and --raw exclude one another")
+    scans = name_scans(files, names=[name] * len(files), roles=[role] * len(files))
+    if check and any(each.role in NO_SCANS for each in scans):
+        raise UsageError("--check is for scans, not for performances and assets")
+    options = frame_options(unit, up, forward, eye_distance_mm)
     with Client(url) as client:
+        whose = find_subject(client, subject)
         added = [
-            _upload(client, subject, file, role, registered=not raw, marks=landmarks)
-            for file in files
+            _upload(client, whose, each, registered=registered, marks=landmarks) for each in scans
         ]
         if check:
-            _check(client, subject, added, frame_options(unit, up, forward), None)
+            _check(client, whose, added, options, None)
 
 
 @captures.command("list")
 def list_captures(subject: SubjectId, url: Url = DEFAULT_URL) -> None:
     """List a subject's scans with their newest verdicts and registrations."""
     with Client(url) as client:
-        show_captures(client.captures(subject))
+        show_captures(client.captures(find_subject(client, subject)))
 
 
 @captures.command()
@@ -108,14 +117,17 @@ def check(
     names: Names = None,
     output: Results = None,
     unit: Unit = "auto",
+    eye_distance_mm: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
 ) -> None:
     """Tell whether scans can be used, and what to do if not; ends with 3 if one is bad."""
+    options = frame_options(unit, up, forward, eye_distance_mm)
     with Client(url) as client:
-        scans = (each for each in client.captures(subject) if each.role not in NO_SCANS)
-        _check(client, subject, choose(scans, names), frame_options(unit, up, forward), output)
+        whose = find_subject(client, subject)
+        scans = (each for each in client.captures(whose) if each.role not in NO_SCANS)
+        _check(client, whose, choose(scans, names), options, output)
 
 
 @captures.command()
@@ -124,6 +136,7 @@ def register(
     names: Names = None,
     output: Results = None,
     unit: Unit = "auto",
+    eye_distance_mm: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
@@ -133,16 +146,17 @@ def register(
     These are the scans that are not registered yet, or from an earlier neutral. An expression that
     fails does not keep the others back; the command then ends with 1.
     """
-    options = frame_options(unit, up, forward)
+    options = frame_options(unit, up, forward, eye_distance_mm)
     failed = False
     with Client(url) as client:
-        known = client.captures(subject)
+        whose = find_subject(client, subject)
+        known = client.captures(whose)
         chosen = choose(known, names) if names else waiting(known)
         if not chosen:
             out.print("no raw scan waits to be registered")
         for capture in sorted(chosen, key=lambda each: each.role != "neutral"):
             try:
-                job = _solve(client, "register_scan", subject, capture, options, output)
+                job = _solve(client, "register_scan", whose, capture, options, output)
             except ApiError as error:
                 if capture.role == "neutral" or error.code == UNREACHABLE:
                     raise
@@ -151,32 +165,34 @@ def register(
             else:
                 show_registration(capture.name, _result(job).summary or {})
     if failed:
-        raise typer.Exit(1)
+        raise SystemExit(1)
 
 
 @captures.command()
 def landmarks(
     subject: SubjectId,
-    name: Annotated[str, typer.Argument(help="name or id of the capture")],
-    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="JSON, LJSON or CSV")],
+    name: Annotated[str, Argument(help="name or id of the capture")],
+    file: Annotated[Path, Argument(exists=True, dir_okay=False, help="JSON, LJSON or CSV")],
     url: Url = DEFAULT_URL,
 ) -> None:
     """Give a scan landmarks, instead of those it had, for its next check or registration."""
     with Client(url) as client:
-        (capture,) = choose(client.captures(subject), [name])
-        client.set_landmarks(subject, capture.id, file)
+        whose = find_subject(client, subject)
+        (capture,) = choose(client.captures(whose), [name])
+        client.set_landmarks(whose, capture.id, file)
 
 
 @captures.command()
 def delete(
     subject: SubjectId,
-    names: Annotated[list[str], typer.Argument(help="names or ids of captures")],
+    names: Annotated[list[str], Argument(help="names or ids of captures")],
     url: Url = DEFAULT_URL,
 ) -> None:
     """Delete scans with their checks and registrations; models and rigs made of them stay."""
     with Client(url) as client:
-        for capture in choose(client.captures(subject), names):
-            client.delete_capture(subject, capture.id)
+        whose = find_subject(client, subject)
+        for capture in choose(client.captures(whose), names):
+            client.delete_capture(whose, capture.id)
 
 
 def choose(captures: Iterable[Capture], names: list[str] | None) -> list[Capture]:
@@ -184,12 +200,18 @@ def choose(captures: Iterable[Capture], names: list[str] | None) -> list[Capture
     known = list(captures)
     if not names:
         return known
-    found = {key: each for each in known for key in (each.name, each.id)}
+    chosen = []
     for name in names:
-        if name not in found:
+        # Names differ in their case, so one that is meant exactly comes first
+        found = [each for each in known if each.name == name] or matching(
+            name, known, lambda each: each.name
+        )
+        if len(found) != 1:
             has = ", ".join(sorted(each.name for each in known)) or "none"
-            raise typer.BadParameter(f"{name}: the subject's captures to choose from are {has}")
-    return list({found[name].id: found[name] for name in names}.values())
+            are = "more than one" if found else "none"
+            raise UsageError(f"{name}: {are} of the subject's captures, which are {has}")
+        chosen += found
+    return list({each.id: each for each in chosen}.values())
 
 
 def show_captures(captures: Iterable[Capture]) -> None:
@@ -228,19 +250,33 @@ def _form(capture: Capture, captures: list[Capture]) -> str:
     return "raw, registered from an earlier neutral" if is_behind else "raw, registered"
 
 
+def _role(role: Role | None, **flags: bool) -> Role | None:
+    """Return the role of ``--role`` or of one of its short forms."""
+    asked = {role, *(name for name, is_given in flags.items() if is_given)} - {None}
+    if len(asked) > 1:
+        raise UsageError(f"a scan is one of {', '.join(map(str, sorted(asked, key=str)))}")
+    return cast("Role | None", asked.pop() if asked else None)
+
+
 def _upload(
-    client: Client, subject: str, file: Path, role: Role, *, registered: bool, marks: Path | None
+    client: Client, subject: str, scan: NamedScan, *, registered: bool, marks: Path | None
 ) -> Capture:
     try:
-        with transfer_bar(file.name) as progress:
+        with transfer_bar(scan.path.name) as progress:
             capture = client.add_capture(
-                subject, file, role=role, registered=registered, landmarks=marks, progress=progress
+                subject,
+                scan.path,
+                name=scan.name,
+                role=scan.role,
+                registered=registered,
+                landmarks=marks,
+                progress=progress,
             )
     except (ApiError, KeyboardInterrupt) as error:
         if getattr(error, "code", UNREACHABLE) == UNREACHABLE:
-            err.print(f"{file.name}: the same command goes on where it stopped", markup=False)
+            err.print(f"{scan.path.name}: the same command goes on where it stopped")
         raise
-    out.print(f"{capture.id}  {capture.name}", markup=False)
+    out.print(f"{capture.id}  {capture.name}  {capture.role}")
     return capture
 
 
@@ -258,7 +294,7 @@ def _check(
         show_verdict(capture.name, summary)
         verdicts.add(summary["verdict"])
     if "bad" in verdicts:
-        raise typer.Exit(BAD_SCAN)
+        raise SystemExit(BAD_SCAN)
 
 
 def _solve(

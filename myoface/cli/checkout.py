@@ -3,22 +3,44 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 from myoface.cli.assets import assets
+from myoface.cli.commands import Group, Runnable
+from myoface.cli.console import complain
 from myoface.cli.demo import demo
 from myoface.cli.offline import solve
 from myoface.cli.service import admin_key, backup, doctor, restore, up
 from myoface.cli.template import template
 from myoface.cli.tenants import tenants
+from myoface.errors import describe
 from service import process
 from solver.errors import InputError, SolveError
 
-COMMANDS = (up, demo, doctor, admin_key, backup, restore)
-GROUPS = {"tenants": tenants, "template": template, "assets": assets, "solve": solve}
-FAULTS = (InputError, SolveError)
+_root = Group("")
+for _function in (up, demo, doctor, admin_key, backup, restore):
+    _root.command()(_function)
+MEMBERS: Mapping[str, Runnable] = {
+    **_root.members,
+    "tenants": tenants,
+    "template": template,
+    "assets": assets,
+    "solve": solve,
+}
 
 
 def configure_logs() -> None:
     """Send warnings of the service's and the solver's code to standard error."""
     process.configure_logs(json=False)
     logging.getLogger().setLevel(logging.WARNING)
+
+
+@contextmanager
+def told_faults() -> Iterator[None]:
+    """Tell a fault of what was given to a solver in a line, and end the program with 1."""
+    try:
+        yield
+    except (InputError, SolveError) as error:
+        complain(describe(error.as_dict()))
+        raise SystemExit(1) from error

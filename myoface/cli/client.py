@@ -7,30 +7,33 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
-from myoface.cli.app import NewFolder, SubjectId, Url, read_scene
+from myoface.cli.app import NewFolder, SubjectId, Url, read_object, read_scene
 from myoface.cli.captures import choose, show_captures
+from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import (
     JobView,
     complain,
+    confirm,
     out,
     printable,
     show_table,
     show_verdict,
     transfer_bar,
 )
+from myoface.cli.lookup import find_job, find_rig, find_subject, find_template
 from myoface.client import DEFAULT_URL, Client
+from myoface.client.files import RIG_NOTE
 from myoface.errors import describe
 from myoface.resources import Artifact, Job, Result
 
-subjects = typer.Typer(help="People.", no_args_is_help=True)
-templates = typer.Typer(help="Template anatomies of a service.", no_args_is_help=True)
-jobs = typer.Typer(help="Work: submit, follow, cancel.", no_args_is_help=True)
-rigs = typer.Typer(help="Fitted faces.", no_args_is_help=True)
+subjects = Group("People.")
+templates = Group("Template anatomies of a service.")
+jobs = Group("Work: submit, follow, cancel.")
+rigs = Group("Fitted faces.")
 
-JobId = Annotated[str, typer.Argument(help="job id")]
-RigId = Annotated[str, typer.Argument(help="rig id")]
+JobId = Annotated[str, Argument(help="job id, or the start of it")]
+RigId = Annotated[str, Argument(help="rig id, or the start of it")]
+OfSubject = Annotated[str | None, Option("--subject", help="subject: id, start of it, or name")]
 
 # JSON Schema's words for the limits of a number.
 LIMITS = {"exclusiveMinimum": ">", "minimum": ">=", "maximum": "<="}
@@ -47,37 +50,41 @@ def list_subjects(url: Url = DEFAULT_URL) -> None:
 @subjects.command("add")
 def add_subject(
     name: str,
-    template: Annotated[str | None, typer.Option(help="template id; default: built-in")] = None,
+    template: Annotated[
+        str | None, Option(help="template: id, start of it, or name; default: built-in")
+    ] = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Add a person and print the id."""
     with Client(url) as client:
-        out.print(client.create_subject(name, template_id=template).id)
+        made_of = None if template is None else find_template(client, template)
+        out.print(client.create_subject(name, template_id=made_of).id)
 
 
 @subjects.command("show")
 def show_subject(subject: SubjectId, url: Url = DEFAULT_URL) -> None:
     """Show a subject's scans, jobs and rigs."""
     with Client(url) as client:
-        found = client.subject(subject)
-        out.print(f"{found.name} ({found.id})", markup=False)
-        show_captures(client.captures(subject))
-        _show_jobs(client.jobs(subject_id=subject))
-        _show_rigs(client, subject)
+        found = client.subject(find_subject(client, subject))
+        out.print(f"{found.name} ({found.id})")
+        show_captures(client.captures(found.id))
+        _show_jobs(client.jobs(subject_id=found.id))
+        _show_rigs(client, found.id)
 
 
 @subjects.command("delete")
 def delete_subject(
     subject: SubjectId,
-    yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
-    cancel: Annotated[bool, typer.Option("--cancel", help="stop its jobs first")] = False,
+    yes: Annotated[bool, Option("--yes", help="do not ask")] = False,
+    cancel: Annotated[bool, Option("--cancel", help="stop its jobs first")] = False,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Delete a subject with all its scans, jobs and rigs."""
-    if not yes:
-        typer.confirm(f"Delete subject {subject} and everything of it?", abort=True)
     with Client(url) as client:
-        client.delete_subject(subject, cancel=cancel)
+        found = client.subject(find_subject(client, subject))
+        if not yes:
+            confirm(f"Delete subject {found.name} ({found.id}) and everything of it?")
+        client.delete_subject(found.id, cancel=cancel)
 
 
 @templates.command("list")
@@ -92,8 +99,8 @@ def list_templates(url: Url = DEFAULT_URL) -> None:
 
 @templates.command("add")
 def add_template(
-    file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="NPZ template")],
-    name: Annotated[str | None, typer.Option(help="default: the file's name")] = None,
+    file: Annotated[Path, Argument(exists=True, dir_okay=False, help="NPZ template")],
+    name: Annotated[str | None, Option(help="default: the file's name")] = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Upload a template anatomy and print the id."""
@@ -103,19 +110,20 @@ def add_template(
 
 @jobs.command("list")
 def list_jobs(
-    subject: Annotated[str | None, typer.Option(help="subject id")] = None,
-    state: Annotated[str | None, typer.Option(help="queued, running, succeeded ...")] = None,
-    kind: Annotated[str | None, typer.Option(help="build_model, fit_geometry ...")] = None,
+    subject: OfSubject = None,
+    state: Annotated[str | None, Option(help="queued, running, succeeded ...")] = None,
+    kind: Annotated[str | None, Option(help="build_model, fit_geometry ...")] = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """List jobs."""
     with Client(url) as client:
-        _show_jobs(client.jobs(subject_id=subject, state=state, kind=kind))
+        whose = subject and find_subject(client, subject)
+        _show_jobs(client.jobs(subject_id=whose, state=state, kind=kind))
 
 
 @jobs.command("kinds")
 def show_kinds(
-    kind: Annotated[str | None, typer.Argument(help="show the options of this one")] = None,
+    kind: Annotated[str | None, Argument(help="show the options of this one")] = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """List the kinds of job, or the options of one."""
@@ -132,7 +140,7 @@ def show_kinds(
         show_table(("option", "default", "allowed", "what"), rows)
     else:
         known = ", ".join(found)
-        raise typer.BadParameter(f"there is no kind {kind!r}; there are {printable(known)}")
+        raise UsageError(f"there is no kind {kind!r}; there are {printable(known)}")
 
 
 def _limits(schema: dict[str, Any]) -> str:
@@ -145,63 +153,52 @@ def _limits(schema: dict[str, Any]) -> str:
 
 @jobs.command("submit")
 def submit_job(
-    kind: Annotated[str, typer.Argument(help="see `myoface jobs kinds`")],
+    kind: Annotated[str, Argument(help="see `myoface jobs kinds`")],
     subject: SubjectId,
-    capture: Annotated[
-        list[str] | None, typer.Option(help="name or id of a capture; repeat")
-    ] = None,
+    capture: Annotated[list[str] | None, Option(help="name or id of a capture; repeat")] = None,
     rig: Annotated[
-        str | None, typer.Option(help="rig id, for fit_activations and all that plays a rig")
+        str | None, Option(help="rig id, for fit_activations and all that plays a rig")
     ] = None,
-    options: Annotated[str, typer.Option(help="JSON, see `myoface jobs kinds KIND`")] = "{}",
+    options: Annotated[str, Option(help="JSON, see `myoface jobs kinds KIND`")] = "{}",
     scene: Annotated[
         Path | None,
-        typer.Option(exists=True, dir_okay=False, help="JSON, for simulate, animate and edit"),
+        Option(exists=True, dir_okay=False, help="JSON, for simulate, animate and edit"),
     ] = None,
-    wait: Annotated[bool, typer.Option(help="follow the job until it ends")] = True,
+    wait: Annotated[bool, Option(help="follow the job until it ends")] = True,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Submit a job; without --capture a fit takes all the subject's expressions."""
     with Client(url) as client:
+        whose = find_subject(client, subject)
         chosen = []
         if capture:
-            chosen = choose(client.captures(subject), capture)
+            chosen = choose(client.captures(whose), capture)
         elif any(each.kind == kind and "captures" in each.reads for each in client.kinds()):
-            listed = reversed(client.captures(subject))  # a rig has them in their scans' order
+            listed = reversed(client.captures(whose))  # a rig has them in their scans' order
             chosen = [each for each in listed if each.role == "expression"]
         given = {} if scene is None else {"scene": read_scene(scene)}
         job = client.submit(
             kind,
-            subject,
+            whose,
             captures=[each.id for each in chosen],
-            rig_id=rig,
-            options=_read_options(options) | given,
+            rig_id=rig and find_rig(client, rig),
+            options=read_object(options, "--options") | given,
         )
         out.print(job.id)
         if wait:
             _follow(client, job)
 
 
-def _read_options(text: str) -> dict[str, Any]:
-    try:
-        options = json.loads(text)
-    except ValueError as error:
-        raise typer.BadParameter(f"--options is not JSON: {error}") from error
-    if not isinstance(options, dict):
-        raise typer.BadParameter("--options must be a JSON object")
-    return options
-
-
 @jobs.command("retry")
 def retry_job(
     job: JobId,
-    options: Annotated[str, typer.Option(help="JSON, those that differ")] = "{}",
-    wait: Annotated[bool, typer.Option(help="follow the job until it ends")] = True,
+    options: Annotated[str, Option(help="JSON, those that differ")] = "{}",
+    wait: Annotated[bool, Option(help="follow the job until it ends")] = True,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Make a job again that is over, with other options if they are given."""
     with Client(url) as client:
-        again = client.retry(job, options=_read_options(options))
+        again = client.retry(find_job(client, job), options=read_object(options, "--options"))
         out.print(again.id)
         if wait:
             _follow(client, again)
@@ -211,7 +208,7 @@ def retry_job(
 def wait_for_job(job: JobId, url: Url = DEFAULT_URL) -> None:
     """Follow a job until it ends."""
     with Client(url) as client:
-        _follow(client, client.job(job))
+        _follow(client, client.job(find_job(client, job)))
 
 
 def _follow(client: Client, job: Job) -> None:
@@ -230,44 +227,44 @@ def _follow(client: Client, job: Job) -> None:
 def show_log(job: JobId, url: Url = DEFAULT_URL) -> None:
     """Print what the solver printed."""
     with Client(url) as client:
-        for line in client.log(job):
-            out.print(line.text, markup=False)
+        for line in client.log(find_job(client, job)):
+            out.print(line.text)
 
 
 @jobs.command("frames")
 def show_frames(
     job: JobId,
-    start: Annotated[int, typer.Option(min=0, help="begin with this one, 0 is the first")] = 0,
-    follow: Annotated[bool, typer.Option("--follow", help="wait for more until it ends")] = False,
+    start: Annotated[int, Option(min=0, help="begin with this one, 0 is the first")] = 0,
+    follow: Annotated[bool, Option("--follow", help="wait for more until it ends")] = False,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Print the frames of a sequence that are ready, a line of JSON each."""
     with Client(url) as client:
-        for frame in client.frames(job, start=start, follow=follow):
-            out.print(frame.model_dump_json(), markup=False)
+        for frame in client.frames(find_job(client, job), start=start, follow=follow):
+            out.print(json.dumps(frame.as_dict()))
 
 
 @jobs.command("cancel")
 def cancel_job(
     job: JobId,
-    reason: Annotated[str, typer.Option(help="why, for the record")] = "by the command line",
+    reason: Annotated[str, Option(help="why, for the record")] = "by the command line",
     url: Url = DEFAULT_URL,
 ) -> None:
     """Stop a job."""
     with Client(url) as client:
-        out.print(client.cancel(job, reason).state)
+        out.print(client.cancel(find_job(client, job), reason).state)
 
 
 @jobs.command("download")
 def download_job(job: JobId, output: NewFolder = Path("job"), url: Url = DEFAULT_URL) -> None:
     """Download the files that a job left, such as a model's pictures."""
     with Client(url) as client:
-        found = client.job(job)
+        found = client.job(find_job(client, job))
         if found.result is None:
             ended = "failed" if found.state == "failed" else f"is {found.state}"
             why = f": {describe(found.error)}" if found.error else ""
             complain(f"the {found.kind} job {ended} and has left no files{why}")
-            raise typer.Exit(1)
+            raise SystemExit(1)
         _download(client, found.result.artifacts, output)
 
 
@@ -275,7 +272,7 @@ def _download(client: Client, artifacts: Iterable[Artifact], folder: Path) -> No
     for artifact in artifacts:
         with transfer_bar(artifact.name) as progress:
             client.download(artifact, folder / artifact.name, progress=progress)
-        out.print(f"{folder / artifact.name}", markup=False)
+        out.print(f"{folder / artifact.name}")
 
 
 def _show_jobs(found: list[Job]) -> None:
@@ -294,19 +291,22 @@ def _show_jobs(found: list[Job]) -> None:
 
 
 @rigs.command("list")
-def list_rigs(
-    subject: Annotated[str | None, typer.Option(help="subject id")] = None, url: Url = DEFAULT_URL
-) -> None:
+def list_rigs(subject: OfSubject = None, url: Url = DEFAULT_URL) -> None:
     """List rigs."""
     with Client(url) as client:
-        _show_rigs(client, subject)
+        _show_rigs(client, subject and find_subject(client, subject))
 
 
 @rigs.command("download")
 def download_rig(rig: RigId, output: NewFolder = Path("rig"), url: Url = DEFAULT_URL) -> None:
-    """Download a rig's files, checked and resumed where an earlier download broke off."""
-    with Client(url) as client:
-        _download(client, client.rig(rig).artifacts, output)
+    """Download all files of a rig into a folder; what is there already and right is not sent again.
+
+    rig.json, which comes last, says whose rig it is, of which template, and lists the files.
+    """
+    with Client(url) as client, transfer_bar("rig") as progress:
+        found = client.download_rig(find_rig(client, rig), output, progress=progress)
+    for name in [*(each.name for each in found.artifacts), RIG_NOTE]:
+        out.print(f"{output / name}")
 
 
 def _show_rigs(client: Client, subject: str | None) -> None:

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
+import sys
 import time
+import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
-
-from rich.cells import cell_len, set_cell_size
-from rich.console import Console, ConsoleOptions, RenderableType
-from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    DownloadColumn,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TransferSpeedColumn,
-)
-from rich.progress import Progress as Bars
-from rich.segment import Segment
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, Self
 
 from myoface.client.files import Transferred
 from myoface.resources import Job, Progress
@@ -50,39 +40,123 @@ def printable(text: str) -> str:
     return HARMFUL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
-class SafeConsole(Console):
-    """A console on which no text, wherever it is from, does more than be read."""
+class Painted(NamedTuple):
+    """Text in a colour, or bold, where a terminal shows it."""
 
-    def render(
-        self, renderable: RenderableType, options: ConsoleOptions | None = None
-    ) -> Iterable[Segment]:
-        """Render, with the harmful characters of all texts escaped."""
-        for text, style, control in super().render(renderable, options):
-            yield Segment(text if control else printable(text), style, control)
+    text: str
+    style: str
 
 
-out = SafeConsole(highlight=False, soft_wrap=True)
-err = SafeConsole(stderr=True, highlight=False, soft_wrap=True)
+class Console:
+    """A stream on which no text, wherever it is from, does more than be read.
+
+    On a terminal its last line may be live: it is written over until it goes.
+    """
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        self.stderr = stderr
+        self._live = ""
+        self._since = 0.0
+
+    @property
+    def stream(self) -> IO[str]:
+        """Standard output or error, as it is at the moment."""
+        return sys.stderr if self.stderr else sys.stdout
+
+    @property
+    def is_terminal(self) -> bool:
+        """True where somebody sees what is written over."""
+        return self.stream.isatty()
+
+    def print(self, *parts: object) -> None:
+        """Print texts one after the other, and end the line."""
+        live = self._live
+        self.show_live("")
+        self.stream.write("".join(map(self._rendered, parts)) + "\n")
+        self.stream.flush()
+        self.show_live(live)
+
+    def show_live(self, text: str) -> None:
+        """Write the live line anew; on a terminal only."""
+        if not text:
+            self._since = 0.0  # the next bar is shown at once
+        if not self.is_terminal or text == self._live:
+            return
+        shown = fit(printable(text), shutil.get_terminal_size().columns - 1) if text else ""
+        self.stream.write("\r" + " " * cells(self._live) + "\r" + shown)
+        self.stream.flush()
+        self._live = shown
+
+    def show_bar(self, title: str, fraction: float, words: str) -> None:
+        """Show how far something is as the live line, ten times a second at most."""
+        if fraction < 1.0 and time.monotonic() - self._since < 0.1:
+            return
+        self._since = time.monotonic()
+        done = round(BAR_CELLS * min(max(fraction, 0.0), 1.0))
+        bar = "#" * done + "." * (BAR_CELLS - done)
+        self.show_live(f"{title} {bar} {words}".replace("\n", " "))
+
+    def _rendered(self, part: object) -> str:
+        text, style = part if isinstance(part, Painted) else (str(part), "")
+        safe = printable(text)
+        if not style or not self.is_terminal or "NO_COLOR" in os.environ or not TAKES_COLOURS:
+            return safe
+        return f"\x1b[{STYLES[style]}m{safe}\x1b[0m"
+
+
+STYLES = {"red": 31, "green": 32, "yellow": 33, "bold": 1}
+BAR_CELLS = 30
+# The console of Windows before its Terminal shows the codes themselves
+TAKES_COLOURS = os.name != "nt" or "WT_SESSION" in os.environ
+
+out = Console()
+err = Console(stderr=True)
+
+
+def cells(text: str) -> int:
+    """Return how wide a terminal shows a text."""
+    wide = sum(unicodedata.east_asian_width(each) in "WF" for each in text)
+    return len(text) + wide - sum(map(bool, map(unicodedata.combining, text)))
+
+
+def fit(text: str, width: int) -> str:
+    """Return as much of a text as ``width`` cells hold."""
+    while cells(text) > width:
+        text = text[:-1]
+    return text
 
 
 def complain(message: str) -> None:
     """Show an error."""
-    err.print(f"[bold red]error:[/] {escape(message)}")
+    err.print(Painted("error:", "red"), " ", message)
+
+
+def confirm(question: str) -> None:
+    """End the program unless somebody says yes."""
+    out.stream.write(f"{printable(question)} [y/N] ")
+    out.stream.flush()
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        complain("nothing was done")
+        raise SystemExit(1)
 
 
 def show_table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Show rows under column names, one line a row, however wide: an id stays whole."""
     lines = [list(columns), *(["" if cell is None else str(cell) for cell in row] for row in rows)]
-    widths = [max(map(cell_len, column)) for column in zip(*lines, strict=True)]
+    lines = [list(map(printable, line)) for line in lines]
+    widths = [max(map(cells, column)) for column in zip(*lines, strict=True)]
     for number, line in enumerate(lines):
-        text = "  ".join(map(set_cell_size, line, widths)).rstrip()
-        out.print(text, markup=False, style=None if number else "bold")
+        padded = (
+            text + " " * (width - cells(text)) for text, width in zip(line, widths, strict=True)
+        )
+        text = "  ".join(padded).rstrip()
+        out.print(text if number else Painted(text, "bold"))
 
 
 def show_verdict(title: str, check: Mapping[str, Any]) -> None:
     """Show the verdict of a check of a scan, and each finding with its advice."""
     style, words = VERDICTS[check["verdict"]]
-    out.print(f"{escape(title)}: [{style}]{words}[/]")
+    out.print(f"{title}: ", Painted(words, style))
     _show_findings(check["findings"])
 
 
@@ -91,29 +165,33 @@ def show_registration(title: str, registration: Mapping[str, Any]) -> None:
     words = f"registered, {registration['coverage']:.0%} of the face seen"
     if registration["mean_mm"] is not None:
         words += f", {registration['mean_mm']:.2f} mm off the scan on average"
-    out.print(f"{title}: {words}", markup=False)
+    out.print(f"{title}: {words}")
     _show_findings(registration["findings"])
 
 
 def _show_findings(findings: Iterable[Mapping[str, str]]) -> None:
     for finding in findings:
-        out.print(f"  - {finding['message']}", markup=False)
+        out.print(f"  - {finding['message']}")
         if finding.get("advice"):
-            out.print(f"    {finding['advice']}", markup=False)
+            out.print(f"    {finding['advice']}")
 
 
 @contextmanager
 def transfer_bar(title: str) -> Iterator[Transferred]:
     """Show a bar for bytes; yields a function of the bytes done and the bytes in all."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        DownloadColumn(),
-        TransferSpeedColumn(),
-    )
-    with Bars(*columns, console=out, transient=True, disable=not out.is_terminal) as bars:
-        task = bars.add_task(escape(title), total=None)
-        yield lambda done, total: bars.update(task, completed=done, total=total)
+
+    def show(done: int, total: int) -> None:
+        million = 1e6
+        words = f"{done / million:.1f}/{total / million:.1f} MB"
+        if (seconds := time.monotonic() - began) > 0:
+            words += f" {done / million / seconds:.1f} MB/s"
+        out.show_bar(title, done / total if total else 1.0, words)
+
+    began = time.monotonic()
+    try:
+        yield show
+    finally:
+        out.show_live("")
 
 
 class JobView:
@@ -127,23 +205,11 @@ class JobView:
         self.title = title
         self.phases: dict[str, float] = {}
         self._phase = "queued"
-        self._since = time.monotonic()
+        self._since = self._began = time.monotonic()
         self._last_line = ("", 0.0)
         self._warned: set[str | None] = set()
-        self._bars = Bars(
-            TextColumn("{task.fields[title]}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.description}"),
-            console=out,
-            transient=True,
-            disable=not out.is_terminal,
-        )
-        self._task = self._bars.add_task("queued", total=1.0, title=escape(title))
 
     def __enter__(self) -> Self:
-        self._bars.start()
         return self
 
     def __exit__(
@@ -153,7 +219,7 @@ class JobView:
         _trace: TracebackType | None,
     ) -> None:
         self._turn("end")
-        self._bars.stop()
+        out.show_live("")
 
     def watch(self, job: Job) -> None:
         """Take a job's news (a :data:`myoface.client.Watcher`)."""
@@ -170,14 +236,15 @@ class JobView:
         if step.phase == "warning":
             if step.message not in self._warned:
                 self._warned.add(step.message)
-                out.print(f"{self.title}: warning: {step.message}", markup=False)
+                out.print(f"{self.title}: warning: {step.message}")
             return
         words, turns = summary(step), step.phase != self._phase
         if turns:
             self._turn(step.phase)
         if not out.is_terminal:
             self._print(words, at_once=turns)
-        self._bars.update(self._task, completed=step.fraction, description=escape(words))
+        passed = time.strftime("%H:%M:%S", time.gmtime(time.monotonic() - self._began))
+        out.show_bar(self.title, step.fraction, f"{step.fraction:.0%} {passed} {words}")
 
     def _print(self, words: str, *, at_once: bool) -> None:
         """Print a line, unless it says nothing new or the one before is not old yet."""
@@ -185,7 +252,7 @@ class JobView:
         now = time.monotonic()
         if at_once or (words != before and now - moment >= NEWS_SECONDS):
             self._last_line = (words, now)
-            out.print(f"{self.title}: {words}", markup=False)
+            out.print(f"{self.title}: {words}")
 
     def _turn(self, phase: str) -> None:
         moment = time.monotonic()

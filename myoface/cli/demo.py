@@ -12,9 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-from rich.markup import escape
-
+from myoface.cli.commands import Option, UsageError
 from myoface.cli.console import complain, out, show_table
 from myoface.cli.service import compile_kernels, read_settings
 from myoface.client import Client
@@ -35,20 +33,18 @@ QUICK_TRAIN, QUICK_TEST = 2, 1
 # The data folder of the service that is started, in the output: `myoface up` goes on with it.
 SERVICE = "service"
 
-Folder = Annotated[Path | None, typer.Option(exists=True, file_okay=False)]
+Folder = Annotated[Path | None, Option(exists=True, file_okay=False)]
 
 
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", file_okay=False)] = Path("demo-output"),
+    output: Annotated[Path, Option("--output", "-o", file_okay=False)] = Path("demo-output"),
     anatomy: Folder = None,
     faces: Folder = None,
-    subject: Annotated[str, typer.Option(help="with --faces: a subject of the capture sets")] = "A",
-    capture_sets: Annotated[Path | None, typer.Option(exists=True, dir_okay=False)] = None,
-    url: Annotated[str | None, typer.Option(help="a running service; default: starts one")] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="coarse, three expressions, not judged")
-    ] = False,
-    json_file: Annotated[Path | None, typer.Option("--json", help="figures; - prints them")] = None,
+    subject: Annotated[str, Option(help="with --faces: a subject of the capture sets")] = "A",
+    capture_sets: Annotated[Path | None, Option(exists=True, dir_okay=False)] = None,
+    url: Annotated[str | None, Option(help="a running service; default: starts one")] = None,
+    quick: Annotated[bool, Option("--quick", help="coarse, three expressions, not judged")] = False,
+    json_file: Annotated[Path | None, Option("--json", help="figures; - prints them")] = None,
 ) -> None:
     """Fit a face: the built-in one, or with --anatomy and --faces one of your folders."""
     from myoface.demo.session import Session
@@ -58,7 +54,7 @@ def demo(
     to_stdout = str(json_file) == "-"
     out.stderr = to_stdout  # standard output is then for the figures alone
     if (anatomy is None) != (faces is None):
-        raise typer.BadParameter("--anatomy and --faces go together")
+        raise UsageError("--anatomy and --faces go together")
     title = "Myoface: the built-in face" if faces is None else f"Myoface: subject {subject}"
     output.mkdir(parents=True, exist_ok=True)
     begun = time.monotonic()
@@ -82,13 +78,13 @@ def demo(
     _print_page(f"/rigs/{session.rig_id}", url, output / SERVICE)
     text = json.dumps(outcome.as_dict(), indent=2, allow_nan=False)
     if to_stdout:
-        typer.echo(text)
+        sys.stdout.write(text + "\n")
     elif json_file is not None:
         json_file.write_text(text + "\n", encoding="utf-8")
     for failure in outcome.failures():
         complain(failure)
     if outcome.failures():
-        raise typer.Exit(1)
+        raise SystemExit(1)
 
 
 def _inputs(
@@ -103,8 +99,8 @@ def _inputs(
 
     captures = ict_capture_set(faces, subject, capture_sets)
     template = output / "template.npz"
-    with out.status("building the template from the folders"):
-        build_ict_template(anatomy, faces).save(template)
+    out.print("building the template from the folders")
+    build_ict_template(anatomy, faces).save(template)
     return template, captures
 
 
@@ -142,22 +138,20 @@ def _print_outcome(outcome: DemoOutcome, output: Path) -> None:
     out.print(f"seconds        {figures['seconds']}")
     errors = outcome.khronos.errors
     khronos = outcome.khronos.note if errors is None else f"{errors} errors"
-    out.print(
-        f"rig.glb        {len(outcome.glb_faults)} faults; Khronos validator: {escape(khronos)}"
-    )
+    out.print(f"rig.glb        {len(outcome.glb_faults)} faults; Khronos validator: {khronos}")
     out.print(f"certificate    {outcome.report['verdict']}")
-    out.print(f"look at        {escape(str(output / 'report.html'))}")
+    out.print(f"look at        {output / 'report.html'!s}")
 
 
 def _print_page(path: str, url: str | None, data: Path) -> None:
     """Say where the page shows the rig: of a running service, or of the one that was kept."""
     if url is not None:
-        out.print(f"in the browser {url.rstrip('/')}{path}", markup=False, soft_wrap=True)
+        out.print(f"in the browser {url.rstrip('/')}{path}")
         return
     settings = read_settings()
     key = read_settings(data_dir=data).admin_key.read_text()
     page = f"http://{settings.host}:{settings.port}{path}"
     if out.is_terminal:  # never into a log
         page += f"#key={key}"
-    out.print(f"in the browser myoface up --data {shlex.quote(str(data))}", markup=False)
-    out.print(f"               and open {page}", markup=False, soft_wrap=True)
+    out.print(f"in the browser myoface up --data {shlex.quote(str(data))}")
+    out.print(f"               and open {page}")

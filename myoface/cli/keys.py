@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
-from typing import Annotated, cast
-
-import typer
+from typing import Annotated
 
 from myoface.cli.app import Url
+from myoface.cli.commands import Argument, Group, Option
 from myoface.cli.console import out, show_table
 from myoface.client import DEFAULT_URL, Client
 from myoface.resources import Key, NewKey, Scope, Use
 
-keys = typer.Typer(help="API keys: make, rotate, revoke.", no_args_is_help=True)
+keys = Group("API keys: make, rotate, revoke.")
 
-KeyId = Annotated[str, typer.Argument(help="key id")]
+KeyId = Annotated[str, Argument(help="key id")]
 DAY = 24 * 3600
 
 
@@ -39,20 +38,20 @@ def list_keys(url: Url = DEFAULT_URL) -> None:
 @keys.command("add")
 def add_key(
     name: str,
-    scope: Annotated[list[str], typer.Option(help="read, write, delete, webhooks ...; repeat")],
-    days: Annotated[int | None, typer.Option(min=1, help="it works so long; default: ever")] = None,
+    scope: Annotated[list[Scope], Option(help="what it is good for; repeat")],
+    days: Annotated[int | None, Option(min=1, help="it works so long; default: ever")] = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Make a key and print it, this once."""
     until = None if days is None else datetime.now(UTC) + timedelta(days=days)
     with Client(url) as client:
-        _print_key(client.create_key(name, cast(list[Scope], scope), expires_at=until))
+        _print_key(client.create_key(name, scope, expires_at=until))
 
 
 @keys.command("rotate")
 def rotate_key(
     key: KeyId,
-    grace: Annotated[int, typer.Option(min=0, help="s that the old one goes on to work")] = DAY,
+    grace: Annotated[int, Option(min=0, help="s that the old one goes on to work")] = DAY,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Make a key in another's place and print it, this once."""
@@ -72,7 +71,7 @@ def whoami(url: Url = DEFAULT_URL) -> None:
     """Show whose key this is, what it may do, and what the tenant uses."""
     with Client(url) as client:
         me, usage = client.me(), client.usage()
-    out.print(f"{me.tenant}, key {me.key_id}: {', '.join(me.scopes)}", markup=False)
+    out.print(f"{me.tenant}, key {me.key_id}: {', '.join(me.scopes)}")
     rows = [
         ("stored bytes", *_cells(usage.bytes)),
         ("queued jobs", *_cells(usage.queued)),
@@ -83,7 +82,7 @@ def whoami(url: Url = DEFAULT_URL) -> None:
 
 @keys.command("audit")
 def show_audit(
-    about: Annotated[str | None, typer.Option(help="only about the object of this id")] = None,
+    about: Annotated[str | None, Option(help="only about the object of this id")] = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Show what was done with the tenant's keys, newest first."""
@@ -97,9 +96,9 @@ def show_audit(
 
 def _print_key(made: NewKey) -> None:
     if made.key is None:
-        out.print(f"the answer with the key was lost: myoface keys rotate {made.id}", markup=False)
-        raise typer.Exit(1)
-    out.print(made.key, markup=False)
+        out.print(f"the answer with the key was lost: myoface keys rotate {made.id}")
+        raise SystemExit(1)
+    out.print(made.key)
 
 
 def _end(key: Key) -> str | None:

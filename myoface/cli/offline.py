@@ -9,20 +9,19 @@ from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import typer
-
 from myoface.cli.app import BAD_SCAN, LandmarksFile, NewFile, NewFolder, RawScan, Scan, read_scene
+from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import JobView, out, show_registration, show_verdict
 from solver.jobs import run_job
 from solver.kinds import KINDS, Kind
 
-solve = typer.Typer(help="Solve here, without a service.", no_args_is_help=True)
+solve = Group("Solve here, without a service.")
 
-Model = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="model.npz")]
+Model = Annotated[Path, Argument(exists=True, dir_okay=False, help="model.npz")]
 SceneFile = Annotated[
-    Path, typer.Argument(exists=True, dir_okay=False, help="JSON, see docs/guide/simulation.md")
+    Path, Argument(exists=True, dir_okay=False, help="JSON, see docs/guide/simulation.md")
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="go on after the frames in the folder")]
+Resume = Annotated[bool, Option("--resume", help="go on after the frames in the folder")]
 
 RIG = "rig.npz, or a rig's folder; to one of 0.1 copy its model.npz"
 
@@ -31,15 +30,15 @@ ARGUMENTS: Mapping[str, Mapping[str, Any]] = {
     "capture": {"scan": RawScan},
     "neutral": {"neutral": Scan},
     "model": {"model": Model},
-    "rig": {"rig": Annotated[Path, typer.Argument(exists=True, help=RIG)]},
+    "rig": {"rig": Annotated[Path, Argument(exists=True, help=RIG)]},
     "captures": {
         "scans": Annotated[
-            list[Path], typer.Argument(exists=True, dir_okay=False, help="expression scans")
+            list[Path], Argument(exists=True, dir_okay=False, help="expression scans")
         ]
     },
     "performance": {
         "performance": Annotated[
-            Path, typer.Argument(exists=True, help="frames (.npy), or a folder of registered scans")
+            Path, Argument(exists=True, help="frames (.npy), or a folder of registered scans")
         ]
     },
 }
@@ -49,7 +48,7 @@ OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
         "template": (
             Annotated[
                 Path | None,
-                typer.Option("--template", exists=True, help="template NPZ; default: built-in"),
+                Option("--template", exists=True, help="template NPZ; default: built-in"),
             ],
             None,
         )
@@ -58,7 +57,7 @@ OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
         "asset": (
             Annotated[
                 list[str] | None,
-                typer.Option("--asset", help="NAME=FILE, a file that the scene names; repeatable"),
+                Option("--asset", help="NAME=FILE, a file that the scene names; repeatable"),
             ],
             None,
         )
@@ -67,9 +66,7 @@ OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
         "blendshapes": (
             Annotated[
                 Path | None,
-                typer.Option(
-                    exists=True, dir_okay=False, help="blendshapes.npz of an earlier animation"
-                ),
+                Option(exists=True, dir_okay=False, help="blendshapes.npz of an earlier animation"),
             ],
             None,
         )
@@ -78,7 +75,7 @@ OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
         "role": (
             Annotated[
                 Literal["unknown", "neutral", "expression"],
-                typer.Option(help="what the scan is meant to be"),
+                Option(help="what the scan is meant to be"),
             ],
             "unknown",
         )
@@ -87,17 +84,14 @@ OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
         "start_rig": (
             Annotated[
                 Path | None,
-                typer.Option(
-                    "--start", exists=True, help="rig to start from, also of another person"
-                ),
+                Option("--start", exists=True, help="rig to start from, also of another person"),
             ],
             None,
         )
     },
 }
 NEUTRAL_OF_EXPRESSION = Annotated[
-    Path | None,
-    typer.Option(exists=True, dir_okay=False, help="of an expression: registered neutral"),
+    Path | None, Option(exists=True, dir_okay=False, help="of an expression: registered neutral")
 ]
 
 
@@ -158,6 +152,10 @@ def _option(name: str, rules: Mapping[str, Any]) -> Any:
     """Return the type of an option on the command line, for the JSON Schema of its values."""
     flag, words = f"--{name.replace('_', '-')}", rules.get("description")
     types = [rules["type"]] if isinstance(rules.get("type"), str) else rules.get("type", [])
+    words_and_numbers = [each.get("type") for each in rules.get("anyOf", [])]
+    if {"string", "number"} <= set(words_and_numbers):
+        read = Option(flag, help=words, parser=_read_word, metavar=name.upper())
+        return Annotated[str | float | None, read]
     if "enum" in rules:
         choices = tuple(each for each in rules["enum"] if each is not None)
         kind: Any = Literal[choices]
@@ -171,12 +169,20 @@ def _option(name: str, rules: Mapping[str, Any]) -> Any:
         bounds = {}
     if kind is dict:
         bounds = {"parser": _read_object, "metavar": "JSON"}
-    made = typer.Option(flag, help=words, **bounds)
+    made = Option(flag, help=words, **bounds)
     return Annotated[kind | None if may_be_none else kind, made]
 
 
-def _read_object(given: str | dict[str, Any]) -> dict[str, Any]:
-    found = json.loads(given) if isinstance(given, str) else given
+def _read_word(given: str) -> str | float:
+    """Return a number, or the word that is none."""
+    try:
+        return float(given)
+    except ValueError:
+        return given
+
+
+def _read_object(given: str) -> dict[str, Any]:
+    found = json.loads(given)
     if not isinstance(found, dict):
         raise ValueError(f"{given} is no JSON object")
     return found
@@ -212,9 +218,9 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
     report = json.loads((folder / kind.report).read_text(encoding="utf-8"))
     if kind.leaves in SUMMARIES:
         SUMMARIES[kind.leaves](report, given)
-    out.print(f"{folder / kind.result}", markup=False)
+    out.print(f"{folder / kind.result}")
     if kind.leaves == "check" and report["verdict"] == "bad":
-        raise typer.Exit(BAD_SCAN)
+        raise SystemExit(BAD_SCAN)
 
 
 def _show_check(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
@@ -249,7 +255,7 @@ def _show_edit(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:
 
 
 def _show_export(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
-    out.print(f"{given['output'] / report['file']}, {report['bytes']} bytes", markup=False)
+    out.print(f"{given['output'] / report['file']}, {report['bytes']} bytes")
 
 
 # What is said of a job, by what it leaves.
@@ -269,11 +275,9 @@ def _assets(given: list[str]) -> dict[str, Path]:
     for each in given:
         name, _, path = each.partition("=")
         if not (name and Path(path).is_file()):
-            raise typer.BadParameter(
-                f"--asset {each}: NAME=FILE is expected, of a file that exists"
-            )
+            raise UsageError(f"--asset {each}: NAME=FILE is expected, of a file that exists")
         if name in found:
-            raise typer.BadParameter(f"--asset {each}: another file is called {name}, too")
+            raise UsageError(f"--asset {each}: another file is called {name}, too")
         found[name] = Path(path)
     return found
 
@@ -281,7 +285,7 @@ def _assets(given: list[str]) -> dict[str, Path]:
 def _named(scans: list[Path]) -> dict[str, Path]:
     named = {path.stem: path for path in scans}
     if len(named) < len(scans):
-        raise typer.BadParameter("two scans have the same name: an expression is named by its file")
+        raise UsageError("two scans have the same name: an expression is named by its file")
     return named
 
 
@@ -299,13 +303,9 @@ def _made(folder: Path) -> Iterator[None]:
 
 @solve.command("live-link")
 def live_link(
-    recording: Annotated[
-        Path, typer.Argument(exists=True, dir_okay=False, help="Live Link Face's CSV")
-    ],
+    recording: Annotated[Path, Argument(exists=True, dir_okay=False, help="Live Link Face's CSV")],
     model: Model,
-    faces: Annotated[
-        Path, typer.Option(exists=True, file_okay=False, help="folder of ICT-FaceKit")
-    ],
+    faces: Annotated[Path, Option(exists=True, file_okay=False, help="folder of ICT-FaceKit")],
     output: NewFile = Path("performance.npy"),
 ) -> None:
     """Make a performance of a Live Link Face recording, for a model of an ICT-FaceKit head."""
@@ -317,7 +317,7 @@ def live_link(
     frames = model_performance(faces, recording, subject)
     write_performance(output, frames, len(frames), len(subject.face))
     out.print(f"{len(frames)} frames, {frames.fps:g} a second")
-    out.print(f"{output}", markup=False)
+    out.print(f"{output}")
 
 
 for _kind in KINDS.values():

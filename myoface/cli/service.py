@@ -7,23 +7,22 @@ import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from pydantic import ValidationError
 from pydantic_settings import SettingsError
-from rich.markup import escape
 
-from myoface.cli.console import complain, out
+from myoface.cli.commands import Argument, Option, UsageError
+from myoface.cli.console import Painted, complain, out
 from service.process import configure_logs
 from service.settings import Settings
 
 if TYPE_CHECKING:
     from myoface.backup.folder import Manifest
 
-MARKS = {"ok": "[green]ok[/]     ", "warning": "[yellow]warning[/]", "fault": "[red]fault[/]  "}
+COLOURS = {"ok": "green", "warning": "yellow", "fault": "red"}
 
-Port = Annotated[int | None, typer.Option(help="0 takes a free one")]
-Data = Annotated[Path | None, typer.Option(help="folder for everything the service keeps")]
-BackupFolder = Annotated[Path, typer.Argument(file_okay=False, help="the backup's folder")]
+Port = Annotated[int | None, Option(help="0 takes a free one")]
+Data = Annotated[Path | None, Option(help="folder for everything the service keeps")]
+BackupFolder = Annotated[Path, Argument(file_okay=False, help="the backup's folder")]
 
 
 def up(port: Port = None, data: Data = None) -> None:
@@ -37,16 +36,16 @@ def up(port: Port = None, data: Data = None) -> None:
     logging.getLogger("httpx").setLevel(logging.WARNING)  # the stack asks itself for its health
     with Stack(settings) as stack:
         out.print(f"Myoface listens on {stack.url}. Ctrl-C stops it.")
-        out.print(f"Its key is in {settings.admin_key}.", markup=False)
+        out.print(f"Its key is in {settings.admin_key}.")
         if is_loopback(settings.host):
             key = f"#key={stack.key}" if out.is_terminal else ""  # never into a log
-            out.print(f"Its page: {stack.url}/{key}", markup=False, soft_wrap=True)
+            out.print(f"Its page: {stack.url}/{key}")
         stack.wait()
 
 
 def admin_key(
     data: Data = None,
-    first: Annotated[bool, typer.Option("--first", help="only if there is no key yet")] = False,
+    first: Annotated[bool, Option("--first", help="only if there is no key yet")] = False,
 ) -> None:
     """Make a key that may do everything; it is written to the data folder's admin.key."""
     from service.access import bootstrap
@@ -58,7 +57,7 @@ def admin_key(
     store = Store(settings.database, settings.files, settings.broker)
     store.database.migrate()
     keyring = Keyring(store, secret(settings))
-    out.print(bootstrap.admin_key(store, keyring, settings, only_first=first), markup=False)
+    out.print(bootstrap.admin_key(store, keyring, settings, only_first=first))
 
 
 def doctor(port: Port = None, data: Data = None) -> None:
@@ -67,23 +66,24 @@ def doctor(port: Port = None, data: Data = None) -> None:
 
     faults = 0
     for diagnosis in examine(_settings(port, data)):
-        out.print(f"{MARKS[diagnosis.verdict]} {diagnosis.subject}: {escape(diagnosis.found)}")
+        mark = Painted(f"{diagnosis.verdict:7}", COLOURS[diagnosis.verdict])
+        out.print(mark, f" {diagnosis.subject}: {diagnosis.found}")
         if diagnosis.advice:
-            out.print(f"        {escape(diagnosis.advice)}")
+            out.print(f"        {diagnosis.advice}")
         faults += diagnosis.verdict == "fault"
     if faults:
-        raise typer.Exit(1)
+        raise SystemExit(1)
 
 
 def backup(
     folder: BackupFolder,
     data: Data = None,
     deletions: Annotated[
-        bool, typer.Option("--deletions", help="only note what was deleted since")
+        bool, Option("--deletions", help="only note what was deleted since")
     ] = False,
-    keep: Annotated[int, typer.Option(min=1, help="backups that stay in the folder")] = 1,
+    keep: Annotated[int, Option(min=1, help="backups that stay in the folder")] = 1,
     verify: Annotated[
-        bool, typer.Option("--verify", help="read all of it again and restore it for a try")
+        bool, Option("--verify", help="read all of it again and restore it for a try")
     ] = False,
 ) -> None:
     """Copy the database and every file into a folder, also while the service runs.
@@ -102,18 +102,14 @@ def backup(
         backups.verify(folder)
         out.print("verified: it can be restored")
     if manifest.missing:
-        raise typer.Exit(1)
+        raise SystemExit(1)
 
 
 def restore(
-    folder: Annotated[Path, typer.Argument(exists=True, file_okay=False)],
+    folder: Annotated[Path, Argument(exists=True, file_okay=False)],
     data: Data = None,
-    at: Annotated[
-        str | None, typer.Option(help="an older backup of the folder, by its moment")
-    ] = None,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="only try it, in a scratch folder")
-    ] = False,
+    at: Annotated[str | None, Option(help="an older backup of the folder, by its moment")] = None,
+    verify: Annotated[bool, Option("--verify", help="only try it, in a scratch folder")] = False,
 ) -> None:
     """Fill an empty service from a backup; what was deleted after it stays deleted."""
     from myoface import backup as backups
@@ -131,7 +127,7 @@ def _show_backup(manifest: Manifest) -> None:
     out.print(f"{len(manifest.files)} files and the database as of {manifest.made_at:%F %T} UTC")
     for each in manifest.missing:
         owners = ", ".join(each.belongs_to) or "something deleted since"
-        out.print(f"not in it: {each.fault} in the service: {owners} ({each.sha256})", markup=False)
+        out.print(f"not in it: {each.fault} in the service: {owners} ({each.sha256})")
 
 
 def compile_kernels() -> None:
@@ -155,9 +151,9 @@ def read_settings(**given: Any) -> Settings:
         faults = (
             f"MYOFACE_{fault['loc'][0]}".upper() + f": {fault['msg']}" for fault in error.errors()
         )
-        raise typer.BadParameter("; ".join(faults)) from error
+        raise UsageError("; ".join(faults)) from error
     except SettingsError as error:  # a value that should be JSON
-        raise typer.BadParameter(str(error)) from error
+        raise UsageError(str(error)) from error
 
 
 def _settings(port: int | None, data: Path | None) -> Settings:

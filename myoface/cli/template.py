@@ -7,23 +7,21 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-from rich.markup import escape
-
 from myoface.cli.app import NewFile, NewFolder
-from myoface.cli.console import JobView, out, show_table
+from myoface.cli.commands import Argument, Group, Option, UsageError
+from myoface.cli.console import JobView, Painted, out, show_table
 
 if TYPE_CHECKING:
     from solver.anatomy.template import Template
 
-template = typer.Typer(help="Make and check template anatomies.", no_args_is_help=True)
+template = Group("Make and check template anatomies.")
 
 Given = Annotated[
     Path | None,
-    typer.Argument(exists=True, help="NPZ, or a template folder or its ZIP; default: built-in"),
+    Argument(exists=True, help="NPZ, or a template folder or its ZIP; default: built-in"),
 ]
 NAMES_WIDTH = 96
-MARKS = {"error": "[bold red]error[/]", "warning": "[yellow]look at[/]"}
+MARKS = {"error": Painted("error", "red"), "warning": Painted("look at", "yellow")}
 
 
 # The solver is imported where it is used: compiled numerics take seconds to load.
@@ -32,29 +30,23 @@ MARKS = {"error": "[bold red]error[/]", "warning": "[yellow]look at[/]"}
 @template.command()
 def build(
     anatomy: Annotated[
-        Path | None, typer.Option(exists=True, file_okay=False, help="BodyParts3D")
+        Path | None, Option(exists=True, file_okay=False, help="BodyParts3D")
     ] = None,
-    faces: Annotated[
-        Path | None, typer.Option(exists=True, file_okay=False, help="ICT-FaceKit")
-    ] = None,
+    faces: Annotated[Path | None, Option(exists=True, file_okay=False, help="ICT-FaceKit")] = None,
     folder: Annotated[
-        Path | None, typer.Option(exists=True, help="a template folder of your own, or its ZIP")
+        Path | None, Option(exists=True, help="a template folder of your own, or its ZIP")
     ] = None,
-    builtin: Annotated[bool, typer.Option("--builtin", help="the built-in face")] = False,
+    builtin: Annotated[bool, Option("--builtin", help="the built-in face")] = False,
     output: NewFile = Path("template.npz"),
-    edge_mm: Annotated[
-        float, typer.Option(min=3, max=30, help="edge length of the tetrahedra")
-    ] = 9.0,
-    mesh: Annotated[
-        bool, typer.Option(help="make the tetrahedra that every subject will share")
-    ] = True,
+    edge_mm: Annotated[float, Option(min=3, max=30, help="edge length of the tetrahedra")] = 9.0,
+    mesh: Annotated[bool, Option(help="make the tetrahedra that every subject will share")] = True,
 ) -> None:
     """Build a template from --anatomy and --faces, from --folder, or the --builtin one."""
     from solver.anatomy.meshing import find_or_make_mesh
 
     sources = [anatomy is not None and faces is not None, folder is not None, builtin]
     if sum(sources) != 1 or (anatomy is None) != (faces is None):
-        raise typer.BadParameter("give --anatomy and --faces, or --folder, or --builtin")
+        raise UsageError("give --anatomy and --faces, or --folder, or --builtin")
     made = _build(anatomy, faces, folder)
     if mesh:
         with JobView("template") as view:
@@ -63,15 +55,14 @@ def build(
     digest = made.save(output)
     out.print(
         f"{output}: {made.name} {made.version}, {len(made.muscles)} muscles, "
-        f"content sha256 {digest}",
-        markup=False,
+        f"content sha256 {digest}"
     )
 
 
 @template.command()
 def check(
     given: Given = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="report; - prints it")] = None,
+    json_file: Annotated[Path | None, Option("--json", help="report; - prints it")] = None,
 ) -> None:
     """Say what is wrong with a template; exit code 1 if it cannot be used."""
     from solver.templates.report import report_template
@@ -79,25 +70,25 @@ def check(
     report = report_template(_load(given))
     text = json.dumps(report.as_dict(), indent=2)
     if str(json_file) == "-":
-        typer.echo(text)
+        out.print(text)
     else:
         if json_file is not None:
             json_file.write_text(text + "\n", encoding="utf-8")
         for finding in report.findings:
             line = f"{finding.context['about']}: {finding.message}"
-            out.print(f"{MARKS[finding.severity]} {escape(line)}")
+            out.print(MARKS[finding.severity], f" {line}")
         worth = "can be used" if report.good else "cannot be used"
         name = f"{report.figures['name']} {report.figures['version']}"
-        out.print(f"{name}: {worth}, {len(report.findings)} findings", markup=False)
+        out.print(f"{name}: {worth}, {len(report.findings)} findings")
     if not report.good:
-        raise typer.Exit(1)
+        raise SystemExit(1)
 
 
 @template.command()
 def show(
     given: Given = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", file_okay=False, help="folder for pictures")
+        Path | None, Option("--output", "-o", file_okay=False, help="folder for pictures")
     ] = None,
 ) -> None:
     """Show what a template holds, landmarks by name; with --output also draw it, and its skin."""
@@ -106,16 +97,16 @@ def show(
     loaded = _load(given)
     show_table(("what", "how much"), list(_rows(template_figures(loaded))))
     if loaded.landmarks:
-        out.print("names of landmarks", style="bold")
+        out.print(Painted("names of landmarks", "bold"))
         names = ", ".join(loaded.landmarks)
-        out.print(textwrap.indent(textwrap.fill(names, NAMES_WIDTH), "  "), markup=False)
+        out.print(textwrap.indent(textwrap.fill(names, NAMES_WIDTH), "  "))
     if output is not None:
         from solver.rig.pictures import skin_picture, template_picture
 
         output.mkdir(parents=True, exist_ok=True)
         for name, draw in (("anatomy.png", template_picture), ("skin.png", skin_picture)):
             draw(loaded, output / name)
-            out.print(f"{output / name}", markup=False)
+            out.print(f"{output / name}")
 
 
 @template.command()
@@ -124,15 +115,15 @@ def export(given: Given = None, output: NewFolder = Path("template")) -> None:
     from solver.templates.export import write_template
 
     write_template(_load(given), output)
-    out.print(f"{output}", markup=False)
+    out.print(f"{output}")
 
 
 def _build(anatomy: Path | None, faces: Path | None, folder: Path | None) -> Template:
     if anatomy is not None and faces is not None:
         from solver.templates.ict_template import build_ict_template
 
-        with out.status("fitting skull and muscles into the head (about a minute)"):
-            return build_ict_template(anatomy, faces)
+        out.print("fitting skull and muscles into the head (about a minute)")
+        return build_ict_template(anatomy, faces)
     return _load(folder)
 
 

@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
+from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import out, show_table
 from myoface.cli.service import read_settings
 
@@ -16,17 +15,17 @@ if TYPE_CHECKING:
     from service.settings import Settings
     from service.store.database import Store
 
-tenants = typer.Typer(help="Tenants: customers who see nothing of one another.")
+tenants = Group("Tenants: customers who see nothing of one another.")
 
-Data = Annotated[Path | None, typer.Option(help="folder for everything the service keeps")]
-MaxBytes = Annotated[int | None, typer.Option(min=0, help="bytes that may be stored")]
-MaxQueued = Annotated[int | None, typer.Option(min=0, help="jobs that may wait")]
-MaxRunning = Annotated[int | None, typer.Option(min=0, help="jobs that may run at a time")]
+Data = Annotated[Path | None, Option(help="folder for everything the service keeps")]
+MaxBytes = Annotated[int | None, Option(min=0, help="bytes that may be stored")]
+MaxQueued = Annotated[int | None, Option(min=0, help="jobs that may wait")]
+MaxRunning = Annotated[int | None, Option(min=0, help="jobs that may run at a time")]
 NewLimit = Annotated[
-    str | None, typer.Option(metavar="NUMBER", help="'none': no limit; default: as it is")
+    str | None, Option(metavar="NUMBER", help="'none': no limit; default: as it is")
 ]
 RetainDays = Annotated[
-    str | None, typer.Option(metavar="DAYS", help="'none': the installation's; default: as it is")
+    str | None, Option(metavar="DAYS", help="'none': the installation's; default: as it is")
 ]
 
 
@@ -55,7 +54,7 @@ def list_tenants(data: Data = None) -> None:
 @tenants.command("add")
 def add_tenant(
     name: str,
-    key: Annotated[Path, typer.Option(dir_okay=False, help="file for its first key")],
+    key: Annotated[Path, Option(dir_okay=False, help="file for its first key")],
     max_bytes: MaxBytes = None,
     max_queued: MaxQueued = None,
     max_running: MaxRunning = None,
@@ -75,8 +74,8 @@ def add_tenant(
 
 @tenants.command("key")
 def make_key(
-    tenant: Annotated[str, typer.Argument(help="tenant id")],
-    key: Annotated[Path, typer.Option(dir_okay=False, help="file for the key")],
+    tenant: Annotated[str, Argument(help="tenant id")],
+    key: Annotated[Path, Option(dir_okay=False, help="file for the key")],
     data: Data = None,
 ) -> None:
     """Make a key for a tenant that has lost its own: it may do everything (file of mode 0600)."""
@@ -87,12 +86,12 @@ def make_key(
     _refuse_to_overwrite(key)
     with _store(data) as (store, settings):
         if not bootstrap.tenant_key(store, Keyring(store, secret(settings)), tenant, key):
-            raise typer.BadParameter(f"there is no tenant {tenant}")
+            raise UsageError(f"there is no tenant {tenant}")
 
 
 @tenants.command("limit")
 def limit_tenant(
-    tenant: Annotated[str, typer.Argument(help="tenant id")],
+    tenant: Annotated[str, Argument(help="tenant id")],
     max_bytes: NewLimit = None,
     max_queued: NewLimit = None,
     max_running: NewLimit = None,
@@ -105,7 +104,7 @@ def limit_tenant(
 
 @tenants.command("retain")
 def retain(
-    tenant: Annotated[str, typer.Argument(help="tenant id")],
+    tenant: Annotated[str, Argument(help="tenant id")],
     subjects: RetainDays = None,
     scans: RetainDays = None,
     jobs: RetainDays = None,
@@ -132,11 +131,11 @@ def _numbers(given: dict[str, str | None], *, least: int) -> dict[str, int | Non
         option = f"--{name.replace('_', '-')}"
         if text != "none" and (not text.isdecimal() or int(text) < least):
             message = f"{text!r} is neither a number from {least} on nor 'none'"
-            raise typer.BadParameter(message, param_hint=option)
+            raise UsageError(f"{option}: {message}")
         numbers[name] = None if text == "none" else int(text)
     if not numbers:
         options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        raise typer.BadParameter(f"give at least one of {options}")
+        raise UsageError(f"give at least one of {options}")
     return numbers
 
 
@@ -145,12 +144,12 @@ def _change(data: Path | None, tenant: str, **limits: int | None) -> None:
 
     with _store(data) as (store, _), store.write() as session:
         if not bootstrap.change_tenant(session, tenant, **limits):
-            raise typer.BadParameter(f"there is no tenant {tenant}")
+            raise UsageError(f"there is no tenant {tenant}")
 
 
 def _refuse_to_overwrite(key: Path) -> None:
     if key.exists():
-        raise typer.BadParameter(f"{key} is there already", param_hint="--key")
+        raise UsageError(f"--key: {key} is there already")
 
 
 @contextmanager

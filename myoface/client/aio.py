@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import uuid
 import warnings
-from collections.abc import AsyncIterator, Iterable
-from datetime import datetime
+from collections.abc import AsyncIterator, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import anyio
 import httpx
 
-from myoface.client.aio_connection import AsyncConnection
-from myoface.client.files import Transferred, ignore_transfer
+from myoface.client.aio_access import AsyncAccess
+from myoface.client.files import Transferred, ignore_transfer, write_rig_note
 from myoface.client.jobs import (
     BatchWatcher,
     EventReader,
@@ -26,74 +26,35 @@ from myoface.client.jobs import (
 )
 from myoface.client.retry import Backoff, requested_pause
 from myoface.errors import ApiError
+from myoface.names import name_scans
 from myoface.resources import (
     FINAL_STATES,
-    AuditEntry,
+    NO_SCANS,
     Batch,
     Capture,
     Deletion,
     Frame,
     Job,
     JobKind,
-    Key,
     LogLine,
-    Me,
     MotionFrame,
-    NewKey,
     Progress,
     Rig,
     Role,
-    Scope,
     Subject,
     Template,
     Then,
-    Usage,
 )
 
 TOO_MANY_STREAMS = "stream.too_many"
 
 
-class AsyncClient(AsyncConnection):
+class AsyncClient(AsyncAccess):
     """One service. Every method raises :class:`ApiError` with the service's problem document.
 
     Requests are repeated where that does no harm: over a broken line, while the service is not
     ready, and as late as it asks for when it is asked too fast.
     """
-
-    # Access
-
-    async def me(self) -> Me:
-        """Return whose key this client has."""
-        return await self._get("/v1/me", Me)
-
-    async def usage(self) -> Usage:
-        """Return what the tenant uses, and its quotas."""
-        return await self._get("/v1/usage", Usage)
-
-    async def keys(self) -> list[Key]:
-        """Return the tenant's API keys, newest first."""
-        return await self._list("/v1/keys", Key)
-
-    async def create_key(
-        self, name: str, scopes: Iterable[Scope], *, expires_at: datetime | None = None
-    ) -> NewKey:
-        """Make an API key; its text is told this once. ``expires_at`` has a time zone."""
-        until = expires_at and expires_at.isoformat()
-        return await self._create(
-            "/v1/keys", NewKey, name=name, scopes=list(scopes), expires_at=until
-        )
-
-    async def rotate_key(self, key_id: str, *, grace: int = 24 * 3600) -> NewKey:
-        """Replace an API key; the old one goes on for ``grace`` seconds."""
-        return await self._create(f"/v1/keys/{key_id}/rotate", NewKey, grace=grace)
-
-    async def revoke_key(self, key_id: str) -> None:
-        """Take an API key back at once."""
-        await self._request("DELETE", f"/v1/keys/{key_id}")
-
-    async def audit(self, object_id: str | None = None) -> list[AuditEntry]:
-        """Return what was done with the tenant's keys, newest first."""
-        return await self._list("/v1/audit", AuditEntry, object_id=object_id)
 
     # Templates and subjects
 
@@ -147,25 +108,31 @@ class AsyncClient(AsyncConnection):
         subject_id: str,
         path: Path,
         *,
-        role: Role = "expression",
+        role: Role | None = None,
         name: str | None = None,
-        registered: bool = True,
+        registered: bool = False,
         landmarks: Path | None = None,
+        replaces: str | None = None,
         progress: Transferred = ignore_transfer,
     ) -> Capture:
-        """Upload a scan and add it to a subject, named like the file unless ``name`` is given.
+        """Upload a scan and add it to a subject; name and role are the file's unless given.
 
-        ``registered`` is false for what comes from the scanner; ``landmarks`` is a file.
+        ``registered`` scans have the template's vertices, others are what the scanner made;
+        ``landmarks`` is a file. The capture ``replaces`` goes once the new file has arrived.
+        :mod:`myoface.names` says what name and role a file has.
         """
+        (scan,) = name_scans([path], names=[name], roles=[role])
         marks = None if landmarks is None else (await self.upload(landmarks)).id
         sent = await self.upload(path, progress=progress)
+        if replaces is not None:
+            await self.delete_capture(subject_id, replaces)
         return await self._create(
             f"/v1/subjects/{subject_id}/captures",
             Capture,
-            name=name or path.stem,
-            role=role,
+            name=scan.name,
+            role=scan.role,
             upload_id=sent.id,
-            registered=registered,
+            registered=registered or scan.role in NO_SCANS,
             landmarks_upload_id=marks,
         )
 
@@ -182,7 +149,7 @@ class AsyncClient(AsyncConnection):
         url = f"/v1/subjects/{subject_id}/captures/{capture_id}/landmarks"
         sent = await self.upload(path)
         response = await self._request("PUT", url, json={"upload_id": sent.id})
-        return Capture.model_validate(response.json())
+        return Capture.read(response.json())
 
     async def delete_capture(self, subject_id: str, capture_id: str) -> str:
         """Delete a scan with its checks and registrations; returns the id of the receipt."""
@@ -220,7 +187,7 @@ class AsyncClient(AsyncConnection):
         }
         given = {key: value for key, value in body.items() if value}
         response = await self._request("PUT", f"/v1/jobs/{uuid.uuid4()}", json=given)
-        return Job.model_validate(response.json())
+        return Job.read(response.json())
 
     async def run(
         self, kind: str, subject_id: str, *, watch: Watcher = unwatched, **request: Any
@@ -259,7 +226,7 @@ class AsyncClient(AsyncConnection):
         url = f"/v1/jobs/{job_id}/log"
         while True:
             page = (await self._request("GET", url, params={"after": after})).json()
-            lines = list(map(LogLine.model_validate, page["lines"]))
+            lines = list(map(LogLine.read, page["lines"]))
             if not lines:
                 return
             for line in lines:
@@ -292,7 +259,7 @@ class AsyncClient(AsyncConnection):
         """Ask for a job to be stopped."""
         url = f"/v1/jobs/{job_id}/cancel"
         response = await self._request_once("POST", url, json={"reason": reason})
-        return Job.model_validate(response.json())
+        return Job.read(response.json())
 
     async def wait(self, job_id: str, watch: Watcher = unwatched) -> Job:
         """Follow a job by its events until it has ended, through broken connections.
@@ -328,8 +295,8 @@ class AsyncClient(AsyncConnection):
                     backoff.reset()
                     if event.kind != "progress":
                         return
-                    progress = Progress.model_validate(event.data)
-                    watch(job.model_copy(update={"progress": progress}))
+                    progress = Progress.read(event.data)
+                    watch(dataclasses.replace(job, progress=progress))
 
     # Batches
 
@@ -343,21 +310,32 @@ class AsyncClient(AsyncConnection):
         registered: bool = False,
         then: Iterable[Then] = ("register", "model", "geometry"),
         options: dict[str, dict[str, Any]] | None = None,
+        landmarks: Mapping[Path, Path] | None = None,
         priority: int = 0,
         progress: Transferred = ignore_transfer,
     ) -> Batch:
         """Upload a session's scans, each named like its file, and make of them what ``then`` says.
 
-        They are the scans of the subject ``subject_id``, or of a new one named ``person``.
-        ``options`` are those of the jobs, by kind.
+        They are the scans of the subject ``subject_id``, or of a new one named ``person``. Without
+        ``neutral`` the one whose name says so is the neutral. ``options`` are those of the jobs, by
+        kind; ``landmarks`` are files, by the scan's.
         """
-        files: list[tuple[Path, Role]] = [] if neutral is None else [(neutral, "neutral")]
-        files += [(path, "expression") for path in expressions]
+        paths = [*([] if neutral is None else [neutral]), *expressions]
+        roles: list[Role | None] = [None if neutral is None else "expression"] * len(paths)
+        if neutral is not None:
+            roles[0] = "neutral"
         captures = []
-        for path, role in files:
-            sent = await self.upload(path, progress=progress)
+        for scan in name_scans(paths, roles=roles):
+            marks = (landmarks or {}).get(scan.path)
+            sent = await self.upload(scan.path, progress=progress)
             captures.append(
-                {"name": path.stem, "role": role, "upload_id": sent.id, "registered": registered}
+                {
+                    "name": scan.name,
+                    "role": scan.role,
+                    "upload_id": sent.id,
+                    "registered": registered or scan.role in NO_SCANS,
+                    "landmarks_upload_id": marks and (await self.upload(marks)).id,
+                }
             )
         return await self._create(
             "/v1/batches",
@@ -382,7 +360,7 @@ class AsyncClient(AsyncConnection):
         """Stop a batch and its jobs."""
         url = f"/v1/batches/{batch_id}/cancel"
         response = await self._request_once("POST", url, json={"reason": reason})
-        return Batch.model_validate(response.json())
+        return Batch.read(response.json())
 
     async def wait_for_batch(self, batch_id: str, watch: BatchWatcher = unwatched_batch) -> Batch:
         """Wait until a batch has ended; raises :class:`ApiError` if it did not succeed."""
@@ -402,3 +380,20 @@ class AsyncClient(AsyncConnection):
     async def rig(self, rig_id: str) -> Rig:
         """Return one rig."""
         return await self._get(f"/v1/rigs/{rig_id}", Rig)
+
+    async def download_rig(
+        self, rig_id: str, folder: Path, *, progress: Transferred = ignore_transfer
+    ) -> Rig:
+        """Fetch all files of a rig, and say in ``rig.json`` whose it is; see :meth:`download`."""
+        rig = await self.rig(rig_id)
+        subject = await self.subject(rig.subject_id)
+        total, before = sum(each.size for each in rig.artifacts), 0
+        for artifact in rig.artifacts:
+
+            def told(done: int, _size: int, before: int = before) -> None:
+                progress(before + done, total)
+
+            await self.download(artifact, folder / artifact.name, progress=told)
+            before += artifact.size
+        write_rig_note(folder, rig, subject)
+        return rig

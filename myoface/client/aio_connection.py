@@ -26,6 +26,7 @@ from myoface.client.files import (
     part_path,
     put_in_place,
 )
+from myoface.client.proxies import proxy_for
 from myoface.client.retry import (
     DEFAULT_OPTIONS,
     Backoff,
@@ -36,7 +37,8 @@ from myoface.client.retry import (
     transport_errors,
 )
 from myoface.errors import ApiError
-from myoface.resources import Artifact, Resource, Upload
+from myoface.resources import Artifact, Upload
+from myoface.values import Resource
 
 R = TypeVar("R", bound=Resource)
 
@@ -50,17 +52,21 @@ class AsyncConnection:
         key: str | None = None,
         *,
         ca: Path | str | None = None,
+        proxy: str | None = None,
         options: ClientOptions = DEFAULT_OPTIONS,
     ) -> None:
         """Speak to the service at ``url``.
 
         ``key`` is by default what `myoface.client.credentials` has; ``ca`` is the PEM file of the
-        authority that its certificate is of, where that is no public one.
+        authority that its certificate is of, where that is no public one. ``proxy`` is the address
+        of a proxy; without it that of the environment or the system, for a service elsewhere.
         """
+        self._proxy = proxy_for(url, proxy)
         self.http = httpx.AsyncClient(
             base_url=url,
             headers=headers_for(url, key),
             timeout=httpx.Timeout(options.timeout_s),
+            proxy=self._proxy,
             trust_env=False,
             verify=authority(ca),
         )
@@ -150,11 +156,14 @@ class AsyncConnection:
     ) -> None:
         """Fetch an artifact into ``path``, checked against its sha256.
 
-        A part of the same artifact that is already there is continued; ``path`` itself appears
-        only when the whole file is right. Raises :class:`ApiError` (``client.checksum``) if it is
-        not.
+        A file that is there already and right is left as it is, and a part of the same artifact is
+        continued; ``path`` itself appears only when the whole file is right. Raises
+        :class:`ApiError` (``client.checksum``) if it is not.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
+        is_there = path.is_file() and path.stat().st_size == artifact.size
+        if is_there and await async_sha256_of(path) == artifact.sha256:
+            return
         part = part_path(path, artifact)
         backoff = Backoff(self._options)
         part.touch()
@@ -177,13 +186,13 @@ class AsyncConnection:
 
     async def _answer(self, method: str, url: str, **request: Any) -> httpx.Response:
         """Send a request and return its answer, be it an error."""
-        with transport_errors():
+        with transport_errors(self._proxy):
             return await self.http.request(method, url, **request)
 
     @asynccontextmanager
     async def _stream(self, url: str, **request: Any) -> AsyncIterator[httpx.Response]:
         """Yield an answer whose content is read in the block."""
-        with transport_errors():
+        with transport_errors(self._proxy):
             async with self.http.stream("GET", url, **request) as response:
                 if response.is_error:
                     await response.aread()
@@ -219,14 +228,14 @@ class AsyncConnection:
 
     async def _get(self, url: str, kind: type[R], *, through: bool = False) -> R:
         response = await self._request("GET", url, through=through)
-        return kind.model_validate(response.json())
+        return kind.read(response.json())
 
     async def _create(self, url: str, kind: type[R], /, **body: Any) -> R:
         """Make something once, however often the line breaks."""
         given = {key: value for key, value in body.items() if value is not None}
         headers = {"Idempotency-Key": str(uuid.uuid4())}
         response = await self._request("POST", url, json=given, headers=headers)
-        return kind.model_validate(response.json())
+        return kind.read(response.json())
 
     async def _delete(self, url: str, **query: Any) -> str:
         """Delete something; returns the id of the receipt."""
@@ -240,7 +249,7 @@ class AsyncConnection:
         while True:
             params = {"limit": self._options.page_items, **given}
             page = (await self._request("GET", url, params=params)).json()
-            found += map(kind.model_validate, page["items"])
+            found += map(kind.read, page["items"])
             if page.get("next") is None:
                 return found
             given["cursor"] = page["next"]

@@ -23,7 +23,7 @@ def key_for(url: str) -> str | None:
     """
     if given := os.environ.get(KEY_VARIABLE):
         return given
-    if not _is_loopback(urlsplit(url).hostname or ""):
+    if not is_loopback(urlsplit(url).hostname or ""):
         return None
     data = os.environ.get("MYOFACE_DATA_DIR") or Path.home() / ".local" / "share" / "myoface"
     try:
@@ -60,7 +60,7 @@ def authority(ca: Path | str | None) -> ssl.SSLContext | bool:
         raise ApiError({"code": NO_AUTHORITY, "detail": detail, "file": str(path)}) from error
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
     """Return True if only this machine reaches ``host``, a name or an address."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback

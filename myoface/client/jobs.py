@@ -55,7 +55,7 @@ class EventReader:
 
 def read_frame(values: dict[str, Any]) -> Frame | MotionFrame:
     """Return a frame of a sequence, or of a simulation: that one has no status."""
-    return (Frame if "status" in values else MotionFrame).model_validate(values)
+    return (Frame if "status" in values else MotionFrame).read(values)
 
 
 def require_job(job: Job) -> Job:

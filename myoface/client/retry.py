@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import httpx
 
+from myoface.client.proxies import BAD_PROXY, told
 from myoface.errors import UNREACHABLE, ApiError
 
 # Another request under the same Idempotency-Key has not been answered yet.
@@ -63,13 +64,19 @@ class Backoff:
 
 
 @contextmanager
-def transport_errors() -> Iterator[None]:
-    """Turn a broken connection inside the block into an :class:`ApiError`."""
+def transport_errors(proxy: httpx.Proxy | None = None) -> Iterator[None]:
+    """Turn a broken connection inside the block into an :class:`ApiError`.
+
+    A proxy that refuses is one that lasts, with ``client.proxy``; one that cannot be reached is
+    named.
+    """
     try:
         yield
     except httpx.TransportError as error:
-        detail = f"no answer from {error.request.url}: {str(error) or type(error).__name__}"
-        raise ApiError({"code": UNREACHABLE, "detail": detail}) from error
+        by = f" by the proxy {told(proxy)}" if proxy else ""
+        detail = f"no answer from {error.request.url}{by}: {str(error) or type(error).__name__}"
+        code = BAD_PROXY if isinstance(error, httpx.ProxyError) else UNREACHABLE
+        raise ApiError({"code": code, "detail": detail}) from error
 
 
 def require_success(response: httpx.Response) -> httpx.Response:

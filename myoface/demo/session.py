@@ -81,7 +81,9 @@ class Session:
         for name, path in captures.write(self.folder / "scans").items():
             role: Role = "neutral" if name == "neutral" else "expression"
             with transfer_bar(path.name) as progress:
-                capture = self.client.add_capture(subject_id, path, role=role, progress=progress)
+                capture = self.client.add_capture(
+                    subject_id, path, role=role, registered=True, progress=progress
+                )
             ids[name] = capture.id
         return ids
 
@@ -92,7 +94,7 @@ class Session:
                 ended = self.client.wait(job.id, view.watch)
         except ApiError:
             for line in list(self.client.log(job.id))[-LOG_TAIL:]:
-                err.print(f"  {line.text}", markup=False)
+                err.print(f"  {line.text}")
             raise
         for phase, spent in view.phases.items():
             if spent >= WORTH_TELLING_S:

@@ -8,11 +8,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
-import typer
 import yaml
 
 from myoface import __version__
 from myoface.cli import app
+from myoface.cli.commands import Command, Group, Runnable
+from myoface.cli.operator import OperatorCommand
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -41,13 +42,19 @@ def test_make_targets_exist(document: Path) -> None:
 def test_myoface_commands_and_options_exist(document: Path) -> None:
     for line in lines(document, "myoface"):
         words = shlex.split(line, comments=True)
-        command = typer.main.get_command(app)
-        while (children := getattr(command, "commands", None)) and words:
-            if words[0].startswith("-"):
+        command: Runnable = app
+        while words and not words[0].startswith("-"):
+            if isinstance(command, OperatorCommand):
+                command = command.load()
+            if not isinstance(command, Group):
                 break
-            assert words[0] in children, line
-            command = children[words.pop(0)]
-        known = {"--help", *(name for option in command.params for name in option.opts)}
+            assert words[0] in command.members, line
+            command = command.members[words.pop(0)]
+        if isinstance(command, OperatorCommand):
+            command = command.load()
+        known = {"--help", "--version"}
+        if isinstance(command, Command):
+            known |= command.parser("").option_strings
         asked = {word.split("=")[0] for word in words if word.startswith("-")}
         assert asked <= known, line
 

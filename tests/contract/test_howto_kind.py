@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from tests.contract.howto import Followed, copy_tree, follow, page
 
@@ -41,9 +40,9 @@ def test_the_kind_is_there_for_everybody(followed: Followed, tmp_path: Path) -> 
 
 def ask_in_all_ways(folder: Path) -> None:
     """Ask for the new kind; runs in the copy."""
-    from myoface.cli import app
     from myoface.client import Client
     from service.settings import Settings
+    from tests.command_line import invoke
     from tests.service_client import running, served
 
     data = folder / "data"
@@ -66,12 +65,12 @@ def ask_in_all_ways(folder: Path) -> None:
             assert job.state == "succeeded"
 
         shell = {"MYOFACE_API_KEY": studio.key, "MYOFACE_URL": stack.url}
-        shown = CliRunner(env=shell).invoke(app, ["jobs", "kinds", "measure_rig"])
+        shown = invoke(env=shell, words=["jobs", "kinds", "measure_rig"])
         assert "skin that moves by less does not count" in " ".join(shown.output.split())
 
     out = folder / "measured"
     solve = ["solve", "measure-rig", str(folder / "rig.npz")]
-    made = CliRunner().invoke(app, [*solve, "--least-mm", "1", "-o", str(out)])
+    made = invoke([*solve, "--least-mm", "1", "-o", str(out)])
     assert made.exit_code == 0, made.output
     measured = json.loads((out / "measurement.json").read_text(encoding="utf-8"))
     assert measured == {"moved_mm": {"smile": 3.0}}

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import jsonschema
 import pytest
-from typer.main import get_command
 
+from myoface.cli.commands import Command
 from myoface.cli.offline import solve
 from service.captures import service as captures
 from service.queue.wakeups import QUEUES
@@ -46,10 +46,11 @@ def test_every_option_is_explained_and_has_a_default_but_a_document(kind: str) -
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_command_line_has_the_options_and_their_defaults(kind: str) -> None:
-    command = get_command(solve).commands[kind.removeprefix("fit_").replace("_", "-")]
-    given = {param.name: param for param in command.params}
+    command = solve.members[kind.removeprefix("fit_").replace("_", "-")]
+    assert isinstance(command, Command)
+    parser = command.parser("solve")
     for option, schema in KINDS[kind].schema["properties"].items():
-        assert given[option].default in (schema.get("default"), None)
+        assert parser.get_default(option) in (schema.get("default"), None)
 
 
 def test_contracts_load_no_numerics() -> None:

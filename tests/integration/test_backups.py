@@ -10,15 +10,14 @@ from pathlib import Path
 
 import pytest
 from sqlalchemy import inspect, select, text
-from typer.testing import CliRunner
 
 from myoface.backup import back_up, note_deletions, restore, verify
 from myoface.backup.folder import DELETIONS, MANIFEST
-from myoface.cli import app
 from myoface.errors import StackError
 from service.settings import Settings
 from service.store.database import UNFINISHED, Database, Store, UnfinishedRestoreError
 from service.store.models import Capture, Subject
+from tests.command_line import invoke
 from tests.servers.production import Production
 from tests.service_client import served
 
@@ -226,9 +225,7 @@ def test_lost_and_damaged_files_are_named_and_stepped_over(
         (scans["smile"], "damaged", f"capture smile of subject {subject}"),
         (scans["frown"], "lost", f"capture frown of subject {subject}"),
     }
-    told = CliRunner().invoke(
-        app, ["backup", str(folder), "--data", str(settings.data_dir), "--verify"]
-    )
+    told = invoke(["backup", str(folder), "--data", str(settings.data_dir), "--verify"])
     assert told.exit_code == 1
     assert "verified" in told.stdout
     assert f"damaged in the service: capture smile of subject {subject}" in told.stdout
@@ -341,9 +338,9 @@ def test_the_commands_take_the_data_folder(
         ["backup", str(folder), *old, "--deletions"],
         ["restore", str(folder), "--verify"],
     ):
-        told = CliRunner().invoke(app, command)
-        assert told.exit_code == 0, (told.output, told.exception)
+        told = invoke(command)
+        assert told.exit_code == 0, told.output
     if Database(settings.database).is_sqlite:
-        told = CliRunner().invoke(app, ["restore", str(folder), *new])
-        assert told.exit_code == 0, (told.output, told.exception)
+        told = invoke(["restore", str(folder), *new])
+        assert told.exit_code == 0, told.output
         assert _subjects(fresh) == {subject}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Iterator
@@ -74,7 +75,7 @@ def scan(folder: Path, name: str, *orders: str) -> Path:
 
 def subject_with_model(client: Client, folder: Path) -> str:
     subject = client.create_subject("Ada")
-    client.add_capture(subject.id, scan(folder, "neutral"), role="neutral")
+    client.add_capture(subject.id, scan(folder, "neutral"), role="neutral", registered=True)
     client.wait(client.submit("build_model", subject.id).id)
     return subject.id
 
@@ -114,7 +115,9 @@ def test_a_job_is_followed_over_a_breaking_line(
     breaking: Client, client: Client, tmp_path: Path
 ) -> None:
     subject = client.create_subject("Ada")
-    client.add_capture(subject.id, scan(tmp_path, "neutral", "seconds 2"), role="neutral")
+    client.add_capture(
+        subject.id, scan(tmp_path, "neutral", "seconds 2"), role="neutral", registered=True
+    )
     seen: list[Job] = []
     job = breaking.wait(client.submit("build_model", subject.id).id, seen.append)
     assert job.state == "succeeded"
@@ -123,7 +126,9 @@ def test_a_job_is_followed_over_a_breaking_line(
 
 def test_who_comes_late_is_not_told_the_old_news(client: Client, tmp_path: Path) -> None:
     subject = client.create_subject("Ada")
-    client.add_capture(subject.id, scan(tmp_path, "neutral", "seconds 2"), role="neutral")
+    client.add_capture(
+        subject.id, scan(tmp_path, "neutral", "seconds 2"), role="neutral", registered=True
+    )
     job = client.submit("build_model", subject.id)
     while (begun := client.job(job.id)).progress is None or not begun.progress.iteration:
         time.sleep(0.05)
@@ -142,7 +147,9 @@ def test_lists_are_read_to_their_end(url: str) -> None:
 
 def test_a_failed_job_is_an_error_that_locates_the_fault(client: Client, tmp_path: Path) -> None:
     subject = client.create_subject("Ada")
-    client.add_capture(subject.id, scan(tmp_path, "neutral", "fault nan"), role="neutral")
+    client.add_capture(
+        subject.id, scan(tmp_path, "neutral", "fault nan"), role="neutral", registered=True
+    )
     with pytest.raises(ApiError, match=r"NaN.*line 3.*scan\.nan"):
         client.wait(client.submit("build_model", subject.id).id)
     assert [job.kind for job in client.jobs(subject_id=subject.id, state="failed")] == [
@@ -152,7 +159,7 @@ def test_a_failed_job_is_an_error_that_locates_the_fault(client: Client, tmp_pat
 
 def test_download_goes_on_and_is_checked(client: Client, tmp_path: Path) -> None:
     subject = subject_with_model(client, tmp_path)
-    smile = client.add_capture(subject, scan(tmp_path, "smile"))
+    smile = client.add_capture(subject, scan(tmp_path, "smile"), registered=True)
     job = client.wait(client.submit("fit_geometry", subject, captures=[smile.id]).id)
     assert job.result is not None
     glb = next(each for each in job.result.artifacts if each.name == "rig.glb")
@@ -187,12 +194,16 @@ def test_the_awaited_client_does_the_same(url: str, tmp_path: Path) -> None:
     async def session() -> None:
         async with AsyncClient(url) as client:
             subject = await client.create_subject("Ada")
-            await client.add_capture(subject.id, scan(tmp_path, "neutral"), role="neutral")
+            await client.add_capture(
+                subject.id, scan(tmp_path, "neutral"), role="neutral", registered=True
+            )
             names = ("smile", "frown", "kiss")
             added: list[str] = []
 
             async def add(name: str) -> None:
-                added.append((await client.add_capture(subject.id, scan(tmp_path, name))).id)
+                added.append(
+                    (await client.add_capture(subject.id, scan(tmp_path, name), registered=True)).id
+                )
 
             async with anyio.create_task_group() as stations:
                 for name in names:
@@ -249,3 +260,46 @@ def test_a_session_in_one_call(client: Client, tmp_path: Path) -> None:
     again = client.retry(done.fit.job_id, priority=1)
     assert (again.parent_id, again.priority) == (done.fit.job_id, 1)
     assert client.wait(again.id).result is not None
+
+
+def test_a_rig_is_fetched_whole_and_then_only_what_is_missing(
+    client: Client, tmp_path: Path
+) -> None:
+    neutral = scan(tmp_path, "James Neutral 01")
+    batch = client.create_batch(None, [neutral, scan(tmp_path, "James Smile 02")], person="James")
+    done = client.wait_for_batch(batch.id)
+    assert {(each.name, each.role) for each in done.scans} == {
+        ("Neutral_01", "neutral"),
+        ("Smile_02", "expression"),
+    }
+    assert done.fit is not None
+    assert done.fit.rig_id is not None
+    folder = tmp_path / "empty" / "rig"
+    steps: list[tuple[int, int]] = []
+    rig = client.download_rig(done.fit.rig_id, folder, progress=lambda *step: steps.append(step))
+    names = {each.name for each in rig.artifacts}
+    assert {path.name for path in folder.iterdir()} == {*names, files.RIG_NOTE}
+    assert steps[-1] == (sum(each.size for each in rig.artifacts),) * 2
+    note = json.loads((folder / files.RIG_NOTE).read_text())
+    assert (note["job_id"], note["subject"]["name"]) == (done.fit.job_id, "James")
+
+    asked: list[str] = []
+    client.http.event_hooks = {"request": [lambda request: asked.append(request.url.path)]}
+    damaged, *_ = sorted(folder.glob("*.glb"))
+    damaged.write_bytes(b"x" * damaged.stat().st_size)
+    client.download_rig(rig.id, folder)
+    (wanted,) = [each for each in rig.artifacts if each.name == damaged.name]
+    assert [path for path in asked if "artifacts" in path] == [f"/v1/artifacts/{wanted.id}"]
+    assert files.sha256_of(damaged) == wanted.sha256
+
+
+def test_a_scan_goes_when_its_successor_is_there(client: Client, tmp_path: Path) -> None:
+    subject = client.create_subject("Ada")
+    first = client.add_capture(subject.id, scan(tmp_path, "NEUTRAL"))
+    assert (first.name, first.role, first.registered) == ("NEUTRAL", "neutral", False)
+    with pytest.raises(FileNotFoundError):
+        client.add_capture(subject.id, tmp_path / "gone.obj", replaces=first.id)
+    assert [each.id for each in client.captures(subject.id)] == [first.id]
+    again = scan(tmp_path, "NEUTRAL", "verdict bad")
+    second = client.add_capture(subject.id, again, replaces=first.id)
+    assert [each.id for each in client.captures(subject.id)] == [second.id]

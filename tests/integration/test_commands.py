@@ -7,16 +7,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
 
-from myoface.cli import app
 from myoface.client import Client
 from myoface.client.credentials import KEY_VARIABLE
 from myoface.stack import Stack
 from service.settings import Settings
+from tests.command_line import Told, invoke
 from tests.service_client import Studio, served
 
-Command = Callable[..., Result]
+Command = Callable[..., Told]
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +28,8 @@ def url(stack_and_studio: tuple[Stack, Studio]) -> Iterator[str]:
 
 @pytest.fixture
 def myoface(url: str) -> Command:
-    def run(*words: str | Path, code: int = 0) -> Result:
-        done = CliRunner().invoke(app, [*map(str, words), "--url", url])
+    def run(*words: str | Path, code: int = 0) -> Told:
+        done = invoke([*map(str, words), "--url", url])
         assert done.exit_code == code, done.output
         return done
 
@@ -106,8 +105,8 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
 
 def test_a_performance_and_its_frames(myoface: Command, tmp_path: Path) -> None:
     subject = myoface("subjects", "add", "Ada").output.strip()
-    myoface("upload", subject, scan(tmp_path, "neutral"), "--neutral")
-    myoface("upload", subject, scan(tmp_path, "smile"))
+    myoface("upload", subject, scan(tmp_path, "neutral"), "--registered")
+    myoface("upload", subject, scan(tmp_path, "smile"), "--registered")
     myoface("jobs", "submit", "build_model", subject)
     rig = myoface("jobs", "submit", "fit_geometry", subject).output.split()[-1]
     take = scan(tmp_path, "take", "frames 6").rename(tmp_path / "take.npy")
@@ -124,7 +123,7 @@ def test_an_unknown_name_is_refused_with_those_there_are(myoface: Command, tmp_p
     subject = myoface("subjects", "add", "Ada").output.strip()
     myoface("upload", subject, scan(tmp_path, "smile"))
     refused = myoface("captures", "delete", subject, "smiel", code=2)
-    assert "choose from are smile" in " ".join(refused.output.replace("│", " ").split())
+    assert "the subject's captures, which are smile" in refused.output
 
 
 def test_the_kinds_of_job_and_their_options(myoface: Command) -> None:
@@ -151,7 +150,7 @@ def test_keys_at_the_command_line(myoface: Command, url: str) -> None:
 
 def test_a_tenant_is_added_with_its_first_key(tmp_path: Path) -> None:
     def run(*words: str, code: int = 0) -> str:
-        done = CliRunner().invoke(app, [*words, "--data", str(tmp_path)])
+        done = invoke([*words, "--data", str(tmp_path)])
         assert done.exit_code == code, done.output
         return done.output
 
@@ -178,7 +177,7 @@ def test_a_tenant_is_added_with_its_first_key(tmp_path: Path) -> None:
 
 def test_a_tenant_that_lost_its_key_is_given_another(tmp_path: Path) -> None:
     def run(*words: str, code: int = 0) -> str:
-        done = CliRunner().invoke(app, ["tenants", *words, "--data", str(tmp_path)])
+        done = invoke(["tenants", *words, "--data", str(tmp_path)])
         assert done.exit_code == code, done.output
         return done.output
 
@@ -198,3 +197,90 @@ def test_a_tenant_that_lost_its_key_is_given_another(tmp_path: Path) -> None:
         assert [(each["action"], each["key_id"]) for each in made] == [("key.created", "operator")]
         lost = first.read_text().split("_")[1][:12]
         assert north.http.delete(f"/v1/keys/{lost}").status_code == 204
+
+
+def test_ids_are_known_by_their_start_and_people_by_their_name(
+    myoface: Command, tmp_path: Path
+) -> None:
+    one, two, grace = (
+        myoface("subjects", "add", name).output.strip() for name in ("Twin", "Twin", "Grace H")
+    )
+    myoface("upload", "grace h", scan(tmp_path, "smile"))
+    assert "smile" in myoface("captures", "list", grace[:6]).output
+    told = myoface("captures", "list", "Twin", code=2).output
+    assert one in told
+    assert two in told
+    for unknown in (grace[:5], "Nobody", "   "):
+        assert "there is no subject" in myoface("captures", "list", unknown, code=2).output
+    myoface("captures", "check", "Grace H")
+    job = myoface("jobs", "list", "--subject", "Grace H").output.splitlines()[1].split()[0]
+    myoface("jobs", "download", job[:8], "-o", tmp_path / "check")
+    assert (tmp_path / "check" / "check.json").exists()
+
+
+def test_a_batch_has_units_landmarks_and_options(
+    myoface: Command, url: str, tmp_path: Path
+) -> None:
+    neutral, smile = scan(tmp_path, "neutral"), scan(tmp_path, "a smile")
+    marks = tmp_path / "marks.csv"
+    marks.write_text("nose,0,0,0")
+    given = ("--person", "Ada B", "--unit", "cm", "--up", "-z", "--landmarks", f"neutral={marks}")
+    fit = '{"register_scan": {"unit": "inch"}}'
+    told = myoface("batches", "add", neutral, smile, *given, "--options", fit, "--then", "register")
+    assert "a_smile  expression  good   succeeded" in told.output
+    with Client(url) as client:
+        jobs = client.jobs(subject_id=told.output.split()[-1])
+    found = {job.kind: job.result.summary for job in jobs if job.result}
+    assert found["check_scan"]["figures"]["options"]["unit"] == "cm"
+    assert found["check_scan"]["figures"]["options"]["up"] == "-z"
+    assert any("nose,0,0,0" in str(job.result) for job in jobs)
+    for wrong in ("marks.csv", "kiss=marks.csv", "neutral=gone.csv"):
+        given = ("--person", "Ada B", "--landmarks", wrong)
+        assert "SCAN=FILE" in myoface("batches", "add", neutral, *given, code=2).output
+
+
+def test_names_are_refused_before_anything_is_sent(myoface: Command, tmp_path: Path) -> None:
+    subject = myoface("subjects", "add", "Ida").output.strip()
+    twins = [scan(tmp_path, "smile 1"), scan(tmp_path, "smile_1")]
+    told = myoface("upload", subject, *twins, code=1).output
+    assert "would both be called smile_1" in told
+    told = myoface("upload", subject, scan(tmp_path, "   "), code=1).output
+    assert "no name can be made of" in told
+    assert len(myoface("captures", "list", subject).output.splitlines()) == 1
+    myoface("upload", subject, tmp_path / "   .obj", "--name", "Größer 1")
+    assert "Grosser_1  expression  raw" in myoface("captures", "list", subject).output
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--unit", "0"), "argument --unit: '0' is not"),
+        (("--unit", "furlong"), "argument --unit: 'furlong' is not"),
+        (("--eye-distance-mm", "0"), "argument --eye-distance-mm: '0' is not a number"),
+        (("--unit", "cm", "--eye-distance-mm", "63"), "exclude one another"),
+        (("--forward", "up"), "argument --forward: invalid choice: 'up'"),
+        (("--nothing",), "unrecognized arguments: --nothing"),
+    ],
+)
+def test_an_option_that_is_wrong_is_named(
+    words: tuple[str, ...], told: str, tmp_path: Path
+) -> None:
+    command = ["upload", "Ada", str(scan(tmp_path, "smile")), *words]
+    done = invoke([*command, "--url", "http://127.0.0.1:9"])
+    assert done.exit_code == 2
+    assert told in done.output
+
+
+def test_webhooks_at_the_command_line(myoface: Command) -> None:
+    address = "https://hooks.studio.example/myoface"
+    made, secret = myoface("webhooks", "add", address, "--event", "job.succeeded").output.split()
+    assert secret.startswith("whsec_")
+    assert f"{made}  {address}  job.succeeded  all    on" in myoface("webhooks", "list").output
+    myoface("webhooks", "change", made[:8], "--no-active", "--kind", "fit_geometry")
+    assert "fit_geometry  off: by_user" in myoface("webhooks", "list").output
+    fresh = myoface("webhooks", "rotate", address).output.strip()
+    assert fresh.startswith("whsec_")
+    assert fresh != secret
+    assert "delivery" in myoface("webhooks", "deliveries", made).output
+    myoface("webhooks", "delete", made)
+    assert address not in myoface("webhooks", "list").output

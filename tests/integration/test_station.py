@@ -33,7 +33,7 @@ def test_scans_are_judged_as_they_come(studio_and_url: tuple[Studio, str], tmp_p
         assert "towards the lower camera" in log.read_text()
         save(ada / "smile.obj", "# smile, scanned again\n")
         eventually(lambda: "Ada/smile: good" in lines(), seconds=20)
-        save(ada / "a name no scan may have.obj", "# x\n")
+        save(ada / "   .obj", "# x\n")
         eventually(lambda: "refused" in log.read_text(), seconds=20)
     subjects = studio.get("/v1/subjects")["items"]
     assert [subject["name"] for subject in subjects] == ["Ada"]

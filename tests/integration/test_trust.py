@@ -7,14 +7,13 @@ from pathlib import Path
 
 import anyio
 import pytest
-from typer.testing import CliRunner
 
-from myoface.cli import app as commands
 from myoface.client import AsyncClient, Client, credentials
 from myoface.errors import ApiError
 from service.app import create_app
 from service.settings import Settings
 from tests.certificate import self_signed
+from tests.command_line import invoke
 from tests.hostile.edge import serving
 
 
@@ -48,9 +47,9 @@ def test_the_authority_is_given_and_no_other_counts(
 
     monkeypatch.setenv(credentials.KEY_VARIABLE, key)
     asked = ["subjects", "list", "--url", url]
-    assert CliRunner().invoke(commands, asked).exit_code == 1
+    assert invoke(asked).exit_code == 1
     monkeypatch.setenv(credentials.CA_VARIABLE, str(authority))
-    assert CliRunner().invoke(commands, asked).exit_code == 0
+    assert invoke(asked).exit_code == 0
 
 
 def test_a_file_without_an_authority_is_named(tmp_path: Path) -> None:

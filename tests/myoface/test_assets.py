@@ -15,13 +15,12 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from myoface.assets.catalogue import CATALOGUE, PublicAsset
 from myoface.assets.fetch import RECORD, fetch
-from myoface.cli.app import app
 from myoface.errors import ApiError
 from solver.errors import InputError
+from tests.command_line import invoke
 
 
 def archive(seed: int = 0) -> bytes:
@@ -240,10 +239,10 @@ def test_nothing_is_fetched_without_the_licence(
 ) -> None:
     monkeypatch.setitem(CATALOGUE, "bodyparts3d", pinned(shelf))
     command = ["assets", "fetch", "bodyparts3d", "--to", str(tmp_path / "to")]
-    refused = CliRunner().invoke(app, command)
+    refused = invoke(command)
     assert refused.exit_code != 0
     assert "CC Attribution 4.0" in refused.output
     assert shelf.asked == []
-    accepted = CliRunner().invoke(app, [*command, "--accept-licence"])
+    accepted = invoke([*command, "--accept-licence"])
     assert accepted.exit_code == 0, accepted.output
     assert (tmp_path / "to" / "asset.zip").read_bytes() == shelf.content

@@ -10,6 +10,7 @@ import pytest
 from myoface.cli import console
 from myoface.cli.console import (
     JobView,
+    Painted,
     complain,
     show_registration,
     show_table,
@@ -67,17 +68,32 @@ def test_a_stranger_s_text_does_nothing_to_the_terminal(capsys: pytest.CaptureFi
     lines = (told.out + told.err).splitlines()
     assert len(lines) > 8
     assert [line for line in lines if not line.isprintable()] == []
-    assert r"smile\x1b]0;owned\x1b[8m\x9b31m\u202e\u2066" in told.err
+    assert r"smile\x1b]0;owned\x07\x1b[8m\x9b31m\u202e\u2066" in told.err
 
 
-def test_colours_are_still_the_command_line_s_own() -> None:
-    terminal = console.SafeConsole(
-        force_terminal=True, color_system="standard", highlight=False, file=io.StringIO()
-    )
-    terminal.print("[red]bad[/] \x1b[8m")
-    assert terminal.file.getvalue() == "\x1b[31mbad\x1b[0m \\x1b[8m\n"
+def test_colours_are_still_the_command_line_s_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = io.StringIO()
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
+    monkeypatch.setattr("sys.stdout", terminal)
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    console.out.print(Painted("bad", "red"), " \x1b[8m")
+    assert terminal.getvalue() == "\x1b[31mbad\x1b[0m \\x1b[8m\n"
+
+
+def test_a_bar_is_written_over_and_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = io.StringIO()
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
+    monkeypatch.setattr("sys.stdout", terminal)
+    with transfer_bar("scan.obj") as progress:
+        progress(1_000_000, 4_000_000)
+        console.out.print("between")
+        progress(4_000_000, 4_000_000)
+    *_, last = terminal.getvalue().split("\r")
+    assert last == ""
+    assert "4.0/4.0 MB" in terminal.getvalue()
+    assert "\rbetween\n" in terminal.getvalue()
 
 
 def test_text_of_other_languages_stays_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
-    console.out.print("Zoë 微笑 🙂\nund mehr", markup=False)
+    console.out.print("Zoë 微笑 🙂\nund mehr")
     assert capsys.readouterr().out == "Zoë 微笑 🙂\nund mehr\n"

@@ -8,12 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
 
-from myoface.cli import app
-from solver.errors import InputError
 from solver.rig.rig import Rig
+from tests.command_line import Told, invoke
 from tests.solver.block import head_block
 
 
@@ -23,8 +20,9 @@ def test_a_refused_scan_leaves_no_empty_folder(existed: bool, tmp_path: Path) ->
     scan.write_text("v 0 0 nan\n")
     if existed:
         folder.mkdir()
-    done = CliRunner().invoke(app, ["solve", "build-model", str(scan), "-o", str(folder)])
-    assert isinstance(done.exception, InputError)
+    done = invoke(["solve", "build-model", str(scan), "-o", str(folder)])
+    assert done.exit_code == 1
+    assert done.stderr.startswith("error: ")
     assert folder.exists() == existed
 
 
@@ -37,10 +35,10 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def played(command: str, rig: Path, scene: str, out: Path, *more: str) -> Result:
+def played(command: str, rig: Path, scene: str, out: Path, *more: str) -> Told:
     (rig / "scene.json").write_text(scene)
     files = [str(rig), str(rig / "scene.json")]
-    return CliRunner().invoke(app, ["solve", command, *files, "-o", str(out), *more])
+    return invoke(["solve", command, *files, "-o", str(out), *more])
 
 
 def test_scenes_are_played_with_their_assets(rig: Path, tmp_path: Path) -> None:

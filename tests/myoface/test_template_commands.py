@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from myoface.cli.app import app
 from solver.anatomy.template import Template
 from solver.templates.folder import read_template
 from tests.ball_head import ball_head
+from tests.command_line import invoke
 
 
 @pytest.fixture
@@ -24,7 +23,7 @@ def saved(tmp_path: Path) -> Path:
 
 
 def run(*words: str | Path, code: int = 0) -> str:
-    result = CliRunner().invoke(app, ["template", *map(str, words)])
+    result = invoke(["template", *map(str, words)])
     assert result.exit_code == code, result.output
     return result.output
 

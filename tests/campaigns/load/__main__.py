@@ -83,10 +83,11 @@ class _Fits:
         self._client = client
         scans = builtin_capture_set().write(folder / "scans")
         self._subject = client.create_subject("fitted").id
-        client.add_capture(self._subject, scans["neutral"], role="neutral")
+        client.add_capture(self._subject, scans["neutral"], role="neutral", registered=True)
         names = [name for name in scans if name != "neutral"][:EXPRESSIONS]
         self._captures = [
-            client.add_capture(self._subject, scans[name], role="expression").id for name in names
+            client.add_capture(self._subject, scans[name], role="expression", registered=True).id
+            for name in names
         ]
         client.run("build_model", self._subject, options=COARSE)
         self._jobs: list[str] = []

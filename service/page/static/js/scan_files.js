@@ -1,9 +1,12 @@
 // What a dropped set of files is: which are scans, what they are called, which is the neutral.
 
-const NEUTRAL = /(^|[^a-z])(neutral|neutre|rest|relaxed)([^a-z]|$)/i;
+const NEUTRAL = ["neutral", "neutre", "rest", "relaxed"];
+// letters that are none with an accent
+const LETTERS = { ß: "ss", æ: "ae", Æ: "AE", œ: "oe", Œ: "OE", ø: "o", Ø: "O", ł: "l", Ł: "L" };
 const LANDMARKS = /[ _.-]*(landmarks?|lm)$/i;
 const PERFORMANCE = ".npy";
 const LONGEST_NAME = 64;
+const LEGAL = /^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/;
 
 /** What the API takes as a name. */
 export const NAME = "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}";
@@ -44,12 +47,11 @@ export function sorted(files, limits) {
     (file) => isLandmarks(file) && (!isScan(file) || LANDMARKS.test(stem(file)) || stems.has(stem(file))),
   );
   const scans = files.filter((file) => isScan(file) && !landmarks.includes(file));
-  const names = withoutCommonPart(scans.map(stem));
+  const names = named(scans.map(({ name }) => name));
   const of = (file) => landmarks.find((other) => stem(other).replace(LANDMARKS, "") === stem(file)) ?? null;
   const found = scans.map((file, i) => ({
     file,
-    name: asName(names[i]),
-    role: roleOf(file),
+    ...names[i],
     landmarks: of(file),
   }));
   const taken = new Set(found.flatMap(({ file, landmarks: its }) => [file, its]));
@@ -57,24 +59,41 @@ export function sorted(files, limits) {
   return { scans: found, others: files.filter((file) => !taken.has(file)) };
 }
 
-function roleOf(file) {
-  if (suffix(file) === PERFORMANCE) return "performance";
-  return NEUTRAL.test(stem(file)) ? "neutral" : "expression";
+/**
+ * Return name and role of scans by their files' names; a name that cannot be made of them is empty.
+ *
+ * The command line has the same rule in `myoface/names.py`; both are tried on the same cases.
+ */
+export function named(files) {
+  const found = files.map((name) => ({ name: stem({ name }), role: roleOf({ name }) }));
+  const start = found.some(({ role }) => role === "neutral") ? lengthOfPerson(found.map(({ name }) => name)) : 0;
+  return found.map(({ name, role }) => ({ name: asName(name.slice(start)), role }));
 }
 
-/** Cut what all names begin with up to a `_` or `-`: the person, the session. */
-function withoutCommonPart(names) {
-  if (names.length < 2) return names;
-  let length = 0;
-  while (length < names[0].length && names.every((name) => name[length] === names[0][length])) length++;
-  const part = /^.*[ _-]/.exec(names[0].slice(0, length));
-  return names.map((name) => name.slice(part?.[0].length ?? 0) || name);
+function roleOf(file) {
+  if (suffix(file) === PERFORMANCE) return "performance";
+  const words = plain(stem(file)).replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase();
+  return words.split(/[^a-z]+/).some((word) => NEUTRAL.includes(word)) ? "neutral" : "expression";
+}
+
+/** Return how much of each is the person, up to a blank, `_` or `-`: nothing of a single one. */
+function lengthOfPerson(stems) {
+  if (stems.length < 2) return 0;
+  let common = 0;
+  while (common < stems[0].length && stems.every((each) => each[common] === stems[0][common])) common++;
+  const length = /^.*[ _-]/s.exec(stems[0].slice(0, common))?.[0].length ?? 0;
+  return stems.every((each) => /[A-Za-z]/.test(asName(each.slice(length)))) ? length : 0;
 }
 
 function asName(text) {
-  const plain = text.normalize("NFKD").replace(/[\u0300-\u036f]/g, "");
-  const name = plain.replace(/[^A-Za-z0-9_.-]+/g, "_").replace(/^[^A-Za-z0-9]+|_+$/g, "");
-  return (name || "scan").slice(0, LONGEST_NAME);
+  if (LEGAL.test(text)) return text;
+  const name = plain(text).replace(/[^A-Za-z0-9_.-]+/g, "_");
+  return name.replace(/^[^A-Za-z0-9]+|[^A-Za-z0-9]+$/g, "").slice(0, LONGEST_NAME);
+}
+
+function plain(text) {
+  const letters = [...text].map((each) => LETTERS[each] ?? each).join("");
+  return letters.normalize("NFKD").replace(/[\u0300-\u036f]/g, "");
 }
 
 function suffix({ name }) {

@@ -346,7 +346,8 @@ function tellUploads(left) {
 }
 
 function repeated(names) {
-  return names.find((name, i) => names.indexOf(name) !== i);
+  const alike = names.map((name) => name.toLowerCase()); // one morph target to many programs
+  return names.find((_, i) => alike.indexOf(alike[i]) !== i);
 }
 
 function some(names) {

@@ -1,0 +1,70 @@
+"""Names and roles of scans by their files: the command line's rule, and that of the page."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from myoface.errors import ApiError
+from myoface.names import LEGAL, by_files, name_scans
+
+ROOT = Path(__file__).parents[2]
+CASES = json.loads((ROOT / "tests/fixtures/scan_names.json").read_text(encoding="utf-8"))
+PAGE = ROOT / "service/page/static/js/scan_files.js"
+
+IN_NODE = """
+import { named } from "./scan_files.mjs";
+const cases = JSON.parse(process.argv[1]);
+const rows = cases.map((files) => named(files).map(({ name, role }) => [name, role]));
+console.log(JSON.stringify(rows));
+"""
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["files"][0])
+def test_names_and_roles_are_those_of_the_table(case: dict[str, Any]) -> None:
+    found = by_files(case["files"])
+    assert [list(each) for each in found] == case["named"]
+    assert all(not name or LEGAL.fullmatch(name) for name, _ in found)
+
+
+def test_the_page_has_the_same_rule(tmp_path: Path) -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("there is no node here")
+    shutil.copy(PAGE, tmp_path / "scan_files.mjs")
+    files = json.dumps([case["files"] for case in CASES])
+    command = [node, "--input-type=module", "-e", IN_NODE, files]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == [case["named"] for case in CASES]
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        (["   .obj"], "no name can be made of '   .obj'"),
+        (["Lächeln.obj", "lacheln.ply"], "would both be called lacheln"),
+        (["smile 1.obj", "smile_1.obj"], "'smile 1.obj' and 'smile_1.obj' would both be called"),
+        (["neutral.obj", "neutral 2.obj"], "both are neutrals by name"),
+    ],
+)
+def test_what_has_no_name_of_its_own_is_refused(files: list[str], words: str) -> None:
+    with pytest.raises(ApiError, match=words) as caught:
+        name_scans([Path(file) for file in files])
+    assert caught.value.code == "client.name"
+
+
+def test_what_is_given_comes_before_the_file_s_name() -> None:
+    paths = [Path("neutral.obj"), Path("neutral 2.obj")]
+    named = name_scans(paths, names=[None, "Größer 2"], roles=[None, "expression"])
+    assert [(each.name, each.role) for each in named] == [
+        ("neutral", "neutral"),
+        ("Grosser_2", "expression"),
+    ]
+    with pytest.raises(ApiError, match="no name can be made of '  '"):
+        name_scans([Path("smile.obj")], names=["  "])
