@@ -68,7 +68,7 @@ def _database_at(server: str, folder: Path) -> str:
     if os.geteuid() == 0:
         shutil.chown(place, "postgres")
     with psycopg.connect(server, autocommit=True) as connection:
-        connection.execute(f"CREATE TABLESPACE small LOCATION '{place}'")  # type: ignore[arg-type]
+        connection.execute(f"CREATE TABLESPACE small LOCATION '{place}'")
         connection.execute("CREATE DATABASE chaos TABLESPACE small")
     return server.rpartition("/")[0] + "/chaos"
 

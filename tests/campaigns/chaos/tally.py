@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
@@ -14,6 +15,7 @@ from service.queue.states import FINAL, State
 from service.store import deletion
 from service.store.models import Attempt, Event, Job, Rig
 from tests.campaigns.chaos.stage import Stage
+from worker.process import ATTEMPT
 
 PATIENCE = 180.0
 PROMPT = 5.0
@@ -57,7 +59,7 @@ class Tally:
         if "kill-backup" in self._blows:
             self._of_the_backup(stage)
         work = stage.stack.settings.work
-        self._none("folders of attempts left", lambda: len(list(work.iterdir())), stage)
+        self._none("folders of attempts left", lambda: _attempts(work), stage)
         self._none("solver processes left", lambda: len(stage.studio.solvers(stage.stack)), stage)
         self._of_the_answers(stage)
         missed = [blow for blow in self._missed if not self._blows[blow]]
@@ -149,6 +151,11 @@ class Tally:
 def _is_given_up(job: Job) -> bool:
     code = (job.error or {}).get("code")
     return job.state is State.FAILED and code == "worker_lost" and job.lost == 3
+
+
+def _attempts(work: Path) -> int:
+    """Count the folders of attempts; caches stay."""
+    return sum(bool(ATTEMPT.fullmatch(path.name)) for path in work.iterdir())
 
 
 def _is_told(job: Job) -> bool:

@@ -18,7 +18,7 @@ from typing import Any
 
 from typer import echo as say
 
-from tests.campaigns.fuzz.growth import GrowthOptions
+from tests.campaigns.fuzz.growth import MALLOC, GrowthOptions
 from tests.campaigns.fuzz.targets import targets
 
 SMALL_A_LARGE = 100
@@ -91,7 +91,8 @@ def _rows(
 
     def run(name: str) -> dict[str, Any] | None:
         command = [sys.executable, "-m", "tests.campaigns.fuzz.child", *options, name]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+        own = os.environ | MALLOC
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False, env=own)
         found: dict[str, Any] | None = json.loads(done.stdout) if not done.returncode else None
         return found
 

@@ -18,6 +18,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -110,12 +111,12 @@ class _Hammer:
         if not inputs:
             return
         for content in large_inputs(self.target.seeds, inputs, number):
-            self._telling(lambda content=content: self._give(content))
+            self._telling(partial(self._give, content))
         for make in growing(self.target.name).values():
             n = 1000
             while len(make(2 * n)) <= LARGEST and n < LARGEST:
                 n *= 2
-            self._telling(lambda make=make, n=n: self._give(make(n)))
+            self._telling(partial(self._give, make(n)))
 
     def growth(self) -> dict[str, object]:
         """Measure how the time grows; the worst of the inputs that are made for it."""

@@ -22,7 +22,8 @@ def kill_backup(stage: Stage) -> bool:
     if not stage.backup.exists():
         back_up(stage.stack.settings, stage.backup)
     step = stage.dice.randint(1, STEPS)
-    command = [sys.executable, "-m", "tests.kills.backup_drill", "once", str(step), stage.backup]
+    command = [sys.executable, "-m", "tests.kills.backup_drill", "once", str(step)]
+    command += [str(stage.backup)]
     environment = os.environ | stage.stack.settings.environment()
     code = subprocess.run(command, env=environment, check=False).returncode
     assert code in (0, -signal.SIGKILL), code
