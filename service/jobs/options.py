@@ -17,7 +17,6 @@ from pydantic_core import SchemaValidator
 from service.bounds import shorten
 from service.errors import Problem, faulty
 from solver.kinds import KINDS, Kind
-from solver.kinds.document import Fault
 
 # Items of a list that are read after the first with a fault, and of lists without one
 AROUND = 25
@@ -37,7 +36,7 @@ def check_options(name: str, options: dict[str, Any]) -> Kind:
     try:
         read = _quick(kind).validate_python(options)
     except ValidationError as error:
-        told = [(fault.where, fault.message) for fault in _find_faults(kind, options, error)]
+        told = _find_faults(kind, options, error)
         raise faulty(422, "job.options", told, at_least=True) from None
     _refuse_endless(getattr(read, "scene", None))
     return kind
@@ -85,12 +84,14 @@ def _fail_fast(schema: Any) -> Any:
     return [_fail_fast(item) for item in schema] if isinstance(schema, list) else schema
 
 
-def _find_faults(kind: Kind, options: dict[str, Any], error: ValidationError) -> list[Fault]:
+def _find_faults(
+    kind: Kind, options: dict[str, Any], error: ValidationError
+) -> list[tuple[str, str]]:
     """Return the faults of options around the first of each list, or those first ones alone."""
     places = [_numbers(each["loc"]) for each in error.errors(include_url=False)]
     numbers = max(places, default=())
     around = [] if max(numbers, default=0) > FAR else kind.faults(_cut(options, numbers))
-    return around or kind.tell(error, options)
+    return [(fault.where, fault.message) for fault in around or kind.tell(error, options)]
 
 
 def _numbers(place: Sequence[str | int]) -> tuple[int, ...]:
