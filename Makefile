@@ -1,6 +1,6 @@
 # Every target sets up what it needs by itself; `make help` lists them.
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test test-all chaos fuzz load two-hosts compose-check check up lock fast-servers servers setup setup-dev clean
+.PHONY: help demo quick test test-all chaos fuzz costs slow-clients load two-hosts compose-check check up lock fast-servers servers setup setup-dev clean
 
 BIN := .venv/bin
 TESTS := $(BIN)/python -m pytest
@@ -27,11 +27,17 @@ test-all: servers ## also the slow tests: all on the servers, the browser, campa
 	@$(MAKE) --no-print-directory test
 	@$(TESTS) -m "slow and (servers or not end_to_end)"
 
-chaos: setup-dev ## 60 jobs while workers, solvers and broker are killed, frozen and starved; prints the tally
+chaos: setup-dev ## 60 jobs while processes, disks, locks, clock and files fail; prints the tally (5 minutes)
 	@$(BIN)/python -m tests.campaigns.chaos
 
-fuzz: setup-dev ## hostile inputs to every reader of strangers' bytes
+fuzz: setup-dev ## 20,000 hostile inputs to every reader of strangers' bytes; prints what they cost
 	@$(BIN)/python -m tests.campaigns.fuzz
+
+costs: setup-dev ## the dearest requests, and another tenant beside eight who send them
+	@$(BIN)/python -m tests.campaigns.costs
+
+slow-clients: setup-dev ## 2,000 slow clients without a key, and a customer
+	@$(BIN)/python -m tests.campaigns.slow_clients
 
 load: setup-dev ## eight stations upload and look on while two workers fit; prints how long the API takes
 	@$(BIN)/python -m tests.campaigns.load

@@ -2,7 +2,8 @@
 
 Nobody's body is read before the request has shown something of a key's form: no route takes one
 without. An upload's bytes are not held in memory. They may take as long as they keep a least rate;
-every other body is small and has one time limit for the whole of it.
+every other body is small and has one time limit for the whole of it. Long ones are dealt with one
+after the other: several at a time would leave little of the processor to everybody else.
 """
 
 from __future__ import annotations
@@ -12,9 +13,12 @@ import json
 import math
 import re
 import time
+from collections import deque
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 
-from anyio import move_on_after, to_thread
+from anyio import Event, move_on_after, to_thread
 from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -27,7 +31,7 @@ UPLOAD = re.compile(r"/v1/uploads/[^/]+")
 # Routes with scenes and with a session's scans
 LARGER = re.compile(r"/v1/(jobs(/[^/]+(/retry)?)?|batches)")
 MOST_BYTES, MOST_BYTES_LARGER = 64 * 1024, 1024**2
-# A body above it is parsed in a thread: others are answered meanwhile
+# A body above it is parsed in a thread, and waits for its turn: others are answered meanwhile
 LONG_BYTES = 16 * 1024
 DISCONNECT: Message = {"type": "http.disconnect"}
 
@@ -50,6 +54,7 @@ class Bodies:
         self._app = app
         self._seconds = seconds
         self._min_rate = min_rate
+        self._turns = _Turns()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -66,8 +71,19 @@ class Bodies:
         """Read the whole body first: afterwards FastAPI would call any error a parsing error."""
         try:
             body = await self._whole(receive, _limit(scope))
-            if body is None:
-                return  # the client has gone: half an order is none
+        except Problem as problem:
+            await render(Request(scope).state.request_id, problem)(scope, receive, send)
+            return
+        if body is None:
+            return  # the client has gone: half an order is none
+        if len(body) > LONG_BYTES:
+            async with self._turns.of(Headers(scope=scope).get("authorization", "")):
+                await self._serve(body, scope, receive, send)
+        else:
+            await self._serve(body, scope, receive, send)
+
+    async def _serve(self, body: bytes, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
             if body and _is_json(Request(scope).headers.get("content-type", "")):
                 if len(body) > LONG_BYTES:
                     await to_thread.run_sync(check_json, body)
@@ -111,6 +127,48 @@ class Bodies:
         if source.too_slow:
             problem = _too_slow(f"bytes must come at {self._min_rate:g} a second or faster")
             await render(Request(scope).state.request_id, problem)(scope, receive, send)
+
+
+class _Turns:
+    """Lets one request of a long body in at a time; of those who wait, the keys take turns."""
+
+    def __init__(self) -> None:
+        self._is_taken = False
+        self._waiting: dict[str, deque[Event]] = {}
+
+    @asynccontextmanager
+    async def of(self, key: str) -> AsyncIterator[None]:
+        """Wait for a turn of a key, and have it."""
+        if self._is_taken:
+            await self._wait(key)
+        self._is_taken = True
+        try:
+            yield
+        finally:
+            self._pass_on()
+
+    async def _wait(self, key: str) -> None:
+        called = Event()
+        self._waiting.setdefault(key, deque()).append(called)
+        try:
+            await called.wait()
+        except BaseException:  # the server stops
+            if called.is_set():
+                self._pass_on()
+            else:
+                self._waiting[key].remove(called)
+            raise
+
+    def _pass_on(self) -> None:
+        """Call the next, if there is one; its key is the last from then on."""
+        while self._waiting:
+            key = next(iter(self._waiting))
+            waiting = self._waiting.pop(key)
+            if waiting:
+                waiting.popleft().set()
+                self._waiting[key] = waiting
+                return
+        self._is_taken = False
 
 
 class _BodySender:

@@ -7,7 +7,6 @@ the contract reads what is around it, and tells all that is wrong there.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
@@ -21,24 +20,23 @@ from solver.kinds import KINDS, Kind
 
 # Items of a list that are read after the first with a fault, and of lists without one
 AROUND = 25
+# Number of an item whose fault is told alone: to read all before it again costs as much again
+FAR = 500
 # Steps of a simulation: at 0.3 s each they take a day
 MOST_STEPS = 250_000
 # Steps of a frame where a scene says nothing, by its mode
 STEPS = {"quasi_static": 1, "dynamic": 4}
+# Of a quick schema, what its parts are told
+QUICK = {"list": {"fail_fast": True}, "default": {"copy_default": False}}
 
 
 def check_options(name: str, options: dict[str, Any]) -> Kind:
     """Return the kind of job of a name; raises a problem if it does not take these options."""
     kind = find_kind(name)
     try:
-        json.dumps(options, allow_nan=False, ensure_ascii=False).encode()
-    except ValueError as error:  # NaN, an infinity, half a surrogate pair
-        raise Problem(422, "job.options", f"options are not strict JSON: {error}") from error
-    try:
         read = _quick(kind).validate_python(options)
     except ValidationError as error:
-        faults = kind.faults(_around(options, error)) or kind.faults(options)
-        told = [(fault.where, fault.message) for fault in faults]
+        told = _find_faults(kind, options, error)
         raise faulty(422, "job.options", told, at_least=True) from None
     _refuse_endless(getattr(read, "scene", None))
     return kind
@@ -71,7 +69,10 @@ def find_kind(name: str) -> Kind:
 
 @cache
 def _quick(kind: Kind) -> SchemaValidator:
-    """Return a validator of a kind's options whose lists stop at the first fault."""
+    """Return a validator of a kind's options whose lists stop at the first fault.
+
+    What it reads is only looked at, so that its defaults need not be copies.
+    """
     kind.options.model_rebuild()
     return SchemaValidator(_fail_fast(kind.options.__pydantic_core_schema__), _use_prebuilt=False)
 
@@ -79,15 +80,18 @@ def _quick(kind: Kind) -> SchemaValidator:
 def _fail_fast(schema: Any) -> Any:
     if isinstance(schema, dict):
         found = {name: _fail_fast(value) for name, value in schema.items()}
-        return {**found, "fail_fast": True} if found.get("type") == "list" else found
+        return {**found, **QUICK.get(str(found.get("type")), {})}
     return [_fail_fast(item) for item in schema] if isinstance(schema, list) else schema
 
 
-def _around(options: dict[str, Any], error: ValidationError) -> dict[str, Any]:
-    """Return options with what there is of their lists around the first fault of each."""
+def _find_faults(
+    kind: Kind, options: dict[str, Any], error: ValidationError
+) -> list[tuple[str, str]]:
+    """Return the faults of options around the first of each list, or those first ones alone."""
     places = [_numbers(each["loc"]) for each in error.errors(include_url=False)]
-    shortened: dict[str, Any] = _cut(options, max(places, default=()))
-    return shortened
+    numbers = max(places, default=())
+    around = [] if max(numbers, default=0) > FAR else kind.faults(_cut(options, numbers))
+    return [(fault.where, fault.message) for fault in around or kind.tell(error, options)]
 
 
 def _numbers(place: Sequence[str | int]) -> tuple[int, ...]:

@@ -42,9 +42,15 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 @router.post("", status_code=201, summary="Submit a job", responses=problems(404, 409, 422))
 def create(
-    new: NewJob, session: WriteSession, who: Writer, once: Once, settings: SettingsDep
+    new: NewJob,
+    store: WriteStore,
+    session: WriteSession,
+    who: Writer,
+    once: Once,
+    settings: SettingsDep,
 ) -> JobView:
     """Queue a piece of work; `PUT` is the same and can be repeated safely."""
+    service.check(store, new)
     if (known := once.find_answered(session, new)) is not None:
         return _view(session, known, settings)
     job, _ = service.submit(session, new, settings.max_attempts)
@@ -71,6 +77,7 @@ def put(
     settings: SettingsDep,
 ) -> JobView:
     """Queue a piece of work once, however often it is asked for (a UUID made by the caller)."""
+    service.check(store, new)
     try:
         is_new = _submit(store, new, settings.max_attempts, job_id, who)
     except IntegrityError:  # another request with this id committed first: find its job

@@ -32,10 +32,18 @@ MOST_VALUES = 1_000_000
 MOST_LOOKED_AT = 5
 
 
+def check(store: Store, new: NewJob) -> None:
+    """Refuse an order that cannot be, before anybody waits until it has been written."""
+    find_kind(new.kind)
+    with store.read() as session:
+        subjects.get(session, new.subject_id)
+    check_options(new.kind, new.options)
+
+
 def submit(
     session: Session, new: NewJob, max_attempts: int, job_id: str | None = None, **origin: str
 ) -> tuple[Job, bool]:
-    """Queue a job; returns it, and whether it is new.
+    """Queue a job whose options were checked; returns it, and whether it is new.
 
     With ``job_id`` the call can be repeated: the same request finds the same job. ``origin`` is the
     ``parent_id`` or ``batch_id`` that the job comes from.
@@ -44,9 +52,8 @@ def submit(
         if NewJob.model_validate(job.request) != new:
             raise id_conflict(job_id)
         return job, False
-    find_kind(new.kind)
+    kind = find_kind(new.kind)
     subjects.get(session, new.subject_id)
-    kind = check_options(new.kind, new.options)
     check_queued(session)
     check_bytes(session, 0)  # what jobs leave counts: no more of it beyond the quota
     subjects.lock(session, new.subject_id)
@@ -89,6 +96,7 @@ def retry(session: Session, job_id: str, wanted: Retry, max_attempts: int) -> Jo
     changed = wanted.model_dump(exclude_none=True, exclude={"options"})
     options = {**parent.request["options"], **wanted.options}
     new = NewJob.model_validate({**parent.request, **changed, "options": options})
+    check_options(new.kind, new.options)
     return submit(session, new, max_attempts, parent_id=parent.id)[0]
 
 

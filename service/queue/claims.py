@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session, aliased
 
 from service.queue.states import HELD, State
-from service.queue.table import Claim, expire, may_run_more, take
+from service.queue.table import Claim, expire, has_run_out, is_due, may_run_more, take
 from service.store.database import clock
 from service.store.models import Job, Tenant
 
@@ -43,7 +43,7 @@ def claim_next(session: Session, queue: str, who: Abilities, lease: float) -> Cl
     for one another, but for that quota: each takes what no other is about to.
     """
     moment = clock(session)
-    free_expired(session, moment, queue)
+    free_expired(session, lease, queue)
     fits = (_waits(queue, moment), Job.kind.in_(who.kinds), _fits(who))
     for tenant_id in _tenants(session, queue, fits):
         if not may_run_more(session, tenant_id):
@@ -65,9 +65,10 @@ def own_order(job: Any) -> tuple[ColumnElement[Any], ...]:
     return job.priority.desc(), job.created_at, job.id
 
 
-def free_expired(session: Session, moment: datetime, *queues: str) -> None:
+def free_expired(session: Session, lease: float, *queues: str) -> None:
     """Take jobs back from workers that have been silent for longer than their lease."""
-    held = (Job.queue.in_(queues), Job.state.in_(HELD), Job.lease_until < moment)
+    ran_out = has_run_out(clock(session), lease)
+    held = (Job.queue.in_(queues), Job.state.in_(HELD), ran_out)
     expired = session.scalars(
         select(Job.id)
         .where(*held)
@@ -76,7 +77,7 @@ def free_expired(session: Session, moment: datetime, *queues: str) -> None:
         .with_for_update(skip_locked=True)
     ).all()
     for job_id in expired:
-        expire(session, job_id, moment)
+        expire(session, job_id, ran_out)
 
 
 def _tenants(session: Session, queue: str, fits: Sequence[ColumnElement[bool]]) -> Sequence[str]:
@@ -108,8 +109,7 @@ def _tenants(session: Session, queue: str, fits: Sequence[ColumnElement[bool]]) 
 
 
 def _waits(queue: str, moment: datetime) -> ColumnElement[bool]:
-    due = or_(Job.not_before.is_(None), Job.not_before <= moment)
-    return (Job.queue == queue) & (Job.state == State.QUEUED) & due
+    return (Job.queue == queue) & (Job.state == State.QUEUED) & is_due(Job, moment)
 
 
 def _fits(who: Abilities) -> ColumnElement[bool]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-from sqlalchemy import delete, insert, or_, select, update
+from sqlalchemy import delete, insert, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from service.queue.claims import free_expired
 from service.queue.states import State
+from service.queue.table import is_due
 from service.queue.wakeups import QUEUES, wake
 from service.store.database import Store, clock
 from service.store.files import Files
@@ -56,9 +57,9 @@ def hold_office(session: Session, office: str, holder: str, seconds: float) -> b
     return taken is not None
 
 
-def expire_leases(session: Session) -> None:
-    """Take jobs of every queue back from workers that have been silent for too long."""
-    free_expired(session, clock(session), *QUEUES)
+def expire_leases(session: Session, lease: float) -> None:
+    """Take jobs of every queue back from workers that have been silent for longer than a lease."""
+    free_expired(session, lease, *QUEUES)
 
 
 def resend(session: Session, after: float, *, at_once: bool = False) -> None:
@@ -67,16 +68,16 @@ def resend(session: Session, after: float, *, at_once: bool = False) -> None:
     ``at_once`` ignores the pauses: a worker that starts may have missed everything.
     """
     moment = clock(session)
-    due = or_(Job.not_before.is_(None), Job.not_before <= moment)
-    queued = select(Job).where(Job.queue.in_(QUEUES), Job.state == State.QUEUED, due)
+    waits = (Job.queue.in_(QUEUES), Job.state == State.QUEUED, is_due(Job, moment))
+    queued = select(Job).where(*waits)
     for job in session.scalars(queued.order_by(Job.created_at).limit(BATCH)):
-        if at_once or _is_due(job, moment, after):
+        if at_once or _should_resend(job, moment, after):
             job.sends, job.sent_at = job.sends + 1, moment
             wake(session, job.id, job.queue)
 
 
-def _is_due(job: Job, moment: datetime, after: float) -> bool:
-    if job.sent_at is None:
+def _should_resend(job: Job, moment: datetime, after: float) -> bool:
+    if job.sent_at is None or job.sent_at > moment:  # the clock has been set back
         return True
     pause = min(timedelta(seconds=after) * 2 ** min(job.sends - 1, 20), LONGEST_PAUSE)
     due: bool = job.sent_at + pause <= moment

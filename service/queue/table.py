@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import ColumnElement, delete, func, literal, select, update
+from sqlalchemy import ColumnElement, delete, func, literal, or_, select, update
 from sqlalchemy.orm import Session
 
 from service.bounds import fit_progress
@@ -36,6 +36,8 @@ MOST_STEPS_KEPT = 200
 # Of one that runs: of more every other one goes, of those of one beat all but the last
 MOST_STEPS, MOST_STEPS_OF_BEAT = 2000, 50
 SHORTEST_WAIT, LONGEST_WAIT = timedelta(seconds=5), timedelta(minutes=5)
+# A lease ends at most so many terms ahead: another host's settings may be others
+LONGEST_TERMS = 10
 # Longest wait for room on a full disk before the job fails
 WAIT_FOR_ROOM = timedelta(hours=1)
 
@@ -235,9 +237,26 @@ def cancel(session: Session, job_id: str, by: str, reason: str) -> bool:
     )
 
 
-def expire(session: Session, job_id: str, moment: datetime) -> None:
+def has_run_out(moment: datetime, lease: float) -> ColumnElement[bool]:
+    """Return the condition that a job's lease of ``lease`` seconds is over.
+
+    One that ends further ahead than anybody takes it is over, too: the clock has been set back.
+    """
+    latest = moment + LONGEST_TERMS * timedelta(seconds=lease)
+    return or_(Job.lease_until < moment, Job.lease_until > latest)
+
+
+def is_due(job: Any, moment: datetime) -> ColumnElement[bool]:
+    """Return the condition that a job may be taken: it was not put off, or its time has come.
+
+    ``job`` has its columns. Put off for longer than anybody is means that the clock was set back.
+    """
+    latest = moment + LONGEST_WAIT
+    return or_(job.not_before.is_(None), job.not_before <= moment, job.not_before > latest)
+
+
+def expire(session: Session, job_id: str, ran_out: ColumnElement[bool]) -> None:
     """Free a job whose lease has run out: back to the queue, given up, or canceled."""
-    ran_out = Job.lease_until < moment
     _step(session, job_id, State.CANCELED, ran_out, Job.state == State.CANCELING, outcome="lost")
     error = {"code": WORKER_LOST, "message": "the worker was lost, at every attempt"}
     _lose(session, job_id, error, ran_out, Job.state == State.RUNNING)

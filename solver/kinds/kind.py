@@ -96,7 +96,7 @@ class Kind:
         try:
             return self.options.model_validate(given)
         except ValidationError as error:
-            raise OptionsError(self._in_order(find_faults(error, given, "options"))) from error
+            raise OptionsError(self.tell(error, given)) from error
 
     def faults(self, given: Mapping[str, Any]) -> list[Fault]:
         """Return what is wrong with options."""
@@ -106,8 +106,12 @@ class Kind:
             return error.faults
         return []
 
-    def _in_order(self, faults: list[Fault]) -> list[Fault]:
-        """Return faults by their places, first unknown options in words that name the known."""
+    def tell(self, error: ValidationError, given: Mapping[str, Any]) -> list[Fault]:
+        """Return the faults of options that a reader of them found, by their places.
+
+        Unknown options come first, in words that name the known.
+        """
+        faults = find_faults(error, given, "options")
         known = ", ".join(self.options.model_fields) or "none"
         message = f"{self.name} has no such option; it has {known}"
         strangers = [fault for fault in faults if fault.unknown and len(fault.path) == 1]

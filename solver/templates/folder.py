@@ -36,6 +36,7 @@ from solver.templates.tables import (
 FORMAT = 1  # of template.toml
 DESCRIPTION = "template.toml"
 MAX_UNPACKED_BYTES = 2 * 2**30  # of a ZIP: no real template comes near
+MAX_DESCRIPTION_BYTES = 32 * 2**10  # tomllib takes the square of a name's dots
 SUFFIXES = (".ply", ".obj")
 PARTS = ("flesh", "face", "with_cranium", "with_mandible")  # sets of skin vertices in parts.json
 BONES = ("cranium", "mandible")
@@ -78,6 +79,7 @@ class _TemplateFolder:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        _refuse_long(folder / DESCRIPTION)
         self.description: dict[str, Any] = parse_file(folder / DESCRIPTION, tomllib.loads)
         if self.description.get("format") != FORMAT:
             raise _value_fault(f"format is {self.description.get('format')}, not {FORMAT}")
@@ -281,6 +283,14 @@ class _TemplateFolder:
     def _value(self, table: str, key: str) -> Any:
         values = self.description.get(table)
         return values.get(key) if isinstance(values, dict) else None
+
+
+def _refuse_long(path: Path) -> None:
+    size = path.stat().st_size if path.is_file() else 0
+    if size > MAX_DESCRIPTION_BYTES:
+        reason = f"{path.name} has {size} bytes; at most {MAX_DESCRIPTION_BYTES} can be read"
+        limits = {"expected": MAX_DESCRIPTION_BYTES, "found": size}
+        raise file_fault("template.too_large", reason, path.name, **limits)
 
 
 def _is_number(value: Any) -> bool:

@@ -47,6 +47,15 @@ def test_people_of_one_name_can_be_told_apart(show: Show, studio: Studio) -> Non
         page.get_by_role("row", name=identifier[:8]).wait_for()
 
 
+def test_markup_in_a_name_is_shown_as_text(show: Show, studio: Studio) -> None:
+    name = "<img src=x onerror=document.title='gotcha'><b>Robin</b>"
+    studio.post("/v1/subjects", name=name)
+    page = show("/subjects")
+    page.get_by_text(name).first.wait_for()
+    assert page.locator("img[src=x]").count() == 0
+    assert page.title() != "gotcha"
+
+
 def test_a_webhook_is_added_tried_and_deleted(show: Show, studio: Studio) -> None:
     with receiving() as (port, _):
         url = f"http://127.0.0.1:{port}/hook"

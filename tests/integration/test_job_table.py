@@ -63,13 +63,37 @@ def test_an_office_held_far_into_the_future_is_free(store: Store) -> None:
         assert not sweep.hold_office(session, "sweeper", "dead", 15)
 
 
+def test_a_clock_that_is_set_back_holds_up_no_job(store: Store) -> None:
+    job_id = _queue(store)
+    with store.write() as session:
+        claim = _claim(session, "dead", 30)
+        assert claim
+        session.get_one(Job, job_id).lease_until = clock(session) + timedelta(hours=1)
+    with store.write() as session:
+        sweep.expire_leases(session, 30)
+        job = session.get_one(Job, job_id)
+        assert (job.state, job.lost) == (State.QUEUED, 1)
+        job.sent_at, job.sends = clock(session) + timedelta(hours=1), 1
+    with store.write() as session:
+        sweep.resend(session, 10)
+        assert session.get_one(Job, job_id).sends == 2
+        session.get_one(Job, job_id).not_before = clock(session) + timedelta(hours=1)
+    with store.write() as session:
+        claim = _claim(session, "other", 30)
+        assert claim
+        assert claim.attempt == 2
+    with store.write() as session:
+        sweep.expire_leases(session, 30)  # of who holds it now
+        assert session.get_one(Job, job_id).state is State.RUNNING
+
+
 def test_a_lost_attempt_is_fenced_off(store: Store) -> None:
     job_id = _queue(store)
     with store.write() as session:
         first = _claim(session, "slow", 0.01)
     time.sleep(0.05)
     with store.write() as session:
-        sweep.expire_leases(session)
+        sweep.expire_leases(session, 30)
     with store.write() as session:
         second = _claim(session, "quick", 30)
     assert first

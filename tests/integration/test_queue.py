@@ -126,7 +126,7 @@ def test_a_worker_takes_only_what_it_can_do(store: Store) -> None:
     shop = Shop(store)
     shop.queue("a", 0, kind="from_the_next_release")
     shop.queue("a", 1, memory_mb=16_000)
-    shop.queue("a", 2, not_before=now() + timedelta(hours=1))
+    shop.queue("a", 2, not_before=now() + timedelta(minutes=4))
     shop.queue("a", 3, not_before=now() - timedelta(hours=1))
     shop.queue("a", 4, kind="register_scan", memory_mb=8192)
     only_models = Abilities("m", frozenset({"build_model"}), memory_mb=4096, threads=1)

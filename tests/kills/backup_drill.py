@@ -3,7 +3,8 @@
 ``python -m tests.kills.backup_drill kill|full DATA BACKUP SCRATCH`` writes a line of JSON for each
 step: what the step was, how the backup ended, and which subjects a restore brought back. A step is
 what Python tells its audit hooks about the folder: opening, renaming, removing a file and the like.
-``kill`` is SIGKILL at that step; ``full`` is a disk that has no room from that step on.
+``kill`` is SIGKILL at that step; ``full`` is a disk that has no room from that step on. With ``once
+STEP BACKUP`` one backup of the service that the environment names is killed, at that step.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def drill(blow: str, data: Path, backup: Path, scratch: Path) -> None:
         reading, writing = os.pipe()
         child = os.fork()
         if not child:
-            os._exit(_stop_at(number, blow, data, folder, writing))
+            os._exit(_stop_at(number, blow, Settings(data_dir=data), folder, writing))
         os.close(writing)
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         with os.fdopen(reading) as pipe:
@@ -52,8 +53,8 @@ def drill(blow: str, data: Path, backup: Path, scratch: Path) -> None:
         shutil.rmtree(folder)
 
 
-def _stop_at(number: int, blow: str, data: Path, folder: Path, writing: int) -> int:
-    """Make a backup that meets the blow at a step."""
+def _stop_at(number: int, blow: str, settings: Settings, folder: Path, writing: int) -> int:
+    """Make a backup that meets the blow at a step, which is told to a pipe."""
     left = number
 
     def watch(event: str, given: tuple[Any, ...]) -> None:
@@ -74,7 +75,7 @@ def _stop_at(number: int, blow: str, data: Path, folder: Path, writing: int) -> 
 
     sys.addaudithook(watch)
     try:
-        back_up(Settings(data_dir=data), folder)
+        back_up(settings, folder)
     except StackError:
         return REFUSED
     return ENDED
@@ -103,4 +104,7 @@ def _restored(folder: Path, target: Path) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
+    if sys.argv[1] == "once":
+        nobody = os.open(os.devnull, os.O_WRONLY)
+        sys.exit(_stop_at(int(sys.argv[2]), "kill", Settings(), Path(sys.argv[3]), nobody))
     drill(sys.argv[1], *map(Path, sys.argv[2:]))

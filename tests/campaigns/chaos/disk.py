@@ -1,4 +1,4 @@
-"""A disk small enough to be filled."""
+"""Disks small enough to be filled."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Disk:
 
     def fill(self) -> None:
         """Leave no room."""
-        with self._stuffing.open("wb", buffering=0) as file:
+        with self._stuffing.open("ab", buffering=0) as file:
             size = 1 << 20
             while size:
                 try:
@@ -32,10 +32,10 @@ class Disk:
 
 
 @contextmanager
-def small_disk(folder: Path) -> Iterator[Disk | None]:
+def small_disk(folder: Path, megabytes: int = MEGABYTES) -> Iterator[Disk | None]:
     """Mount a small disk at ``folder``; None: this machine does not allow it."""
     folder.mkdir(parents=True)
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={MEGABYTES}m", "myoface-chaos", str(folder)]
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "myoface-chaos", str(folder)]
     try:
         subprocess.run(mount, check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError):

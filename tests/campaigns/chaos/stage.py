@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +19,8 @@ from service.queue.states import FINAL, HELD
 from service.store.database import Store
 from service.store.models import Job, Worker
 from tests.campaigns.chaos.crew import Crew
-from tests.campaigns.chaos.disk import Disk
+from tests.campaigns.chaos.places import Places
+from tests.campaigns.customer import WHO_AM_I, Customer
 from tests.service_client import ROOT, Studio, running
 
 SETTINGS: dict[str, Any] = {
@@ -32,22 +34,31 @@ SETTINGS: dict[str, Any] = {
     "solver_confined": False,  # a poison kills its worker
 }
 OTHER_HOST = ("long", "short")
+READS = (WHO_AM_I, ("GET", "/v1/jobs?limit=50", None), ("GET", "/v1/subjects", None))
 
 
 @dataclass
 class Stage:
-    """Everything a blow may hit, and the jobs whose fate is counted."""
+    """Everything a blow may hit, and the jobs whose fate is counted.
+
+    ``reader`` looks on as a page does, all the while. Of the ``spoilt`` jobs an input is damaged
+    or lost, whose files are ``gone``.
+    """
 
     stack: Stack
     studio: Studio
     store: Store
     dice: random.Random
-    disk: Disk | None
+    places: Places
+    backup: Path
+    reader: Customer
     waiting: list[tuple[str, str, list[str]]] = field(default_factory=list)
     good: list[str] = field(default_factory=list)
     poison: list[str] = field(default_factory=list)
+    spoilt: list[str] = field(default_factory=list)
+    gone: set[str] = field(default_factory=set)
+    left_out: dict[str, str] = field(default_factory=dict)
     slowest_submission: float = 0.0
-    disk_not_here: bool = False
 
     def prepare(self, jobs: int, poison: int) -> None:
         """Upload the scans of all jobs, and submit the poison."""
@@ -77,12 +88,29 @@ class Stage:
     def jobs(self) -> list[Job]:
         """Return the jobs whose fate is counted, as they are now."""
         with self.store.read() as session:
-            counted = Job.id.in_([*self.good, *self.poison])
+            counted = Job.id.in_([*self.good, *self.poison, *self.spoilt])
             return list(session.scalars(select(Job).where(counted)))
 
     def running(self) -> list[Job]:
         """Return the good jobs that workers hold."""
         return [job for job in self.jobs() if job.id in self.good and job.state in HELD]
+
+    def target(self) -> Job | None:
+        """Return a good job at work that can afford to lose an attempt."""
+        if not self.nobody_is_on_the_last_try() or not self.until(self.running, seconds=10):
+            return None
+        return self.dice.choice(self.running() or [None])
+
+    def is_held(self, job: Job) -> bool:
+        """Whether a job's attempt is still that of who has it."""
+        with self.store.read() as session:
+            now = session.get(Job, job.id)
+            return now is not None and now.state in HELD and now.attempt == job.attempt
+
+    def leave_out(self, blow: str, reason: str) -> bool:
+        """Note that a blow cannot be struck on this machine; returns that it hit nothing."""
+        self.left_out[blow] = reason
+        return False
 
     def are_over(self) -> bool:
         """Whether every job has ended."""
@@ -121,12 +149,18 @@ class Stage:
 
 
 @contextmanager
-def stage(folder: Path, dice: random.Random, disk: Disk | None) -> Iterator[Stage]:
-    """Run the service with a second host's workers."""
-    with running(folder, **SETTINGS) as (stack, studio):
+def stage(folder: Path, dice: random.Random, places: Places) -> Iterator[Stage]:
+    """Run the service with a second host's workers, and somebody who reads."""
+    with running(folder, **SETTINGS, **places.settings) as (stack, studio):
         studio.http.timeout = httpx.Timeout(30)
         settings = stack.settings
         store = Store(settings.database, settings.files, settings.broker)
+        stop = threading.Event()
+        reader = Customer("who reads", stack.url, stack.key, stop, READS)
         with Crew(settings, str(ROOT), OTHER_HOST):
-            yield Stage(stack, studio, store, dice, disk)
+            reader.start()
+            backup = folder / "backup"
+            yield Stage(stack, studio, store, dice, places, backup, reader)
+            stop.set()
+            reader.join()
         store.close()

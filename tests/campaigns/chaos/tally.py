@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 from sqlalchemy import select
 
+from myoface.backup import back_up, verify
 from service.queue.states import FINAL, State
 from service.store import deletion
 from service.store.models import Attempt, Event, Job, Rig
 from tests.campaigns.chaos.stage import Stage
+from worker.process import ATTEMPT
 
 PATIENCE = 180.0
 PROMPT = 5.0
-"""Seconds within which a submission is answered, whatever is wrong with the broker."""
+"""Seconds within which a submission or a look is answered, whatever is wrong."""
 
 
 class Tally:
@@ -50,22 +53,26 @@ class Tally:
         self._all("good jobs that succeeded", [job.state is State.SUCCEEDED for job in good])
         self._of_the_tables(stage, jobs)
         self._all("poison failed as worker_lost after 3 tries", list(map(_is_given_up, poison)))
+        spoilt = [job for job in jobs if job.id in stage.spoilt]
+        self._all("jobs of damaged and lost files that failed so", list(map(_is_told, spoilt)))
         self._of_the_files(stage)
+        if "kill-backup" in self._blows:
+            self._of_the_backup(stage)
         work = stage.stack.settings.work
-        self._none("folders of attempts left", lambda: len(list(work.iterdir())), stage)
+        self._none("folders of attempts left", lambda: _attempts(work), stage)
         self._none("solver processes left", lambda: len(stage.studio.solvers(stage.stack)), stage)
-        slowest = stage.slowest_submission
-        self._check("slowest submission, s", f"{slowest:.2f}", slowest < PROMPT)
+        self._of_the_answers(stage)
         missed = [blow for blow in self._missed if not self._blows[blow]]
-        if stage.disk_not_here:
-            missed = [blow for blow in missed if blow != "fill-disk"]
-            self._check("full disk", "left out: no mount is allowed here", fine=True)
+        for blow, reason in stage.left_out.items():
+            missed.remove(blow)
+            self._check(blow, f"left out: {reason}", fine=True)
         self._check("kinds of blow that hit nothing", ", ".join(missed) or 0, not missed)
 
-    def show(self, seconds: float) -> None:
+    def show(self, store: str, seconds: float) -> None:
         """Print the tally."""
         console = Console(width=100)
-        blows = Table("blow", "hit", "missed", title=f"seed {self._seed}, {seconds:.0f} s")
+        title = f"{store}, seed {self._seed}, {seconds:.0f} s"
+        blows = Table("blow", "hit", "missed", title=title)
         for name in sorted(self._blows | self._missed):
             blows.add_row(name, str(self._blows[name]), str(self._missed[name]))
         console.print(blows)
@@ -105,11 +112,30 @@ class Tally:
         """Compare the stored files with the rows that refer to files."""
         # a file is put aside first and removed by the next round
         collected = sum(deletion.collect_garbage(stage.store, 0) for _ in range(2))
-        wanted = deletion.referenced_files(stage.store)
-        there = {path.name for path in (stage.stack.settings.data_dir / "files").glob("??/*")}
+        wanted = deletion.referenced_files(stage.store) - stage.gone
+        there = {stored.sha256 for stored in stage.store.files.list_stored()} - stage.gone
         self._check("files of lost attempts collected", collected, fine=True)
         self._check("orphan files", len(there - wanted), there <= wanted)
         self._check("files missing", len(wanted - there), wanted <= there)
+
+    def _of_the_backup(self, stage: Stage) -> None:
+        """Make a last backup, and compare what it holds with the rows."""
+        back_up(stage.stack.settings, stage.backup)
+        manifest, _ = verify(stage.backup)
+        wanted = deletion.referenced_files(stage.store) - stage.gone
+        self._check(
+            "files that a restore lacks",
+            len(wanted - {*manifest.files}),
+            fine=wanted <= {*manifest.files},
+        )
+
+    def _of_the_answers(self, stage: Stage) -> None:
+        """Judge how requests were answered meanwhile."""
+        slowest, reader = stage.slowest_submission, stage.reader
+        self._check("slowest submission, s", f"{slowest:.2f}", slowest < PROMPT)
+        failed = f"{len(reader.refused)} of {len(reader.waits)} {'; '.join(reader.refused[:2])}"
+        self._check("reads that failed", failed.strip(), not reader.refused)
+        self._check("slowest read, s", f"{max(reader.waits):.2f}", max(reader.waits) < PROMPT)
 
     def _all(self, check: str, fulfilled: list[bool]) -> None:
         self._check(check, f"{sum(fulfilled)} of {len(fulfilled)}", all(fulfilled))
@@ -125,6 +151,16 @@ class Tally:
 def _is_given_up(job: Job) -> bool:
     code = (job.error or {}).get("code")
     return job.state is State.FAILED and code == "worker_lost" and job.lost == 3
+
+
+def _attempts(work: Path) -> int:
+    """Count the folders of attempts; caches stay."""
+    return sum(bool(ATTEMPT.fullmatch(path.name)) for path in work.iterdir())
+
+
+def _is_told(job: Job) -> bool:
+    """Whether a job failed for a file that is not whole, and none of its tries was lost to that."""
+    return job.state is State.FAILED and (job.error or {}).get("code") == "files.lost"
 
 
 def _at(rows: list[tuple[str, int]], number: int) -> tuple[str, str]:

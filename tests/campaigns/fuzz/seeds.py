@@ -5,7 +5,9 @@ from __future__ import annotations
 import base64
 import io
 import json
+import tempfile
 from functools import cache
+from pathlib import Path
 from typing import Any
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
@@ -13,6 +15,7 @@ import numpy as np
 import trimesh
 
 from solver.scans.live_link import ARKIT_NAMES
+from tests.ball_head import ball_head
 
 
 @cache
@@ -142,6 +145,14 @@ def template() -> list[bytes]:
                 archive.writestr(name, text)
         contents.append(stream.getvalue())
     return contents
+
+
+def template_arrays() -> list[bytes]:
+    """Return a template as it is stored."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "template.npz"
+        ball_head().save(path)
+        return [path.read_bytes()]
 
 
 def metadata() -> list[bytes]:

@@ -12,6 +12,7 @@ from service import outbound, paging
 from service.errors import Problem
 from service.http import bodies
 from service.uploads.schemas import parse_checksum, parse_metadata
+from solver.anatomy.template import Template
 from solver.errors import InputError
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
@@ -98,6 +99,7 @@ def targets() -> list[Target]:
         _file("npz", seeds.npz() + seeds.npy(), "npz", _archive),
         _file("template", seeds.template(), "zip", read_template),
         Target("template npz", [b"1", b"2"], read_spoilt_template, InputError),
+        _file("template file", seeds.template_arrays(), "npz", Template.load),
         _text("upload metadata", seeds.metadata(), parse_metadata),
         _text(
             "upload checksum",

@@ -247,3 +247,10 @@ def test_what_is_no_template_is_named(tmp_path: Path) -> None:
 def test_nothing_is_overwritten(folder: Path, template: Template) -> None:
     with pytest.raises(InputError, match="not empty"):
         write_template(template, folder)
+
+
+def test_a_description_without_an_end_is_refused_unread(tmp_path: Path) -> None:
+    (tmp_path / "template.toml").write_text("a" + ".a" * 4_000_000 + " = 1")
+    with pytest.raises(InputError, match="at most 32768") as caught:
+        read_template(tmp_path)
+    assert caught.value.code == "template.too_large"
