@@ -161,7 +161,7 @@ ALLOWED: Final[dict[str, Numbers]] = {
 }
 
 
-class Argument(NamedTuple):
+class ArgumentRule(NamedTuple):
     """A call of which only some values of one argument are allowed."""
 
     numbers: Numbers
@@ -169,18 +169,20 @@ class Argument(NamedTuple):
     values: tuple[int, ...]
 
 
-BY_ARGUMENT: Final[dict[str, Argument]] = {
+BY_ARGUMENT: Final[dict[str, ArgumentRule]] = {
     # Limits and processors of this process (0), not of others
-    "prlimit64": Argument((302, 261), 0, (0,)),
-    "sched_setaffinity": Argument((203, 122), 0, (0,)),
+    "prlimit64": ArgumentRule((302, 261), 0, (0,)),
+    "sched_setaffinity": ArgumentRule((203, 122), 0, (0,)),
     # Names of threads and of memory, and no_new_privs, which takes away; not the signal at the
     # worker's end, nor dumps
-    "prctl": Argument((157, 167), 0, (15, 16, 23, 38, 39, 0x53564D41)),
+    "prctl": ArgumentRule((157, 167), 0, (15, 16, 23, 38, 39, 0x53564D41)),
     # Whether a descriptor is a terminal, how wide it is, what it has to read, whether children get
     # it; not what types into a terminal
-    "ioctl": Argument((16, 29), 1, (0x5401, 0x802C542A, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)),
+    "ioctl": ArgumentRule(
+        (16, 29), 1, (0x5401, 0x802C542A, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)
+    ),
     # Copies and flags of descriptors, locks, sizes of pipes; not signals to others, nor watching
-    "fcntl": Argument((72, 25), 1, (*range(8), 36, 37, 38, 1030, 1031, 1032)),
+    "fcntl": ArgumentRule((72, 25), 1, (*range(8), 36, 37, 38, 1030, 1031, 1032)),
 }
 
 CLONE: Final[Numbers] = (56, 220)

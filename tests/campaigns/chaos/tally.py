@@ -15,7 +15,7 @@ from service.queue.states import FINAL, State
 from service.store import deletion
 from service.store.models import Attempt, Event, Job, Rig
 from tests.campaigns.chaos.stage import Stage
-from worker.process import ATTEMPT
+from worker.orphans import ATTEMPT
 
 PATIENCE = 180.0
 PROMPT = 5.0
