@@ -10,15 +10,19 @@ never writes into one, so what it adds or compiles anew stays in that folder.
 
 from __future__ import annotations
 
+import argparse
 import fcntl
 import hashlib
 import importlib.metadata
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+
+from service.process import die_with_parent
 
 SOLVER = Path(__file__).resolve().parents[1] / "solver"
 # The installation's folder where it is not beside the code, as in a read-only image
@@ -57,7 +61,7 @@ def compile_all() -> None:
     with stamp.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not are_compiled():
-            command = ["nice", sys.executable, "-m", "worker.kernels"]
+            command = ["nice", sys.executable, "-m", "worker.kernels", "--parent", str(os.getpid())]
             subprocess.run(command, cwd=SOLVER.parent, check=True, stdout=subprocess.DEVNULL)
 
 
@@ -125,6 +129,10 @@ def _stamp() -> Path:
 
 def main() -> None:
     """Compile the kernels and note of which code they are."""
+    parser = argparse.ArgumentParser(prog="python -m worker.kernels", description=main.__doc__)
+    parser.add_argument("--parent", type=int, help="process whose end is the end of this one, too")
+    if parent := parser.parse_args().parent:
+        die_with_parent(parent, signal.SIGINT)
     for kernel in _installed():  # numba does not see that a function of another file has changed
         kernel.unlink(missing_ok=True)
     with tempfile.TemporaryDirectory(prefix="myoface-kernels-") as name:
