@@ -21,11 +21,14 @@ from solver.registration.search import (
     Axes,
     FacePoints,
     FacePose,
+    face_points,
     find_pose,
+    judge_pose,
     refine_pose,
 )
+from solver.registration.shape_fit import LIKENESS, ShapeFit, fit_shapes, full_model, match_samples
 from solver.similarity import Similarity, fit_similarity
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, vertex_areas
 
 SCAN_SAMPLES = 60_000  # points that stand for a scan
 EXTENTS = (1e-9, 1e9)  # least and greatest extent of a scan in its own unit, whatever that is
@@ -64,19 +67,30 @@ class Location:
     forward: str  # axis of the file nearest to the subject's forward (z)
 
 
+@dataclass(frozen=True)
+class SecondLook:
+    """Costs (:class:`FacePose`) of doubtful poses, which the template's shapes decide about."""
+
+    most_cost: float = 4.0  # an open mouth between holes costs 3.3, the back of a head 3.4
+    likeness_cost: float = 2.6  # with shapes: faces up to 2.5, the back of a head 3.4
+
+
+SECOND = SecondLook()
+
+
 def locate_face(
     scan: RawScan,
     samples: Samples,
-    face: FacePoints,
+    template: Template,
     frame: Mapping[str, Any],
     marks: tuple[Floats, Floats] | None = None,
 ) -> Location:
     """Find the best place of the face in a scan, however bad, and with it unit and axes.
 
-    ``scan`` is mended, in its own unit and axes, ``samples`` are of it (:func:`scan_samples`),
-    ``face`` is the template's; ``frame`` holds the options ``unit``, ``up`` and ``forward``, as
-    :data:`FRAME`. Landmarks (``marks``), points (k, 3) of the scan and of the template, replace the
-    search: who sets them has seen a face.
+    ``scan`` is mended, in its own unit and axes, ``samples`` are of it (:func:`scan_samples`);
+    ``frame`` holds the options ``unit``, ``up`` and ``forward``, as :data:`FRAME`. Landmarks
+    (``marks``), points (k, 3) of the scan and of the template, replace the search: who sets them
+    has seen a face.
 
     Raises what :func:`check_frame` does, and ``scan.unit_unknown`` for a scan without extent.
     """
@@ -86,6 +100,8 @@ def locate_face(
         message = f"No unit makes what is in {scan.file} as large as a face."
         raise InputError("scan.unit_unknown", message, file=scan.file)
     unit, samples = str(frame["unit"]), orient_outward(samples)
+    surface = face_surface(template)
+    face = face_points(surface)
     if marks is None:
         pose = _search(face, samples, unit, scan.mm_per_unit, _given_axes(frame))
     else:
@@ -97,7 +113,7 @@ def locate_face(
     there = factor * motion.inverse()(centre[None])[0]
     return Location(
         pose=pose,
-        is_face=pose.is_face or marks is not None,
+        is_face=marks is not None or pose.is_face or _is_likeness(pose, samples, template, surface),
         unit=name,
         mm_per_unit=factor,
         size_known=factor != motion.scale,
@@ -106,6 +122,30 @@ def locate_face(
         up=_nearest_axis(motion.rotation[1]),
         forward=_nearest_axis(motion.rotation[2]),
     )
+
+
+def fit_likeness(
+    samples: Samples, motion: Similarity, template: Template, face: Surface
+) -> ShapeFit:
+    """Return the template's likeness to the person; a template without shapes as it is."""
+    skin = template.skin.vertices
+    if template.shapes is None:
+        return ShapeFit(np.zeros(0), skin, motion)
+    shapes = full_model(skin, face, template.shapes)
+    match = match_samples(samples, vertex_areas(skin, face.faces)[shapes.used])
+    return fit_shapes(match, motion, shapes, options=LIKENESS, sizes=True)
+
+
+def _is_likeness(
+    pose: FacePose, samples: Samples, template: Template, face: Surface, look: SecondLook = SECOND
+) -> bool:
+    """Tell whether a doubtful pose is a face's once the template looks like the person."""
+    if template.shapes is None or pose.cost > look.most_cost:
+        return False
+    fitted = fit_likeness(samples, pose.motion, template, face)
+    points = face_points(Surface(fitted.vertices, face.faces))
+    again = judge_pose(points, samples, KDTree(samples.points), fitted.motion)
+    return again.cost < look.likeness_cost
 
 
 def likely_scales(scan: RawScan, samples: Samples, frame: Mapping[str, Any]) -> list[float]:

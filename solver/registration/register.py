@@ -16,14 +16,7 @@ from solver.errors import InputError
 from solver.meshio.raw import RawScan
 from solver.progress import Progress, Step, silent
 from solver.registration.landmarks import find_landmarks, landmark_vertices
-from solver.registration.locate import (
-    FRAME,
-    Location,
-    face_surface,
-    locate_face,
-    location_findings,
-    scan_samples,
-)
+from solver.registration.locate import FRAME, Location, locate_face, location_findings, scan_samples
 from solver.registration.nonrigid import (
     FROM_AFAR,
     REFINE,
@@ -33,7 +26,6 @@ from solver.registration.nonrigid import (
     unfold,
 )
 from solver.registration.scan_surface import ScanSurface, check_size, scan_surface
-from solver.registration.search import face_points
 from solver.registration.shape_fit import (
     Pins,
     ShapeFit,
@@ -61,8 +53,7 @@ def find_start(
     """
     check_size(len(raw.vertices), raw.file)
     marks = landmarks and (landmarks[0], template.skin.vertices[landmarks[1]])
-    face = face_points(face_surface(template))
-    place = locate_face(raw, scan_samples(raw), face, frame, marks)
+    place = locate_face(raw, scan_samples(raw), template, frame, marks)
     for finding in location_findings(raw, place, frame):
         if finding.severity == "error":
             raise InputError(finding.code, finding.message, file=raw.file, **finding.context)

@@ -336,12 +336,16 @@ def refine_pose(
         motion = motion.then(about)
         if np.linalg.norm(about(face.points) - face.points, axis=1).max() < options.still:
             break
-    poses = (_judge_pose(face, scan, tree, each, options) for each in (start, motion))
+    poses = (judge_pose(face, scan, tree, each, options) for each in (start, motion))
     return min(poses, key=lambda pose: pose.cost)
 
 
-def _judge_pose(
-    face: FacePoints, scan: Samples, tree: KDTree, motion: Similarity, options: RefinementOptions
+def judge_pose(
+    face: FacePoints,
+    scan: Samples,
+    tree: KDTree,
+    motion: Similarity,
+    options: RefinementOptions = REFINEMENT,
 ) -> FacePose:
     """Return ``motion`` with how much of the face it finds in the scan, and how well that fits."""
     gap, near = tree.query(motion.inverse()(face.points))

@@ -25,6 +25,7 @@ from solver.registration.locate import (
     Location,
     check_frame,
     face_surface,
+    fit_likeness,
     likely_scales,
     locate_face,
     location_findings,
@@ -32,7 +33,6 @@ from solver.registration.locate import (
 )
 from solver.registration.scan_surface import Samples, estimated_normals
 from solver.registration.search import face_points
-from solver.registration.shape_fit import LIKENESS, ShapeFit, fit_shapes, full_model, match_samples
 from solver.scans.cover import FAR_MM, Cover, cover, has_second_face, visible_part
 from solver.scans.findings import (
     axis_findings,
@@ -47,8 +47,7 @@ from solver.scans.findings import (
     with_advice,
 )
 from solver.scans.mouth import closed_eyes, lip_gap, roughness, spikes
-from solver.similarity import Similarity
-from solver.surface import Floats, Surface, area_normals, unit_rows, vertex_areas
+from solver.surface import Floats, Surface, area_normals, unit_rows
 
 # Margins below and above the face along x, y, z: of the part that is looked at closely, and of the
 # head without neck and shoulders.
@@ -107,7 +106,7 @@ def _check(
     if landmarks is not None:
         unit = str(frame["unit"])
         marking, marks = landmark_findings(landmarks, template, scan, samples, unit)
-    place = locate_face(scan, samples, face, frame, marks)
+    place = locate_face(scan, samples, template, frame, marks)
     result.scan = scan
     result.figures |= {
         "coverage": round(place.pose.coverage, 3),
@@ -166,7 +165,7 @@ def _look_closer(
     """Add what the face lacks, its noise and spikes, its mouth and eyes."""
     around = _around(place.pose.motion(samples.points), face, AROUND_FACE_MM)
     near = Samples(samples.points[around], samples.normals[around], samples.oriented)
-    fitted = _fit_roughly(near, place.pose.motion, template, face)
+    fitted = fit_likeness(near, place.pose.motion, template, face)
     motion = fitted.motion
     size = place.mm_per_unit / motion.scale
     seen = cover(near.transform(motion), fitted.vertices, template, face)
@@ -188,16 +187,6 @@ def _look_closer(
         "lip_gap_mm": gap,
         "spikes": int(marked.sum()),
     }
-
-
-def _fit_roughly(scan: Samples, motion: Similarity, template: Template, face: Surface) -> ShapeFit:
-    """Return the template's likeness to the person; a template without shapes as it is."""
-    skin = template.skin.vertices
-    if template.shapes is None:
-        return ShapeFit(np.zeros(0), skin, motion)
-    shapes = full_model(skin, face, template.shapes)
-    match = match_samples(scan, vertex_areas(skin, face.faces)[shapes.used])
-    return fit_shapes(match, motion, shapes, options=LIKENESS, sizes=True)
 
 
 def _around(points: Floats, face: Surface, margins: Floats) -> NDArray[np.bool_]:

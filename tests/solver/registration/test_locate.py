@@ -82,8 +82,7 @@ def crop(head: Surface, kind: str, rng: np.random.Generator) -> Surface:
 
 def locate(scan: RawScan, frame: dict[str, str] = FRAME) -> Location:
     mended, _ = mend(scan)
-    face = face_points(face_surface(template()))
-    return locate_face(mended, scan_samples(mended), face, frame)
+    return locate_face(mended, scan_samples(mended), template(), frame)
 
 
 @pytest.mark.parametrize(
@@ -165,11 +164,33 @@ def test_landmarks_replace_the_search(tmp_path: Path) -> None:
     scan, _ = mend(raw_scan(head.vertices @ turn.T / 10, head.faces))
     points = head.vertices[vertices] @ turn.T / 10
     marks = points, template().skin.vertices[vertices]
-    face = face_points(face_surface(template()))
-    found = locate_face(scan, scan_samples(scan), face, FRAME, marks)
+    found = locate_face(scan, scan_samples(scan), template(), FRAME, marks)
     assert found.is_face
     assert found.unit == "cm"
     assert found.motion.then(Similarity(1.0, turn, np.zeros(3))).degrees < 6.0
+
+
+@pytest.mark.parametrize("number", [6, 26])
+def test_an_open_mouth_between_holes_is_a_face(number: int) -> None:
+    """Its rigid fit is no better than that of the back of a head, its likeness is."""
+    rng = np.random.default_rng(number)
+    shapes = template().shapes
+    assert shapes is not None
+    who = 0.8 * rng.standard_normal(len(shapes.identity))
+    vertices = template().skin.vertices + np.tensordot(who, shapes.identity, 1)
+    vertices += shapes.expressions[shapes.expression_names.index("jawOpen")]
+    seen = crop(template().skin.moved(vertices), "holes", rng)
+    found = locate(raw_scan(seen.vertices, seen.faces))
+    assert found.is_face
+    assert not found.pose.is_face
+    assert found.motion.degrees < 12.0
+
+
+def test_the_back_of_a_head_is_no_face() -> None:
+    skin = template().skin
+    depth = skin.vertices[:, 2]
+    behind = (depth < np.quantile(depth, 0.45))[skin.faces].all(axis=1)
+    assert not locate(raw_scan(skin.vertices, skin.faces[behind])).is_face
 
 
 def test_without_a_face_the_finding_says_so() -> None:
