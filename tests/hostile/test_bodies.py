@@ -78,6 +78,15 @@ def test_large_bodies_are_refused_on_every_route_but_an_uploads(http: httpx.Clie
         _refused(http.request(method, path, content=large, headers=JSON), 413, "request.too_large")
 
 
+def test_a_body_of_unsaid_length_is_cut_off_at_its_limit(http: httpx.Client) -> None:
+    start, end = b'{"name": "Alex", "external_id": "', b'"}'
+    most = bodies.MOST_BYTES - len(start) - len(end)
+    for more, status, code in ((0, 422, "request.invalid"), (1, 413, "request.too_large")):
+        body = start + b"x" * (most + more) + end
+        parts = iter([body[:50_000], body[50_000:]])
+        _refused(http.post("/v1/subjects", content=parts, headers=JSON), status, code)
+
+
 def test_a_foreign_page_may_read_nothing_and_order_nothing(http: httpx.Client) -> None:
     for site in ("cross-site", "same-site"):
         answer = http.post("/v1/jobs/x/cancel", headers={"Sec-Fetch-Site": site})
