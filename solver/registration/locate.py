@@ -71,8 +71,9 @@ class Location:
 class SecondLook:
     """Costs (:class:`FacePose`) of doubtful poses, which the template's shapes decide about."""
 
-    most_cost: float = 4.0  # an open mouth between holes costs 3.3, the back of a head 3.4
+    most_cost: float = 4.0  # an open mouth between holes costs up to 3.6, as the back of a head
     likeness_cost: float = 2.6  # with shapes: faces up to 2.5, the back of a head 3.4
+    shapeless_cost: float = 3.45  # without shapes; the back of a head costs 3.56 then
 
 
 SECOND = SecondLook()
@@ -140,7 +141,9 @@ def _is_likeness(
     pose: FacePose, samples: Samples, template: Template, face: Surface, look: SecondLook = SECOND
 ) -> bool:
     """Tell whether a doubtful pose is a face's once the template looks like the person."""
-    if template.shapes is None or pose.cost > look.most_cost:
+    if template.shapes is None:
+        return pose.cost < look.shapeless_cost
+    if pose.cost > look.most_cost:
         return False
     fitted = fit_likeness(samples, pose.motion, template, face)
     points = face_points(Surface(fitted.vertices, face.faces))
