@@ -94,7 +94,7 @@ class Keyring:
 
     def known_tenant(self, text: str) -> str | None:
         """Return the tenant of a key that has worked here lately; asks no table."""
-        return self._lookups and self._lookups.known_tenant(self._hash(text))
+        return None if self._lookups is None else self._lookups.known_tenant(self._hash(text))
 
     def _look_up(self, key_id: str, key_hash: str) -> Principal:
         with self._store.read() as session:
