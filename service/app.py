@@ -149,7 +149,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         app.include_router(router)
     _describe_problems(app)
     app.add_middleware(RateHeaders)
-    http.install(app, settings)
+    http.install(app, keyring, settings)
     metrics.install(app, store, settings)
     check_parts(app)
     return app

@@ -66,10 +66,10 @@ def faulty(
 
     The first are told, the others counted; ``at_least`` says that there may be still more.
     """
-    told = faults[:MOST_FAULTS]
-    errors = [{"where": shorten(where), "message": shorten(message)} for where, message in told]
+    first = faults[:MOST_FAULTS]
+    errors = [{"where": shorten(where), "message": shorten(message)} for where, message in first]
     detail = f"{errors[0]['where']}: {errors[0]['message']}" if errors else "invalid request"
-    if left_out := len(faults) - len(told):
+    if left_out := len(faults) - len(first):
         count = f"at least {left_out}" if at_least else str(left_out)
         errors.append({"where": "", "message": f"and {count} more"})
     return Problem(status, code, detail, errors=errors)

@@ -15,7 +15,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from service.errors import Problem
-from service.store.database import clock
+from service.store.database import Store, clock
 from service.store.models import AnsweredRequest
 from service.store.tenancy import tenant_of
 
@@ -28,6 +28,11 @@ class RequestAttempt:
         self._line = line
         self._kept: AnsweredRequest | None = None
 
+    def is_answered(self, store: Store, body: BaseModel) -> bool:
+        """Return whether an earlier sending made something; takes nothing, and waits for nobody."""
+        with store.read() as session:
+            return self._look_up(session, self._fingerprint(body)) is not None
+
     def find_answered(self, session: Session, body: BaseModel | None = None) -> str | None:
         """Return the id that an earlier sending made; None: this is the first.
 
@@ -36,19 +41,27 @@ class RequestAttempt:
         Problem
             422 if the key came with another request, 409 if that one is being served.
         """
+        fingerprint = self._fingerprint(body)
+        found = self._look_up(session, fingerprint)
+        if found is None and self._key is not None:
+            self._reserve(session, fingerprint)
+        return found
+
+    def _look_up(self, session: Session, fingerprint: str) -> str | None:
         if self._key is None:
             return None
-        content = f"{self._line}\n{body.model_dump_json() if body else ''}"
-        fingerprint = hashlib.sha256(content.encode()).hexdigest()
         found = session.get(AnsweredRequest, (tenant_of(session), self._key))
         if found is None:
-            self._reserve(session, fingerprint)
             return None
         if found.fingerprint != fingerprint:
             raise Problem(
                 422, "idempotency.conflict", "this Idempotency-Key came with another request"
             )
         return found.object_id
+
+    def _fingerprint(self, body: BaseModel | None) -> str:
+        content = f"{self._line}\n{body.model_dump_json() if body else ''}"
+        return hashlib.sha256(content.encode()).hexdigest()
 
     def keep(self, session: Session, object_id: str) -> None:
         """Note what this sending made."""

@@ -90,7 +90,7 @@ class Settings(BaseSettings):
     max_connections: int = Field(
         default=512,
         ge=2,
-        description="of an API process; half of them at most have shown no key, three quarters one",
+        description="per API process; at most 1/2 anonymous, at most 3/4 authenticated",
     )
     max_address_connections: int = Field(
         default=128,
@@ -196,6 +196,11 @@ class Settings(BaseSettings):
         """
         own: int | None = getattr(self, f"max_{kind.queue}_seconds")
         return own or kind.max_seconds + int(input_bytes / self.min_read_rate)
+
+    @property
+    def sweeper_term(self) -> float:
+        """Seconds for which a round of the sweeper shows that it, and its worker, lives."""
+        return 3 * self.sweep
 
     @property
     def admin_key(self) -> Path:

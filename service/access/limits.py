@@ -241,14 +241,14 @@ class _Buckets:
 class KeyLookups:
     """Limit on the keys that an address tries, in this process: guessing costs looks into a table.
 
-    Keys that have opened something lately, by their hash, are not counted.
+    Keys that have opened something lately, by their hash, are not counted; their tenant is known.
     """
 
     def __init__(self, per_minute: int) -> None:
         self._limit = per_minute
         self._tries = _Buckets()
         self._lock = threading.Lock()
-        self._known: OrderedDict[str, None] = OrderedDict()
+        self._known: OrderedDict[str, str] = OrderedDict()
 
     def check(self, address: str, key_hash: str) -> None:
         """Count a key that comes from an address.
@@ -258,9 +258,8 @@ class KeyLookups:
         Problem
             429 if too many came that are not known here.
         """
-        with self._lock:
-            if key_hash in self._known:
-                return
+        if self.known_tenant(key_hash) is not None:
+            return
         allowed, [left] = self._tries.take([address], [self._limit])
         if not allowed:
             detail = f"more than {self._limit} keys a minute came from this address"
@@ -268,12 +267,17 @@ class KeyLookups:
             problem.headers = {"Retry-After": str(Verdict(allowed, self._limit, left).wait)}
             raise problem
 
-    def note(self, key_hash: str, opens: bool) -> None:
-        """Remember a key that opens something, forget one that does not."""
+    def known_tenant(self, key_hash: str) -> str | None:
+        """Return the tenant of a key that has opened something lately."""
+        with self._lock:
+            return self._known.get(key_hash)
+
+    def note(self, key_hash: str, tenant_id: str | None) -> None:
+        """Remember a key that opens something of a tenant's, forget one that opens nothing."""
         with self._lock:
             self._known.pop(key_hash, None)
-            if opens:
-                self._known[key_hash] = None
+            if tenant_id is not None:
+                self._known[key_hash] = tenant_id
             while len(self._known) > MOST_BUCKETS:
                 self._known.popitem(last=False)
 

@@ -12,7 +12,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from service.errors import Problem
 
-# Name in a request's state of the function that its connection wants the tenant told by
+# Key in `request.state`: callback by which the connection learns whose request it carries
 AUTHENTICATED = "note_authenticated"
 
 

@@ -3,7 +3,8 @@
 Nobody's body is read before the request has shown something of a key's form: no route takes one
 without. An upload's bytes are not held in memory. They may take as long as they keep a least rate;
 every other body is small and has one time limit for the whole of it. Long ones are dealt with one
-after the other: several at a time would leave little of the processor to everybody else.
+after the other until their answers begin: several at a time would leave little of the processor to
+everybody else.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import math
 import re
 import time
 from collections import deque
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import ExitStack, asynccontextmanager
 from typing import Any
 
 from anyio import Event, move_on_after, to_thread
@@ -23,7 +24,7 @@ from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.access.keys import check_text
+from service.access.keys import Keyring, check_text
 from service.access.principal import missing_problem
 from service.errors import Problem, render
 
@@ -31,6 +32,8 @@ UPLOAD = re.compile(r"/v1/uploads/[^/]+")
 # Routes with scenes and with a session's scans
 LARGER = re.compile(r"/v1/(jobs(/[^/]+(/retry)?)?|batches)")
 MOST_BYTES, MOST_BYTES_LARGER = 64 * 1024, 1024**2
+# Methods that no route reads a body of
+BODILESS = frozenset({"GET", "HEAD"})
 # A body above it is parsed in a thread, and waits for its turn: others are answered meanwhile
 LONG_BYTES = 16 * 1024
 DISCONNECT: Message = {"type": "http.disconnect"}
@@ -46,15 +49,17 @@ _UNICODE_FAULT = re.compile("[\x00\ud800-\udfff]")
 class Bodies:
     """Receives bodies as large as their route needs, within ``seconds``.
 
-    An upload's bytes are passed on as they come, as long as the client, given ``seconds`` in
-    advance, sends at least ``min_rate`` bytes a second.
+    A long one then waits for its turn, which tenants of ``keyring`` take, for as long at most. An
+    upload's bytes are passed on as they come, as long as the client, given ``seconds`` in advance,
+    sends at least ``min_rate`` bytes a second.
     """
 
-    def __init__(self, app: ASGIApp, seconds: float, min_rate: float) -> None:
+    def __init__(self, app: ASGIApp, keyring: Keyring, seconds: float, min_rate: float) -> None:
         self._app = app
+        self._keyring = keyring
         self._seconds = seconds
         self._min_rate = min_rate
-        self._turns = _Turns()
+        self._turns = _Turns(seconds)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -77,10 +82,32 @@ class Bodies:
         if body is None:
             return  # the client has gone: half an order is none
         if len(body) > LONG_BYTES:
-            async with self._turns.of(Headers(scope=scope).get("authorization", "")):
-                await self._serve(body, scope, receive, send)
+            await self._serve_in_turn(body, scope, receive, send)
         else:
             await self._serve(body, scope, receive, send)
+
+    async def _serve_in_turn(self, body: bytes, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a long body; an answer may take for ever to be read, and does so without a turn."""
+        try:
+            async with self._turns.of(self._owner(scope)) as give_back:
+
+                async def send_without_turn(message: Message) -> None:
+                    give_back()
+                    await send(message)
+
+                await self._serve(body, scope, receive, send_without_turn)
+        except _NoTurnError:
+            problem = Problem(503, "request.busy", "too many long bodies wait; send it again")
+            problem.headers = {"Retry-After": "5"}
+            await render(Request(scope).state.request_id, problem)(scope, receive, send)
+
+    def _owner(self, scope: Scope) -> tuple[str, str]:
+        """Return whose turn it is: the tenant's of a key that has worked, or else the address's."""
+        text = Headers(scope=scope).get("authorization", "").partition(" ")[2].strip()
+        if tenant_id := self._keyring.known_tenant(text):
+            return "tenant", tenant_id
+        client = scope.get("client")
+        return "address", client[0] if client else ""
 
     async def _serve(self, body: bytes, scope: Scope, receive: Receive, send: Send) -> None:
         try:
@@ -129,44 +156,54 @@ class Bodies:
             await render(Request(scope).state.request_id, problem)(scope, receive, send)
 
 
-class _Turns:
-    """Lets one request of a long body in at a time; of those who wait, the keys take turns."""
+class _NoTurnError(Exception):
+    """A request whose turn did not come in time."""
 
-    def __init__(self) -> None:
+
+class _Turns:
+    """Lets one request of a long body in at a time; those who wait do so for ``seconds`` at most.
+
+    Of those who wait, their owners take turns.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
         self._is_taken = False
-        self._waiting: dict[str, deque[Event]] = {}
+        self._waiting: dict[tuple[str, str], deque[Event]] = {}
 
     @asynccontextmanager
-    async def of(self, key: str) -> AsyncIterator[None]:
-        """Wait for a turn of a key, and have it."""
+    async def of(self, owner: tuple[str, str]) -> AsyncIterator[Callable[[], None]]:
+        """Wait for a turn and have it; gives what gives it back, the first time it is called."""
         if self._is_taken:
-            await self._wait(key)
+            with move_on_after(self._seconds) as patience:
+                await self._wait(owner)
+            if patience.cancelled_caught:
+                raise _NoTurnError
         self._is_taken = True
-        try:
-            yield
-        finally:
-            self._pass_on()
+        with ExitStack() as turn:
+            turn.callback(self._pass_on)
+            yield turn.close
 
-    async def _wait(self, key: str) -> None:
+    async def _wait(self, owner: tuple[str, str]) -> None:
         called = Event()
-        self._waiting.setdefault(key, deque()).append(called)
+        self._waiting.setdefault(owner, deque()).append(called)
         try:
             await called.wait()
-        except BaseException:  # the server stops
+        except BaseException:  # it takes too long, or the server stops
             if called.is_set():
                 self._pass_on()
             else:
-                self._waiting[key].remove(called)
+                self._waiting[owner].remove(called)
             raise
 
     def _pass_on(self) -> None:
-        """Call the next, if there is one; its key is the last from then on."""
+        """Call the next, if there is one; its owner is the last from then on."""
         while self._waiting:
-            key = next(iter(self._waiting))
-            waiting = self._waiting.pop(key)
+            owner = next(iter(self._waiting))
+            waiting = self._waiting.pop(owner)
             if waiting:
                 waiting.popleft().set()
-                self._waiting[key] = waiting
+                self._waiting[owner] = waiting
                 return
         self._is_taken = False
 
@@ -198,7 +235,7 @@ class _BodySender:
 
 
 def _refuse_unread(scope: Scope) -> Problem | None:
-    """Return why a body is not read at all: it comes without a key, or says that it is too large.
+    """Return why a body is not read at all: it has no key, says it is too large, or has no reader.
 
     The key need only look like one: whose it is, the route asks.
     """
@@ -216,6 +253,8 @@ def _refuse_unread(scope: Scope) -> Problem | None:
     is_upload = scope["method"] == "PATCH" and UPLOAD.fullmatch(scope["path"])
     if not is_upload and length.isdecimal() and int(length) > _limit(scope):
         return _too_large(_limit(scope))
+    if scope["method"] in BODILESS:
+        return _closing(Problem(400, "request.body", f"a {scope['method']} has no body here"))
     return None
 
 

@@ -82,6 +82,12 @@ class DeadlineProtocol(H11Protocol):
         else:
             self._start()
 
+    def handle_events(self) -> None:
+        """Serve what has arrived; a request has begun before its key is looked up."""
+        super().handle_events()
+        if self._busy():
+            self.slots.begin(self)
+
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clock."""
         super().connection_lost(exc)

@@ -77,6 +77,11 @@ class ConnectionSlots(Generic[Connection]):
             return self._free(self._first_to_go(most))
         return None
 
+    def begin(self, connection: Connection) -> None:
+        """Note that a request has begun, whosever it is: the connection is not idle."""
+        if connection in self._addresses:
+            self._busy.add(connection)
+
     def rest(self, connection: Connection) -> None:
         """Note that a connection's request has been answered: it is idle from now on."""
         self._busy.discard(connection)

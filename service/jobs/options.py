@@ -26,7 +26,7 @@ FAR = 500
 MOST_STEPS = 250_000
 # Steps of a frame where a scene says nothing, by its mode
 STEPS = {"quasi_static": 1, "dynamic": 4}
-# Of a quick schema, what its parts are told
+# Overrides by core-schema type for the fast validator
 QUICK = {"list": {"fail_fast": True}, "default": {"copy_default": False}}
 
 
@@ -91,7 +91,7 @@ def _find_faults(
     places = [_numbers(each["loc"]) for each in error.errors(include_url=False)]
     numbers = max(places, default=())
     around = [] if max(numbers, default=0) > FAR else kind.faults(_cut(options, numbers))
-    return [(fault.where, fault.message) for fault in around or kind.tell(error, options)]
+    return [(fault.where, fault.message) for fault in around or kind.explain(error, options)]
 
 
 def _numbers(place: Sequence[str | int]) -> tuple[int, ...]:

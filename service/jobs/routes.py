@@ -50,7 +50,8 @@ def create(
     settings: SettingsDep,
 ) -> JobView:
     """Queue a piece of work; `PUT` is the same and can be repeated safely."""
-    service.check(store, new)
+    if not once.is_answered(store, new):
+        service.check(store, new)
     if (known := once.find_answered(session, new)) is not None:
         return _view(session, known, settings)
     job, _ = service.submit(session, new, settings.max_attempts)
@@ -77,7 +78,8 @@ def put(
     settings: SettingsDep,
 ) -> JobView:
     """Queue a piece of work once, however often it is asked for (a UUID made by the caller)."""
-    service.check(store, new)
+    if not service.exists(store, job_id):
+        service.check(store, new)
     try:
         is_new = _submit(store, new, settings.max_attempts, job_id, who)
     except IntegrityError:  # another request with this id committed first: find its job

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import threading
 from typing import Any
 
 from pydantic import ValidationError
@@ -24,8 +25,10 @@ from service.store.models import FrameChunk, Job, new_id
 from service.subjects import repository as subjects
 from solver.kinds import KINDS
 
-# Bytes of a file of frames, into which a solver writes 30 at most, and bytes read for an answer
-LARGEST_CHUNK, MOST_READ = 64 * 1024**2, 64 * 1024**2
+# Bytes of a file of frames, and of those read for an answer: 30 frames of a full face take 4 MB
+LARGEST_CHUNK, MOST_READ = 16 * 1024**2, 16 * 1024**2
+# Requests of a process that hold files of frames at a time: one takes some four times its bytes
+READING = threading.Semaphore(2)
 # Values of one: vertices are packed, so that a frame has some hundred
 MOST_VALUES = 1_000_000
 # Files of frames, the newest, that are looked at for a picture
@@ -38,6 +41,12 @@ def check(store: Store, new: NewJob) -> None:
     with store.read() as session:
         subjects.get(session, new.subject_id)
     check_options(new.kind, new.options)
+
+
+def exists(store: Store, job_id: str) -> bool:
+    """Return whether the tenant has a job of this id."""
+    with store.read() as session:
+        return session.get(Job, job_id) is not None
 
 
 def submit(
@@ -113,6 +122,11 @@ def cancel(session: Session, job_id: str, order: Cancel) -> None:
 def read_frames(session: Session, store: Store, job_id: str, start: int, limit: int) -> FramesView:
     """Return the frames from the ``start``-th on, at most ``limit``, of few large files fewer."""
     _check_frames(session, job_id)
+    with READING:
+        return _read_frames(session, store, job_id, start, limit)
+
+
+def _read_frames(session: Session, store: Store, job_id: str, start: int, limit: int) -> FramesView:
     chunks = table.frames(session, job_id)
     found: list[Any] = []
     room = MOST_READ
@@ -135,7 +149,9 @@ def newest_picture(session: Session, store: Store, job_id: str) -> bytes | None:
     """Return a JPEG of the newest frame that has one, None before there is any."""
     _check_frames(session, job_id)
     for chunk in table.frames(session, job_id)[: -MOST_LOOKED_AT - 1 : -1]:
-        if picture := _parse_chunk(chunk, _read_chunk(store, chunk)).get("picture"):
+        with READING:
+            picture = _parse_chunk(chunk, _read_chunk(store, chunk)).get("picture")
+        if picture:
             try:
                 return base64.b64decode(picture)
             except (TypeError, ValueError) as error:
@@ -143,21 +159,21 @@ def newest_picture(session: Session, store: Store, job_id: str) -> bytes | None:
     return None
 
 
-def _read_chunk(store: Store, chunk: FrameChunk) -> bytes:
+def _read_chunk(store: Store, chunk: FrameChunk) -> bytearray:
     """Return the bytes of a file of frames; a problem if it is lost, damaged or too large."""
     content = bytearray()
     try:
         for block in open_checked(store.files, chunk.sha256):
-            content += block
-            if len(content) > LARGEST_CHUNK:
+            if len(content) + len(block) > LARGEST_CHUNK:
                 raise _bad_frames(chunk.job_id)
+            content += block
     except LostFileError as error:
         note_fault(store, error.sha256, error.fault)
         raise lost(chunk.filename, error.fault, job_id=chunk.job_id) from error
-    return bytes(content)
+    return content
 
 
-def _parse_chunk(chunk: FrameChunk, content: bytes) -> dict[str, Any]:
+def _parse_chunk(chunk: FrameChunk, content: bytearray) -> dict[str, Any]:
     """Return what a file of frames holds: a solver wrote it, which may have been taken over."""
     if content.count(b",") > MOST_VALUES:  # a list of numbers takes many times its text
         raise _bad_frames(chunk.job_id)

@@ -174,10 +174,10 @@ def _turns(
     """Return the turns of a tenant's first waiting jobs, at most so many."""
     if most <= 0:
         return []
-    due = or_(JOBS.not_before.is_(None), JOBS.not_before <= moment)
     first = (
         select(JOBS.created_at, JOBS.id)
-        .where(JOBS.queue == queue, JOBS.state == State.QUEUED, JOBS.tenant_id == tenant_id, due)
+        .where(JOBS.queue == queue, JOBS.state == State.QUEUED, JOBS.tenant_id == tenant_id)
+        .where(is_due(JOBS, moment))
         .order_by(*own_order(JOBS))
         .limit(most)
     )

@@ -304,7 +304,7 @@ def _waiting(moment: datetime, before: int) -> Any:
     delivery_id = (
         select(Delivery.id)
         .where(Delivery.webhook_id == Webhook.id, *_free(moment))
-        .order_by(Delivery.next_at)
+        .order_by(Delivery.next_at, Delivery.id)
         .limit(1)
         .offset(before)
         .correlate(Webhook)

@@ -22,8 +22,8 @@ BATCH = 1000
 # Office of the worker that sweeps
 SWEEPER = "sweeper"
 
-# An office's end lies at most so many terms ahead: another holder's settings may be others
-LONGEST_TERMS = 2
+# An office ends at most so many of one's own terms ahead: another host's may be longer
+MOST_OFFICE_TERMS = 2
 
 MOST_FILES = 200
 UNMEASURED = (
@@ -39,7 +39,7 @@ def hold_office(session: Session, office: str, holder: str, seconds: float) -> b
     """
     moment = clock(session)
     until = moment + timedelta(seconds=seconds)
-    too_late = moment + LONGEST_TERMS * timedelta(seconds=seconds)
+    too_late = moment + MOST_OFFICE_TERMS * timedelta(seconds=seconds)
     mine_or_free = (Lease.holder == holder) | (Lease.until < moment) | (Lease.until > too_late)
     taken = session.execute(
         update(Lease)

@@ -33,11 +33,11 @@ from service.store.models import (
 WORKER_LOST = "worker_lost"
 # Progress events kept of a job that is over
 MOST_STEPS_KEPT = 200
-# Of one that runs: of more every other one goes, of those of one beat all but the last
+# Of a running job: above the first, every other one goes; of one beat, the last are kept
 MOST_STEPS, MOST_STEPS_OF_BEAT = 2000, 50
 SHORTEST_WAIT, LONGEST_WAIT = timedelta(seconds=5), timedelta(minutes=5)
-# A lease ends at most so many terms ahead: another host's settings may be others
-LONGEST_TERMS = 10
+# A lease ends at most so many of one's own terms ahead, or so long: another host's may be longer
+MOST_LEASE_TERMS, LONGEST_LEASE = 10, timedelta(hours=1)
 # Longest wait for room on a full disk before the job fails
 WAIT_FOR_ROOM = timedelta(hours=1)
 
@@ -242,7 +242,7 @@ def has_run_out(moment: datetime, lease: float) -> ColumnElement[bool]:
 
     One that ends further ahead than anybody takes it is over, too: the clock has been set back.
     """
-    latest = moment + LONGEST_TERMS * timedelta(seconds=lease)
+    latest = moment + max(MOST_LEASE_TERMS * timedelta(seconds=lease), LONGEST_LEASE)
     return or_(Job.lease_until < moment, Job.lease_until > latest)
 
 
@@ -321,14 +321,14 @@ def _record_progress(
 
 
 def _thin_progress(session: Session, job_id: str, most: int, kept: int) -> None:
-    """Keep every n-th of more than ``most`` reports of progress: at most ``kept``."""
+    """Keep the newest and every n-th before it, of more than ``most`` reports: at most ``kept``."""
     reports = (Event.job_id == job_id, Event.kind == "progress")
     count = session.scalar(select(func.count()).select_from(Event).where(*reports)) or 0
     if count > most:
         every = -(-count // kept)
-        number = func.row_number().over(order_by=Event.id).label("number")
+        number = func.row_number().over(order_by=Event.id.desc()).label("number")
         numbered = select(Event.id, number).where(*reports).subquery()
-        superfluous = select(numbered.c.id).where(numbered.c.number % every != 0)
+        superfluous = select(numbered.c.id).where((numbered.c.number - 1) % every != 0)
         session.execute(
             delete(Event)
             .where(Event.id.in_(superfluous))

@@ -198,7 +198,7 @@ def _stuck(session: Session, moment: datetime, settings: Settings) -> Iterator[M
     text = "Webhook deliveries that no receiver has taken yet"
     yield GaugeMetricFamily("myoface_deliveries_pending", text, value=pending or 0)
     until = session.scalar(select(Lease.until).where(Lease.office == SWEEPER))
-    term = timedelta(seconds=3 * settings.sweep)
+    term = timedelta(seconds=settings.sweeper_term)
     ago = math.inf if until is None else (moment - (until - term)).total_seconds()
     text = "Time since the sweeper's last round, infinite if there was none"
     yield GaugeMetricFamily("myoface_sweeper_last_round_seconds", text, value=ago)

@@ -92,7 +92,7 @@ def _answer(
 
 def living_workers(store: Store, settings: Settings) -> list[WorkerView]:
     """Return the workers seen lately, by name."""
-    age = timedelta(seconds=3 * settings.sweep)
+    age = timedelta(seconds=settings.sweeper_term)
     with store.read() as session:
         seen = select(Worker).where(Worker.seen_at > clock(session) - age).order_by(Worker.name)
         return [WorkerView.model_validate(worker) for worker in session.scalars(seen)]

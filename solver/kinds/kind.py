@@ -96,7 +96,7 @@ class Kind:
         try:
             return self.options.model_validate(given)
         except ValidationError as error:
-            raise OptionsError(self.tell(error, given)) from error
+            raise OptionsError(self.explain(error, given)) from error
 
     def faults(self, given: Mapping[str, Any]) -> list[Fault]:
         """Return what is wrong with options."""
@@ -106,7 +106,7 @@ class Kind:
             return error.faults
         return []
 
-    def tell(self, error: ValidationError, given: Mapping[str, Any]) -> list[Fault]:
+    def explain(self, error: ValidationError, given: Mapping[str, Any]) -> list[Fault]:
         """Return the faults of options that a reader of them found, by their places.
 
         Unknown options come first, in words that name the known.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -96,3 +97,24 @@ def test_who_sends_a_body_without_a_key_is_told_so_at_once(port: int) -> None:
         answer, seconds = until_closed(connection)
     assert answer.startswith(b"HTTP/1.1 401")
     assert seconds < 10
+
+
+def test_a_request_that_is_being_received_is_not_idle(port: int, keys: dict[str, str]) -> None:
+    receiving = _with_key(port, keys["default"])
+    body = b'{"name": "Alex"}'
+    head = (
+        "POST /v1/subjects HTTP/1.1",
+        "Host: 127.0.0.1",
+        f"Authorization: Bearer {keys['default']}",
+        "Content-Type: application/json",
+        f"Content-Length: {len(body)}",
+        "Connection: close",
+    )
+    receiving.sendall("\r\n".join((*head, "", "")).encode() + body[:5])
+    time.sleep(0.2)  # until the service has the head
+    idle = [_with_key(port, keys["default"]) for _ in range(12)]  # as many as a tenant may have
+    until_closed(idle[0])
+    receiving.sendall(body[5:])
+    assert b"HTTP/1.1 201" in until_closed(receiving)[0]
+    for connection in (receiving, *idle):
+        connection.close()

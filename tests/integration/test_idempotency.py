@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import threading
+import uuid
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
+from service.errors import Problem
+from service.jobs import service as jobs
 from service.settings import Settings
 from tests.service_client import Studio, served
 
@@ -112,3 +115,23 @@ def test_many_at_a_time_make_one(tmp_path: Path) -> None:
         assert codes <= {"idempotency.in_flight"}
         names = [each["name"] for each in studio.get("/v1/subjects")["items"]]
         assert names.count("Ada") == 1
+
+
+def test_a_repetition_is_answered_though_its_options_would_be_refused_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with served(Settings(data_dir=tmp_path)) as studio:
+        body = {"kind": "build_model", "subject_id": studio.subject()}
+        path = f"/v1/jobs/{uuid.uuid4()}"
+        put, posted = studio.http.put(path, json=body), _post(studio, "/v1/jobs", "k", **body)
+        assert (put.status_code, posted.status_code) == (201, 201)
+
+        def refuse(*_: Any) -> None:
+            raise Problem(422, "job.options", "an upgrade has tightened an option")
+
+        monkeypatch.setattr(jobs, "check_options", refuse)
+        again = studio.http.put(path, json=body)
+        assert (again.status_code, again.json()["id"]) == (200, put.json()["id"])
+        again = _post(studio, "/v1/jobs", "k", **body)
+        assert (again.status_code, again.json()["id"]) == (201, posted.json()["id"])
+        assert _post(studio, "/v1/jobs", "other", **body).status_code == 422

@@ -8,6 +8,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service.queue import sweep, table
@@ -17,7 +18,7 @@ from service.queue.table import Claim
 from service.settings import Settings
 from service.store import retention
 from service.store.database import Store, clock
-from service.store.models import DEFAULT_TENANT, Job, Lease, Subject, Tenant
+from service.store.models import DEFAULT_TENANT, Event, Job, Lease, Subject, Tenant
 from tests.service_client import running, served
 
 pytestmark = pytest.mark.telling
@@ -68,7 +69,7 @@ def test_a_clock_that_is_set_back_holds_up_no_job(store: Store) -> None:
     with store.write() as session:
         claim = _claim(session, "dead", 30)
         assert claim
-        session.get_one(Job, job_id).lease_until = clock(session) + timedelta(hours=1)
+        session.get_one(Job, job_id).lease_until = clock(session) + timedelta(hours=2)
     with store.write() as session:
         sweep.expire_leases(session, 30)
         job = session.get_one(Job, job_id)
@@ -85,6 +86,27 @@ def test_a_clock_that_is_set_back_holds_up_no_job(store: Store) -> None:
     with store.write() as session:
         sweep.expire_leases(session, 30)  # of who holds it now
         assert session.get_one(Job, job_id).state is State.RUNNING
+
+
+def test_a_longer_lease_of_another_host_s_is_no_clock_set_back(store: Store) -> None:
+    job_id = _queue(store)
+    with store.write() as session:
+        assert _claim(session, "other host", 1200)
+        sweep.expire_leases(session, 30)
+        assert session.get_one(Job, job_id).state is State.RUNNING
+
+
+def test_thinning_keeps_the_newest_report(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table, "MOST_STEPS", 10)
+    job_id = _queue(store)
+    with store.write() as session:
+        claim = _claim(session, "w", 30)
+        assert claim
+        steps = [{"phase": str(number), "fraction": 0.5} for number in range(11)]
+        table.beat(session, job_id, claim.attempt, 30, steps=steps)
+        reports = select(Event).where(Event.job_id == job_id, Event.kind == "progress")
+        kept = [each.data["phase"] for each in session.scalars(reports.order_by(Event.id))]
+    assert kept == ["1", "4", "7", "10"]
 
 
 def test_a_lost_attempt_is_fenced_off(store: Store) -> None:

@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 from service.queue import claims, outbox
 from service.queue.claims import Abilities, claim_next, positions
 from service.settings import Settings
-from service.store.database import Store
+from service.store.database import Store, clock
 from service.store.models import Delivery, Job, Subject, Tenant, Webhook, WebhookEvent, now
 
 FEW, MANY = 200, 3000
@@ -148,3 +148,13 @@ def test_a_place_is_told_when_it_is_near(store: Store, monkeypatch: pytest.Monke
         found = positions(session, jobs)
     assert sorted(found.values()) == list(range(1, 8))
     assert [found.get(job.id) is None for job in jobs] == [*[False] * 5, *[True] * 15, *[False] * 2]
+
+
+def test_a_job_put_off_before_the_clock_was_set_back_has_a_place(store: Store) -> None:
+    _queue(store, "small", 2)
+    with store.write() as session:
+        jobs = session.scalars(select(Job).order_by(Job.created_at)).all()
+        jobs[0].not_before = clock(session) + timedelta(minutes=1)  # put off
+        jobs[1].not_before = clock(session) + timedelta(hours=1)  # for longer than anybody is
+        session.flush()
+        assert positions(session, jobs) == {jobs[1].id: 1}

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -188,3 +190,32 @@ def test_an_answer_reads_so_many_files_at_most(
     opened.clear()
     assert simulation.ask("/picture")[0] == 204
     assert len(opened) == work.MOST_LOOKED_AT
+
+
+def test_two_requests_at_a_time_hold_files_of_frames(
+    simulation: Simulation, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulation.leave(0, '{"frames": []}')
+    together, most = set[int](), 0
+    real = work._parse_chunk
+
+    def parse(*given: Any) -> dict[str, Any]:
+        nonlocal most
+        together.add(threading.get_ident())
+        most = max(most, len(together))
+        with suppress(threading.BrokenBarrierError):
+            barrier.wait(0.5)
+        found = real(*given)
+        together.discard(threading.get_ident())
+        return found
+
+    barrier = threading.Barrier(3)  # which nobody passes where two are together at most
+    monkeypatch.setattr(work, "_parse_chunk", parse)
+    answers: list[tuple[int, Any]] = []
+    threads = [threading.Thread(target=lambda: answers.append(simulation.ask())) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [status for status, _ in answers] == [200] * 4
+    assert most <= 2
