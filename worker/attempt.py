@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 from service.bounds import ERROR, SUMMARY, fit, fit_result, refuse_constant
 from service.queue.table import Claim
 from service.store.database import Store
-from service.store.files import Files
+from service.store.files import Files, LargerFileError
 from service.store.integrity import find_fault, note_fault
 from service.store.models import Artifact, Rig
 from solver.kinds import KINDS
@@ -41,6 +41,12 @@ LARGEST_RESULT = 2 * SUMMARY.size
 
 CHUNK = re.compile(r"[0-9]{1,9}-[0-9]{1,9}\.json")
 MOST_ARTIFACTS = 200
+# Names in a folder of outputs, beside the frames of earlier attempts: the frames of a day, of which
+# a job writes a file every two seconds if it is slow
+MOST_NAMES = 50_000
+# Names and depth of all an attempt's folder
+MOST_ENTRIES = 200_000
+DEEPEST = 100
 ARTIFACT = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,254}")
 
 # Files in `out` that take minutes: the next attempt goes on with what is in them
@@ -58,6 +64,10 @@ class AttemptFolder:
         self._claim = claim
         self._stored = set(claim.frames)
         self._written: dict[str, int] = {}
+        self._replaceable: dict[str, int] = {}
+        self._outputs: dict[Path, int] = {}
+        self._chunks: dict[Path, int] = {}
+        self._staged = 0
 
     def stage(self, store: Store) -> None:
         """Fetch the inputs, and the frames and files that earlier attempts left.
@@ -76,11 +86,12 @@ class AttemptFolder:
             _fetch(store, item, path)
             inputs.append({**item, "path": str(path)})
         for name, sha256 in self._claim.frames.items():
-            _fetch(store, _left("frames", name, sha256), self.path / "out" / FRAMES / name)
+            _fetch(store, _as_input("frames", name, sha256), self.path / "out" / FRAMES / name)
         for name, sha256 in self._claim.kept.items():
             kept = self.path / "out" / name
-            _fetch(store, _left("result so far", name, sha256), kept)
+            _fetch(store, _as_input("result so far", name, sha256), kept)
             self._written[name] = kept.stat().st_mtime_ns
+            self._replaceable[name] = kept.stat().st_size
         job = {
             "kind": self._claim.kind,
             "inputs": inputs,
@@ -88,6 +99,7 @@ class AttemptFolder:
             "resume": bool(self._claim.frames or self._claim.kept),
         }
         (self.path / "job.json").write_text(json.dumps(job))
+        self._staged = self._disk_bytes()
 
     def error(self) -> dict[str, Any] | None:
         """Return the solver's error, if it reported one.
@@ -113,37 +125,62 @@ class AttemptFolder:
         return fit_result(found["summary"], names)
 
     def store(self, files: Files) -> list[Artifact]:
-        """Put the outputs into the file store."""
-        paths = sorted(self._left())
+        """Put the outputs that were measured last into the file store."""
+        paths = sorted(self._outputs)
         if len(paths) > MOST_ARTIFACTS:
             count = f"{len(paths)} files: {MOST_ARTIFACTS} are the most"
             raise InvalidOutputError(f"the solver left {count}")
-        return [self._put(path, files) for path in paths]
+        try:
+            return [self._put(path, files) for path in paths]
+        except LargerFileError as error:
+            raise InvalidOutputError(f"{error.filename} grew after the solver's end") from error
 
     @property
     def input_bytes(self) -> int:
         """The bytes of all inputs."""
-        return _total_bytes((self.path / "inputs").glob("*/*"))
+        return sum(path.stat().st_size for path in (self.path / "inputs").glob("*/*"))
 
     @property
-    def output_bytes(self) -> int:
-        """The bytes of all outputs, stored or not."""
-        return _total_bytes((*self._left(), *self._left(FRAMES)))
+    def written_bytes(self) -> int:
+        """The bytes on disk of what the solver wrote, wherever in the folder.
+
+        Raises InvalidOutputError if it cannot be counted.
+        """
+        return self._disk_bytes() - self._staged
+
+    def measure(self) -> int:
+        """Measure all outputs, stored or not; returns their bytes.
+
+        Until the next call no other ones and no more bytes of these are stored.
+
+        Raises
+        ------
+        InvalidOutputError
+            If there are more than any job of ours leaves.
+        """
+        # frames first: what they were made with is whole then
+        self._chunks, self._outputs = self._left(FRAMES), self._left()
+        return sum((*self._chunks.values(), *self._outputs.values()))
 
     def unstored_bytes(self, *, at_end: bool = False) -> int:
-        """Return the bytes of outputs that are due to be stored but are not yet.
+        """Return the measured bytes that are due to be stored and take no stored file's place.
 
-        While it works these are frames and files to go on with, at the end all.
+        While the solver works these are frames and files to go on with, at the end all.
         """
-        due = (path for path in self._left() if at_end or path.name in KEPT)
-        return _total_bytes((*filter(self._is_new, due), *self._unstored_frames()))
+        due = {path: size for path, size in self._outputs.items() if at_end or path.name in KEPT}
+        new = sum(size for path, size in due.items() if self._is_new(path))
+        new -= sum(self._replaceable.get(path.name, 0) for path in due if self._is_new(path))
+        return max(new + sum(self._chunks[path] for path in self._unstored_frames()), 0)
 
     def new_frames(self, files: Files) -> list[dict[str, Any]]:
-        """Put the frames that are ready since the last call into the file store; returns rows."""
+        """Put the measured frames that are new into the file store; returns rows."""
         rows = []
         for path in sorted(self._unstored_frames()):
             first, last = map(int, path.stem.split("-"))
-            blob = files.put(path)
+            try:
+                blob = files.put(path, self._chunks[path])
+            except LargerFileError as error:
+                raise InvalidOutputError(f"{path.name} grew after it was ready") from error
             rows.append({"first": first, "last": last, "size": blob.size, "sha256": blob.sha256})
             self._stored.add(path.name)
         return rows
@@ -151,10 +188,12 @@ class AttemptFolder:
     def new_kept(self, files: Files) -> dict[str, Artifact]:
         """Put those of :data:`KEPT` that were written since the last call into the file store."""
         found = {}
-        for path in (each for each in self._left() if each.name in KEPT and self._is_new(each)):
+        for path in (each for each in self._outputs if each.name in KEPT and self._is_new(each)):
             written = path.stat().st_mtime_ns
-            found[path.name] = self._put(path, files)
-            self._written[path.name] = written
+            with suppress(LargerFileError):  # written anew since it was measured: the next time
+                found[path.name] = self._put(path, files)
+                self._written[path.name] = written
+                self._replaceable[path.name] = found[path.name].size
         return found
 
     @property
@@ -187,28 +226,59 @@ class AttemptFolder:
         remove_attempt(self.path)
 
     def _unstored_frames(self) -> Iterator[Path]:
-        for path in self._left(FRAMES):
-            if path.name not in self._stored and CHUNK.fullmatch(path.name):
-                yield path
+        if KINDS[self._claim.kind].frames:
+            for path in self._chunks:
+                if path.name not in self._stored and CHUNK.fullmatch(path.name):
+                    yield path
 
     def _is_new(self, path: Path) -> bool:
         """Tell whether a file was written since it was stored as one to go on with, if it was."""
         return path.name not in KEPT or path.stat().st_mtime_ns != self._written.get(path.name)
 
-    def _left(self, folder: str = ".") -> Iterator[Path]:
-        """Yield the plain files in ``out`` or a folder of it, never what a link leads to.
+    def _left(self, folder: str = ".") -> dict[Path, int]:
+        """Return the plain files in ``out`` or a folder of it and their bytes.
 
-        The solver reads strangers' files: a link that it left could lead to the service's secret.
+        Never what a link leads to. The solver reads strangers' files: a link that it left could
+        lead to the service's secret.
         """
         out = self.path / "out"
-        place = out / folder
-        if place.is_dir() and not (out.is_symlink() or place.is_symlink()):
-            for path in place.iterdir():
-                if path.is_file() and not path.is_symlink() and ARTIFACT.fullmatch(path.name):
-                    yield path
+        place, most = out / folder, MOST_NAMES + len(self._claim.frames)
+        found: dict[Path, int] = {}
+        if not place.is_dir() or out.is_symlink() or place.is_symlink():
+            return found
+        with os.scandir(place) as entries:
+            for number, entry in enumerate(entries):
+                if number >= most:
+                    raise InvalidOutputError(f"the solver left more than {most} files")
+                with suppress(FileNotFoundError):  # it may rename some at this moment
+                    if entry.is_file(follow_symlinks=False) and ARTIFACT.fullmatch(entry.name):
+                        found[place / entry.name] = entry.stat(follow_symlinks=False).st_size
+        return found
+
+    def _disk_bytes(self) -> int:
+        """Return the bytes on disk of all that is in the folder."""
+        total = seen = 0
+        folders = [(self.path, 0)]
+        while folders:
+            folder, depth = folders.pop()
+            try:
+                with os.scandir(folder) as entries:
+                    for entry in entries:
+                        seen += 1
+                        if seen > MOST_ENTRIES or depth > DEEPEST:
+                            raise InvalidOutputError("the solver wrote too many or too deep files")
+                        with suppress(FileNotFoundError):
+                            total += entry.stat(follow_symlinks=False).st_blocks * 512
+                            if entry.is_dir(follow_symlinks=False):
+                                folders.append((folder / entry.name, depth + 1))
+            except (FileNotFoundError, NotADirectoryError):  # it goes on working
+                continue
+            except PermissionError as error:
+                raise InvalidOutputError(f"the solver closed {folder.name}") from error
+        return total
 
     def _put(self, path: Path, files: Files) -> Artifact:
-        blob = files.put(path)
+        blob = files.put(path, self._outputs[path])
         return Artifact(
             tenant_id=self._claim.tenant_id,
             job_id=self._claim.job_id,
@@ -243,16 +313,7 @@ class AttemptFolder:
         return found
 
 
-def _total_bytes(paths: Iterable[Path]) -> int:
-    """Return the bytes of files, of which a solver may rename some at this moment."""
-    total = 0
-    for path in paths:
-        with suppress(FileNotFoundError):
-            total += path.stat().st_size
-    return total
-
-
-def _left(role: str, name: str, sha256: str) -> dict[str, Any]:
+def _as_input(role: str, name: str, sha256: str) -> dict[str, Any]:
     """Describe what an earlier attempt left as an input is described."""
     return {"role": role, "name": name, "filename": name, "sha256": sha256}
 

@@ -8,8 +8,6 @@ import signal
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from service.bounds import shorten
-
 # The exit code of a solver process that found the disk full
 NO_ROOM = os.EX_TEMPFAIL
 STORAGE_FULL = {"code": "storage.full", "message": "there is no room left for files"}
@@ -23,10 +21,6 @@ class CanceledError(Exception):
     """Somebody asked for the job to stop."""
 
 
-class InvalidOutputError(Exception):
-    """What the solver left is nothing that it would leave by itself."""
-
-
 class ShutdownError(Exception):
     """The worker is to stop."""
 
@@ -37,6 +31,13 @@ class HopelessError(Exception):
     def __init__(self, error: dict[str, Any]) -> None:
         super().__init__(error["message"])
         self.error = error
+
+
+class InvalidOutputError(HopelessError):
+    """What the solver left is nothing that it would leave by itself."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__({"code": "solver.verdict", "message": message})
 
 
 class OutputSizeError(HopelessError):
@@ -89,11 +90,6 @@ def exit_error(code: int) -> dict[str, Any]:
     }
 
 
-def invalid_output_error(error: InvalidOutputError) -> dict[str, Any]:
-    """Return the error of a job whose solver left what cannot be read."""
-    return {"code": "solver.verdict", "message": str(error)}
-
-
 def timeout_error(kind: str, seconds: float, frames: int, files: Sequence[str]) -> dict[str, Any]:
     """Return the error of a job that was ended for its time, and what it leaves."""
     left = [f"{frames} frames"] if frames else []
@@ -109,9 +105,11 @@ def timeout_error(kind: str, seconds: float, frames: int, files: Sequence[str]) 
 
 
 def crash_error(error: Exception) -> dict[str, Any]:
-    """Return the error of an attempt that ended by a fault of the worker's own."""
-    message = shorten(f"the worker failed: {type(error).__name__}: {error}")
-    return {"code": "worker.crash", "message": message}
+    """Return the error of an attempt that ended by a fault of the worker's own.
+
+    Its words stay in the log: a database's quote statements and addresses.
+    """
+    return {"code": "worker.crash", "message": f"the worker failed: {type(error).__name__}"}
 
 
 def storage_error(error: OSError) -> dict[str, Any]:

@@ -100,7 +100,7 @@ def _run_jobs(folder: Path) -> None:
 def installed_place() -> Path | None:
     """Return the installation's folder; None: each kernel is beside its code."""
     place = os.environ.get(CACHE_VARIABLE)
-    return Path(place) if place else None
+    return Path(place).absolute() if place else None
 
 
 def _installed() -> Iterator[Path]:
@@ -132,6 +132,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m worker.kernels", description=main.__doc__)
     parser.add_argument("--parent", type=int, help="process whose end is the end of this one, too")
     if parent := parser.parse_args().parent:
+        # in a shell's background it is ignored
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         die_with_parent(parent, signal.SIGINT)
     for kernel in _installed():  # numba does not see that a function of another file has changed
         kernel.unlink(missing_ok=True)

@@ -22,6 +22,8 @@ from service.store.models import Job
 ATTEMPT = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}\.\d+")
 # Of the file beside the folder, where no solver writes, with the session of its processes
 SESSION = ".session"
+# In the environment of a solver process and all that it starts: their attempt's folder
+FOLDER_VARIABLE = "MYOFACE_ATTEMPT"
 
 log = structlog.get_logger()
 
@@ -33,7 +35,8 @@ def remove_orphans(store: Store, work: Path) -> None:
     """
     if not work.is_dir():
         return
-    for folder in work.iterdir():
+    # a worker that died as it removed one may have left the file beside it
+    for folder in {path.with_name(path.name.removesuffix(SESSION)) for path in work.iterdir()}:
         if ATTEMPT.fullmatch(folder.name) and not _is_held(store, folder.name):
             end_processes(folder)
             remove_attempt(folder)
@@ -43,33 +46,51 @@ def remove_orphans(store: Store, work: Path) -> None:
 def note_session(folder: Path, leader: int) -> None:
     """Note the session of an attempt's processes, which its solver began.
 
-    None of them leaves it: the filter of system calls refuses a session of one's own.
+    None that is confined leaves it: the filter of system calls refuses a session of one's own.
     """
-    noted = {"leader": leader, "started": _started(leader), "system": _system()}
+    noted = {"leader": leader, "started": _started(leader), "system": _boot_and_namespace()}
     _noted(folder).write_text(json.dumps(noted))
 
 
 def end_processes(folder: Path) -> None:
-    """Kill the processes of an attempt (Linux; elsewhere they end by themselves)."""
-    try:
-        noted = json.loads(_noted(folder).read_text())
-    except (FileNotFoundError, ValueError):  # none was started, or the disk was full
-        return
-    if noted["system"] != _system():
-        return  # started in another container, or before the machine was: numbers of others
-    leader = noted["leader"]
-    if _started(leader) not in (noted["started"], None):
-        return  # the session is over and another process has its number
-    for process, session in _sessions():
-        if session == leader:
-            with suppress(OSError):  # gone meanwhile
-                os.kill(process, signal.SIGKILL)
+    """Kill the processes of an attempt (Linux; elsewhere they end by themselves).
+
+    Those that are not confined may have left its session, and then have its mark.
+    """
+    for process in {*_of_session(folder), *_marked(folder)}:
+        with suppress(OSError):  # gone meanwhile
+            os.kill(process, signal.SIGKILL)
 
 
 def remove_attempt(folder: Path) -> None:
     """Remove an attempt's folder and what was noted of its processes."""
     remove_tree(folder)
     _noted(folder).unlink(missing_ok=True)
+
+
+def _of_session(folder: Path) -> Iterator[int]:
+    """Yield the processes of the session that was noted of an attempt."""
+    try:
+        noted = json.loads(_noted(folder).read_text())
+    except (FileNotFoundError, ValueError):  # none was started, or the disk was full
+        return
+    if noted["system"] != _boot_and_namespace():
+        return
+    leader = noted["leader"]
+    if _started(leader) not in (noted["started"], None):
+        return  # the session is over and another process has its number
+    for process in _processes():
+        if (fields := _stat(process)) and int(fields[3]) == leader:
+            yield process
+
+
+def _marked(folder: Path) -> Iterator[int]:
+    """Yield the processes that have an attempt's mark in their environment."""
+    mark = f"{FOLDER_VARIABLE}={folder}".encode()
+    for process in _processes():
+        with suppress(OSError):  # gone, or another user's
+            if mark in Path(f"/proc/{process}/environ").read_bytes().split(b"\0"):
+                yield process
 
 
 def remove_tree(folder: Path) -> None:
@@ -95,11 +116,8 @@ def _noted(folder: Path) -> Path:
     return folder.with_name(folder.name + SESSION)
 
 
-def _sessions() -> Iterator[tuple[int, int]]:
-    """Yield each process with its session."""
-    for folder in Path("/proc").glob("[0-9]*"):
-        if fields := _stat(int(folder.name)):
-            yield int(folder.name), int(fields[3])
+def _processes() -> Iterator[int]:
+    return (int(folder.name) for folder in Path("/proc").glob("[0-9]*"))
 
 
 def _started(process: int) -> str | None:
@@ -119,8 +137,8 @@ def _stat(process: int) -> list[str]:
         return []
 
 
-def _system() -> str:
-    """Return what tells this start of the machine, and this container, from others."""
+def _boot_and_namespace() -> str:
+    """Return boot id and PID namespace: pids noted under another are meaningless."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return f"{boot} {os.readlink('/proc/self/ns/pid')}"

@@ -13,13 +13,13 @@ from collections import deque
 from pathlib import Path
 from typing import IO, Any
 
-from service.bounds import PROGRESS, fit, refuse_constant, shorten
+from service.bounds import fit_progress, refuse_constant, shorten
 from service.settings import Settings
 from solver.cache import VARIABLE as CACHE_VARIABLE
 from solver.cache import cache_path
 from worker import kernels
 from worker.caches import TenantCache
-from worker.orphans import note_session
+from worker.orphans import FOLDER_VARIABLE, note_session
 from worker.sandbox import allowed_environment
 
 GRACE = 1.0
@@ -29,8 +29,6 @@ LONGEST_LINE = 4000
 MOST_LINES = 500
 MOST_LINES_KEPT = 20_000
 
-# In the environment of a solver process and all that it starts, for whoever looks at processes
-FOLDER_VARIABLE = "MYOFACE_ATTEMPT"
 # The cache folder in an attempt's
 CACHE = "cache"
 
@@ -50,7 +48,7 @@ class SolverProcess:
         kept = TenantCache(tenant, settings)
         kept.link_into(cache)
         kernels.link_kernels(compiled)
-        reads = [cache_path(), kept.folder, kernels.installed_place()]
+        reads = [cache_path().absolute(), kept.folder, kernels.installed_place()]
         reading, writing = os.pipe()
         try:
             (folder / "process.json").write_text(
@@ -93,7 +91,11 @@ class SolverProcess:
         self._steps = _Lines(os.fdopen(reading, "rb"), newest=True)
         self._log = _Lines(self._process.stdout)
         self._room = MOST_LINES_KEPT
-        note_session(folder, self.pid)
+        try:
+            note_session(folder, self.pid)
+        except BaseException:
+            self.finish()
+            raise
 
     @property
     def pid(self) -> int:
@@ -198,7 +200,7 @@ def _step(line: str) -> dict[str, Any] | None:
     phase, fraction = found.get("phase"), found.get("fraction")
     if not (isinstance(phase, str) and isinstance(fraction, int | float)):
         return None
-    return fit({"phase": phase, "fraction": fraction, **found}, PROGRESS)  # the first stay
+    return fit_progress(found)
 
 
 def _signal_group(group: int, number: int) -> None:

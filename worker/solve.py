@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from service.bounds import ERROR, PROGRESS, fit, fit_result
+from service.bounds import ERROR, fit, fit_progress, fit_result
 from service.process import configure_logs, die_with_parent
 from solver.jobs import run_job
 from solver.kinds import KINDS
@@ -73,7 +73,7 @@ def _confine(folder: Path, jobs: str, reads: list[str]) -> None:
     importlib.import_module(jobs)
     packages = ("solver", "service", "worker", jobs.partition(".")[0])
     landmarker = os.environ.get("MYOFACE_FACE_LANDMARKER")
-    absent = sandbox.missing_layers()  # afterwards the kernel is no more asked
+    absent = sandbox.missing_layers()  # before: the filter refuses the calls that ask the kernel
     sandbox.confine(packages, map(Path, filter(None, [*reads, landmarker])), writes=[folder])
     for missing in absent:
         log.warning("solver.not_confined", missing=missing)
@@ -146,7 +146,7 @@ def to_pipe(write: Callable[[str], Any]) -> Progress:
     """Return a progress that writes JSON lines; a supervisor that is gone does not matter."""
 
     def report(step: Step, /) -> None:
-        values = fit(_plain(step.as_dict()), PROGRESS)
+        values = _plain(fit_progress(step.as_dict()))
         log.info(**{"event": values["phase"], **values})
         try:
             write(json.dumps(values) + "\n")

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import count
 from typing import Any, NamedTuple, TypeVar
 
 import structlog
@@ -20,7 +21,7 @@ from service.queue.states import State
 from service.queue.table import Claim
 from service.settings import Settings
 from service.store.database import Store
-from service.store.models import Artifact, Rig
+from service.store.models import Artifact, Tenant
 from service.store.usage import free_bytes
 from solver.kinds import KINDS
 from worker.attempt import AttemptFolder
@@ -30,13 +31,11 @@ from worker.errors import (
     STORAGE_FULL,
     CanceledError,
     HopelessError,
-    InvalidOutputError,
     LeaseLostError,
     OutputSizeError,
     ShutdownError,
     crash_error,
     exit_error,
-    invalid_output_error,
     is_full,
     storage_error,
     timeout_error,
@@ -46,7 +45,11 @@ from worker.process import CACHE, SolverProcess
 Done = TypeVar("Done")
 
 # Errors of the database that no waiting mends: it answers, and does not take what it is given
-HOPELESS = (DataError, IntegrityError, ProgrammingError)
+REFUSED_BY_DATABASE = (DataError, IntegrityError, ProgrammingError)
+
+# Bytes that a solver may write besides what it leaves, and the beats from one count to the next
+SCRATCH = 8 << 30
+COUNT_EVERY = 10
 
 log = structlog.get_logger()
 
@@ -141,7 +144,7 @@ class Supervisor:
             process.stop()
             _report_end("lease_lost", failed=True)
         else:
-            self._commit_outcome(claim, folder, code)
+            self._commit_outcome(claim, folder, code, limit)
         finally:
             process.finish()
 
@@ -154,12 +157,16 @@ class Supervisor:
         self, claim: Claim, process: SolverProcess, folder: AttemptFolder, end: float
     ) -> int | None:
         """Wait for the solver's exit code, with a beat now and then; None: not before ``end``."""
-        while (code := process.wait(self._settings.beat)) is None:
+        for number in count(1):
+            if (code := process.wait(self._settings.beat)) is not None:
+                break
             if self._stopping.is_set():
                 raise ShutdownError
             if time.monotonic() > end:
                 return None
             self._beat(claim, process, folder)
+            if number % COUNT_EVERY == 0:
+                _check_written(claim, folder)
         return code
 
     def _beat(self, claim: Claim, process: SolverProcess, folder: AttemptFolder) -> None:
@@ -174,7 +181,6 @@ class Supervisor:
         try:
             self._check_size(claim, folder)
             news.chunks.extend(folder.new_frames(self._store.files))
-            # after the frames: what they were made with is whole then
             news.kept.update(folder.new_kept(self._store.files))
             with self._store.write() as session:
                 state = table.beat(
@@ -187,7 +193,7 @@ class Supervisor:
                     chunks=news.chunks,
                     kept=news.kept.values(),
                 )
-        except HOPELESS:
+        except REFUSED_BY_DATABASE:
             raise
         except SQLAlchemyError as error:
             log.warning("database.unreachable", error=str(error))
@@ -208,38 +214,31 @@ class Supervisor:
         ------
         OutputSizeError
             If it is more than its kind may leave, or its tenant may store.
+        InvalidOutputError
+            If they are more files than any job leaves.
         """
-        most, found = KINDS[claim.kind].max_bytes, folder.output_bytes
+        most, found = KINDS[claim.kind].max_bytes, folder.measure()
         if found > most:
             message = f"{claim.kind} left {found} bytes, more than the {most} that it may leave"
             raise OutputSizeError("solver.output", message, most, found)
         if new := folder.unstored_bytes(at_end=at_end):
             with self._store.read() as session:
-                free = free_bytes(session, claim.tenant_id)
-            if free is not None and new > free:
-                message = f"the job leaves {new} bytes, and the quota has room for {free}"
-                raise OutputSizeError("quota.bytes", message, free, new)
+                _check_quota(session, claim, new)
 
-    def _commit_outcome(self, claim: Claim, folder: AttemptFolder, code: int | None) -> None:
+    def _commit_outcome(
+        self, claim: Claim, folder: AttemptFolder, code: int | None, limit: float
+    ) -> None:
         """Commit what the solver left: a result, an error, or nothing; without ``code``, its end.
 
-        A job that took too long would take as long once more: it has failed.
+        A job that took longer than ``limit`` would take as long once more: it has failed.
         """
         if code is None or code == -signal.SIGXCPU:
-            limit = self._limit(claim, folder)
             self._fail(claim, timeout_error(claim.kind, limit, folder.frames, folder.kept))
             return
-        try:
-            result, error = folder.result(), folder.error()
-            artifacts = []
-            if code == 0 and result is not None:
-                self._check_size(claim, folder, at_end=True)
-                artifacts = folder.store(self._store.files)
-        except InvalidOutputError as fault:
-            self._fail(claim, invalid_output_error(fault))
-            return
+        result, error = folder.result(), folder.error()
         if code == 0 and result is not None:
-            self._succeed(claim, artifacts, result["summary"], folder.rig(result))
+            self._check_size(claim, folder, at_end=True)
+            self._succeed(claim, folder, result)
         elif error is not None:
             self._fail(claim, error)
         elif code == NO_ROOM:
@@ -247,13 +246,18 @@ class Supervisor:
         else:
             self._lose(claim, exit_error(code))
 
-    def _succeed(
-        self, claim: Claim, artifacts: list[Artifact], summary: dict[str, Any], rig: Rig | None
-    ) -> None:
-        job = (claim.job_id, claim.attempt)
-        done = self._commit(
-            lambda session: table.succeed(session, *job, artifacts, summary=summary, rig=rig)
-        )
+    def _succeed(self, claim: Claim, folder: AttemptFolder, result: dict[str, Any]) -> None:
+        new = folder.unstored_bytes(at_end=True)
+        artifacts, rig = folder.store(self._store.files), folder.rig(result)
+
+        def change(session: Session) -> bool:
+            if new:  # another job of the tenant may have ended meanwhile
+                session.get_one(Tenant, claim.tenant_id, with_for_update={"key_share": True})
+                _check_quota(session, claim, new)
+            job, summary = (claim.job_id, claim.attempt), result["summary"]
+            return table.succeed(session, *job, artifacts, summary=summary, rig=rig)
+
+        done = self._commit(change)
         _report_end("succeeded" if done else "fenced")
         if not done:
             self._confirm_cancel(claim)
@@ -292,13 +296,29 @@ class Supervisor:
             try:
                 with self._store.write() as session:
                     return change(session)
-            except HOPELESS:
+            except REFUSED_BY_DATABASE:
                 raise
             except SQLAlchemyError as error:
                 if time.monotonic() - self._renewed > self._settings.lease:
                     raise
                 log.warning("database.unreachable", error=str(error))
                 time.sleep(self._settings.beat)
+
+
+def _check_quota(session: Session, claim: Claim, new: int) -> None:
+    """Raise OutputSizeError if the tenant has no room for so many bytes."""
+    free = free_bytes(session, claim.tenant_id)
+    if free is not None and new > free:
+        message = f"the job leaves {new} bytes, and the quota has room for {free}"
+        raise OutputSizeError("quota.bytes", message, free, new)
+
+
+def _check_written(claim: Claim, folder: AttemptFolder) -> None:
+    """Raise OutputSizeError if a solver fills the disk with what it does not leave."""
+    most, found = KINDS[claim.kind].max_bytes + SCRATCH, folder.written_bytes
+    if found > most:
+        message = f"{claim.kind} wrote {found} bytes, more than the {most} that it may write"
+        raise OutputSizeError("solver.output", message, most, found)
 
 
 def _report_end(outcome: str, failed: bool = False, **more: Any) -> None:

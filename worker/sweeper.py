@@ -18,7 +18,7 @@ from service.store import deletion, retention
 from service.store.database import Store
 from service.store.models import Worker
 from worker.abilities import show_life
-from worker.caches import remove_surplus
+from worker.caches import trim_all
 from worker.orphans import remove_orphans
 
 log = structlog.get_logger()
@@ -105,7 +105,7 @@ class Sweeper(Heartbeat):
         if elected:
             retention.enforce(self._store, settings)
         remove_orphans(self._store, settings.work)
-        remove_surplus(settings)
+        trim_all(settings)
         due = self._collected + min(deletion.COLLECT_EVERY, settings.garbage_age)
         if elected and time.monotonic() > due:
             self._collected = time.monotonic()

@@ -129,6 +129,7 @@ def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
     folder.stage(database)
     result = solve(folder.path, lambda _step: None)
     assert (result["summary"]["frames"], result["summary"]["fitted"]) == (2, 2)
+    folder.measure()
     (row,) = folder.new_frames(store)
     assert (row["first"], row["last"]) == (1, 1)
     assert isinstance(store, FolderFiles)

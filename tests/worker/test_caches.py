@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from service.settings import Settings
-from worker import caches
+from worker import caches, kernels
 from worker.caches import TenantCache
 
 
@@ -66,11 +66,39 @@ def test_the_oldest_go_and_what_an_older_release_left(cache: TenantCache, tmp_pa
         os.utime(file, (time.time() - age, time.time() - age))
     (cache.folder / "anything").mkdir()
     (cache.folder / "template-1.npz").symlink_to("/etc/passwd")
-    caches.remove_surplus(Settings(data_dir=tmp_path / "data", tenant_cache_bytes=100))
+    caches.trim_all(Settings(data_dir=tmp_path / "data", tenant_cache_bytes=100))
     assert {file.name for file in cache.folder.iterdir()} == {
         "meshed-4-new.npz",
         "meshed-4-older.npz",
     }
+
+
+def test_no_more_is_kept_than_a_tenant_s_number_of_meshes(
+    cache: TenantCache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(caches, "MOST_MESHES", 3)
+    attempt = _attempt(cache, tmp_path, "attempt")
+    for number in range(5):
+        (attempt / f"meshed-4-{number}.npz").write_bytes(b"x")
+        (attempt / f"meshed-5-{number}.npz").touch()
+    cache.keep_new(attempt)
+    assert len(list(cache.folder.iterdir())) == 3
+    assert len(list(attempt.glob("meshed-4-*"))) == 2  # these were not even moved
+    assert all(file.stat().st_size for file in cache.folder.iterdir())
+
+
+def test_links_lead_somewhere_from_a_relative_folder(
+    cache: TenantCache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MYOFACE_CACHE", "installed")
+    attempt = _attempt(cache, tmp_path, "attempt")
+    assert (attempt / "template-1.npz").read_bytes() == b"of the installation"
+    monkeypatch.setenv(kernels.CACHE_VARIABLE, "compiled")
+    (tmp_path / "compiled" / "rig_1").mkdir(parents=True)
+    (tmp_path / "compiled" / "rig_1" / "a.nbi").touch()
+    kernels.link_kernels(tmp_path / "linked")
+    assert (tmp_path / "linked" / "rig_1" / "a.nbi").is_file()
 
 
 def test_a_worker_needs_no_numerics() -> None:

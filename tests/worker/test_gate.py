@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from service.bounds import ERROR, MARK, SUMMARY, Bounds, fit, shorten
+from service.bounds import ERROR, MARK, SUMMARY, Bounds, fit, fit_progress, shorten
 from service.queue.table import Claim
 from solver.errors import InputError
 from solver.progress import Step
@@ -96,6 +96,10 @@ def test_progress_is_short(capsys: pytest.CaptureFixture[str]) -> None:
     told = _step(lines[0])
     assert told is not None
     assert told["message"].isprintable()
+    hostile = {"x": [1] * 900, "phase": "\x1b" + "p" * 900, "fraction": 10**300}
+    told = _step(json.dumps(hostile))
+    assert told == fit_progress(told)
+    assert told["fraction"] == 1.0
     for line in ("", "{", "[]", "1", '{"phase": 1}', '{"phase": "a"}', "[" * 3000):
         assert _step(line) is None
 

@@ -16,7 +16,7 @@ import pytest
 from service.store import deletion
 from service.store.database import Store
 from tests.service_client import eventually
-from worker.orphans import note_session, remove_orphans
+from worker.orphans import FOLDER_VARIABLE, note_session, remove_orphans
 
 
 @pytest.fixture
@@ -64,6 +64,36 @@ def test_processes_are_found_whatever_they_say_of_themselves(store: Store, tmp_p
         if Path(f"/proc/{left}").exists():
             os.kill(left, signal.SIGKILL)
     assert list((tmp_path / "work").iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are found on Linux only")
+def test_a_process_that_is_not_confined_is_found_in_another_session(
+    store: Store, tmp_path: Path
+) -> None:
+    attempt = tmp_path / "work" / f"{uuid.uuid4()}.1"
+    attempt.mkdir(parents=True)
+    marks = [{FOLDER_VARIABLE: str(attempt)}, {FOLDER_VARIABLE: f"{attempt}0"}]
+    left, other = (
+        subprocess.Popen(["sleep", "600"], start_new_session=True, env=mark) for mark in marks
+    )
+    try:
+        remove_orphans(store, attempt.parent)
+        assert left.wait(10) == -signal.SIGKILL
+        assert other.poll() is None
+    finally:
+        for process in (left, other):
+            process.kill()
+            process.wait()
+
+
+def test_a_note_without_its_folder_goes(store: Store, tmp_path: Path) -> None:
+    """A worker died between the removal of the one and of the other."""
+    work = tmp_path / "work"
+    work.mkdir()
+    (work / f"{uuid.uuid4()}.1.session").write_text('{"system": "another"}')
+    (work / "mine.session").touch()
+    remove_orphans(store, work)
+    assert [path.name for path in work.iterdir()] == ["mine.session"]
 
 
 def _is_zombie(process: int) -> bool:

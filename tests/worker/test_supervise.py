@@ -28,10 +28,10 @@ from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Artifact, Job, LogLine, Subject, Tenant
 from solver.kinds import kind
 from tests.service_client import ROOT, eventually
-from worker import process, solve
+from worker import attempt, process, solve, supervise
 from worker.abilities import abilities
 from worker.attempt import FRAMES, KEPT, AttemptFolder
-from worker.errors import InvalidOutputError
+from worker.errors import InvalidOutputError, OutputSizeError, crash_error
 from worker.orphans import remove_tree
 from worker.supervise import Supervisor
 
@@ -63,7 +63,7 @@ def store(settings: Settings) -> Iterator[Store]:
     store.close()
 
 
-def _claimed(store: Store) -> Claim:
+def _claimed(store: Store, kind: str = "build_model") -> Claim:
     with store.write() as session:
         session.add(subject := Subject(tenant_id=DEFAULT_TENANT, name="Alex"))
         session.flush()
@@ -71,7 +71,7 @@ def _claimed(store: Store) -> Claim:
         job = Job(
             tenant_id=DEFAULT_TENANT,
             subject_id=subject.id,
-            kind="build_model",
+            kind=kind,
             queue="short",
             request=request,
             inputs=[],
@@ -86,7 +86,7 @@ def _claimed(store: Store) -> Claim:
 def test_what_was_said_during_an_outage_is_written_down_after_it(
     settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    claim = _claimed(store)
+    claim = _claimed(store, "simulate")
     supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
     supervisor._renewed = float("inf")
     process, folder = Talking(), AttemptFolder(settings.work, claim)
@@ -128,7 +128,9 @@ def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, sto
         supervisor._beat(claim, process, folder)
         supervisor._beat(claim, process, folder)
     assert folder.new_kept(store.files) == {}
-    (kept,) = AttemptFolder(settings.work, claim).new_kept(store.files).values()
+    another = AttemptFolder(settings.work, claim)
+    another.measure()
+    (kept,) = another.new_kept(store.files).values()
     with store.write() as session:  # told once more, as after a commit whose answer was lost
         table.beat(session, claim.job_id, claim.attempt, 30, kept=[kept])
         table.lose(session, claim.job_id, claim.attempt, {"code": "x"})
@@ -144,7 +146,7 @@ def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, sto
     assert json.loads((folder.path / "job.json").read_text())["resume"] is True
     shapes.write_text("all")
     (folder.path / "result.json").write_text(json.dumps({"summary": {}, "expressions": []}))
-    supervisor._commit_outcome(again, folder, 0)
+    supervisor._commit_outcome(again, folder, 0, 60)
     with store.read() as session:
         (artifact,) = session.get_one(Job, claim.job_id).artifacts
     assert store.files.read(artifact.sha256) == b"all"
@@ -174,7 +176,7 @@ def test_a_result_is_written_down_when_the_database_is_back(
                 raise OperationalError("COMMIT", None, Exception(f"gone {failures.pop()}"))
 
     monkeypatch.setattr(store, "write", failing)
-    supervisor._commit_outcome(claim, folder, 0)
+    supervisor._commit_outcome(claim, folder, 0, 60)
     with store.read() as session:
         job = session.get_one(Job, claim.job_id)
         assert job.state is State.SUCCEEDED
@@ -209,7 +211,7 @@ def test_a_solver_without_room_puts_its_job_off(
     os.close(reading)
     supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
     supervisor._renewed = float("inf")
-    supervisor._commit_outcome(claim, folder, code)
+    supervisor._commit_outcome(claim, folder, code, 60)
     with store.read() as session:
         job = session.get_one(Job, claim.job_id)
         assert (job.state, job.lost, job.attempts[0].outcome) == (State.QUEUED, 0, "postponed")
@@ -217,7 +219,7 @@ def test_a_solver_without_room_puts_its_job_off(
 
 
 def test_what_a_solver_links_to_is_not_stored(settings: Settings, store: Store) -> None:
-    folder = AttemptFolder(settings.work, _claimed(store))
+    folder = AttemptFolder(settings.work, _claimed(store, "simulate"))
     folder.stage(store)
     secret, out = settings.data_dir / "secret", folder.path / "out"
     secret.write_text("of the service")
@@ -226,6 +228,7 @@ def test_what_a_solver_links_to_is_not_stored(settings: Settings, store: Store) 
     (out / "with space").write_text("x")
     (out / FRAMES).mkdir()
     (out / FRAMES / "0-x.json").write_text("{}")
+    folder.measure()
     assert [each.name for each in folder.store(store.files)] == ["report.json"]
     assert folder.new_frames(store.files) == []
     (folder.path / "error.json").symlink_to(secret)
@@ -236,7 +239,93 @@ def test_what_a_solver_links_to_is_not_stored(settings: Settings, store: Store) 
         folder.result()
     out.rename(folder.path / "elsewhere")
     out.symlink_to(settings.data_dir)
+    folder.measure()
     assert folder.store(store.files) == []
+
+
+def test_no_more_is_stored_than_was_measured(settings: Settings, store: Store) -> None:
+    """Another process of the solver's goes on writing what is looked at and stored."""
+    folder = AttemptFolder(settings.work, _claimed(store, "simulate"))
+    folder.stage(store)
+    frames = folder.path / "out" / FRAMES
+    frames.mkdir()
+    growing = [folder.path / "out" / KEPT[0], frames / "0-9.json"]
+    for path in growing:
+        path.write_bytes(b"x")
+    assert folder.measure() == 2
+    for path in growing:
+        path.write_bytes(bytes(10_000_000))
+    assert folder.new_kept(store.files) == {}  # as an honest one rewrites it: the next time
+    with pytest.raises(InvalidOutputError):
+        folder.new_frames(store.files)
+    with pytest.raises(InvalidOutputError):
+        folder.store(store.files)
+    assert list(store.files.list_stored()) == []
+    secret = settings.data_dir / "secret"
+    secret.write_text("of the service")
+    growing[0].unlink()
+    growing[0].symlink_to(secret)
+    with pytest.raises(OSError, match="symbolic"):
+        store.files.put(growing[0])
+
+
+def test_a_file_takes_its_own_place_in_the_quota(settings: Settings, store: Store) -> None:
+    folder = AttemptFolder(settings.work, _claimed(store, "simulate"))
+    folder.stage(store)
+    shapes = folder.path / "out" / KEPT[0]
+    for size, new in ((600, 600), (900, 300), (100, 0)):
+        shapes.write_bytes(bytes(size))
+        folder.measure()
+        assert folder.unstored_bytes() == new
+        assert folder.new_kept(store.files)
+
+
+def test_two_jobs_that_end_at_once_share_a_quota(
+    settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claim = _claimed(store)
+    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
+    supervisor._renewed = float("inf")
+    folder = AttemptFolder(settings.work, claim)
+    folder.stage(store)
+    (folder.path / "out" / "model.npz").write_bytes(bytes(600))
+    (folder.path / "result.json").write_text(json.dumps({"summary": {}, "expressions": []}))
+    put = store.files.put
+
+    def meanwhile(*given: Any) -> Any:
+        with store.write() as session:
+            session.get_one(Tenant, DEFAULT_TENANT).max_bytes = 500
+        return put(*given)
+
+    monkeypatch.setattr(store.files, "put", meanwhile)
+    with pytest.raises(OutputSizeError):
+        supervisor._commit_outcome(claim, folder, 0, 60)
+    with store.read() as session:
+        assert session.get_one(Job, claim.job_id).state is State.RUNNING
+
+
+def test_a_solver_that_cannot_be_noted_is_ended(
+    settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = AttemptFolder(settings.work, _claimed(store))
+    folder.stage(store)
+    started = []
+
+    def full(_: Path, leader: int) -> None:
+        started.append(leader)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(process, "note_session", full)
+    with pytest.raises(OSError, match="No space"):
+        process.SolverProcess(folder.path, settings, DEFAULT_TENANT, 60.0)
+    with pytest.raises(ProcessLookupError):
+        os.killpg(started[0], 0)
+
+
+def test_a_database_s_words_are_not_the_customer_s() -> None:
+    error = OperationalError("SELECT secret", None, Exception("at db.internal:5432"))
+    told = crash_error(error)
+    assert told == {"code": "worker.crash", "message": "the worker failed: OperationalError"}
 
 
 def test_an_attempt_goes_however_deep_its_folders_are(tmp_path: Path) -> None:
@@ -259,24 +348,26 @@ class Jobs:
     ) -> None:
         (folder / "made").mkdir()
         (folder / "made" / "__init__.py").touch()
-        self._code = folder / "made" / "build_model.py"
+        self._made = folder / "made"
         self._settings = settings.model_copy(
             update={"jobs": "made", "lease": 2.0, "beat": 0.2, "solver_threads": 1}
         )
         self._store = store
         monkeypatch.setenv("PYTHONPATH", f"{folder}:{ROOT}")
 
-    def add(self, code: str, inputs: Sequence[dict[str, Any]] = ()) -> str:
+    def add(
+        self, code: str, inputs: Sequence[dict[str, Any]] = (), kind: str = "build_model"
+    ) -> str:
         """Queue a job that does what ``code`` says; returns its id."""
         body = textwrap.indent(textwrap.dedent(code), "    ")
-        self._code.write_text(f"import os, time\n\ndef run(task):\n{body}\n")
+        (self._made / f"{kind}.py").write_text(f"import os, time\n\ndef run(task):\n{body}\n")
         with self._store.write() as session:
             session.add(subject := Subject(tenant_id=DEFAULT_TENANT, name="Alex"))
             session.flush()
             job = Job(
                 tenant_id=DEFAULT_TENANT,
                 subject_id=subject.id,
-                kind="build_model",
+                kind=kind,
                 queue="short",
                 request={"options": {}, "rig_id": None},
                 inputs=list(inputs),
@@ -338,17 +429,72 @@ def test_nothing_of_what_is_too_much_is_stored(
 def test_frames_are_too_much_while_they_come(
     jobs: Jobs, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(kind.QUEUE_BYTES, "short", 10_000)
+    monkeypatch.setitem(kind.QUEUE_BYTES, "long", 10_000)
     endless = """
     (task.out / "frames").mkdir()
     for number in range(1000):
         (task.out / "frames" / f"{number:06d}-{number:06d}.json").write_bytes(bytes(1000))
         time.sleep(0.1)
     """
-    job = jobs.add(endless)
+    job = jobs.add(endless, kind="fit_sequence")
     jobs.run_next()
     assert jobs.state(job) == (State.FAILED, 0, "solver.output")
     assert len(list(store.files.list_stored())) <= 10
+
+
+def test_files_without_end_are_too_many(
+    jobs: Jobs, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(attempt, "MOST_NAMES", 40)
+    empty = """
+    (task.out / "frames").mkdir()
+    for number in range(50):
+        (task.out / "frames" / f"{number}-{number}.json").touch()
+    time.sleep(60)
+    """
+    job = jobs.add(empty)
+    jobs.run_next()
+    assert jobs.state(job) == (State.FAILED, 0, "solver.verdict")
+    assert list(store.files.list_stored()) == []
+
+
+def test_frames_are_of_kinds_that_leave_them(settings: Settings, store: Store) -> None:
+    folder = AttemptFolder(settings.work, _claimed(store))
+    folder.stage(store)
+    (folder.path / "out" / FRAMES).mkdir()
+    (folder.path / "out" / FRAMES / "0-9.json").write_text("{}")
+    folder.measure()
+    assert folder.new_frames(store.files) == []
+
+
+@pytest.mark.parametrize(
+    ("wasteful", "code"),
+    [
+        ('open(task.out.parent / "tmp" / "x", "wb").write(bytes(3_000_000))', "solver.output"),
+        ('[(task.out.parent / "cache" / str(n)).touch() for n in range(400)]', "solver.verdict"),
+    ],
+)
+def test_what_a_solver_writes_anywhere_is_bounded(
+    jobs: Jobs,
+    store: Store,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    wasteful: str,
+    code: str,
+) -> None:
+    monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path / "installed"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "compiled"))
+    monkeypatch.setitem(kind.QUEUE_BYTES, "short", 1_000_000)
+    monkeypatch.setattr(supervise, "SCRATCH", 1_000_000)
+    monkeypatch.setattr(supervise, "COUNT_EVERY", 2)
+    monkeypatch.setattr(attempt, "MOST_ENTRIES", 300)
+    source = tmp_path / "scan.obj"
+    source.write_bytes(bytes(5_000_000))  # what was staged is not the solver's
+    scan = {"role": "neutral", "name": "scan", "filename": "scan.obj"}
+    scan["sha256"] = store.files.put(source).sha256
+    job = jobs.add(f"\n    {wasteful}\n    time.sleep(60)\n", inputs=[scan])
+    jobs.run_next()
+    assert jobs.state(job) == (State.FAILED, 0, code)
 
 
 def _remove_work(settings: Settings, _: Store) -> None:
@@ -408,5 +554,5 @@ def test_the_system_ends_a_job_whose_supervisor_does_not(
     assert (folder.path / "out" / "begun").exists()
     supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
     supervisor._renewed = float("inf")
-    supervisor._commit_outcome(claim, folder, code)
+    supervisor._commit_outcome(claim, folder, code, 60)
     assert jobs.state(job) == (State.FAILED, 0, "job.timeout")

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from service.store.files.base import Blob, DamagedFileError, Files, StoredFile, UnreachableError
+from service.store.files.base import (
+    Blob,
+    DamagedFileError,
+    Files,
+    LargerFileError,
+    StoredFile,
+    UnreachableError,
+)
 from service.store.files.folder import FolderFiles
 
 __all__ = [
@@ -12,6 +19,7 @@ __all__ = [
     "DamagedFileError",
     "Files",
     "FolderFiles",
+    "LargerFileError",
     "StoredFile",
     "UnreachableError",
     "files_at",

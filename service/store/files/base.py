@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import os
+import stat
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import IO
 
 CHUNK = 1 << 18
 
@@ -36,6 +39,13 @@ class DamagedFileError(OSError):
         super().__init__(errno.EIO, "a stored file is damaged", sha256)
 
 
+class LargerFileError(OSError):
+    """A file has more bytes than whoever stores it has room for."""
+
+    def __init__(self, source: Path, most: int) -> None:
+        super().__init__(errno.EFBIG, f"a file has more than {most} bytes", source.name)
+
+
 class UnreachableError(OSError):
     """The store does not answer."""
 
@@ -55,8 +65,15 @@ class Files(ABC):
     """
 
     @abstractmethod
-    def put(self, source: Path) -> Blob:
-        """Store a copy of ``source``; it is there as a whole or not at all."""
+    def put(self, source: Path, most: int | None = None) -> Blob:
+        """Store a copy of ``source``; it is there as a whole or not at all.
+
+        Raises
+        ------
+        LargerFileError
+            If it has more than ``most`` bytes, at the latest when as many are read: others may be
+            writing it.
+        """
 
     @abstractmethod
     def open(self, sha256: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
@@ -123,3 +140,22 @@ class Files(ABC):
         if digest.hexdigest() != sha256:
             target.unlink()
             raise DamagedFileError(sha256)
+
+
+def copy_plain(source: Path, target: IO[bytes], most: int | None = None) -> Blob:
+    """Copy a file that others may change, and name it by the bytes that were copied.
+
+    Neither what a link leads to is copied nor what comes out of a pipe; raises as `Files.put` does.
+    """
+    digest, size = hashlib.sha256(), 0
+    with os.fdopen(os.open(source, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "no plain file", source.name)
+        while block := file.read(CHUNK):
+            size += len(block)
+            if most is not None and size > most:
+                raise LargerFileError(source, most)
+            digest.update(block)
+            target.write(block)
+    target.flush()
+    return Blob(digest.hexdigest(), size)

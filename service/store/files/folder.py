@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
@@ -14,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from service.store.durable import sync_folder
-from service.store.files.base import CHUNK, Blob, Files, StoredFile
+from service.store.files.base import CHUNK, Blob, Files, StoredFile, copy_plain
 
 SHA256 = re.compile(r"[0-9a-f]{64}")
 
@@ -33,19 +31,15 @@ class FolderFiles(Files):
         """Return where the file with this sha256 is."""
         return self.root / sha256[:2] / sha256
 
-    def put(self, source: Path) -> Blob:
-        """Store a copy of ``source``; it is there as a whole or not at all."""
+    def put(self, source: Path, most: int | None = None) -> Blob:
+        """Store a copy of ``source`` of at most ``most`` bytes; it is there whole or not at all."""
         descriptor, name = tempfile.mkstemp(dir=self.incoming)
         copy = Path(name)
         try:
-            with source.open("rb") as original, os.fdopen(descriptor, "r+b") as file:
-                shutil.copyfileobj(original, file, CHUNK)
-                file.flush()
+            with os.fdopen(descriptor, "wb") as file:
+                blob = copy_plain(source, file, most)
                 os.fsync(file.fileno())
-                size = file.tell()
-                file.seek(0)
-                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-            target = self.path(sha256)
+            target = self.path(blob.sha256)
             copy.chmod(0o400)
             if not target.parent.is_dir():
                 target.parent.mkdir(exist_ok=True)
@@ -55,7 +49,7 @@ class FolderFiles(Files):
             sync_folder(target.parent)
         finally:
             copy.unlink(missing_ok=True)
-        return Blob(sha256, size)
+        return blob
 
     def open(self, sha256: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
         """Give the bytes from ``start`` to before ``end``; a missing file is known at once."""

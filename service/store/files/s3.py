@@ -6,7 +6,7 @@ Credentials come from where every S3 client looks for them: ``AWS_ACCESS_KEY_ID`
 
 from __future__ import annotations
 
-import hashlib
+import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from datetime import datetime
@@ -20,7 +20,7 @@ from boto3.session import Session
 from botocore.config import Config
 from botocore.exceptions import BotoCoreError, ClientError
 
-from service.store.files.base import CHUNK, Blob, Files, StoredFile, UnreachableError
+from service.store.files.base import CHUNK, Blob, Files, StoredFile, UnreachableError, copy_plain
 
 PARTS = TransferConfig(multipart_threshold=64 << 20, multipart_chunksize=16 << 20)
 # One request copies up to 5 GB, and not every server can copy parts
@@ -66,17 +66,19 @@ class S3Files(Files):
         prefix = parts.path.strip("/")
         return cls(parts.netloc, f"{prefix}/" if prefix else "", **query)
 
-    def put(self, source: Path) -> Blob:
-        """Store a copy of ``source``; it is there as a whole or not at all.
+    def put(self, source: Path, most: int | None = None) -> Blob:
+        """Store a copy of ``source`` of at most ``most`` bytes; it is there whole or not at all.
 
         Also if it is there already: the new date keeps it from the garbage collection.
         """
-        with source.open("rb") as file:
-            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-            size = file.tell()
-        with _translate_errors():
-            self._client.upload_file(str(source), self._bucket, self._key(sha256), Config=PARTS)
-        return Blob(sha256, size)
+        # what is sent must be what was hashed, and others may be writing the source
+        with tempfile.TemporaryFile(dir=source.parent) as copy:
+            blob = copy_plain(source, copy, most)
+            copy.seek(0)
+            with _translate_errors():
+                key = self._key(blob.sha256)
+                self._client.upload_fileobj(copy, self._bucket, key, Config=PARTS)
+        return blob
 
     def open(self, sha256: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
         """Give the bytes from ``start`` to before ``end``; a missing file is known at once."""
