@@ -120,14 +120,13 @@ class Client(Access):
         """Upload a scan and add it to a subject; name and role are the file's unless given.
 
         ``registered`` scans have the template's vertices, others are what the scanner made;
-        ``landmarks`` is a file. The capture ``replaces`` goes once the new file has arrived.
+        ``landmarks`` is a file. The service deletes the capture ``replaces`` in the same step that
+        adds this one.
         :mod:`myoface.names` says what name and role a file has.
         """
         (scan,) = name_scans([path], names=[name], roles=[role])
         marks = None if landmarks is None else (self.upload(landmarks)).id
         sent = self.upload(path, progress=progress)
-        if replaces is not None:
-            self.delete_capture(subject_id, replaces)
         return self._create(
             f"/v1/subjects/{subject_id}/captures",
             Capture,
@@ -136,6 +135,7 @@ class Client(Access):
             upload_id=sent.id,
             registered=registered or scan.role in NO_SCANS,
             landmarks_upload_id=marks,
+            replaces=replaces,
         )
 
     def captures(self, subject_id: str) -> list[Capture]:
