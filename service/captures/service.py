@@ -143,7 +143,7 @@ def _refuse_a_second(session: Session, subject_id: str, new: NewCapture) -> None
             raise Problem(
                 409,
                 "capture.name_taken",
-                f"the subject has a capture named {other.name}: replace or delete that, or rename this one",
+                f"the subject has a capture named {other.name}: replace that, or rename this one",
                 capture_id=other.id,
             )
         if other.role == new.role == "neutral":
