@@ -8,13 +8,12 @@ from typing import Annotated
 from myoface.cli.app import Url
 from myoface.cli.commands import Argument, Group, Option
 from myoface.cli.console import out, show_table
-from myoface.cli.lookup import find_key
 from myoface.client import DEFAULT_URL, Client
 from myoface.resources import Key, NewKey, Scope, Use
 
 keys = Group("API keys: make, rotate, revoke.")
 
-KeyId = Annotated[str, Argument(help="key: its id, the start of it, or its name")]
+KeyId = Annotated[str, Argument(help="key id")]
 DAY = 24 * 3600
 
 
@@ -57,14 +56,14 @@ def rotate_key(
 ) -> None:
     """Make a key in another's place and print it, this once."""
     with Client(url) as client:
-        _print_key(client.rotate_key(find_key(client, key), grace=grace))
+        _print_key(client.rotate_key(key, grace=grace))
 
 
 @keys.command("revoke")
 def revoke_key(key: KeyId, url: Url = DEFAULT_URL) -> None:
     """Take a key back at once."""
     with Client(url) as client:
-        client.revoke_key(find_key(client, key))
+        client.revoke_key(key)
 
 
 @keys.command("whoami")

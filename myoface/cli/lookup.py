@@ -55,11 +55,6 @@ def find_webhook(client: Client, given: str) -> str:
     return _find(given, "webhook", client.webhooks, lambda each: each.url)
 
 
-def find_key(client: Client, given: str) -> str:
-    """Return the id of the key that ``given`` is: an id, its start, or a name."""
-    return _find(given, "key", client.keys, lambda each: each.name)
-
-
 def matching(
     given: str, things: Iterable[Thing], name: Callable[[Thing], str] | None = None
 ) -> list[Thing]:
