@@ -8,6 +8,8 @@ of ``tests/fixtures/scan_names.json``.
 - A name that is legal stays as it is. In others accents go, and blanks and signs become ``_``.
 - What all files of a session begin with, up to a blank, ``_`` or ``-``, is the person and goes,
   where the neutral is among them and what is left of each has a letter.
+- A name is that of a file, too: case and a last dot do not tell two apart, and those that Windows
+  keeps for devices (``nul``, ``com1``) are none.
 """
 
 from __future__ import annotations
@@ -15,18 +17,24 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from myoface.errors import ApiError
-from myoface.resources import Role
+
+if TYPE_CHECKING:
+    from myoface.resources import Role
 
 BAD_NAME = "client.name"
 LEGAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 LONGEST = 64
 NEUTRAL = frozenset({"neutral", "neutre", "rest", "relaxed"})
 PERFORMANCE = ".npy"
+DEVICES = frozenset(
+    {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
+)
 # Letters that are none with an accent
 LETTERS = str.maketrans(
     {"ß": "ss", "æ": "ae", "Æ": "AE", "œ": "oe", "Œ": "OE", "ø": "o", "Ø": "O", "ł": "l", "Ł": "L"}
@@ -68,6 +76,30 @@ def name_scans(
     return found
 
 
+def name_session(neutral: Path | None, others: Iterable[Path]) -> list[NamedScan]:
+    """Return a session's scans with names and roles; ``neutral`` is its neutral, if it is given.
+
+    It may be one of the others, too. See :func:`name_scans`.
+    """
+    if neutral is None:
+        return name_scans(list(others))
+    rest = [path for path in others if path.resolve() != neutral.resolve()]
+    roles: list[Role | None] = [
+        "expression" if _role(path.name) == "neutral" else None for path in rest
+    ]
+    return name_scans([neutral, *rest], roles=["neutral", *roles])
+
+
+def same_file(name: str) -> str:
+    """Return what names have in common that are one file on some system."""
+    return name.casefold().rstrip(".")
+
+
+def is_device(name: str) -> bool:
+    """Return True if Windows has a device of this name, whatever follows its first dot."""
+    return name.partition(".")[0].casefold() in DEVICES
+
+
 def by_files(
     files: Sequence[str], given: Sequence[Role | None] | None = None
 ) -> list[tuple[str, Role]]:
@@ -84,11 +116,14 @@ def by_files(
 
 
 def as_name(text: str) -> str:
-    """Return text as a name that the service takes; empty if it has neither letter nor digit."""
-    if LEGAL.fullmatch(text):
+    """Return text as a name for the service; empty if there is no letter or digit, or a device."""
+    if is_device(text):
+        return ""
+    if LEGAL.fullmatch(text) and not text.endswith("."):
         return text
     name = re.sub(r"[^A-Za-z0-9_.-]+", "_", _plain(text))
-    return re.sub(r"^[^A-Za-z0-9]+|[^A-Za-z0-9]+$", "", name)[:LONGEST]
+    name = re.sub(r"^[^A-Za-z0-9]+|[^A-Za-z0-9]+$", "", name)[:LONGEST].rstrip(".")
+    return "" if is_device(name) else name
 
 
 def _role(file: str) -> Role:
@@ -127,6 +162,12 @@ def _require_names(scans: Sequence[NamedScan], texts: Sequence[str]) -> None:
     taken: dict[str, Path] = {}
     neutral: Path | None = None
     for scan, text in zip(scans, texts, strict=True):
+        if not scan.name and re.search("[A-Za-z0-9]", _plain(_split(text)[0])):
+            _refuse(
+                scan.path,
+                f"{text!r} is a device's name on Windows, and no file's: give the scan another "
+                "(--name)",
+            )
         if not scan.name:
             _refuse(
                 scan.path,
@@ -134,7 +175,7 @@ def _require_names(scans: Sequence[NamedScan], texts: Sequence[str]) -> None:
                 "digit: give the scan another (--name)",
             )
         # Two that differ in case alone are one morph target to many programs, and one file to some
-        other = taken.setdefault(scan.name.casefold(), scan.path)
+        other = taken.setdefault(same_file(scan.name), scan.path)
         if other is not scan.path:
             _refuse(
                 scan.path,

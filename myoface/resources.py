@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
+from myoface.names import is_device, same_file
 from myoface.values import Resource, ValueFaultError, matching
 
 Role = Literal["neutral", "expression", "performance", "asset"]
@@ -21,8 +22,29 @@ FINAL_STATES: frozenset[State] = frozenset({"succeeded", "failed", "canceled"})
 
 
 # What becomes a file's or a folder's name here is a plain name, whatever a service says
-FileName = Annotated[str, matching(r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$")]
-Sha256 = Annotated[str, matching(r"^[0-9a-f]{64}$")]
+FileName = Annotated[
+    str,
+    matching(
+        r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$",
+        "a plain file name of at most 255 letters, digits, '_', '.' and '-'",
+    ),
+]
+Sha256 = Annotated[str, matching(r"^[0-9a-f]{64}$", "a sha256 of 64 hexadecimal digits")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page(Resource):
+    """A part of a list; ``next`` is where the following one begins."""
+
+    items: list[Any]
+    next: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignedUrl(Resource):
+    """An address that works without a key for a few minutes."""
+
+    url: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,9 +148,12 @@ class Artifact(Resource):
 
 
 def _once_each(artifacts: list[Artifact]) -> None:
-    """Refuse two files of one name: fetched into a folder, one would overwrite the other."""
-    if len({artifact.name for artifact in artifacts}) < len(artifacts):
+    """Refuse files that a folder cannot hold: of one name, or of a device's on Windows."""
+    if len({same_file(artifact.name) for artifact in artifacts}) < len(artifacts):
         raise ValueFaultError("two files have the same name")
+    for artifact in artifacts:
+        if is_device(artifact.name):
+            raise ValueFaultError(f"{artifact.name!r} is a device's name on Windows")
 
 
 Artifacts = Annotated[list[Artifact], _once_each]
@@ -194,6 +219,20 @@ class LogLine(Resource):
     number: int
     attempt: int
     text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogPage(Resource):
+    """Lines of a job's log."""
+
+    lines: list[LogLine]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramePage(Resource):
+    """Frames of a sequence, or of a simulation."""
+
+    frames: list[dict[str, Any]]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -53,13 +53,16 @@ class Resource:
         )
 
 
-def matching(pattern: str) -> Callable[[Any], None]:
-    """Return a rule for ``Annotated[str, ...]``: the whole text is as ``pattern`` says."""
+def matching(pattern: str, words: str) -> Callable[[Any], None]:
+    """Return a rule for ``Annotated[str, ...]``: the whole text is as ``pattern`` says.
+
+    ``words`` say the same to people.
+    """
     compiled = re.compile(pattern)
 
     def check(text: Any) -> None:
         if not compiled.fullmatch(text):
-            raise ValueFaultError(f"{text!r} is not as {pattern} says")
+            raise ValueFaultError(f"{text!r:.80} is not {words}")
 
     return check
 

@@ -17,16 +17,17 @@ CLIENT = ROOT / "myoface" / "client"
 MODULES = {
     "aio_connection.py": "sync_connection.py",
     "aio_access.py": "sync_access.py",
+    "aio_captures.py": "sync_captures.py",
     "aio.py": "sync.py",
 }
 # Applied in this order, to whole words.
 WORDS = {
     r"(async|await)\s+": "",
     "anyio": "time",
-    "aio_(access|connection)": r"sync_\1",
+    "aio_(access|captures|connection)": r"sync_\1",
     "async_sha256_of": "sha256_of",
     "asynccontextmanager": "contextmanager",
-    r"Async(Access|Client|Connection|Iterator)": r"\1",
+    r"Async(Access|Captures|Client|Connection|Iterator)": r"\1",
     r"__a(enter|exit)__": r"__\1__",
     r"a(close|iter_bytes|read)": r"\1",
 }

@@ -20,8 +20,9 @@ from zipfile import BadZipFile, ZipFile
 import httpx
 
 from myoface.assets.catalogue import PublicAsset
+from myoface.client.answers import require_success
 from myoface.client.files import Transferred, ignore_transfer, sha256_of
-from myoface.client.retry import Backoff, require_success, transport_errors
+from myoface.client.retry import Backoff, transport_errors
 from myoface.errors import ApiError
 from solver.errors import InputError
 

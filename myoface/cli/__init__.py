@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from glob import glob
 
 from myoface import __version__
 from myoface.cli.batches import batches
@@ -18,7 +19,7 @@ from myoface.cli.webhooks import webhooks
 from myoface.errors import ApiError, StackError
 
 app = Group(
-    "Anatomical, muscle-driven faces from 3D scans.",
+    "Anatomical, muscle-driven faces from 3D scans. Which version this is: myoface --version.",
     {
         "subjects": subjects,
         "captures": captures,
@@ -52,7 +53,22 @@ def run(words: Sequence[str]) -> int:
     except BrokenPipeError:  # who reads has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except OSError as error:
+        where = "" if error.filename is None else f"{error.filename}: "
+        complain(f"{where}{error.strerror or error}")
+        return 1
     return 0
+
+
+def expanded(words: Sequence[str]) -> list[str]:
+    """Return the words with the files that a wildcard stands for, as other systems' shells do."""
+    if os.name != "nt":
+        return list(words)
+    return [
+        file
+        for word in words
+        for file in ((sorted(glob(word)) or [word]) if set(word) & set("*?") else [word])
+    ]
 
 
 def main() -> None:
@@ -60,4 +76,4 @@ def main() -> None:
     os.umask(0o077)  # what it writes is faces, and nobody else's to read
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # code pages
-    raise SystemExit(run(sys.argv[1:]))
+    raise SystemExit(run(expanded(sys.argv[1:])))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from myoface.cli.app import EyeDistance, Forward, Unit, Up, Url, frame_options, read_object
+from myoface.cli.app import Forward, OfSubject, Unit, Up, Url, read_object, require_object
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import out, show_table, transfer_bar
 from myoface.cli.lookup import find_batch, find_subject
@@ -24,7 +25,7 @@ def add_batch(
         Path | None,
         Option(exists=True, dir_okay=False, help="the neutral scan; default: the one called so"),
     ] = None,
-    subject: Annotated[str | None, Option(help="subject: its id, start of it, or name")] = None,
+    subject: OfSubject = None,
     person: Annotated[str | None, Option(help="name of a new subject")] = None,
     registered: Annotated[
         bool, Option("--registered", help="they have the template's vertices")
@@ -33,11 +34,14 @@ def add_batch(
         list[str] | None, Option(help="SCAN=FILE, landmarks on one of the scans; repeat")
     ] = None,
     unit: Unit = "auto",
-    eye_distance_mm: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     options: Annotated[
-        str, Option(metavar="JSON", help='of the jobs, by kind: {"fit_geometry": {"rounds": 3}}')
+        str,
+        Option(
+            metavar="JSON",
+            help='of the jobs, by kind, JSON or @FILE: {"fit_geometry": {"rounds": 3}}',
+        ),
     ] = "{}",
     then: Annotated[
         list[Then] | None, Option(help="what to make of them; repeat; default: all")
@@ -49,11 +53,10 @@ def add_batch(
     if (subject is None) == (person is None):
         raise UsageError("give either --subject or --person")
     steps = then or ["register", "model", "geometry"]
-    frame = frame_options(unit, up, forward, eye_distance_mm)
-    given = read_object(options, "--options")
-    for kind in ("check_scan", *(["register_scan"] if "register" in steps else [])):
-        given[kind] = {**frame, **given.get(kind, {})}
-    marks = _landmarks(landmarks or [], [*files, *([] if neutral is None else [neutral])])
+    kinds = ["check_scan", *(["register_scan"] if "register" in steps else [])]
+    frame = {"unit": unit, "up": up, "forward": forward}
+    given = with_frame(read_object(options, "--options"), kinds, frame)
+    marks = landmarks_of(landmarks or [], [*files, *([] if neutral is None else [neutral])])
     with Client(url) as client:
         whose = subject and find_subject(client, subject)
         with transfer_bar("scans") as progress:
@@ -73,24 +76,29 @@ def add_batch(
             _show(client.wait_for_batch(batch.id))
 
 
-def _landmarks(given: list[str], scans: list[Path]) -> dict[Path, Path]:
+def with_frame(
+    given: dict[str, Any], kinds: Iterable[str], frame: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return the options of a batch, with how its scans lie in space in those of ``kinds``."""
+    found = {kind: require_object(own, f"--options: {kind}") for kind, own in given.items()}
+    return found | {kind: {**frame, **found.get(kind, {})} for kind in kinds}
+
+
+def landmarks_of(given: list[str], scans: list[Path]) -> dict[Path, Path]:
     """Return the files ``SCAN=FILE`` by the scan's, which is named as on the command line."""
     found = {}
     for each in given:
         scan, _, file = each.partition("=")
-        of = [path for path in scans if scan in (str(path), path.name, path.stem)]
+        of = {path.resolve() for path in scans if scan in (str(path), path.name, path.stem)}
         if len(of) != 1 or not Path(file).is_file():
             message = f"--landmarks {each}: SCAN=FILE is expected, of one of the scans and a file"
             raise UsageError(message)
-        found[of[0]] = Path(file)
+        found[of.pop()] = Path(file)
     return found
 
 
 @batches.command("list")
-def list_batches(
-    subject: Annotated[str | None, Option(help="subject: its id, start of it, or name")] = None,
-    url: Url = DEFAULT_URL,
-) -> None:
+def list_batches(subject: OfSubject = None, url: Url = DEFAULT_URL) -> None:
     """List batches."""
     with Client(url) as client:
         found = client.batches(subject_id=subject and find_subject(client, subject))

@@ -6,17 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-from myoface.cli.app import (
-    BAD_SCAN,
-    EyeDistance,
-    Forward,
-    LandmarksFile,
-    SubjectId,
-    Unit,
-    Up,
-    Url,
-    frame_options,
-)
+from myoface.cli.app import BAD_SCAN, Forward, LandmarksFile, SubjectId, Unit, Up, Url
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import (
     JobView,
@@ -73,10 +63,12 @@ def add(
     raw: Annotated[
         bool, Option("--raw", help="it is as the scanner made it, which is the default")
     ] = False,
+    replace: Annotated[
+        bool, Option("--replace", help="put it in the place of an earlier scan of its name")
+    ] = False,
     landmarks: LandmarksFile = None,
     check: Annotated[bool, Option("--check", help="and tell whether it can be used")] = False,
     unit: Unit = "auto",
-    eye_distance_mm: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
@@ -84,7 +76,8 @@ def add(
     """Upload scans, each with the name and role that its file has, and print the capture ids.
 
     Names become legal ones before anything is sent; neutral, rest or relaxed as a word of a file's
-    name is the neutral. With --check the command ends with 3 if a scan is bad.
+    name is the neutral. A file that is there already is not sent again. With --check the command
+    ends with 3 if a scan is bad.
     """
     role = _role(role, neutral=neutral, performance=performance, asset=asset)
     if len(files) > 1 and (name is not None or landmarks or role == "neutral"):
@@ -94,11 +87,12 @@ def add(
     scans = name_scans(files, names=[name] * len(files), roles=[role] * len(files))
     if check and any(each.role in NO_SCANS for each in scans):
         raise UsageError("--check is for scans, not for performances and assets")
-    options = frame_options(unit, up, forward, eye_distance_mm)
+    options = {"unit": unit, "up": up, "forward": forward}
     with Client(url) as client:
         whose = find_subject(client, subject)
         added = [
-            _upload(client, whose, each, registered=registered, marks=landmarks) for each in scans
+            _upload(client, whose, each, registered=registered, marks=landmarks, replace=replace)
+            for each in scans
         ]
         if check:
             _check(client, whose, added, options, None)
@@ -117,13 +111,12 @@ def check(
     names: Names = None,
     output: Results = None,
     unit: Unit = "auto",
-    eye_distance_mm: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
 ) -> None:
     """Tell whether scans can be used, and what to do if not; ends with 3 if one is bad."""
-    options = frame_options(unit, up, forward, eye_distance_mm)
+    options = {"unit": unit, "up": up, "forward": forward}
     with Client(url) as client:
         whose = find_subject(client, subject)
         scans = (each for each in client.captures(whose) if each.role not in NO_SCANS)
@@ -136,7 +129,6 @@ def register(
     names: Names = None,
     output: Results = None,
     unit: Unit = "auto",
-    eye_distance_mm: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
@@ -146,7 +138,7 @@ def register(
     These are the scans that are not registered yet, or from an earlier neutral. An expression that
     fails does not keep the others back; the command then ends with 1.
     """
-    options = frame_options(unit, up, forward, eye_distance_mm)
+    options = {"unit": unit, "up": up, "forward": forward}
     failed = False
     with Client(url) as client:
         whose = find_subject(client, subject)
@@ -202,10 +194,7 @@ def choose(captures: Iterable[Capture], names: list[str] | None) -> list[Capture
         return known
     chosen = []
     for name in names:
-        # Names differ in their case, so one that is meant exactly comes first
-        found = [each for each in known if each.name == name] or matching(
-            name, known, lambda each: each.name
-        )
+        found = matching(name, known, lambda each: each.name)
         if len(found) != 1:
             has = ", ".join(sorted(each.name for each in known)) or "none"
             are = "more than one" if found else "none"
@@ -259,17 +248,24 @@ def _role(role: Role | None, **flags: bool) -> Role | None:
 
 
 def _upload(
-    client: Client, subject: str, scan: NamedScan, *, registered: bool, marks: Path | None
+    client: Client,
+    subject: str,
+    scan: NamedScan,
+    *,
+    registered: bool,
+    marks: Path | None,
+    replace: bool,
 ) -> Capture:
     try:
         with transfer_bar(scan.path.name) as progress:
-            capture = client.add_capture(
+            capture = client.ensure_capture(
                 subject,
                 scan.path,
                 name=scan.name,
                 role=scan.role,
                 registered=registered,
                 landmarks=marks,
+                replace=replace,
                 progress=progress,
             )
     except (ApiError, KeyboardInterrupt) as error:

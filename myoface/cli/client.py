@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
-from myoface.cli.app import NewFolder, SubjectId, Url, read_object, read_scene
+from myoface.cli.app import NewFolder, OfSubject, Options, SubjectId, Url, read_object, read_scene
 from myoface.cli.captures import choose, show_captures
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import (
@@ -33,7 +33,6 @@ rigs = Group("Fitted faces.")
 
 JobId = Annotated[str, Argument(help="job id, or the start of it")]
 RigId = Annotated[str, Argument(help="rig id, or the start of it")]
-OfSubject = Annotated[str | None, Option("--subject", help="subject: id, start of it, or name")]
 
 # JSON Schema's words for the limits of a number.
 LIMITS = {"exclusiveMinimum": ">", "minimum": ">=", "maximum": "<="}
@@ -159,7 +158,7 @@ def submit_job(
     rig: Annotated[
         str | None, Option(help="rig id, for fit_activations and all that plays a rig")
     ] = None,
-    options: Annotated[str, Option(help="JSON, see `myoface jobs kinds KIND`")] = "{}",
+    options: Options = "{}",
     scene: Annotated[
         Path | None,
         Option(exists=True, dir_okay=False, help="JSON, for simulate, animate and edit"),
@@ -192,7 +191,7 @@ def submit_job(
 @jobs.command("retry")
 def retry_job(
     job: JobId,
-    options: Annotated[str, Option(help="JSON, those that differ")] = "{}",
+    options: Annotated[str, Option(metavar="JSON", help="those that differ, JSON or @FILE")] = "{}",
     wait: Annotated[bool, Option(help="follow the job until it ends")] = True,
     url: Url = DEFAULT_URL,
 ) -> None:

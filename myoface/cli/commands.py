@@ -88,7 +88,10 @@ class Command:
     def run(self, words: Sequence[str], title: str) -> None:
         """Call the function with what ``words`` say."""
         parser = self.parser(title)
-        given = parser.parse_intermixed_args(_joined(parser, words))
+        joined = _joined(parser, words)
+        # argparse takes options between arguments, or a --, not both
+        parse = parser.parse_args if "--" in joined else parser.parse_intermixed_args
+        given = parse(joined)
         self.function(**vars(given))
 
     def parser(self, title: str) -> CommandParser:
@@ -124,6 +127,8 @@ class Group:
             print("\n".join(self.lines(title)))  # noqa: T201
             return
         name, *rest = words
+        if name.startswith("-"):
+            raise UsageError(f"options come after the command: {title} COMMAND {name} ...")
         if name not in self.members:
             near = difflib.get_close_matches(name, self.members, 1)
             advice = (
@@ -169,6 +174,8 @@ def _joined(parser: CommandParser, words: Sequence[str]) -> list[str]:
     joined: list[str] = []
     waiting = iter(words)
     for word in waiting:
+        if word == "--":  # only arguments from here on
+            return [*joined, word, *waiting]
         following = None
         if parser.takes_value(word):
             following = next(waiting, None)
@@ -204,7 +211,7 @@ def _add(parser: argparse.ArgumentParser, parameter: inspect.Parameter, hint: An
         how["action"] = argparse.BooleanOptionalAction if can_be_denied else "store_true"
     elif is_list:
         how["action"] = "append"
-    if rules.envvar and rules.envvar in os.environ:
+    if rules.envvar and os.environ.get(rules.envvar):
         default, is_required = os.environ[rules.envvar], False
     parser.add_argument(
         *flags,
@@ -271,8 +278,14 @@ NAMES = {int: "whole number", float: "number"}
 
 
 def _check_path(path: Path, rules: Argument) -> None:
-    if rules.exists and not path.exists():
+    try:
+        is_there = path.exists()
+    except OSError as error:
+        raise argparse.ArgumentTypeError(f"{path}: {error.strerror}") from error
+    if rules.exists and not is_there:
         raise argparse.ArgumentTypeError(f"there is no {path}")
+    if rules.exists and not os.access(path, os.R_OK):
+        raise argparse.ArgumentTypeError(f"{path} cannot be read")
     if not rules.dir_okay and path.is_dir():
         raise argparse.ArgumentTypeError(f"{path} is a folder; a file is needed")
     if not rules.file_okay and path.is_file():

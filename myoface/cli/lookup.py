@@ -58,13 +58,16 @@ def find_webhook(client: Client, given: str) -> str:
 def matching(
     given: str, things: Iterable[Thing], name: Callable[[Thing], str] | None = None
 ) -> list[Thing]:
-    """Return the things whose id is or begins with ``given``, and those that are called so."""
-    start = given.lower()
-    return [
+    """Return the things whose id is or begins with ``given``, and those that are called so.
+
+    Names may differ in their case alone, so one that is meant exactly comes first.
+    """
+    start, things = given.lower(), list(things)
+    exact = [each for each in things if each.id == start or (name and name(each) == given)]
+    return exact or [
         each
         for each in things
-        if each.id == start
-        or (len(start) >= LEAST and each.id.startswith(start))
+        if (len(start) >= LEAST and each.id.startswith(start))
         or (name and name(each).casefold() == given.casefold())
     ]
 

@@ -9,7 +9,16 @@ from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from myoface.cli.app import BAD_SCAN, LandmarksFile, NewFile, NewFolder, RawScan, Scan, read_scene
+from myoface.cli.app import (
+    BAD_SCAN,
+    LandmarksFile,
+    NewFile,
+    NewFolder,
+    RawScan,
+    Scan,
+    read_object,
+    read_scene,
+)
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import JobView, out, show_registration, show_verdict
 from solver.jobs import run_job
@@ -168,7 +177,7 @@ def _option(name: str, rules: Mapping[str, Any]) -> Any:
     if kind not in (int, float):
         bounds = {}
     if kind is dict:
-        bounds = {"parser": _read_object, "metavar": "JSON"}
+        bounds = {"parser": lambda word: read_object(word, flag), "metavar": "JSON"}
     made = Option(flag, help=words, **bounds)
     return Annotated[kind | None if may_be_none else kind, made]
 
@@ -179,13 +188,6 @@ def _read_word(given: str) -> str | float:
         return float(given)
     except ValueError:
         return given
-
-
-def _read_object(given: str) -> dict[str, Any]:
-    found = json.loads(given)
-    if not isinstance(found, dict):
-        raise ValueError(f"{given} is no JSON object")
-    return found
 
 
 def _run(kind: Kind, given: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import out, show_table
-from myoface.cli.service import read_settings
+from myoface.cli.service import Data, read_settings
 
 if TYPE_CHECKING:
     from service.settings import Settings
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 tenants = Group("Tenants: customers who see nothing of one another.")
 
-Data = Annotated[Path | None, Option(help="folder for everything the service keeps")]
 MaxBytes = Annotated[int | None, Option(min=0, help="bytes that may be stored")]
 MaxQueued = Annotated[int | None, Option(min=0, help="jobs that may wait")]
 MaxRunning = Annotated[int | None, Option(min=0, help="jobs that may run at a time")]

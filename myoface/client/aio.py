@@ -1,4 +1,4 @@
-"""The calls of the service, one method each."""
+"""The calls about jobs, batches and rigs, and the client with all calls of the service."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from typing import Any
 import anyio
 import httpx
 
-from myoface.client.aio_access import AsyncAccess
+from myoface.client.aio_captures import AsyncCaptures
+from myoface.client.answers import read_json
 from myoface.client.files import Transferred, ignore_transfer, write_rig_note
 from myoface.client.jobs import (
     BatchWatcher,
@@ -26,134 +27,32 @@ from myoface.client.jobs import (
 )
 from myoface.client.retry import Backoff, requested_pause
 from myoface.errors import ApiError
-from myoface.names import name_scans
+from myoface.names import name_session
 from myoface.resources import (
     FINAL_STATES,
     NO_SCANS,
     Batch,
-    Capture,
-    Deletion,
     Frame,
+    FramePage,
     Job,
     JobKind,
     LogLine,
+    LogPage,
     MotionFrame,
     Progress,
     Rig,
-    Role,
-    Subject,
-    Template,
     Then,
 )
 
 TOO_MANY_STREAMS = "stream.too_many"
 
 
-class AsyncClient(AsyncAccess):
+class AsyncClient(AsyncCaptures):
     """One service. Every method raises :class:`ApiError` with the service's problem document.
 
     Requests are repeated where that does no harm: over a broken line, while the service is not
     ready, and as late as it asks for when it is asked too fast.
     """
-
-    # Templates and subjects
-
-    async def create_template(
-        self, name: str, path: Path, *, progress: Transferred = ignore_transfer
-    ) -> Template:
-        """Upload a template anatomy (NPZ) and register it."""
-        sent = await self.upload(path, progress=progress)
-        return await self._create("/v1/templates", Template, name=name, upload_id=sent.id)
-
-    async def templates(self) -> list[Template]:
-        """Return the template anatomies, newest first."""
-        return await self._list("/v1/templates", Template)
-
-    async def delete_template(self, template_id: str) -> str:
-        """Delete a template that no subject has; returns the id of the receipt."""
-        return await self._delete(f"/v1/templates/{template_id}")
-
-    async def create_subject(self, name: str, *, template_id: str | None = None) -> Subject:
-        """Register a person; without a template the built-in anatomy is used."""
-        return await self._create("/v1/subjects", Subject, name=name, template_id=template_id)
-
-    async def subjects(self) -> list[Subject]:
-        """Return the subjects, newest first."""
-        return await self._list("/v1/subjects", Subject)
-
-    async def subject(self, subject_id: str) -> Subject:
-        """Return one subject."""
-        return await self._get(f"/v1/subjects/{subject_id}", Subject)
-
-    async def delete_subject(self, subject_id: str, *, cancel: bool = False) -> str:
-        """Delete a subject with all its scans, jobs and rigs; returns the id of the receipt.
-
-        ``cancel`` stops its jobs first; without it a subject with jobs is refused.
-        """
-        return await self._delete(f"/v1/subjects/{subject_id}", cancel=str(cancel).lower())
-
-    async def deletion(self, deletion_id: str) -> Deletion:
-        """Return the receipt of a deletion."""
-        return await self._get(f"/v1/deletions/{deletion_id}", Deletion)
-
-    # Scans and files
-
-    async def signed_url(self, artifact_id: str) -> str:
-        """Return a URL of a file that works without a key for a few minutes."""
-        response = await self._request("POST", f"/v1/artifacts/{artifact_id}/url")
-        return str(httpx.URL(self._url).join(response.json()["url"]))
-
-    async def add_capture(
-        self,
-        subject_id: str,
-        path: Path,
-        *,
-        role: Role | None = None,
-        name: str | None = None,
-        registered: bool = False,
-        landmarks: Path | None = None,
-        replaces: str | None = None,
-        progress: Transferred = ignore_transfer,
-    ) -> Capture:
-        """Upload a scan and add it to a subject; name and role are the file's unless given.
-
-        ``registered`` scans have the template's vertices, others are what the scanner made;
-        ``landmarks`` is a file. The capture ``replaces`` goes once the new file has arrived.
-        :mod:`myoface.names` says what name and role a file has.
-        """
-        (scan,) = name_scans([path], names=[name], roles=[role])
-        marks = None if landmarks is None else (await self.upload(landmarks)).id
-        sent = await self.upload(path, progress=progress)
-        if replaces is not None:
-            await self.delete_capture(subject_id, replaces)
-        return await self._create(
-            f"/v1/subjects/{subject_id}/captures",
-            Capture,
-            name=scan.name,
-            role=scan.role,
-            upload_id=sent.id,
-            registered=registered or scan.role in NO_SCANS,
-            landmarks_upload_id=marks,
-        )
-
-    async def captures(self, subject_id: str) -> list[Capture]:
-        """Return a subject's scans, newest first."""
-        return await self._list(f"/v1/subjects/{subject_id}/captures", Capture)
-
-    async def capture(self, subject_id: str, capture_id: str) -> Capture:
-        """Return one scan, with its newest check and registration."""
-        return await self._get(f"/v1/subjects/{subject_id}/captures/{capture_id}", Capture)
-
-    async def set_landmarks(self, subject_id: str, capture_id: str, path: Path) -> Capture:
-        """Upload landmarks on a scan, in place of those it had."""
-        url = f"/v1/subjects/{subject_id}/captures/{capture_id}/landmarks"
-        sent = await self.upload(path)
-        response = await self._request("PUT", url, json={"upload_id": sent.id})
-        return Capture.read(response.json())
-
-    async def delete_capture(self, subject_id: str, capture_id: str) -> str:
-        """Delete a scan with its checks and registrations; returns the id of the receipt."""
-        return await self._delete(f"/v1/subjects/{subject_id}/captures/{capture_id}")
 
     # Jobs
 
@@ -187,7 +86,7 @@ class AsyncClient(AsyncAccess):
         }
         given = {key: value for key, value in body.items() if value}
         response = await self._request("PUT", f"/v1/jobs/{uuid.uuid4()}", json=given)
-        return Job.read(response.json())
+        return Job.read(read_json(response))
 
     async def run(
         self, kind: str, subject_id: str, *, watch: Watcher = unwatched, **request: Any
@@ -225,8 +124,8 @@ class AsyncClient(AsyncAccess):
         """Yield what the solver printed so far, the lines numbered higher than ``after``."""
         url = f"/v1/jobs/{job_id}/log"
         while True:
-            page = (await self._request("GET", url, params={"after": after})).json()
-            lines = list(map(LogLine.read, page["lines"]))
+            page = await self._get(url, LogPage, params={"after": after})
+            lines = page.lines
             if not lines:
                 return
             for line in lines:
@@ -245,8 +144,8 @@ class AsyncClient(AsyncAccess):
             query = {"start": start, "limit": self._options.frame_page_items}
             # The job first: the frames of one that had ended by then are all there.
             job = await self._get(url, Job, through=True)
-            page = await self._request("GET", f"{url}/frames", through=True, params=query)
-            frames = list(map(read_frame, page.json()["frames"]))
+            page = await self._get(f"{url}/frames", FramePage, through=True, params=query)
+            frames = list(map(read_frame, page.frames))
             for frame in frames:
                 yield frame
             start += len(frames)
@@ -259,7 +158,7 @@ class AsyncClient(AsyncAccess):
         """Ask for a job to be stopped."""
         url = f"/v1/jobs/{job_id}/cancel"
         response = await self._request_once("POST", url, json={"reason": reason})
-        return Job.read(response.json())
+        return Job.read(read_json(response))
 
     async def wait(self, job_id: str, watch: Watcher = unwatched) -> Job:
         """Follow a job by its events until it has ended, through broken connections.
@@ -320,13 +219,10 @@ class AsyncClient(AsyncAccess):
         ``neutral`` the one whose name says so is the neutral. ``options`` are those of the jobs, by
         kind; ``landmarks`` are files, by the scan's.
         """
-        paths = [*([] if neutral is None else [neutral]), *expressions]
-        roles: list[Role | None] = [None if neutral is None else "expression"] * len(paths)
-        if neutral is not None:
-            roles[0] = "neutral"
+        marks = {path.resolve(): file for path, file in (landmarks or {}).items()}
         captures = []
-        for scan in name_scans(paths, roles=roles):
-            marks = (landmarks or {}).get(scan.path)
+        for scan in name_session(neutral, expressions):
+            its = marks.get(scan.path.resolve())
             sent = await self.upload(scan.path, progress=progress)
             captures.append(
                 {
@@ -334,7 +230,7 @@ class AsyncClient(AsyncAccess):
                     "role": scan.role,
                     "upload_id": sent.id,
                     "registered": registered or scan.role in NO_SCANS,
-                    "landmarks_upload_id": marks and (await self.upload(marks)).id,
+                    "landmarks_upload_id": its and (await self.upload(its)).id,
                 }
             )
         return await self._create(
@@ -360,7 +256,7 @@ class AsyncClient(AsyncAccess):
         """Stop a batch and its jobs."""
         url = f"/v1/batches/{batch_id}/cancel"
         response = await self._request_once("POST", url, json={"reason": reason})
-        return Batch.read(response.json())
+        return Batch.read(read_json(response))
 
     async def wait_for_batch(self, batch_id: str, watch: BatchWatcher = unwatched_batch) -> Batch:
         """Wait until a batch has ended; raises :class:`ApiError` if it did not succeed."""

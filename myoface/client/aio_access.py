@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from datetime import datetime
 
 from myoface.client.aio_connection import AsyncConnection
+from myoface.client.answers import read_json
 from myoface.resources import (
     AuditEntry,
     Delivery,
@@ -96,7 +97,7 @@ class AsyncAccess(AsyncConnection):
         }
         given = {key: value for key, value in change.items() if value is not None}
         response = await self._request("PATCH", f"/v1/webhooks/{webhook_id}", json=given)
-        return Webhook.read(response.json())
+        return Webhook.read(read_json(response))
 
     async def delete_webhook(self, webhook_id: str) -> None:
         """Delete a webhook with its log."""
@@ -109,7 +110,7 @@ class AsyncAccess(AsyncConnection):
     async def try_webhook(self, webhook_id: str) -> Delivery:
         """Send a ``webhook.test``; the delivery tells how it went."""
         response = await self._request_once("POST", f"/v1/webhooks/{webhook_id}/test")
-        return Delivery.read(response.json())
+        return Delivery.read(read_json(response))
 
     async def deliveries(self, webhook_id: str, *, state: str | None = None) -> list[Delivery]:
         """Return what was sent in the last 30 days, newest first, in one ``state`` if given."""
@@ -122,4 +123,4 @@ class AsyncAccess(AsyncConnection):
     async def redeliver(self, delivery_id: str) -> Delivery:
         """Send an event to its webhook once more, with the same id."""
         response = await self._request_once("POST", f"/v1/deliveries/{delivery_id}/redeliver")
-        return Delivery.read(response.json())
+        return Delivery.read(read_json(response))

@@ -12,7 +12,8 @@ from typing import Any, Self, TypeVar
 import anyio
 import httpx
 
-from myoface.client.credentials import DEFAULT_URL, authority, headers_for
+from myoface.client.answers import read_json, read_location, read_offset, require_success
+from myoface.client.credentials import DEFAULT_URL, authority, headers_for, read_address
 from myoface.client.files import (
     GONE,
     OUT_OF_STEP,
@@ -25,6 +26,7 @@ from myoface.client.files import (
     metadata,
     part_path,
     put_in_place,
+    require_more,
 )
 from myoface.client.proxies import proxy_for
 from myoface.client.retry import (
@@ -33,11 +35,10 @@ from myoface.client.retry import (
     ClientOptions,
     is_never_reached,
     is_too_fast,
-    require_success,
     transport_errors,
 )
 from myoface.errors import ApiError
-from myoface.resources import Artifact, Upload
+from myoface.resources import Artifact, Page, Upload
 from myoface.values import Resource
 
 R = TypeVar("R", bound=Resource)
@@ -61,6 +62,7 @@ class AsyncConnection:
         authority that its certificate is of, where that is no public one. ``proxy`` is the address
         of a proxy; without it that of the environment or the system, for a service elsewhere.
         """
+        self._url = url = read_address(url)
         self._proxy = proxy_for(url, proxy)
         self.http = httpx.AsyncClient(
             base_url=url,
@@ -70,7 +72,6 @@ class AsyncConnection:
             trust_env=False,
             verify=authority(ca),
         )
-        self._url = url
         self._options = options
 
     async def __aenter__(self) -> Self:
@@ -122,8 +123,7 @@ class AsyncConnection:
     async def _start_upload(self, name: str, size: int, digest: str) -> str:
         headers = TUS | {"Upload-Length": str(size), "Upload-Metadata": metadata(name, digest)}
         response = await self._request_once("POST", "/v1/uploads", headers=headers)
-        location: str = response.headers["Location"]
-        return location.rstrip("/").rsplit("/", 1)[-1]
+        return read_location(response)
 
     async def _send_file(self, url: str, path: Path, progress: Transferred) -> None:
         size = path.stat().st_size
@@ -143,7 +143,7 @@ class AsyncConnection:
                             "PATCH", url, content=content, headers=headers
                         )
                         backoff.reset()
-                    offset = int(require_success(response).headers["Upload-Offset"])
+                    offset = read_offset(require_success(response), size)
                     progress(offset, size)
                 except ApiError as error:
                     if error.status in OUT_OF_STEP:
@@ -178,6 +178,7 @@ class AsyncConnection:
                             stream.write(block)
                             progress(stream.tell(), artifact.size)
                             backoff.reset()
+                require_more(part, have, artifact)
             except ApiError as error:
                 await anyio.sleep(backoff.pause_if_transient(error))
         put_in_place(part, path, artifact, await async_sha256_of(part))
@@ -194,7 +195,7 @@ class AsyncConnection:
         """Yield an answer whose content is read in the block."""
         with transport_errors(self._proxy):
             async with self.http.stream("GET", url, **request) as response:
-                if response.is_error:
+                if not response.is_success:
                     await response.aread()
                 yield require_success(response)
 
@@ -226,30 +227,29 @@ class AsyncConnection:
                     raise
                 await anyio.sleep(backoff.pause_if_transient(error))
 
-    async def _get(self, url: str, kind: type[R], *, through: bool = False) -> R:
-        response = await self._request("GET", url, through=through)
-        return kind.read(response.json())
+    async def _get(self, url: str, kind: type[R], *, through: bool = False, **request: Any) -> R:
+        response = await self._request("GET", url, through=through, **request)
+        return kind.read(read_json(response))
 
     async def _create(self, url: str, kind: type[R], /, **body: Any) -> R:
         """Make something once, however often the line breaks."""
         given = {key: value for key, value in body.items() if value is not None}
         headers = {"Idempotency-Key": str(uuid.uuid4())}
         response = await self._request("POST", url, json=given, headers=headers)
-        return kind.read(response.json())
+        return kind.read(read_json(response))
 
     async def _delete(self, url: str, **query: Any) -> str:
         """Delete something; returns the id of the receipt."""
         response = await self._request_once("DELETE", url, params=query)
-        location: str = response.headers["Location"]
-        return location.rsplit("/", 1)[-1]
+        return read_location(response)
 
     async def _list(self, url: str, kind: type[R], /, **query: Any) -> list[R]:
         given = {key: value for key, value in query.items() if value is not None}
         found: list[R] = []
         while True:
             params = {"limit": self._options.page_items, **given}
-            page = (await self._request("GET", url, params=params)).json()
-            found += map(kind.read, page["items"])
-            if page.get("next") is None:
+            page = await self._get(url, Page, params=params)
+            found += map(kind.read, page.items)
+            if page.next is None:
                 return found
-            given["cursor"] = page["next"]
+            given["cursor"] = page.next

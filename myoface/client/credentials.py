@@ -8,12 +8,37 @@ import ssl
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import httpx
+
 from myoface.errors import ApiError
 
 DEFAULT_URL = "http://127.0.0.1:8765"
 KEY_VARIABLE = "MYOFACE_API_KEY"
 CA_VARIABLE = "MYOFACE_CA"
 NO_AUTHORITY = "client.ca"
+BAD_ADDRESS = "client.address"
+LAST_PORT = 65535
+
+
+def read_address(given: str) -> str:
+    """Return a service's address.
+
+    Raises
+    ------
+    ApiError
+        With ``client.address`` if it is none.
+    """
+    address = given.strip()
+    try:
+        url = httpx.URL(address)
+        is_one = url.scheme in ("http", "https") and url.host and (url.port or 0) <= LAST_PORT
+    except (httpx.InvalidURL, ValueError):
+        is_one = False
+    if is_one:
+        return address
+    told = address.rpartition("@")[2]  # no password
+    detail = f"{told!r} is no address of a service: one such as {DEFAULT_URL} is needed"
+    raise ApiError({"code": BAD_ADDRESS, "detail": detail})
 
 
 def key_for(url: str) -> str | None:

@@ -16,6 +16,7 @@ import httpx
 
 from myoface.errors import ApiError
 from myoface.resources import Artifact, Rig, Subject
+from myoface.values import NOT_OF_THE_API
 
 TUS = {"Tus-Resumable": "1.0.0"}
 TUS_CONTENT = "application/offset+octet-stream"
@@ -55,6 +56,14 @@ def metadata(filename: str, sha256: str) -> str:
 def part_path(path: Path, artifact: Artifact) -> Path:
     """Return the file of an unfinished download; another artifact's part has another name."""
     return path.with_name(f"{path.name}.{artifact.sha256[:12]}.part")
+
+
+def require_more(part: Path, had: int, artifact: Artifact) -> None:
+    """Refuse an answer that brought nothing new of a file: a login page would be asked for ever."""
+    if part.stat().st_size <= had:
+        part.unlink()
+        detail = f"{artifact.name}: what arrives is not the file"
+        raise ApiError({"code": NOT_OF_THE_API, "detail": detail, "file": artifact.name})
 
 
 def put_in_place(part: Path, path: Path, artifact: Artifact, found: str) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from myoface.client.answers import read_data
 from myoface.errors import ApiError
 from myoface.resources import Batch, Frame, Job, MotionFrame
 
@@ -43,14 +43,14 @@ class EventReader:
         """Yield the events that are complete now."""
         *lines, self._rest = (self._rest + content).split(b"\n")
         for line in lines:
-            text = line.decode().rstrip("\r")
+            text = line.decode(errors="replace").rstrip("\r")
             if text:
                 name, _, value = text.partition(":")  # a comment has no name
                 self._fields[name] = value.removeprefix(" ")
             else:
                 fields, self._fields = self._fields, {}
                 if "event" in fields and "data" in fields:
-                    yield JobEvent(fields["event"], json.loads(fields["data"]))
+                    yield JobEvent(fields["event"], read_data(fields["data"]))
 
 
 def read_frame(values: dict[str, Any]) -> Frame | MotionFrame:

@@ -33,11 +33,17 @@ def proxy_for(url: str, given: str | None) -> httpx.Proxy | None:
         address = f"http://{address}"
     try:
         proxy = httpx.Proxy(address)
-        if not proxy.url.host:
-            raise ValueError("an address such as http://proxy.studio:3128 is needed")
-    except (ValueError, httpx.InvalidURL) as error:
-        detail = f"{_without_password(address)!r} is no address of a proxy: {error}"
-        raise ApiError({"code": BAD_PROXY, "detail": detail}) from error
+        # A # / or ? in a password ends the host before it
+        is_cut = "@" in proxy.url.fragment or b"@" in proxy.url.raw_path
+    except (ValueError, httpx.InvalidURL):
+        proxy = None
+    if proxy is None or is_cut or not proxy.url.host:
+        # What httpx says may have a part of the password in it, also as an error's cause
+        detail = (
+            f"{_without_password(address)!r} is no address of a proxy, which is such as "
+            "http://proxy.studio:3128; in a password write # / ? as %23 %2F %3F"
+        )
+        raise ApiError({"code": BAD_PROXY, "detail": detail})
     if proxy.url.scheme.startswith("socks") and find_spec("socksio") is None:
         detail = f"{told(proxy)} needs the package socksio: pip install socksio"
         raise ApiError({"code": BAD_PROXY, "detail": detail})

@@ -79,16 +79,6 @@ def transport_errors(proxy: httpx.Proxy | None = None) -> Iterator[None]:
         raise ApiError({"code": code, "detail": detail}) from error
 
 
-def require_success(response: httpx.Response) -> httpx.Response:
-    """Return a response that has been read, or raise its problem as :class:`ApiError`."""
-    if not response.is_error:
-        return response
-    error = ApiError.from_response(response)
-    if "Retry-After" in response.headers:
-        error.problem.setdefault("retry_after", response.headers["Retry-After"])
-    raise error
-
-
 def requested_pause(error: ApiError) -> float | None:
     """Return the seconds after which the service wants to be asked again, if it says so."""
     text = str(error.problem.get("retry_after", ""))

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from datetime import datetime
 
+from myoface.client.answers import read_json
 from myoface.client.sync_connection import Connection
 from myoface.resources import (
     AuditEntry,
@@ -96,7 +97,7 @@ class Access(Connection):
         }
         given = {key: value for key, value in change.items() if value is not None}
         response = self._request("PATCH", f"/v1/webhooks/{webhook_id}", json=given)
-        return Webhook.read(response.json())
+        return Webhook.read(read_json(response))
 
     def delete_webhook(self, webhook_id: str) -> None:
         """Delete a webhook with its log."""
@@ -109,7 +110,7 @@ class Access(Connection):
     def try_webhook(self, webhook_id: str) -> Delivery:
         """Send a ``webhook.test``; the delivery tells how it went."""
         response = self._request_once("POST", f"/v1/webhooks/{webhook_id}/test")
-        return Delivery.read(response.json())
+        return Delivery.read(read_json(response))
 
     def deliveries(self, webhook_id: str, *, state: str | None = None) -> list[Delivery]:
         """Return what was sent in the last 30 days, newest first, in one ``state`` if given."""
@@ -122,4 +123,4 @@ class Access(Connection):
     def redeliver(self, delivery_id: str) -> Delivery:
         """Send an event to its webhook once more, with the same id."""
         response = self._request_once("POST", f"/v1/deliveries/{delivery_id}/redeliver")
-        return Delivery.read(response.json())
+        return Delivery.read(read_json(response))

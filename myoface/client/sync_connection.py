@@ -14,7 +14,8 @@ from typing import Any, Self, TypeVar
 
 import httpx
 
-from myoface.client.credentials import DEFAULT_URL, authority, headers_for
+from myoface.client.answers import read_json, read_location, read_offset, require_success
+from myoface.client.credentials import DEFAULT_URL, authority, headers_for, read_address
 from myoface.client.files import (
     GONE,
     OUT_OF_STEP,
@@ -26,6 +27,7 @@ from myoface.client.files import (
     metadata,
     part_path,
     put_in_place,
+    require_more,
     sha256_of,
 )
 from myoface.client.proxies import proxy_for
@@ -35,11 +37,10 @@ from myoface.client.retry import (
     ClientOptions,
     is_never_reached,
     is_too_fast,
-    require_success,
     transport_errors,
 )
 from myoface.errors import ApiError
-from myoface.resources import Artifact, Upload
+from myoface.resources import Artifact, Page, Upload
 from myoface.values import Resource
 
 R = TypeVar("R", bound=Resource)
@@ -63,6 +64,7 @@ class Connection:
         authority that its certificate is of, where that is no public one. ``proxy`` is the address
         of a proxy; without it that of the environment or the system, for a service elsewhere.
         """
+        self._url = url = read_address(url)
         self._proxy = proxy_for(url, proxy)
         self.http = httpx.Client(
             base_url=url,
@@ -72,7 +74,6 @@ class Connection:
             trust_env=False,
             verify=authority(ca),
         )
-        self._url = url
         self._options = options
 
     def __enter__(self) -> Self:
@@ -124,8 +125,7 @@ class Connection:
     def _start_upload(self, name: str, size: int, digest: str) -> str:
         headers = TUS | {"Upload-Length": str(size), "Upload-Metadata": metadata(name, digest)}
         response = self._request_once("POST", "/v1/uploads", headers=headers)
-        location: str = response.headers["Location"]
-        return location.rstrip("/").rsplit("/", 1)[-1]
+        return read_location(response)
 
     def _send_file(self, url: str, path: Path, progress: Transferred) -> None:
         size = path.stat().st_size
@@ -143,7 +143,7 @@ class Connection:
                         content = stream.read(self._options.chunk_bytes)
                         response = self._answer("PATCH", url, content=content, headers=headers)
                         backoff.reset()
-                    offset = int(require_success(response).headers["Upload-Offset"])
+                    offset = read_offset(require_success(response), size)
                     progress(offset, size)
                 except ApiError as error:
                     if error.status in OUT_OF_STEP:
@@ -178,6 +178,7 @@ class Connection:
                             stream.write(block)
                             progress(stream.tell(), artifact.size)
                             backoff.reset()
+                require_more(part, have, artifact)
             except ApiError as error:
                 time.sleep(backoff.pause_if_transient(error))
         put_in_place(part, path, artifact, sha256_of(part))
@@ -194,7 +195,7 @@ class Connection:
         """Yield an answer whose content is read in the block."""
         with transport_errors(self._proxy):
             with self.http.stream("GET", url, **request) as response:
-                if response.is_error:
+                if not response.is_success:
                     response.read()
                 yield require_success(response)
 
@@ -226,30 +227,29 @@ class Connection:
                     raise
                 time.sleep(backoff.pause_if_transient(error))
 
-    def _get(self, url: str, kind: type[R], *, through: bool = False) -> R:
-        response = self._request("GET", url, through=through)
-        return kind.read(response.json())
+    def _get(self, url: str, kind: type[R], *, through: bool = False, **request: Any) -> R:
+        response = self._request("GET", url, through=through, **request)
+        return kind.read(read_json(response))
 
     def _create(self, url: str, kind: type[R], /, **body: Any) -> R:
         """Make something once, however often the line breaks."""
         given = {key: value for key, value in body.items() if value is not None}
         headers = {"Idempotency-Key": str(uuid.uuid4())}
         response = self._request("POST", url, json=given, headers=headers)
-        return kind.read(response.json())
+        return kind.read(read_json(response))
 
     def _delete(self, url: str, **query: Any) -> str:
         """Delete something; returns the id of the receipt."""
         response = self._request_once("DELETE", url, params=query)
-        location: str = response.headers["Location"]
-        return location.rsplit("/", 1)[-1]
+        return read_location(response)
 
     def _list(self, url: str, kind: type[R], /, **query: Any) -> list[R]:
         given = {key: value for key, value in query.items() if value is not None}
         found: list[R] = []
         while True:
             params = {"limit": self._options.page_items, **given}
-            page = (self._request("GET", url, params=params)).json()
-            found += map(kind.read, page["items"])
-            if page.get("next") is None:
+            page = self._get(url, Page, params=params)
+            found += map(kind.read, page.items)
+            if page.next is None:
                 return found
-            given["cursor"] = page["next"]
+            given["cursor"] = page.next

@@ -38,6 +38,8 @@ def create(
         return _views(session, [repository.get(session, known)])[0]
     batch = service.create(session, new, settings.max_attempts)
     once.keep(session, batch.id)
+    for replaced in (capture.replaces for capture in new.captures if capture.replaces):
+        record(session, who, "capture.deleted", replaced)
     record(session, who, "batch.created", batch.id)
     return _views(session, [batch])[0]
 

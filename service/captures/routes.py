@@ -8,6 +8,7 @@ from service.access.principal import Deleter, Writer
 from service.captures import repository, service
 from service.captures.schemas import CaptureView, Landmarks, NewCapture
 from service.dependencies import (
+    BallastDep,
     Cursor,
     DeleteSession,
     Limit,
@@ -33,17 +34,23 @@ def create(
     who: Writer,
     once: Once,
     settings: SettingsDep,
+    ballast: BallastDep,
 ) -> CaptureView:
     """Make a complete upload the subject's neutral, an expression or a performance.
 
     OBJ, PLY, GLB or STL; a raw scan (`registered: false`) may also be an XYZ point cloud. The
-    frames of a performance are a NumPy array (frames, vertices, 3) in mm.
+    frames of a performance are a NumPy array (frames, vertices, 3) in mm. The scan that
+    `replaces` names is deleted in the same step, or nothing is done; that needs no scope `delete`.
     """
     if (known := once.find_answered(session, new)) is not None:
         capture = repository.get(session, subject_id, known)
     else:
+        if new.replaces is not None:
+            ballast.drop()  # what deletes finds room on a full disk
         capture = service.create(session, subject_id, new)
         once.keep(session, capture.id)
+        if new.replaces is not None:
+            record(session, who, "capture.deleted", new.replaces)
         record(session, who, "capture.created", capture.id)
     return service.views(session, [capture], settings)[0]
 

@@ -46,6 +46,11 @@ class NewCapture(RequestBody):
     landmarks_upload_id: Id | None = Field(
         default=None, description="a complete upload with landmarks on this scan"
     )
+    replaces: Id | None = Field(
+        default=None,
+        description="a scan of the subject that is deleted, with its checks and registrations, "
+        "when this one is there; both may have one name",
+    )
 
 
 class Landmarks(RequestBody):

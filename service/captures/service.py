@@ -26,7 +26,10 @@ LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 
 
 def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
-    """Add a scan to a subject; its mesh is read by a worker, never here."""
+    """Add a scan to a subject; its mesh is read by a worker, never here.
+
+    The scan that it replaces is deleted in the same transaction: one of the two is always there.
+    """
     # Two captures of one subject at a time would both find the name free.
     subjects.lock(session, subject_id)
     upload = uploads.get_complete(session, new.upload_id)
@@ -38,6 +41,8 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
         _check_format(upload, "capture.format", "a registered scan", FORMATS)
     else:
         _check_format(upload, "capture.format", "a raw scan", RAW_FORMATS)
+    if new.replaces is not None:
+        delete(session, subject_id, new.replaces)
     _refuse_a_second(session, subject_id, new)
     capture = Capture(
         subject_id=subject_id,
@@ -138,14 +143,14 @@ def _refuse_a_second(session: Session, subject_id: str, new: NewCapture) -> None
             raise Problem(
                 409,
                 "capture.name_taken",
-                f"the subject has a capture named {other.name}: delete that, or rename this one",
+                f"the subject has a capture named {other.name}: replace that, or rename this one",
                 capture_id=other.id,
             )
         if other.role == new.role == "neutral":
             raise Problem(
                 409,
                 "capture.neutral_exists",
-                f"the subject has a neutral capture, {other.name}; delete it first",
+                f"the subject has a neutral capture, {other.name}; replace or delete it",
                 capture_id=other.id,
             )
 

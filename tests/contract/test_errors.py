@@ -41,7 +41,7 @@ def _calls() -> Iterator[tuple[str, ast.Call]]:
 def _texts() -> set[str]:
     """Return every text in the source: a code may be chosen or passed on as one."""
     texts = set()
-    for room in ("service", "worker", "solver"):
+    for room in ("service", "worker", "solver", "myoface"):
         for path in (ROOT / room).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Constant) and isinstance(node.value, str):

@@ -300,6 +300,10 @@ def test_a_scan_goes_when_its_successor_is_there(client: Client, tmp_path: Path)
     with pytest.raises(FileNotFoundError):
         client.add_capture(subject.id, tmp_path / "gone.obj", replaces=first.id)
     assert [each.id for each in client.captures(subject.id)] == [first.id]
+    smile = client.add_capture(subject.id, scan(tmp_path, "smile"))
+    with pytest.raises(ApiError, match=r"capture\.name_taken"):
+        client.add_capture(subject.id, tmp_path / "smile.obj", replaces=first.id)
+    assert [each.id for each in client.captures(subject.id)] == [smile.id, first.id]
     again = scan(tmp_path, "NEUTRAL", "verdict bad")
     second = client.add_capture(subject.id, again, replaces=first.id)
-    assert [each.id for each in client.captures(subject.id)] == [second.id]
+    assert [each.id for each in client.captures(subject.id)] == [second.id, smile.id]

@@ -251,13 +251,25 @@ def test_names_are_refused_before_anything_is_sent(myoface: Command, tmp_path: P
     assert "Grosser_1  expression  raw" in myoface("captures", "list", subject).output
 
 
+def test_what_is_there_is_not_sent_again(myoface: Command, tmp_path: Path) -> None:
+    subject = myoface("subjects", "add", "Eve").output.strip()
+    smile, frown = scan(tmp_path, "smile"), scan(tmp_path, "frown")
+    first = myoface("captures", "add", subject, smile).output
+    both = myoface("captures", "add", subject, smile, frown).output
+    assert both.startswith(first)
+    again = scan(tmp_path, "smile", "verdict bad")
+    assert "capture.name_taken" in myoface("captures", "add", subject, again, code=1).output
+    replaced = myoface("captures", "add", subject, again, "--replace").output
+    assert replaced.split()[1:] == first.split()[1:]
+    assert replaced != first
+    assert len(myoface("captures", "list", subject).output.splitlines()) == 3
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--unit", "0"), "argument --unit: '0' is not"),
-        (("--unit", "furlong"), "argument --unit: 'furlong' is not"),
-        (("--eye-distance-mm", "0"), "argument --eye-distance-mm: '0' is not a number"),
-        (("--unit", "cm", "--eye-distance-mm", "63"), "exclude one another"),
+        (("--unit", "12.5"), "argument --unit: invalid choice: '12.5'"),
+        (("--unit", "furlong"), "argument --unit: invalid choice: 'furlong'"),
         (("--forward", "up"), "argument --forward: invalid choice: 'up'"),
         (("--nothing",), "unrecognized arguments: --nothing"),
     ],

@@ -130,6 +130,39 @@ def test_another_upload_of_the_same_bytes_stays(studio: Studio) -> None:
         assert set(session.scalars(select(Upload.id))) == set(others)
 
 
+def test_a_scan_takes_another_one_s_place_or_nothing_is_done(studio: Studio) -> None:
+    subject = studio.subject()
+    smile, frown = studio.capture(subject, "smile"), studio.capture(subject, "frown")
+    made = studio.post("/v1/keys", name="station", scopes=["read", "write"])
+    station = {"Authorization": f"Bearer {made['key']}"}
+    path = f"/v1/subjects/{subject}/captures"
+    body = {"name": "Smile", "role": "expression", "replaces": smile}
+
+    def status(**more: Any) -> tuple[int, str | None]:
+        answer = studio.http.post(path, json={**body, **more}, headers=station)
+        return answer.status_code, answer.json().get("code")
+
+    wrong = studio.upload("smile.png", b"x")
+    assert status(upload_id=wrong) == (422, "capture.format")
+    right = studio.upload("smile.obj", b"again")
+    assert status(upload_id=right, name="frown") == (409, "capture.name_taken")
+    assert status(upload_id=right, replaces=right) == (404, "capture.unknown")
+    job = studio.submit("check_scan", subject, captures=[frown])
+    assert status(upload_id=right) == (409, "subject.busy")
+    studio.post(f"/v1/jobs/{job}/cancel")
+    assert {each["id"] for each in studio.get(path)["items"]} >= {smile, frown}
+    assert status(upload_id=right) == (201, None)
+    found = {each["name"]: each["id"] for each in studio.get(path)["items"]}
+    assert found.keys() == {"neutral", "Smile", "frown"}
+    assert found["Smile"] != smile
+    assert [each["object_id"] for each in studio.get("/v1/deletions")["items"]] == [smile]
+    log = studio.get("/v1/audit?limit=2")["items"]
+    assert {(each["action"], each["object_id"]) for each in log} == {
+        ("capture.created", found["Smile"]),
+        ("capture.deleted", smile),
+    }
+
+
 def test_a_busy_subject_is_deleted_when_its_jobs_have_stopped(studio: Studio) -> None:
     subject = studio.subject()
     waiting, running_job = (studio.submit("build_model", subject) for _ in range(2))

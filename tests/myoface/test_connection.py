@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import httpx
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from myoface.client import Client, ClientOptions
 from myoface.client.retry import IN_FLIGHT
 from myoface.errors import ApiError
+from myoface.resources import Artifact
 
 SUBJECT = {"id": "1", "name": "Ada"}
 RATE = {"code": "request.rate"}
@@ -121,3 +123,53 @@ def test_a_stream_too_many_is_asked_for_when_the_service_says(
     assert client.wait("1").state == "succeeded"
     assert pauses == [pause]
     assert len(asked) == 3
+
+
+LOGIN = httpx.Response(200, text="<html>Sign in</html>", headers={"Content-Type": "text/html"})
+ID = "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11"
+
+
+@pytest.mark.parametrize(
+    ("answer", "call", "words"),
+    [
+        (
+            httpx.Response(308, headers={"Location": "https://faces.studio/"}),
+            lambda client: client.subjects(),
+            "308, to https://faces.studio/",
+        ),
+        (LOGIN, lambda client: client.subject(ID), "text/html and not JSON"),
+        (LOGIN, lambda client: client.signed_url(ID), "text/html and not JSON"),
+        (httpx.Response(200, json=[]), lambda client: client.subjects(), "Page"),
+        (httpx.Response(200, json={}), lambda client: client.subjects(), "Page.items"),
+        (httpx.Response(200, json={}), lambda client: list(client.log(ID)), "LogPage.lines"),
+        (httpx.Response(200, json={}), lambda client: client.signed_url(ID), "SignedUrl.url"),
+        (httpx.Response(204), lambda client: client.delete_subject(ID), "without a Location"),
+    ],
+)
+def test_an_answer_of_another_server_is_told(
+    answer: httpx.Response, call: Callable[[Client], object], words: str
+) -> None:
+    client, asked = service(answer)
+    with pytest.raises(ApiError, match=words) as caught:
+        call(client)
+    assert caught.value.code == "client.answer"
+    assert len(asked) == 1
+
+
+def test_a_login_page_is_not_fetched_for_ever(tmp_path: Path) -> None:
+    wanted = Artifact(id=ID, name="rig.glb", size=1000, sha256="0" * 64, media_type="x")
+    client, asked = service(LOGIN, LOGIN)
+    with pytest.raises(ApiError, match="not the file"):
+        client.download(wanted, tmp_path / "rig.glb")
+    assert list(tmp_path.iterdir()) == []
+    assert len(asked) == 2
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["", "faces.studio", "127.0.0.1:8765", "ftp://x", "http://[::1", "http://h:port", "http://"],
+)
+def test_what_is_no_address_is_told_at_once(address: str) -> None:
+    with pytest.raises(ApiError, match="no address of a service") as caught:
+        Client(address)
+    assert caught.value.code == "client.address"

@@ -93,9 +93,19 @@ def test_no_file_is_written_by_a_name_that_is_none(
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
-def test_two_files_of_one_name_are_refused(answer: Callable[[Any], None]) -> None:
-    answer(_rig(_artifact("rig.glb"), _artifact("rig.glb")))
+@pytest.mark.parametrize("names", [("rig.glb", "rig.glb"), ("rig.glb", "RIG.glb"), ("a", "a.")])
+def test_two_files_of_one_name_are_refused(
+    names: tuple[str, str], answer: Callable[[Any], None]
+) -> None:
+    answer(_rig(*map(_artifact, names)))
     with Client("http://127.0.0.1:1", "key") as client, pytest.raises(ApiError, match="same name"):
+        client.rig(str(uuid.uuid4()))
+
+
+@pytest.mark.parametrize("name", ["nul", "COM1", "aux.png"])
+def test_a_device_of_windows_is_no_file(name: str, answer: Callable[[Any], None]) -> None:
+    answer(_rig(_artifact(name)))
+    with Client("http://127.0.0.1:1", "key") as client, pytest.raises(ApiError, match="device"):
         client.rig(str(uuid.uuid4()))
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from myoface.errors import ApiError
-from myoface.names import LEGAL, by_files, name_scans
+from myoface.names import LEGAL, by_files, name_scans, name_session
 
 ROOT = Path(__file__).parents[2]
 CASES = json.loads((ROOT / "tests/fixtures/scan_names.json").read_text(encoding="utf-8"))
@@ -50,6 +50,8 @@ def test_the_page_has_the_same_rule(tmp_path: Path) -> None:
         (["   .obj"], "no name can be made of '   .obj'"),
         (["Lächeln.obj", "lacheln.ply"], "would both be called lacheln"),
         (["smile 1.obj", "smile_1.obj"], "'smile 1.obj' and 'smile_1.obj' would both be called"),
+        (["nul.obj"], "'nul.obj' is a device's name on Windows"),
+        (["(aux).obj"], "is a device's name on Windows"),
         (["neutral.obj", "neutral 2.obj"], "both are neutrals by name"),
     ],
 )
@@ -68,3 +70,20 @@ def test_what_is_given_comes_before_the_file_s_name() -> None:
     ]
     with pytest.raises(ApiError, match="no name can be made of '  '"):
         name_scans([Path("smile.obj")], names=["  "])
+
+
+def test_a_neutral_that_is_given_may_be_among_the_others_too(tmp_path: Path) -> None:
+    files = ["neutral.obj", "neutral 2.obj", "smile.obj", "take.npy"]
+    paths = [tmp_path / file for file in files]
+    roles = {"neutral", "neutral_2", "smile", "take"}
+    for neutral in (paths[0], tmp_path / "x" / ".." / "neutral.obj"):
+        (tmp_path / "x").mkdir(exist_ok=True)
+        named = name_session(neutral, paths)
+        assert {each.name for each in named} == roles
+        assert [each.role for each in named] == [
+            "neutral",
+            "expression",
+            "expression",
+            "performance",
+        ]
+    assert [each.role for each in name_session(None, paths[2:])] == ["expression", "performance"]

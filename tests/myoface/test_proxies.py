@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import traceback
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
@@ -103,6 +104,18 @@ def test_a_proxy_that_refuses_is_asked_once(proxy: str) -> None:
         client.subjects()
     assert caught.value.code == BAD_PROXY
     assert len(Handler.asked) == 1
+
+
+@pytest.mark.parametrize("cut", ["sec#ret", "sec/ret", "sec?ret", "1#ret", "1/ret", "1?ret"])
+@pytest.mark.parametrize("scheme", ["http", "ftp"])
+def test_a_password_that_ends_the_address_is_told_by_nobody(scheme: str, cut: str) -> None:
+    with pytest.raises(ApiError, match="%23 %2F %3F") as caught:
+        Client(SERVICE, "key", proxy=f"{scheme}://ada:{cut}@proxy.studio:3128")
+    told = "".join(traceback.format_exception(caught.value)).partition("ApiError: ")[2]
+    assert "ret" not in told
+    assert "ada" not in told
+    assert "proxy.studio:3128" in told
+    assert caught.value.__cause__ is None
 
 
 @pytest.mark.parametrize("address", ["ftp://proxy.studio", "http://", "socks5://p:1"])

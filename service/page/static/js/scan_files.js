@@ -5,6 +5,7 @@ const NEUTRAL = ["neutral", "neutre", "rest", "relaxed"];
 const LETTERS = { ß: "ss", æ: "ae", Æ: "AE", œ: "oe", Œ: "OE", ø: "o", Ø: "O", ł: "l", Ł: "L" };
 const LANDMARKS = /[ _.-]*(landmarks?|lm)$/i;
 const PERFORMANCE = ".npy";
+const DEVICES = /^(con|prn|aux|nul|com[0-9]|lpt[0-9])(\.|$)/i; // Windows keeps these names
 const LONGEST_NAME = 64;
 const LEGAL = /^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/;
 
@@ -86,9 +87,11 @@ function lengthOfPerson(stems) {
 }
 
 function asName(text) {
-  if (LEGAL.test(text)) return text;
-  const name = plain(text).replace(/[^A-Za-z0-9_.-]+/g, "_");
-  return name.replace(/^[^A-Za-z0-9]+|[^A-Za-z0-9]+$/g, "").slice(0, LONGEST_NAME);
+  if (DEVICES.test(text)) return "";
+  if (LEGAL.test(text) && !text.endsWith(".")) return text;
+  const whole = plain(text).replace(/[^A-Za-z0-9_.-]+/g, "_").replace(/^[^A-Za-z0-9]+|[^A-Za-z0-9]+$/g, "");
+  const name = whole.slice(0, LONGEST_NAME).replace(/\.+$/, "");
+  return DEVICES.test(name) ? "" : name;
 }
 
 function plain(text) {
