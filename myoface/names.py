@@ -20,13 +20,11 @@ import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Literal
 
 from myoface.errors import ApiError
 
-if TYPE_CHECKING:
-    from myoface.resources import Role
-
+Role = Literal["neutral", "expression", "performance", "asset"]
 BAD_NAME = "client.name"
 LEGAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 LONGEST = 64

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from myoface.names import is_device, same_file
+from myoface.names import Role, is_device, same_file
 from myoface.values import Resource, ValueFaultError, matching
 
-Role = Literal["neutral", "expression", "performance", "asset"]
 Scope = Literal["read", "write", "delete", "webhooks", "metrics", "admin"]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
 

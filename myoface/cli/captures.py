@@ -21,8 +21,8 @@ from myoface.cli.console import (
 from myoface.cli.lookup import find_subject, matching
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import UNREACHABLE, ApiError
-from myoface.names import NamedScan, name_scans
-from myoface.resources import NO_SCANS, Capture, Job, Result, Role
+from myoface.names import NamedScan, Role, name_scans
+from myoface.resources import NO_SCANS, Capture, Job, Result
 
 captures = Group("A subject's scans: add, check, register, list, delete.")
 

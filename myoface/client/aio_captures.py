@@ -9,8 +9,8 @@ import httpx
 from myoface.client.aio_access import AsyncAccess
 from myoface.client.answers import read_json
 from myoface.client.files import Transferred, async_sha256_of, ignore_transfer
-from myoface.names import name_scans, same_file
-from myoface.resources import NO_SCANS, Capture, Deletion, Role, SignedUrl, Subject, Template
+from myoface.names import Role, name_scans, same_file
+from myoface.resources import NO_SCANS, Capture, Deletion, SignedUrl, Subject, Template
 
 
 class AsyncCaptures(AsyncAccess):

@@ -11,8 +11,8 @@ import httpx
 from myoface.client.answers import read_json
 from myoface.client.files import Transferred, ignore_transfer, sha256_of
 from myoface.client.sync_access import Access
-from myoface.names import name_scans, same_file
-from myoface.resources import NO_SCANS, Capture, Deletion, Role, SignedUrl, Subject, Template
+from myoface.names import Role, name_scans, same_file
+from myoface.resources import NO_SCANS, Capture, Deletion, SignedUrl, Subject, Template
 
 
 class Captures(Access):

@@ -13,7 +13,8 @@ from typing import Any
 from myoface.cli.console import JobView, err, transfer_bar
 from myoface.client import Client
 from myoface.errors import ApiError
-from myoface.resources import Artifact, Job, Result, Role
+from myoface.names import Role
+from myoface.resources import Artifact, Job, Result
 from solver.templates.export import CaptureSet
 
 LOG_TAIL = 20
