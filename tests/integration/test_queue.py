@@ -259,6 +259,6 @@ def test_of_a_finished_job_some_reports_are_kept(store: Store) -> None:
             mine = select(Event).where(Event.job_id == claim.job_id).order_by(Event.id)
             events = session.scalars(mine).all()
         reports = [event.data["iteration"] for event in events if event.kind == "progress"]
-        assert len(reports) == min(count, 187)
-        assert max(reports) > 0.98 * count
+        assert len(reports) == min(count, 188)
+        assert max(reports) == count - 1
         assert [e.data["state"] for e in events if e.kind == "state"] == ["running", "succeeded"]
