@@ -44,8 +44,8 @@ class OutputSizeError(HopelessError):
     """A job leaves more bytes than its kind may leave, or its tenant may store."""
 
     def __init__(self, code: str, message: str, expected: int, found: int) -> None:
-        told = {"code": code, "message": message, "expected": expected, "found": found}
-        super().__init__(told)
+        error = {"code": code, "message": message, "expected": expected, "found": found}
+        super().__init__(error)
 
 
 class LostInputError(HopelessError):

@@ -26,7 +26,7 @@ from service.process import die_with_parent
 
 SOLVER = Path(__file__).resolve().parents[1] / "solver"
 # The installation's folder where it is not beside the code, as in a read-only image
-CACHE_VARIABLE = "NUMBA_CACHE_DIR"
+KERNELS_VARIABLE = "NUMBA_CACHE_DIR"
 
 
 def link_kernels(folder: Path) -> None:
@@ -99,7 +99,7 @@ def _run_jobs(folder: Path) -> None:
 
 def installed_place() -> Path | None:
     """Return the installation's folder; None: each kernel is beside its code."""
-    place = os.environ.get(CACHE_VARIABLE)
+    place = os.environ.get(KERNELS_VARIABLE)
     return Path(place).absolute() if place else None
 
 

@@ -74,7 +74,7 @@ class SolverProcess:
                     "TMPDIR": str(temporary),
                     "HOME": str(temporary),
                     CACHE_VARIABLE: str(cache),
-                    kernels.CACHE_VARIABLE: str(compiled),
+                    kernels.KERNELS_VARIABLE: str(compiled),
                 },
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,

@@ -207,8 +207,8 @@ class Supervisor:
         if state is State.CANCELING:
             raise CanceledError
 
-    def _check_size(self, claim: Claim, folder: AttemptFolder, *, at_end: bool = False) -> None:
-        """Check, before anything is stored, that there is room for what a solver leaves.
+    def _check_size(self, claim: Claim, folder: AttemptFolder, *, at_end: bool = False) -> int:
+        """Check, before anything is stored, that there is room; return the bytes to be stored.
 
         Raises
         ------
@@ -224,6 +224,7 @@ class Supervisor:
         if new := folder.unstored_bytes(at_end=at_end):
             with self._store.read() as session:
                 _check_quota(session, claim, new)
+        return new
 
     def _commit_outcome(
         self, claim: Claim, folder: AttemptFolder, code: int | None, limit: float
@@ -237,8 +238,8 @@ class Supervisor:
             return
         result, error = folder.result(), folder.error()
         if code == 0 and result is not None:
-            self._check_size(claim, folder, at_end=True)
-            self._succeed(claim, folder, result)
+            new = self._check_size(claim, folder, at_end=True)
+            self._succeed(claim, folder, result, new)
         elif error is not None:
             self._fail(claim, error)
         elif code == NO_ROOM:
@@ -246,8 +247,9 @@ class Supervisor:
         else:
             self._lose(claim, exit_error(code))
 
-    def _succeed(self, claim: Claim, folder: AttemptFolder, result: dict[str, Any]) -> None:
-        new = folder.unstored_bytes(at_end=True)
+    def _succeed(
+        self, claim: Claim, folder: AttemptFolder, result: dict[str, Any], new: int
+    ) -> None:
         artifacts, rig = folder.store(self._store.files), folder.rig(result)
 
         def change(session: Session) -> bool:

@@ -127,7 +127,7 @@ class AsyncCaptures(AsyncAccess):
                 path,
                 role=scan.role,
                 name=scan.name,
-                registered=registered,
+                registered=is_registered,
                 landmarks=landmarks,
                 replaces=before.id if before is not None and replace else None,
                 progress=progress,

@@ -129,7 +129,7 @@ class Captures(Access):
                 path,
                 role=scan.role,
                 name=scan.name,
-                registered=registered,
+                registered=is_registered,
                 landmarks=landmarks,
                 replaces=before.id if before is not None and replace else None,
                 progress=progress,

@@ -24,6 +24,12 @@ class Followed:
     changed: list[str] = field(default_factory=list)
     code: list[str] = field(default_factory=list)
 
+    def test(self, *arguments: str) -> str:
+        """Run tests in the tree, with a place of their own for temporary files."""
+        # pytest would else tidy up what others left in the common one, and fail when it cannot
+        place = self.tree.with_name(f"{self.tree.name}-tests")
+        return self.run("-m", "pytest", "-q", f"--basetemp={place}", *arguments)
+
     def run(self, *arguments: str) -> str:
         """Run Python in the tree and return what it prints."""
         done = subprocess.run(

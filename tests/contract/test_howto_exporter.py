@@ -55,7 +55,7 @@ def test_the_files_of_the_how_to_are_in_style(followed: Followed) -> None:
 
 
 def test_its_test_passes(followed: Followed) -> None:
-    followed.run("-m", "pytest", "-q", "tests/solver/rig/exporters/test_pc2.py")
+    followed.test("tests/solver/rig/exporters/test_pc2.py")
 
 
 def test_the_command_line_a_job_and_each_fit_write_the_file(followed: Followed) -> None:

@@ -30,7 +30,7 @@ def test_the_files_of_the_how_to_are_in_style(followed: Followed) -> None:
 
 
 def test_its_test_passes(followed: Followed) -> None:
-    followed.run("-m", "pytest", "-q", followed.created[2])
+    followed.test(followed.created[2])
 
 
 @pytest.mark.slow

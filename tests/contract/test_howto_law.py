@@ -79,7 +79,7 @@ def test_the_files_of_the_how_to_are_in_style(followed: Followed) -> None:
 
 
 def test_the_law_agrees_with_finite_differences(followed: Followed) -> None:
-    followed.run("-m", "pytest", "-q", "-k", "st_venant", "tests/solver/mechanics/test_laws.py")
+    followed.test("-k", "st_venant", "tests/solver/mechanics/test_laws.py")
 
 
 def test_an_expression_is_fitted_with_it(followed: Followed) -> None:

@@ -58,7 +58,7 @@ def test_kernels_are_read_from_the_installation_and_never_written_there(
     file.save("signature", "compiled")
     kept = installed.read_bytes()
     monkeypatch.setattr(kernels, "SOLVER", tmp_path / "solver")
-    monkeypatch.delenv(kernels.CACHE_VARIABLE, raising=False)
+    monkeypatch.delenv(kernels.KERNELS_VARIABLE, raising=False)
     kernels.link_kernels(attempt)
     home = attempt / caching._CacheLocator.get_suitable_cache_subpath(str(package / "laws.py"))
     file = caching.IndexDataCacheFile(str(home), "laws.energy-1.py311", "stamp")

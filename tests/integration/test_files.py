@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from service.store import deletion
 from service.store.database import Store
 from service.store.files import DamagedFileError, Files, FolderFiles, UnreachableError, files_at, s3
 from service.store.models import DEFAULT_TENANT, Template, now
+from tests.stores import open_store
 
 pytestmark = pytest.mark.telling
 
@@ -26,11 +28,9 @@ AT_ONCE = -60.0
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
-    settings = Settings(data_dir=tmp_path / "data")
-    store = Store(settings.database, settings.files, settings.broker)
-    store.database.migrate()
-    return store
+def store(tmp_path: Path) -> Iterator[Store]:
+    with open_store(tmp_path / "data", broker=Settings().broker) as store:
+        yield store
 
 
 @pytest.fixture

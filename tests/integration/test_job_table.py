@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
 
@@ -20,16 +21,15 @@ from service.store import retention
 from service.store.database import Store, clock
 from service.store.models import DEFAULT_TENANT, Event, Job, Lease, Subject, Tenant
 from tests.service_client import running, served
+from tests.stores import open_store
 
 pytestmark = pytest.mark.telling
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
-    settings = Settings(data_dir=tmp_path)
-    store = Store(settings.database, settings.files, settings.broker)
-    store.database.migrate()
-    return store
+def store(tmp_path: Path) -> Iterator[Store]:
+    with open_store(tmp_path) as store:
+        yield store
 
 
 def test_a_job_is_claimed_by_one_of_many(store: Store) -> None:

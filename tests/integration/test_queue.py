@@ -17,9 +17,9 @@ from sqlalchemy import insert, select, update
 from service.queue import sweep, table
 from service.queue.claims import Abilities, claim_next, positions
 from service.queue.states import State
-from service.settings import Settings
 from service.store.database import WAKE, Store, clock
 from service.store.models import Attempt, Event, Job, Subject, Tenant, now
+from tests.stores import open_store
 
 pytestmark = pytest.mark.telling
 
@@ -29,13 +29,10 @@ ANYTHING = Abilities("w", frozenset({"build_model", "register_scan"}), memory_mb
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Store]:
     """A store whose tables have no job yet."""
-    settings = Settings(data_dir=tmp_path)
-    store = Store(settings.database, settings.files, f"redis+socket://{tmp_path}/nobody")
-    store.database.migrate()
-    with store.write() as session:
-        session.execute(Subject.__table__.delete())
-    yield store
-    store.close()
+    with open_store(tmp_path) as store:
+        with store.write() as session:
+            session.execute(Subject.__table__.delete())
+        yield store
 
 
 class Shop:

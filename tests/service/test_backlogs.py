@@ -17,9 +17,9 @@ from sqlalchemy.orm import Session
 
 from service.queue import claims, outbox
 from service.queue.claims import Abilities, claim_next, positions
-from service.settings import Settings
 from service.store.database import Store, clock
 from service.store.models import Delivery, Job, Subject, Tenant, Webhook, WebhookEvent, now
+from tests.stores import open_store
 
 FEW, MANY = 200, 3000
 BEGIN = now() - timedelta(hours=1)
@@ -28,19 +28,17 @@ ANYBODY = Abilities("w", frozenset({"build_model"}), memory_mb=8192, threads=1)
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Store]:
-    settings = Settings(data_dir=tmp_path)
-    store = Store(settings.database, settings.files, f"redis+socket://{tmp_path}/nobody")
-    store.database.migrate()
-    with store.write() as session:
-        session.add_all(Tenant(id=name, name=name) for name in ("large", "small"))
-        session.flush()
-        session.add_all(Subject(id=name, tenant_id=name, name=name) for name in ("large", "small"))
-        session.add_all(
-            Webhook(id=name, tenant_id=name, url="https://x.example", events=[], kinds=[])
-            for name in ("large", "small")
-        )
-    yield store
-    store.close()
+    both = ("large", "small")
+    with open_store(tmp_path) as store:
+        with store.write() as session:
+            session.add_all(Tenant(id=name, name=name) for name in both)
+            session.flush()
+            session.add_all(Subject(id=name, tenant_id=name, name=name) for name in both)
+            session.add_all(
+                Webhook(id=name, tenant_id=name, url="https://x.example", events=[], kinds=[])
+                for name in both
+            )
+        yield store
 
 
 def _queue(store: Store, tenant: str, count: int) -> None:

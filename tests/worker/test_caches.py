@@ -94,7 +94,7 @@ def test_links_lead_somewhere_from_a_relative_folder(
     monkeypatch.setenv("MYOFACE_CACHE", "installed")
     attempt = _attempt(cache, tmp_path, "attempt")
     assert (attempt / "template-1.npz").read_bytes() == b"of the installation"
-    monkeypatch.setenv(kernels.CACHE_VARIABLE, "compiled")
+    monkeypatch.setenv(kernels.KERNELS_VARIABLE, "compiled")
     (tmp_path / "compiled" / "rig_1").mkdir(parents=True)
     (tmp_path / "compiled" / "rig_1" / "a.nbi").touch()
     kernels.link_kernels(tmp_path / "linked")

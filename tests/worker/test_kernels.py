@@ -16,7 +16,7 @@ from worker import kernels
 @pytest.mark.parametrize("begun_by", ["", "signal.signal(signal.SIGINT, signal.SIG_IGN)"])
 def test_a_compilation_ends_with_the_worker_that_began_it(tmp_path, begun_by):
     """Also where the worker's shell has it ignore interrupts, as for what is in the background."""
-    own = os.environ | {kernels.CACHE_VARIABLE: str(tmp_path)}
+    own = os.environ | {kernels.KERNELS_VARIABLE: str(tmp_path)}
     compile_all = (
         f"import signal; {begun_by}\nfrom worker.kernels import compile_all; compile_all()"
     )

@@ -16,15 +16,14 @@ import pytest
 from service.store import deletion
 from service.store.database import Store
 from tests.service_client import eventually
+from tests.stores import open_store
 from worker.orphans import FOLDER_VARIABLE, note_session, remove_orphans
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Store]:
-    store = Store(f"sqlite:///{tmp_path / 'db'}", tmp_path / "files", "redis://localhost:1/0")
-    store.database.migrate()
-    yield store
-    store.close()
+    with open_store(tmp_path) as store:
+        yield store
 
 
 def test_only_folders_of_attempts_are_removed(store: Store, tmp_path: Path) -> None:

@@ -7,7 +7,9 @@ import json
 import os
 import shutil
 import signal
+import subprocess
 import sys
+import tempfile
 import textwrap
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -28,6 +30,7 @@ from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Artifact, Job, LogLine, Subject, Tenant
 from solver.kinds import kind
 from tests.service_client import ROOT, eventually
+from tests.stores import open_store
 from worker import attempt, process, solve, supervise
 from worker.abilities import abilities
 from worker.attempt import FRAMES, KEPT, AttemptFolder
@@ -57,10 +60,8 @@ def settings(tmp_path: Path) -> Settings:
 
 @pytest.fixture
 def store(settings: Settings) -> Iterator[Store]:
-    store = Store(settings.database, settings.files, settings.broker)
-    store.database.migrate()
-    yield store
-    store.close()
+    with open_store(settings.data_dir, broker=settings.broker) as store:
+        yield store
 
 
 def _claimed(store: Store, kind: str = "build_model") -> Claim:
@@ -328,16 +329,24 @@ def test_a_database_s_words_are_not_the_customer_s() -> None:
     assert told == {"code": "worker.crash", "message": "the worker failed: OperationalError"}
 
 
-def test_an_attempt_goes_however_deep_its_folders_are(tmp_path: Path) -> None:
-    here = os.open(tmp_path, os.O_RDONLY)
+@pytest.fixture
+def outside() -> Iterator[Path]:
+    """A folder that is removed even after a failure: pytest cannot remove folders this deep."""
+    folder = Path(tempfile.mkdtemp())
+    yield folder
+    subprocess.run(["rm", "-rf", folder], check=True)
+
+
+def test_an_attempt_goes_however_deep_its_folders_are(outside: Path) -> None:
+    here = os.open(outside, os.O_RDONLY)
     for _ in range(2500):
         os.mkdir("deep", dir_fd=here)
         below = os.open("deep", os.O_RDONLY, dir_fd=here)
         os.close(here)
         here = below
     os.close(here)
-    remove_tree(tmp_path / "deep")
-    assert not (tmp_path / "deep").exists()
+    remove_tree(outside / "deep")
+    assert not (outside / "deep").exists()
 
 
 class Jobs:
@@ -497,6 +506,14 @@ def test_what_a_solver_writes_anywhere_is_bounded(
     assert jobs.state(job) == (State.FAILED, 0, code)
 
 
+WAIT_FOR_FAULT = """
+begun = task.out / "begun"
+begun.touch()
+while begun.exists():
+    time.sleep(0.05)
+"""
+
+
 def _remove_work(settings: Settings, _: Store) -> None:
     eventually(lambda: any(settings.work.glob("*.1/out/begun")), seconds=30)
     shutil.rmtree(settings.work, ignore_errors=True)
@@ -506,6 +523,8 @@ def _drop_artifacts(settings: Settings, store: Store) -> None:
     eventually(lambda: any(settings.work.glob("*.1/out/begun")), seconds=30)
     with store.write() as session:
         session.execute(text("DROP TABLE artifacts"))
+    for begun in settings.work.glob("*.1/out/begun"):
+        begun.unlink()
 
 
 @pytest.mark.parametrize("fault", [None, _remove_work, _drop_artifacts])
@@ -513,7 +532,7 @@ def test_a_worker_goes_on_whatever_happens(
     jobs: Jobs, settings: Settings, store: Store, fault: Callable[[Settings, Store], None] | None
 ) -> None:
     """A row of another release, a work folder that is removed, a database that is spoilt."""
-    code = '(task.out / "begun").touch()\ntime.sleep(1)\n' + textwrap.dedent(SUCCEED)
+    code = WAIT_FOR_FAULT + textwrap.dedent(SUCCEED)
     job = jobs.add(code, inputs=[{"role": "neutral"}] if fault is None else ())
     if fault is not None:
         threading.Thread(target=fault, args=[settings, store], daemon=True).start()
