@@ -75,6 +75,9 @@ class PoseRates:
         self._forces = forces
         face, pose = forces.face, forces.pose
         self._S, self._layout = face.S, pose.layout
+        muscles = face.S[:, 1:]
+        self._tets = np.flatnonzero(np.diff(muscles.indptr))  # those with muscle
+        self._fractions = muscles[self._tets]
         direct = face.mandible_jacobian(pose.b)
         # the free gradient's derivative by b (size, 5)
         self.by_jaw = face.flesh.coupling(forces.x, forces.tet_a, direct)
@@ -93,15 +96,16 @@ class PoseRates:
         """Return the free gradient's change (size,) for one of (a, b)."""
         by_a, by_b = self._layout.split(change)
         pull = self.by_jaw @ by_b
-        by_tet_a = self._S @ np.vstack([np.zeros_like(IDENTITY), by_a])
-        _forces_by_activations(self._forces.by_tet, self._forces.numbers, by_tet_a, pull)
+        by_tet, numbers = self._forces.pattern[:2]
+        _forces_by_activations(by_tet, numbers, self._tets, self._fractions @ by_a, pull)
         return np.asarray(pull)
 
     def adjoint(self, motion: Floats) -> Floats:
         """Return the transpose of :meth:`product` applied to (size,)."""
-        by_tet_a = np.empty_like(self._forces.tet_a)
-        _activations_by_forces(self._forces.by_tet, self._forces.numbers, motion, by_tet_a)
-        return self._layout.join([(self._S.T @ by_tet_a)[1:], self.by_jaw.T @ motion])
+        by_tet, numbers = self._forces.pattern[:2]
+        by_tet_a = np.empty((len(self._tets), 6))
+        _activations_by_forces(by_tet, numbers, self._tets, motion, by_tet_a)
+        return self._layout.join([self._fractions.T @ by_tet_a, self.by_jaw.T @ motion])
 
 
 class WeightRates:
@@ -129,7 +133,8 @@ class WeightRates:
         """Return the free gradient's change (size,) for one of S's values (nnz,)."""
         out, S = np.zeros(self._size), self._forces.face.S
         by_tet_a = sp.csr_array((change, S.indices, S.indptr), shape=S.shape) @ self._forces.columns
-        _forces_by_activations(self._forces.by_tet, self._forces.numbers, by_tet_a, out)
+        by_tet, numbers = self._forces.pattern[:2]
+        _forces_by_activations(by_tet, numbers, np.arange(len(by_tet)), by_tet_a, out)
         return out
 
     def adjoint(self, motion: Floats) -> Floats:
@@ -182,32 +187,34 @@ def coordinates(vertices: Ints) -> Ints:
 
 
 @nb.njit(cache=True, nogil=True)
-def _activations_by_forces(by_tet: Floats, number: Ints, forces: Floats, out: Floats) -> None:
-    """Fill ``out`` (n, 6): the forces (size,) times their derivatives by every tet's activation."""
-    for tet in range(len(by_tet)):
-        out[tet] = 0.0
+def _activations_by_forces(
+    by_tet: Floats, number: Ints, tets: Ints, forces: Floats, out: Floats
+) -> None:
+    """Fill ``out`` (k, 6): the forces (size,) times their derivatives by A_i of ``tets`` (k,)."""
+    for k, tet in enumerate(tets):
+        out[k] = 0.0
         for v in range(4):
             row = 3 * number[tet, v]
             if row < 0:
                 continue
             for i in range(3):
                 for q in range(6):
-                    out[tet, q] += by_tet[tet, v, i, q] * forces[row + i]
+                    out[k, q] += by_tet[tet, v, i, q] * forces[row + i]
 
 
 @nb.njit(cache=True, nogil=True)
-def _forces_by_activations(by_tet: Floats, number: Ints, by_a: Floats, out: Floats) -> None:
-    """Add the forces (size,) of a change (n, 6) of the tets' activations."""
-    for tet in range(len(by_tet)):
-        if not by_a[tet].any():
-            continue
+def _forces_by_activations(
+    by_tet: Floats, number: Ints, tets: Ints, by_a: Floats, out: Floats
+) -> None:
+    """Add the forces (size,) of a change (k, 6) of the activations of ``tets`` (k,)."""
+    for k, tet in enumerate(tets):
         for v in range(4):
             row = 3 * number[tet, v]
             if row < 0:
                 continue
             for i in range(3):
                 for q in range(6):
-                    out[row + i] += by_tet[tet, v, i, q] * by_a[tet, q]
+                    out[row + i] += by_tet[tet, v, i, q] * by_a[k, q]
 
 
 @nb.njit(cache=True, nogil=True)
@@ -222,7 +229,7 @@ def _weights_by_forces(
 ) -> None:
     """Fill ``out`` (nnz,): the forces (size,) times their derivatives by S's values."""
     by_tet_a = np.empty((len(by_tet), columns.shape[1]))
-    _activations_by_forces(by_tet, number, forces, by_tet_a)
+    _activations_by_forces(by_tet, number, np.arange(len(by_tet)), forces, by_tet_a)
     for tet in range(len(by_tet)):
         for entry in range(indptr[tet], indptr[tet + 1]):
             out[entry] = 0.0
