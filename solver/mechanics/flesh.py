@@ -18,7 +18,7 @@ from solver.mechanics import elements, laws
 from solver.mechanics.assembly import BlockSum, VertexSum, couple
 from solver.mechanics.elements import Elements
 from solver.mechanics.laws import Law
-from solver.mechanics.terms import Drag, ElasticTerm, EnergyTerm, SlidingPlanes, no_planes
+from solver.mechanics.terms import ElasticTerm, EnergyTerm, SlidingPlanes, no_planes
 from solver.surface import Floats, Ints
 
 # the activation a_I of passive flesh: S(a_I) = I
@@ -92,6 +92,37 @@ class _Summed:
         return BlockSum(self._numbers, len(self._flesh.free), self._flesh.block_sum)
 
 
+class Drag:
+    """Flesh that is slow to leave where it is: an implicit Euler step of an overdamped motion.
+
+        E(x) = tau/2 |x - x_0|^2_K
+
+    with K the stiffness of the flesh at rest by its free coordinates, ``viscosity`` tau and
+    ``anchor`` x_0 (p, 3), the place before the step, which both may be changed at any time. Near
+    buckling, where the flesh by itself would snap, such a step stays short (a proximal point
+    method, Rockafellar 1976; the time step is 1 / tau).
+    """
+
+    def __init__(self, flesh: Flesh) -> None:
+        self._K, self._free = flesh.hessian(flesh.rest, flesh.passive()), flesh.free
+        self.viscosity, self.anchor = 0.0, flesh.rest
+
+    def energy(self, x: Floats) -> float:
+        """Return E(x)."""
+        return 0.5 * float(self._motion(x) @ self.gradient(x))
+
+    def gradient(self, x: Floats) -> Floats:
+        """Return dE/dx by the free coordinates, (size,)."""
+        return np.asarray(self.viscosity * (self._K @ self._motion(x)))
+
+    def hessian_values(self) -> Floats:
+        """Return the values of d2E/dx2 in the pattern of the flesh's Hessian."""
+        return np.asarray(self.viscosity * self._K.data)
+
+    def _motion(self, x: Floats) -> Floats:
+        return np.asarray((x - self.anchor)[self._free].ravel())
+
+
 class Flesh:
     """Elastic, active tetrahedra with some vertices held.
 
@@ -143,6 +174,7 @@ class Flesh:
         self._passive = np.tile(IDENTITY, (len(self.tets), 1))
         self._first: EnergyTerm = self.elastic
         self._others: tuple[_Summed, ...] = ()
+        self._drag: Drag | None = None
         if len(self.sliding.vertices):
             self._others = (_Summed(self.sliding, self),)
 
@@ -157,9 +189,11 @@ class Flesh:
         """Return the terms of the energy, the tets' law first."""
         return self._first, *(each.term for each in self._others)
 
-    def drags(self) -> list[Drag]:
-        """Return a drag for each term: added to this flesh they make it slow."""
-        return [Drag(term, self.rest, self._passive, self.held) for term in self.terms]
+    def slowed_by(self, drag: Drag) -> Flesh:
+        """Return this flesh with a drag."""
+        other = copy.copy(self)
+        other._drag = drag
+        return other
 
     def driven_by(self, term: EnergyTerm, passive: Floats) -> Flesh:
         """Return this flesh with another first term, ``passive`` being its controls at rest."""
@@ -202,13 +236,16 @@ class Flesh:
     def energy(self, x: Floats, a: Floats) -> float:
         """Return E(x, a); infinite if a tet is inverted."""
         others = sum(each.term.energy(x, a) for each in self._others)
-        return self._first.energy(x, a) + others
+        drag = self._drag.energy(x) if self._drag else 0.0
+        return self._first.energy(x, a) + others + drag
 
     def gradient(self, x: Floats, a: Floats) -> Floats:
         """Return dE/dx by the free coordinates, shape (size,)."""
         gradient = self.scatter(self._first.forces(x, a))
         for each in self._others:
             gradient += each.vertex_sum(each.term.forces(x, a))
+        if self._drag:
+            gradient += self._drag.gradient(x)
         return gradient
 
     @cached_property
@@ -221,6 +258,8 @@ class Flesh:
         matrix = self.block_sum(self._first.blocks(x, a, project=project))
         for each in self._others:
             each.block_sum.add(each.term.blocks(x, a, project=project), matrix.data)
+        if self._drag:
+            matrix.data += self._drag.hessian_values()
         return matrix
 
     def coupling(self, x: Floats, a: Floats, motion: Floats) -> Floats:

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
-import numba as nb
 import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError, SolveError
 from solver.mechanics import elements, laws
-from solver.mechanics.assembly import PAIR, PAIRS
+from solver.mechanics.assembly import PAIRS
 from solver.mechanics.elements import Elements
 from solver.mechanics.linalg3 import symmetric_determinant
 from solver.surface import Floats, Ints
@@ -200,72 +199,6 @@ def no_planes() -> SlidingPlanes:
     """Return the planes of flesh that slides nowhere."""
     nothing = np.zeros((0, 3))
     return SlidingPlanes(np.zeros((0, 1), dtype=np.int64), nothing, nothing, np.zeros(0))
-
-
-class Drag(PassiveTerm):
-    """Flesh that is slow to leave where it is: an implicit Euler step of an overdamped motion.
-
-        E(x) = tau/2 |x - x_0|^2_K
-
-    with K the stiffness of ``term`` at ``rest``, ``viscosity`` tau and ``anchor`` x_0, the place
-    before the step, which both may be changed at any time. Near buckling, where the flesh by itself
-    would snap, such a step stays short (a proximal point method, Rockafellar 1976; the time step is
-    1 / tau). ``held`` vertices do not count.
-    """
-
-    def __init__(self, term: EnergyTerm, rest: Floats, controls: Floats, held: Ints) -> None:
-        self.vertices = term.vertices
-        self._K = _without(held, term, term.blocks(rest, controls))
-        self._held = held
-        self.viscosity = 0.0
-        self.anchor = rest
-
-    def energy(self, x: Floats, controls: Floats) -> float:
-        """See :class:`EnergyTerm`."""
-        if not self.viscosity:
-            return 0.0
-        return 0.5 * float((self.forces(x, controls) * self._motion(x)[self.vertices]).sum())
-
-    def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
-        """See :class:`EnergyTerm`."""
-        out = np.zeros((*self.vertices.shape, 3))
-        _multiply_blocks(self._K, self.vertices, self._motion(x), self.viscosity, out)
-        return out
-
-    def stiffness_of(self, some: Ints | slice) -> Floats:
-        """See :class:`PassiveTerm`."""
-        return self.viscosity * self._K[some]
-
-    def _motion(self, x: Floats) -> Floats:
-        motion = x - self.anchor
-        motion[self._held] = 0.0
-        return motion
-
-
-def _without(held: Ints, term: EnergyTerm, blocks: Floats) -> Floats:
-    """Return a term's blocks, zero for pairs with a ``held`` vertex: what it carries is no drag."""
-    out, is_held = blocks.copy(), np.isin(term.vertices, held)
-    for u in range(is_held.shape[1]):
-        for v in range(u, is_held.shape[1]):
-            out[is_held[:, u] | is_held[:, v], PAIR[u, v]] = 0.0
-    return out
-
-
-@nb.njit(cache=True, parallel=True)
-def _multiply_blocks(
-    blocks: Floats, vertices: Ints, motion: Floats, scale: float, out: Floats
-) -> None:
-    """Fill ``out`` (e, v, 3) with the scaled blocks (e, v (v + 1) / 2, 3, 3) times a motion."""
-    count = vertices.shape[1]
-    for e in nb.prange(len(vertices)):
-        for u in range(count):
-            for i in range(3):
-                total = 0.0
-                for v in range(count):
-                    B = blocks[e, PAIR[u, v]]
-                    for j in range(3):
-                        total += (B[i, j] if u <= v else B[j, i]) * motion[vertices[e, v], j]
-                out[e, u, i] = scale * total
 
 
 def force_columns(forces: Floats, vertices: Ints, size: int) -> sp.csc_array:

@@ -25,6 +25,7 @@ from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.per_tet.objective import PER_TET, Objective, PerTetOptions
 from solver.fitting.per_tet.saddle import Quadratic, SaddleSolver
 from solver.fitting.per_tet.tissue import Tissue
+from solver.mechanics.flesh import Drag
 from solver.surface import Floats, Ints
 
 
@@ -264,14 +265,13 @@ def creep(
     They lead through viscous flesh, ``steps`` with each viscosity.
     """
     flesh = tissue.face.flesh
-    drags = flesh.drags()
-    viscous = replace(tissue, face=tissue.face.with_flesh(flesh.plus(*drags)))
+    drag = Drag(flesh)
+    viscous = replace(tissue, face=tissue.face.with_flesh(flesh.slowed_by(drag)))
     objective = Objective(viscous, data, weights, start.pose.b)
     solver, face = SaddleSolver(viscous), viscous.face
     state, damping, taken = start, Damping.start(len(tissue.active), options), 0
     for viscosity in np.repeat(viscosities, steps):
-        for drag in drags:
-            drag.viscosity, drag.anchor = float(viscosity), state.x
+        drag.viscosity, drag.anchor = float(viscosity), state.x
         try:
             state = face.solve_equilibrium(state.pose, state.x, max_iterations=options.corrections)
             step = TetStep.of(objective, solver, state, damping)

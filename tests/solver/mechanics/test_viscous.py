@@ -5,6 +5,7 @@ import pytest
 
 from solver.fitting.face import Face
 from solver.mechanics import equilibrium
+from solver.mechanics.flesh import Drag
 from solver.mechanics.linear import analyse
 from tests.solver.block import block_model
 
@@ -13,8 +14,8 @@ STEP = 1e-6
 
 def test_derivatives():
     plain = Face(block_model()).flesh
-    (drag,) = plain.drags()
-    flesh = plain.plus(drag)
+    drag = Drag(plain)
+    flesh = plain.slowed_by(drag)
     rng = np.random.default_rng(4)
     drag.viscosity, drag.anchor = 0.3, flesh.rest + 0.1 * rng.standard_normal(flesh.rest.shape)
     a, x = flesh.passive(), flesh.rest.copy()
@@ -37,8 +38,8 @@ def test_derivatives():
 def test_what_held_vertices_do_is_no_drag():
     """Held vertices move by the pose, not by creeping: the drag must not couple to them."""
     plain = Face(block_model()).flesh
-    (drag,) = plain.drags()
-    flesh = plain.plus(drag)
+    drag = Drag(plain)
+    flesh = plain.slowed_by(drag)
     drag.viscosity, drag.anchor = 0.3, flesh.rest
     rng = np.random.default_rng(4)
     motion = np.zeros((*flesh.rest.shape, 1))
@@ -59,8 +60,8 @@ def test_it_creeps_to_where_flesh_rests():
     """Step by step it comes to the same equilibrium, which it then does not leave."""
     face = Face(block_model())
     plain = face.flesh
-    (drag,) = plain.drags()
-    flesh = plain.plus(drag)
+    drag = Drag(plain)
+    flesh = plain.slowed_by(drag)
     linear = analyse(plain.hessian(plain.rest, plain.passive()))
     a = plain.passive()
     a[:, 0] = 0.8
