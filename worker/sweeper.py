@@ -96,7 +96,7 @@ class Sweeper(Heartbeat):
             holder, seconds = self._can.worker, settings.sweeper_term
             elected = sweep.hold_office(session, sweep.SWEEPER, holder, seconds)
             if elected:
-                sweep.expire_leases(session, settings.lease)
+                sweep.expire_leases(session)
                 sweep.remove_expired_uploads(session)
                 sweep.forget_workers(session)
             if elected or self._at_once:

@@ -43,7 +43,7 @@ def claim_next(session: Session, queue: str, who: Abilities, lease: float) -> Cl
     for one another, but for that quota: each takes what no other is about to.
     """
     moment = clock(session)
-    free_expired(session, lease, queue)
+    free_expired(session, queue)
     fits = (_waits(queue, moment), Job.kind.in_(who.kinds), _fits(who))
     for tenant_id in _tenants(session, queue, fits):
         if not may_run_more(session, tenant_id):
@@ -65,9 +65,9 @@ def own_order(job: Any) -> tuple[ColumnElement[Any], ...]:
     return job.priority.desc(), job.created_at, job.id
 
 
-def free_expired(session: Session, lease: float, *queues: str) -> None:
+def free_expired(session: Session, *queues: str) -> None:
     """Take jobs back from workers that have been silent for longer than their lease."""
-    ran_out = has_run_out(clock(session), lease)
+    ran_out = has_run_out(clock(session))
     held = (Job.queue.in_(queues), Job.state.in_(HELD), ran_out)
     expired = session.scalars(
         select(Job.id)

@@ -57,9 +57,9 @@ def hold_office(session: Session, office: str, holder: str, seconds: float) -> b
     return taken is not None
 
 
-def expire_leases(session: Session, lease: float) -> None:
+def expire_leases(session: Session) -> None:
     """Take jobs of every queue back from workers that have been silent for longer than a lease."""
-    free_expired(session, lease, *QUEUES)
+    free_expired(session, *QUEUES)
 
 
 def resend(session: Session, after: float, *, at_once: bool = False) -> None:

@@ -36,8 +36,8 @@ MOST_STEPS_KEPT = 200
 # Of a running job: above the first, every other one goes; of one beat, the last are kept
 MOST_STEPS, MOST_STEPS_OF_BEAT = 2000, 50
 SHORTEST_WAIT, LONGEST_WAIT = timedelta(seconds=5), timedelta(minutes=5)
-# A lease ends at most so many of one's own terms ahead, or so long: another host's may be longer
-MOST_LEASE_TERMS, LONGEST_LEASE = 10, timedelta(hours=1)
+# Corrections of a clock are shorter, and so is the time from reading it to reading a lease
+LEAST_SETBACK = timedelta(seconds=10)
 # Longest wait for room on a full disk before the job fails
 WAIT_FOR_ROOM = timedelta(hours=1)
 
@@ -84,6 +84,7 @@ def take(session: Session, job_id: str, worker: str, lease: float) -> Claim | No
         State.RUNNING,
         attempt=Job.attempt + 1,
         lease_owner=worker,
+        leased_at=moment,
         lease_until=moment + timedelta(seconds=lease),
         started_at=func.coalesce(Job.started_at, literal(moment, UtcDateTime())),
         progress=None,
@@ -133,7 +134,9 @@ def beat(
 
     Returns ``running`` or ``canceling``; None: the attempt is no longer this worker's.
     """
-    values: dict[str, Any] = {"lease_until": clock(session) + timedelta(seconds=lease)}
+    moment = clock(session)
+    until = moment + timedelta(seconds=lease)
+    values: dict[str, Any] = {"leased_at": moment, "lease_until": until}
     reports = [fit_progress(step) for step in steps[-MOST_STEPS_OF_BEAT:]]
     if reports:
         values["progress"] = reports[-1]
@@ -237,13 +240,12 @@ def cancel(session: Session, job_id: str, by: str, reason: str) -> bool:
     )
 
 
-def has_run_out(moment: datetime, lease: float) -> ColumnElement[bool]:
-    """Return the condition that a job's lease of ``lease`` seconds is over.
+def has_run_out(moment: datetime) -> ColumnElement[bool]:
+    """Return the condition that a job's lease is over.
 
-    One that ends further ahead than anybody takes it is over, too: the clock has been set back.
+    One that was taken or renewed in the future is over, too: the clock has been set back.
     """
-    latest = moment + max(MOST_LEASE_TERMS * timedelta(seconds=lease), LONGEST_LEASE)
-    return or_(Job.lease_until < moment, Job.lease_until > latest)
+    return or_(Job.lease_until < moment, Job.leased_at > moment + LEAST_SETBACK)
 
 
 def is_due(job: Any, moment: datetime) -> ColumnElement[bool]:
@@ -284,7 +286,7 @@ def _step(
     Leaving a worker's hands closes its attempt with ``outcome`` (default: the new state).
     """
     if to not in HELD:
-        values |= {"lease_owner": None, "lease_until": None}
+        values |= {"lease_owner": None, "leased_at": None, "lease_until": None}
         queued = {"sent_at": None, "sends": 0, "not_before": None}
         ended = {"finished_at": clock(session)}
         values = (queued if to is State.QUEUED else ended) | values

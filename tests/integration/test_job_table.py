@@ -69,9 +69,12 @@ def test_a_clock_that_is_set_back_holds_up_no_job(store: Store) -> None:
     with store.write() as session:
         claim = _claim(session, "dead", 30)
         assert claim
-        session.get_one(Job, job_id).lease_until = clock(session) + timedelta(hours=2)
+        job, ahead = session.get_one(Job, job_id), timedelta(minutes=8)
+        assert job.leased_at
+        assert job.lease_until
+        job.leased_at, job.lease_until = job.leased_at + ahead, job.lease_until + ahead
     with store.write() as session:
-        sweep.expire_leases(session, 30)
+        sweep.expire_leases(session)
         job = session.get_one(Job, job_id)
         assert (job.state, job.lost) == (State.QUEUED, 1)
         job.sent_at, job.sends = clock(session) + timedelta(hours=1), 1
@@ -84,7 +87,7 @@ def test_a_clock_that_is_set_back_holds_up_no_job(store: Store) -> None:
         assert claim
         assert claim.attempt == 2
     with store.write() as session:
-        sweep.expire_leases(session, 30)  # of who holds it now
+        sweep.expire_leases(session)  # of who holds it now
         assert session.get_one(Job, job_id).state is State.RUNNING
 
 
@@ -92,7 +95,7 @@ def test_a_longer_lease_of_another_host_s_is_no_clock_set_back(store: Store) -> 
     job_id = _queue(store)
     with store.write() as session:
         assert _claim(session, "other host", 1200)
-        sweep.expire_leases(session, 30)
+        sweep.expire_leases(session)
         assert session.get_one(Job, job_id).state is State.RUNNING
 
 
@@ -115,7 +118,7 @@ def test_a_lost_attempt_is_fenced_off(store: Store) -> None:
         first = _claim(session, "slow", 0.01)
     time.sleep(0.05)
     with store.write() as session:
-        sweep.expire_leases(session, 30)
+        sweep.expire_leases(session)
     with store.write() as session:
         second = _claim(session, "quick", 30)
     assert first

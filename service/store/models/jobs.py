@@ -88,6 +88,7 @@ class Job(Owned, Base):
     not_before: Mapped[datetime | None]
     no_room_since: Mapped[datetime | None]
     lease_owner: Mapped[str | None] = mapped_column(String(100))
+    leased_at: Mapped[datetime | None]
     lease_until: Mapped[datetime | None]
     sends: Mapped[int] = mapped_column(default=0)
     sent_at: Mapped[datetime | None]
