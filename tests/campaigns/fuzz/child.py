@@ -25,7 +25,7 @@ from types import FrameType
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from tests.campaigns.fuzz.growing import NOT_BY_SIZE, growing
-from tests.campaigns.fuzz.growth import measure_growth
+from tests.campaigns.fuzz.growth import GrowthOptions, measure_growth
 from tests.campaigns.fuzz.large import LARGEST, large_inputs
 from tests.campaigns.fuzz.mutations import mutated
 from tests.campaigns.fuzz.targets import Target, targets
@@ -122,8 +122,9 @@ class _Hammer:
         """Measure how the time grows; the worst of the inputs that are made for it."""
         if self.target.name in NOT_BY_SIZE:
             return {"factor": None}
+        options = GrowthOptions(most_bytes=self.target.most_bytes)
         found = {
-            name: measure_growth(self._read, make)
+            name: measure_growth(self._read, make, options)
             for name, make in growing(self.target.name).items()
         }
         worst = max(found, key=lambda name: found[name].factor)

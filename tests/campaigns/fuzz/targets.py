@@ -24,6 +24,7 @@ from solver.surface import Surface
 from solver.templates.folder import read_template
 from tests.campaigns.fuzz import seeds
 from tests.campaigns.fuzz.arrays import read_spoilt_template
+from tests.campaigns.fuzz.growth import GrowthOptions
 
 Read = Callable[[Path], object]
 
@@ -39,6 +40,7 @@ class Target:
     seeds: list[bytes]
     run: Callable[[bytes, Path], object]
     refusal: type[Exception]
+    most_bytes: int = GrowthOptions.most_bytes  # how far its growth matters: it gets no more
 
 
 def _surface() -> Surface:
@@ -107,7 +109,13 @@ def targets() -> list[Target]:
             lambda text: parse_checksum(text, ("sha256", "sha1")),
         ),
         _text("cursor", seeds.cursor(), paging.read_cursor),
-        Target("json", seeds.bodies(), lambda content, _: bodies.check_json(content), Problem),
+        Target(
+            "json",
+            seeds.bodies(),
+            lambda content, _: bodies.check_json(content),
+            Problem,
+            bodies.MOST_BYTES_LARGER,
+        ),
         Target(
             "webhook url",
             seeds.urls(),
