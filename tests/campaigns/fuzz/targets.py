@@ -33,14 +33,15 @@ Read = Callable[[Path], object]
 class Target:
     """A reader: valid inputs to begin with, and what it may raise for others.
 
-    ``run`` gets the input and an empty folder.
+    ``run`` gets the input and an empty folder; how it grows matters up to ``most_bytes``, as it is
+    never given more.
     """
 
     name: str
     seeds: list[bytes]
     run: Callable[[bytes, Path], object]
     refusal: type[Exception]
-    most_bytes: int = GrowthOptions.most_bytes  # how far its growth matters: it gets no more
+    most_bytes: int = GrowthOptions.most_bytes
 
 
 def _surface() -> Surface:
