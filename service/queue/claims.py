@@ -67,6 +67,7 @@ def own_order(job: Any) -> tuple[ColumnElement[Any], ...]:
 
 def free_expired(session: Session, *queues: str) -> None:
     """Take jobs back from workers that have been silent for longer than their lease."""
+    session.connection()  # SQLite waits for other writers here: their leases are not the future
     ran_out = has_run_out(clock(session))
     held = (Job.queue.in_(queues), Job.state.in_(HELD), ran_out)
     expired = session.scalars(

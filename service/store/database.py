@@ -220,7 +220,6 @@ def _refuse_newer(connection: Connection) -> str | None:
 def clock(session: Session) -> datetime:
     """Return the moment by the database's clock: workers on several hosts must agree on leases."""
     if session.get_bind().dialect.name == "sqlite":
-        session.connection()  # a writer waits for the others first: what they wrote is no future
         return now()
     moment: datetime = session.execute(select(func.clock_timestamp())).scalar_one()
     return moment.astimezone(UTC)
