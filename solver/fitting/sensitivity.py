@@ -75,9 +75,6 @@ class PoseRates:
         self._forces = forces
         face, pose = forces.face, forces.pose
         self._S, self._layout = face.S, pose.layout
-        muscles = face.S[:, 1:]
-        self._tets = np.flatnonzero(np.diff(muscles.indptr))  # those with muscle
-        self._fractions = muscles[self._tets]
         direct = face.mandible_jacobian(pose.b)
         # the free gradient's derivative by b (size, 5)
         self.by_jaw = face.flesh.coupling(forces.x, forces.tet_a, direct)
@@ -97,15 +94,24 @@ class PoseRates:
         by_a, by_b = self._layout.split(change)
         pull = self.by_jaw @ by_b
         by_tet, numbers = self._forces.pattern[:2]
-        _forces_by_activations(by_tet, numbers, self._tets, self._fractions @ by_a, pull)
+        tets, fractions = self._active
+        _forces_by_activations(by_tet, numbers, tets, fractions @ by_a, pull)
         return np.asarray(pull)
 
     def adjoint(self, motion: Floats) -> Floats:
         """Return the transpose of :meth:`product` applied to (size,)."""
         by_tet, numbers = self._forces.pattern[:2]
-        by_tet_a = np.empty((len(self._tets), 6))
-        _activations_by_forces(by_tet, numbers, self._tets, motion, by_tet_a)
-        return self._layout.join([self._fractions.T @ by_tet_a, self.by_jaw.T @ motion])
+        tets, fractions = self._active
+        by_tet_a = np.empty((len(tets), 6))
+        _activations_by_forces(by_tet, numbers, tets, motion, by_tet_a)
+        return self._layout.join([fractions.T @ by_tet_a, self.by_jaw.T @ motion])
+
+    @cached_property
+    def _active(self) -> tuple[Ints, sp.csr_array]:
+        """The tets (k,) with muscle, and their rows of S, (k, m)."""
+        muscles = self._S[:, 1:]
+        tets = np.flatnonzero(np.diff(muscles.indptr))
+        return tets, muscles[tets]
 
 
 class WeightRates:
