@@ -64,6 +64,13 @@ def store(settings: Settings) -> Iterator[Store]:
         yield store
 
 
+def _supervisor(store: Store, settings: Settings) -> Supervisor:
+    """Return a supervisor whose lease does not run out."""
+    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
+    supervisor._renewed = float("inf")
+    return supervisor
+
+
 def _claimed(store: Store, kind: str = "build_model") -> Claim:
     with store.write() as session:
         session.add(subject := Subject(tenant_id=DEFAULT_TENANT, name="Alex"))
@@ -88,8 +95,7 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
     settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     claim = _claimed(store, "simulate")
-    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
-    supervisor._renewed = float("inf")
+    supervisor = _supervisor(store, settings)
     process, folder = Talking(), AttemptFolder(settings.work, claim)
     frames = folder.path / "out" / FRAMES
     frames.mkdir(parents=True)
@@ -161,8 +167,7 @@ def test_a_result_is_written_down_when_the_database_is_back(
     settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     claim = _claimed(store)
-    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
-    supervisor._renewed = float("inf")
+    supervisor = _supervisor(store, settings)
     folder = AttemptFolder(settings.work, claim)
     (folder.path / "out").mkdir(parents=True)
     (folder.path / "out" / "model.npz").write_bytes(b"PK")
@@ -210,8 +215,7 @@ def test_a_solver_without_room_puts_its_job_off(
     monkeypatch.setattr(solve, "run_job", full)
     code = solve.main(folder.path)
     os.close(reading)
-    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
-    supervisor._renewed = float("inf")
+    supervisor = _supervisor(store, settings)
     supervisor._commit_outcome(claim, folder, code, 60)
     with store.read() as session:
         job = session.get_one(Job, claim.job_id)
@@ -285,8 +289,7 @@ def test_two_jobs_that_end_at_once_share_a_quota(
     settings: Settings, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     claim = _claimed(store)
-    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
-    supervisor._renewed = float("inf")
+    supervisor = _supervisor(store, settings)
     folder = AttemptFolder(settings.work, claim)
     folder.stage(store)
     (folder.path / "out" / "model.npz").write_bytes(bytes(600))
@@ -571,7 +574,6 @@ def test_the_system_ends_a_job_whose_supervisor_does_not(
     finally:
         solver.finish()
     assert (folder.path / "out" / "begun").exists()
-    supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
-    supervisor._renewed = float("inf")
+    supervisor = _supervisor(store, settings)
     supervisor._commit_outcome(claim, folder, code, 60)
     assert jobs.state(job) == (State.FAILED, 0, "job.timeout")
