@@ -158,6 +158,11 @@ class Settings(BaseSettings):
     solver_confined: bool = Field(
         default=True, description="solver processes can reach nothing but their own folder (Linux)"
     )
+    ingest_standby: bool = Field(
+        default=True,
+        description="solver processes with their code loaded wait for checks, one a worker's job "
+        "(Linux, where they are confined)",
+    )
     solver_variables: list[str] = Field(
         default=[], description="further variables of the environment that solver processes see"
     )
