@@ -137,13 +137,7 @@ def checked(
 
 
 def timed(subject: Subject, vertices: int, folder: Path) -> float:
-    """Return the seconds of a check of a head of about so many ``vertices``."""
-    path = timed_scan(subject, vertices, folder)
-    return checked(path, folder / "out", None, role="unknown")[0]
-
-
-def timed_scan(subject: Subject, vertices: int, folder: Path) -> Path:
-    """Write a scan of the subject's head of about so many ``vertices``."""
+    """Return the seconds of a check of a head with at least that many ``vertices``."""
     mesh = trimesh.Trimesh(subject.head.vertices, subject.head.faces, process=False)
     while len(mesh.vertices) < vertices:
         mesh = mesh.subdivide()
@@ -153,7 +147,8 @@ def timed_scan(subject: Subject, vertices: int, folder: Path) -> Path:
     if keep < 0.7:  # points nearest the size asked for: leave out the back of the head
         depth = surface.vertices[surface.faces].mean(axis=1)[:, 2]
         surface = Surface(surface.vertices, surface.faces[depth > np.quantile(depth, 1 - keep)])
-    return _written(folder, f"timed-{vertices}", surface)
+    path = _written(folder, f"timed-{vertices}", surface)
+    return checked(path, folder / "out", None, role="unknown")[0]
 
 
 def _written(folder: Path, name: str, surface: Surface) -> Path:

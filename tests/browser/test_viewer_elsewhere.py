@@ -14,7 +14,7 @@ from tests.browser.stage import on_stage
 
 # A header of its own makes the browser ask first
 READ = """async (url) => {
-    const headers = {"If-None-Match": '"another"', Range: "bytes=0-3"};
+    const headers = {"If-None-Match": '"another"', Range: "bytes=0-0"};
     const answer = await fetch(url, {headers}).catch((error) => error);
     return answer instanceof Error ? null : {
         status: answer.status,
@@ -57,7 +57,7 @@ def test_a_page_reads_a_signed_url(is_named: bool, site: str, tmp_path: Path, co
         got = page.evaluate(READ, url)
         listed = page.evaluate(READ, f"{stack.url}/v1/limits")
     if is_named:
-        assert (got["status"], got["length"], got["range"].split("/")[0]) == (206, 4, "bytes 0-3")
+        assert (got["status"], got["length"], got["range"].split("/")[0]) == (206, 1, "bytes 0-0")
     else:
         assert got is None
     assert listed is None
