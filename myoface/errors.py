@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -38,6 +39,18 @@ class ApiError(Exception):
     def status(self) -> int | None:
         """The HTTP status, where there was an answer."""
         return self.problem.get("status")
+
+    def with_places(self, told: Callable[[str], str]) -> ApiError:
+        """Return the error with the place of its first fault as ``told`` says it."""
+        faults = self.problem.get("errors")
+        first = faults[0] if isinstance(faults, list) and faults else None
+        where = first.get("where") if isinstance(first, dict) else None
+        detail = self.problem.get("detail")
+        if not (isinstance(where, str) and where and isinstance(detail, str)):
+            return self
+        if not detail.startswith(f"{where}: "):
+            return self
+        return ApiError({**self.problem, "detail": told(where) + detail.removeprefix(where)})
 
     @classmethod
     def from_response(cls, response: httpx.Response) -> ApiError:

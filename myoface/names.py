@@ -53,10 +53,12 @@ def name_scans(
     *,
     names: Sequence[str | None] | None = None,
     roles: Sequence[Role | None] | None = None,
+    option: str | None = "--name",
 ) -> list[NamedScan]:
     """Return files with the names and roles that they have for the service.
 
-    ``names`` and ``roles`` are those that are given, None where the file says it.
+    ``names`` and ``roles`` are those that are given, None where the file says it; ``option`` is
+    what a command line gives a name by, None where it cannot.
 
     Raises
     ------
@@ -70,7 +72,7 @@ def name_scans(
         for path, own, (name, role) in zip(paths, given, by_file, strict=True)
     ]
     texts = [path.name if own is None else own for path, own in zip(paths, given, strict=True)]
-    _require_names(found, texts)
+    _require_names(found, texts, option)
     return found
 
 
@@ -155,22 +157,23 @@ def _split(file: str) -> tuple[str, str]:
     return (file[:dot], file[dot:].lower()) if dot > 0 else (file, "")
 
 
-def _require_names(scans: Sequence[NamedScan], texts: Sequence[str]) -> None:
+def _require_names(scans: Sequence[NamedScan], texts: Sequence[str], option: str | None) -> None:
     """Refuse scans without a name of their own; ``texts`` are what the names are made of."""
+    another = f", or give it another name ({option})" if option else ""
+    apart = f", or send it by itself with another name ({option})" if option else ""
     taken: dict[str, Path] = {}
     neutral: Path | None = None
     for scan, text in zip(scans, texts, strict=True):
         if not scan.name and re.search("[A-Za-z0-9]", _plain(_split(text)[0])):
             _refuse(
                 scan.path,
-                f"{text!r} is a device's name on Windows, and no file's: give the scan another "
-                "(--name)",
+                f"{text!r} is a device's name on Windows, and no file's: rename it{another}",
             )
         if not scan.name:
             _refuse(
                 scan.path,
                 f"no name can be made of {text!r}, which has no letter of a to z and no "
-                "digit: give the scan another (--name)",
+                f"digit: rename it{another}",
             )
         # Two that differ in case alone are one morph target to many programs, and one file to some
         other = taken.setdefault(same_file(scan.name), scan.path)
@@ -178,7 +181,7 @@ def _require_names(scans: Sequence[NamedScan], texts: Sequence[str]) -> None:
             _refuse(
                 scan.path,
                 f"{other.name!r} and {scan.path.name!r} would both be called {scan.name}: rename "
-                "one, or send it by itself with another name (--name)",
+                f"one{apart}",
             )
         if scan.role == "neutral":
             if neutral is not None:

@@ -34,6 +34,11 @@ FULL_OF_SQLITE = frozenset(
 FULL_OF_POSTGRESQL = "53100"
 # Faults of a request that are told
 MOST_FAULTS = 20
+# What pydantic calls a fault -> words
+SENTENCES = {
+    "missing": "this is needed, and it is not there",
+    "extra_forbidden": "there is no such member",
+}
 # Ids of a thousand captures fit
 ANSWER = Bounds(text=1000, items=1000)
 
@@ -68,7 +73,7 @@ def faulty(
     """
     first = faults[:MOST_FAULTS]
     errors = [{"where": shorten(where), "message": shorten(message)} for where, message in first]
-    detail = f"{errors[0]['where']}: {errors[0]['message']}" if errors else "invalid request"
+    detail = ": ".join(filter(None, errors[0].values())) if errors else "invalid request"
     if left_out := len(faults) - len(first):
         count = f"at least {left_out}" if at_least else str(left_out)
         errors.append({"where": "", "message": f"and {count} more"})
@@ -158,15 +163,24 @@ async def _on_http(request: Request, error: Exception) -> Response:
 
 async def _on_invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    faults = [("/".join(map(str, each["loc"])), _message(each)) for each in error.errors()]
+    faults = [(_place(each["loc"]), _message(each)) for each in error.errors()]
     return render(request.state.request_id, faulty(422, "request.invalid", faults))
+
+
+def _place(parts: Sequence[str | int]) -> str:
+    """Return the name of a parameter or member, such as captures[0].name; "" is all of the body."""
+    named = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts[1:]]
+    return "".join(named).removeprefix(".")
 
 
 def _message(fault: dict[str, Any]) -> str:
     """Return what a field should be and, where that is a short text, what it was."""
-    found = fault.get("input")
+    kind, found = fault["type"], fault.get("input")
+    if kind in SENTENCES:
+        return SENTENCES[kind]
     quoted = isinstance(found, str) and len(found) <= LONGEST_QUOTE
-    words = IN_WORDS.get(fault.get("ctx", {}).get("pattern"), str(fault["msg"]))
+    told = str(fault["msg"]).removeprefix("Value error, ")
+    words = IN_WORDS.get(fault.get("ctx", {}).get("pattern"), told)
     return f"{words}, not {found!r}" if quoted else words
 
 

@@ -25,6 +25,8 @@ MOST_TRIED = 4
 MOST_ANSWER = 64 * 1024
 WRITE_SIZE = 16 * 1024
 LONGEST_URL = 2000
+# The setting by which an operator lets webhooks into networks of theirs
+ALLOWANCE = "MYOFACE_WEBHOOK_ALLOW"
 HTTP_DATE = "%a, %d %b %Y %H:%M:%S GMT"
 DELTA_SECONDS = re.compile(r"[0-9]{1,9}")
 _PRINTABLE = re.compile(r"[!-~]+")
@@ -334,13 +336,28 @@ def _written(host: str) -> list[Address]:
 
 def _refuse(host: str, port: int, addresses: Sequence[Address], allow: Sequence[Network]) -> None:
     if not all(is_allowed(address, allow) for address in addresses):
-        raise Refused("address.private", f"{host} is not a public address")
+        detail = (
+            f"{host} is not a public address: the operator can allow its network by "
+            f"{ALLOWANCE}, such as {_example(addresses[0])}"
+        )
+        raise Refused("address.private", detail)
     if port not in PORTS and not all(is_named(address, allow) for address in addresses):
         raise _wrong_port(port)
 
 
 def _wrong_port(port: int) -> Refused:
-    return Refused("address.port", f"port {port} is not one of 80, 443 and 8443")
+    detail = (
+        f"port {port} is not one of 80, 443 and 8443: others are for networks that the operator "
+        f"allows by {ALLOWANCE}"
+    )
+    return Refused("address.port", detail)
+
+
+def _example(address: Address) -> str:
+    """Return the value of the setting that allows an address's neighbours."""
+    embedded = _embedded_ipv4(address)
+    length = 24 if embedded.version == 4 else 64
+    return f"'[\"{ipaddress.ip_network((embedded, length), strict=False)}\"]'"
 
 
 def _address(text: str) -> Address:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from urllib.parse import urlsplit
 
 from pydantic import Field, IPvAnyNetwork, SecretStr, field_validator, model_validator
@@ -19,6 +19,10 @@ LONGEST_SOCKET_PATH = 100
 
 # Settings that hold passwords: files can have them, which no list of processes or containers shows
 SECRETS = ("secret_key", "database_url", "broker_url")
+
+
+# A site as browsers name it in a request's Origin, or all
+ORIGIN = r"^(\*|https?://[a-z0-9.-]+(:[0-9]{1,5})?|https?://\[[0-9a-f:.]+\](:[0-9]{1,5})?)$"
 
 
 class Settings(BaseSettings):
@@ -49,6 +53,12 @@ class Settings(BaseSettings):
     host: str = "127.0.0.1"
     port: int = Field(default=8765, ge=0, le=65535)
     allowed_hosts: list[str] = ["127.0.0.1", "localhost"]
+
+    viewer_origins: list[Annotated[str, Field(pattern=ORIGIN)]] = Field(
+        default=[],
+        description='sites whose pages may read signed URLs, such as https://review.studio; "*": '
+        "all",
+    )
 
     secret_key: SecretStr | None = Field(
         default=None,
@@ -147,6 +157,11 @@ class Settings(BaseSettings):
     solver_memory_mb: int = Field(default=8192, gt=0)
     solver_confined: bool = Field(
         default=True, description="solver processes can reach nothing but their own folder (Linux)"
+    )
+    ingest_standby: bool = Field(
+        default=True,
+        description="solver processes with their code loaded wait for checks, one a worker's job "
+        "(Linux, where they are confined)",
     )
     solver_variables: list[str] = Field(
         default=[], description="further variables of the environment that solver processes see"

@@ -31,6 +31,7 @@ QUICK = {
     "resend_after": 1.0,
     "port": 0,
     "webhook_workers": 0,
+    "ingest_standby": False,
 }
 STANDIN = {"jobs": "tests.standin.jobs"}
 FINAL = {"succeeded", "failed", "canceled"}

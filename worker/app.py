@@ -8,9 +8,10 @@ from typing import Any
 from celery import signals
 
 from service.queue.claims import Abilities
-from service.queue.wakeups import RUN_JOB, celery_app
+from service.queue.wakeups import INGEST, RUN_JOB, celery_app
 from service.settings import Settings
 from service.store.database import Store
+from worker.process import Standby
 from worker.supervise import Supervisor
 from worker.sweeper import Sweeper
 
@@ -21,9 +22,13 @@ def work(store: Store, settings: Settings, queue: str, can: Abilities) -> None:
     stopping = threading.Event()
     slots = getattr(settings, f"{queue}_workers")
 
+    # checks are waited for, and short: what their processes load counts
+    standby = Standby(settings, slots if queue == INGEST else 0)
+
     def run_jobs(_job_id: str) -> None:
         """Do the queue's jobs, the best first, until there is none to be had."""
-        while not stopping.is_set() and Supervisor(store, settings, can, stopping).run_next(queue):
+        supervisor = Supervisor(store, settings, can, stopping, standby)
+        while not stopping.is_set() and supervisor.run_next(queue):
             pass
 
     def migrate(**_: Any) -> None:
@@ -46,16 +51,18 @@ def work(store: Store, settings: Settings, queue: str, can: Abilities) -> None:
         (signals.setup_logging, leave_logging_alone),
     ):
         signal.connect(listener, weak=False)
-    # Threads: each only watches a solver process, and all end with this process.
-    app.worker_main(
-        [
-            "--quiet",
-            "worker",
-            "--pool=threads",
-            f"--concurrency={slots}",
-            f"--queues={queue}",
-            f"--hostname={queue}@%h",
-            "--without-gossip",
-            "--without-mingle",
-        ]
-    )
+    standby.fill()
+    words = [
+        "--quiet",
+        "worker",
+        "--pool=threads",  # each only watches a solver process, and all end with this process
+        f"--concurrency={slots}",
+        f"--queues={queue}",
+        f"--hostname={queue}@%h",
+        "--without-gossip",
+        "--without-mingle",
+    ]
+    try:
+        app.worker_main(words)
+    finally:
+        standby.stop()

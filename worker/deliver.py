@@ -148,7 +148,7 @@ class Deliverer:
         try:
             answer = self._sender.post(delivery.url, body, headers)
         except (Refused, Unreachable) as error:
-            return DeliveryOutcome(error=error.code)
+            return DeliveryOutcome(error=error.code, excerpt=str(error)[:EXCERPT])
         return _judge_answer(answer)
 
 

@@ -10,8 +10,12 @@ import subprocess
 import sys
 import threading
 from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
+
+import structlog
 
 from service.bounds import fit_progress, refuse_constant, shorten
 from service.settings import Settings
@@ -31,17 +35,109 @@ MOST_LINES_KEPT = 20_000
 
 # The cache folder in an attempt's
 CACHE = "cache"
+# Libraries of linear algebra start their threads when they are loaded
+BLAS_THREADS = ("MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+log = structlog.get_logger()
+
+
+class _Interpreter:
+    """A Python process of the solver's, in a session of its own, and the pipes to listen to it.
+
+    Started by exec, not by a bare fork: the numeric libraries' thread pools do not survive a fork.
+    """
+
+    def __init__(
+        self, words: Sequence[str], settings: Settings, environment: dict[str, str], **how: Any
+    ) -> None:
+        reading, writing = os.pipe()
+        try:
+            self.process: subprocess.Popen[bytes] = subprocess.Popen(
+                [sys.executable, "-P", "-m", "worker.solve", *words, str(writing)],
+                env=allowed_environment(settings.solver_variables)
+                | _thread_counts(settings.solver_threads)
+                | environment,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                pass_fds=[writing],
+                start_new_session=True,
+                **how,
+            )
+        except BaseException:
+            os.close(reading)
+            raise
+        finally:
+            os.close(writing)
+        self.steps = os.fdopen(reading, "rb")
+
+
+class Standby:
+    """Solver processes that have loaded their code and wait, each for one job and no more.
+
+    They are started before the job is known, with nothing of any tenant, and confine themselves
+    when they are told its folder, as every solver process does before it reads a file of it. A
+    process that has ended meanwhile is missed by nobody: its job then starts one of its own.
+    """
+
+    def __init__(self, settings: Settings, count: int) -> None:
+        self._settings = settings
+        self._count = count if is_standby_possible(settings) else 0
+        self._lock = threading.Lock()
+        self._waiting: deque[_Interpreter] = deque()
+
+    def fill(self) -> None:
+        """Start what is missing.
+
+        The system ends them with the thread that calls this: it lives as long as the worker.
+        """
+        with self._lock:
+            while len(self._waiting) < self._count:
+                words = ["--standby", str(os.getpid())]
+                one_thread = dict.fromkeys(BLAS_THREADS, "1")  # others would not be confined
+                try:
+                    started = _Interpreter(words, self._settings, one_thread, stdin=subprocess.PIPE)
+                except OSError as error:
+                    log.warning("standby.failed", error=str(error))
+                    return
+                self._waiting.append(started)
+
+    def take(self) -> _Interpreter | None:
+        """Return a process that waits, if there is one."""
+        with self._lock:
+            while self._waiting:
+                started = self._waiting.popleft()
+                if started.process.poll() is None:
+                    return started
+                _end(started)
+        return None
+
+    def stop(self) -> None:
+        """End what waits."""
+        with self._lock:
+            while self._waiting:
+                _end(self._waiting.popleft())
+
+
+def is_standby_possible(settings: Settings) -> bool:
+    """Return whether processes may wait for jobs: they must be able to confine themselves later."""
+    return settings.ingest_standby and settings.solver_confined and sys.platform == "linux"
 
 
 class SolverProcess:
     """``python -m worker.solve <folder>`` in a session, and so a process group, of its own.
 
-    Started by exec, not by a bare fork: the numeric libraries' thread pools do not survive a fork.
     The system ends it when it has used the processor for longer than all its threads could in
-    ``seconds``, should nobody be left to end it earlier.
+    ``seconds``, should nobody be left to end it earlier. ``standby`` may have one that waits.
     """
 
-    def __init__(self, folder: Path, settings: Settings, tenant: str, seconds: float) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        settings: Settings,
+        tenant: str,
+        seconds: float,
+        standby: Standby | None = None,
+    ) -> None:
         # these go with the folder, also when the solver is killed
         temporary, cache, compiled = (folder / name for name in ("tmp", CACHE, "kernels"))
         temporary.mkdir()
@@ -49,46 +145,34 @@ class SolverProcess:
         kept.link_into(cache)
         kernels.link_kernels(compiled)
         reads = [cache_path().absolute(), kept.folder, kernels.installed_place()]
-        reading, writing = os.pipe()
-        try:
-            (folder / "process.json").write_text(
-                json.dumps(
-                    {
-                        "progress_fd": writing,
-                        "parent": os.getpid(),
-                        "memory_bytes": settings.solver_memory_mb * 1024**2,
-                        "cpu_seconds": math.ceil(seconds * settings.solver_threads + CPU_MARGIN),
-                        "jobs": settings.jobs,
-                        "confined": settings.solver_confined,
-                        "reads": [str(place) for place in reads if place],
-                    }
-                )
+        environment = {
+            FOLDER_VARIABLE: str(folder),
+            "TMPDIR": str(temporary),
+            "HOME": str(temporary),
+            CACHE_VARIABLE: str(cache),
+            kernels.KERNELS_VARIABLE: str(compiled),
+        }
+        (folder / "process.json").write_text(
+            json.dumps(
+                {
+                    "parent": os.getpid(),
+                    "memory_bytes": settings.solver_memory_mb * 1024**2,
+                    "cpu_seconds": math.ceil(seconds * settings.solver_threads + CPU_MARGIN),
+                    "jobs": settings.jobs,
+                    "confined": settings.solver_confined,
+                    "reads": [str(place) for place in reads if place],
+                    "environment": environment,
+                }
             )
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "worker.solve", str(folder)],
-                cwd=folder,
-                env=allowed_environment(settings.solver_variables)
-                | _thread_counts(settings.solver_threads)
-                | {
-                    FOLDER_VARIABLE: str(folder),
-                    "TMPDIR": str(temporary),
-                    "HOME": str(temporary),
-                    CACHE_VARIABLE: str(cache),
-                    kernels.KERNELS_VARIABLE: str(compiled),
-                },
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                pass_fds=[writing],
-                start_new_session=True,
-            )
-        except BaseException:
-            os.close(reading)
-            raise
-        finally:
-            os.close(writing)
+        )
+        waiting = standby.take() if standby else None
+        self.was_ready = waiting is not None and _tell(waiting, folder)
+        if waiting is None or not self.was_ready:
+            words, how = [str(folder)], {"cwd": folder, "stdin": subprocess.DEVNULL}
+            waiting = _Interpreter(words, settings, environment, **how)
+        self._process = waiting.process
         assert self._process.stdout is not None
-        self._steps = _Lines(os.fdopen(reading, "rb"), newest=True)
+        self._steps = _Lines(waiting.steps, newest=True)
         self._log = _Lines(self._process.stdout)
         self._room = MOST_LINES_KEPT
         try:
@@ -189,6 +273,29 @@ class _Lines:
                 self._lines.append(line)
 
 
+def _tell(waiting: _Interpreter, folder: Path) -> bool:
+    """Tell a process that waits where its job is; False: it has ended."""
+    stdin = waiting.process.stdin
+    assert stdin is not None
+    try:
+        with stdin:
+            stdin.write(f"{folder}\n".encode())
+    except OSError:
+        _end(waiting)
+        return False
+    return True
+
+
+def _end(started: _Interpreter) -> None:
+    """End a process that has no job."""
+    _signal_group(started.process.pid, signal.SIGKILL)
+    started.process.wait()
+    for pipe in (started.steps, started.process.stdin, started.process.stdout):
+        if pipe is not None:
+            with suppress(OSError):
+                pipe.close()
+
+
 def _step(line: str) -> dict[str, Any] | None:
     """Return a report of progress; None: that is none."""
     try:
@@ -211,6 +318,6 @@ def _signal_group(group: int, number: int) -> None:
 
 
 def _thread_counts(threads: int) -> dict[str, str]:
-    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", *BLAS_THREADS)
     # and those of kernels sleep while they wait for the next one
     return dict.fromkeys(names, str(threads)) | {"OMP_WAIT_POLICY": "passive"}

@@ -11,6 +11,7 @@ Landlock: kernel documentation, userspace-api/landlock.
 from __future__ import annotations
 
 import ctypes
+import errno
 import functools
 import importlib.util
 import os
@@ -107,6 +108,11 @@ def missing_layers() -> list[str]:
     return missing
 
 
+def count_threads() -> int:
+    """Return how many threads this process has (Linux)."""
+    return len(os.listdir("/proc/self/task"))
+
+
 def confine(packages: Iterable[str], reads: Iterable[Path], writes: Iterable[Path]) -> None:
     """Confine this process and all that it starts, for good; call it before any thread starts.
 
@@ -122,10 +128,13 @@ def confine(packages: Iterable[str], reads: Iterable[Path], writes: Iterable[Pat
     Raises
     ------
     OSError
-        If a layer that the machine has cannot be put on.
+        If a layer that the machine has cannot be put on, or other threads run already: they would
+        not have it.
     """
     if sys.platform != "linux":
         return
+    if count_threads() > 1:
+        raise OSError(errno.EBUSY, "threads that run already cannot be confined")
     _limit()
     _prctl(PR_SET_NO_NEW_PRIVS, 1)
     if abi := landlock_abi():

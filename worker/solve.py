@@ -1,8 +1,13 @@
-"""``python -m worker.solve <attempt folder>``: the solver process.
+"""``python -m worker.solve <attempt folder> <pipe>``: the solver process.
 
 Reads ``job.json``, calls the kind's module of `solver.jobs` and writes ``result.json`` or
 ``error.json``; progress goes as JSON lines to a pipe, the log to standard error. It knows no
 database and no queue, so whatever happens to it costs an attempt at most.
+
+``python -m worker.solve --standby <parent> <pipe>`` loads code that most of a job's start goes
+into, and is told the folder of its one job on standard input. What it loads knows no job, has no
+kernels (they are looked for in the attempt's folder) and starts no threads (they would not be
+confined).
 """
 
 from __future__ import annotations
@@ -15,7 +20,8 @@ import re
 import resource
 import signal
 import sys
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,16 +41,42 @@ if TYPE_CHECKING:
 # A fit takes the time that the API and the supervisors leave
 NICENESS = 10
 RESULT, FAILURE = "result.json", "error.json"
+STANDBY = "--standby"
+# What a check loads and needs no job for; none of these has kernels
+AHEAD = (
+    *("igl", "numba", "PIL.Image", "trimesh", "solver.registration.search"),
+    *("scipy.interpolate", "scipy.ndimage", "scipy.optimize", "scipy.sparse.csgraph"),
+)
 
 log = structlog.get_logger()
 
 
-def main(folder: Path) -> int:
+def stand_by(parent: int) -> Path | None:
+    """Load code, then return the folder of the job that comes; None: there is none any more."""
+    die_with_parent(parent, signal.SIGKILL)
+    for name in AHEAD:
+        importlib.import_module(name)
+    if sandbox.count_threads() > 1:
+        sys.exit("what was loaded has started threads, which cannot be confined any more")
+    told = sys.stdin.readline().rstrip("\n")
+    with open(os.devnull) as nothing:
+        os.dup2(nothing.fileno(), sys.stdin.fileno())
+    if not told:
+        return None
+    folder = Path(told)
+    os.chdir(folder)
+    tempfile.tempdir = None  # somebody may have asked for it
+    os.environ.update(json.loads((folder / "process.json").read_text())["environment"])
+    numba_config = importlib.import_module("numba.core.config")
+    numba_config.reload_config()  # of the folder of its kernels
+    return folder
+
+
+def main(folder: Path, progress_fd: int) -> int:
     """Do the job in ``folder``; returns the exit code."""
     process = json.loads((folder / "process.json").read_text())
     die_with_parent(process["parent"], signal.SIGKILL)
     configure_logs(json=False)
-    _step_back()
     resource.setrlimit(resource.RLIMIT_DATA, (process["memory_bytes"],) * 2)
     seconds = process["cpu_seconds"]
     # the soft limit's signal says why; at the hard one Linux kills without a word
@@ -53,7 +85,7 @@ def main(folder: Path) -> int:
         _confine(folder, process["jobs"], process["reads"])
     try:
         try:
-            with os.fdopen(process["progress_fd"], "w", buffering=1) as pipe:
+            with os.fdopen(progress_fd, "w", buffering=1) as pipe:
                 verdict, result = RESULT, solve(folder, to_pipe(pipe.write), process["jobs"])
         except Exception as error:
             if is_full(error):
@@ -189,5 +221,13 @@ def _plain(value: Any, words: Callable[[str], str] = str) -> Any:
     return words(str(value))
 
 
+def start(words: Sequence[str]) -> int:
+    """Do the job of a command line, now or when it comes; returns the exit code."""
+    *place, pipe = words
+    _step_back()
+    folder = stand_by(int(place[1])) if place[0] == STANDBY else Path(place[0])
+    return 0 if folder is None else main(folder, int(pipe))
+
+
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    sys.exit(start(sys.argv[1:]))

@@ -40,7 +40,7 @@ from worker.errors import (
     storage_error,
     timeout_error,
 )
-from worker.process import CACHE, SolverProcess
+from worker.process import CACHE, SolverProcess, Standby
 
 Done = TypeVar("Done")
 
@@ -64,15 +64,24 @@ class _News(NamedTuple):
 
 
 class Supervisor:
-    """Runs one job at a time as a worker that can do ``can``; ``stopping`` ends the work early."""
+    """Runs one job at a time as a worker that can do ``can``; ``stopping`` ends the work early.
+
+    ``standby`` may have solver processes that wait for a job.
+    """
 
     def __init__(
-        self, store: Store, settings: Settings, can: Abilities, stopping: threading.Event
+        self,
+        store: Store,
+        settings: Settings,
+        can: Abilities,
+        stopping: threading.Event,
+        standby: Standby | None = None,
     ) -> None:
         self._store = store
         self._settings = settings
         self._can = can
         self._stopping = stopping
+        self._standby = standby
         self._renewed = 0.0
         self._unwritten = _News([], [], [], {})
 
@@ -99,6 +108,8 @@ class Supervisor:
                     self._lose(claim, crash_error(error))
             finally:
                 self._clear(claim, folder)
+                if self._standby and not self._stopping.is_set():
+                    self._standby.fill()
         return True
 
     def _run(self, claim: Claim, folder: AttemptFolder) -> None:
@@ -124,8 +135,8 @@ class Supervisor:
     def _attempt(self, claim: Claim, folder: AttemptFolder) -> None:
         folder.stage(self._store)
         limit = self._limit(claim, folder)
-        process = SolverProcess(folder.path, self._settings, claim.tenant_id, limit)
-        log.info("solver.started", pid=process.pid)
+        process = SolverProcess(folder.path, self._settings, claim.tenant_id, limit, self._standby)
+        log.info("solver.started", pid=process.pid, was_ready=process.was_ready)
         try:
             code = self._watch(claim, process, folder, time.monotonic() + limit)
             if code is None:

@@ -131,11 +131,13 @@ def _show(batch: Batch) -> None:
             each.role,
             each.check and (each.check.verdict or each.check.state),
             each.registration and each.registration.state,
-            each.left_out,
         )
         for each in batch.scans
     ]
-    show_table(("scan", "role", "check", "registration", "left out"), rows)
+    show_table(("scan", "role", "check", "registration"), rows)
+    for each in batch.scans:
+        if each.left_out:
+            out.print(f"{each.name} is left out: {each.left_out}")
     out.print(f"{batch.state}, subject {batch.subject_id}")
     if batch.fit and batch.fit.rig_id:
         out.print(f"rig {batch.fit.rig_id}")

@@ -11,6 +11,7 @@ import argparse
 import difflib
 import inspect
 import os
+import re
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,9 +29,15 @@ from typing import (
     get_type_hints,
 )
 
+from myoface.errors import ApiError
+
 F = TypeVar("F", bound=Callable[..., None])
 
 HELP = ("-h", "--help")
+# A part of the place of a fault in a request: a member's name, or the number of a list's item
+PART = re.compile(r"\.?[^.\[]+|\[[^\]]*\]")
+# Members of requests -> parameters that are called otherwise; --url is the service's own
+MEMBERS = {"url": "address", "expires_at": "days"}
 
 
 class UsageError(Exception):
@@ -92,7 +99,10 @@ class Command:
         # argparse takes options between arguments, or a --, not both
         parse = parser.parse_args if "--" in joined else parser.parse_intermixed_args
         given = parse(joined)
-        self.function(**vars(given))
+        try:
+            self.function(**vars(given))
+        except ApiError as error:
+            raise error.with_places(parser.typed_as) from None
 
     def parser(self, title: str) -> CommandParser:
         """Return the reader of the command's words."""
@@ -158,6 +168,24 @@ class CommandParser(argparse.ArgumentParser):
     def takes_value(self, word: str) -> bool:
         """Return True if ``word`` is an option that another word follows."""
         return word in self.option_strings and self._option_string_actions[word].nargs != 0
+
+    def typed_as(self, place: str) -> str:
+        """Return a place in a request, such as ``options.unit``, as what is typed: ``--unit``."""
+        parts = PART.findall(place)
+        inside = [*range(1, len(parts)), 0] if parts[:1] == ["options"] else range(len(parts))[:1]
+        for number in inside:
+            if (action := self._action_of(parts[number])) is not None:
+                name = action.option_strings[0] if action.option_strings else action.metavar
+                rest = "".join(parts[number + 1 :])
+                return f"{name} {rest.lstrip('.')}".strip()
+        return place
+
+    def _action_of(self, part: str) -> argparse.Action | None:
+        """Return the option or argument that a member of a request is read from."""
+        name = MEMBERS.get(part.lstrip("."), part.lstrip("."))
+        known = {action.dest: action for action in self._actions}
+        forms = (name, name.removesuffix("s"), name.removesuffix("_id"))
+        return next((known[form] for form in forms if form in known), None)
 
     def error(self, message: str) -> NoReturn:
         """Refuse what was typed."""

@@ -139,7 +139,7 @@ def _print_outcome(outcome: DemoOutcome, output: Path) -> None:
     errors = outcome.khronos.errors
     khronos = outcome.khronos.note if errors is None else f"{errors} errors"
     out.print(f"rig.glb        {len(outcome.glb_faults)} faults; Khronos validator: {khronos}")
-    out.print(f"certificate    {outcome.report['verdict']}")
+    out.print(f"certificate    {outcome.report['verdict']}: {outcome.report['use']}")
     out.print(f"look at        {output / 'report.html'!s}")
 
 

@@ -21,6 +21,7 @@ from myoface.cli.app import (
 )
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import JobView, out, show_registration, show_verdict
+from myoface.names import name_scans
 from solver.jobs import run_job
 from solver.kinds import KINDS, Kind
 
@@ -211,7 +212,7 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
             kind.name,
             folder,
             options=options,
-            captures=_named(given.get("scans") or []) | _assets(given.get("asset") or []),
+            captures=name_expressions(given.get("scans") or []) | _assets(given.get("asset") or []),
             role=given.get("role", "unknown"),
             resume=given.get("resume", False),
             progress=view,
@@ -284,11 +285,10 @@ def _assets(given: list[str]) -> dict[str, Path]:
     return found
 
 
-def _named(scans: list[Path]) -> dict[str, Path]:
-    named = {path.stem: path for path in scans}
-    if len(named) < len(scans):
-        raise UsageError("two scans have the same name: an expression is named by its file")
-    return named
+def name_expressions(scans: list[Path]) -> dict[str, Path]:
+    """Return scans by the names that the service would give them, all as expressions."""
+    named = name_scans(scans, roles=["expression"] * len(scans), option=None)
+    return {each.name: each.path for each in named}
 
 
 @contextmanager

@@ -113,10 +113,17 @@ def redeliver(
 
 def _show_deliveries(deliveries: list[Delivery]) -> None:
     rows = [
-        (each.id, each.type, each.state, each.attempt, each.status, each.error)
+        (each.id, each.type, each.state, each.attempt, each.status, _describe_fault(each))
         for each in deliveries
     ]
     show_table(("delivery", "event", "state", "attempt", "status", "error"), rows)
+
+
+def _describe_fault(delivery: Delivery) -> str | None:
+    """Return the code of what went wrong and, where nobody answered, the words of it."""
+    if delivery.status is None and delivery.excerpt:
+        return f"{delivery.error}: {delivery.excerpt}"
+    return delivery.error
 
 
 def _print_secret(made: NewWebhook) -> None:

@@ -26,6 +26,9 @@ from service.errors import Problem
 TOKEN = re.compile(r"([0-9a-z-]{1,36})\.([0-9]{1,12})\.([0-9A-Za-z_-]{43})")
 # Stands in the place of a key's id
 BEARER = "signed-url"
+# Of a request's state: it is served by its URL's signature alone, no key counts
+SIGNED = "is_signed"
+PARAMETER = "signed"
 
 
 class Signer:
@@ -36,7 +39,8 @@ class Signer:
 
     def sign(self, path: str, tenant_id: str, until: int) -> str:
         """Return ``path`` with what lets anybody read it until a moment (Unix time)."""
-        return f"{path}?signed={tenant_id}.{until}.{self._signature(path, tenant_id, until)}"
+        signature = self._signature(path, tenant_id, until)
+        return f"{path}?{PARAMETER}={tenant_id}.{until}.{signature}"
 
     def verify(self, path: str, token: str) -> str:
         """Return the tenant in whose name ``path`` may be read.
@@ -71,6 +75,7 @@ def _file_reader(
 ) -> Principal:
     if signed is None:
         return require(Scope.READ, principal(request, credentials))
+    setattr(request.state, SIGNED, True)
     tenant_id = request.app.state.signer.verify(request.url.path, signed)
     note_authenticated(request, tenant_id)
     request.state.rate = request.app.state.rates.check(f"{BEARER}:{tenant_id}", tenant_id)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, selectinload
@@ -130,7 +131,7 @@ class BatchProgress:
             return ScanStatus.OUT, f"its check {_describe_end(check)}"
         assert check.summary is not None, "a check leaves its verdict"
         if check.summary["verdict"] == "bad":
-            return ScanStatus.OUT, "its check says that it cannot be used: scan again"
+            return ScanStatus.OUT, _quote_errors(check.summary)
         if scan.registered or "register" not in self.batch.steps:
             return ScanStatus.READY, None
         registration = self.job(REGISTER, scan.id)
@@ -150,6 +151,13 @@ def failure(job: Job) -> dict[str, str]:
         "message": f"{job.kind} {_describe_end(job)}",
         "job_id": job.id,
     }
+
+
+def _quote_errors(summary: Mapping[str, Any]) -> str:
+    """Return what a check says of a scan that cannot be used, and what it advises."""
+    errors = [each for each in summary.get("findings", ()) if each.get("severity") == "error"]
+    told = [f"{each['message'].rstrip('.')}. {each.get('advice', '')}".strip() for each in errors]
+    return " ".join(told) or "its check says that it cannot be used: scan again"
 
 
 def _describe_end(job: Job) -> str:

@@ -47,7 +47,7 @@ log = structlog.get_logger()
 def create(session: Session, new: NewBatch, max_attempts: int) -> Batch:
     """Add a session's scans and queue their checks, all of it or nothing."""
     for kind, options in new.options:
-        check_options(kind, options)
+        check_options(kind, options, f"options.{kind}")
     if new.subject is not None:
         subject_id = people.create(session, new.subject).id
     else:

@@ -16,5 +16,7 @@ def install(app: FastAPI, keyring: Keyring, settings: Settings) -> None:
     app.add_middleware(
         Bodies, keyring=keyring, seconds=settings.receive_timeout, min_rate=settings.min_upload_rate
     )
-    app.add_middleware(Security, allowed_hosts=settings.allowed_hosts)
+    app.add_middleware(
+        Security, allowed_hosts=settings.allowed_hosts, viewer_origins=settings.viewer_origins
+    )
     app.add_middleware(RequestContext)

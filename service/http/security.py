@@ -7,8 +7,10 @@ from collections.abc import Sequence
 
 from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
+from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.access.signed import PARAMETER, SIGNED
 from service.errors import Problem, render
 
 HOST = re.compile(r"(?:([^:\[\]@/\s]+)|\[([^\]\s]+)\])(?::\d{1,5})?")
@@ -24,17 +26,31 @@ HEADERS = {
 
 YEAR = 365 * 24 * 3600
 
+# What another site's viewer may do with a signed URL (CORS), and what it sees of the answer
+ANY_ORIGIN = "*"
+VIEWERS_METHODS = ("GET", "HEAD")
+PREFLIGHT = {
+    "Access-Control-Allow-Methods": ", ".join(VIEWERS_METHODS),
+    "Access-Control-Allow-Headers": "Range, If-Range, If-None-Match",
+    "Access-Control-Max-Age": "600",
+}
+SHOWN = "Accept-Ranges, Content-Disposition, Content-Length, Content-Range, ETag, Retry-After"
+
 
 class Security:
     """Refuses foreign hosts and other sites' requests, and adds the headers browsers obey.
 
     A foreign Host header is refused: a web page that rebinds its name to this machine must not
-    reach the service with what a browser keeps.
+    reach the service with what a browser keeps. Pages of ``viewer_origins`` may read what signed
+    URLs open, and no other answer.
     """
 
-    def __init__(self, app: ASGIApp, allowed_hosts: Sequence[str]) -> None:
+    def __init__(
+        self, app: ASGIApp, allowed_hosts: Sequence[str], viewer_origins: Sequence[str] = ()
+    ) -> None:
         self._app = app
         self._allowed_hosts = frozenset(map(str.lower, allowed_hosts))
+        self._viewer_origins = frozenset(viewer_origins)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -50,13 +66,36 @@ class Security:
                     headers.setdefault(name, value)
                 if request.url.scheme == "https":
                     headers.setdefault("Strict-Transport-Security", f"max-age={YEAR}")
+                if self._viewer_origins and getattr(request.state, SIGNED, False):
+                    headers.add_vary_header("Origin")
+                    if origin := self._viewer(request):
+                        headers["Access-Control-Allow-Origin"] = origin
+                        headers["Access-Control-Expose-Headers"] = SHOWN
             await send(message)
 
         if problem := self._refuse(request):
             answer = render(request.state.request_id, problem)
             await answer(scope, receive, send_with_headers)
+        elif self._is_preflight(request):
+            setattr(request.state, SIGNED, True)
+            await Response(status_code=204, headers=PREFLIGHT)(scope, receive, send_with_headers)
         else:
             await self._app(scope, receive, send_with_headers)
+
+    def _viewer(self, request: Request) -> str | None:
+        """Return the site of the page that asks, if it is one that may read signed URLs."""
+        origin = request.headers.get("origin")
+        is_viewer = origin in self._viewer_origins or ANY_ORIGIN in self._viewer_origins
+        return origin if is_viewer else None
+
+    def _is_preflight(self, request: Request) -> bool:
+        """Tell whether a viewer's browser asks if it may read a signed URL."""
+        return (
+            request.method == "OPTIONS"
+            and PARAMETER in request.query_params
+            and request.headers.get("access-control-request-method") in VIEWERS_METHODS
+            and self._viewer(request) is not None
+        )
 
     def _refuse(self, request: Request) -> Problem | None:
         if {"content-length", "transfer-encoding"} <= set(request.headers):

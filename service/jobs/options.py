@@ -30,13 +30,19 @@ STEPS = {"quasi_static": 1, "dynamic": 4}
 QUICK = {"list": {"fail_fast": True}, "default": {"copy_default": False}}
 
 
-def check_options(name: str, options: dict[str, Any]) -> Kind:
-    """Return the kind of job of a name; raises a problem if it does not take these options."""
+def check_options(name: str, options: dict[str, Any], place: str = "options") -> Kind:
+    """Return the kind of job of a name; raises a problem if it does not take these options.
+
+    ``place`` is that of the options in the request.
+    """
     kind = find_kind(name)
     try:
         read = _quick(kind).validate_python(options)
     except ValidationError as error:
-        told = _find_faults(kind, options, error)
+        told = [
+            (where.replace("options", place, 1), message)
+            for where, message in _find_faults(kind, options, error)
+        ]
         raise faulty(422, "job.options", told, at_least=True) from None
     _refuse_endless(getattr(read, "scene", None))
     return kind

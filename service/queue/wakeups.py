@@ -22,7 +22,8 @@ from sqlalchemy.orm import Session
 
 RUN_JOB = "myoface.run_job"
 # `ingest` is apart: a check's verdict is wanted while the person is in the chair
-QUEUES = ("ingest", "short", "long")
+INGEST = "ingest"
+QUEUES = (INGEST, "short", "long")
 # The worker of `service.queue.outbox`: its queue is the table of deliveries, not the broker's
 WEBHOOKS = "webhooks"
 

@@ -68,9 +68,10 @@ def _read_options(kind: Kind, given: Mapping[str, Any]) -> JobOptions:
     except OptionsError as error:
         first, known = error.faults[0], sorted(kind.options.model_fields)
         option = str(first.path[0]) if first.path else ""
+        where = first.where.removeprefix("options.")
+        told = f"{where}: {first.message}"
         if option == "scene":
-            where = first.where.removeprefix("options.")
-            raise InputError("scene.schema", f"{where}: {first.message}", where=where) from error
+            raise InputError("scene.schema", told, where=where) from error
         if option not in known:
-            raise InputError("options.unknown", str(error), expected=known) from error
-        raise InputError(f"options.{option}", str(error)) from error
+            raise InputError("options.unknown", told, expected=known) from error
+        raise InputError(f"options.{option}", told) from error

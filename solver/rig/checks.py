@@ -247,21 +247,22 @@ CHECKS = (
 )
 
 
+# A check's code, or its beginning -> what a rig that fails it is not good for, but animation is
+SPOILED = {
+    "muscles": "single muscles are not to be read as effort",
+    "trip.activations": "single muscles are not to be read as effort",
+    "jaw": "the jaw's angles are not to be measured",
+    "flesh.volume": "masses and volumes are not to be taken from it",
+    "flesh.flattest": "simulations are not to start from every expression",
+    "flesh.minimum": "simulations are not to start from every expression",
+    "trip.skin": "some poses are to be blended into from others, not from rest",
+    "trip.snap": "some poses are to be blended into from others, not from rest",
+}
+
+
 def overall(verdicts: list[Verdict]) -> Verdict:
     """Return the worst of the verdicts; good without any."""
     return max(verdicts, key=ORDER.index, default="good")
-
-
-def use(verdict: Verdict, bad: Sequence[str], expressions: int) -> str:
-    """Say whether a rig may be used whose ``bad`` expressions fail a check, of so many."""
-    if verdict == "good":
-        return "The rig may be used."
-    if verdict == "usable":
-        return "The rig may be used. What it is not good for stands under What to do."
-    why = "What to do says why, and what they are still good for."
-    if len(bad) == expressions:
-        return f"The rig may not be used as it is: every expression fails a check. {why}"
-    return f"The rig may be used, but not {', '.join(bad)}. {why}"
 
 
 @dataclass(frozen=True)
@@ -280,6 +281,30 @@ class Judgement:
     def of(self, expression: str) -> Verdict:
         """Return the verdict on an expression."""
         return self.check.limits.verdict(self.measures[expression].value)
+
+    @property
+    def spoils(self) -> str:
+        """Return in words what a rig that fails the check is not good for; "" is animation."""
+        found = (words for start, words in SPOILED.items() if self.check.code.startswith(start))
+        return next(found, "")
+
+
+def use(judgements: Sequence[Judgement], expressions: Sequence[str]) -> str:
+    """Say what a rig is good for, and what not."""
+    failed = [each for each in judgements if each.verdict != "good"]
+    if not failed:
+        return "Ready for animation and simulation: all checks are good."
+    shown = [each for each in failed if not each.spoils]
+    bad = [
+        name
+        for name in expressions
+        if any(name in each.measures and each.of(name) == "bad" for each in shown)
+    ]
+    ready = f"Ready for animation without {', '.join(bad)}" if bad else "Ready for animation"
+    if bad and len(bad) == len(expressions):
+        ready = "Not ready for animation, since every expression fails a check"
+    spoiled = dict.fromkeys(each.spoils for each in failed if each.spoils)
+    return f"{'; '.join([ready, *spoiled])}. What to do says more."
 
 
 def judge(rig: Rig, certificate: Certificate) -> list[Judgement]:

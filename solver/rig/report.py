@@ -51,10 +51,9 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
         fit.name: _expression(model, fit, certificate.expressions[fit.name], judgements)
         for fit in rig.expressions
     }
-    bad = [name for name, found in expressions.items() if found["verdict"] == "bad"]
     return {
         "verdict": verdict,
-        "use": use(verdict, bad, len(expressions)),
+        "use": use(judgements, list(expressions)),
         "checks": [_judgement(judgement, certificate.settings) for judgement in judgements],
         "expressions": expressions,
         "warnings": [notice.as_dict() for notice in rig.notices],

@@ -18,9 +18,13 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def _tried(folder: Path) -> dict[str, str]:
-    """Return what a solver process that was taken over tried, and what it got."""
-    with running(folder, jobs="tests.standin.taken_over") as (stack, studio):
+def _tried(folder: Path, *, waits: bool) -> dict[str, str]:
+    """Return what a solver process that was taken over tried, and what it got.
+
+    ``waits``: the process was there before its job.
+    """
+    jobs = "tests.standin.taken_over"
+    with running(folder, jobs=jobs, ingest_standby=waits) as (stack, studio):
         other = stack.settings.work / "other"
         other.mkdir(parents=True, exist_ok=True)
         (other / "scan").write_text("of another tenant")
@@ -31,17 +35,20 @@ def _tried(folder: Path) -> dict[str, str]:
         scan = studio.raw(subject, "smile")
         done = studio.finished(studio.submit("check_scan", subject, captures=[scan]))
         assert [each.read_text() for each in cache.iterdir()] == ["tets"]
+        told = (stack.settings.data_dir / "logs" / "ingest.log").read_text()
+        assert f"was_ready={waits}" in told
     assert done["state"] == "succeeded", done
     got: dict[str, str] = done["result"]["summary"]["figures"]["got"]
     return got
 
 
+@pytest.mark.parametrize("waits", [False, True])
 def test_a_solver_that_is_taken_over_gets_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    waits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "of the bucket")
     monkeypatch.setenv("STUDIO_TOKEN", "of somebody else")
-    got = _tried(tmp_path)
+    got = _tried(tmp_path, waits=waits)
     for name, found in got.items():
         sys.stdout.write(f"{name:34} {found or 'nothing'}\n")
     assert not any(got.values())

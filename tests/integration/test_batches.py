@@ -63,7 +63,9 @@ def test_scans_become_a_rig_in_one_call(working: Studio) -> None:
         "broken": None,
     }
     assert of["smile"]["registration"]["state"] == of["neutral"]["registration"]["state"]
-    assert "scan again" in of["blurred"]["left_out"]
+    assert of["blurred"]["left_out"] == (
+        "blurred.obj has no mouth. turn the head towards the lower camera and scan again"
+    )
     assert "NaN in line 3" in of["broken"]["left_out"]
     rig = working.get(f"/v1/rigs/{ended['fit']['rig_id']}")
     assert rig["expressions"] == ["smile"]
@@ -111,9 +113,13 @@ def test_a_batch_is_all_or_nothing_and_can_be_stopped(idle: Studio) -> None:
         ({"captures": [neutral]}, "request.invalid"),
         ({**alex, "captures": []}, "request.invalid"),
     ]
+    told = []
     for body, code in cases:
         answer = idle.http.post("/v1/batches", json=body)
         assert answer.json()["code"] == code, answer.text
+        told.append(answer.json()["detail"])
+    assert told[4].startswith("options.build_model.x: build_model has no such option")
+    assert told[5] == "give either subject_id or subject"
     for path in ("/v1/subjects", "/v1/jobs", "/v1/batches"):
         assert idle.get(path)["items"] == []
     body = {**alex, "captures": [{**neutral, "registered": True}, registered], "then": ["model"]}

@@ -202,6 +202,27 @@ def test_bodies_that_can_not_be(studio: Studio, body: bytes, status: int, code: 
     assert (answer.status_code, answer.json()["code"]) == (status, code)
 
 
+def test_a_fault_names_the_member_or_parameter(studio: Studio) -> None:
+    scan = {"name": "a/b", "role": "expression", "upload_id": NOBODY}
+    for answer, detail in (
+        (studio.http.post("/v1/subjects", json={"name": " "}), "name: String should have at least"),
+        (studio.http.post("/v1/subjects", json={}), "name: this is needed, and it is not there"),
+        (
+            studio.http.post("/v1/subjects", json={"name": "x", "nam": 1}),
+            "nam: there is no such member",
+        ),
+        (
+            studio.http.post("/v1/batches", json={"subject_id": NOBODY, "captures": [scan]}),
+            "captures[0].name: a name is needed",
+        ),
+        (studio.http.get("/v1/jobs?limit=0"), "limit: Input should be greater"),
+        (studio.http.get("/v1/jobs/x"), "job_id: an id is needed"),
+    ):
+        assert answer.json()["detail"].startswith(detail), answer.text
+        where = answer.json()["errors"][0]["where"]
+        assert where == detail.partition(":")[0]
+
+
 def test_options_are_checked_before_the_job_is_queued(studio: Studio) -> None:
     subject = studio.subject()
     unknown = "options.edge: build_model has no such option; it has edge_mm"

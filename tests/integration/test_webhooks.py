@@ -512,6 +512,7 @@ def test_a_new_secret_and_the_old_one_sign_for_a_day(studio: Studio, settings: S
 def test_addresses_inside_the_network_are_refused_at_once(studio: Studio, url: str) -> None:
     answer = studio.http.post("/v1/webhooks", json={"url": url})
     _refused(answer, 422, "webhook.url")
+    assert "MYOFACE_WEBHOOK_ALLOW" in answer.json()["detail"]
     with receiving() as (port, _):
         hook = _hook(studio, port)
     _refused(studio.http.patch(f"/v1/webhooks/{hook['id']}", json={"url": url}), 422, "webhook.url")
@@ -536,7 +537,9 @@ def test_a_name_is_not_looked_up_while_somebody_waits(studio: Studio, settings: 
     assert (changed.status_code, looked_up) == (200, [])
     studio.post(f"{path}/test")
     with delivering(studio, settings, sender):
-        assert _until(studio, hook, "failed")["error"] == "address.private"
+        refused = _until(studio, hook, "failed")
+        assert refused["error"] == "address.private"
+        assert """MYOFACE_WEBHOOK_ALLOW, such as '["10.0.0.0/24"]'""" in refused["excerpt"]
     assert set(looked_up) == {"other.example"}
 
 

@@ -14,6 +14,7 @@ from myoface.cli.app import read_object
 from myoface.cli.batches import landmarks_of, with_frame
 from myoface.cli.commands import Argument, Command, Group, Option, UsageError
 from myoface.cli.lookup import matching
+from myoface.errors import ApiError
 from myoface.resources import Subject
 from tests.command_line import invoke
 
@@ -149,6 +150,42 @@ def test_a_fault_of_a_file_is_a_line(
     assert told.exit_code == 1
     assert line in told.stderr
     assert "Traceback" not in told.stderr
+
+
+@pytest.mark.parametrize(
+    ("where", "said"),
+    [
+        ("name", "NAME: "),
+        ("url", "ADDRESS: "),
+        ("events[0]", "--event [0]: "),
+        ("options.check_scan.unit", "--unit: "),
+        ("options.scene.keys[0].time", "--scene keys[0].time: "),
+        ("options.fit_geometry.rounds", "--options fit_geometry.rounds: "),
+        ("template_id", "--template: "),
+        ("other", "other: "),
+    ],
+)
+def test_a_refusal_names_the_option_or_argument(
+    where: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    group = Group("")
+
+    @group.command()
+    def ask(
+        name: str,
+        address: str,
+        event: Annotated[list[str] | None, Option()] = None,
+        unit: str = "auto",
+        scene: Path | None = None,
+        options: str = "{}",
+        template: str | None = None,
+        url: str = "http://here",
+    ) -> None:
+        faults = [{"where": where, "message": "no"}]
+        raise ApiError({"code": "request.invalid", "detail": f"{where}: no", "errors": faults})
+
+    monkeypatch.setitem(cli.app.members, "ask", group.members["ask"])
+    assert f"error: {said}no (request.invalid)" in invoke(["ask", "x", "y"]).stderr
 
 
 def test_an_object_is_given_itself_or_in_a_file(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from myoface.cli.offline import name_expressions
+from myoface.errors import ApiError
 from solver.rig.rig import Rig
 from tests.command_line import Told, invoke
 from tests.solver.block import head_block
@@ -33,6 +35,19 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Rig(model, model.weights, ()).save(folder / "rig.npz")
     np.save(folder / "map.npy", np.ones(len(model.skin.vertices)))
     return folder
+
+
+def test_expressions_are_called_as_the_service_calls_them(tmp_path: Path) -> None:
+    scans = [tmp_path / name for name in ("ein Lächeln.obj", "James Kiss 02.obj")]
+    assert list(name_expressions(scans)) == ["ein_Lacheln", "James_Kiss_02"]
+    for files, words in (
+        (["smile.obj", "Smile.ply"], "'smile.obj' and 'Smile.ply' would both be called Smile"),
+        (["nul.obj"], "a device's name"),
+        (["ß!.obj", "___.obj"], "no name can be made of '___.obj'"),
+    ):
+        with pytest.raises(ApiError, match=words) as caught:
+            name_expressions([tmp_path / file for file in files])
+        assert "--name" not in str(caught.value)
 
 
 def played(command: str, rig: Path, scene: str, out: Path, *more: str) -> Told:

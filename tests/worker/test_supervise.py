@@ -196,11 +196,7 @@ def test_a_solver_without_room_puts_its_job_off(
     folder = AttemptFolder(settings.work, claim)
     folder.stage(store)
     reading, writing = os.pipe()
-    process: dict[str, object] = {
-        "parent": os.getppid(),
-        "memory_bytes": 1 << 40,
-        "progress_fd": writing,
-    }
+    process: dict[str, object] = {"parent": os.getppid(), "memory_bytes": 1 << 40}
     process |= {"cpu_seconds": 3600, "jobs": "solver.jobs", "confined": False}
     (folder.path / "process.json").write_text(json.dumps(process))
 
@@ -213,7 +209,7 @@ def test_a_solver_without_room_puts_its_job_off(
     monkeypatch.setattr(solve, "die_with_parent", lambda *_: None)
     monkeypatch.setattr(solve.resource, "setrlimit", lambda *_: None)
     monkeypatch.setattr(solve, "run_job", full)
-    code = solve.main(folder.path)
+    code = solve.main(folder.path, writing)
     os.close(reading)
     supervisor = _supervisor(store, settings)
     supervisor._commit_outcome(claim, folder, code, 60)

@@ -137,9 +137,20 @@ def test_it_says_which_expressions_may_be_used(face: Face, state: PosedFace) -> 
         rig = Rig(face.model, face.S, fits, {})
         return str(report(rig, certify(face, rig, {}))["use"])
 
-    assert said(good).startswith("The rig may be used.")
-    assert said(good, torn).startswith("The rig may be used, but not sad.")
-    assert said(torn).startswith("The rig may not be used as it is")
+    assert said(good).startswith("Ready for animation")
+    assert said(good, torn).startswith("Ready for animation without sad")
+    assert said(torn).startswith("Not ready for animation, since every expression fails a check")
+
+
+def test_muscles_beyond_what_muscles_can_do_are_no_effort(face: Face, state: PosedFace) -> None:
+    short = np.array([[0.45, 0.0, 0.0, 1.4, 0.0, 1.4], IDENTITY])
+    strained = replace(fitted(face, state), activations=short, jaw=np.zeros(5), x=None)
+    rig = Rig(face.model, face.S, (strained,), {})
+    told = report(rig, certify(face, rig, {}))
+    assert told["verdict"] == "usable"
+    assert told["use"].startswith(
+        "Ready for animation; single muscles are not to be read as effort"
+    )
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.code)

@@ -110,6 +110,6 @@ def test_it_says_what_to_look_at(page: Reader) -> None:
     assert "not tried" in words  # no round trip
     assert "left has <no> flesh" in words
     assert "fit this expression again with rounds 24 instead of 12." in words
-    assert "The rig may be used. What it is not good for" in words
+    assert "Ready for animation. What to do says more." in words
     assert "Warnings : 2 in ah : left has <no> flesh; half & half." in words
     assert "Fits that ended early : 1 in ah : after 3 steps by reduced." in words

@@ -116,6 +116,13 @@ def _tries(task: Task, attempt: Path) -> dict[str, Callable[[], Any]]:
         "another user": lambda: (
             subprocess.run(["su", "nobody", "-c", "id"], check=True, capture_output=True).stdout
         ),
+        "a thread that is not confined": lambda: [
+            number
+            for number in os.listdir("/proc/self/task")
+            if "Seccomp:\t2" not in Path(f"/proc/self/task/{number}/status").read_text()
+        ],
+        "a file that was left open": _open_files,
+        "the order of another job": lambda: os.read(0, 100),
         "a core dump": lambda: resource.getrlimit(resource.RLIMIT_CORE)[1] != 0 or None,
         "a file of 64 GB": lambda: _large_file(attempt / "tmp" / "large"),
         "more files than it needs": lambda: (
@@ -130,6 +137,13 @@ def _secrets() -> list[str]:
         for name in os.environ
         if any(word in name for word in SECRETS) and name != "MYOFACE_ATTEMPT"
     ]
+
+
+def _open_files() -> list[str]:
+    """Return what is open but pipes, nothing, and the list of what is open."""
+    links = [Path(f"/proc/self/fd/{number}") for number in os.listdir("/proc/self/fd")]
+    places = [os.readlink(link) for link in links if link.is_symlink()]
+    return [place for place in places if not place.startswith(("pipe:", "/dev/null"))]
 
 
 def _own_program(attempt: Path) -> int:

@@ -30,7 +30,8 @@ export function heading(rig, subject, buttons = []) {
       h("a", { class: "button", href: `/jobs/${rig.job_id}` }, "Job and files")),
     h("div", { class: "rig-line" },
       h("dl", { class: "rig-facts" }, facts.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
-      findings(rig.summary)));
+      findings(rig.summary)),
+    rig.summary.use && h("p", { class: "fine" }, rig.summary.use));
 }
 
 /** Return a button that opens the certificate in a window of its own. */
