@@ -46,7 +46,7 @@ def test_a_cell_shows_the_rig(context: Any) -> None:
     canvas = frame.locator("canvas")
 
     def picture() -> Any:
-        page.wait_for_timeout(300)
+        page.wait_for_timeout(800)
         return np.asarray(Image.open(io.BytesIO(canvas.screenshot())).convert("RGB"), float)
 
     neutral = picture()
