@@ -18,6 +18,7 @@ import pytest
 from myoface.client import Client
 from myoface.stack import Stack
 from service.settings import Settings
+from solver.model import SubjectModel
 from solver.rig.rig import Rig
 from solver.templates.builtin.build import builtin_capture_set
 from tests.command_line import invoke
@@ -110,6 +111,7 @@ def test_the_folder_is_complete(rig: Path) -> None:
     report = json.loads((rig / "report.json").read_text())
     assert report["made_with"]["template"]["name"] == made.model.template["name"]
     assert report["made_with"]["model_sha256"] == made.model.sha256
+    assert SubjectModel.load(rig / "model.npz").sha256 == made.model.sha256
 
 
 def test_the_service_has_written_usd(rig: Path) -> None:
@@ -131,8 +133,6 @@ def test_it_is_exported_here(rig: Path, tmp_path: Path, format: str) -> None:
     run(COMMAND, "export", rig, "--format", format, "-o", tmp_path / "out", cwd=tmp_path)
     file = {"usd": "rig.usdc", "glb": "rig.glb", "npz": "rig.npz"}[format]
     assert (tmp_path / "out" / file).stat().st_size > 10_000
-    if format == "glb":
-        assert (tmp_path / "out" / file).read_bytes() == (rig / file).read_bytes()
 
 
 SCENE = {
@@ -152,6 +152,3 @@ def test_commands_without_a_service_take_the_folder(rig: Path, tmp_path: Path) -
     run(COMMAND, *words, cwd=tmp_path)
     again = Rig.load(tmp_path / "fitted").expressions
     assert [each.name for each in again if each.name == "smile"] == ["smile"]
-    words = ("solve", "geometry", rig / "model.npz", smile, "--rounds", "1", "-o", "geometry")
-    run(COMMAND, *words, cwd=tmp_path)
-    assert (tmp_path / "geometry" / "rig.npz").exists()
