@@ -20,6 +20,7 @@ from myoface.errors import ApiError
 from myoface.resources import Artifact, WholeRig
 
 RIG_NOTE = "rig.json"  # written when all files of a rig's folder are there
+BLOCK = 1024 * 1024
 PACKED = ".rig.zip"  # while it is unpacked; no file of a rig has a name like this
 
 # What zipfile raises of a file that is none, or not as it says
@@ -40,9 +41,12 @@ def check_archive(path: Path, archive: Artifact) -> None:
     """
     with _opened(path, archive) as (packed, rig):
         for each in rig.artifacts:
+            digest = hashlib.sha256()
             with packed.open(each.name) as stream:
-                if hashlib.file_digest(stream, "sha256").hexdigest() != each.sha256:
-                    raise _damaged(archive)
+                while block := stream.read(BLOCK):
+                    digest.update(block)
+            if digest.hexdigest() != each.sha256:
+                raise _damaged(archive)
 
 
 def is_unpacked(folder: Path, archive: Artifact) -> bool:
@@ -74,7 +78,8 @@ def _opened(path: Path, archive: Artifact) -> Iterator[tuple[zipfile.ZipFile, Wh
     """Give an archive whose files are stored as they are, in the sizes that ``rig.json`` says."""
     try:
         with zipfile.ZipFile(path) as packed:
-            note = _stored(packed, RIG_NOTE) and packed.read(RIG_NOTE)
+            _stored(packed, RIG_NOTE)
+            note = packed.read(RIG_NOTE)
             if hashlib.sha256(note).hexdigest() != archive.sha256:
                 raise _damaged(archive)
             rig = WholeRig.read(json.loads(note))
