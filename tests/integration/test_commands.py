@@ -243,7 +243,8 @@ def test_a_batch_has_units_landmarks_and_options(
 def test_a_rig_is_fetched_whole_packed_and_for_other_programs(
     myoface: Command, tmp_path: Path
 ) -> None:
-    told = myoface("batches", "add", scan(tmp_path, "neutral"), scan(tmp_path, "smile"))
+    scans = (scan(tmp_path, "neutral"), scan(tmp_path, "smile"))
+    told = myoface("batches", "add", *scans, "--person", "Grace H2")
     rig = told.output.split()[-1]
     folder = tmp_path / "rig"
     told = myoface("rigs", "download", rig[:8], "-o", folder)
