@@ -137,13 +137,14 @@ class Capture(Resource):
 
 @dataclass(frozen=True, kw_only=True)
 class Artifact(Resource):
-    """A file that a job left; ``size`` in bytes."""
+    """A file that the job ``job_id`` left; ``size`` in bytes."""
 
     id: str
     name: FileName
     size: int
     sha256: Sha256
     media_type: str
+    job_id: str | None = None
 
 
 def _once_each(artifacts: list[Artifact]) -> None:
@@ -284,6 +285,14 @@ class Rig(Resource):
     artifacts: Artifacts = field(default_factory=list)
     created_at: datetime | None = None
     retain_until: datetime | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class WholeRig(Rig):
+    """A rig with its model's files and template among its ``artifacts``, and whose it is."""
+
+    subject: Subject
+    model_job_id: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,12 +16,14 @@ if TYPE_CHECKING:
     from solver.anatomy.template import Template as Template
     from solver.fitting.activation import ActivationOptions as ActivationOptions
     from solver.fitting.activation import unseen_regulariser as unseen_regulariser
-    from solver.fitting.contact import terms as expression_terms
+    from solver.fitting.contact import terms as expression_terms  # noqa: F401
     from solver.fitting.face import Face as Face
     from solver.fitting.face import Pose as Pose
-    from solver.fitting.fallback import fit as fit_expression
+    from solver.fitting.fallback import fit as fit_expression  # noqa: F401
     from solver.fitting.objective import Target as Target
+    from solver.fitting.sensitivity import Sensitivity as Sensitivity
     from solver.jobs import run_job as run_job
+    from solver.mechanics.terms import PassiveTerm as PassiveTerm
     from solver.meshio.registered import write_registered as write_registered
     from solver.model import SubjectModel as SubjectModel
     from solver.rig.rig import Rig as Rig
@@ -30,26 +32,13 @@ if TYPE_CHECKING:
 # takes a tenth of the speed from what runs meanwhile and half of the processor from other workers.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-__all__ = [
-    "ActivationOptions",
-    "Face",
-    "Pose",
-    "Rig",
-    "SubjectModel",
-    "Target",
-    "Template",
-    "expression_terms",
-    "fit_expression",
-    "run_job",
-    "unseen_regulariser",
-    "write_registered",
-]
-
 _PLACES = {
     "ActivationOptions": "solver.fitting.activation:ActivationOptions",
     "Face": "solver.fitting.face:Face",
+    "PassiveTerm": "solver.mechanics.terms:PassiveTerm",
     "Pose": "solver.fitting.face:Pose",
     "Rig": "solver.rig.rig:Rig",
+    "Sensitivity": "solver.fitting.sensitivity:Sensitivity",
     "SubjectModel": "solver.model:SubjectModel",
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",
@@ -59,6 +48,9 @@ _PLACES = {
     "unseen_regulariser": "solver.fitting.activation:unseen_regulariser",
     "write_registered": "solver.meshio.registered:write_registered",
 }
+
+
+__all__ = list(_PLACES)
 
 
 def __getattr__(name: str) -> Any:

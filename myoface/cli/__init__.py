@@ -13,6 +13,7 @@ from myoface.cli.captures import add, captures
 from myoface.cli.client import jobs, rigs, subjects, templates
 from myoface.cli.commands import Group, UsageError
 from myoface.cli.console import complain
+from myoface.cli.export import export
 from myoface.cli.keys import keys
 from myoface.cli.operator import OPERATOR
 from myoface.cli.webhooks import webhooks
@@ -32,6 +33,7 @@ app = Group(
     },
 )
 app.command("upload", help="Short for `captures add`.")(add)
+app.command()(export)
 app.members.update(OPERATOR)
 
 

@@ -22,7 +22,7 @@ from myoface.cli.console import (
 )
 from myoface.cli.lookup import find_job, find_rig, find_subject, find_template
 from myoface.client import DEFAULT_URL, Client
-from myoface.client.files import RIG_NOTE
+from myoface.client.archive import RIG_NOTE
 from myoface.errors import describe
 from myoface.resources import Artifact, Job, Result
 
@@ -297,13 +297,25 @@ def list_rigs(subject: OfSubject = None, url: Url = DEFAULT_URL) -> None:
 
 
 @rigs.command("download")
-def download_rig(rig: RigId, output: NewFolder = Path("rig"), url: Url = DEFAULT_URL) -> None:
-    """Download all files of a rig into a folder; what is there already and right is not sent again.
+def download_rig(
+    rig: RigId,
+    output: NewFolder = Path("rig"),
+    packed: Annotated[bool, Option("--zip", help="leave it packed: OUTPUT.zip")] = False,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Download a rig whole, with its model, into a folder; what is there already is left as it is.
 
-    rig.json, which comes last, says whose rig it is, of which template, and lists the files.
+    rig.json, which comes last, says whose rig it is, of which template, and lists the files with
+    their jobs.
     """
     with Client(url) as client, transfer_bar("rig") as progress:
-        found = client.download_rig(find_rig(client, rig), output, progress=progress)
+        rig_id = find_rig(client, rig)
+        if packed:
+            archive = output.with_name(f"{output.name}.zip")
+            client.download_archive(rig_id, archive, progress=progress)
+            out.print(f"{archive}")
+            return
+        found = client.download_rig(rig_id, output, progress=progress)
     for name in [*(each.name for each in found.artifacts), RIG_NOTE]:
         out.print(f"{output / name}")
 

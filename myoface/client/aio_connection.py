@@ -165,23 +165,28 @@ class AsyncConnection:
         if is_there and await async_sha256_of(path) == artifact.sha256:
             return
         part = part_path(path, artifact)
+        await self._fetch(f"/v1/artifacts/{artifact.id}", part, artifact, progress)
+        put_in_place(part, path, artifact, await async_sha256_of(part))
+
+    async def _fetch(
+        self, url: str, part: Path, file: Artifact, progress: Transferred = ignore_transfer
+    ) -> None:
+        """Fetch what ``part`` does not have yet of a file, whose ``sha256`` is its tag."""
         backoff = Backoff(self._options)
         part.touch()
-        while (have := part.stat().st_size) < artifact.size:
-            headers = {"Range": f"bytes={have}-", "If-Range": f'"{artifact.sha256}"'}
-            url = f"/v1/artifacts/{artifact.id}"
+        while (have := part.stat().st_size) < file.size:
+            headers = {"Range": f"bytes={have}-", "If-Range": f'"{file.sha256}"'}
             try:
                 async with self._stream(url, headers=headers) as response:
                     is_part = response.status_code == httpx.codes.PARTIAL_CONTENT
                     with part.open("ab" if is_part else "wb") as stream:
                         async for block in response.aiter_bytes():
                             stream.write(block)
-                            progress(stream.tell(), artifact.size)
+                            progress(stream.tell(), file.size)
                             backoff.reset()
-                require_more(part, have, artifact)
+                require_more(part, have, file)
             except ApiError as error:
                 await anyio.sleep(backoff.pause_if_transient(error))
-        put_in_place(part, path, artifact, await async_sha256_of(part))
 
     # Requests
 

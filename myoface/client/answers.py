@@ -63,6 +63,15 @@ def read_offset(response: httpx.Response, size: int) -> int:
     return int(text)
 
 
+def read_range(response: httpx.Response) -> tuple[str, int]:
+    """Return the tag of what a range is of, and the bytes of all of it."""
+    tag = response.headers.get("ETag", "").strip('"')
+    size = response.headers.get("Content-Range", "").rpartition("/")[2]
+    if not (tag and size.isascii() and size.isdigit()):
+        _refuse(response, f"{response.status_code} and no range of a file")
+    return tag, int(size)
+
+
 def _refuse(response: httpx.Response, found: str) -> NoReturn:
     request = response.request
     detail = f"the answer to {request.method} {request.url} is not this API's: {found}"

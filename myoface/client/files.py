@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 import os
 import time
 from collections.abc import Callable
@@ -15,7 +14,7 @@ import anyio
 import httpx
 
 from myoface.errors import ApiError
-from myoface.resources import Artifact, Rig, Subject
+from myoface.resources import Artifact
 from myoface.values import NOT_OF_THE_API
 
 TUS = {"Tus-Resumable": "1.0.0"}
@@ -24,7 +23,6 @@ TUS_CONTENT = "application/offset+octet-stream"
 OUT_OF_STEP = frozenset({httpx.codes.CONFLICT, httpx.codes.LOCKED})
 GONE = frozenset({httpx.codes.NOT_FOUND, httpx.codes.GONE})
 
-RIG_NOTE = "rig.json"  # written when all files of a rig's folder are there
 # Longer than any service keeps an upload that nobody goes on with.
 NOTES_KEPT_S = 7 * 24 * 3600
 
@@ -81,15 +79,6 @@ def put_in_place(part: Path, path: Path, artifact: Artifact, found: str) -> None
             "found": found,
         }
     )
-
-
-def write_rig_note(folder: Path, rig: Rig, subject: Subject) -> None:
-    """Say in a rig's folder whose rig it is, of which template and job, and what its files are."""
-    note = {**rig.as_dict(), "subject": subject.as_dict()}
-    part = folder / f"{RIG_NOTE}.part"
-    folder.mkdir(parents=True, exist_ok=True)
-    part.write_text(json.dumps(note, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(part, folder / RIG_NOTE)
 
 
 def notes_folder() -> Path:

@@ -5,17 +5,27 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 import uuid
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import httpx
 
 from myoface.client.answers import read_json
-from myoface.client.files import Transferred, ignore_transfer, write_rig_note
+from myoface.client.archive import (
+    PACKED,
+    check_archive,
+    is_unpacked,
+    read_archive,
+    read_note,
+    unpack,
+)
+from myoface.client.files import Transferred, ignore_transfer, part_path
 from myoface.client.jobs import (
     BatchWatcher,
     EventReader,
@@ -33,6 +43,7 @@ from myoface.names import name_session
 from myoface.resources import (
     FINAL_STATES,
     NO_SCANS,
+    Artifact,
     Batch,
     Frame,
     FramePage,
@@ -44,6 +55,7 @@ from myoface.resources import (
     Progress,
     Rig,
     Then,
+    WholeRig,
 )
 
 TOO_MANY_STREAMS = "stream.too_many"
@@ -279,17 +291,44 @@ class Client(Captures):
 
     def download_rig(
         self, rig_id: str, folder: Path, *, progress: Transferred = ignore_transfer
-    ) -> Rig:
-        """Fetch all files of a rig, and say in ``rig.json`` whose it is; see :meth:`download`."""
-        rig = self.rig(rig_id)
-        subject = self.subject(rig.subject_id)
-        total, before = sum(each.size for each in rig.artifacts), 0
-        for artifact in rig.artifacts:
+    ) -> WholeRig:
+        """Fetch a rig whole, with its model, and unpack it into ``folder``.
 
-            def told(done: int, _size: int, before: int = before) -> None:
-                progress(before + done, total)
+        ``rig.json``, written last, says whose rig it is and names all files. A folder that has them
+        all is left as it is, and one that was begun is gone on with.
+        """
+        archive = self._find_archive(rig_id)
+        if not is_unpacked(folder, archive):
+            packed = folder / PACKED
+            self._fetch_archive(rig_id, archive, packed, progress)
+            unpack(packed, folder, archive)
+            packed.unlink()
+        return read_note(folder)
 
-            self.download(artifact, folder / artifact.name, progress=told)
-            before += artifact.size
-        write_rig_note(folder, rig, subject)
-        return rig
+    def download_archive(
+        self, rig_id: str, path: Path, *, progress: Transferred = ignore_transfer
+    ) -> None:
+        """Fetch a rig whole, with its model, as one ZIP file; see :meth:`download`."""
+        self._fetch_archive(rig_id, self._find_archive(rig_id), path, progress)
+
+    def _find_archive(self, rig_id: str) -> Artifact:
+        """Return size and tag of a rig's archive as it is now."""
+        url, first = f"/v1/rigs/{rig_id}/archive", {"Range": "bytes=0-0"}
+        return read_archive(self._request("GET", url, headers=first), rig_id)
+
+    def _fetch_archive(
+        self, rig_id: str, archive: Artifact, path: Path, progress: Transferred
+    ) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_file():
+            with suppress(ApiError):
+                check_archive(path, archive)
+                return
+        part = part_path(path, archive)
+        self._fetch(f"/v1/rigs/{rig_id}/archive", part, archive, progress)
+        try:
+            check_archive(part, archive)
+        except ApiError:
+            part.unlink()
+            raise
+        os.replace(part, path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +14,7 @@ from myoface.cli.console import JobView, err, transfer_bar
 from myoface.client import Client
 from myoface.errors import ApiError
 from myoface.names import Role
-from myoface.resources import Artifact, Job, Result
+from myoface.resources import Job, Result
 from solver.templates.export import CaptureSet
 
 LOG_TAIL = 20
@@ -55,18 +55,15 @@ class Session:
         def solve(kind: str, **inputs: Any) -> Job:
             return self._solve(kind, subject.id, options=options.get(kind), **inputs)
 
-        model = solve("build_model")
-        geometry = solve("fit_geometry", captures=[ids[each] for each in captures.train])
-        done = [model, geometry]
+        solve("build_model")
+        fit = solve("fit_geometry", captures=[ids[each] for each in captures.train])
         if captures.test:
             unseen = [ids[each] for each in captures.test]
-            done.append(solve("fit_activations", captures=unseen, rig_id=_result(geometry).rig_id))
-
-        self.rig_id = _result(done[-1]).rig_id
-        with self.time_phase("download"):
-            # Later files take the place of earlier ones of the same name: the last rig is whole.
-            files = {each.name: each for job in done for each in _result(job).artifacts}
-            self._download(files.values())
+            fit = solve("fit_activations", captures=unseen, rig_id=_result(fit).rig_id)
+        self.rig_id = _result(fit).rig_id
+        with self.time_phase("download"), transfer_bar("rig") as progress:
+            assert self.rig_id is not None, "a fit leaves a rig"
+            self.client.download_rig(self.rig_id, self.folder, progress=progress)
         report: dict[str, Any] = json.loads((self.folder / "report.json").read_text())
         return report
 
@@ -101,11 +98,6 @@ class Session:
             if spent >= WORTH_TELLING_S:
                 self.seconds[f"{kind}: {phase}"] = spent
         return ended
-
-    def _download(self, artifacts: Iterable[Artifact]) -> None:
-        for artifact in artifacts:
-            with transfer_bar(artifact.name) as progress:
-                self.client.download(artifact, self.folder / artifact.name, progress=progress)
 
 
 def _result(job: Job) -> Result:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import NamedTuple
 from urllib.parse import quote
 
@@ -29,16 +32,79 @@ class Span(NamedTuple):
     end: int
 
 
-def send(artifact: Artifact, store: Store, request: Request) -> Response:
-    """Return the response to a GET or HEAD of an artifact: the file, a range, or 304.
+@dataclass(frozen=True)
+class Sendable(ABC):
+    """Bytes that `send` sends, the same as long as the ``tag`` (hex) is."""
+
+    name: str
+    media_type: str
+    size: int
+    tag: str
+
+    @abstractmethod
+    def check(self) -> None:
+        """Raise the problem of what cannot be sent, as far as it shows without reading it."""
+
+    @abstractmethod
+    def blocks(self, span: Span) -> Iterator[bytes]:
+        """Give a part of it; what is known to be wrong is raised here, before the first block."""
+
+
+@dataclass(frozen=True)
+class StoredArtifact(Sendable):
+    """A file that a job left, in the file store."""
+
+    artifact: Artifact
+    store: Store
+
+    @classmethod
+    def of(cls, artifact: Artifact, store: Store) -> StoredArtifact:
+        """Return an artifact as it is sent."""
+        about = artifact.name, artifact.media_type, artifact.size, artifact.sha256
+        return cls(*about, artifact, store)
+
+    def check(self) -> None:
+        """See `Sendable`."""
+        with self._problems():
+            self._require_size()
+
+    def blocks(self, span: Span) -> Iterator[bytes]:
+        """See `Sendable`: what is sent whole is compared with its name on the way."""
+        sha256 = self.tag
+        with self._problems():
+            if span == Span(0, self.size):
+                return _noting(open_checked(self.store.files, sha256), self.store)
+            self._require_size()
+            return self.store.files.open(sha256, *span)
+
+    def _require_size(self) -> None:
+        if self.store.files.size(self.tag) != self.size:
+            raise LostFileError(self.tag, "damaged")
+
+    @contextmanager
+    def _problems(self) -> Iterator[None]:
+        """Make problems of the faults of the file, also of one that is known from before."""
+        sha256 = self.tag
+        try:
+            if fault := known_fault(self.store, sha256):
+                raise LostFileError(sha256, fault)
+            yield
+        except FileNotFoundError:
+            raise _lost(self.artifact, self.store, LostFileError(sha256, "lost")) from None
+        except LostFileError as error:
+            raise _lost(self.artifact, self.store, error) from error
+
+
+def send(content: Sendable, request: Request) -> Response:
+    """Return the response to a GET or HEAD: all of it, a range, or 304.
 
     Raises
     ------
     Problem
-        404 if the file is being deleted, 410 if it is lost or damaged, 416 for a range that it does
-        not have.
+        404 for a file that is being deleted, 410 if it is lost or damaged, 416 for a range that it
+        does not have.
     """
-    tag = f'"{artifact.sha256}"'
+    tag = f'"{content.tag}"'
     headers = {
         "ETag": tag,
         # A copy may be kept and used as long as the service says that it still has the file.
@@ -46,39 +112,23 @@ def send(artifact: Artifact, store: Store, request: Request) -> Response:
         "X-Content-Type-Options": "nosniff",
         "Content-Security-Policy": POLICY,
         "Accept-Ranges": "bytes",
-        "Content-Disposition": _disposition(artifact),
+        "Content-Disposition": _disposition(content),
     }
     if _has(request.headers.get("if-none-match", ""), tag):
         return Response(status_code=304, headers=headers)
-    span = _range(artifact, tag, request)
-    start, end = span or Span(0, artifact.size)
-    headers["Content-Length"] = str(end - start)
-    if span:
-        headers["Content-Range"] = f"bytes {start}-{end - 1}/{artifact.size}"
+    part = _range(content, tag, request)
+    span = part or Span(0, content.size)
+    headers["Content-Length"] = str(span.end - span.start)
+    if part:
+        headers["Content-Range"] = f"bytes {span.start}-{span.end - 1}/{content.size}"
+    body: Iterator[bytes] = iter(())
+    if request.method == "GET":
+        body = content.blocks(span)
+    else:
+        content.check()
     return StreamingResponse(
-        _blocks(artifact, store, request, Span(start, end)),
-        206 if span else 200,
-        headers=headers,
-        media_type=artifact.media_type,
+        body, 206 if part else 200, headers=headers, media_type=content.media_type
     )
-
-
-def _blocks(artifact: Artifact, store: Store, request: Request, span: Span) -> Iterator[bytes]:
-    """Open the file, so that one that is lost or damaged is known before the response begins."""
-    sha256 = artifact.sha256
-    is_whole = span == Span(0, artifact.size)
-    try:
-        if fault := known_fault(store, sha256):
-            raise LostFileError(sha256, fault)
-        if request.method == "GET" and is_whole:
-            return _noting(open_checked(store.files, sha256), store)
-        if store.files.size(sha256) != artifact.size:
-            raise LostFileError(sha256, "damaged")
-        return store.files.open(sha256, *span) if request.method == "GET" else iter(())
-    except FileNotFoundError:
-        raise _lost(artifact, store, LostFileError(sha256, "lost")) from None
-    except LostFileError as error:
-        raise _lost(artifact, store, error) from error
 
 
 def _noting(blocks: Iterator[bytes], store: Store) -> Iterator[bytes]:
@@ -105,14 +155,14 @@ def _has(given: str, tag: str) -> bool:
     return bool(known & {tag, "*"})
 
 
-def _range(artifact: Artifact, tag: str, request: Request) -> Span | None:
+def _range(content: Sendable, tag: str, request: Request) -> Span | None:
     """Return the range asked for; None: the whole file, also for several ranges or other units."""
     match = RANGE.fullmatch(request.headers.get("range", "").replace(" ", ""))
     if match is None or not any(match.groups()):
         return None
     if request.headers.get("if-range", tag) != tag:
         return None  # a part of another file
-    size = artifact.size
+    size = content.size
     if match[1]:
         start, end = int(match[1]), min(int(match[2] or size) + 1, size)
     else:
@@ -121,13 +171,13 @@ def _range(artifact: Artifact, tag: str, request: Request) -> Span | None:
         return None
     if start >= end:
         problem = Problem(
-            416, "artifact.range", f"{artifact.name} has {size} bytes, and no such range"
+            416, "artifact.range", f"{content.name} has {size} bytes, and no such range"
         )
         problem.headers = {"Content-Range": f"bytes */{size}"}
         raise problem
     return Span(start, end)
 
 
-def _disposition(artifact: Artifact) -> str:
-    kind = "inline" if artifact.media_type == PAGE else "attachment"
-    return f"{kind}; filename*=utf-8''{quote(artifact.name)}"
+def _disposition(content: Sendable) -> str:
+    kind = "inline" if content.media_type == PAGE else "attachment"
+    return f"{kind}; filename*=utf-8''{quote(content.name)}"

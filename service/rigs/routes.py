@@ -28,7 +28,8 @@ from service.errors import problems
 from service.records.audit import record
 from service.records.reads import ReadLog
 from service.rigs import repository
-from service.rigs.download import send
+from service.rigs.archive import archive_of
+from service.rigs.download import StoredArtifact, send
 from service.rigs.schemas import ArtifactView, RigView, SignedUrl
 from service.schemas import FileName, Id, Page
 from service.store.database import Store
@@ -117,11 +118,41 @@ def download_by_name(
     `activations.npz` and `muscle_weights.npz` beside a `rig.npz` are deprecated: it holds both.
     """
     rig = repository.get(session, rig_id)
-    response = _send(repository.artifact_of_rig(session, rig, name), store, request, who, reads)
+    artifact = repository.artifact_of_rig(session, rig, name)
+    response = _send(artifact, store, request, who, reads)
     if name in FILES_OF_0_1 and any(each.name == repository.RIG_FILE for each in rig.artifacts):
         whole = f"/v1/rigs/{rig.id}/artifacts/{repository.RIG_FILE}"
         response.headers["Deprecation"] = FILES_DEPRECATED
         response.headers["Link"] = f'<{whole}>; rel="successor-version"'
+    return response
+
+
+@router.head(
+    "/rigs/{rig_id}/archive",
+    response_class=Response,
+    summary="Ask about a rig's archive",
+    responses=FILE,
+    dependencies=[Depends(_limit_by_key)],
+)
+@router.get(
+    "/rigs/{rig_id}/archive",
+    response_class=Response,
+    summary="Download a rig whole",
+    responses=FILE,
+    dependencies=[Depends(_limit_by_key)],
+)
+def download_archive(
+    rig_id: Id, store: ReadStore, request: Request, who: Reader, reads: ReadsDep
+) -> Response:
+    """Download a rig with its model and, of a template of your own, that: one ZIP file.
+
+    `rig.json` in it says whose rig it is, of which template, and names the job, the size and the
+    sha256 of each file. Its own sha256 is the `ETag`: `Range`, `If-Range` and `If-None-Match` work.
+    """
+    with store.read() as session:
+        archive = archive_of(session, repository.get(session, rig_id), store)
+    response = send(archive, request)
+    _note(response, request, reads, (who, "rig.downloaded", rig_id))
     return response
 
 
@@ -154,10 +185,17 @@ def download(
 def _send(
     artifact: Artifact, store: Store, request: Request, who: Principal, reads: ReadLog
 ) -> Response:
-    response = send(artifact, store, request)
-    if request.method == "GET" and response.status_code != HTTPStatus.NOT_MODIFIED:
-        reads.note(who, "artifact.downloaded", artifact.id)
+    response = send(StoredArtifact.of(artifact, store), request)
+    _note(response, request, reads, (who, "artifact.downloaded", artifact.id))
     return response
+
+
+def _note(
+    response: Response, request: Request, reads: ReadLog, read: tuple[Principal, str, str]
+) -> None:
+    """Note a read, unless nothing was sent that the caller had not."""
+    if request.method == "GET" and response.status_code != HTTPStatus.NOT_MODIFIED:
+        reads.note(*read)
 
 
 @router.post(

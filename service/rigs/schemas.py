@@ -16,6 +16,7 @@ class ArtifactView(View):
     """A file that a job left."""
 
     id: str
+    job_id: str
     name: str
     size: int
     sha256: str

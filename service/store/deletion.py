@@ -76,8 +76,14 @@ def _receipt_of(session: Session, subject: Subject, reason: Reason) -> Deletion:
 
     A second one would be closed at once, with files still there.
     """
-    waiting = select(Deletion).where(Deletion.object_id == subject.id, Deletion.rows_at.is_(None))
-    return session.scalars(waiting).first() or _receipt(session, subject, "subject", reason)
+    known = waiting_receipt(session, subject.id)
+    return known or _receipt(session, subject, "subject", reason)
+
+
+def waiting_receipt(session: Session, subject_id: str) -> Deletion | None:
+    """Return the receipt of a subject that is deleted when its jobs have ended, if it is."""
+    waiting = select(Deletion).where(Deletion.object_id == subject_id, Deletion.rows_at.is_(None))
+    return session.scalars(waiting).first()
 
 
 def delete_capture(session: Session, capture: Capture, reason: Reason) -> Deletion:

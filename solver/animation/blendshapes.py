@@ -113,6 +113,7 @@ class Blendshapes:
         """Write the shapes as NPZ, replacing the file whole; they are of ``model`` with S."""
         blend, shapes = self.blend, self.shapes.values()
         arrays: Arrays = {
+            "names": np.array(blend.names, np.str_),
             "activations": blend.activations,
             "jaw": blend.jaw,
             "mean_mm": np.array([shape.mean_mm for shape in shapes]),

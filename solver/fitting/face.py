@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,7 +24,7 @@ from solver.mechanics.equilibrium import (
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
-from solver.mechanics.terms import SlidingPlanes, no_planes, planes
+from solver.mechanics.terms import EnergyTerm, SlidingPlanes, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.threads import leave_threads_to_kernels
@@ -88,10 +89,10 @@ class Face:
     """A subject's flesh with its bones, skin and muscle geometry S; all fits talk to this.
 
     ``S`` (n, m + 1) is the model's geometric one if not given. ``linear`` names the linear solver
-    (None: the fastest in double precision), ``tolerance`` is the equilibrium's residual. With
-    ``pinned`` nothing slides on the skull. Edits are ``stiffness_factor`` and ``growth`` of
-    :class:`~solver.mechanics.flesh.Flesh`, and ``bones`` (p, 3): how far what is held or slides is
-    displaced from its rest, mm.
+    (None: the fastest in double precision), ``tolerance`` is the equilibrium's residual. ``energy``
+    are terms beside the law. With ``pinned`` nothing slides on the skull. Edits are
+    ``stiffness_factor`` and ``growth`` of :class:`~solver.mechanics.flesh.Flesh`, and ``bones``
+    (p, 3): how far what is held or slides is displaced from its rest, mm.
     """
 
     def __init__(
@@ -102,6 +103,7 @@ class Face:
         material: Material | None = None,
         linear: str | None = None,
         tolerance: float = NewtonOptions.tolerance,
+        energy: Sequence[EnergyTerm] = (),
         pinned: bool = False,
         stiffness_factor: Floats | None = None,
         growth: Floats | None = None,
@@ -124,7 +126,7 @@ class Face:
             sliding=no_planes() if pinned else self._sliding_planes(mu),
             stiffness_factor=stiffness_factor,
             growth=growth,
-        )
+        ).plus(*energy)
         rest = self.flesh.hessian(model.rest, self.flesh.passive())
         self.linear: LinearSolver = analyse(rest, linear)
         row = np.full(len(model.skin.vertices), -1)

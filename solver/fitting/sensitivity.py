@@ -158,7 +158,8 @@ class Sensitivity:
 
     def __init__(self, face: Face, state: PosedFace) -> None:
         self.forces = TetForces(face, state.pose, state.x)
-        self.response = Response(face.flesh, state.equilibrium.factor)
+        found = state.equilibrium
+        self.response = Response(face.flesh, found.factor, minimum=found.minimum)
 
     @cached_property
     def pose(self) -> PoseRates:

@@ -18,7 +18,7 @@ from service.app import create_app
 from service.settings import Settings
 from service.store.database import Database
 from service.store.files import files_at
-from service.store.models import DEFAULT_TENANT, Artifact
+from service.store.models import DEFAULT_TENANT, Artifact, Rig
 from tests.hostile.edge import serving
 from tests.service_client import Studio, eventually
 
@@ -141,6 +141,36 @@ def test_a_key_and_a_tenant_have_so_many_downloads(
             assert word in refused.json()["detail"]
         assert studio.http.get(signed).status_code == 429  # the tenant's, too
         assert studio.get("/v1/me")
+        _vanish(mine[0][0])
+        eventually(lambda: studio.http.head(path).status_code == 200)
+
+
+def test_an_archive_is_a_download_and_its_slow_readers_hold_nobody_up(
+    studio: Studio, settings: Settings, tmp_path: Path
+) -> None:
+    subject = studio.subject()
+    job_id = studio.submit("build_model", subject)
+    content = tmp_path / "content"
+    content.write_bytes(bytes(32 * 1024**2))
+    blob = files_at(settings.files).put(content)
+    database = Database(settings.database)
+    with database.write(DEFAULT_TENANT) as session:
+        rig = Rig(
+            job_id=job_id, subject_id=subject, model_job_id=job_id, expressions=[], summary={}
+        )
+        file = {"size": blob.size, "sha256": blob.sha256, "media_type": "x"}
+        session.add_all([rig, Artifact(job_id=job_id, name="rig.npz", **file)])
+    database.close()
+    path = f"/v1/rigs/{rig.id}/archive"
+    with ExitStack() as stack:
+        mine = [_asked(studio, studio.key, path) for _ in range(2)]
+        for connection, status in mine:
+            stack.callback(connection.close)
+            assert status == 200
+        refused = studio.http.get(path)
+        assert (refused.status_code, refused.json()["code"]) == (429, "download.too_many")
+        assert studio.get(f"/v1/rigs/{rig.id}")["artifacts"]
+        assert studio.post("/v1/subjects", name="Another")  # no reader holds the database
         _vanish(mine[0][0])
         eventually(lambda: studio.http.head(path).status_code == 200)
 

@@ -262,9 +262,7 @@ def test_a_session_in_one_call(client: Client, tmp_path: Path) -> None:
     assert client.wait(again.id).result is not None
 
 
-def test_a_rig_is_fetched_whole_and_then_only_what_is_missing(
-    client: Client, tmp_path: Path
-) -> None:
+def test_a_rig_is_fetched_whole_and_gone_on_with(client: Client, tmp_path: Path) -> None:
     neutral = scan(tmp_path, "James Neutral 01")
     batch = client.create_batch(None, [neutral, scan(tmp_path, "James Smile 02")], person="James")
     done = client.wait_for_batch(batch.id)
@@ -277,20 +275,31 @@ def test_a_rig_is_fetched_whole_and_then_only_what_is_missing(
     folder = tmp_path / "empty" / "rig"
     steps: list[tuple[int, int]] = []
     rig = client.download_rig(done.fit.rig_id, folder, progress=lambda *step: steps.append(step))
-    names = {each.name for each in rig.artifacts}
-    assert {path.name for path in folder.iterdir()} == {*names, files.RIG_NOTE}
-    assert steps[-1] == (sum(each.size for each in rig.artifacts),) * 2
-    note = json.loads((folder / files.RIG_NOTE).read_text())
+    jobs = {each.name: each.job_id for each in rig.artifacts}
+    assert (jobs["model.npz"], jobs["rig.glb"]) == (rig.model_job_id, done.fit.job_id)
+    assert {path.name for path in folder.iterdir()} == {*jobs, "rig.json"}
+    assert steps[-1][0] == steps[-1][1] > sum(each.size for each in rig.artifacts)
+    note = json.loads((folder / "rig.json").read_text())
     assert (note["job_id"], note["subject"]["name"]) == (done.fit.job_id, "James")
 
-    asked: list[str] = []
-    client.http.event_hooks = {"request": [lambda request: asked.append(request.url.path)]}
-    damaged, *_ = sorted(folder.glob("*.glb"))
-    damaged.write_bytes(b"x" * damaged.stat().st_size)
+    asked: list[httpx.Request] = []
+    client.http.event_hooks = {"request": [asked.append]}
     client.download_rig(rig.id, folder)
-    (wanted,) = [each for each in rig.artifacts if each.name == damaged.name]
-    assert [path for path in asked if "artifacts" in path] == [f"/v1/artifacts/{wanted.id}"]
-    assert files.sha256_of(damaged) == wanted.sha256
+    assert [each.headers["Range"] for each in asked] == ["bytes=0-0"]
+    damaged, *_ = sorted(folder.glob("*.glb"))
+    content = damaged.read_bytes()
+    damaged.write_bytes(b"x" * len(content))
+    client.download_archive(rig.id, tmp_path / "rig.zip")
+    packed = (tmp_path / "rig.zip").read_bytes()
+    tag = files.sha256_of(folder / "rig.json")
+    (folder / f".rig.zip.{tag[:12]}.part").write_bytes(packed[:1000])
+    asked.clear()
+    client.download_rig(rig.id, folder)
+    assert [each.headers["Range"] for each in asked] == ["bytes=0-0", "bytes=1000-"]
+    assert damaged.read_bytes() == content
+    assert {path.name for path in folder.iterdir()} == {*jobs, "rig.json"}
+    with pytest.raises(ApiError, match=r"rig\.unknown"):
+        client.download_rig(rig.subject_id, folder)
 
 
 def test_a_scan_goes_when_its_successor_is_there(client: Client, tmp_path: Path) -> None:

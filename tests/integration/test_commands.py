@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -237,6 +238,30 @@ def test_a_batch_has_units_landmarks_and_options(
     for wrong in ("marks.csv", "kiss=marks.csv", "neutral=gone.csv"):
         given = ("--person", "Ada B", "--landmarks", wrong)
         assert "SCAN=FILE" in myoface("batches", "add", neutral, *given, code=2).output
+
+
+def test_a_rig_is_fetched_whole_packed_and_for_other_programs(
+    myoface: Command, tmp_path: Path
+) -> None:
+    scans = (scan(tmp_path, "neutral"), scan(tmp_path, "smile"))
+    told = myoface("batches", "add", *scans, "--person", "Grace H2")
+    rig = told.output.split()[-1]
+    folder = tmp_path / "rig"
+    told = myoface("rigs", "download", rig[:8], "-o", folder)
+    files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert {"rig.npz", "model.npz", "rig.json"} <= files.keys()
+    assert {Path(line).name for line in told.output.split() if "/" in line} == files.keys()
+    myoface("rigs", "download", rig[:8], "-o", folder, "--zip")
+    with zipfile.ZipFile(tmp_path / "rig.zip") as packed:
+        assert {name: packed.read(name) for name in packed.namelist()} == files
+
+    assert "export_rig" not in myoface("jobs", "list").output
+    myoface("export", rig[:8], "--format", "glb", "-o", tmp_path / "out")
+    assert (tmp_path / "out" / "rig.glb").read_bytes() == files["rig.glb"]
+    assert "export_rig" not in myoface("jobs", "list").output  # it was there
+    myoface("export", rig[:8], "-o", tmp_path / "out")
+    assert (tmp_path / "out" / "rig.usdc").read_text() == "usd of smile"
+    assert "there is no rig" in myoface("export", "nothing.npz", code=2).output
 
 
 def test_names_are_refused_before_anything_is_sent(myoface: Command, tmp_path: Path) -> None:

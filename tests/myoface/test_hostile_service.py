@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import io
+import json
 import uuid
+import warnings
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -56,7 +60,29 @@ def _rig(*artifacts: dict[str, Any]) -> dict[str, Any]:
         "summary": {},
         "artifacts": artifacts,
         "created_at": at,
+        "subject": {"id": ids["subject_id"], "name": "Ada"},
     }
+
+
+def _archive(rig: dict[str, Any], names: dict[str, bytes] | None = None, method: int = 0) -> bytes:
+    """Return a rig's ZIP file; ``names`` are the files in it, those that the rig lists if None."""
+    listed = {each["name"]: CONTENT for each in rig["artifacts"]}
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", method) as target, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # two of one name
+        target.writestr("rig.json", json.dumps(rig))
+        for name, content in (listed if names is None else names).items():
+            target.writestr(zipfile.ZipInfo(name), content, method)
+    return packed.getvalue()
+
+
+def _range(content: bytes, wanted: str) -> httpx.Response:
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        tag = hashlib.sha256(packed.read("rig.json")).hexdigest()
+    first, last = wanted.removeprefix("bytes=").split("-")
+    part = content[int(first) : int(last or len(content) - 1) + 1]
+    headers = {"ETag": f'"{tag}"', "Content-Range": f"bytes {first}-x/{len(content)}"}
+    return httpx.Response(206, content=part, headers=headers)
 
 
 @pytest.fixture
@@ -67,6 +93,8 @@ def answer(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
         def handle(request: httpx.Request) -> httpx.Response:
             if "/artifacts/" in request.url.path:
                 return httpx.Response(200, content=CONTENT)
+            if request.url.path.endswith("/archive"):
+                return _range(_archive(document), request.headers["Range"])
             return httpx.Response(200, json=document)
 
         whole = httpx.Client.__init__
@@ -128,3 +156,37 @@ def test_plain_names_are_fetched(answer: Callable[[Any], None], tmp_path: Path) 
     told = invoke(["rigs", "download", str(uuid.uuid4()), "--output", str(tmp_path)])
     assert told.exit_code == 0
     assert {path.name for path in tmp_path.iterdir()} == {*names, "rig.json"}
+
+
+@pytest.mark.parametrize(
+    ("names", "method"),
+    [
+        ({"rig.glb": CONTENT + b"!"}, zipfile.ZIP_STORED),
+        ({"rig.glb": CONTENT[::-1]}, zipfile.ZIP_STORED),
+        ({"rig.glb": CONTENT}, zipfile.ZIP_DEFLATED),
+        ({"other.glb": CONTENT}, zipfile.ZIP_STORED),
+    ],
+    ids=["another size", "other bytes", "compressed", "another file"],
+)
+def test_an_archive_that_is_not_as_it_says_leaves_nothing(
+    names: dict[str, bytes], method: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = _rig(_artifact("rig.glb"))
+    packed = _archive(rig, names, method)
+    transport = httpx.MockTransport(lambda request: _range(packed, request.headers["Range"]))
+    with Client("http://127.0.0.1:1", "key") as client:
+        client.http = httpx.Client(base_url="http://127.0.0.1:1", transport=transport)
+        for fetch in (client.download_rig, client.download_archive):
+            with pytest.raises(ApiError, match="arrived damaged"):
+                fetch(rig["id"], tmp_path / "rig")
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_what_is_beside_the_listed_files_is_not_unpacked(tmp_path: Path) -> None:
+    rig = _rig(_artifact("rig.glb"))
+    packed = _archive(rig, {"rig.glb": CONTENT, "../x": CONTENT, "y": CONTENT})
+    transport = httpx.MockTransport(lambda request: _range(packed, request.headers["Range"]))
+    with Client("http://127.0.0.1:1", "key") as client:
+        client.http = httpx.Client(base_url="http://127.0.0.1:1", transport=transport)
+        client.download_rig(rig["id"], tmp_path / "rig")
+    assert {path.name for path in tmp_path.rglob("*")} == {"rig", "rig.glb", "rig.json"}

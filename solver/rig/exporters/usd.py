@@ -35,7 +35,7 @@ from solver.surface import Floats, Surface, vertex_normals
 
 FILE = "rig.usdc"
 MEDIA_TYPE = "model/vnd.usd"
-WITH_EVERY_RIG = False  # a tool that reads it asks for it
+WITH_EVERY_RIG = True  # where the extra is there
 FORMATS = [".usdc", ".usda", ".usd"]
 FRAMES_PER_SECOND = 30.0  # of the time codes, as animation tools expect
 ROOT = Sdf.Path("/Face")

@@ -187,6 +187,10 @@ def test_blendshapes_are_solved_once(tmp_path: Path) -> None:
         assert shapes.shapes[name].mean_mm < 0.2 * away
     file = tmp_path / "blendshapes.npz"
     shapes.save(file, model, S)
+    with np.load(file, allow_pickle=False) as arrays:  # docs/guide/simulation.md
+        assert arrays["names"].tolist() == list(targets)
+        assert arrays["activations"].shape == (2, model.muscle_count, 6)
+        assert {len(arrays[each]) for each in ("jaw", "mean_mm", "settled")} == {2}
     kept = Blendshapes.load(file, model, S)
     np.testing.assert_array_equal(kept.blend.activations, shapes.blend.activations)
     again = solve_blendshapes(face, targets, kept.shapes, lambda name, _: heard.append(name))

@@ -2,6 +2,7 @@
 
 import { bytes, post, request } from "../api.js";
 import { h } from "../dom.js";
+import { save } from "../rig/hand_out.js";
 import { bytes as size } from "../words.js";
 import { table } from "./frame.js";
 import { doing } from "./toast.js";
@@ -49,9 +50,20 @@ function act(words, artifact, action) {
 
 /** Save a file; it is fetched with the key, which a plain link could not carry. */
 async function download({ id, name, media_type: type }) {
-  const url = URL.createObjectURL(new Blob([await bytes(`/v1/artifacts/${id}`)], { type }));
-  h("a", { href: url, download: name }).click();
-  setTimeout(() => URL.revokeObjectURL(url), 60_000);
+  save(new Blob([await bytes(`/v1/artifacts/${id}`)], { type }), name);
+}
+
+// What other programs read of a rig, by its files' names; USD is there where its extra is.
+const FORMATS = { GLB: "rig.glb", USD: "rig.usdc" };
+
+/** Return buttons that save a rig: for other programs, and whole with its model. */
+export function rigDownloads({ id, artifacts }) {
+  const files = Object.entries(FORMATS).map(([words, name]) => [words, artifacts.find((each) => each.name === name)]);
+  const whole = { name: `rig-${id.slice(0, 8)}.zip` };
+  return [
+    ...files.map(([words, file]) => file && act(words, file, download)),
+    act("ZIP", whole, async ({ name }) => save(new Blob([await bytes(`/v1/rigs/${id}/archive`)]), name)),
+  ];
 }
 
 /** Open a stored page in a window of its own, where it keeps its own strict rules. */

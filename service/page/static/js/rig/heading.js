@@ -2,7 +2,7 @@
 
 import { h } from "../dom.js";
 import { rigFindings, verdictOf } from "../parts/certificate.js";
-import { openPage } from "../parts/files.js";
+import { openPage, rigDownloads } from "../parts/files.js";
 import { findingList } from "../parts/findings.js";
 import { doing } from "../parts/toast.js";
 import { count, figure, short, when } from "../words.js";
@@ -26,6 +26,7 @@ export function heading(rig, subject, buttons = []) {
       h("h1", { class: "grow" }, "Rig of ", h("a", { href: `/subjects/${subject.id}` }, subject.name)),
       buttons,
       certificate(rig),
+      rigDownloads(rig),
       h("a", { class: "button", href: `/compare?a=${rig.id}` }, "Compare"),
       h("a", { class: "button", href: `/jobs/${rig.job_id}` }, "Job and files")),
     h("div", { class: "rig-line" },
