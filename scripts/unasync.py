@@ -25,7 +25,7 @@ WORDS = {
     r"(async|await)\s+": "",
     "anyio": "time",
     "aio_(access|captures|connection)": r"sync_\1",
-    "async_sha256_of": "sha256_of",
+    "async_(count_vertices|sha256_of)": r"\1",
     "asynccontextmanager": "contextmanager",
     r"Async(Access|Captures|Client|Connection|Iterator)": r"\1",
     r"__a(enter|exit)__": r"__\1__",
