@@ -83,7 +83,7 @@ function Submit-Scan($File) {
 
 do {
     $scans = Get-ChildItem $Folder -Recurse -File | Where-Object { $_.Extension -in '.obj', '.ply', '.glb', '.stl' }
-    foreach ($file in $scans | Sort-Object { -not (Test-Neutral $_) }, FullName) {
+    foreach ($file in $scans | Sort-Object @({ -not (Test-Neutral $_) }, 'FullName')) {
         $saved = $file.LastWriteTimeUtc
         if ($Done[$file.FullName] -eq $saved -or ([DateTime]::UtcNow - $saved).TotalSeconds -lt 2) { continue }
         try {

@@ -32,6 +32,7 @@ PATHS = (
     "/webhooks",
     "/webhooks/{identifier}",
     "/audit",
+    "/api",
     "/sign-in",
 )
 
