@@ -57,7 +57,7 @@ class NewCapture(RequestBody):
         default=False,
         description="true: the file has the template's vertices in its order; "
         "false: it is what the scanner made, and `register_scan` comes before models and fits. "
-        "Performances are registered, whatever is said",
+        "Performances are registered without being said to be",
     )
     landmarks_upload_id: Id | None = Field(
         default=None, description="a complete upload with landmarks on this scan"

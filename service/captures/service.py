@@ -128,9 +128,12 @@ def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:
 
 def _check_performance(upload: Upload, new: NewCapture) -> None:
     _check_format(upload, "capture.format", "a performance", PERFORMANCE_FORMATS)
-    if new.landmarks_upload_id is not None:
+    is_said_raw = "registered" in new.model_fields_set and not new.registered
+    if is_said_raw or new.landmarks_upload_id is not None:
         raise Problem(
-            422, "capture.is_performance", f"{new.name}: a performance takes no landmarks"
+            422,
+            "capture.is_performance",
+            f"{new.name}: a performance holds registered points and takes no landmarks",
         )
 
 
