@@ -119,7 +119,8 @@ def test_types_of_typescript_compile(
     use.write_text(
         'import type { operations, components } from "./api";\n'
         'export const role: components["schemas"]["NewCapture"]["role"] = "neutral";\n'
-        'type Change = operations["subjects.change"]["requestBody"]["content"]["application/json"];\n'
+        'type Body = operations["subjects.change"]["requestBody"]["content"];\n'
+        'type Change = Body["application/json"];\n'
         'export const change: Change = { labels: { session: "17", draft: null } };\n'
         'export const done = (job: components["schemas"]["JobItem"]) => job.result?.verdict;\n'
     )
