@@ -142,18 +142,20 @@ def test_a_client_in_typescript_compiles(
 
 def test_a_client_in_c_sharp_compiles(documents: Path, generate: list[str], tmp_path: Path) -> None:
     given = ("-i", documents / "openapi-3.0.json", "-g", "csharp", "-o", tmp_path / "cs")
-    how = "packageName=Myoface,library=httpclient,targetFramework=net48"
-    said = run(*generate, "generate", *given, f"--additional-properties={how}", cwd=tmp_path)
+    wanted = "packageName=Myoface,library=httpclient,targetFramework=net48"
+    said = run(*generate, "generate", *given, f"--additional-properties={wanted}", cwd=tmp_path)
     assert "WARN" not in said
     made = tmp_path / "cs" / "src" / "Myoface"
     assert "SubjectsCreate(" in (made / "Api" / "SubjectsApi.cs").read_text()
     # The calls need a newer Newtonsoft.Json than Debian's, and Polly; the values do not.
     client = [made / "Client" / f"{name}.cs" for name in ("OpenAPIDateConverter", "FileParameter")]
     sources = [*sorted((made / "Model").glob("*.cs")), *client]
-    sources = [each for each in sources if each.name != "AbstractOpenAPISchema.cs"]
+    of_calls = {f"{name}.cs" for name in ("AbstractOpenAPISchema", "FramesInner", "FramesView")}
+    sources = [each for each in sources if each.name not in of_calls]
     assert len(sources) > 70
     references = [f"-r:{name}.dll" for name in ASSEMBLIES] + [f"-r:{NEWTONSOFT}"]
-    run(mono("mcs"), "-target:library", "-out:made.dll", *references, *sources, cwd=tmp_path)
+    how = ("-target:library", "-langversion:latest", "-out:made.dll")
+    run(mono("mcs"), *how, *references, *sources, cwd=tmp_path)
 
 
 def test_the_station_in_c_sharp_is_compiled_by_what_windows_has(tmp_path: Path) -> None:
