@@ -81,10 +81,6 @@ def _complete(document: JsonObject) -> JsonObject:
         for parameter in operation.get("parameters", ()):
             if not parameter.get("required"):
                 parameter["schema"] = _without_null(parameter["schema"])
-        for content in _contents(operation):
-            if "itemSchema" in content:  # a word of OpenAPI 3.2: events are text to a generator
-                del content["itemSchema"]
-                content["schema"] = {"type": "string"}
     for name in asked:
         required = schemas[name].get("required", ())
         for key, schema in schemas[name].get("properties", {}).items():
@@ -98,6 +94,9 @@ def as_3_0(document: JsonObject) -> JsonObject:
     found = deepcopy(document)
     found["openapi"] = "3.0.3"
     for operation in _operations(found):
+        for content in _contents(operation):
+            if content.pop("itemSchema", None):  # of each event: to an older generator all is text
+                content["schema"] = {"type": "string"}
         for holder in (*operation.get("parameters", ()), *_contents(operation)):
             if "schema" in holder:
                 holder["schema"] = _schema_3_0(holder["schema"])
