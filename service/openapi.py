@@ -75,7 +75,8 @@ def _complete(document: JsonObject) -> JsonObject:
         if "requestBody" in operation:
             operation["responses"] = bodies | operation["responses"]
             for content in operation["requestBody"]["content"].values():
-                asked |= _referred(content.get("schema"), schemas)
+                content["schema"] = _without_null(content.get("schema", {}))
+                asked |= _referred(content["schema"], schemas)
         if "security" in operation:
             operation["responses"] = of_keys | operation["responses"]
         for parameter in operation.get("parameters", ()):

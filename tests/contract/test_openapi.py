@@ -74,6 +74,9 @@ def test_what_may_be_left_out_is_no_null(document: dict[str, Any]) -> None:
     for operation in operations(document):
         for parameter in operation.get("parameters", ()):
             assert {"type": "null"} not in parameter["schema"].get("anyOf", ()), parameter
+        for content in operation.get("requestBody", {}).get("content", {}).values():
+            assert {"type": "null"} not in content["schema"].get("anyOf", ()), operation
+            assert not content["schema"].get("nullable"), operation
     for name in ("NewSubject", "NewCapture", "NewJob", "Retry", "SubjectChange", "WebhookChange"):
         schema = document["components"]["schemas"][name]
         for key, each in schema["properties"].items():
