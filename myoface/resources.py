@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Annotated, Any, Literal
@@ -29,6 +30,16 @@ FileName = Annotated[
     ),
 ]
 Sha256 = Annotated[str, matching(r"^[0-9a-f]{64}$", "a sha256 of 64 hexadecimal digits")]
+
+
+# What a studio notes of a subject, scan or rig; a label that is changed to None is taken away
+Labels = Mapping[str, str]
+LabelChanges = Mapping[str, str | None]
+
+
+def as_query(labels: Labels | None) -> list[str] | None:
+    """Return labels as a list is asked for them."""
+    return [f"{key}:{value}" for key, value in labels.items()] if labels else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,10 +82,11 @@ class Upload(Resource):
 
 @dataclass(frozen=True, kw_only=True)
 class Template(Resource):
-    """A template anatomy."""
+    """A template anatomy; ``vertices`` are those of its skin, where they could be counted."""
 
     id: str
     name: str
+    vertices: int | None = None
     sha256: str | None = None
     created_at: datetime | None = None
 
@@ -86,6 +98,7 @@ class Subject(Resource):
     id: str
     name: str
     template_id: str | None = None
+    labels: dict[str, str] = field(default_factory=dict)
     created_at: datetime | None = None
     retain_until: datetime | None = None
 
@@ -113,12 +126,17 @@ class Registration(Resource):
 
 @dataclass(frozen=True, kw_only=True)
 class Capture(Resource):
-    """A named scan of a subject, ``registered`` or as the scanner made it."""
+    """A named scan of a subject, ``registered`` or as the scanner made it.
+
+    ``title`` is what people call it, at first as its file is called.
+    """
 
     id: str
     name: FileName
+    title: str = ""
     role: Role
     registered: bool = True
+    labels: dict[str, str] = field(default_factory=dict)
     landmarks: str | None = None
     check: Check | None = None
     registration: Registration | None = None
@@ -172,10 +190,17 @@ class Progress(Resource):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result(Resource):
-    """Result of a succeeded job; ``summary`` holds its verdict or figures."""
+class ResultItem(Resource):
+    """Result of a succeeded job, in short."""
 
     rig_id: str | None = None
+    verdict: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result(ResultItem):
+    """Result of a succeeded job; ``summary`` holds its verdict or figures."""
+
     summary: dict[str, Any] | None = None
     artifacts: Artifacts = field(default_factory=list)
 
@@ -189,11 +214,12 @@ class Cancel(Resource):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job(Resource):
-    """A piece of work."""
+class JobItem(Resource):
+    """A piece of work as lists show it; ``seconds`` is how long it took."""
 
     id: str
     subject_id: str
+    subject_name: str = ""
     kind: str
     state: State
     priority: int = 0
@@ -204,12 +230,20 @@ class Job(Resource):
     last_event_id: int = 0
     progress: Progress | None = None
     error: dict[str, Any] | None = None
-    result: Result | None = None
+    result: ResultItem | None = None
     cancel: Cancel | None = None
+    seconds: float | None = None
     created_at: datetime | None = None
     retain_until: datetime | None = None
     started_at: datetime | None = None
     finished_at: datetime | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job(JobItem):
+    """A piece of work."""
+
+    result: Result | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,21 +307,32 @@ class MotionFrame(Resource):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rig(Resource):
-    """A fitted face."""
+class RigItem(Resource):
+    """A fitted face as lists show it; ``seconds`` is how long the job took that made it."""
 
     id: str
+    name: str = ""
     subject_id: str
+    subject_name: str = ""
     job_id: str | None = None
     parent_id: str | None = None
     expressions: list[str] = field(default_factory=list)
-    summary: dict[str, Any] = field(default_factory=dict)
-    artifacts: Artifacts = field(default_factory=list)
+    labels: dict[str, str] = field(default_factory=dict)
+    verdict: str | None = None
+    mean_mm: float | None = None
+    seconds: float | None = None
     created_at: datetime | None = None
     retain_until: datetime | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
+class Rig(RigItem):
+    """A fitted face."""
+
+    summary: dict[str, Any] = field(default_factory=dict)
+    artifacts: Artifacts = field(default_factory=list)
+
+
 class WholeRig(Rig):
     """A rig with its model's files and template among its ``artifacts``, and whose it is."""
 
@@ -362,6 +407,14 @@ class Use(Resource):
 
     used: int
     limit: int | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits(Resource):
+    """What a service accepts; ``builtin_vertices`` has a registered scan without a template."""
+
+    max_upload_bytes: int
+    builtin_vertices: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
 
 from anyio import to_thread
 from fastapi import FastAPI
 
-from service import errors, http
+from service import errors, http, openapi
 from service.access import bootstrap
 from service.access.keys import Keyring
 from service.access.limits import ConnectionLimit, KeyLookups, RateHeaders, Rates
@@ -104,8 +102,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         description=DESCRIPTION,
         openapi_tags=TAGS,
         lifespan=lifespan,
+        openapi_url=None,  # `service.openapi` sends it
         docs_url=None,  # FastAPI's own pages load their scripts from elsewhere
         redoc_url=None,
+        generate_unique_id_function=openapi.operation_id,
         license_info={"name": "MIT"},
         redirect_slashes=False,  # it would lead away from TLS, behind a proxy that is not known
     )
@@ -147,34 +147,12 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         page,
     ):
         app.include_router(router)
-    _describe_problems(app)
+    openapi.install(app)
     app.add_middleware(RateHeaders)
     http.install(app, keyring, settings)
     metrics.install(app, store, settings)
     check_parts(app)
     return app
-
-
-def _describe_problems(app: FastAPI) -> None:
-    """Complete the OpenAPI description: the problem document, and what any body may meet with."""
-    describe = app.openapi  # takes half a second, so it waits until somebody asks
-
-    @cache
-    def complete() -> dict[str, Any]:
-        document = describe()
-        schema = errors.ProblemDocument.model_json_schema()
-        document["components"]["schemas"]["ProblemDocument"] = schema
-        of_keys = {str(status): answer for status, answer in errors.problems(401, 403, 429).items()}
-        bodies = {str(status): answer for status, answer in errors.problems(400, 408, 413).items()}
-        for operations in document["paths"].values():
-            for operation in operations.values():
-                if "requestBody" in operation:
-                    operation["responses"] = bodies | operation["responses"]
-                if "security" in operation:
-                    operation["responses"] = of_keys | operation["responses"]
-        return document
-
-    app.openapi = complete  # type: ignore[method-assign]
 
 
 def _version() -> str:

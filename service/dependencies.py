@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 from service.access.principal import Caller, Scope, require
 from service.access.signed import FileReader
 from service.records.reads import ReadLog
+from service.schemas import Label
 from service.settings import Settings
 from service.store.ballast import Ballast
 from service.store.database import Store
@@ -102,3 +103,11 @@ Cursor = Annotated[
     str | None, Query(max_length=200, description="`next` of the page before; default: the newest")
 ]
 Limit = Annotated[int, Query(ge=1, le=1000, description="at most so many items")]
+WithLabels = Annotated[
+    list[Label] | None,
+    Query(
+        alias="label",
+        max_length=8,
+        description="only those with this label, `key:value` or a `key`; of several, with all",
+    ),
+]

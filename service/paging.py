@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Generic, TypeVar
@@ -11,7 +12,7 @@ from typing import Any, Generic, TypeVar
 from fastapi import Response
 from pydantic import BaseModel
 from sqlalchemy import Select, and_, or_
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from service.errors import Problem
 
@@ -33,6 +34,17 @@ def respond(page: BaseModel) -> Response:
     FastAPI would make Python objects of it first, which takes a third of a long list's time.
     """
     return Response(page.model_dump_json(), media_type="application/json")
+
+
+def labelled(
+    query: Select[Row], labels: InstrumentedAttribute[dict[str, Any]], wanted: Sequence[str] | None
+) -> Select[Row]:
+    """Return a query for the rows that have all wanted labels, each ``key:value`` or a key."""
+    for each in wanted or ():
+        key, colon, value = each.partition(":")
+        own = labels[key].as_string()
+        query = query.where(own == value.strip() if colon else own.is_not(None))
+    return query
 
 
 def newest(session: Session, query: Select[Row], limit: int, cursor: str | None) -> Slice[Row]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -23,6 +23,7 @@ _ID = r"^[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12}$"
 _LINE = r"^[^\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]*$"
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,254}$"
+_LABEL = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}(:[^\x00-\x1f\x7f-\x9f]*)?$"
 _LETTERS = "letters, digits, '_', '.' and '-', with a letter or digit first"
 
 # Unknown members of an object in a request that are told one by one
@@ -33,6 +34,7 @@ IN_WORDS = {
     _ID: "an id is needed, such as 8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11",
     _LINE: "one line of text is needed, without control characters",
     _NAME: f"a name is needed of at most 64 {_LETTERS}",
+    _LABEL: f"`key:value` or a `key` is needed, a key of at most 64 {_LETTERS}",
     _FILE_NAME: f"a file's name is needed of at most 255 {_LETTERS}",
 }
 
@@ -47,6 +49,28 @@ Line = Annotated[str, StringConstraints(strip_whitespace=True, max_length=200, p
 Title = Annotated[Line, StringConstraints(min_length=1)]
 # A name that also serves in file names and as the name of a morph target
 Name = Annotated[str, StringConstraints(pattern=_NAME)]
+
+# Labels that an object may have
+MOST_LABELS = 32
+
+Labels = Annotated[
+    dict[Name, Title],
+    Field(
+        max_length=MOST_LABELS,
+        description="what the studio notes of it: `{key: value}`",
+        examples=[{"session": "Monday", "actor": "17"}],
+    ),
+]
+LabelChanges = Annotated[
+    dict[Name, Title | None],
+    Field(
+        max_length=2 * MOST_LABELS,
+        description="labels to be set; null takes one away, the others stay",
+        examples=[{"session": "Monday", "draft": None}],
+    ),
+]
+# A label that is asked for: `key:value`, or a key with any value
+Label = Annotated[str, StringConstraints(max_length=265, pattern=_LABEL)]
 
 # The name of a result's file, which may hold a `Name` and more
 FileName = Annotated[str, StringConstraints(pattern=_FILE_NAME)]
@@ -86,6 +110,16 @@ class RequestBody(BaseModel):
         if isinstance(given, dict) and len(given) > len(cls.model_fields) + MOST_STRANGERS:
             raise PydanticCustomError("many_members", "there are more members than it may have")
         return given
+
+
+class Change(RequestBody):
+    """Changes of a resource: what is left out stays as it is, and nothing can be null."""
+
+    @model_validator(mode="after")
+    def _no_nulls(self) -> Self:
+        if nulls := [name for name in self.model_fields_set if getattr(self, name) is None]:
+            raise ValueError(f"{nulls[0]} cannot be null")
+        return self
 
 
 class View(BaseModel):

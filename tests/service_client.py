@@ -72,10 +72,10 @@ class Studio:
         return location.rsplit("/", 1)[1]
 
     def capture(self, subject_id: str, name: str, role: str = "expression", **orders: Any) -> str:
-        return self._add(subject_id, name, role, orders)
+        return self._add(subject_id, name, role, orders, registered=True)
 
     def raw(self, subject_id: str, name: str, role: str = "expression", **orders: Any) -> str:
-        return self._add(subject_id, name, role, orders, registered=False)
+        return self._add(subject_id, name, role, orders)
 
     def performance(self, subject_id: str, name: str, **orders: Any) -> str:
         return self._add(subject_id, name, "performance", orders)
@@ -119,7 +119,7 @@ class Studio:
         job_id: str,
         artifacts: dict[str, str],
         summary: dict[str, Any] | None = None,
-        rig: dict[str, str] | None = None,
+        rig: dict[str, Any] | None = None,
     ) -> None:
         """Do what a worker does with a job, without one; ``artifacts`` is name -> sha256.
 
@@ -138,7 +138,9 @@ class Studio:
             claim = table.take(session, job_id, "test", 10)
             assert claim
             made = rig and Rig(
-                tenant_id=claim.tenant_id, job_id=job_id, expressions=[], summary={}, **rig
+                **{"expressions": [], "summary": {}, **rig},
+                tenant_id=claim.tenant_id,
+                job_id=job_id,
             )
             assert table.succeed(session, job_id, claim.attempt, left, summary=summary, rig=made)
 

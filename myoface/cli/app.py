@@ -26,6 +26,15 @@ LandmarksFile = Annotated[
 Options = Annotated[
     str, Option(metavar="JSON", help="JSON or @FILE, see `myoface jobs kinds KIND`")
 ]
+Labels = Annotated[
+    list[str] | None, Option("--label", metavar="KEY:VALUE", help="a label; repeat for more")
+]
+Unlabel = Annotated[
+    list[str] | None, Option("--unlabel", metavar="KEY", help="take a label away; repeat for more")
+]
+WithLabels = Annotated[
+    list[str] | None, Option("--label", metavar="KEY:VALUE", help="only with this label; repeat")
+]
 Url = Annotated[str, Option("--url", envvar="MYOFACE_URL", help="the service")]
 Scan = Annotated[Path, Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL")]
 RawScan = Annotated[
@@ -69,3 +78,29 @@ def require_object(found: Any, name: str) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise UsageError(f"{name} must be a JSON object")
     return found
+
+
+def read_labels(given: list[str] | None) -> dict[str, str] | None:
+    """Return labels that were given as ``KEY:VALUE``; None: there are none."""
+    found = {}
+    for each in given or ():
+        key, colon, value = (part.strip() for part in each.partition(":"))
+        if not (key and colon and value):
+            raise UsageError(f"--label {each}: KEY:VALUE is expected, such as session:Monday")
+        found[key] = value
+    return found or None
+
+
+def read_label_changes(
+    given: list[str] | None, taken: list[str] | None
+) -> dict[str, str | None] | None:
+    """Return the labels to be set, and those to be taken away as None; None: no change."""
+    changes: dict[str, str | None] = {**dict.fromkeys(taken or ()), **(read_labels(given) or {})}
+    return changes or None
+
+
+def require_change(**changes: object) -> None:
+    """Refuse a command that changes nothing."""
+    if all(value is None for value in changes.values()):
+        options = ", ".join(f"--{name}" for name in changes)
+        raise UsageError(f"nothing is to be changed: give one of {options}")

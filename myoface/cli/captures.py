@@ -4,14 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, Literal, cast
 
-from myoface.cli.app import BAD_SCAN, Forward, LandmarksFile, SubjectId, Unit, Up, Url
+from myoface.cli.app import (
+    BAD_SCAN,
+    Forward,
+    Labels,
+    LandmarksFile,
+    SubjectId,
+    Unit,
+    Unlabel,
+    Up,
+    Url,
+    WithLabels,
+    read_label_changes,
+    read_labels,
+    require_change,
+)
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import (
     JobView,
     complain,
     err,
+    label_words,
     out,
     show_registration,
     show_table,
@@ -21,7 +36,7 @@ from myoface.cli.console import (
 from myoface.cli.lookup import find_subject, matching
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import UNREACHABLE, ApiError
-from myoface.names import NamedScan, Role, name_scans
+from myoface.names import NamedScan, Role, as_name, name_scans
 from myoface.resources import NO_SCANS, Capture, Job, Result
 
 captures = Group("A subject's scans: add, check, register, list, delete.")
@@ -66,6 +81,10 @@ def add(
     replace: Annotated[
         bool, Option("--replace", help="put it in the place of an earlier scan of its name")
     ] = False,
+    title: Annotated[
+        str | None, Option(help="what people call it; default: as its file is called")
+    ] = None,
+    label: Labels = None,
     landmarks: LandmarksFile = None,
     check: Annotated[bool, Option("--check", help="and tell whether it can be used")] = False,
     unit: Unit = "auto",
@@ -80,29 +99,65 @@ def add(
     ends with 3 if a scan is bad.
     """
     role = _role(role, neutral=neutral, performance=performance, asset=asset)
-    if len(files) > 1 and (name is not None or landmarks or role == "neutral"):
-        raise UsageError("--name, --neutral and --landmarks take one file")
+    if len(files) > 1 and (name is not None or title or landmarks or role == "neutral"):
+        raise UsageError("--name, --title, --neutral and --landmarks take one file")
     if registered and raw:
         raise UsageError("--registered and --raw exclude one another")
     scans = name_scans(files, names=[name] * len(files), roles=[role] * len(files))
     if check and any(each.role in NO_SCANS for each in scans):
         raise UsageError("--check is for scans, not for performances and assets")
     options = {"unit": unit, "up": up, "forward": forward}
+    given = {
+        "registered": registered,
+        "landmarks": landmarks,
+        "replace": replace,
+        "title": title,
+        "labels": read_labels(label),
+    }
     with Client(url) as client:
         whose = find_subject(client, subject)
-        added = [
-            _upload(client, whose, each, registered=registered, marks=landmarks, replace=replace)
-            for each in scans
-        ]
+        added = [_upload(client, whose, each, given) for each in scans]
         if check:
             _check(client, whose, added, options, None)
 
 
 @captures.command("list")
-def list_captures(subject: SubjectId, url: Url = DEFAULT_URL) -> None:
+def list_captures(subject: SubjectId, label: WithLabels = None, url: Url = DEFAULT_URL) -> None:
     """List a subject's scans with their newest verdicts and registrations."""
+    labels = read_labels(label)
     with Client(url) as client:
-        show_captures(client.captures(find_subject(client, subject)))
+        show_captures(client.captures(find_subject(client, subject), labels=labels))
+
+
+@captures.command()
+def edit(
+    subject: SubjectId,
+    capture: Annotated[str, Argument(help="name or id of the capture")],
+    name: Annotated[str | None, Option(help="the new name, made legal")] = None,
+    title: Annotated[str | None, Option(help="what people call it")] = None,
+    role: Annotated[
+        Literal["neutral", "expression"] | None, Option(help="what it is; check it again then")
+    ] = None,
+    label: Labels = None,
+    unlabel: Unlabel = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Give a scan another name, title or role, or other labels; its file stays as it is.
+
+    Name and role stay while the subject has jobs that are not over.
+    """
+    changes = read_label_changes(label, unlabel)
+    require_change(name=name, title=title, role=role, label=changes)
+    legal = None if name is None else as_name(name)
+    if legal == "":
+        raise UsageError(f"--name {name!r}: a letter of a to z or a digit is needed, and no device")
+    with Client(url) as client:
+        whose = find_subject(client, subject)
+        (found,) = choose(client.captures(whose), [capture])
+        changed = client.change_capture(
+            whose, found.id, name=legal, title=title, role=role, labels=changes
+        )
+        out.print(f"{changed.id}  {changed.name}  {changed.role}")
 
 
 @captures.command()
@@ -207,10 +262,18 @@ def show_captures(captures: Iterable[Capture]) -> None:
     """Show a table of captures."""
     known = list(captures)
     rows = [
-        (each.id, each.name, each.role, _form(each, known), each.check and each.check.verdict)
+        (
+            each.id,
+            each.name,
+            each.role,
+            _form(each, known),
+            each.check and each.check.verdict,
+            each.title,
+            label_words(each.labels),
+        )
         for each in known
     ]
-    show_table(("capture", "name", "role", "form", "check"), rows)
+    show_table(("capture", "name", "role", "form", "check", "title", "labels"), rows)
 
 
 def waiting(captures: Iterable[Capture]) -> list[Capture]:
@@ -247,26 +310,12 @@ def _role(role: Role | None, **flags: bool) -> Role | None:
     return cast("Role | None", asked.pop() if asked else None)
 
 
-def _upload(
-    client: Client,
-    subject: str,
-    scan: NamedScan,
-    *,
-    registered: bool,
-    marks: Path | None,
-    replace: bool,
-) -> Capture:
+def _upload(client: Client, subject: str, scan: NamedScan, given: dict[str, Any]) -> Capture:
+    """Send a scan, or find it there; ``given`` is what else :meth:`Client.ensure_capture` takes."""
     try:
         with transfer_bar(scan.path.name) as progress:
             capture = client.ensure_capture(
-                subject,
-                scan.path,
-                name=scan.name,
-                role=scan.role,
-                registered=registered,
-                landmarks=marks,
-                replace=replace,
-                progress=progress,
+                subject, scan.path, name=scan.name, role=scan.role, progress=progress, **given
             )
     except (ApiError, KeyboardInterrupt) as error:
         if getattr(error, "code", UNREACHABLE) == UNREACHABLE:

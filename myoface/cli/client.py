@@ -7,24 +7,41 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
-from myoface.cli.app import NewFolder, OfSubject, Options, SubjectId, Url, read_object, read_scene
+from myoface.cli.app import (
+    Labels,
+    NewFolder,
+    OfSubject,
+    Options,
+    SubjectId,
+    Unlabel,
+    Url,
+    WithLabels,
+    read_label_changes,
+    read_labels,
+    read_object,
+    read_scene,
+    require_change,
+)
 from myoface.cli.captures import choose, show_captures
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import (
     JobView,
     complain,
     confirm,
+    label_words,
+    moment,
     out,
     printable,
     show_table,
     show_verdict,
+    span,
     transfer_bar,
 )
 from myoface.cli.lookup import find_job, find_rig, find_subject, find_template
 from myoface.client import DEFAULT_URL, Client
 from myoface.client.archive import RIG_NOTE
 from myoface.errors import describe
-from myoface.resources import Artifact, Job, Result
+from myoface.resources import FINAL_STATES, Artifact, Job, JobItem, Result, RigItem
 
 subjects = Group("People.")
 templates = Group("Template anatomies of a service.")
@@ -32,18 +49,27 @@ jobs = Group("Work: submit, follow, cancel.")
 rigs = Group("Fitted faces.")
 
 JobId = Annotated[str, Argument(help="job id, or the start of it")]
-RigId = Annotated[str, Argument(help="rig id, or the start of it")]
+RigId = Annotated[str, Argument(help="rig: its id, the start of it, or the name")]
 
 # JSON Schema's words for the limits of a number.
 LIMITS = {"exclusiveMinimum": ">", "minimum": ">=", "maximum": "<="}
 
 
 @subjects.command("list")
-def list_subjects(url: Url = DEFAULT_URL) -> None:
+def list_subjects(label: WithLabels = None, url: Url = DEFAULT_URL) -> None:
     """List subjects."""
     with Client(url) as client:
-        rows = [(each.id, each.name, each.template_id or "built-in") for each in client.subjects()]
-    show_table(("id", "name", "template"), rows)
+        rows = [
+            (
+                each.id,
+                each.name,
+                each.template_id or "built-in",
+                moment(each.created_at),
+                label_words(each.labels),
+            )
+            for each in client.subjects(labels=read_labels(label))
+        ]
+    show_table(("id", "name", "template", "added", "labels"), rows)
 
 
 @subjects.command("add")
@@ -52,12 +78,29 @@ def add_subject(
     template: Annotated[
         str | None, Option(help="template: id, start of it, or name; default: built-in")
     ] = None,
+    label: Labels = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Add a person and print the id."""
+    labels = read_labels(label)
     with Client(url) as client:
         made_of = None if template is None else find_template(client, template)
-        out.print(client.create_subject(name, template_id=made_of).id)
+        out.print(client.create_subject(name, template_id=made_of, labels=labels).id)
+
+
+@subjects.command("edit")
+def edit_subject(
+    subject: SubjectId,
+    name: Annotated[str | None, Option(help="the new name")] = None,
+    label: Labels = None,
+    unlabel: Unlabel = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Give a person another name, or other labels."""
+    changes = read_label_changes(label, unlabel)
+    require_change(name=name, label=changes)
+    with Client(url) as client:
+        client.change_subject(find_subject(client, subject), name=name, labels=changes)
 
 
 @subjects.command("show")
@@ -68,7 +111,7 @@ def show_subject(subject: SubjectId, url: Url = DEFAULT_URL) -> None:
         out.print(f"{found.name} ({found.id})")
         show_captures(client.captures(found.id))
         _show_jobs(client.jobs(subject_id=found.id))
-        _show_rigs(client, found.id)
+        _show_rigs(client.rigs(subject_id=found.id))
 
 
 @subjects.command("delete")
@@ -274,26 +317,55 @@ def _download(client: Client, artifacts: Iterable[Artifact], folder: Path) -> No
         out.print(f"{folder / artifact.name}")
 
 
-def _show_jobs(found: list[Job]) -> None:
+def _show_jobs(found: list[JobItem]) -> None:
     rows = [
         (
             each.id,
+            each.subject_name,
             each.kind,
             each.state,
-            each.attempt,
-            each.progress and f"{each.progress.phase} {each.progress.fraction:.0%}",
-            each.error and describe(each.error),
+            each.result and each.result.verdict,
+            moment(each.created_at),
+            span(each.seconds),
+            _stand(each),
         )
         for each in found
     ]
-    show_table(("job", "kind", "state", "attempt", "progress", "error"), rows)
+    show_table(("job", "person", "kind", "state", "verdict", "date", "took", "stand"), rows)
+
+
+def _stand(job: JobItem) -> str:
+    """Return how far a job is, or why it failed, and its attempt if that is not the first."""
+    words = [f"attempt {job.attempt}"] if job.attempt > 1 else []
+    if job.error:
+        words.append(describe(job.error))
+    elif job.progress and job.state not in FINAL_STATES:
+        words.append(f"{job.progress.phase} {job.progress.fraction:.0%}")
+    return ", ".join(words)
 
 
 @rigs.command("list")
-def list_rigs(subject: OfSubject = None, url: Url = DEFAULT_URL) -> None:
+def list_rigs(subject: OfSubject = None, label: WithLabels = None, url: Url = DEFAULT_URL) -> None:
     """List rigs."""
+    labels = read_labels(label)
     with Client(url) as client:
-        _show_rigs(client, subject and find_subject(client, subject))
+        whose = subject and find_subject(client, subject)
+        _show_rigs(client.rigs(subject_id=whose, labels=labels))
+
+
+@rigs.command("edit")
+def edit_rig(
+    rig: RigId,
+    name: Annotated[str | None, Option(help="what it is called from now on")] = None,
+    label: Labels = None,
+    unlabel: Unlabel = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Give a rig a name, or other labels."""
+    changes = read_label_changes(label, unlabel)
+    require_change(name=name, label=changes)
+    with Client(url) as client:
+        client.change_rig(find_rig(client, rig), name=name, labels=changes)
 
 
 @rigs.command("download")
@@ -320,9 +392,19 @@ def download_rig(
         out.print(f"{output / name}")
 
 
-def _show_rigs(client: Client, subject: str | None) -> None:
+def _show_rigs(found: list[RigItem]) -> None:
     rows = [
-        (each.id, ", ".join(each.expressions), each.parent_id)
-        for each in client.rigs(subject_id=subject)
+        (
+            each.id,
+            each.name,
+            each.subject_name,
+            each.verdict,
+            moment(each.created_at),
+            span(each.seconds),
+            ", ".join(each.expressions),
+            label_words(each.labels),
+        )
+        for each in found
     ]
-    show_table(("rig", "expressions", "parent"), rows)
+    columns = ("rig", "name", "person", "verdict", "date", "took", "expressions", "labels")
+    show_table(columns, rows)

@@ -10,6 +10,7 @@ import time
 import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -138,6 +139,26 @@ def confirm(question: str) -> None:
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
         complain("nothing was done")
         raise SystemExit(1)
+
+
+def span(seconds: float | None) -> str:
+    """Return a length of time: 12 s, 3 min 05 s, 2 h 10 min; empty for none."""
+    if seconds is None:
+        return ""
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes >= 60:
+        return f"{minutes // 60} h {minutes % 60:02} min"
+    return f"{minutes} min {rest:02} s" if minutes else f"{rest} s"
+
+
+def moment(at: datetime | None) -> str:
+    """Return a moment to the minute, by this machine's clock; empty for none."""
+    return "" if at is None else f"{at.astimezone():%Y-%m-%d %H:%M}"
+
+
+def label_words(labels: Mapping[str, str]) -> str:
+    """Return labels as a table shows them."""
+    return ", ".join(f"{key}:{value}" for key, value in labels.items())
 
 
 def show_table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:

@@ -41,8 +41,8 @@ def find_job(client: Client, given: str) -> str:
 
 
 def find_rig(client: Client, given: str) -> str:
-    """Return the id of the rig that ``given`` is, whole or by its start."""
-    return _find(given, "rig", client.rigs)
+    """Return the id of the rig that ``given`` is: an id, its start, or a name."""
+    return _find(given, "rig", client.rigs, lambda each: each.name)
 
 
 def find_batch(client: Client, given: str) -> str:

@@ -46,14 +46,19 @@ from myoface.resources import (
     Frame,
     FramePage,
     Job,
+    JobItem,
     JobKind,
+    LabelChanges,
+    Labels,
     LogLine,
     LogPage,
     MotionFrame,
     Progress,
     Rig,
+    RigItem,
     Then,
     WholeRig,
+    as_query,
 )
 
 TOO_MANY_STREAMS = "stream.too_many"
@@ -128,9 +133,9 @@ class AsyncClient(AsyncCaptures):
         """Return a job as it stands."""
         return await self._get(f"/v1/jobs/{job_id}", Job)
 
-    async def jobs(self, **filters: str | None) -> list[Job]:
-        """Return jobs, newest first, filtered by subject_id, capture_id, state or kind."""
-        return await self._list("/v1/jobs", Job, **filters)
+    async def jobs(self, **filters: str | None) -> list[JobItem]:
+        """Return jobs in short, newest first, filtered by subject_id, capture_id, state or kind."""
+        return await self._list("/v1/jobs", JobItem, **filters)
 
     async def log(self, job_id: str, *, after: int = 0) -> AsyncIterator[LogLine]:
         """Yield what the solver printed so far, the lines numbered higher than ``after``."""
@@ -233,7 +238,10 @@ class AsyncClient(AsyncCaptures):
         """
         marks = {path.resolve(): file for path, file in (landmarks or {}).items()}
         captures = []
-        for scan in name_session(neutral, expressions):
+        scans = name_session(neutral, expressions)
+        if registered:
+            await self._require_vertices(scans, subject_id)
+        for scan in scans:
             its = marks.get(scan.path.resolve())
             sent = await self.upload(scan.path, progress=progress)
             captures.append(
@@ -281,13 +289,25 @@ class AsyncClient(AsyncCaptures):
 
     # Rigs
 
-    async def rigs(self, *, subject_id: str | None = None) -> list[Rig]:
-        """Return rigs, newest first, those of one subject if it is given."""
-        return await self._list("/v1/rigs", Rig, subject_id=subject_id)
+    async def rigs(
+        self, *, subject_id: str | None = None, labels: Labels | None = None
+    ) -> list[RigItem]:
+        """Return rigs in short, newest first, of one subject and with ``labels`` if they are given.
+
+        :meth:`rig` has the files and figures of each.
+        """
+        query = {"subject_id": subject_id, "label": as_query(labels)}
+        return await self._list("/v1/rigs", RigItem, **query)
 
     async def rig(self, rig_id: str) -> Rig:
         """Return one rig."""
         return await self._get(f"/v1/rigs/{rig_id}", Rig)
+
+    async def change_rig(
+        self, rig_id: str, *, name: str | None = None, labels: LabelChanges | None = None
+    ) -> Rig:
+        """Give a rig a name or labels; a label of None goes, those not named stay."""
+        return await self._change(f"/v1/rigs/{rig_id}", Rig, name=name, labels=labels)
 
     async def download_rig(
         self, rig_id: str, folder: Path, *, progress: Transferred = ignore_transfer

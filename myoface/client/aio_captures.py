@@ -2,15 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import httpx
 
 from myoface.client.aio_access import AsyncAccess
 from myoface.client.answers import read_json
-from myoface.client.files import Transferred, async_sha256_of, ignore_transfer
-from myoface.names import Role, name_scans, same_file
-from myoface.resources import NO_SCANS, Capture, Deletion, SignedUrl, Subject, Template
+from myoface.client.files import (
+    Transferred,
+    async_count_vertices,
+    async_sha256_of,
+    ignore_transfer,
+    require_vertices,
+)
+from myoface.names import NamedScan, Role, name_scans, same_file
+from myoface.resources import (
+    NO_SCANS,
+    Capture,
+    Deletion,
+    LabelChanges,
+    Labels,
+    Limits,
+    SignedUrl,
+    Subject,
+    Template,
+    as_query,
+)
 
 
 class AsyncCaptures(AsyncAccess):
@@ -33,13 +51,23 @@ class AsyncCaptures(AsyncAccess):
         """Delete a template that no subject has; returns the id of the receipt."""
         return await self._delete(f"/v1/templates/{template_id}")
 
-    async def create_subject(self, name: str, *, template_id: str | None = None) -> Subject:
+    async def create_subject(
+        self, name: str, *, template_id: str | None = None, labels: Labels | None = None
+    ) -> Subject:
         """Register a person; without a template the built-in anatomy is used."""
-        return await self._create("/v1/subjects", Subject, name=name, template_id=template_id)
+        return await self._create(
+            "/v1/subjects", Subject, name=name, template_id=template_id, labels=labels
+        )
 
-    async def subjects(self) -> list[Subject]:
-        """Return the subjects, newest first."""
-        return await self._list("/v1/subjects", Subject)
+    async def subjects(self, *, labels: Labels | None = None) -> list[Subject]:
+        """Return the subjects, newest first, those with all of ``labels`` if they are given."""
+        return await self._list("/v1/subjects", Subject, label=as_query(labels))
+
+    async def change_subject(
+        self, subject_id: str, *, name: str | None = None, labels: LabelChanges | None = None
+    ) -> Subject:
+        """Give a person another name or labels; a label of None goes, those not named stay."""
+        return await self._change(f"/v1/subjects/{subject_id}", Subject, name=name, labels=labels)
 
     async def subject(self, subject_id: str) -> Subject:
         """Return one subject."""
@@ -73,16 +101,20 @@ class AsyncCaptures(AsyncAccess):
         registered: bool = False,
         landmarks: Path | None = None,
         replaces: str | None = None,
+        title: str | None = None,
+        labels: Labels | None = None,
         progress: Transferred = ignore_transfer,
     ) -> Capture:
         """Upload a scan and add it to a subject; name and role are the file's unless given.
 
-        ``registered`` scans have the template's vertices, others are what the scanner made;
-        ``landmarks`` is a file. The service deletes the capture ``replaces`` in the same step that
-        adds this one.
-        :mod:`myoface.names` says what name and role a file has.
+        ``registered`` scans have the template's vertices, which are counted first; others are what
+        the scanner made. ``landmarks`` is a file. The service deletes the capture ``replaces`` in
+        the same step that adds this one. :mod:`myoface.names` says what name and role a file has;
+        the title is what the file is called.
         """
         (scan,) = name_scans([path], names=[name], roles=[role])
+        if registered:
+            await self._require_vertices([scan], subject_id)
         marks = None if landmarks is None else (await self.upload(landmarks)).id
         sent = await self.upload(path, progress=progress)
         return await self._create(
@@ -94,7 +126,40 @@ class AsyncCaptures(AsyncAccess):
             registered=registered or scan.role in NO_SCANS,
             landmarks_upload_id=marks,
             replaces=replaces,
+            title=title,
+            labels=labels,
         )
+
+    async def change_capture(
+        self,
+        subject_id: str,
+        capture_id: str,
+        *,
+        name: str | None = None,
+        title: str | None = None,
+        role: Role | None = None,
+        labels: LabelChanges | None = None,
+    ) -> Capture:
+        """Give a scan another name, title, role or labels; a label of None goes, others stay.
+
+        Name and role stay while the subject has jobs that are not over (``subject.busy``).
+        """
+        url = f"/v1/subjects/{subject_id}/captures/{capture_id}"
+        return await self._change(url, Capture, name=name, title=title, role=role, labels=labels)
+
+    async def _require_vertices(self, scans: Iterable[NamedScan], subject_id: str | None) -> None:
+        """Refuse scans that claim to be registered and have not the template's count of vertices.
+
+        Without a subject the template is the built-in one.
+        """
+        template = subject_id and (await self.subject(subject_id)).template_id
+        if template:
+            expected = (await self._get(f"/v1/templates/{template}", Template)).vertices
+        else:
+            expected = (await self._get("/v1/limits", Limits)).builtin_vertices
+        for scan in scans:
+            if expected is not None and scan.role not in NO_SCANS:
+                require_vertices(scan.path, await async_count_vertices(scan.path), expected)
 
     async def ensure_capture(
         self,
@@ -106,6 +171,8 @@ class AsyncCaptures(AsyncAccess):
         registered: bool = False,
         landmarks: Path | None = None,
         replace: bool = False,
+        title: str | None = None,
+        labels: Labels | None = None,
         progress: Transferred = ignore_transfer,
     ) -> Capture:
         """Return a file's capture: the one there is of the same bytes, or see :meth:`add_capture`.
@@ -130,15 +197,20 @@ class AsyncCaptures(AsyncAccess):
                 registered=is_registered,
                 landmarks=landmarks,
                 replaces=before.id if before is not None and replace else None,
+                title=title,
+                labels=labels,
                 progress=progress,
             )
         if landmarks is not None:
-            return await self.set_landmarks(subject_id, before.id, landmarks)
+            before = await self.set_landmarks(subject_id, before.id, landmarks)
+        if title is not None or labels is not None:
+            before = await self.change_capture(subject_id, before.id, title=title, labels=labels)
         return before
 
-    async def captures(self, subject_id: str) -> list[Capture]:
-        """Return a subject's scans, newest first."""
-        return await self._list(f"/v1/subjects/{subject_id}/captures", Capture)
+    async def captures(self, subject_id: str, *, labels: Labels | None = None) -> list[Capture]:
+        """Return a subject's scans, newest first, those with all of ``labels`` if given."""
+        url = f"/v1/subjects/{subject_id}/captures"
+        return await self._list(url, Capture, label=as_query(labels))
 
     async def capture(self, subject_id: str, capture_id: str) -> Capture:
         """Return one scan, with its newest check and registration."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
+import re
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -26,6 +27,9 @@ GONE = frozenset({httpx.codes.NOT_FOUND, httpx.codes.GONE})
 # Longer than any service keeps an upload that nobody goes on with.
 NOTES_KEPT_S = 7 * 24 * 3600
 
+PLY_VERTICES = re.compile(rb"^element vertex (\d{1,9})\s*$", re.MULTILINE)
+LONGEST_HEADER = 1 << 14  # bytes of a PLY that are looked at
+
 # Called with the bytes done and the bytes in all.
 Transferred = Callable[[int, int], None]
 
@@ -43,6 +47,39 @@ def sha256_of(path: Path) -> str:
 async def async_sha256_of(path: Path) -> str:
     """Return the hex digest of a file, read in a thread."""
     return await anyio.to_thread.run_sync(sha256_of, path)
+
+
+def count_vertices(path: Path) -> int | None:
+    """Return how many vertices an OBJ or PLY has; None: of neither, or it shows none."""
+    count = 0
+    with path.open("rb") as stream:
+        if path.suffix.lower() == ".obj":
+            count = sum(line.startswith((b"v ", b"v\t")) for line in stream)
+        elif path.suffix.lower() == ".ply":
+            found = PLY_VERTICES.search(stream.read(LONGEST_HEADER))
+            count = int(found[1]) if found else 0
+    return count or None
+
+
+async def async_count_vertices(path: Path) -> int | None:
+    """Return how many vertices a mesh has, counted in a thread."""
+    return await anyio.to_thread.run_sync(count_vertices, path)
+
+
+def require_vertices(path: Path, found: int | None, expected: int) -> None:
+    """Refuse a file that claims to be registered and has not the template's vertices."""
+    if found in (None, expected):
+        return
+    raise ApiError(
+        {
+            "code": "client.topology",
+            "detail": f"{path.name} has {found} vertices, and a registered scan has the template's "
+            f"{expected}: send it as it is (without --registered), and the service registers it",
+            "file": path.name,
+            "expected": expected,
+            "found": found,
+        }
+    )
 
 
 def metadata(filename: str, sha256: str) -> str:

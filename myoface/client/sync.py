@@ -48,14 +48,19 @@ from myoface.resources import (
     Frame,
     FramePage,
     Job,
+    JobItem,
     JobKind,
+    LabelChanges,
+    Labels,
     LogLine,
     LogPage,
     MotionFrame,
     Progress,
     Rig,
+    RigItem,
     Then,
     WholeRig,
+    as_query,
 )
 
 TOO_MANY_STREAMS = "stream.too_many"
@@ -128,9 +133,9 @@ class Client(Captures):
         """Return a job as it stands."""
         return self._get(f"/v1/jobs/{job_id}", Job)
 
-    def jobs(self, **filters: str | None) -> list[Job]:
-        """Return jobs, newest first, filtered by subject_id, capture_id, state or kind."""
-        return self._list("/v1/jobs", Job, **filters)
+    def jobs(self, **filters: str | None) -> list[JobItem]:
+        """Return jobs in short, newest first, filtered by subject_id, capture_id, state or kind."""
+        return self._list("/v1/jobs", JobItem, **filters)
 
     def log(self, job_id: str, *, after: int = 0) -> Iterator[LogLine]:
         """Yield what the solver printed so far, the lines numbered higher than ``after``."""
@@ -233,7 +238,10 @@ class Client(Captures):
         """
         marks = {path.resolve(): file for path, file in (landmarks or {}).items()}
         captures = []
-        for scan in name_session(neutral, expressions):
+        scans = name_session(neutral, expressions)
+        if registered:
+            self._require_vertices(scans, subject_id)
+        for scan in scans:
             its = marks.get(scan.path.resolve())
             sent = self.upload(scan.path, progress=progress)
             captures.append(
@@ -281,13 +289,23 @@ class Client(Captures):
 
     # Rigs
 
-    def rigs(self, *, subject_id: str | None = None) -> list[Rig]:
-        """Return rigs, newest first, those of one subject if it is given."""
-        return self._list("/v1/rigs", Rig, subject_id=subject_id)
+    def rigs(self, *, subject_id: str | None = None, labels: Labels | None = None) -> list[RigItem]:
+        """Return rigs in short, newest first, of one subject and with ``labels`` if they are given.
+
+        :meth:`rig` has the files and figures of each.
+        """
+        query = {"subject_id": subject_id, "label": as_query(labels)}
+        return self._list("/v1/rigs", RigItem, **query)
 
     def rig(self, rig_id: str) -> Rig:
         """Return one rig."""
         return self._get(f"/v1/rigs/{rig_id}", Rig)
+
+    def change_rig(
+        self, rig_id: str, *, name: str | None = None, labels: LabelChanges | None = None
+    ) -> Rig:
+        """Give a rig a name or labels; a label of None goes, those not named stay."""
+        return self._change(f"/v1/rigs/{rig_id}", Rig, name=name, labels=labels)
 
     def download_rig(
         self, rig_id: str, folder: Path, *, progress: Transferred = ignore_transfer

@@ -243,6 +243,12 @@ class Connection:
         response = self._request("POST", url, json=given, headers=headers)
         return kind.read(read_json(response))
 
+    def _change(self, url: str, kind: type[R], /, **body: Any) -> R:
+        """Change something; what is None stays."""
+        given = {key: value for key, value in body.items() if value is not None}
+        response = self._request("PATCH", url, json=given)
+        return kind.read(read_json(response))
+
     def _delete(self, url: str, **query: Any) -> str:
         """Delete something; returns the id of the receipt."""
         response = self._request_once("DELETE", url, params=query)

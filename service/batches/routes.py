@@ -12,7 +12,7 @@ from service.access.principal import Writer
 from service.batches import repository, service
 from service.batches.repository import CHECK, FIT, MODEL, REGISTER, BatchProgress
 from service.batches.schemas import BatchState, BatchView, NewBatch
-from service.dependencies import Cursor, Limit, ReadSession, SettingsDep, WriteSession
+from service.dependencies import BallastDep, Cursor, Limit, ReadSession, SettingsDep, WriteSession
 from service.errors import problems
 from service.idempotency import Once
 from service.jobs.schemas import Cancel
@@ -27,7 +27,12 @@ router = APIRouter(prefix="/v1/batches", tags=["batches"])
     "", status_code=201, summary="Add a session's scans", responses=problems(404, 409, 410, 422)
 )
 def create(
-    new: NewBatch, session: WriteSession, once: Once, who: Writer, settings: SettingsDep
+    new: NewBatch,
+    session: WriteSession,
+    once: Once,
+    who: Writer,
+    settings: SettingsDep,
+    ballast: BallastDep,
 ) -> BatchView:
     """Make complete uploads the scans of a subject, check them and make of them what is asked.
 
@@ -36,9 +41,12 @@ def create(
     """
     if (known := once.find_answered(session, new)) is not None:
         return _views(session, [repository.get(session, known)])[0]
+    replaces = [capture.replaces for capture in new.captures if capture.replaces]
+    if replaces:
+        ballast.drop()  # what deletes finds room on a full disk
     batch = service.create(session, new, settings.max_attempts)
     once.keep(session, batch.id)
-    for replaced in (capture.replaces for capture in new.captures if capture.replaces):
+    for replaced in replaces:
         record(session, who, "capture.deleted", replaced)
     record(session, who, "batch.created", batch.id)
     return _views(session, [batch])[0]

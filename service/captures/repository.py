@@ -31,9 +31,12 @@ def of_subject(session: Session, subject_id: str) -> Sequence[Capture]:
     return session.scalars(select(Capture).where(Capture.subject_id == subject_id)).all()
 
 
-def newest(session: Session, subject_id: str, limit: int, cursor: str | None) -> Slice[Capture]:
-    """Return a subject's captures, newest first."""
+def newest(
+    session: Session, subject_id: str, labels: Sequence[str] | None, limit: int, cursor: str | None
+) -> Slice[Capture]:
+    """Return a subject's captures, newest first, those with all of ``labels`` if there are any."""
     query = select(Capture).where(Capture.subject_id == subject_id)
+    query = paging.labelled(query, Capture.labels, labels)
     return paging.newest(session, query, limit, cursor)
 
 
@@ -44,14 +47,25 @@ def neutral(session: Session, subject_id: str) -> Capture | None:
     ).one_or_none()
 
 
-def succeeded_jobs(session: Session, kind: str, capture_ids: Sequence[str]) -> Sequence[Job]:
-    """Return the successful jobs of a kind about single captures, newest first."""
-    return session.scalars(
+def succeeded_jobs(session: Session, kind: str, captures: Sequence[Capture]) -> Sequence[Job]:
+    """Return the successful jobs of a kind about single captures, newest first.
+
+    What was found of a scan in another role than it has now is not among them: a neutral is judged
+    and registered in another way than an expression.
+    """
+    roles = {capture.id: capture.role for capture in captures}
+    jobs = session.scalars(
         select(Job)
-        .where(Job.capture_id.in_(capture_ids), Job.kind == kind, Job.state == State.SUCCEEDED)
+        .where(Job.capture_id.in_(list(roles)), Job.kind == kind, Job.state == State.SUCCEEDED)
         .options(selectinload(Job.artifacts))
         .order_by(Job.created_at.desc(), Job.id.desc())
-    ).all()
+    )
+    return [job for job in jobs if _role_in(job) in (None, roles[str(job.capture_id)])]
+
+
+def _role_in(job: Job) -> str | None:
+    """Return the role in which a job read its scan; None: it does not say."""
+    return next((item.get("capture_role") for item in job.inputs if item["role"] == "scan"), None)
 
 
 @dataclass(frozen=True)
@@ -72,7 +86,7 @@ def registered_form(
     """
     if capture.registered:
         return RegisteredForm(capture.filename, capture.sha256)
-    for job in succeeded_jobs(session, REGISTRATION, [capture.id]):
+    for job in succeeded_jobs(session, REGISTRATION, [capture]):
         if neutral_sha256 in (None, neutral_of(job)):
             return RegisteredForm(f"{capture.name}.{REGISTERED_MESH}", registered_mesh(job).sha256)
     return None

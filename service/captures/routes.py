@@ -6,7 +6,7 @@ from fastapi import APIRouter, Response
 
 from service.access.principal import Deleter, Writer
 from service.captures import repository, service
-from service.captures.schemas import CaptureView, Landmarks, NewCapture
+from service.captures.schemas import CaptureChange, CaptureView, Landmarks, NewCapture
 from service.dependencies import (
     BallastDep,
     Cursor,
@@ -14,6 +14,7 @@ from service.dependencies import (
     Limit,
     ReadSession,
     SettingsDep,
+    WithLabels,
     WriteSession,
 )
 from service.errors import problems
@@ -60,12 +61,13 @@ def index(
     subject_id: Id,
     session: ReadSession,
     settings: SettingsDep,
+    label: WithLabels = None,
     limit: Limit = 100,
     cursor: Cursor = None,
 ) -> Page[CaptureView]:
     """List a subject's captures, newest first."""
     subjects.get(session, subject_id)
-    found = repository.newest(session, subject_id, limit, cursor)
+    found = repository.newest(session, subject_id, label, limit, cursor)
     return Page(items=service.views(session, found.items, settings), next=found.next)
 
 
@@ -75,6 +77,25 @@ def show(
 ) -> CaptureView:
     """Show a capture with its newest check and registration."""
     return service.views(session, [repository.get(session, subject_id, capture_id)], settings)[0]
+
+
+@router.patch("/{capture_id}", summary="Change a scan", responses=problems(404, 409, 422))
+def change(
+    subject_id: Id,
+    capture_id: Id,
+    order: CaptureChange,
+    session: WriteSession,
+    who: Writer,
+    settings: SettingsDep,
+) -> CaptureView:
+    """Give a scan another name, title or role, or other labels.
+
+    Name and role stay while the subject has jobs or a batch that are not over. What was found of
+    the scan in another role counts no more: check it, and register it, again.
+    """
+    capture = service.change(session, subject_id, capture_id, order)
+    record(session, who, "capture.changed", capture_id)
+    return service.views(session, [capture], settings)[0]
 
 
 @router.put(

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from datetime import datetime
+from pathlib import PurePath
 from typing import Literal
 
 from pydantic import ConfigDict, Field
 
 from service.captures.repository import neutral_of, registered_mesh
-from service.schemas import Id, Name, RequestBody, RetainUntil, View
+from service.schemas import (
+    Change,
+    Id,
+    LabelChanges,
+    Labels,
+    Name,
+    RequestBody,
+    RetainUntil,
+    Title,
+    View,
+)
 from service.store import retention
 from service.store.models import Capture, Job
 
+LONGEST_TITLE = 200
 Role = Literal["neutral", "expression", "performance", "asset"]
 
 
@@ -33,15 +45,19 @@ class NewCapture(RequestBody):
     )
 
     name: Name
+    title: Title | None = Field(
+        default=None, description="what people call it; default: the name of its file"
+    )
     role: Role = Field(
         description="`performance`: frames of registered skin points, a `.npy` file; "
         "`fit_sequence` reads it; `asset`: a file that scenes name (a recording, a mesh, a map)"
     )
     upload_id: Id
     registered: bool = Field(
-        default=True,
+        default=False,
         description="true: the file has the template's vertices in its order; "
-        "false: it is what the scanner made, and `register_scan` comes before models and fits",
+        "false: it is what the scanner made, and `register_scan` comes before models and fits. "
+        "Performances are registered without being said to be",
     )
     landmarks_upload_id: Id | None = Field(
         default=None, description="a complete upload with landmarks on this scan"
@@ -51,6 +67,18 @@ class NewCapture(RequestBody):
         description="a scan of the subject that is deleted, with its checks and registrations, "
         "when this one is there; both may have one name",
     )
+    labels: Labels = Field(default={})
+
+
+class CaptureChange(Change):
+    """Changes of a scan; what is left out stays."""
+
+    name: Name | None = None
+    title: Title | None = None
+    role: Literal["neutral", "expression"] | None = Field(
+        default=None, description="of a scan; performances and assets stay what they are"
+    )
+    labels: LabelChanges | None = None
 
 
 class Landmarks(RequestBody):
@@ -85,8 +113,10 @@ class CaptureView(View):
     id: str
     subject_id: str
     name: str
+    title: str
     role: Role
     registered: bool
+    labels: dict[str, str]
     filename: str
     size: int
     sha256: str
@@ -104,6 +134,7 @@ class CaptureView(View):
         return cls.model_validate(
             {
                 **{name: getattr(capture, name) for name in _COLUMNS},
+                "title": capture.title or PurePath(capture.filename).stem[:LONGEST_TITLE],
                 "landmarks": capture.landmarks_filename,
                 "check": check and _check(check),
                 "registration": registration and _registration(registration),
@@ -118,6 +149,7 @@ _COLUMNS = (
     "name",
     "role",
     "registered",
+    "labels",
     "filename",
     "size",
     "sha256",

@@ -1,21 +1,22 @@
-"""Capture operations: create, landmarks, views, delete."""
+"""Capture operations: create, change, landmarks, views, delete."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import PurePath
 
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service.captures import repository
-from service.captures.schemas import CaptureView, Landmarks, NewCapture
+from service.captures.schemas import CaptureChange, CaptureView, Landmarks, NewCapture
 from service.errors import Problem
 from service.settings import Settings
 from service.store.deletion import delete_capture
-from service.store.models import Capture, Deletion, Job, Upload
+from service.store.models import Batch, Capture, Deletion, Job, Upload
 from service.store.retention import own_days
 from service.subjects import repository as subjects
-from service.subjects.service import refuse_while_busy
+from service.subjects.service import refuse_while_busy, relabel
 from service.uploads import repository as uploads
 
 FORMATS = (".obj", ".ply", ".stl", ".glb")
@@ -23,6 +24,8 @@ RAW_FORMATS = (*FORMATS, ".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzr
 PERFORMANCE_FORMATS = (".npy",)
 ASSET_FORMATS = (*FORMATS, ".csv", ".npy")
 LANDMARK_FORMATS = (".json", ".ljson", ".csv")
+# Roles of what is checked and registered
+SCANS = ("neutral", "expression")
 
 
 def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
@@ -43,12 +46,14 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
         _check_format(upload, "capture.format", "a raw scan", RAW_FORMATS)
     if new.replaces is not None:
         delete(session, subject_id, new.replaces)
-    _refuse_a_second(session, subject_id, new)
+    _refuse_a_second(session, subject_id, new.name, new.role)
     capture = Capture(
         subject_id=subject_id,
         name=new.name,
+        title=new.title,
         role=new.role,
-        registered=new.registered,
+        registered=new.registered or new.role not in SCANS,
+        labels=new.labels,
         filename=upload.filename,
         size=upload.size,
         sha256=upload.sha256,
@@ -61,11 +66,32 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
     return capture
 
 
+def change(session: Session, subject_id: str, capture_id: str, order: CaptureChange) -> Capture:
+    """Change what a scan is called, what it is and its labels.
+
+    Name and role stay while jobs or a batch work for the subject: what they leave bears the name,
+    and a batch goes by the role. Title and labels are nobody's but people's.
+    """
+    subjects.lock(session, subject_id)
+    capture = repository.get(session, subject_id, capture_id)
+    name, role = order.name or capture.name, order.role or capture.role
+    if (name, role) != (capture.name, capture.role):
+        if role != capture.role and capture.role not in SCANS:
+            detail = f"{capture.name} stays a file for scenes or a performance: add it anew"
+            raise Problem(422, f"capture.is_{capture.role}", detail, capture_id=capture.id)
+        refuse_while_busy(session, subject_id)
+        _refuse_while_in_batch(session, subject_id)
+        _refuse_a_second(session, subject_id, name, role, besides=capture.id)
+    capture.name, capture.role = name, role
+    capture.title = order.title or capture.title
+    relabel(capture, order.labels)
+    return capture
+
+
 def views(session: Session, captures: Sequence[Capture], settings: Settings) -> list[CaptureView]:
     """Show captures with the newest check and registration of each."""
-    ids = [capture.id for capture in captures]
-    checks = _newest(repository.succeeded_jobs(session, "check_scan", ids))
-    registrations = _newest(repository.succeeded_jobs(session, repository.REGISTRATION, ids))
+    checks = _newest(repository.succeeded_jobs(session, "check_scan", captures))
+    registrations = _newest(repository.succeeded_jobs(session, repository.REGISTRATION, captures))
     kept = own_days(session, settings)
     return [
         CaptureView.of(capture, checks.get(capture.id), registrations.get(capture.id), kept)
@@ -102,7 +128,8 @@ def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:
 
 def _check_performance(upload: Upload, new: NewCapture) -> None:
     _check_format(upload, "capture.format", "a performance", PERFORMANCE_FORMATS)
-    if not new.registered or new.landmarks_upload_id is not None:
+    is_said_raw = "registered" in new.model_fields_set and not new.registered
+    if is_said_raw or new.landmarks_upload_id is not None:
         raise Problem(
             422,
             "capture.is_performance",
@@ -133,20 +160,38 @@ def _as_a_file(name: str) -> str:
     return name.lower().rstrip(".")
 
 
-def _refuse_a_second(session: Session, subject_id: str, new: NewCapture) -> None:
+def _refuse_while_in_batch(session: Session, subject_id: str) -> None:
+    """Raise a problem while a batch goes on, also between two of its jobs."""
+    running = select(Batch.id).where(Batch.subject_id == subject_id, Batch.state == "running")
+    if batches := session.scalars(running).all():
+        raise Problem(
+            409,
+            "subject.busy",
+            "the subject has a batch that is not over; wait for it, or cancel it first",
+            subject_id=subject_id,
+            batch_ids=list(batches),
+        )
+
+
+def _refuse_a_second(
+    session: Session, subject_id: str, name: str, role: str, besides: str | None = None
+) -> None:
     """Raise a problem if the subject has a capture of this name, or another neutral.
 
     Names are in those of files, which some systems do not tell apart by case or a last dot.
+    ``besides`` is the id of the capture that is to be called so.
     """
     for other in repository.of_subject(session, subject_id):
-        if _as_a_file(other.name) == _as_a_file(new.name):
+        if other.id == besides:
+            continue
+        if _as_a_file(other.name) == _as_a_file(name):
             raise Problem(
                 409,
                 "capture.name_taken",
                 f"the subject has a capture named {other.name}: replace that, or rename this one",
                 capture_id=other.id,
             )
-        if other.role == new.role == "neutral":
+        if other.role == role == "neutral":
             raise Problem(
                 409,
                 "capture.neutral_exists",

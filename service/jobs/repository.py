@@ -13,12 +13,8 @@ from service.paging import Slice
 from service.queue.states import State
 from service.store.models import Job, LogLine
 
-PARTS = (
-    selectinload(Job.attempts),
-    selectinload(Job.artifacts),
-    selectinload(Job.rig),
-    undefer(Job.last_event_id),
-)
+IN_SHORT = (selectinload(Job.attempts), selectinload(Job.rig), undefer(Job.last_event_id))
+PARTS = (selectinload(Job.artifacts), *IN_SHORT)
 
 
 def get(session: Session, job_id: str) -> Job:
@@ -32,8 +28,8 @@ def get(session: Session, job_id: str) -> Job:
 def newest(
     session: Session, wanted: Sequence[ColumnElement[bool]], limit: int, cursor: str | None
 ) -> Slice[Job]:
-    """Return the jobs that fulfil what is wanted, newest first."""
-    query = select(Job).where(*wanted).options(*PARTS)
+    """Return the jobs that fulfil what is wanted, newest first, without their files."""
+    query = select(Job).where(*wanted).options(*IN_SHORT)
     return paging.newest(session, query, limit, cursor)
 
 

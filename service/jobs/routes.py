@@ -28,7 +28,16 @@ from service.errors import problems
 from service.idempotency import Once
 from service.jobs import repository, service
 from service.jobs.following import Feed
-from service.jobs.schemas import Cancel, Filters, FramesView, JobView, LogView, NewJob, Retry
+from service.jobs.schemas import (
+    Cancel,
+    Filters,
+    FramesView,
+    JobItem,
+    JobView,
+    LogView,
+    NewJob,
+    Retry,
+)
 from service.queue.claims import positions
 from service.records.audit import record
 from service.schemas import Id, Page, Position
@@ -36,6 +45,7 @@ from service.settings import Settings
 from service.store.database import Store
 from service.store.models import Job
 from service.store.retention import own_days
+from service.subjects import repository as subjects
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
@@ -100,7 +110,7 @@ def _submit(store: Store, new: NewJob, max_attempts: int, job_id: str, who: Prin
         return is_new
 
 
-@router.get("", response_model=Page[JobView], summary="List jobs", responses=problems(422))
+@router.get("", response_model=Page[JobItem], summary="List jobs", responses=problems(422))
 def index(
     session: ReadSession,
     settings: SettingsDep,
@@ -108,12 +118,16 @@ def index(
     limit: Limit = 100,
     cursor: Cursor = None,
 ) -> Response:
-    """List jobs, newest first."""
+    """List jobs, newest first, in short; each one's own path has its options, figures and files."""
     jobs = repository.newest(session, wanted, limit, cursor)
+    names = subjects.names(session, [job.subject_id for job in jobs.items])
     places = positions(session, jobs.items)
     kept = own_days(session, settings)
-    views = [JobView.of(job, places.get(job.id), kept) for job in jobs.items]
-    return paging.respond(Page[JobView](items=views, next=jobs.next))
+    items = [
+        JobItem.of(job, names.get(job.subject_id, ""), places.get(job.id), kept)
+        for job in jobs.items
+    ]
+    return paging.respond(Page[JobItem](items=items, next=jobs.next))
 
 
 @router.get("/{job_id}", summary="Show a job", responses=problems(404, 422))
@@ -269,5 +283,6 @@ def read_picture(
 def _view(session: Session, job_id: str, settings: Settings) -> JobView:
     session.flush()
     job: Job = repository.get(session, job_id)
+    name = subjects.names(session, [job.subject_id]).get(job.subject_id, "")
     place = positions(session, [job]).get(job.id)
-    return JobView.of(job, place, own_days(session, settings))
+    return JobView.of(job, name, place, own_days(session, settings))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from fastapi import Depends, Query
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import ColumnElement
 
 from service.queue.states import State
-from service.rigs.schemas import ArtifactView
+from service.rigs.schemas import ArtifactView, verdict_in
 from service.schemas import Id, Line, Moment, Name, RequestBody, RetainUntil, View
 from service.store import retention
 from service.store.models import Job
@@ -142,28 +142,32 @@ class JobError(BaseModel):
     message: str
 
 
-class Result(View):
-    """Result of a finished job."""
+class ResultItem(View):
+    """Result of a finished job, in short."""
 
     rig_id: str | None = None
+    verdict: str | None = Field(description="of a check or a rig: `good`, `usable` or `bad`")
+
+
+class Result(ResultItem):
+    """Result of a finished job."""
+
     summary: dict[str, Any] | None = Field(
         description="a check's verdict and findings, or the figures of a registration, model or rig"
     )
     artifacts: list[ArtifactView]
 
 
-class JobView(View):
-    """A job."""
+class JobItem(View):
+    """A job as lists show it."""
 
     id: str
     kind: str
     subject_id: str
+    subject_name: str
     captures: list[str]
     rig_id: str | None
-    options: dict[str, Any]
     priority: int
-    memory_mb: int | None
-    deadline_s: int | None = None
     parent_id: str | None = Field(description="the job that this one is made again from")
     batch_id: str | None
     state: State
@@ -177,33 +181,55 @@ class JobView(View):
     phase: str | None
     progress: Progress | None
     error: JobError | None
-    result: Result | None
+    result: ResultItem | None
     attempts: list[AttemptView]
     cancel: CancelView | None
     last_event_id: int = Field(description="pass it as `Last-Event-ID` to watch what comes next")
+    seconds: float | None = Field(description="how long it took; null: it has not ended, or begun")
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
     retain_until: RetainUntil
 
     @classmethod
-    def of(cls, job: Job, queue_position: int | None, kept: retention.Days) -> JobView:
-        """Show a job."""
-        result = {
-            "rig_id": job.rig.id if job.rig else None,
-            "summary": job.summary,
-            "artifacts": job.artifacts,
-        }
+    def of(cls, job: Job, subject_name: str, place: int | None, kept: retention.Days) -> Self:
+        """Show a job at its ``place`` in the queue."""
+        shown = {name: getattr(job, name) for name in cls.model_fields if name in _COLUMNS}
         return cls.model_validate(
             {
                 **job.request,
-                **{name: getattr(job, name) for name in _COLUMNS},
-                "queue_position": queue_position,
+                **shown,
+                "subject_name": subject_name,
+                "queue_position": place,
                 "phase": job.progress["phase"] if job.progress else None,
+                "seconds": _seconds(job),
                 "retain_until": _retain_until(job, kept),
-                "result": result if job.state is State.SUCCEEDED else None,
+                "result": cls._result(job) if job.state is State.SUCCEEDED else None,
             }
         )
+
+    @classmethod
+    def _result(cls, job: Job) -> dict[str, Any]:
+        return {"rig_id": job.rig.id if job.rig else None, "verdict": verdict_in(job.summary)}
+
+
+class JobView(JobItem):
+    """A job."""
+
+    options: dict[str, Any]
+    memory_mb: int | None
+    deadline_s: int | None = None
+    result: Result | None
+
+    @classmethod
+    def _result(cls, job: Job) -> dict[str, Any]:
+        return {**super()._result(job), "summary": job.summary, "artifacts": job.artifacts}
+
+
+def _seconds(job: Job) -> float | None:
+    if job.started_at is None or job.finished_at is None:
+        return None
+    return (job.finished_at - job.started_at).total_seconds()
 
 
 def _retain_until(job: Job, kept: retention.Days) -> datetime | None:

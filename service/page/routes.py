@@ -14,6 +14,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Response
 
 from service.errors import Problem
+from service.http import takes_gzip
 
 # Paths at which the document is served; `static/js/routes.js` says which view shows at each
 PATHS = (
@@ -31,6 +32,7 @@ PATHS = (
     "/webhooks",
     "/webhooks/{identifier}",
     "/audit",
+    "/api",
     "/sign-in",
 )
 
@@ -76,6 +78,16 @@ class StaticFile:
     digest: str
     media_type: str
 
+    @classmethod
+    def of(cls, content: bytes, media_type: str) -> StaticFile:
+        """Pack what is sent again and again."""
+        return cls(
+            content=content,
+            packed=gzip.compress(content, mtime=0),
+            digest=hashlib.sha256(content).hexdigest()[:32],
+            media_type=media_type,
+        )
+
 
 router = APIRouter(include_in_schema=False)
 
@@ -91,12 +103,12 @@ def static(
     asset = assets().get(path)
     if asset is None:
         raise Problem(404, "page.unknown", "the page has no such file")
-    return _send(asset, accept_encoding, if_none_match)
+    return send_static(asset, accept_encoding, if_none_match)
 
 
 def document(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
     """Send the document; what it shows depends on the path that it is opened at."""
-    return _send(assets()["index.html"], accept_encoding, if_none_match)
+    return send_static(assets()["index.html"], accept_encoding, if_none_match)
 
 
 for _path in PATHS:
@@ -107,7 +119,10 @@ for _path in PATHS:
 def assets() -> dict[str, StaticFile]:
     """Return the static files by their path; about a megabyte, read once."""
     root = resources.files(__package__).joinpath("static")
-    return {str(path): _asset(path, file) for path, file in _files(root, PurePosixPath())}
+    return {
+        str(path): StaticFile.of(file.read_bytes(), TYPES[path.suffix])
+        for path, file in _files(root, PurePosixPath())
+    }
 
 
 def _files(folder: Traversable, at: PurePosixPath) -> list[tuple[PurePosixPath, Traversable]]:
@@ -121,19 +136,9 @@ def _files(folder: Traversable, at: PurePosixPath) -> list[tuple[PurePosixPath, 
     return found
 
 
-def _asset(path: PurePosixPath, file: Traversable) -> StaticFile:
-    content = file.read_bytes()
-    return StaticFile(
-        content=content,
-        packed=gzip.compress(content, mtime=0),
-        digest=hashlib.sha256(content).hexdigest()[:32],
-        media_type=TYPES[path.suffix],
-    )
-
-
-def _send(asset: StaticFile, accept_encoding: str, if_none_match: str) -> Response:
+def send_static(asset: StaticFile, accept_encoding: str, if_none_match: str) -> Response:
     """Send a file, packed if the browser can unpack; the two forms have different ETags."""
-    packs = "gzip" in {part.split(";")[0].strip() for part in accept_encoding.split(",")}
+    packs = takes_gzip(accept_encoding)
     etag = f'"{asset.digest}{"-gzip" if packs else ""}"'
     headers = {**HEADERS, "ETag": etag, "Content-Type": asset.media_type}
     if etag in {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 from sqlalchemy import select
-from sqlalchemy.orm import Session, selectinload
+from sqlalchemy.orm import Session
 
 from service import paging
 from service.errors import Problem, not_found
 from service.paging import Slice
 from service.queue.states import State
 from service.store.models import PREVIEW_FILE, Artifact, Job, Rig, is_preview_of
+from service.subjects import repository as subjects
 
 RIG_FILE = "rig.npz"  # the whole rig: the model, S and the expressions
 
@@ -22,12 +26,51 @@ def get(session: Session, rig_id: str) -> Rig:
     return rig
 
 
-def newest(session: Session, subject_id: str | None, limit: int, cursor: str | None) -> Slice[Rig]:
-    """Return rigs, newest first."""
-    query = select(Rig).options(selectinload(Rig.artifacts))
+@dataclass(frozen=True)
+class RigRow:
+    """A rig, whose it is, and how many seconds the job took that made it."""
+
+    rig: Rig
+    subject_name: str
+    seconds: float | None
+
+
+def newest(
+    session: Session,
+    subject_id: str | None,
+    labels: Sequence[str] | None,
+    limit: int,
+    cursor: str | None,
+) -> Slice[Rig]:
+    """Return rigs, newest first, of a subject and with all of ``labels`` if they are given."""
+    query = paging.labelled(select(Rig), Rig.labels, labels)
     if subject_id is not None:
         query = query.where(Rig.subject_id == subject_id)
     return paging.newest(session, query, limit, cursor)
+
+
+def lock(session: Session, rig_id: str) -> Rig:
+    """Return a rig that nobody else can change until the commit."""
+    rig = session.get(Rig, rig_id, with_for_update=True)
+    if rig is None:
+        raise not_found("rig", rig_id)
+    return rig
+
+
+def rows(session: Session, rigs: Sequence[Rig]) -> list[RigRow]:
+    """Return rigs with what other tables say of them, by two queries for all."""
+    names = subjects.names(session, [rig.subject_id for rig in rigs])
+    jobs = session.execute(
+        select(Job.id, Job.started_at, Job.finished_at).where(
+            Job.id.in_([rig.job_id for rig in rigs])
+        )
+    )
+    took = {
+        job_id: (finished - started).total_seconds()
+        for job_id, started, finished in jobs
+        if started and finished
+    }
+    return [RigRow(rig, names.get(rig.subject_id, ""), took.get(rig.job_id)) for rig in rigs]
 
 
 def preview(session: Session, rig: Rig) -> Artifact | None:

@@ -9,10 +9,11 @@ from http import HTTPStatus
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
+from sqlalchemy.orm import Session
 
 from service import paging
 from service.access.limits import ConnectionLimit
-from service.access.principal import Principal, Reader
+from service.access.principal import Principal, Reader, Writer
 from service.access.signed import FileReader, Signer
 from service.dependencies import (
     Cursor,
@@ -22,6 +23,8 @@ from service.dependencies import (
     ReadSession,
     ReadStore,
     SettingsDep,
+    WithLabels,
+    WriteSession,
     part,
 )
 from service.errors import problems
@@ -30,11 +33,13 @@ from service.records.reads import ReadLog
 from service.rigs import repository
 from service.rigs.archive import archive_of
 from service.rigs.download import StoredArtifact, send
-from service.rigs.schemas import ArtifactView, RigView, SignedUrl
+from service.rigs.schemas import ArtifactView, RigChange, RigItem, RigView, SignedUrl
 from service.schemas import FileName, Id, Page
+from service.settings import Settings
 from service.store.database import Store
-from service.store.models import Artifact
+from service.store.models import Artifact, Rig
 from service.store.retention import own_days
+from service.subjects.service import relabel
 
 router = APIRouter(prefix="/v1", tags=["rigs"])
 
@@ -65,26 +70,42 @@ FILE: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get("/rigs", response_model=Page[RigView], summary="List rigs", responses=problems(422))
+@router.get("/rigs", response_model=Page[RigItem], summary="List rigs", responses=problems(422))
 def index(
     session: ReadSession,
     settings: SettingsDep,
     subject_id: Annotated[Id | None, Query()] = None,
+    label: WithLabels = None,
     limit: Limit = 100,
     cursor: Cursor = None,
 ) -> Response:
-    """List rigs, newest first."""
-    found = repository.newest(session, subject_id, limit, cursor)
+    """List rigs, newest first, in short; each one's own path has its files and all figures."""
+    found = repository.newest(session, subject_id, label, limit, cursor)
     kept = own_days(session, settings)
-    views = [RigView.of(rig, kept) for rig in found.items]
-    return paging.respond(Page[RigView](items=views, next=found.next))
+    items = [RigItem.of(row, kept) for row in repository.rows(session, found.items)]
+    return paging.respond(Page[RigItem](items=items, next=found.next))
 
 
 @router.get("/rigs/{rig_id}", summary="Show a rig", responses=problems(404, 422))
 def show(rig_id: Id, session: ReadSession, settings: SettingsDep) -> RigView:
     """Show a rig's expressions, figures and files, `preview.bin` among them once it is made."""
-    rig = repository.get(session, rig_id)
-    view = RigView.of(rig, own_days(session, settings))
+    return _view(session, repository.get(session, rig_id), settings)
+
+
+@router.patch("/rigs/{rig_id}", summary="Change a rig", responses=problems(404, 422))
+def change(
+    rig_id: Id, order: RigChange, session: WriteSession, who: Writer, settings: SettingsDep
+) -> RigView:
+    """Give a rig a name or other labels; its files stay as they are."""
+    rig = repository.lock(session, rig_id)
+    rig.name = rig.name if order.name is None else order.name
+    relabel(rig, order.labels)
+    record(session, who, "rig.changed", rig_id)
+    return _view(session, rig, settings)
+
+
+def _view(session: Session, rig: Rig, settings: Settings) -> RigView:
+    view = RigView.of(repository.rows(session, [rig])[0], own_days(session, settings))
     if preview := repository.preview(session, rig):
         view.artifacts.append(ArtifactView.model_validate(preview))
     return view

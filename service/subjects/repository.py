@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -27,6 +29,15 @@ def lock(session: Session, subject_id: str) -> Subject:
     return subject
 
 
-def newest(session: Session, limit: int, cursor: str | None) -> Slice[Subject]:
-    """Return subjects, newest first."""
-    return paging.newest(session, select(Subject), limit, cursor)
+def newest(
+    session: Session, labels: Sequence[str] | None, limit: int, cursor: str | None
+) -> Slice[Subject]:
+    """Return subjects, newest first, those with all of ``labels`` if there are any."""
+    query = paging.labelled(select(Subject), Subject.labels, labels)
+    return paging.newest(session, query, limit, cursor)
+
+
+def names(session: Session, subject_ids: Iterable[str]) -> dict[str, str]:
+    """Return the names of subjects by their ids."""
+    query = select(Subject.id, Subject.name).where(Subject.id.in_(set(subject_ids)))
+    return {row.id: row.name for row in session.execute(query)}

@@ -13,6 +13,7 @@ from service.dependencies import (
     Limit,
     ReadSession,
     SettingsDep,
+    WithLabels,
     WriteSession,
 )
 from service.errors import problems
@@ -22,7 +23,7 @@ from service.records.routes import answer_deletion
 from service.schemas import Id, Page
 from service.store.retention import own_days
 from service.subjects import repository, service
-from service.subjects.schemas import NewSubject, SubjectView
+from service.subjects.schemas import NewSubject, SubjectChange, SubjectView
 
 router = APIRouter(prefix="/v1/subjects", tags=["subjects"])
 
@@ -42,10 +43,14 @@ def create(
 
 @router.get("", summary="List subjects", responses=problems(422))
 def index(
-    session: ReadSession, settings: SettingsDep, limit: Limit = 100, cursor: Cursor = None
+    session: ReadSession,
+    settings: SettingsDep,
+    label: WithLabels = None,
+    limit: Limit = 100,
+    cursor: Cursor = None,
 ) -> Page[SubjectView]:
     """List subjects, newest first."""
-    found = repository.newest(session, limit, cursor)
+    found = repository.newest(session, label, limit, cursor)
     kept = own_days(session, settings)
     items = [SubjectView.of(subject, kept) for subject in found.items]
     return Page(items=items, next=found.next)
@@ -55,6 +60,16 @@ def index(
 def show(subject_id: Id, session: ReadSession, settings: SettingsDep) -> SubjectView:
     """Show a subject."""
     return SubjectView.of(repository.get(session, subject_id), own_days(session, settings))
+
+
+@router.patch("/{subject_id}", summary="Change a subject", responses=problems(404, 422))
+def change(
+    subject_id: Id, order: SubjectChange, session: WriteSession, who: Writer, settings: SettingsDep
+) -> SubjectView:
+    """Give a person another name or other labels, also while jobs run."""
+    subject = service.change(session, subject_id, order)
+    record(session, who, "subject.changed", subject_id)
+    return SubjectView.of(subject, own_days(session, settings))
 
 
 @router.delete(

@@ -6,7 +6,7 @@ from datetime import datetime
 
 from pydantic import Field
 
-from service.schemas import Id, RequestBody, RetainUntil, Title, View
+from service.schemas import Change, Id, LabelChanges, Labels, RequestBody, RetainUntil, Title, View
 from service.store import retention
 from service.store.models import Subject
 
@@ -16,6 +16,14 @@ class NewSubject(RequestBody):
 
     name: Title = Field(examples=["Alex"])
     template_id: Id | None = Field(default=None, description="default: the built-in anatomy")
+    labels: Labels = Field(default={})
+
+
+class SubjectChange(Change):
+    """Changes of a person; what is left out stays."""
+
+    name: Title | None = None
+    labels: LabelChanges | None = None
 
 
 class SubjectView(View):
@@ -24,6 +32,7 @@ class SubjectView(View):
     id: str
     name: str
     template_id: str | None
+    labels: dict[str, str]
     created_at: datetime
     retain_until: RetainUntil
 
@@ -34,6 +43,7 @@ class SubjectView(View):
             id=subject.id,
             name=subject.name,
             template_id=subject.template_id,
+            labels=subject.labels,
             created_at=subject.created_at,
             retain_until=retention.until(kept.subjects, subject.created_at),
         )

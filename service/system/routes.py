@@ -15,7 +15,7 @@ from service.schemas import Page
 from service.store.retention import own_days
 from service.system.schemas import KindView, Limits, Readiness, Retention, WorkerView
 from service.system.service import ReadinessCache, living_workers
-from solver.kinds import KINDS
+from solver.kinds import BUILTIN_VERTICES, KINDS
 
 # RFC 9745: since when, in seconds of the epoch (2026-11-22)
 SOLVERS_DEPRECATED = "@1795305600"
@@ -41,6 +41,7 @@ def limits(session: ReadSession, settings: SettingsDep) -> Limits:
         scan_formats=list(FORMATS),
         raw_scan_formats=list(RAW_FORMATS),
         landmark_formats=list(LANDMARK_FORMATS),
+        builtin_vertices=BUILTIN_VERTICES,
         max_attempts=settings.max_attempts,
     )
 

@@ -31,6 +31,9 @@ class Limits(BaseModel):
     scan_formats: list[str]
     raw_scan_formats: list[str]
     landmark_formats: list[str]
+    builtin_vertices: int = Field(
+        description="of a registered scan of a subject without a template, the built-in face's"
+    )
     max_attempts: int
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Response
 
 from service.access.principal import Deleter, Writer
-from service.dependencies import Cursor, DeleteSession, Limit, ReadSession, WriteSession
+from service.dependencies import Cursor, DeleteSession, Limit, ReadSession, WriteSession, WriteStore
 from service.errors import problems
 from service.idempotency import Once
 from service.records.audit import record
@@ -26,11 +26,13 @@ router = APIRouter(prefix="/v1/templates", tags=["templates"])
     summary="Bring a template anatomy",
     responses=problems(404, 409, 410, 422),
 )
-def create(new: NewTemplate, session: WriteSession, who: Writer, once: Once) -> Any:
+def create(
+    new: NewTemplate, session: WriteSession, store: WriteStore, who: Writer, once: Once
+) -> Any:
     """Make a template anatomy of a complete upload (`.npz`)."""
     if (known := once.find_answered(session, new)) is not None:
         return repository.get(session, known)
-    template = service.create(session, new)
+    template = service.create(session, store.files, new)
     once.keep(session, template.id)
     record(session, who, "template.created", template.id)
     return template

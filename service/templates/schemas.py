@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from datetime import datetime
 
+from pydantic import Field
+
 from service.schemas import Id, RequestBody, Title, View
 
 
@@ -19,6 +21,9 @@ class TemplateView(View):
 
     id: str
     name: str
+    vertices: int | None = Field(
+        description="of its skin, as many as a registered scan has; null: they could not be counted"
+    )
     filename: str
     size: int
     sha256: str

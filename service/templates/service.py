@@ -1,18 +1,32 @@
-"""Template operations: create, delete."""
+"""Template operations: create, count vertices, delete."""
 
 from __future__ import annotations
+
+import io
+import re
+import struct
+import zlib
+from typing import Any
+from zipfile import BadZipFile, ZipFile
 
 from sqlalchemy.orm import Session
 
 from service.errors import Problem
 from service.store.deletion import delete_template
+from service.store.files import Files
 from service.store.models import Deletion, Template
 from service.templates import repository
 from service.templates.schemas import NewTemplate
 from service.uploads import repository as uploads
 
+SKIN = "skin_vertices.npy"
+SHAPE = re.compile(rb"'shape': \((\d{1,9}), 3\)")
+# The end of an archive, its list of members and the header of an array: bytes that are looked at
+MOST_TAIL, MOST_LISTED, MOST_HEADER = 1 << 10, 1 << 20, 256
+END = struct.Struct("<4s4H2LH")
 
-def create(session: Session, new: NewTemplate) -> Template:
+
+def create(session: Session, files: Files, new: NewTemplate) -> Template:
     """Make a template of an upload; a worker reads the file when a model is built."""
     upload = uploads.get_complete(session, new.upload_id)
     if not upload.filename.lower().endswith(".npz"):
@@ -24,7 +38,11 @@ def create(session: Session, new: NewTemplate) -> Template:
             expected=[".npz"],
         )
     template = Template(
-        name=new.name, filename=upload.filename, size=upload.size, sha256=upload.sha256
+        name=new.name,
+        filename=upload.filename,
+        size=upload.size,
+        sha256=upload.sha256,
+        vertices=count_vertices(files, str(upload.sha256), upload.size),
     )
     session.add(template)
     session.flush()
@@ -44,3 +62,54 @@ def delete(session: Session, template_id: str) -> Deletion:
             subject_ids=list(subjects),
         )
     return delete_template(session, template, "request")
+
+
+def count_vertices(files: Files, sha256: str, size: int) -> int | None:
+    """Return how many vertices a template's skin has by the header of that array; None: no idea.
+
+    No array is unpacked: of the file are read its end, its list of members and one header.
+    """
+    try:
+        stored = _StoredFile(files, sha256, size)
+        stored.seek(max(0, size - MOST_TAIL))
+        tail = stored.read()
+        end = END.unpack_from(tail, tail.rindex(b"PK\5\6"))
+        # a second end, of an archive of many gigabytes, would overrule the first
+        if end[5] > MOST_LISTED or b"PK\6\7" in tail:
+            return None
+        with ZipFile(stored) as archive, archive.open(SKIN) as member:
+            shape = SHAPE.search(member.read(MOST_HEADER))
+    except (OSError, ValueError, KeyError, RuntimeError, BadZipFile, struct.error, zlib.error):
+        return None
+    return int(shape[1]) if shape else None
+
+
+class _StoredFile(io.RawIOBase):
+    """A stored file whose parts can be read, as an archive's list of members asks for."""
+
+    def __init__(self, files: Files, sha256: str, size: int) -> None:
+        self._files, self._sha256, self._size = files, sha256, size
+        self._at = 0
+
+    def seekable(self) -> bool:
+        return True
+
+    def readable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._at
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        start = (0, self._at, self._size)[whence]
+        self._at = max(0, start + offset)
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        end = min(self._at + len(buffer), self._size)
+        if end <= self._at:
+            return 0
+        content = b"".join(self._files.open(self._sha256, self._at, end))
+        buffer[: len(content)] = content
+        self._at += len(content)
+        return len(content)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from service.outbound import LONGEST_URL, Refused, parse
-from service.schemas import RequestBody, View
+from service.schemas import Change, RequestBody, View
 from service.store.models import Delivery
 from solver.kinds import KINDS
 
@@ -55,19 +55,13 @@ class NewWebhook(RequestBody):
     kinds: Kinds = Field(default_factory=list)
 
 
-class WebhookChange(RequestBody):
+class WebhookChange(Change):
     """Changes of a webhook; the rest stays. `active: true` gives a failed one a new start."""
 
     url: Url | None = None
     events: Events | None = None
     kinds: Kinds | None = None
     active: bool | None = None
-
-    @model_validator(mode="after")
-    def _no_nulls(self) -> WebhookChange:
-        if nulls := [name for name in self.model_fields_set if getattr(self, name) is None]:
-            raise ValueError(f"{nulls[0]} cannot be null")
-        return self
 
 
 class WebhookView(View):

@@ -11,9 +11,9 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from solver.kinds.document import Fault
-from solver.kinds.kind import JobOptions, Kind, OptionsError
+from solver.kinds.kind import BUILTIN_VERTICES, JobOptions, Kind, OptionsError
 
-__all__ = ["KINDS", "Fault", "JobOptions", "Kind", "OptionsError"]
+__all__ = ["BUILTIN_VERTICES", "KINDS", "Fault", "JobOptions", "Kind", "OptionsError"]
 
 
 def _find() -> dict[str, Kind]:

@@ -26,6 +26,7 @@ Input = Literal[
     "start",
 ]
 
+BUILTIN_VERTICES = 4866  # of the built-in face's skin, which a registered scan of it has
 
 # Seconds after which a job of a queue is ended: while a person waits, at a desk, over night
 QUEUE_SECONDS: Mapping[Queue, int] = {"ingest": 120, "short": 3600, "long": 24 * 3600}

@@ -152,11 +152,55 @@ def test_a_scan_replaces_an_earlier_one_if_the_operator_says_so(
     page.set_input_files("#files", str(_scan(tmp_path / "kiss.obj")))
     page.get_by_role("button", name="Upload 1 scan").click()
     page.get_by_role("button", name="Replace the earlier scan").click()
-    page.get_by_role("button", name="Delete it and go on").click()
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.method))
+    path = f"/v1/subjects/{subject_id}/captures"
+    assert before in [capture["id"] for capture in studio.get(path)["items"]]
+    page.get_by_role("button", name="Replace it").click()
     _row(page, "kiss.obj").locator(".state").get_by_text("Good").wait_for()
-    captures = studio.get(f"/v1/subjects/{subject_id}/captures")["items"]
+    captures = studio.get(path)["items"]
     assert len(captures) == 2
     assert before not in [capture["id"] for capture in captures]
+    assert "DELETE" not in asked  # the service replaces it in one step
+
+
+def test_a_registered_scan_is_counted_before_it_is_sent(
+    show: Show, studio: Studio, tmp_path: Path
+) -> None:
+    page = show("/upload")
+    scan = _scan(tmp_path / "neutral.obj", size=MB)
+    scan.write_text(scan.read_text() + "vn 0 0 1\n")
+    page.set_input_files("#files", str(scan))
+    page.get_by_label("Name of the new subject").fill("Otto, counted")
+    page.get_by_label("The scans are").select_option("registered")
+    page.get_by_role("button", name="Upload 1 scan").click()
+    page.get_by_text(f"neutral.obj has {MB // 8} vertices, and a registered scan has").wait_for()
+    names = [each["name"] for each in studio.get("/v1/subjects")["items"]]
+    assert "Otto, counted" not in names
+
+
+def test_a_subject_and_its_scans_are_called_as_the_studio_likes(show: Show, studio: Studio) -> None:
+    subject_id = studio.subject()
+    capture = studio.raw(subject_id, "smile")
+    page = show(f"/subjects/{subject_id}")
+    page.get_by_role("button", name="Edit", exact=True).first.click()
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_label("Name").fill("Ida, Tuesday")
+    dialog.get_by_label("Labels").fill("session: 17\nactor")
+    dialog.get_by_role("button", name="Save").click()
+    dialog.get_by_text('"actor" is no label').wait_for()
+    dialog.get_by_label("Labels").fill("session: 17\nactor: Ida")
+    dialog.get_by_role("button", name="Save").click()
+    page.locator("h1").get_by_text("Ida, Tuesday").wait_for()
+    page.get_by_text("session: 17, actor: Ida").wait_for()
+    page.get_by_role("button", name="Edit smile").click()
+    dialog.get_by_label("Title").fill("Broad smile")
+    dialog.get_by_label("Name").fill("grin")
+    dialog.get_by_role("button", name="Save").click()
+    page.get_by_role("row", name="grin").get_by_text("Broad smile").wait_for()
+    found = studio.get(f"/v1/subjects/{subject_id}/captures/{capture}")
+    assert (found["name"], found["title"], found["role"]) == ("grin", "Broad smile", "expression")
+    assert studio.get(f"/v1/subjects/{subject_id}")["labels"] == {"session": "17", "actor": "Ida"}
 
 
 def test_an_upload_goes_on_after_a_lost_connection_and_a_reload(

@@ -85,16 +85,17 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
 
     rows = myoface("captures", "list", subject).output.splitlines()[1:]
     assert [row.split()[1:] for row in rows] == [
-        ["smile", "expression", "raw,", "registered"],
-        ["neutral", "neutral", "raw,", "registered", "good"],
+        ["smile", "expression", "raw,", "registered", "smile"],
+        ["neutral", "neutral", "raw,", "registered", "good", "neutral"],
     ]
     job = myoface("jobs", "submit", "build_model", subject).output.split()[0]
     myoface("jobs", "download", job, "-o", tmp_path / "model")
     assert (tmp_path / "model" / "model.npz").exists()
     with Client(url) as client:
         checks = client.jobs(subject_id=subject, kind="check_scan")
-    assert checks[-1].result is not None
-    assert checks[-1].result.summary == {
+        check = client.job(checks[-1].id)
+    assert check.result is not None
+    assert check.result.summary == {
         "verdict": "good",
         "findings": [],
         "figures": {
@@ -230,7 +231,8 @@ def test_a_batch_has_units_landmarks_and_options(
     told = myoface("batches", "add", neutral, smile, *given, "--options", fit, "--then", "register")
     assert "a_smile  expression  good   succeeded" in told.output
     with Client(url) as client:
-        jobs = client.jobs(subject_id=told.output.split()[-1])
+        listed = client.jobs(subject_id=told.output.split()[-1])
+        jobs = [client.job(each.id) for each in listed]
     found = {job.kind: job.result.summary for job in jobs if job.result}
     assert found["check_scan"]["figures"]["options"]["unit"] == "cm"
     assert found["check_scan"]["figures"]["options"]["up"] == "-z"
@@ -321,3 +323,62 @@ def test_webhooks_at_the_command_line(myoface: Command) -> None:
     assert "delivery" in myoface("webhooks", "deliveries", made).output
     myoface("webhooks", "delete", made)
     assert address not in myoface("webhooks", "list").output
+
+
+def test_things_are_called_and_found_as_the_studio_likes(myoface: Command, tmp_path: Path) -> None:
+    subject = myoface("subjects", "add", "Ada M.", "--label", "session:Monday 17").output.strip()
+    neutral = scan(tmp_path, "Großes Lächeln")
+    myoface("captures", "add", "Ada M.", neutral, "--label", "take: 1")
+    (row,) = myoface("captures", "list", subject).output.splitlines()[1:]
+    assert " ".join(row.split()[1:]) == "Grosses_Lacheln expression raw Großes Lächeln take:1"
+    edit = ("captures", "edit", subject, "Grosses_Lacheln")
+    edited = myoface(*edit, "--name", "  Ruhe 1 ", "--title", "Ruhe", "--role", "neutral")
+    assert edited.output.split()[1:] == ["Ruhe_1", "neutral"]
+    myoface("captures", "edit", subject, "ruhe_1", "--label", "camera:left", "--unlabel", "take")
+    (row,) = myoface("captures", "list", subject, "--label", "camera:left").output.splitlines()[1:]
+    assert row.split()[1:] == ["Ruhe_1", "neutral", "raw", "Ruhe", "camera:left"]
+    assert len(myoface("captures", "list", subject, "--label", "take:1").output.splitlines()) == 1
+    myoface("subjects", "edit", subject, "--name", "Ada Neumann", "--label", "session:Tuesday")
+    listed = myoface("subjects", "list", "--label", "session:Tuesday").output.splitlines()[1:]
+    assert [row.split()[1:3] for row in listed] == [["Ada", "Neumann"]]
+    edit = ("captures", "edit", subject, "ruhe_1")
+    for wrong, words in (
+        ((*edit, "--name", "  "), "a letter of a to z"),
+        ((*edit, "--name", "nul.obj"), "a letter of a to z"),
+        (edit, "nothing is to be changed"),
+        ((*edit, "--label", "camera"), "KEY:VALUE is expected"),
+        ((*edit, "--label", ":left"), "KEY:VALUE is expected"),
+    ):
+        assert words in myoface(*wrong, code=2).output
+
+
+def test_a_scan_that_is_said_to_be_registered_is_counted_first(
+    myoface: Command, tmp_path: Path
+) -> None:
+    subject = myoface("subjects", "add", "Ida").output.strip()
+    obj, ply = tmp_path / "neutral.obj", tmp_path / "smile.ply"
+    obj.write_text("v 0 0 0\n" * 12 + "vn 0 0 1\n")
+    ply.write_text("ply\nformat ascii 1.0\nelement vertex 13\nproperty float x\nend_header\n")
+    for file, count in ((obj, 12), (ply, 13)):
+        told = myoface("captures", "add", subject, file, "--registered", code=1).output
+        assert f"{file.name} has {count} vertices" in told
+        assert "4866: send it as it is (without --registered)" in told
+        told = myoface("batches", "add", file, "--subject", subject, "--registered", code=1).output
+        assert "client.topology" in told
+    assert len(myoface("captures", "list", subject).output.splitlines()) == 1
+    whole = tmp_path / "whole.obj"
+    whole.write_text("v 0 0 0\n" * 4866)
+    myoface("captures", "add", subject, whole, "--registered")
+
+
+def test_lists_show_person_date_verdict_and_duration(myoface: Command, tmp_path: Path) -> None:
+    subject = myoface("subjects", "add", "Eva Maria").output.strip()
+    myoface("captures", "add", subject, scan(tmp_path, "neutral"), "--check")
+    head, row = myoface("jobs", "list", "--subject", subject).output.splitlines()
+    assert head.split() == ["job", "person", "kind", "state", "verdict", "date", "took", "stand"]
+    _, *words = row.split()
+    assert words[:5] == ["Eva", "Maria", "check_scan", "succeeded", "good"]
+    assert words[-1] == "s"
+    head, *rows = myoface("rigs", "list", "--subject", subject).output.splitlines()
+    assert " ".join(head.split()) == "rig name person verdict date took expressions labels"
+    assert rows == []

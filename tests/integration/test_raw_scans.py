@@ -197,13 +197,13 @@ def test_what_a_capture_may_be_made_of(studio: Studio) -> None:
     cloud, marks = studio.upload("cloud.xyz", b"0 0 0"), studio.upload("marks.doc", b"0 0 0")
     body = {"name": "smile", "role": "expression", "upload_id": cloud}
     cases = [
-        (body, "capture.format"),
-        ({**body, "registered": False, "landmarks_upload_id": marks}, "landmarks.format"),
+        ({**body, "registered": True}, "capture.format"),
+        ({**body, "landmarks_upload_id": marks}, "landmarks.format"),
     ]
     for each, code in cases:
         answer = studio.http.post(path, json=each)
         assert (answer.status_code, answer.json()["code"]) == (422, code)
-    assert studio.post(path, **body, registered=False)["registered"] is False
+    assert studio.post(path, **body)["registered"] is False
 
 
 def test_a_deleted_scan_takes_its_checks_and_registrations_along(studio: Studio) -> None:

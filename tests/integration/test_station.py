@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -43,6 +44,50 @@ def test_scans_are_judged_as_they_come(studio_and_url: tuple[Studio, str], tmp_p
     with station(ada.parent, url, studio.key, log) as lines:
         eventually(lambda: "Ada/smile: good, as before" in lines(), seconds=40)
     assert studio.get(captures)["items"] == before
+
+
+@pytest.mark.slow
+def test_the_station_in_c_sharp_does_the_same(
+    studio_and_url: tuple[Studio, str], tmp_path: Path
+) -> None:
+    mcs, mono = shutil.which("mcs"), shutil.which("mono")
+    if mcs is None or mono is None:
+        pytest.skip("there is no C# (apt-get install mono-mcs mono-runtime libmono-cil-dev)")
+    studio, url = studio_and_url
+    program = tmp_path / "station.exe"
+    names = ("System.Net.Http", "System.Runtime.Serialization", "System.Xml", "System.Xml.Linq")
+    references = [f"-r:{name}.dll" for name in names]
+    source = ROOT / "docs" / "examples" / "station.cs"
+    subprocess.run([mcs, "-langversion:5", f"-out:{program}", *references, source], check=True)
+    ada = tmp_path / "scans" / "Ada"
+    ada.mkdir(parents=True)
+    save(ada / "Ada Neutral.obj", "# neutral\n")
+    save(ada / "Großes Lächeln.obj", "#! verdict bad\n")
+    save(ada / "   .obj", "# x\n")
+
+    def look() -> str:
+        command = [mono, str(program), str(ada.parent), url, "--once"]
+        env = {**os.environ, "MYOFACE_API_KEY": studio.key}
+        done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
+        return done.stdout
+
+    told = look()
+    assert "Ada Neutral.obj: good" in told
+    assert "towards the lower camera" in told
+    assert "   .obj: refused: no name can be made of it" in told
+    (subject,) = studio.get("/v1/subjects")["items"]
+    path = f"/v1/subjects/{subject['id']}/captures"
+    before = {each["name"]: each for each in studio.get(path)["items"]}
+    assert {name: each["role"] for name, each in before.items()} == {
+        "Ada_Neutral": "neutral",
+        "Gro_es_Lacheln": "expression",
+    }
+    save(ada / "Großes Lächeln.obj", "# scanned again\n")
+    assert "Lächeln.obj: good" in look()
+    after = {each["name"]: each["id"] for each in studio.get(path)["items"]}
+    assert set(after) == set(before)
+    assert after["Ada_Neutral"] == before["Ada_Neutral"]["id"]  # the same bytes: not sent again
+    assert after["Gro_es_Lacheln"] != before["Gro_es_Lacheln"]["id"]
 
 
 @contextmanager

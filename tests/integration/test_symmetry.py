@@ -63,9 +63,14 @@ def _one_of_everything(studio: Studio) -> dict[str, str]:
 BODIES: dict[tuple[str, str], dict[str, Any]] = {
     ("post", "/v1/subjects/{subject_id}/captures"): {"json": {"name": "x", "role": "expression"}},
     ("put", "/v1/subjects/{subject_id}/captures/{capture_id}/landmarks"): {"json": {}},
-    ("patch", "/v1/webhooks/{webhook_id}"): {
-        "headers": {"Content-Type": "application/json"},
-        "content": b"{}",
+    **{
+        ("patch", path): {"headers": {"Content-Type": "application/json"}, "content": b"{}"}
+        for path in (
+            "/v1/subjects/{subject_id}",
+            "/v1/subjects/{subject_id}/captures/{capture_id}",
+            "/v1/rigs/{rig_id}",
+            "/v1/webhooks/{webhook_id}",
+        )
     },
     ("patch", "/v1/uploads/{upload_id}"): {
         "headers": {"Upload-Offset": "0", "Content-Type": OFFSET_STREAM},

@@ -18,7 +18,11 @@ from tests.service_client import FINAL, Studio, eventually, running
 
 INSTALLATIONS = sorted((Path(__file__).parents[1] / "fixtures").glob("installation-*.tar.xz"))
 # Members that the work after the upgrade changes, by list
-MOVING = {"captures": {"check", "registration"}, "keys": {"last_used_at"}}
+MOVING = {
+    "captures": {"check", "registration"},
+    "keys": {"last_used_at"},
+    "rigs": {"artifacts"},  # a rig's own path shows the preview, too, that a test here has made
+}
 LONG = 1e10  # seconds; that of the maker
 
 
@@ -30,12 +34,15 @@ class Upgraded(NamedTuple):
     expected: dict[str, Any]
 
     def now(self, name: str) -> dict[str, dict[str, Any]]:
-        """Return the objects of a list by their ids."""
+        """Return the objects of a list by their ids; lists show jobs and rigs in short."""
         path = {
             "captures": f"/v1/subjects/{self.expected['ids']['subject']}/captures",
             "deliveries": f"/v1/webhooks/{self.expected['lists']['webhooks'][0]['id']}/deliveries",
         }.get(name, f"/v1/{name}")
-        return {each["id"]: each for each in self.studio.get(f"{path}?limit=1000")["items"]}
+        items = self.studio.get(f"{path}?limit=1000")["items"]
+        if name in ("jobs", "rigs"):
+            items = [self.studio.get(f"{path}/{each['id']}") for each in items]
+        return {each["id"]: each for each in items}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -130,7 +137,16 @@ def test_every_row_is_as_it_was(name: str, upgraded: Upgraded) -> None:
         same = before.keys() - MOVING.get(name, set())
         if name in ("jobs", "batches") and before["state"] not in FINAL:
             same &= {"id", "kind", "name", "subject_id", "priority", "created_at"}
-        assert {key: after[key] for key in same} == {key: before[key] for key in same}
+        assert {key: _known(after[key], before[key]) for key in same} == {
+            key: before[key] for key in same
+        }
+
+
+def _known(after: Any, before: Any) -> Any:
+    """Return what there is now without the members that the release before did not know."""
+    if isinstance(after, dict) and isinstance(before, dict):
+        return {key: after[key] for key in before}
+    return after
 
 
 def test_every_file_is_there(upgraded: Upgraded) -> None:

@@ -1,6 +1,6 @@
 """The tables."""
 
-from service.store.models.base import Base, Owned, UtcDateTime, new_id, now
+from service.store.models.base import Base, Labelled, Owned, UtcDateTime, new_id, now
 from service.store.models.jobs import (
     PREVIEW,
     PREVIEW_FILE,
@@ -53,6 +53,7 @@ __all__ = [
     "FileFault",
     "FrameChunk",
     "Job",
+    "Labelled",
     "Lease",
     "LogLine",
     "Owned",

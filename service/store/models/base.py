@@ -65,6 +65,12 @@ class Stored:
     sha256: Mapped[str] = mapped_column(String(64), index=True)
 
 
+class Labelled:
+    """A row with labels of its owner's, ``{key: value}``, by which lists can be filtered."""
+
+    labels: Mapped[dict[str, Any]] = mapped_column(default=dict)
+
+
 class Owned:
     """A row of one tenant's: other tenants' sessions do not see it (`service.store.tenancy`)."""
 

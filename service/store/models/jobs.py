@@ -30,7 +30,7 @@ from sqlalchemy.orm import (
 
 from service import tracing
 from service.queue.states import State
-from service.store.models.base import Base, Owned, new_id, now
+from service.store.models.base import Base, Labelled, Owned, new_id, now
 
 PREVIEW = "build_preview"
 PREVIEW_FILE = "preview.bin"
@@ -134,8 +134,8 @@ class LogLine(Base):
     text: Mapped[str] = mapped_column(Text)
 
 
-class Rig(Owned, Base):
-    """A fitted face: the result of a ``fit_*`` job."""
+class Rig(Labelled, Owned, Base):
+    """A fitted face: the result of a ``fit_*`` job; ``name`` is empty until it is given one."""
 
     __tablename__ = "rigs"
     id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
@@ -145,6 +145,7 @@ class Rig(Owned, Base):
     job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), unique=True)
     model_job_id: Mapped[str] = mapped_column(String(36))
     parent_id: Mapped[str | None] = mapped_column(ForeignKey("rigs.id", ondelete="SET NULL"))
+    name: Mapped[str] = mapped_column(String(200), default="")
     expressions: Mapped[list[Any]]
     summary: Mapped[dict[str, Any]]
     created_at: Mapped[datetime] = mapped_column(default=now)

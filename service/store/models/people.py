@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import BigInteger, ForeignKey, String, UniqueConstraint
 from sqlalchemy.orm import Mapped, mapped_column
 
-from service.store.models.base import Base, Owned, Stored, new_id, now
+from service.store.models.base import Base, Labelled, Owned, Stored, new_id, now
 
 # The tenant that every installation has: a studio of its own needs no other
 DEFAULT_TENANT = "default"
@@ -66,15 +66,16 @@ class Upload(Owned, Base):
 
 
 class Template(Stored, Owned, Base):
-    """A template anatomy."""
+    """A template anatomy; ``vertices`` of its skin are null where they could not be counted."""
 
     __tablename__ = "templates"
     id: Mapped[str] = mapped_column(String(36), primary_key=True, default=new_id)
     name: Mapped[str] = mapped_column(String(200))
+    vertices: Mapped[int | None]
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class Subject(Owned, Base):
+class Subject(Labelled, Owned, Base):
     """A person."""
 
     __tablename__ = "subjects"
@@ -84,8 +85,11 @@ class Subject(Owned, Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class Capture(Stored, Owned, Base):
-    """A named scan of a subject: registered, or raw as the scanner made it."""
+class Capture(Labelled, Stored, Owned, Base):
+    """A named scan of a subject: registered, or raw as the scanner made it.
+
+    ``title`` is what people call it; null is what its file is called.
+    """
 
     __tablename__ = "captures"
     __table_args__ = (UniqueConstraint("subject_id", "name"),)
@@ -94,6 +98,7 @@ class Capture(Stored, Owned, Base):
         ForeignKey("subjects.id", ondelete="CASCADE"), index=True
     )
     name: Mapped[str] = mapped_column(String(64))
+    title: Mapped[str | None] = mapped_column(String(200))
     role: Mapped[str] = mapped_column(String(16))
     registered: Mapped[bool] = mapped_column(default=True)
     landmarks_filename: Mapped[str | None] = mapped_column(String(255))

@@ -99,6 +99,11 @@ export async function put(path, json, signal = undefined) {
   return (await request(path, { method: "PUT", json, signal })).json();
 }
 
+/** Change something by PATCH and return it as it is now. */
+export async function patch(path, json, signal = undefined) {
+  return (await request(path, { method: "PATCH", json, signal })).json();
+}
+
 /** Delete something. */
 export async function remove(path, signal = undefined) {
   await request(path, { method: "DELETE", signal });

@@ -11,6 +11,7 @@
 // A route's `style` is a style sheet of its own, there before its view mounts.
 
 const RIG_STYLE = "/static/css/rig.css";
+const API_STYLE = "/static/vendor/swagger-ui/swagger-ui.css";
 
 const ROUTES = [
   { path: "/", title: "Queue", load: () => import("./views/queue.js") },
@@ -27,6 +28,7 @@ const ROUTES = [
   { path: "/webhooks", title: "Webhooks", load: () => import("./views/webhooks.js") },
   { path: "/webhooks/:id", title: "Webhook", load: () => import("./views/webhook.js") },
   { path: "/audit", title: "Audit log", load: () => import("./views/audit.js") },
+  { path: "/api", title: "API", style: API_STYLE, load: () => import("./views/api.js") },
   { path: "/sign-in", title: "Sign in", load: () => import("./views/sign_in.js") },
 ];
 

@@ -7,6 +7,8 @@ const LANDMARKS = /[ _.-]*(landmarks?|lm)$/i;
 const PERFORMANCE = ".npy";
 const DEVICES = /^(con|prn|aux|nul|com[0-9]|lpt[0-9])(\.|$)/i; // Windows keeps these names
 const LONGEST_NAME = 64;
+const LONGEST_HEADER = 1 << 14;
+const [NEW_LINE, V, BLANK, TAB] = [..."\nv \t"].map((letter) => letter.charCodeAt(0));
 const LEGAL = /^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/;
 
 /** What the API takes as a name. */
@@ -106,4 +108,27 @@ function suffix({ name }) {
 
 function stem(file) {
   return file.name.slice(0, file.name.length - suffix(file).length);
+}
+
+/** Return how many vertices an OBJ or PLY has; null: it is neither, or shows none. */
+export async function countVertices(file) {
+  if (suffix(file) === ".ply") {
+    const header = await file.slice(0, LONGEST_HEADER).text();
+    return Number(/^element vertex (\d+)\s*$/m.exec(header)?.[1] ?? 0) || null;
+  }
+  return suffix(file) === ".obj" ? (await countInObj(file)) || null : null;
+}
+
+/** Count the lines that begin with "v ": its bytes come in parts that may end anywhere. */
+async function countInObj(file) {
+  let [count, before, last] = [0, NEW_LINE, 0]; // the byte before the last one, and the last one
+  const reader = file.stream().getReader();
+  for (let part = await reader.read(); !part.done; part = await reader.read()) {
+    for (const byte of part.value) {
+      if (last === V && before === NEW_LINE && (byte === BLANK || byte === TAB)) count++;
+      before = last || NEW_LINE;
+      last = byte;
+    }
+  }
+  return count;
 }

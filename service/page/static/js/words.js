@@ -69,3 +69,8 @@ export function plain(key) {
   const text = key.replaceAll("_", " ");
   return text.charAt(0).toUpperCase() + text.slice(1);
 }
+
+/** Labels as they stand behind a name: ", actor: 17, session: Monday". */
+export function labelWords(labels) {
+  return Object.entries(labels).map(([key, value]) => `, ${key}: ${value}`).join("");
+}

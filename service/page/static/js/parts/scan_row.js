@@ -1,6 +1,6 @@
 // One file on its way: uploading, becoming a scan, being checked, its verdict.
 
-import { ApiProblem, remove } from "../api.js";
+import { ApiProblem, get } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import * as interrupted from "../interrupted.js";
 import { inLine } from "../jobs.js";
@@ -35,6 +35,7 @@ export class ScanRow {
     this.landmarks = landmarks;
     this.dropped = dropped;
     this.stage = "ready";
+    this.replaces = null; // the earlier scan that goes when this one is there
     this.name = h("input", {
       type: "text",
       value: name,
@@ -135,6 +136,7 @@ export class ScanRow {
       upload_id: this.uploadId,
       registered: this.order.registered || role in UNCHECKED,
       landmarks_upload_id: this.landmarksId ?? null,
+      replaces: this.replaces,
     };
   }
 
@@ -171,8 +173,8 @@ export class ScanRow {
     }
   }
 
-  /** Take what the service says about the scan's check. */
-  hear(job) {
+  /** Take what the service says about the scan's check; one that is over is asked for whole. */
+  async hear(job) {
     if (job.state === "queued") {
       this.badge.set("queued", "Check queued");
       show(this.how, h("p", { class: "fine" }, inLine(job)));
@@ -181,7 +183,7 @@ export class ScanRow {
       if (!this.bar?.isConnected) show(this.how, (this.bar = meter(job)));
       this.bar.set(job);
     } else if (job.state === "succeeded") {
-      this.judge(job);
+      this.judge(await get(`/v1/jobs/${job.id}`, {}, this.ending.signal));
     } else {
       const why = job.error?.message ?? "The check was canceled.";
       this.finish(job.state, `Check ${job.state}`, h("p", {}, why));
@@ -227,6 +229,7 @@ export class ScanRow {
     this.badge.set("failed", "Refused");
     show(this.how, h("p", {}, sentence(error)));
     announce(`${this.file.name}: ${sentence(error)}`);
+    if (error.code === "capture.unknown") this.replaces = null; // somebody else has deleted it
     const inTheWay = error.document?.capture_id;
     const replaces = ["capture.name_taken", "capture.neutral_exists"].includes(error.code) && inTheWay;
     this.offer(
@@ -236,23 +239,22 @@ export class ScanRow {
     );
   }
 
+  /** Have the service delete the earlier scan in the step that adds this one. */
   async replace(captureId) {
-    const { subjectId } = this.order;
-    const deleted = await ask({
+    const agreed = await ask({
       title: "Replace the earlier scan?",
       body: h(
         "p",
         {},
-        "The earlier scan is deleted with its checks and registrations. Models and rigs made from it stay.",
+        "When this one is there, the earlier scan goes with its checks and registrations. Models and rigs made from it stay.",
       ),
-      agree: "Delete it and go on",
+      agree: "Replace it",
       danger: true,
-      act: async () => {
-        await remove(`/v1/subjects/${subjectId}/captures/${captureId}`);
-        return true;
-      },
+      act: async () => true,
     });
-    if (deleted) this.again(this);
+    if (!agreed) return;
+    this.replaces = captureId;
+    this.again(this);
   }
 
   /** Leave the file out; what has arrived of it is given up. */

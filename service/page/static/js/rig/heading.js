@@ -5,7 +5,7 @@ import { rigFindings, verdictOf } from "../parts/certificate.js";
 import { openPage, rigDownloads } from "../parts/files.js";
 import { findingList } from "../parts/findings.js";
 import { doing } from "../parts/toast.js";
-import { count, figure, short, when } from "../words.js";
+import { count, figure, labelWords, short, span, when } from "../words.js";
 
 const CERTIFICATE = "report.html";
 
@@ -19,11 +19,13 @@ export function heading(rig, subject, buttons = []) {
     ["muscles", muscles],
     ["inverted tets", inverted],
     ["made", when(rig.created_at)],
+    ["took", rig.seconds === null ? null : span(rig.seconds)],
+    ["labels", labelWords(rig.labels).slice(2) || null],
     ["id", h("span", { title: rig.id }, short(rig.id))],
   ].filter(([, value]) => value !== null && value !== undefined);
   return h("header", { class: "stack" },
     h("div", { class: "head" },
-      h("h1", { class: "grow" }, "Rig of ", h("a", { href: `/subjects/${subject.id}` }, subject.name)),
+      h("h1", { class: "grow" }, rig.name ? `${rig.name}, rig of ` : "Rig of ", h("a", { href: `/subjects/${subject.id}` }, subject.name)),
       buttons,
       certificate(rig),
       rigDownloads(rig),

@@ -20,8 +20,10 @@ export async function viewOf(id, signal) {
 
 /** Return the files called `name` of the jobs of a kind that have a rig as parent, newest first. */
 export async function artifactsOfJobs(rig, kind, name, signal) {
-  const jobs = await api.all("/v1/jobs", { subject_id: rig.subject_id, kind, state: "succeeded" }, signal);
-  return jobs.filter((job) => job.rig_id === rig.id).flatMap((job) => {
+  const listed = await api.all("/v1/jobs", { subject_id: rig.subject_id, kind, state: "succeeded" }, signal);
+  const own = listed.filter((job) => job.rig_id === rig.id);
+  const jobs = await Promise.all(own.map(({ id }) => api.get(`/v1/jobs/${id}`, {}, signal)));
+  return jobs.flatMap((job) => {
     const artifact = job.result?.artifacts.find((each) => each.name === name);
     return artifact ? [{ job, artifact }] : [];
   });

@@ -56,7 +56,7 @@ async function pickers(ids, signal) {
         navigate(`/compare?${["a", "b"].flatMap((name, k) => (next[k] ? [`${name}=${next[k]}`] : [])).join("&")}`);
       },
     }, h("option", { value: "" }, "Choose a rig"), rigs.map((rig) => h("option", { value: rig.id, selected: rig.id === chosen },
-      `${people.get(rig.subject_id) ?? "a subject"}, ${when(rig.created_at)}, ${short(rig.id)}`)));
+      `${people.get(rig.subject_id) ?? "a subject"}, ${rig.name || when(rig.created_at)}, ${short(rig.id)}`)));
     return h("div", { class: "row" }, h("label", { for: select.id }, "AB"[i]), select);
   });
 }

@@ -222,7 +222,7 @@ function select(label, name, options, filters, changed) {
 /** The cells that both tables have: state, what, of whom. */
 function cells(job, kinds) {
   const badge = state(job.state);
-  const subject = h("a", { href: `/subjects/${job.subject_id}` }, "…");
+  const subject = h("a", { href: `/subjects/${job.subject_id}` }, job.subject_name);
   const scans = h("span", { class: "fine" });
   subjectName(job.subject_id).then(
     (name) => setText(subject, name),
@@ -311,8 +311,8 @@ function outcomeOf(job) {
     return [h("span", { class: "clip" }, job.cancel?.reason || "No reason given")];
   if (job.result.rig_id) {
     const open = h("a", { href: `/rigs/${job.result.rig_id}` }, "Open the rig");
-    return [h("div", { class: "row" }, open, verdictOf(job.result.summary ?? {}))];
+    return [h("div", { class: "row" }, open, verdictOf(job.result))];
   }
-  if (job.result.summary?.verdict) return [state(job.result.summary.verdict)];
+  if (job.result.verdict) return [state(job.result.verdict)];
   return [];
 }

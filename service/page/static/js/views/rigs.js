@@ -4,7 +4,7 @@ import { h } from "../dom.js";
 import { changed, subjectName } from "../library.js";
 import { verdictOf } from "../parts/certificate.js";
 import { Paged } from "../parts/paged.js";
-import { figure, short, when } from "../words.js";
+import { figure, labelWords, short, span, when } from "../words.js";
 
 export async function mount(root) {
   const ending = new AbortController();
@@ -12,7 +12,7 @@ export async function mount(root) {
   const list = new Paged({
     path: "/v1/rigs",
     label: "Rigs",
-    columns: ["Rig", "Subject", "Verdict", "Expressions", "Mean error", "Made"],
+    columns: ["Rig", "Subject", "Verdict", "Expressions", "Mean error", "Took", "Made"],
     row,
     empty: ["No rigs yet. A subject's page builds its model and fits expressions: see ", h("a", { href: "/subjects" }, "the subjects"), "."],
     signal: ending.signal,
@@ -23,25 +23,25 @@ export async function mount(root) {
 }
 
 function row(rig) {
-  const subject = h("a", { href: `/subjects/${rig.subject_id}` }, "…");
+  const subject = h("a", { href: `/subjects/${rig.subject_id}` }, rig.subject_name);
   subjectName(rig.subject_id).then(
     (name) => subject.replaceChildren(name),
     () => {},
   );
-  const error = rig.summary.train_mean_mm ?? rig.summary.mean_mm ?? null;
   return h(
     "tr",
     {},
     h(
       "th",
       { scope: "row" },
-      h("a", { href: `/rigs/${rig.id}` }, "Open the rig"),
-      h("div", { class: "fine" }, short(rig.id)),
+      h("a", { href: `/rigs/${rig.id}` }, rig.name || "Open the rig"),
+      h("div", { class: "fine" }, short(rig.id), labelWords(rig.labels)),
     ),
     h("td", {}, subject),
-    h("td", { class: "tight" }, verdictOf(rig.summary) ?? "not judged"),
+    h("td", { class: "tight" }, verdictOf(rig) ?? "not judged"),
     h("td", {}, rig.expressions.join(", ")),
-    h("td", { class: "tight" }, error === null ? "" : `${figure(error)} mm`),
+    h("td", { class: "tight" }, rig.mean_mm === null ? "" : `${figure(rig.mean_mm)} mm`),
+    h("td", { class: "tight" }, rig.seconds === null ? "" : span(rig.seconds)),
     h("td", { class: "tight" }, when(rig.created_at)),
   );
 }

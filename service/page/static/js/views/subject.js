@@ -6,6 +6,7 @@ import { keyed } from "../keyed.js";
 import { changed, kindsByName } from "../library.js";
 import { askToDeleteSubject } from "../parts/delete_subject.js";
 import { ask } from "../parts/dialog.js";
+import { askToEditCapture, askToEditRig, askToEditSubject } from "../parts/edit.js";
 import { panel, table } from "../parts/frame.js";
 import { verdictOf } from "../parts/certificate.js";
 import { askForJob } from "../parts/new_job.js";
@@ -15,7 +16,7 @@ import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
 import { navigate, title as nameWindow } from "../navigate.js";
-import { bytes, count, figure, plain, short, when } from "../words.js";
+import { bytes, count, figure, labelWords, plain, short, when } from "../words.js";
 
 const EVERY_MS = 5_000;
 
@@ -50,7 +51,7 @@ class SubjectView {
     this.signal = signal;
     this.chosen = new Set();
     this.captureBody = h("tbody");
-    this.showCaptures = keyed(this.captureBody, (capture) => this.captureRow(capture));
+    this.showCaptures = keyed(this.captureBody, ({ capture }) => this.captureRow(capture));
     this.rigBody = h("tbody");
     this.showRigs = keyed(this.rigBody, (rig) => this.rigRow(rig));
     this.model = h("p", { class: "grow" });
@@ -69,12 +70,16 @@ class SubjectView {
       this.captureBody,
     );
     this.rigTable = table(["Rig", "Verdict", "Expressions", "Mean error", "Made", "(Actions)"], this.rigBody);
+    this.name = h("h1");
+    this.about = h("p", { class: "fine grow" });
+    this.showSubject();
     this.elements = [
       h(
         "div",
         { class: "head" },
-        h("h1", {}, subject.name),
-        h("p", { class: "fine grow" }, h("code", { title: subject.id }, short(subject.id)), `, added ${when(subject.created_at)}`),
+        this.name,
+        this.about,
+        button("Edit", () => this.editSubject()),
         h("a", { class: "button", href: `/?subject_id=${subject.id}` }, "Jobs"),
         h("a", { class: "button", href: `/upload?subject=${subject.id}` }, "Upload scans"),
         h("button", { type: "button", class: "danger", onclick: () => this.delete() }, "Delete subject"),
@@ -98,9 +103,11 @@ class SubjectView {
     captures.sort((a, b) => (b.role === "neutral") - (a.role === "neutral") || a.name.localeCompare(b.name));
     this.rigs = rigs;
     this.assets = captures.filter(({ role }) => role === "asset").map(({ id }) => id);
-    const ids = new Set(captures.map(({ id }) => id));
+    const ids = new Set(captures.filter(({ role }) => role === "expression").map(({ id }) => id));
     this.chosen = new Set([...this.chosen].filter((id) => ids.has(id)));
-    this.showCaptures(captures);
+    this.captures = new Map(captures.map((capture) => [capture.id, capture]));
+    // another name or role makes another row: its buttons have both in them
+    this.showCaptures(captures.map((capture) => ({ id: [capture.id, capture.name, capture.role].join(), capture })));
     this.showRigs(rigs);
     this.captureTable.hidden = !captures.length;
     this.noScans.hidden = captures.length > 0;
@@ -134,11 +141,13 @@ class SubjectView {
 
   captureRow(capture) {
     const { id, name, role, filename, size } = capture;
+    const about = h("div", { class: "fine" });
     const check = h("td");
     const registration = h("td");
     const box = h("input", {
       type: "checkbox",
       "aria-label": `Choose ${name} for a fit`,
+      checked: this.chosen.has(id),
       onchange: () => {
         if (box.checked) this.chosen.add(id);
         else this.chosen.delete(id);
@@ -154,6 +163,7 @@ class SubjectView {
       isScan && act("Check", () => this.order("check_scan", { captures: [id] })),
       isScan && !capture.registered && act("Register", () => this.order("register_scan", { captures: [id] })),
       role === "performance" && act("Fit", () => this.fitPerformance(id)),
+      act("Edit", () => this.edit(askToEditCapture(this.captures.get(id)))),
       act("Delete", () => this.deleteCapture(capture), "plain danger"),
     );
     let shown = null;
@@ -162,7 +172,7 @@ class SubjectView {
         "tr",
         {},
         h("td", { class: "tight" }, role === "expression" ? box : null),
-        h("th", { scope: "row" }, name, h("div", { class: "fine" }, `${filename}, ${bytes(size)}`)),
+        h("th", { scope: "row" }, name, about),
         h("td", {}, plain(role)),
         h("td", {}, isScan && (capture.registered ? "Registered" : "Raw")),
         check,
@@ -170,7 +180,9 @@ class SubjectView {
         h("td", { class: "tight" }, when(capture.created_at)),
         h("td", { class: "tight" }, actions),
       ),
-      update: (next) => {
+      update: ({ capture: next }) => {
+        const title = filename.startsWith(`${next.title}.`) ? filename : `${next.title}, ${filename}`;
+        setText(about, `${title}, ${bytes(size)}${labelWords(next.labels)}`);
         const job = this.checks.get(id);
         const key = JSON.stringify([next.check, next.registration, job?.state]);
         if (shown === key) return;
@@ -182,20 +194,17 @@ class SubjectView {
   }
 
   rigRow(rig) {
-    const error = rig.summary.train_mean_mm ?? rig.summary.mean_mm;
+    const { mean_mm: error } = rig;
+    const name = h("a", { href: `/rigs/${rig.id}` });
+    const about = h("div", { class: "fine" });
     return {
       element: h(
         "tr",
         {},
-        h(
-          "th",
-          { scope: "row" },
-          h("a", { href: `/rigs/${rig.id}` }, "Open the rig"),
-          h("div", { class: "fine" }, short(rig.id)),
-        ),
-        h("td", { class: "tight" }, verdictOf(rig.summary) ?? "not judged"),
+        h("th", { scope: "row" }, name, about),
+        h("td", { class: "tight" }, verdictOf(rig) ?? "not judged"),
         h("td", {}, rig.expressions.join(", ")),
-        h("td", { class: "tight" }, error === undefined ? "" : `${figure(error)} mm`),
+        h("td", { class: "tight" }, error === null ? "" : `${figure(error)} mm`),
         h("td", { class: "tight" }, when(rig.created_at)),
         h(
           "td",
@@ -204,6 +213,7 @@ class SubjectView {
             "div",
             { class: "row end" },
             h("a", { class: "button", href: `/jobs/${rig.job_id}` }, "Files"),
+            button("Edit", () => this.edit(askToEditRig(this.rigs.find(({ id }) => id === rig.id)))),
             button(
               "Fit more to it",
               () => this.order("fit_activations", { rig_id: rig.id, captures: [...this.chosen] }),
@@ -218,8 +228,33 @@ class SubjectView {
           ),
         ),
       ),
-      update() {},
+      update: (next) => {
+        setText(name, next.name || "Open the rig");
+        setText(about, short(next.id) + labelWords(next.labels));
+      },
     };
+  }
+
+  /** Show what was changed, once it is. */
+  async edit(change) {
+    if (!(await change)) return;
+    changed(this.subject.id);
+    await this.refresh();
+  }
+
+  async editSubject() {
+    const next = await askToEditSubject(this.subject);
+    if (!next) return;
+    this.subject = next;
+    changed(next.id);
+    nameWindow(next.name);
+    this.showSubject();
+  }
+
+  showSubject() {
+    const { id, name, labels, created_at: added } = this.subject;
+    setText(this.name, name);
+    show(this.about, h("code", { title: id }, short(id)), `, added ${when(added)}${labelWords(labels)}`);
   }
 
   /** Ask for a job about this subject and go to it; a check leaves the operator here. */

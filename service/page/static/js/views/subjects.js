@@ -4,7 +4,7 @@ import { all, get } from "../api.js";
 import { h, setText, show } from "../dom.js";
 import { verdictOf } from "../parts/certificate.js";
 import { Paged } from "../parts/paged.js";
-import { count, short, when } from "../words.js";
+import { count, labelWords, short, when } from "../words.js";
 
 const PAGE = 25; // each row asks for its scans and rigs
 
@@ -35,7 +35,7 @@ export async function mount(root) {
   return () => ending.abort();
 }
 
-function row({ id, name, created_at: added }, cells) {
+function row({ id, name, labels, created_at: added }, cells) {
   const scans = h("td", {}, "…");
   const rigs = h("td", {}, "…");
   cells.set(id, { scans, rigs });
@@ -46,7 +46,7 @@ function row({ id, name, created_at: added }, cells) {
       "th",
       { scope: "row" },
       h("a", { href: `/subjects/${id}` }, name),
-      h("div", { class: "fine" }, short(id)),
+      h("div", { class: "fine" }, short(id), labelWords(labels)),
     ),
     scans,
     rigs,
@@ -69,7 +69,7 @@ async function describe(subjects, cells, signal) {
 function newest(rigs) {
   const [rig] = rigs;
   const words = rigs.length === 1 ? "Open" : `${rigs.length}, open the newest`;
-  return h("div", { class: "row" }, h("a", { href: `/rigs/${rig.id}` }, words), verdictOf(rig.summary));
+  return h("div", { class: "row" }, h("a", { href: `/rigs/${rig.id}` }, words), verdictOf(rig));
 }
 
 /** Say how many scans there are and what their checks said. */

@@ -2,7 +2,7 @@
 //
 // Uploads go on while other views are shown, so what is shown here lives as long as the page.
 
-import { get, pause, post } from "../api.js";
+import { ApiProblem, get, pause, post } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import * as interrupted from "../interrupted.js";
 import { changed, kindsByName, names, serviceLimits, subjectsById } from "../library.js";
@@ -13,7 +13,7 @@ import { ScanRow } from "../parts/scan_row.js";
 import { Session } from "../parts/session.js";
 import { toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
-import { dropped, sorted } from "../scan_files.js";
+import { countVertices, dropped, sorted } from "../scan_files.js";
 import { CAN_CHECK } from "../tus.js";
 import { count } from "../words.js";
 
@@ -269,6 +269,7 @@ class Tray {
     }
     this.start.disabled = true;
     try {
+      if (this.form.value === "registered") await this.requireVertices(rows);
       const subjectId = this.subject.value || (await this.newSubject());
       const order = {
         registered: this.form.value === "registered",
@@ -287,6 +288,18 @@ class Tray {
       toast(sentence(error), "bad");
     }
     this.showRows();
+  }
+
+  /** Refuse scans that are said to be registered and have not the template's count of vertices. */
+  async requireVertices(rows) {
+    const template = (await subjectsById()).get(this.subject.value)?.template_id;
+    const { vertices } = template ? await get(`/v1/templates/${template}`) : { vertices: this.limits.builtin_vertices };
+    for (const { file } of vertices ? rows : []) {
+      const found = await countVertices(file);
+      if (found === null || found === vertices) continue;
+      const detail = `${file.name} has ${found} vertices, and a registered scan has the template's ${vertices}. Send it as the scanner made it`;
+      throw new ApiProblem({ status: 0, code: "page.topology", detail });
+    }
   }
 
   async newSubject() {
@@ -336,7 +349,7 @@ class Tray {
   async hear(subjectId, rows) {
     const { items } = await get("/v1/jobs", { subject_id: subjectId, kind: "check_scan", limit: 200 });
     const jobs = new Map(items.map((job) => [job.id, job]));
-    for (const row of rows) if (jobs.has(row.jobId)) row.hear(jobs.get(row.jobId));
+    for (const row of rows) if (jobs.has(row.jobId)) await row.hear(jobs.get(row.jobId));
   }
 }
 
