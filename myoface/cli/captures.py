@@ -6,7 +6,17 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-from myoface.cli.app import BAD_SCAN, Forward, LandmarksFile, SubjectId, Unit, Up, Url
+from myoface.cli.app import (
+    BAD_SCAN,
+    EyeDistance,
+    Forward,
+    LandmarksFile,
+    SubjectId,
+    Unit,
+    Up,
+    Url,
+    scan_frame,
+)
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import (
     JobView,
@@ -69,6 +79,7 @@ def add(
     landmarks: LandmarksFile = None,
     check: Annotated[bool, Option("--check", help="and tell whether it can be used")] = False,
     unit: Unit = "auto",
+    eye_distance: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
@@ -87,7 +98,7 @@ def add(
     scans = name_scans(files, names=[name] * len(files), roles=[role] * len(files))
     if check and any(each.role in NO_SCANS for each in scans):
         raise UsageError("--check is for scans, not for performances and assets")
-    options = {"unit": unit, "up": up, "forward": forward}
+    options = scan_frame(unit, eye_distance, up, forward)
     with Client(url) as client:
         whose = find_subject(client, subject)
         added = [
@@ -111,12 +122,13 @@ def check(
     names: Names = None,
     output: Results = None,
     unit: Unit = "auto",
+    eye_distance: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
 ) -> None:
     """Tell whether scans can be used, and what to do if not; ends with 3 if one is bad."""
-    options = {"unit": unit, "up": up, "forward": forward}
+    options = scan_frame(unit, eye_distance, up, forward)
     with Client(url) as client:
         whose = find_subject(client, subject)
         scans = (each for each in client.captures(whose) if each.role not in NO_SCANS)
@@ -129,6 +141,7 @@ def register(
     names: Names = None,
     output: Results = None,
     unit: Unit = "auto",
+    eye_distance: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
@@ -138,7 +151,7 @@ def register(
     These are the scans that are not registered yet, or from an earlier neutral. An expression that
     fails does not keep the others back; the command then ends with 1.
     """
-    options = {"unit": unit, "up": up, "forward": forward}
+    options = scan_frame(unit, eye_distance, up, forward)
     failed = False
     with Client(url) as client:
         whose = find_subject(client, subject)
