@@ -234,9 +234,9 @@ def _judge_likeness(
     return fitted, again.cost < look.likeness_cost
 
 
-# How near the patch around an eye is slid into place, round by round, and its radius, in mm.
+# How far the points of a patch around an eye pair while it is slid into place, round by round.
 EYE_REACHES_MM = (6.0,) * 6 + (4.0,) * 8 + (3.0,) * 8 + (2.0,) * 8
-EYE_MM = 20.0
+EYE_MM = 20.0  # radius of the patch
 PUPILS = 1.015  # distance of the pupils by that of the middles between the eyes' corners
 
 
