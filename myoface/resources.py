@@ -333,6 +333,7 @@ class Rig(RigItem):
     artifacts: Artifacts = field(default_factory=list)
 
 
+@dataclass(frozen=True, kw_only=True)
 class WholeRig(Rig):
     """A rig with its model's files and template among its ``artifacts``, and whose it is."""
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import scipy.sparse as sp
 
@@ -15,6 +16,13 @@ from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.surface import Floats, Ints, Surface
 
 FORMAT = 1  # of the file
+# Where a person's size comes from: the scan; the template, as the scan was in no known unit; the
+# face, by which the scan's unit was guessed.
+SizeFrom = Literal["scan", "template", "guess"]
+SIZE_WORDS: dict[SizeFrom, str] = {
+    "template": "size unknown: taken from the template, millimetres are estimates",
+    "guess": "size guessed: no unit was given, and the face alone does not tell it for sure",
+}
 # fields of a model that are arrays, stored as they are
 ARRAYS = (
     *("rest", "tets", "cranium", "mandible", "cut", "sliding"),
@@ -72,6 +80,7 @@ class SubjectModel:
     template: dict[str, str]  # its name, version and sha256
     mesh_source: str = "mesher"
     fibres: Floats | None = None  # (nnz, 3) unit directions, one for each entry of ``weights``
+    size_from: SizeFrom = "scan"
 
     @property
     def muscle_count(self) -> int:
@@ -133,6 +142,8 @@ class SubjectModel:
             "template": self.template,
             "mesh_source": self.mesh_source,
         }
+        if self.size_from != "scan":  # other models keep their hash
+            header["size_from"] = self.size_from
         return Archive(header, arrays)
 
     @classmethod
@@ -160,4 +171,5 @@ class SubjectModel:
             template=header["template"],
             mesh_source=header.get("mesh_source", "mesher"),
             fibres=data.get("fibres"),
+            size_from=header.get("size_from", "scan"),
         )

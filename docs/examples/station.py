@@ -35,13 +35,16 @@ Version = tuple[int, int]
 class Station:
     """Watches a folder.
 
-    ``done`` are the files that are dealt with, as they were then, ``waits`` what was said to be
-    waited for.
+    ``options`` are those of its checks. ``done`` are the files that are dealt with, as they were
+    then, ``waits`` what was said to be waited for.
     """
 
-    def __init__(self, client: Client, folder: Path) -> None:
+    def __init__(
+        self, client: Client, folder: Path, options: dict[str, str | float] | None = None
+    ) -> None:
         self.client = client
         self.folder = folder
+        self.options = options or {}
         self.done: dict[Path, Version] = {}
         self.waits: set[str] = set()
 
@@ -92,11 +95,14 @@ class Station:
         if capture.check:
             tell(f"{title}: {capture.check.verdict}, as before")
             return
-        check = self.client.run("check_scan", subject, captures=[capture.id])
+        check = self.client.run("check_scan", subject, captures=[capture.id], options=self.options)
         found = (check.result and check.result.summary) or {}
         tell(f"{title}: {found['verdict']}")
         for finding in found["findings"]:
             tell(f"    {finding['message']}: {finding['advice']}")
+        for part in found.get("judged", []):
+            if not part["judged"]:
+                tell(f"    not judged: {part['about']}: {part['words']}")
 
     def wait(self, why: str) -> None:
         """Say once what is waited for."""
@@ -132,9 +138,14 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--url", default="http://127.0.0.1:8765")
     parser.add_argument("--once", action="store_true", help="look once, and end")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--unit", type=read_unit, help="of the scans: mm, cm, m, inch, or its mm")
+    size.add_argument("--eye-distance", type=float, help="or between the person's pupils, in mm")
     given = parser.parse_args()
+    options = {"unit": given.unit, "eye_distance_mm": given.eye_distance}
+    options = {name: value for name, value in options.items() if value is not None}
     with Client(given.url) as client:
-        station = Station(client, given.folder)
+        station = Station(client, given.folder, options)
         while True:
             try:
                 station.look()
@@ -143,6 +154,14 @@ def main() -> None:
             if given.once:
                 return
             time.sleep(PAUSE_S)
+
+
+def read_unit(word: str) -> str | float:
+    """Return a unit's name, or how many mm it has."""
+    try:
+        return float(word)
+    except ValueError:
+        return word
 
 
 def tell(line: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,8 +16,39 @@ Axis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
 
 SubjectId = Annotated[str, Argument(help="subject: its id, the start of it, or the name")]
 OfSubject = Annotated[str | None, Option("--subject", help="subject: id, start of it, or name")]
+UNITS = ("auto", "mm", "cm", "m", "inch")
+
+
+def read_unit(word: str) -> str | float:
+    """Return a unit's name, or a number of mm; the service says how large it may be."""
+    if word in UNITS:
+        return word
+    try:
+        if 0 < (number := float(word)) < inf:
+            return number
+    except ValueError:
+        pass
+    raise ValueError(f"{word!r} is not one of {', '.join(UNITS)}, nor a number of mm above 0")
+
+
 Unit = Annotated[
-    Literal["auto", "mm", "cm", "m", "inch"], Option(help="unit of a raw scan's coordinates")
+    str | float,
+    Option(
+        metavar="UNIT",
+        parser=read_unit,
+        help=f"unit of a raw scan's coordinates: {', '.join(UNITS)}, or how many mm it has",
+    ),
+]
+EyeDistance = Annotated[
+    float | None,
+    Option(
+        "--eye-distance",
+        "--eye-distance-mm",
+        metavar="MM",
+        help="instead of a unit: how far apart the person's pupils are, 35 to 90 mm",
+        min=35,
+        max=90,
+    ),
 ]
 Up = Annotated[Axis, Option(help="a raw scan's axis to the top of the head")]
 Forward = Annotated[Axis, Option(help="a raw scan's axis out of the face")]
@@ -42,6 +74,17 @@ RawScan = Annotated[
 ]
 NewFile = Annotated[Path, Option("--output", "-o", dir_okay=False, help="file to write")]
 NewFolder = Annotated[Path, Option("--output", "-o", file_okay=False, help="folder to fill")]
+
+
+def scan_frame(
+    unit: str | float, eye_distance: float | None, up: str, forward: str
+) -> dict[str, Any]:
+    """Return the options of a check and of a registration: how large a scan is and how it lies."""
+    if eye_distance is None:
+        return {"unit": unit, "up": up, "forward": forward}
+    if unit != "auto":
+        raise UsageError("give --unit or --eye-distance, not both")
+    return {"eye_distance_mm": eye_distance, "up": up, "forward": forward}
 
 
 def read_document(text: str, name: str) -> Any:

@@ -6,7 +6,17 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from myoface.cli.app import Forward, OfSubject, Unit, Up, Url, read_object, require_object
+from myoface.cli.app import (
+    EyeDistance,
+    Forward,
+    OfSubject,
+    Unit,
+    Up,
+    Url,
+    read_object,
+    require_object,
+    scan_frame,
+)
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import out, show_table, transfer_bar
 from myoface.cli.lookup import find_batch, find_subject
@@ -34,6 +44,7 @@ def add_batch(
         list[str] | None, Option(help="SCAN=FILE, landmarks on one of the scans; repeat")
     ] = None,
     unit: Unit = "auto",
+    eye_distance: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     options: Annotated[
@@ -54,7 +65,7 @@ def add_batch(
         raise UsageError("give either --subject or --person")
     steps = then or ["register", "model", "geometry"]
     kinds = ["check_scan", *(["register_scan"] if "register" in steps else [])]
-    frame = {"unit": unit, "up": up, "forward": forward}
+    frame = scan_frame(unit, eye_distance, up, forward)
     given = with_frame(read_object(options, "--options"), kinds, frame)
     marks = landmarks_of(landmarks or [], [*files, *([] if neutral is None else [neutral])])
     with Client(url) as client:
@@ -77,7 +88,7 @@ def add_batch(
 
 
 def with_frame(
-    given: dict[str, Any], kinds: Iterable[str], frame: Mapping[str, str]
+    given: dict[str, Any], kinds: Iterable[str], frame: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the options of a batch, with how its scans lie in space in those of ``kinds``."""
     found = {kind: require_object(own, f"--options: {kind}") for kind, own in given.items()}

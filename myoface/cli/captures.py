@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, cast
 
 from myoface.cli.app import (
     BAD_SCAN,
+    EyeDistance,
     Forward,
     Labels,
     LandmarksFile,
@@ -20,6 +21,7 @@ from myoface.cli.app import (
     read_label_changes,
     read_labels,
     require_change,
+    scan_frame,
 )
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import (
@@ -88,6 +90,7 @@ def add(
     landmarks: LandmarksFile = None,
     check: Annotated[bool, Option("--check", help="and tell whether it can be used")] = False,
     unit: Unit = "auto",
+    eye_distance: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
@@ -106,7 +109,7 @@ def add(
     scans = name_scans(files, names=[name] * len(files), roles=[role] * len(files))
     if check and any(each.role in NO_SCANS for each in scans):
         raise UsageError("--check is for scans, not for performances and assets")
-    options = {"unit": unit, "up": up, "forward": forward}
+    options = scan_frame(unit, eye_distance, up, forward)
     given = {
         "registered": registered,
         "landmarks": landmarks,
@@ -166,12 +169,13 @@ def check(
     names: Names = None,
     output: Results = None,
     unit: Unit = "auto",
+    eye_distance: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
 ) -> None:
     """Tell whether scans can be used, and what to do if not; ends with 3 if one is bad."""
-    options = {"unit": unit, "up": up, "forward": forward}
+    options = scan_frame(unit, eye_distance, up, forward)
     with Client(url) as client:
         whose = find_subject(client, subject)
         scans = (each for each in client.captures(whose) if each.role not in NO_SCANS)
@@ -184,6 +188,7 @@ def register(
     names: Names = None,
     output: Results = None,
     unit: Unit = "auto",
+    eye_distance: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     url: Url = DEFAULT_URL,
@@ -193,7 +198,7 @@ def register(
     These are the scans that are not registered yet, or from an earlier neutral. An expression that
     fails does not keep the others back; the command then ends with 1.
     """
-    options = {"unit": unit, "up": up, "forward": forward}
+    options = scan_frame(unit, eye_distance, up, forward)
     failed = False
     with Client(url) as client:
         whose = find_subject(client, subject)

@@ -321,7 +321,7 @@ def _check_path(path: Path, rules: Argument) -> None:
 
 
 def _check_bounds(value: float, rules: Option) -> None:
-    if rules.min is not None and value < rules.min:
+    if rules.min is not None and not value >= rules.min:  # what is no number is refused, too
         raise argparse.ArgumentTypeError(f"{value} is less than {rules.min}")
-    if rules.max is not None and value > rules.max:
+    if rules.max is not None and not value <= rules.max:
         raise argparse.ArgumentTypeError(f"{value} is more than {rules.max}")

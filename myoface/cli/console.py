@@ -178,7 +178,14 @@ def show_verdict(title: str, check: Mapping[str, Any]) -> None:
     """Show the verdict of a check of a scan, and each finding with its advice."""
     style, words = VERDICTS[check["verdict"]]
     out.print(f"{title}: ", Painted(words, style))
+    judged = check.get("judged", [])  # checks of before have none
+    for each in judged:
+        if each["about"] == "size" and each["judged"]:
+            out.print(f"  {each['words']}")
     _show_findings(check["findings"])
+    for each in judged:
+        if not each["judged"]:
+            out.print(f"  not judged: {each['about']}: {each['words']}")
 
 
 def show_registration(title: str, registration: Mapping[str, Any]) -> None:

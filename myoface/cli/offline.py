@@ -162,8 +162,9 @@ def _option(name: str, rules: Mapping[str, Any]) -> Any:
     """Return the type of an option on the command line, for the JSON Schema of its values."""
     flag, words = f"--{name.replace('_', '-')}", rules.get("description")
     types = [rules["type"]] if isinstance(rules.get("type"), str) else rules.get("type", [])
-    words_and_numbers = [each.get("type") for each in rules.get("anyOf", [])]
-    if {"string", "number"} <= set(words_and_numbers):
+    forms = [*rules.get("anyOf", []), *rules.get("oneOf", [])]
+    words_and_numbers = {"string" if "enum" in each else each.get("type") for each in forms}
+    if {"string", "number"} <= words_and_numbers:
         read = Option(flag, help=words, parser=_read_word, metavar=name.upper())
         return Annotated[str | float | None, read]
     if "enum" in rules:
@@ -179,7 +180,8 @@ def _option(name: str, rules: Mapping[str, Any]) -> Any:
         bounds = {}
     if kind is dict:
         bounds = {"parser": lambda word: read_object(word, flag), "metavar": "JSON"}
-    made = Option(flag, help=words, **bounds)
+    flags = dict.fromkeys((flag, flag.removesuffix("-mm")))
+    made = Option(*flags, help=words, **bounds)
     return Annotated[kind | None if may_be_none else kind, made]
 
 

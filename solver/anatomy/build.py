@@ -117,6 +117,7 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
     return {
         "template": model.anatomy,
         "mesh_source": model.mesh_source,
+        "size_from": model.size_from,
         "content_sha256": model.sha256,
         "vertices": len(model.rest),
         "tets": len(model.tets),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from solver.anatomy.build import build_subject_model, model_summary
@@ -27,11 +28,12 @@ def run(task: Task[BuildModel]) -> list[Path]:
     edge_mm, progress = task.options.edge_mm, task.progress
     progress(Step("read", 0.0, message=neutral.name))
     anatomy = builtin_template() if template is None else Template.load(template)
-    vertices = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices)).vertices
+    scan = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices))
     anatomy = find_or_make_mesh(anatomy, edge_mm, part_of(progress, 0.02, 0.7))
     model = build_subject_model(
-        anatomy, vertices, edge_mm=edge_mm, progress=part_of(progress, 0.7, 0.93)
+        anatomy, scan.vertices, edge_mm=edge_mm, progress=part_of(progress, 0.7, 0.93)
     )
+    model = replace(model, size_from=scan.size_from)
     names = ("model.npz", "model.json", "anatomy.png", "tets.png", "fibres.png")
     files = [task.out / name for name in names]
     model.save(files[0])

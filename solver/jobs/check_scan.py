@@ -43,6 +43,7 @@ def run(task: Task[FrameOptions]) -> list[Path]:
         "file": scan.name,
         "verdict": judged,
         "findings": [finding.to_dict() for finding in found.findings],
+        "judged": [each.to_dict() for each in found.judged],
         "figures": found.figures | {"seconds": round(time.perf_counter() - start, 2)},
     }
     write_json(files[0], report)

@@ -36,7 +36,7 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     skin = anatomy.skin
     rest = None
     if neutral is not None:
-        rest = read_registered(neutral, skin.faces, len(skin.vertices)).vertices
+        rest = read_registered(neutral, skin.faces, len(skin.vertices))
     marks = None
     if landmarks is not None:
         marks = match(landmarks.name, read_landmarks(landmarks), anatomy)
@@ -46,7 +46,7 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     registered = register(
         raw,
         known,
-        rest,
+        None if rest is None else rest.vertices,
         frame=task.options.model_dump(),
         landmarks=marks,
         landmarker=Path(model) if model else None,
@@ -54,7 +54,8 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     )
     progress(Step("pictures", 0.85))
     files = [task.out / name for name in ("registered.ply", "registration.json", "distance.png")]
-    write_registered(files[0], registered.skin, registered.trust.confidence)
+    size_from = registered.start.size_from if rest is None else rest.size_from
+    write_registered(files[0], registered.skin, registered.trust.confidence, size_from)
     write_json(files[1], report(registered, known))
     distance_picture(registered, known, files[2])
     progress(Step("done", 1.0))

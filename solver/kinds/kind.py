@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, Tag, ValidationError, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
 
-from solver.kinds.document import Document, Fault, find_faults, json_schema
+from solver.kinds.document import Document, Fault, by_type, find_faults, json_schema, tell_forms
 
 Queue = Literal["ingest", "short", "long"]  # while a person waits, minutes, hours
 Input = Literal[
@@ -162,13 +163,30 @@ class PlayOptions(JobOptions):
     linear_solver: LinearSolver = None
 
 
+Unit = Annotated[
+    Annotated[Literal["auto", "mm", "cm", "m", "inch"], Tag("<name>")]
+    | Annotated[float, Field(ge=1e-6, le=1e6), Tag("<number>")],
+    tell_forms(
+        by_type({str: "<name>", int: "<number>", float: "<number>"}),
+        "is not auto, mm, cm, m, inch or a number of mm",
+    ),
+]
+
+
 class FrameOptions(JobOptions):
     """Unit and axes of a raw scan."""
 
-    unit: Literal["auto", "mm", "cm", "m", "inch"] = Field(
+    unit: Unit = Field(
         default="auto",
-        description="unit of the file's coordinates; auto: what the format says, else what makes "
-        "it a head",
+        description="unit of the file's coordinates: mm, cm, m, inch or a number, the mm of a "
+        "unit; auto: what the format says, else what makes it a head",
+    )
+    eye_distance_mm: float | None = Field(
+        default=None,
+        ge=35,
+        le=90,
+        description="or how far apart the person's pupils are, which gives a scan in any unit its "
+        "size; grown-ups have 54 to 74 mm",
     )
     up: Axis = Field(
         default="auto",
@@ -177,3 +195,10 @@ class FrameOptions(JobOptions):
     forward: Axis = Field(
         default="auto", description="the file's axis that points out of the face; auto: found"
     )
+
+    @field_validator("eye_distance_mm")
+    @classmethod
+    def _one_size(cls, value: float | None, found: ValidationInfo) -> float | None:
+        if value is not None and found.data.get("unit", "auto") != "auto":
+            raise PydanticCustomError("two_sizes", "is given beside a unit: give one of the two")
+        return value

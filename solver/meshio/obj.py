@@ -33,6 +33,7 @@ from solver.surface import Floats, Ints, Surface
 
 VERTEX, FACE, NORMAL = (b"v ", b"v\t"), (b"f ", b"f\t"), (b"vn ", b"vn\t")
 GROUP = (b"g ", b"g\t", b"o ", b"o\t")
+OF_A_MESH = (*NORMAL, b"vt ", b"vt\t", b"mtllib ", b"mtllib\t")  # what comes with faces only
 NUMBERS_PER_VERTEX = (3, 4, 6, 7)  # position; with weight; with colour; with both
 MOST_UNUSED = 0.05  # share of the vertices in no face: beyond, the file was cut
 
@@ -66,6 +67,9 @@ def read_obj(file: str, content: bytes, *, strict: bool = False) -> Mesh:
         raise _find_fault(file, content, strict)
     if strict:
         return Mesh(vertices, faces)
+    if not len(faces) and (sign := next((ln for ln in lines if ln.startswith(OF_A_MESH)), None)):
+        word = sign.split()[0].decode("ascii")
+        raise truncated_error(file, f"it has '{word}' lines, as a mesh has, and no face")
     if not content.endswith(b"\n"):  # without a last line end it may have been cut
         unused = len(vertices) - len(np.unique(faces))
         if not len(faces):

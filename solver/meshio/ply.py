@@ -329,7 +329,9 @@ def _columns(vertex: Columns, names: tuple[str, ...]) -> Floats | None:
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
 
 
-def write_ply(path: Path, surface: Surface, values: Mapping[str, Floats] | None = None) -> None:
+def write_ply(
+    path: Path, surface: Surface, values: Mapping[str, Floats] | None = None, *, comment: str = ""
+) -> None:
     """Write triangles; ``values`` are properties of vertices, name -> (n,), in single precision."""
     columns = dict(zip("xyz", surface.vertices.T, strict=True)) | dict(values or {})
     kinds = {name: "double" if name in PLACE else "float" for name in columns}
@@ -338,8 +340,9 @@ def write_ply(path: Path, surface: Surface, values: Mapping[str, Floats] | None 
     for name, column in columns.items():
         vertices[name] = column
     properties = "".join(f"property {kind} {name}\n" for name, kind in kinds.items())
+    said = f"comment {comment}\n" if comment else ""
     header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{properties}"
+        f"ply\nformat binary_little_endian 1.0\n{said}element vertex {len(vertices)}\n{properties}"
         f"element face {len(surface.faces)}\n"
         "property list uchar int vertex_indices\nend_header\n"
     )

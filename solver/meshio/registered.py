@@ -18,6 +18,7 @@ from solver.meshio.mesh import Mesh, check_finite, check_suffix, read_content, u
 from solver.meshio.obj import read_obj
 from solver.meshio.ply import read_ply, write_ply
 from solver.meshio.stl import read_stl
+from solver.model import SIZE_WORDS, SizeFrom
 from solver.similarity import weighted_motion
 from solver.surface import Floats, Ints, Surface
 
@@ -29,6 +30,7 @@ READERS: dict[str, Callable[..., Mesh]] = {
 }
 REGISTERED_FORMATS = tuple(READERS)
 MAX_BYTES = 256 * 2**20  # a head of a million vertices as text takes less
+SIZE_COMMENT = "myoface size from"  # in a PLY, where the size is not the scan's own
 UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4}  # name -> mm
 
 
@@ -60,11 +62,15 @@ class RegisteredScan:
 
     vertices: Floats
     confidence: Floats
+    size_from: SizeFrom = "scan"
 
 
-def write_registered(path: Path, surface: Surface, confidence: Floats) -> None:
+def write_registered(
+    path: Path, surface: Surface, confidence: Floats, size_from: SizeFrom = "scan"
+) -> None:
     """Write a registered scan as PLY."""
-    write_ply(path, surface, {"confidence": confidence})
+    comment = "" if size_from == "scan" else f"{SIZE_COMMENT} {size_from}"
+    write_ply(path, surface, {"confidence": confidence}, comment=comment)
 
 
 def read_registered(
@@ -111,7 +117,14 @@ def read_registered(
     _check_vertex_order(file, vertices, faces, plausible)
     if neutral is not None:
         _check_alignment(file, vertices, neutral, plausible)
-    return RegisteredScan(vertices, confidence)
+    return RegisteredScan(vertices, confidence, _size_from(content))
+
+
+def _size_from(content: bytes) -> SizeFrom:
+    """Return where a PLY says that its size comes from, in the first lines; else from the scan."""
+    told = f"\ncomment {SIZE_COMMENT} "
+    head = content[:1000].decode("ascii", "replace")
+    return next((each for each in SIZE_WORDS if f"{told}{each}\n" in head), "scan")
 
 
 def _check_confidence(file: str, confidence: Floats) -> None:

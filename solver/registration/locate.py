@@ -1,4 +1,4 @@
-"""The face in a raw scan of any pose and unit: whether there is one, where, and in what unit.
+"""The face in a raw scan of any pose and unit: whether there is one, where, and how large.
 
 One search serves the check of a scan and its registration, so that they give one verdict.
 """
@@ -6,18 +6,22 @@ One search serves the check of a scan and its registration, so that they give on
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
-from solver.errors import Finding, InputError, Severity
+from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan
+from solver.model import SizeFrom
+from solver.registration.landmarks import landmark_vertices
 from solver.registration.scan_surface import Samples, orient_outward, sample
 from solver.registration.search import (
     QUICK_SEARCH,
+    REFINEMENT,
     Axes,
     FacePoints,
     FacePose,
@@ -26,12 +30,31 @@ from solver.registration.search import (
     judge_pose,
     refine_pose,
 )
-from solver.registration.shape_fit import LIKENESS, ShapeFit, fit_shapes, full_model, match_samples
+from solver.registration.shape_fit import (
+    LIKENESS,
+    ShapeFit,
+    ShapeModel,
+    fit_shapes,
+    full_model,
+    match_samples,
+)
+from solver.registration.units import (
+    AXES,
+    FaceSize,
+    ScanUnit,
+    candidate_scales,
+    check_frame,
+    choose_unit,
+    given_unit,
+    size_from,
+    unit_findings,
+)
 from solver.similarity import Similarity, fit_similarity
-from solver.surface import Floats, Surface, vertex_areas
+from solver.surface import Floats, Ints, Surface, vertex_areas
 
 SCAN_SAMPLES = 60_000  # points that stand for a scan
 EXTENTS = (1e-9, 1e9)  # least and greatest extent of a scan in its own unit, whatever that is
+AROUND_FACE_MM = np.full((2, 3), 25.0)  # below and above the face: what is looked at closely
 
 
 def face_surface(template: Template) -> Surface:
@@ -57,14 +80,33 @@ class Location:
     """The face in a scan: its pose, the unit of the file, and its place in mm."""
 
     pose: FacePose
+    likeness: ShapeFit | None  # of the template to the face; None where there is surely none
     is_face: bool
-    unit: str | None  # None if the scan's size fits none by name
-    mm_per_unit: float
-    size_known: bool  # false if it fits no decimal slip of a unit: it is then the template's
+    unit: ScanUnit
+    size: FaceSize
     motion: Similarity  # takes the scan in mm, without scale, to the template's face
-    size: float  # of the face by the template's
     up: str  # axis of the file nearest to the subject's up (y)
     forward: str  # axis of the file nearest to the subject's forward (z)
+
+    @property
+    def mm_per_unit(self) -> float:
+        """Return the mm of a unit of the file."""
+        return self.unit.mm_per_unit
+
+    @property
+    def is_measured(self) -> bool:
+        """Tell whether the size comes from the face in the scan and not from a unit."""
+        return self.unit.source in ("eyes", "template")
+
+    @property
+    def size_known(self) -> bool:
+        """Tell whether the size is the scan's own; it is else the template's."""
+        return self.unit.source != "template"
+
+    @property
+    def size_from(self) -> SizeFrom:
+        """Return where the size of all that is made of the scan comes from."""
+        return size_from(self.unit, self.size)
 
 
 @dataclass(frozen=True)
@@ -89,9 +131,9 @@ def locate_face(
     """Find the best place of the face in a scan, however bad, and with it unit and axes.
 
     ``scan`` is mended, in its own unit and axes, ``samples`` are of it (:func:`scan_samples`);
-    ``frame`` holds the options ``unit``, ``up`` and ``forward``, as :data:`FRAME`. Landmarks
-    (``marks``), points (k, 3) of the scan and of the template, replace the search: who sets them
-    has seen a face.
+    ``frame`` holds the options ``unit``, ``eye_distance_mm``, ``up`` and ``forward``, as
+    :data:`~solver.registration.units.FRAME`. Landmarks (``marks``), points (k, 3) of the scan and
+    of the template, replace the search: who sets them has seen a face.
 
     Raises what :func:`check_frame` does, and ``scan.unit_unknown`` for a scan without extent.
     """
@@ -100,29 +142,56 @@ def locate_face(
     if not EXTENTS[0] < extent < EXTENTS[1]:
         message = f"No unit makes what is in {scan.file} as large as a face."
         raise InputError("scan.unit_unknown", message, file=scan.file)
-    unit, samples = str(frame["unit"]), orient_outward(samples)
+    given, samples = given_unit(frame), orient_outward(samples)
     surface = face_surface(template)
     face = face_points(surface)
     if marks is None:
-        pose = _search(face, samples, unit, scan.mm_per_unit, _given_axes(frame))
+        pose = _search(face, samples, given, scan.mm_per_unit, _given_axes(frame))
     else:
         start = fit_similarity(*marks)
         pose = refine_pose(face, samples, KDTree(samples.points), start, start.scale)
     motion = pose.motion
-    factor, name = choose_unit(motion.scale, unit, scan.mm_per_unit)
+    certain = marks is not None
+    likeness, is_face = _judge_likeness(pose, samples, template, surface, certain=certain)
+    unit = choose_unit(motion.scale, given, scan.mm_per_unit)
+    eyes = None
+    if likeness is not None:
+        near = near_face(samples, motion, surface)
+        eyes = _measure_eyes(likeness, near, template, surface, marks)
+    wanted = frame.get("eye_distance_mm")
+    if wanted is not None and eyes is not None:
+        unit = ScanUnit(wanted / eyes[0], "eyes")
+    elif wanted is not None and is_face:
+        message = f"the template {template.name} does not name the eyes' corners: give unit instead"
+        raise InputError("options.unit", message)
+    factor = unit.mm_per_unit
+    apart = (None, None) if eyes is None else (factor * eyes[0], eyes[1])
     centre = face.points.mean(axis=0)
     there = factor * motion.inverse()(centre[None])[0]
     return Location(
         pose=pose,
-        is_face=marks is not None or pose.is_face or _is_likeness(pose, samples, template, surface),
-        unit=name,
-        mm_per_unit=factor,
-        size_known=factor != motion.scale,
+        likeness=likeness,
+        is_face=is_face,
+        unit=unit,
+        size=FaceSize(factor / motion.scale, *apart),
         motion=Similarity(1.0, motion.rotation, centre - motion.rotation @ there),
-        size=factor / motion.scale,
         up=_nearest_axis(motion.rotation[1]),
         forward=_nearest_axis(motion.rotation[2]),
     )
+
+
+def around(points: Floats, face: Surface, margins: Floats) -> NDArray[np.bool_]:
+    """Return which points lie in the box about the face, larger below and above by ``margins``."""
+    below, above = margins
+    corners = face.vertices[np.unique(face.faces)]
+    low, high = corners.min(axis=0) - below, corners.max(axis=0) + above
+    return np.asarray(((points > low) & (points < high)).all(axis=1))
+
+
+def near_face(samples: Samples, motion: Similarity, face: Surface) -> Samples:
+    """Return the samples, in their own frame, about the ``face`` that ``motion`` takes them to."""
+    near = around(motion(samples.points), face, AROUND_FACE_MM)
+    return Samples(samples.points[near], samples.normals[near], samples.oriented)
 
 
 def fit_likeness(
@@ -137,57 +206,103 @@ def fit_likeness(
     return fit_shapes(match, motion, shapes, options=LIKENESS, sizes=True)
 
 
-def _is_likeness(
-    pose: FacePose, samples: Samples, template: Template, face: Surface, look: SecondLook = SECOND
-) -> bool:
-    """Tell whether a doubtful pose is a face's once the template looks like the person."""
+def _judge_likeness(
+    pose: FacePose,
+    samples: Samples,
+    template: Template,
+    face: Surface,
+    look: SecondLook = SECOND,
+    *,
+    certain: bool,
+) -> tuple[ShapeFit | None, bool]:
+    """Return the likeness to what is at a pose, and whether it is a face; it may be ``certain``.
+
+    A doubtful pose is a face's if it is one once the template looks like the person.
+    """
+    if not (certain or pose.is_face or pose.cost <= look.most_cost):
+        return None, False
+    near = near_face(samples, pose.motion, face)
+    if len(near.points) < REFINEMENT.least_points:  # landmarks may lie off the scan
+        return None, False
+    fitted = fit_likeness(near, pose.motion, template, face)
+    if certain or pose.is_face:
+        return fitted, True
     if template.shapes is None:
-        return pose.cost < look.shapeless_cost
-    if pose.cost > look.most_cost:
-        return False
-    fitted = fit_likeness(samples, pose.motion, template, face)
+        return fitted, pose.cost < look.shapeless_cost
     points = face_points(Surface(fitted.vertices, face.faces))
     again = judge_pose(points, samples, KDTree(samples.points), fitted.motion)
-    return again.cost < look.likeness_cost
+    return fitted, again.cost < look.likeness_cost
+
+
+# How far the points of a patch around an eye pair while it is slid into place, round by round.
+EYE_REACHES_MM = (6.0,) * 6 + (4.0,) * 8 + (3.0,) * 8 + (2.0,) * 8
+EYE_MM = 20.0  # radius of the patch
+PUPILS = 1.015  # distance of the pupils by that of the middles between the eyes' corners
+
+
+def _measure_eyes(
+    fitted: ShapeFit,
+    samples: Samples,
+    template: Template,
+    face: Surface,
+    marks: tuple[Floats, Floats] | None,
+) -> tuple[float, float] | None:
+    """Return how far the pupils lie apart in the scan's own unit, and in the template in mm.
+
+    They lie about the middles of the eyes' corners, by landmarks where these are marked. A likeness
+    has the eyes of a person like it: a patch of it around each is slid to where the scan has such
+    a one. None where the template does not name the corners.
+    """
+    known = landmark_vertices(template)
+    names = [[f"{corner}canthion_{side}" for corner in ("endo", "exo")] for side in "lr"]
+    if not all(name in known for pair in names for name in pair):
+        return None
+    corners = np.array([[known[name] for name in pair] for pair in names])
+    rest = template.skin.vertices[corners]
+    middles = [_find_eye(fitted, samples, face, pair) for pair in corners]
+    if marks is not None:
+        gap, near = KDTree(marks[1]).query(rest)
+        middles = middles if gap.any() else [*marks[0][near].mean(axis=1)]
+    in_scan, in_template = (
+        PUPILS * float(np.linalg.norm(left - right)) for left, right in (middles, rest.mean(axis=1))
+    )
+    return in_scan, in_template
+
+
+def _find_eye(fitted: ShapeFit, samples: Samples, face: Surface, corners: Ints) -> Floats:
+    """Return the middle (3,) between the corners of an eye in a scan, in its own frame."""
+    middle = fitted.vertices[corners].mean(axis=0)
+    used = np.unique(face.faces)
+    patch = used[np.linalg.norm(fitted.vertices[used] - middle, axis=1) < EYE_MM]
+    none = np.zeros((0, *fitted.vertices.shape))
+    still = ShapeModel(
+        fitted.vertices, none, np.zeros((0, 0)), np.zeros(0, bool), face.faces, patch
+    )
+    match = match_samples(samples, np.ones(len(patch)))
+    options = replace(LIKENESS, reaches_mm=EYE_REACHES_MM)
+    slid = fit_shapes(match, fitted.motion, still, options=options, sizes=False)
+    return np.asarray(slid.motion.inverse()(middle[None])[0])
 
 
 def likely_scales(scan: RawScan, samples: Samples, frame: Mapping[str, Any]) -> list[float]:
     """Return the mm per unit that come first for a scan."""
-    return candidate_scales(_extent(samples), str(frame["unit"]), scan.mm_per_unit)[0]
+    return candidate_scales(_extent(samples), given_unit(frame), scan.mm_per_unit)[0]
 
 
 def location_findings(scan: RawScan, location: Location, frame: Mapping[str, Any]) -> list[Finding]:
-    """Return whether there is no face, or one of a size that speaks against the unit.
+    """Return whether there is no face, or one of a size that is to be told.
 
-    The unit is the one that was given, declared or assumed. With an ``error`` among them nothing
-    right would come of the scan.
+    With an ``error`` among them nothing right would come of the scan.
     """
-    if not location.is_face:
-        pose = location.pose
-        message = (
-            f"{scan.file} shows no face: the best fit covers {pose.coverage:.0%} of a face and is "
-            f"{pose.residual_mm:.1f} mm off."
-        )
-        return [Finding("scan.not_a_face", "error", message)]
-    given, found = str(frame["unit"]), location.mm_per_unit
-    expected = UNITS.get(given, scan.mm_per_unit or 1.0)
-    if found == expected:
-        return []
-    figures = {"expected": expected, "found": found, "unit": location.unit}
-    ratio = expected / found
-    size = f"{ratio:.3g} times too large" if ratio > 1 else f"{1 / ratio:.3g} times too small"
-    if location.unit is None and not np.isclose(found / expected, UNIT_OPTIONS.slips).any():
-        no_unit = f"No unit makes the face in {scan.file} as large as a face"
-        if given != "auto":
-            no_unit = f"Read as given, the face in {scan.file} would be {size}, in no unit right"
-        message = f"{no_unit}; it gets the template's size."
-        return [Finding("scan.unit_unknown", "warning", message, context=figures)]
-    severity: Severity = "error" if given != "auto" else "warning"
-    declared = "as the format says" if scan.mm_per_unit else "in mm"
-    source = "as given" if given != "auto" else declared
-    as_what = f"in {location.unit}" if location.unit else f"at {found:g} mm a unit"
-    message = f"Read {source}, the face would be {size}; it fits {as_what}."
-    return [Finding("scan.scale", severity, message, context=figures)]
+    if location.is_face:
+        size, unit = location.size, location.unit
+        return unit_findings(scan.file, frame, scan.mm_per_unit, unit, size)
+    pose = location.pose
+    message = (
+        f"{scan.file} shows no face: the best fit covers {pose.coverage:.0%} of a face and is "
+        f"{pose.residual_mm:.1f} mm off."
+    )
+    return [Finding("scan.not_a_face", "error", message)]
 
 
 def _extent(samples: Samples) -> float:
@@ -195,13 +310,14 @@ def _extent(samples: Samples) -> float:
 
 
 def _search(
-    face: FacePoints, samples: Samples, unit: str, declared: float | None, upright: Axes
+    face: FacePoints, samples: Samples, given: float | None, declared: float | None, upright: Axes
 ) -> FacePose:
     """Return the best pose, however bad: in known units first, in odd ones if none fits."""
-    known, *others = candidate_scales(_extent(samples), unit, declared)
+    known, *others = candidate_scales(_extent(samples), given, declared)
     best = find_pose(face, samples, known, upright)
     for scales in others:
-        if not best.is_face or choose_unit(best.motion.scale, unit, declared)[1] is None:
+        unit = choose_unit(best.motion.scale, given, declared)
+        if not best.is_face or unit.source == "template":
             found = find_pose(face, samples, scales, upright, QUICK_SEARCH)
             if found.cost < best.cost:
                 best, known = found, [found.motion.scale]
@@ -213,47 +329,6 @@ def _search(
     return min(best, *more, key=lambda pose: pose.cost)
 
 
-# Units and axes of a raw scan: those a file may have, and those that a face's size speaks for.
-
-UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}  # name -> mm
-AXES = {  # name -> direction in the file's frame
-    "x": (1.0, 0.0, 0.0),
-    "-x": (-1.0, 0.0, 0.0),
-    "y": (0.0, 1.0, 0.0),
-    "-y": (0.0, -1.0, 0.0),
-    "z": (0.0, 0.0, 1.0),
-    "-z": (0.0, 0.0, -1.0),
-}
-# The options of every job that reads a raw scan, with their defaults.
-FRAME = {"unit": "auto", "up": "auto", "forward": "auto"}
-
-
-@dataclass(frozen=True)
-class UnitOptions:
-    """Sizes of scans and faces that are likely, for finding a scan's unit."""
-
-    extent_mm: tuple[float, float] = (90.0, 1100.0)  # a bare face to two people's shoulders
-    slips: tuple[float, ...] = (0.001, 0.1, 10.0, 1000.0)  # factors of a unit that is mixed up
-    ladder_mm: tuple[float, ...] = (310.0, 230.0, 420.0, 170.0, 570.0)  # scans, likely ones first
-    face_sizes: tuple[float, float] = (0.77, 1.3)  # of persons, by the template's face
-
-
-UNIT_OPTIONS = UnitOptions()
-
-
-def check_frame(frame: Mapping[str, Any]) -> None:
-    """Raise :class:`InputError` (``options.unit``, ``options.axes``) for what does not exist."""
-    for name, known in {"unit": [*UNITS], "up": [*AXES], "forward": [*AXES]}.items():
-        given = str(frame[name])
-        if given not in ("auto", *known):
-            message = f"{name} is {given!r}, not one of auto, {', '.join(known)}"
-            code = "options.unit" if name == "unit" else "options.axes"
-            raise InputError(code, message, expected=["auto", *known])
-    up, forward = str(frame["up"]), str(frame["forward"])
-    if "auto" not in (up, forward) and up.lstrip("-") == forward.lstrip("-"):
-        raise InputError("options.axes", "up and forward must be two different axes")
-
-
 def _given_axes(frame: Mapping[str, Any]) -> Axes:
     """Return the directions (3,) that ``frame`` gives for ``up`` and ``forward``; None for auto."""
     known = {name: np.array(axis) for name, axis in AXES.items()}
@@ -262,42 +337,3 @@ def _given_axes(frame: Mapping[str, Any]) -> Axes:
 
 def _nearest_axis(direction: Floats) -> str:
     return max(AXES, key=lambda name: float(np.dot(AXES[name], direction)))
-
-
-def candidate_scales(
-    extent: float, unit: str, declared: float | None, options: UnitOptions = UNIT_OPTIONS
-) -> list[list[float]]:
-    """Return lists of mm per unit to try for a scan of this ``extent``, the likelier ones first.
-
-    ``declared`` is the mm per unit of the file's format. Known units come first, then those that
-    are wrong by a decimal slip, then sizes of heads whatever the unit.
-    """
-    low, high = options.extent_mm
-    first = UNITS.get(unit, declared)
-    known = [first] if first is not None else list(UNITS.values())
-    slips = {(first or 1.0) * factor for factor in options.slips}
-    odd = sorted((slips | set(UNITS.values())) - set(known))
-    ladder = [size / extent for size in options.ladder_mm]
-    rounds = [
-        [scale for scale in scales if low <= scale * extent <= high]
-        for scales in (known, odd, ladder)
-    ]
-    return [scales for scales in rounds if scales]
-
-
-def choose_unit(
-    scale: float, unit: str, declared: float | None, options: UnitOptions = UNIT_OPTIONS
-) -> tuple[float, str | None]:
-    """Return mm per unit and the unit's name for a ``scale`` that takes a face to the template's.
-
-    The given unit comes first, then the declared one, then the one that makes the likeliest size,
-    then any decimal slip of one (without a name), then the template's size.
-    """
-    names = {factor: name for name, factor in UNITS.items()}
-    first = UNITS.get(unit, declared)
-    known = ([first] if first is not None else []) + list(UNITS.values())
-    slips = [factor * (first or 1.0) for factor in options.slips]
-    for factor in [*known, *slips]:
-        if options.face_sizes[0] <= factor / scale <= options.face_sizes[1]:
-            return factor, names.get(factor)
-    return scale, None

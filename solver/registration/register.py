@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.anatomy.template import Template
-from solver.errors import InputError
+from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan
 from solver.progress import Progress, Step, silent
 from solver.registration.landmarks import find_landmarks, landmark_vertices
-from solver.registration.locate import FRAME, Location, locate_face, location_findings, scan_samples
+from solver.registration.locate import Location, locate_face, location_findings, scan_samples
 from solver.registration.nonrigid import (
     FROM_AFAR,
     REFINE,
@@ -37,6 +37,7 @@ from solver.registration.shape_fit import (
     identity_model,
 )
 from solver.registration.topology import Topology, carry_hidden
+from solver.registration.units import FRAME
 from solver.similarity import IDENTITY, Similarity, robust_motion
 from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
 
@@ -45,8 +46,8 @@ Marks = tuple[Floats, Ints]  # points (k, 3) in the scan's own frame, vertices (
 
 def find_start(
     raw: RawScan, template: Template, frame: Mapping[str, Any], landmarks: Marks | None
-) -> tuple[ScanSurface, Location]:
-    """Return a mended scan in mm, and its face, found by its shape or by ``landmarks``.
+) -> tuple[ScanSurface, Location, list[Finding]]:
+    """Return a mended scan in mm, its face, found by its shape or by ``landmarks``, and findings.
 
     Raises :class:`InputError`: ``options.unit``, ``options.axes``, ``scan.empty``, and what
     :func:`~solver.registration.locate.location_findings` counts as an error.
@@ -54,10 +55,11 @@ def find_start(
     check_size(len(raw.vertices), raw.file)
     marks = landmarks and (landmarks[0], template.skin.vertices[landmarks[1]])
     place = locate_face(raw, scan_samples(raw), template, frame, marks)
-    for finding in location_findings(raw, place, frame):
+    findings = location_findings(raw, place, frame)
+    for finding in findings:
         if finding.severity == "error":
             raise InputError(finding.code, finding.message, file=raw.file, **finding.context)
-    return scan_surface(raw, place.mm_per_unit), place
+    return scan_surface(raw, place.mm_per_unit), place, findings
 
 
 # A face that free form covers less, or leaves farther off on average, is none.
@@ -80,6 +82,7 @@ class RegisteredFace:
     motion: Similarity  # takes the scan in mm onto ``skin``
     shape_weights: Floats  # (k,) of the template's identities or expressions; empty without any
     folded: Ints  # triangles of the flesh that are turned over
+    size_findings: list[Finding]  # what the check says of the scan's size as well
 
 
 def register(
@@ -94,7 +97,7 @@ def register(
 ) -> RegisteredFace:
     """Register a mended scan: a neutral, or an expression if ``neutral`` (n, 3) is given.
 
-    ``frame`` holds the options ``unit``, ``up`` and ``forward`` of the scan; ``landmarks`` are
+    ``frame`` holds the options of unit and axes, as :data:`FRAME`; ``landmarks`` are
     points (k, 3) in its own unit and axes and the vertices (k,) they mark. If none are given, they
     are found with the model file ``landmarker``.
 
@@ -102,12 +105,15 @@ def register(
     ``scan.empty``, ``options.unit``, ``options.axes``, ``landmarks.extra``, ``landmarks.model``.
     """
     progress(Step("pose", 0.1))
-    scan, start = find_start(raw, topology.template, frame, landmarks)
+    scan, start, told = find_start(raw, topology.template, frame, landmarks)
     pins = None
     if landmarks is not None:
         pins = Pins(start.mm_per_unit * landmarks[0], landmarks[1])
     elif landmarker is not None:
         pins = _find_pins(scan, start.motion, topology, landmarker)
+    if neutral is not None and start.is_measured:
+        message = f"{raw.file} gets the neutral's size."
+        told = [Finding("scan.unit_unknown", "info", message)]
     progress(Step("shape", 0.3))
     if neutral is None:
         fit, schedule = _fit_person(scan, start, topology, pins)
@@ -126,7 +132,7 @@ def register(
         skin, motion = skin.moved(back(laid)), motion.then(back)
     _check(raw.file, seen, topology)
     folded = folded_triangles(rest, skin.vertices, topology.flesh)
-    return RegisteredFace(scan, start, skin, seen, motion, fit.weights, folded)
+    return RegisteredFace(scan, start, skin, seen, motion, fit.weights, folded, told)
 
 
 def _find_pins(
@@ -165,7 +171,8 @@ def _fit_expression(
     scan: ScanSurface, start: Location, topology: Topology, neutral: Floats, pins: Pins | None
 ) -> tuple[ShapeFit, tuple[Round, ...]]:
     """Return an expression's shape and the rounds that follow; without shapes the neutral's."""
-    basis, sizes = topology.template.shapes, not start.size_known
+    # the neutral's size is surer than one that was measured on this scan's own face
+    basis, sizes = topology.template.shapes, start.is_measured
     still = np.flatnonzero(topology.stable > STILL)
     normals = vertex_normals(topology.template.skin.moved(neutral))[still]
     share = topology.stable[still]

@@ -52,7 +52,10 @@ def report(
         "vertices": len(registered.skin.vertices),
         "scan_vertices": len(registered.scan.vertices),
         "regions": regions,
-        "unit": start.unit,
+        "unit": start.unit.name,
+        "mm_per_unit": start.mm_per_unit,
+        "eye_distance_mm": start.size.eyes_mm and round(start.size.eyes_mm, 1),
+        "size_from": start.size_from,
         "motion": {
             "scale": start.mm_per_unit * motion.scale,
             "rotation": np.round(motion.rotation, 9).tolist(),
@@ -62,7 +65,10 @@ def report(
         "shape_weights": np.round(registered.shape_weights, 4).tolist(),
         "findings": [
             finding.to_dict()
-            for finding in _findings(registered, topology, distance, regions, limits)
+            for finding in (
+                *registered.size_findings,
+                *_findings(registered, topology, distance, regions, limits),
+            )
         ],
     }
 
@@ -92,12 +98,6 @@ def _findings(
         )
         advice = "Look at distance.png: hair, a beard, glasses or spikes show in dark red."
         yield Finding("registration.far", "warning", message, advice)
-    if not registered.start.size_known:
-        message = (
-            "The scan's size fits no unit; it was given the size of the template or the neutral."
-        )
-        advice = "State the unit, so that the subject gets the true size."
-        yield Finding("registration.unit", "warning", message, advice)
     unseen = sorted(name for name in regions if regions[name]["coverage"] < limits.little_cover)
     if unseen:
         message = f"Mostly not in the scan: {', '.join(unseen).replace('_', ' ')}."

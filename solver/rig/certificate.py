@@ -262,7 +262,7 @@ def measured_regions(model: SubjectModel, fit: ExpressionFit) -> dict[str, tuple
 
 def measures(rig: Rig, fit: ExpressionFit, check: ExpressionCheck) -> dict[str, Measure]:
     """Return code -> figure of one expression."""
-    notices = (*rig.notices, *fit.notices)
+    notices = (*rig.warnings, *fit.notices)
     return {
         **_skin(rig.model, fit),
         **_flesh(fit, check.flesh),

@@ -45,7 +45,7 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
     """
     model = rig.model
     judgements = judge(rig, certificate)
-    noticed: list[Verdict] = ["usable"] if rig.notices else []
+    noticed: list[Verdict] = ["usable"] if rig.warnings else []
     verdict = overall([*(judgement.verdict for judgement in judgements), *noticed])
     expressions = {
         fit.name: _expression(model, fit, certificate.expressions[fit.name], judgements)
@@ -56,7 +56,7 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
         "use": use(judgements, list(expressions)),
         "checks": [_judgement(judgement, certificate.settings) for judgement in judgements],
         "expressions": expressions,
-        "warnings": [notice.as_dict() for notice in rig.notices],
+        "warnings": [notice.as_dict() for notice in rig.warnings],
         "train_mean_mm": _role_mean(rig, "train"),
         "test_mean_mm": _role_mean(rig, "test"),
         "inverted": sum(fit.inverted for fit in rig.expressions),

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import Finding, InputError
-from solver.model import SubjectModel
+from solver.errors import Finding, InputError, make_warning
+from solver.model import SIZE_WORDS, SubjectModel
 from solver.rig.round_trip import RoundTrip
 from solver.storage import Archive, Arrays, read_arrays, with_prefix
 from solver.surface import Floats, Ints
@@ -95,6 +95,13 @@ class Rig:
     seconds: dict[str, float] = field(default_factory=dict)  # of each phase of the job
     notices: tuple[Finding, ...] = ()  # what was odd about the model or the job as a whole
     figures: dict[str, Any] | None = None  # of solver.rig.report; None before they are made
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """Return what is odd about the rig as a whole: its size, and what was noticed."""
+        if self.model.size_from == "scan":
+            return self.notices
+        return (make_warning("model.size", SIZE_WORDS[self.model.size_from]), *self.notices)
 
     def known_figures(self) -> dict[str, Any]:
         """Return the figures; raises :class:`InputError` (``export.figures``) if there are none."""

@@ -14,25 +14,26 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
-from solver.drawing.render import Camera, look
+from solver.drawing.render import Camera, Pixels, look
+from solver.drawing.sheet import HEADER, PAPER, Sheet
 from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan, mend, read_raw
 from solver.registration.locate import (
     Location,
-    check_frame,
+    around,
     face_surface,
-    fit_likeness,
     likely_scales,
     locate_face,
     location_findings,
+    near_face,
     scan_samples,
 )
 from solver.registration.scan_surface import Samples, estimated_normals
 from solver.registration.search import face_points
+from solver.registration.units import check_frame
 from solver.scans.cover import FAR_MM, Cover, cover, has_second_face, visible_part
 from solver.scans.findings import (
     axis_findings,
@@ -46,12 +47,12 @@ from solver.scans.findings import (
     winding_findings,
     with_advice,
 )
-from solver.scans.mouth import closed_eyes, lip_gap, roughness, spikes
+from solver.scans.judged import Judged, Looked, judged
+from solver.scans.mouth import find_eyes, find_mouth, roughness, spikes
 from solver.surface import Floats, Surface, area_normals, unit_rows
 
 # Margins below and above the face along x, y, z: of the part that is looked at closely, and of the
 # head without neck and shoulders.
-AROUND_FACE_MM = np.full((2, 3), 25.0)
 AROUND_HEAD_MM = np.array([[40.0, 10.0, 60.0], [40.0, 70.0, 40.0]])
 
 
@@ -61,6 +62,7 @@ class ScanCheck:
 
     findings: list[Finding] = field(default_factory=list)
     figures: dict[str, Any] = field(default_factory=dict)
+    judged: list[Judged] = field(default_factory=list)  # what was looked at, and what was not
     scan: RawScan | None = None  # mended; None if it cannot be read
     location: Location | None = None  # of its face, if there is one
     cover: Cover | None = None  # what is missing of the face
@@ -104,8 +106,7 @@ def _check(
     marking: list[Finding] = []
     marks = None
     if landmarks is not None:
-        unit = str(frame["unit"])
-        marking, marks = landmark_findings(landmarks, template, scan, samples, unit)
+        marking, marks = landmark_findings(landmarks, template, scan, samples, frame)
     place = locate_face(scan, samples, template, frame, marks)
     result.scan = scan
     result.figures |= {
@@ -123,11 +124,13 @@ def _check(
         return
     result.location = place
     result.figures |= {
-        "unit": place.unit,
+        "unit": place.unit.name,
         "mm_per_unit": place.mm_per_unit,
+        "size_from": place.size_from,
+        "eye_distance_mm": place.size.eyes_mm and round(place.size.eyes_mm, 1),
         "up": place.up,
         "forward": place.forward,
-        "size": round(place.size, 3),
+        "size": round(place.size.share, 3),
     }
     result.findings += axis_findings(place, frame)
     if has_second_face(samples, face, place.pose):
@@ -135,7 +138,8 @@ def _check(
         result.findings.append(make_finding("scan.two_heads", "error", message))
     winding = winding_findings(scan, samples, face, place)
     result.findings += _judge_winding(winding, marking, known=landmarks is not None)
-    _look_closer(result, scan, samples, place, template, surface, role)
+    looked = _look_closer(result, scan, samples, place, template, surface, role)
+    result.judged = list(judged(scan, place, looked, marked=marks is not None))
 
 
 def _judge_winding(winding: list[Finding], marking: list[Finding], *, known: bool) -> list[Finding]:
@@ -161,40 +165,34 @@ def _look_closer(
     template: Template,
     face: Surface,
     role: str,
-) -> None:
+) -> Looked:
     """Add what the face lacks, its noise and spikes, its mouth and eyes."""
-    around = _around(place.pose.motion(samples.points), face, AROUND_FACE_MM)
-    near = Samples(samples.points[around], samples.normals[around], samples.oriented)
-    fitted = fit_likeness(near, place.pose.motion, template, face)
-    motion = fitted.motion
+    fitted = place.likeness
+    assert fitted is not None, "a face has a likeness"
+    near, motion = near_face(samples, place.pose.motion, face), fitted.motion
     size = place.mm_per_unit / motion.scale
     seen = cover(near.transform(motion), fitted.vertices, template, face)
     vertices = motion(scan.vertices)
     noise_mm, spacing_mm = roughness(vertices * size, seen.points[seen.covered] * size)
     marked = np.zeros(len(vertices), bool)
     if len(scan.faces):
-        marked = spikes(vertices * size, scan.faces) & _around(vertices, face, AROUND_HEAD_MM)
+        marked = spikes(vertices * size, scan.faces) & around(vertices, face, AROUND_HEAD_MM)
     surface = Surface(vertices, scan.faces)
-    gap, eyes = lip_gap(surface, template), closed_eyes(surface, fitted.vertices, template)
-    result.findings += cover_findings(seen, gap)
+    mouth, eyes = find_mouth(surface, template), find_eyes(surface, fitted.vertices, template)
+    if mouth.is_open:
+        seen = seen.without_mouth()
+    result.findings += cover_findings(seen)
     result.findings += roughness_findings(noise_mm, spacing_mm, int(marked.sum()))
-    result.findings += feature_findings(gap, eyes, role)
+    result.findings += feature_findings(mouth, eyes, role)
     result.cover, result.marked = seen, marked
     result.figures |= {
         "covered": round(seen.share(), 3),
         "noise_mm": None if np.isnan(noise_mm) else round(noise_mm, 2),
         "spacing_mm": round(spacing_mm, 2),
-        "lip_gap_mm": gap,
+        "lip_gap_mm": mouth.lips_mm,
         "spikes": int(marked.sum()),
     }
-
-
-def _around(points: Floats, face: Surface, margins: Floats) -> NDArray[np.bool_]:
-    """Return which points lie in the box about the face, larger below and above by ``margins``."""
-    below, above = margins
-    corners = face.vertices[np.unique(face.faces)]
-    low, high = corners.min(axis=0) - below, corners.max(axis=0) + above
-    return np.asarray(((points > low) & (points < high)).all(axis=1))
+    return Looked(seen, noise_mm, spacing_mm, mouth, eyes)
 
 
 # The picture of a check: the scan from the front and from both sides, its faults in colour.
@@ -209,7 +207,10 @@ GREY = np.array([0.80, 0.78, 0.76])  # skin
 INWARD = np.array([0.45, 0.52, 0.66])  # triangles that face inwards
 FAULT = np.array([0.93, 0.55, 0.10])  # spikes
 MISSING = np.array([0.86, 0.10, 0.12])  # of the face
-BACKGROUND = np.array([0.975, 0.975, 0.98])  # of the sheet
+BACKGROUND = np.array(PAPER) / 255
+SCANNED, SPIKES = "the scan", "spikes"
+NOT_SCANNED, INNER_SIDE = "of the face, not in the scan", "the surface from its inner side"
+LEGEND = {SCANNED: GREY, NOT_SCANNED: MISSING, SPIKES: FAULT, INNER_SIDE: INWARD}
 MOST_POINTS = 100_000  # of a cloud that are drawn
 LARGEST_DISC, MISSING_PIXELS = 8, 8  # radii in pixels
 # What is missing is drawn where the fitted face has it, even if the scan lies before it.
@@ -218,37 +219,43 @@ BACK_MM = 45.0  # of the view's middle behind the face
 
 
 def check_picture(check: ScanCheck, title: str, path: Path) -> None:
-    """Write the picture of a check as PNG: three views, what is missing of the face in red.
+    """Write the picture of a check as PNG: three views, their colours explained below.
 
-    Orange vertices are spikes; triangles that face inwards are blue. Without a scan the picture
-    holds only the title.
+    Without a scan the picture holds only the title.
     """
-    views = [_view(check, yaw) for yaw in YAWS] if check.scan is not None else []
-    size = (HEIGHT + 40, WIDTH * len(YAWS), 3)
-    sheet = Image.fromarray(np.full(size, np.rint(255 * BACKGROUND), np.uint8))
+    seen: set[str] = set()
+    views = [_view(check, yaw, seen) for yaw in YAWS] if check.scan is not None else []
+    legend = {words: tuple(colour) for words, colour in LEGEND.items() if words in seen}
+    not_judged = ", ".join(each.about for each in check.judged if not each.judged)
+    detail = f"not judged: {not_judged}" if not_judged else ""
+    if views and check.location is None:
+        detail = "no face was found: nothing is marked"
+    page = Sheet.with_legend(title, detail, legend, WIDTH * len(YAWS), HEADER + HEIGHT + 12)
     for number, view in enumerate(views):
-        sheet.paste(Image.fromarray(view), (WIDTH * number, 40))
-    ImageDraw.Draw(sheet).text((14, 10), title, (40, 40, 46), ImageFont.load_default(18))
-    sheet.save(path)
+        page.panel((WIDTH * number, HEADER), view)
+    page.save(path)
 
 
-def _view(check: ScanCheck, yaw: float) -> np.ndarray:
+def _view(check: ScanCheck, yaw: float, seen: set[str]) -> Pixels:
+    """Return a picture; the words of :data:`LEGEND` for its colours are added to ``seen``."""
     surface, centre, span = _place(check)
     camera = Camera(centre, span, yaw, distance=FAR_MM)
     wide, high = WIDTH * SUPERSAMPLING, HEIGHT * SUPERSAMPLING
     image = np.broadcast_to(BACKGROUND, (high, wide, 3)).copy()
     depth = np.full((high, wide), np.inf)
     if len(surface.faces):
-        _draw_mesh(image, depth, camera, surface, check)
+        seen |= _draw_mesh(image, depth, camera, surface, check)
     else:
         _draw_cloud(image, depth, camera, surface.vertices)
-    if check.cover is not None:
+        seen.add(SCANNED)
+    if check.cover is not None and not check.cover.covered.all():
         missing = check.cover.points[~check.cover.covered]
         red = np.broadcast_to(MISSING, missing.shape)
         pixels = camera.project(missing, wide, high)
         _draw_discs(image, depth + BEHIND_MM, pixels, red, MISSING_PIXELS)
+        seen.add(NOT_SCANNED)
     image = image.reshape(HEIGHT, SUPERSAMPLING, WIDTH, SUPERSAMPLING, 3).mean(axis=(1, 3))
-    return np.asarray(np.clip(image * 255, 0, 255), np.uint8)
+    return np.asarray(np.clip(image, 0.0, 1.0), np.float32)
 
 
 def _place(check: ScanCheck) -> tuple[Surface, Floats, float]:
@@ -269,24 +276,30 @@ def _place(check: ScanCheck) -> tuple[Surface, Floats, float]:
 
 def _draw_mesh(
     image: Floats, depth: Floats, camera: Camera, surface: Surface, check: ScanCheck
-) -> None:
+) -> set[str]:
+    """Draw the scan, and return the words of :data:`LEGEND` for its colours."""
     seen = look(camera, surface, image.shape[1], image.shape[0])
     mask = np.asarray(seen.mask)
     if not mask.any():
-        return
+        return set()
     normals = unit_rows(area_normals(surface.vertices, surface.faces))
     smooth = np.zeros_like(surface.vertices)
     np.add.at(smooth, surface.faces.T, normals)
     normal = unit_rows(seen.interpolate(smooth).astype(np.float64))
     facing = normals[seen.triangle[mask]] @ camera.axes[2]
     light = np.abs(normal @ (camera.axes.T @ LIGHT))
-    colour = np.where(facing[:, None] >= 0, GREY, INWARD)
+    inward = facing < 0
+    colour = np.where(inward[:, None], INWARD, GREY)
+    shown = {SCANNED, INNER_SIDE} if inward.any() else {SCANNED}
     if check.marked is not None and check.marked.any():
         fault = np.asarray(check.marked[surface.faces].any(axis=1))[seen.triangle[mask]]
         colour[fault] = FAULT
+        if fault.any():
+            shown.add(SPIKES)
     image[mask] = colour * (0.25 + 0.75 * light[:, None])
     place = seen.interpolate(surface.vertices).astype(np.float64)
     depth[mask] = camera.distance - (place - camera.centre) @ camera.axes[2]
+    return shown
 
 
 def _draw_cloud(image: Floats, depth: Floats, camera: Camera, points: Floats) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
@@ -15,7 +15,7 @@ from solver.anatomy.template import Template
 from solver.drawing.render import Camera, look
 from solver.registration.scan_surface import Samples, orient_outward, sample
 from solver.registration.search import FacePoints, FacePose, face_points, find_pose
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Ints, Surface
 
 FAR_MM = 4000.0  # so far away that the view is nearly parallel
 SIDE_MM = 8.0  # from the middle begins a side of the face
@@ -75,6 +75,7 @@ class Hole:
     area_mm2: float
     region: str  # that it is in, with its side
     at_rim: bool  # of the face: the scan ends there
+    points: Ints  # of the cover that lie in it
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,20 @@ class Cover:
             "lower": y <= np.median(y),
         }[side]
         return float(self.covered[chosen].mean())
+
+    def without_mouth(self) -> Cover:
+        """Return the cover of a face with its lips apart: the gap between them is no hole.
+
+        A rough fit may have the chin where the mouth is.
+        """
+        is_mouth = [
+            not hole.at_rim and hole.region.endswith(("lip", "chin")) for hole in self.holes
+        ]
+        covered = self.covered.copy()
+        for hole in (hole for hole, leaves in zip(self.holes, is_mouth, strict=True) if leaves):
+            covered[hole.points] = True
+        kept = [hole for hole, leaves in zip(self.holes, is_mouth, strict=True) if not leaves]
+        return Cover(self.points, covered, kept)
 
 
 def cover(
@@ -125,9 +140,11 @@ def cover(
     gap = _sideways_gap(points, normals, _at_mouth(points, skin, template, options), tree, options)
     limit = max(options.least_gap, 4 * spacing)
     covered = np.asarray(gap < limit)
-    missing = points[~covered]
-    at_rim = rim.query(missing)[0] < options.border + options.rim
-    return Cover(points, covered, _holes(missing, at_rim, (area, limit), skin, template))
+    missing = np.flatnonzero(~covered)
+    at_rim = rim.query(points[missing])[0] < options.border + options.rim
+    holes = _holes(points[missing], at_rim, (area, limit), skin, template)
+    holes = [replace(hole, points=missing[hole.points]) for hole in holes]
+    return Cover(points, covered, holes)
 
 
 def _at_mouth(
@@ -195,10 +212,10 @@ def _holes(
     graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(missing), len(missing)))
     count, label = connected_components(graph, directed=False)
     holes = []
-    for chosen in (label == number for number in range(count)):
-        size = float(np.pi * (np.sqrt(chosen.sum() * area / np.pi) + edge) ** 2)
+    for chosen in (np.flatnonzero(label == number) for number in range(count)):
+        size = float(np.pi * (np.sqrt(len(chosen) * area / np.pi) + edge) ** 2)
         region = _region(missing[chosen].mean(axis=0), skin, template)
-        holes.append(Hole(size, region, bool(at_rim[chosen].any())))
+        holes.append(Hole(size, region, bool(at_rim[chosen].any()), chosen))
     return sorted(holes, key=lambda hole: -hole.area_mm2)
 
 

@@ -17,10 +17,13 @@ from solver.anatomy.template import Template
 from solver.errors import MOST_NAMES, Finding, InputError, Severity, quote
 from solver.meshio.raw import WELDED_SHARE, Mending, RawScan
 from solver.registration.landmarks import match, read_landmarks
-from solver.registration.locate import Location, choose_unit
+from solver.registration.locate import Location
 from solver.registration.scan_surface import Samples
 from solver.registration.search import REFINEMENT, FacePoints
+from solver.registration.units import ADVICE as UNIT_ADVICE
+from solver.registration.units import choose_unit, given_unit
 from solver.scans.cover import Cover
+from solver.scans.mouth import Eye, Mouth
 from solver.similarity import fit_similarity
 from solver.surface import Floats
 
@@ -48,8 +51,7 @@ ADVICE = {
     "scan.dense": "Nothing to do: it is thinned. About 200,000 vertices upload faster.",
     "scan.coarse": "Export the scan at a higher resolution: a vertex every 1 to 2 mm.",
     # unit and axes
-    "scan.scale": "Check the unit shown; if it is wrong, give the right one and check again.",
-    "scan.unit_unknown": "Say which unit the file is in (mm, cm, m or inch) and check again.",
+    **UNIT_ADVICE,
     "scan.axes": "Nothing to do: the scan is turned.",
     "scan.upside_down": "Nothing to do: the scan is turned. Next time, scan the right way up.",
     # what is in it
@@ -59,6 +61,7 @@ ADVICE = {
     "scan.coverage": "Scan again, and cover the side that is missing.",
     "scan.cut_off": "Scan again if skin is missing; hair before forehead and temples is no harm.",
     "scan.holes": "Scan again if a hole lies where the face moves: brows, cheeks, lips, chin.",
+    "scan.gaps": "Nothing to do: what is red in the picture is filled in smoothly.",
     "scan.noise": "Let the person hold still, more light, closer; then scan again.",
     "scan.spikes": "Nothing to do if they lie in the hair; cut them off if they lie on the face.",
     "scan.mouth_open": "If this is the neutral, scan again: lips closed, teeth apart, relaxed.",
@@ -101,16 +104,13 @@ class FaceLimits:
     least_side: float = 0.6  # share of a side
     noise_mm: float = 0.5  # a warning
     much_noise_mm: float = 1.5  # more is an error
-    coarse_mm: float = 6.0  # between vertices
+    coarse_mm: float = 2.5  # between vertices
     coarse_noise: float = 0.2  # more noise a mm of spacing: the quadratic misses folds
     spikes: int = 4  # vertices
-    lips_apart_mm: float = 3.0  # an open mouth
 
 
-def cover_findings(
-    cover: Cover, lip_gap_mm: float, limits: FaceLimits = FaceLimits()
-) -> list[Finding]:
-    """Return what is missing of a face: a side, its end, or holes; open lips are no hole."""
+def cover_findings(cover: Cover, limits: FaceLimits = FaceLimits()) -> list[Finding]:
+    """Return what is missing of a face: a side, its end, holes, or small gaps."""
     found = []
     worst = min(("left", "right", "upper", "lower"), key=cover.share)
     whole = cover.share()
@@ -125,15 +125,18 @@ def cover_findings(
         message = f"The scan ends before the face does: {area / 100:.0f} cm2 miss at the {regions}."
         found.append(make_finding("scan.cut_off", "warning", message, area_mm2=round(area)))
     holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > limits.hole_mm2]
-    # a rough fit may have the chin where the mouth is
-    if lip_gap_mm >= limits.lips_apart_mm:
-        holes = [hole for hole in holes if not hole.region.endswith(("lip", "chin"))]
     if holes:
         number = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
         area, region = holes[0].area_mm2 / 100, holes[0].region
         message = f"The face has {number}; the largest, {area:.1f} cm2, is at the {region}."
         places = [{"region": h.region, "area_mm2": round(h.area_mm2)} for h in holes[:10]]
         found.append(make_finding("scan.holes", "warning", message, holes=places))
+    small = [hole for hole in cover.holes if not any(hole is told for told in (*cut, *holes))]
+    if small and whole >= limits.least_cover:
+        area, region = sum(hole.area_mm2 for hole in small), small[0].region
+        number = "a small gap" if len(small) == 1 else f"{len(small)} small gaps"
+        message = f"The face has {number}, {area / 100:.1f} cm2, at the {region}: red in check.png."
+        found.append(make_finding("scan.gaps", "info", message, area_mm2=round(area)))
     return found
 
 
@@ -149,18 +152,18 @@ def roughness_findings(
         figures = {"found": round(noise_mm, 2), "expected": limits.noise_mm}
         found.append(make_finding("scan.noise", severity, message, **figures))
     if spacing_mm > limits.coarse_mm:
-        message = f"The scan is coarse: a vertex every {spacing_mm:.0f} mm on the face."
+        message = f"The scan is coarse: a vertex every {spacing_mm:.1f} mm on the face."
         figures = {"found": round(spacing_mm, 1), "expected": limits.coarse_mm}
         found.append(make_finding("scan.coarse", "warning", message, **figures))
-    if spikes >= limits.spikes:
-        message = f"{spikes} spikes stick out on or around the face."
-        found.append(make_finding("scan.spikes", "warning", message, found=spikes))
+    if spikes:
+        many = "spikes stick" if spikes > 1 else "spike sticks"
+        message = f"{spikes} {many} out on or around the face: orange in check.png."
+        severity = "warning" if spikes >= limits.spikes else "info"
+        found.append(make_finding("scan.spikes", severity, message, found=spikes))
     return found
 
 
-def feature_findings(
-    lip_gap_mm: float, eyes: dict[str, bool], role: str, limits: FaceLimits = FaceLimits()
-) -> list[Finding]:
+def feature_findings(mouth: Mouth, eyes: dict[str, Eye], role: str) -> list[Finding]:
     """Return whether the mouth is open or ``eyes`` are closed, which a neutral may not have.
 
     In a scan of unknown ``role`` they are only mentioned, in an expression not at all.
@@ -169,10 +172,13 @@ def feature_findings(
         return []
     severity: Severity = "error" if role == "neutral" else "info"
     found = []
-    if lip_gap_mm >= limits.lips_apart_mm:
-        message = f"The mouth is open: the lips are {lip_gap_mm:.0f} mm apart."
-        found.append(make_finding("scan.mouth_open", severity, message, found=lip_gap_mm))
-    closed = [side for side, is_closed in eyes.items() if is_closed]
+    if mouth.is_open:
+        message = f"The mouth is open: the lips are {mouth.lips_mm:.0f} mm apart"
+        if mouth.teeth_mm:
+            message += f", the teeth {mouth.teeth_mm:.0f} mm"
+        figures = {"found": mouth.lips_mm, "teeth_mm": mouth.teeth_mm}
+        found.append(make_finding("scan.mouth_open", severity, f"{message}.", **figures))
+    closed = [side for side, eye in eyes.items() if eye.closed]
     if closed:
         both = len(closed) == 2
         message = "Both eyes are closed." if both else f"The {closed[0]} eye is closed."
@@ -279,7 +285,7 @@ OFF_SURFACE_MM = 6.0  # farther landmarks are of another scan, or in another uni
 
 
 def landmark_findings(
-    path: Path, template: Template, scan: RawScan, samples: Samples, unit: str
+    path: Path, template: Template, scan: RawScan, samples: Samples, frame: Mapping[str, Any]
 ) -> tuple[list[Finding], tuple[Floats, Floats] | None]:
     """Return what is wrong with the landmarks in ``path``; else their points and the template's.
 
@@ -291,8 +297,9 @@ def landmark_findings(
     except InputError as error:
         return [error_finding(error)], None
     rest = template.skin.vertices[vertices]
-    mm_per_unit, _ = choose_unit(fit_similarity(places, rest).scale, unit, scan.mm_per_unit)
-    gap = KDTree(samples.points).query(np.array(list(points.values())))[0] * mm_per_unit
+    scale = fit_similarity(places, rest).scale
+    unit = choose_unit(scale, given_unit(frame), scan.mm_per_unit)
+    gap = KDTree(samples.points).query(np.array(list(points.values())))[0] * unit.mm_per_unit
     worst = int(np.argmax(gap))
     if gap[worst] <= OFF_SURFACE_MM:
         return [], (places, rest)

@@ -27,43 +27,65 @@ class LipOptions:
     deep: float = 6.0  # fall of a gap behind the lips
     steep: float = 3.0  # fall of its edge within a millimetre
     near: float = 11.0  # of the deepest place to the template's lips
+    apart: float = 2.0  # of lips that are open
+    throat: float = 18.0  # fall behind the lips that shows between teeth; these lie 8 to 15 back
 
 
-def lip_gap(scan: Surface, template: Template, options: LipOptions = LipOptions()) -> float:
-    """Return the height in mm of the gap between the lips, 0 if they are closed.
+@dataclass(frozen=True)
+class Mouth:
+    """How far apart lips and teeth are, in mm; None where the scan does not show it.
+
+    Of ``lips_mm`` 0 says that they are closed, as no scan can of the teeth.
+    """
+
+    lips_mm: float | None
+    teeth_mm: float | None = None
+    why_not: str = ""  # nothing is known of the lips
+    apart: float = LipOptions.apart
+
+    @property
+    def is_open(self) -> bool:
+        """Tell whether the lips are apart."""
+        return self.lips_mm is not None and self.lips_mm >= self.apart
+
+
+def find_mouth(scan: Surface, template: Template, options: LipOptions = LipOptions()) -> Mouth:
+    """Return how far apart the lips are, and the teeth behind them.
 
     ``scan`` lies in the template's frame. Down the middle of the mouth, a gap is where the profile
-    falls deep behind lips on both sides of it, over a steep edge. Without the landmarks of the lips
-    nothing is known, and 0 is returned.
+    falls deep behind lips on both sides of it, over a steep edge.
     """
     upper, lower = (template.landmarks.get(f"stomion_{lip}us") for lip in ("superi", "inferi"))
     if upper is None or lower is None:
-        return 0.0
+        return Mouth(None, why_not="the template does not name the lips")
     centre = (template.skin.vertices[upper] + template.skin.vertices[lower]) / 2
     top, bottom = centre[1] + options.above, centre[1] - options.below
     middle = np.array([centre[0], (top + bottom) / 2, centre[2]])
     front = relief(scan, middle, (options.strip, top - bottom), options.step)
     known = np.isfinite(front.height).sum(axis=1) * 2 > len(front.x)
     if known.sum() < len(known) / 2:
-        return 0.0
+        return Mouth(None, why_not="too little of the mouth is in the scan")
     profile = np.nanmedian(front.height[known], axis=1)
     profile = np.interp(front.y[::-1], front.y[known][::-1], profile[::-1])[::-1]
-    return _gap(front.y - centre[1], profile, options)
+    return _find_gap(front.y - centre[1], profile, options)
 
 
-def _gap(height: Floats, profile: Floats, options: LipOptions) -> float:
-    """Return the height in mm of the gap in a profile (n,) of rows from top to bottom."""
+def _find_gap(height: Floats, profile: Floats, options: LipOptions) -> Mouth:
+    """Return what the gap in a profile (n,) shows, of rows from top to bottom."""
     rows = round(options.widest / options.step)
     depth = grey_closing(profile, rows, mode="nearest") - profile
     deep = (depth > options.deep) & (np.abs(height) < options.above + options.widest)
     near = deep & (np.abs(height) < options.near)
     if not near.any():
-        return 0.0
+        return Mouth(0.0)
     runs, _ = label(deep)
     gap = np.flatnonzero(runs == runs[np.argmax(np.where(near, depth, 0))])
     edge = profile[max(gap[0] - 4, 0) : gap[-1] + 5]
     falls = np.abs(edge[2:] - edge[:-2])
-    return len(gap) * options.step if falls.max(initial=0) > options.steep else 0.0
+    if falls.max(initial=0) <= options.steep:
+        return Mouth(0.0)
+    between = options.step * float((depth[gap] > options.throat).sum())
+    return Mouth(len(gap) * options.step, between if between >= options.apart else None)
 
 
 # Closed eyes, by where the lids' edge lies in the scan itself.
@@ -87,21 +109,29 @@ class LidOptions:
     steepest: float = 2.0  # slope that counts
     upper: tuple[float, float] = (-2.0, 11.0)  # heights over the corners of an open lid's edge
     lower: tuple[float, float] = (-13.0, -4.0)  # heights of a closed lid's edge
-    sharp: float = 0.6  # least slope of a closed lid's edge
+    sharp: float = 0.35  # least slope of a closed lid's edge
     ahead: float = 1.6  # times the slope above it
-    thin: float = 7.5  # height of one edge
+    thin: float = 7.5  # height of one edge, of the rows ...
+    edge: float = 0.6  # ... with at least this share of the steepest slope
     near: float = 16.0  # radius of an eye
-    coarse: float = 2.2  # spacing that hides an edge
+    coarse: float = 2.5  # spacing that hides an edge
     fewest: int = 60  # vertices about an eye
 
 
-def closed_eyes(
-    scan: Surface, skin: Floats, template: Template, options: LidOptions = LidOptions()
-) -> dict[str, bool]:
-    """Return ``left`` and ``right`` -> whether that eye is surely closed.
+@dataclass(frozen=True)
+class Eye:
+    """Whether an eye is surely closed; None where the scan does not show it, and why."""
 
-    ``scan`` lies in the frame of ``skin`` (n, 3), the template's skin fitted to it. An eye that is
-    scanned too coarsely, or whose corners the template does not name, counts as open.
+    closed: bool | None
+    why_not: str = ""
+
+
+def find_eyes(
+    scan: Surface, skin: Floats, template: Template, options: LidOptions = LidOptions()
+) -> dict[str, Eye]:
+    """Return ``left`` and ``right`` -> that eye, if the template names its corners.
+
+    ``scan`` lies in the frame of ``skin`` (n, 3), the template's skin fitted to it.
     """
     known = landmark_vertices(template)
     found = {}
@@ -109,25 +139,30 @@ def closed_eyes(
         names = [f"{corner}canthion_{side[0]}" for corner in ("endo", "exo")]
         if all(name in known for name in names):
             corners = skin[[known[name] for name in names]]
-            found[side] = _is_closed(scan, corners, options)
+            found[side] = _find_eye(scan, corners, options)
     return found
 
 
-def _is_closed(scan: Surface, corners: Floats, options: LidOptions) -> bool:
+def _find_eye(scan: Surface, corners: Floats, options: LidOptions) -> Eye:
     middle = corners.mean(axis=0)
-    if _spacing(scan.vertices, middle, options) > options.coarse:
-        return False
+    spacing = _spacing(scan.vertices, middle, options)
+    if spacing > options.coarse:
+        if not np.isfinite(spacing):
+            return Eye(None, "too little of it is in the scan")
+        return Eye(None, f"a vertex only every {spacing:.1f} mm there does not show the lids")
     width = options.middle * abs(float(corners[0, 0] - corners[1, 0]))
     centre = middle + np.array([0.0, (options.above - options.below) / 2, 0.0])
     front = relief(scan, centre, (width, options.above + options.below), options.step)
     if np.isfinite(front.height).mean() < 0.5:
-        return False
+        return Eye(None, "too little of it is in the scan")
     fall, height = _falls(front.height, options), front.y - middle[1]
     upper, lower = (
         fall[(height > low) & (height < high)].max() for low, high in (options.upper, options.lower)
     )
-    sharp = height[fall > 0.5 * fall.max()]
-    return bool(lower > max(options.sharp, options.ahead * upper) and np.ptp(sharp) < options.thin)
+    at_eye = (height > options.lower[0]) & (height < options.upper[1])  # brows are sharp as well
+    sharp = height[at_eye & (fall > options.edge * fall[at_eye].max())]
+    is_lower = lower > max(options.sharp, options.ahead * upper)
+    return Eye(bool(is_lower and np.ptp(sharp) < options.thin))
 
 
 def _falls(height: Floats, options: LidOptions) -> Floats:

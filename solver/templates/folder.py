@@ -21,7 +21,7 @@ from solver.anatomy.muscle_weights import with_axis
 from solver.anatomy.template import Depth, Muscle, ShapeBasis, Template, check_arrays
 from solver.errors import InputError
 from solver.meshio.raw import read_raw
-from solver.registration.locate import AXES, UNITS
+from solver.registration.units import AXES, UNITS
 from solver.storage import NOT_READABLE, check_directory
 from solver.surface import Floats, Surface
 from solver.templates.tables import (

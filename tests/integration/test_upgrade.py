@@ -145,7 +145,9 @@ def test_every_row_is_as_it_was(name: str, upgraded: Upgraded) -> None:
 def _known(after: Any, before: Any) -> Any:
     """Return what there is now without the members that the release before did not know."""
     if isinstance(after, dict) and isinstance(before, dict):
-        return {key: after[key] for key in before}
+        return {key: _known(after[key], before[key]) for key in before}
+    if isinstance(after, list) and isinstance(before, list) and len(after) == len(before):
+        return [_known(*each) for each in zip(after, before, strict=True)]
     return after
 
 

@@ -10,8 +10,9 @@ from typing import Annotated, Any, Literal
 import pytest
 
 from myoface import cli
-from myoface.cli.app import read_object
-from myoface.cli.batches import landmarks_of, with_frame
+from myoface.cli.app import read_object, read_unit, scan_frame
+from myoface.cli.batches import batches, landmarks_of, with_frame
+from myoface.cli.captures import captures
 from myoface.cli.commands import Argument, Command, Group, Option, UsageError
 from myoface.cli.lookup import matching
 from myoface.errors import ApiError
@@ -211,6 +212,30 @@ def test_options_of_a_batch_are_those_of_its_jobs() -> None:
     }
     with pytest.raises(UsageError, match="check_scan must be a JSON object"):
         with_frame({"check_scan": 3}, ["check_scan"], frame)
+
+
+def test_a_scan_has_a_unit_by_name_or_number_or_the_distance_of_its_eyes() -> None:
+    assert [read_unit(word) for word in ("inch", "0.0437", "30")] == ["inch", 0.0437, 30.0]
+    for wrong in ("mile", "0", "-3", "nan", "inf", "22,9"):
+        with pytest.raises(ValueError, match="nor a number of mm above 0"):
+            read_unit(wrong)
+    assert scan_frame(22.9, None, "z", "auto") == {"unit": 22.9, "up": "z", "forward": "auto"}
+    eyes = scan_frame("auto", 62.0, "z", "auto")
+    assert eyes == {"eye_distance_mm": 62.0, "up": "z", "forward": "auto"}
+    with pytest.raises(UsageError, match="not both"):
+        scan_frame("cm", 62.0, "auto", "auto")
+
+
+@pytest.mark.parametrize("wrong", ["nan", "0", "-62", "inf", "620"])
+def test_an_eye_distance_is_a_persons(wrong: str, tmp_path: Path) -> None:
+    scan = tmp_path / "neutral.obj"
+    scan.touch()
+    words = {"check": ["Ada"], "register": ["Ada"], "add": ["Ada", str(scan)]}
+    commands = [(captures.members[name], each) for name, each in words.items()]
+    for command, given in [*commands, (batches.members["add"], [str(scan)])]:
+        assert isinstance(command, Command)
+        with pytest.raises(UsageError, match="--eye-distance"):
+            command.parser("here").parse_args([*given, f"--eye-distance={wrong}"])
 
 
 def test_landmarks_are_of_a_scan_that_is_named_twice(tmp_path: Path) -> None:

@@ -43,6 +43,28 @@ def station(folder: Path, service: Service, *names: str) -> Any:
     return runpy.run_path(str(EXAMPLE))["Station"](service, folder)
 
 
+def test_a_check_is_told_the_unit_and_tells_what_it_did_not_judge(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[dict[str, Any]] = []
+
+    class Checking(Service):
+        def ensure_capture(self, *_: Any, **__: Any) -> Any:
+            return SimpleNamespace(check=None, id="7")
+
+        def run(self, *_: Any, **given: Any) -> Any:
+            asked.append(given["options"])
+            unseen = {"about": "eyes", "judged": False, "words": "a vertex every 4 mm"}
+            summary = {"verdict": "good", "findings": [], "judged": [unseen]}
+            return SimpleNamespace(result=SimpleNamespace(summary=summary))
+
+    here = station(tmp_path, Checking(), "smile.obj")
+    here.options = {"unit": 22.9}
+    here.look()
+    assert asked == [{"unit": 22.9}]
+    assert "not judged: eyes: a vertex every 4 mm" in capsys.readouterr().out
+
+
 def refusal(status: int | None, code: str) -> ApiError:
     return ApiError({"code": code, "detail": "so", **({"status": status} if status else {})})
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.ingest import dense
 from solver.errors import InputError
 from solver.jobs import run_job
 from solver.meshio.obj import write_obj
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.long
 
 def test_a_neutral_with_an_open_mouth_is_bad_as_an_expression_it_is_good(tmp_path: Path) -> None:
     scan = tmp_path / "scan.obj"
-    write_obj(scan, builtin_expression({"jawOpen": 0.5}))
+    write_obj(scan, dense(builtin_expression({"jawOpen": 0.5}), 2))
     verdicts = {}
     for role in ("neutral", "expression", "unknown"):
         report, picture = run_job("check_scan", tmp_path / role, scan=scan, role=role)

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from solver.errors import InputError
 from solver.meshio.obj import write_obj
 from solver.meshio.registered import REGISTERED_FORMATS, read_registered, write_registered
+from solver.model import SizeFrom
 from solver.surface import Surface
 from tests.fixtures import small_capture
 
@@ -254,6 +255,14 @@ def test_confidence_comes_back_and_is_one_where_nothing_is_said(tmp_path: Path) 
     np.testing.assert_allclose(found.confidence, confidence, atol=1e-7)
     plain = read_registered(write(tmp_path / "b.ply", HEAD), HEAD.faces, COUNT)
     assert (plain.confidence == 1.0).all()
+
+
+@pytest.mark.parametrize("size_from", ["scan", "template", "guess"])
+def test_a_registered_scan_says_where_its_size_comes_from(
+    size_from: SizeFrom, tmp_path: Path
+) -> None:
+    write_registered(tmp_path / "a.ply", HEAD, np.ones(COUNT), size_from)
+    assert read_registered(tmp_path / "a.ply", HEAD.faces, COUNT).size_from == size_from
 
 
 @pytest.mark.parametrize("wrong", [-0.1, 1.5, np.nan])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +20,6 @@ from solver.meshio.obj import write_obj
 from solver.meshio.raw import RawScan, mend, read_raw
 from solver.registration.landmarks import landmark_vertices
 from solver.registration.locate import (
-    FRAME,
     Location,
     face_surface,
     locate_face,
@@ -27,6 +28,7 @@ from solver.registration.locate import (
 )
 from solver.registration.register import find_start
 from solver.registration.search import RefinementOptions, face_points, refine_pose
+from solver.registration.units import FRAME
 from solver.scans.check import check
 from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats, Surface
@@ -80,7 +82,7 @@ def crop(head: Surface, kind: str, rng: np.random.Generator) -> Surface:
     return Surface(vertices + rng.normal(0.0, 0.2, vertices.shape), faces)
 
 
-def locate(scan: RawScan, frame: dict[str, str] = FRAME) -> Location:
+def locate(scan: RawScan, frame: Mapping[str, Any] = FRAME) -> Location:
     mended, _ = mend(scan)
     return locate_face(mended, scan_samples(mended), template(), frame)
 
@@ -127,7 +129,7 @@ def test_a_size_of_no_unit_is_the_same_warning_to_check_and_registration(
     severities = {finding.code: finding.severity for finding in found.findings}
     assert severities["scan.unit_unknown"] == "warning"
     assert judge_findings(found.findings) == "usable"
-    _, start = find_start(mend(read_raw(path))[0], template(), frame, None)
+    _, start, _ = find_start(mend(read_raw(path))[0], template(), frame, None)
     assert not start.size_known
     assert start.mm_per_unit == found.figures["mm_per_unit"] == pytest.approx(3.7, rel=0.12)
 
@@ -166,7 +168,7 @@ def test_landmarks_replace_the_search(tmp_path: Path) -> None:
     marks = points, template().skin.vertices[vertices]
     found = locate_face(scan, scan_samples(scan), template(), FRAME, marks)
     assert found.is_face
-    assert found.unit == "cm"
+    assert found.unit.name == "cm"
     assert found.motion.then(Similarity(1.0, turn, np.zeros(3))).degrees < 6.0
 
 

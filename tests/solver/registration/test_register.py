@@ -8,10 +8,10 @@ import pytest
 from benchmarks.corruption import Corruption, corrupted
 from solver.errors import InputError
 from solver.meshio.raw import mend
-from solver.registration.locate import FRAME
 from solver.registration.register import register
 from solver.registration.report import report
 from solver.registration.topology import topology
+from solver.registration.units import FRAME
 from solver.templates.builtin.build import builtin_template
 
 pytestmark = pytest.mark.long
@@ -47,7 +47,7 @@ def errors(found, truth, known):
 
 
 def test_neutral_in_any_pose_and_unit_finds_its_vertices(known, person, neutral):
-    assert neutral.start.unit == "cm"
+    assert neutral.start.unit.name == "cm"
     assert errors(neutral.skin.vertices, person[0].vertices, known).mean() < 0.8
     assert len(neutral.folded) == 0
 
@@ -59,7 +59,7 @@ def test_a_decimal_slip_of_the_unit_keeps_the_persons_size(known, person):
     assert found.start.mm_per_unit == pytest.approx(0.001)
     assert errors(found.skin.vertices, person[0].vertices, known).mean() < 0.8
     codes = [finding["code"] for finding in report(found, known)["findings"]]
-    assert "registration.unit" not in codes
+    assert "scan.unit_unknown" not in codes
 
 
 def test_holes_have_no_confidence_and_the_rest_lies_on_the_scan(known, neutral):
@@ -80,7 +80,7 @@ def test_expression_keeps_the_head_where_the_neutral_has_it(known, person, neutr
     found = register(mend(raw)[0], known, neutral.skin.vertices)
     moved = found.skin.vertices - neutral.skin.vertices
     assert errors(moved, person[1].vertices - person[0].vertices, known).mean() < 0.6
-    assert found.start.unit == "m"
+    assert found.start.unit.name == "m"
 
 
 def test_without_shapes_the_surface_is_still_met(known, person):

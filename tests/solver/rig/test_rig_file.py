@@ -122,3 +122,14 @@ def test_what_is_no_rig_is_refused(rig: Rig, tmp_path: Path) -> None:
         with pytest.raises(InputError) as raised:
             Rig.load(path)
         assert raised.value.code == "rig.unreadable"
+
+
+def test_a_size_that_is_an_estimate_stays_one(rig: Rig, tmp_path: Path) -> None:
+    assert "model.size" not in [notice.code for notice in rig.warnings]
+    model = replace(rig.model, size_from="template")
+    assert model.sha256 != rig.model.sha256
+    replace(rig, model=model).save(tmp_path / "rig.npz")
+    found = Rig.load(tmp_path / "rig.npz")
+    (size, *others) = found.warnings
+    assert others == list(rig.notices)
+    assert size.message == "size unknown: taken from the template, millimetres are estimates"

@@ -10,14 +10,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bad_scans import BAD_SCANS, Subject
-from benchmarks.ingest import builtin_subject
+from benchmarks.corruption import Corruption, corrupted
+from benchmarks.ingest import BLINK, builtin_subject, dense, is_named
 from solver.errors import judge_findings
 from solver.meshio.obj import write_obj
-from solver.registration.locate import FRAME
-from solver.scans.check import ScanCheck, check
+from solver.registration.units import FRAME
+from solver.scans.check import ScanCheck, check, check_picture
 from solver.scans.findings import ADVICE
 from solver.surface import Surface
-from solver.templates.builtin.build import builtin_capture_set
+from solver.templates.builtin.build import builtin_capture_set, builtin_expression
 from tests.fixtures import data_folder, ict_capture
 
 pytestmark = pytest.mark.long
@@ -51,10 +52,10 @@ def alarms(found: ScanCheck) -> list[str]:
 def test_every_fault_is_named(fault: str, tmp_path: Path) -> None:
     bad = BAD_SCANS[fault](subject(), tmp_path)
     found = checked(bad.path, "neutral", bad.landmarks)
-    named = {finding.code: finding for finding in found.findings}
-    assert bad.code in named, alarms(found)
-    assert judge_findings(found.findings) == bad.verdict, alarms(found)
-    assert all(code in ADVICE for code in named)
+    findings = [finding.to_dict() for finding in found.findings]
+    report = {"verdict": judge_findings(found.findings), "findings": findings}
+    assert is_named(bad, report), alarms(found)
+    assert all(finding.code in ADVICE for finding in found.findings)
 
 
 @pytest.mark.parametrize("expression", ["neutral", "surprise", "kiss"])
@@ -62,13 +63,13 @@ def test_no_alarm_for_the_built_in_person(expression: str, tmp_path: Path) -> No
     captures = builtin_capture_set()
     scan = {"neutral": captures.neutral, **captures.train, **captures.test}[expression]
     role = "neutral" if expression == "neutral" else "expression"
-    assert alarms(checked(written(tmp_path, scan), role)) == []
+    assert alarms(checked(written(tmp_path, dense(scan, 2)), role)) == []
 
 
 @pytest.mark.parametrize("expression", ["neutral", "smile", "ah"])
 def test_no_alarm_for_real_heads(expression: str, tmp_path: Path) -> None:
     role = "neutral" if expression == "neutral" else "expression"
-    assert alarms(checked(written(tmp_path, ict_capture(expression)), role)) == []
+    assert alarms(checked(written(tmp_path, dense(ict_capture(expression), 1)), role)) == []
 
 
 @pytest.mark.parametrize(
@@ -104,8 +105,57 @@ def test_a_hole_is_found_where_it_is(tmp_path: Path) -> None:
     assert 150 < hole["area_mm2"] < 350
 
 
+def scanned(surface: Surface, cell_mm: float) -> Surface:
+    """Return what a scanner with a vertex every 0.7 ``cell_mm`` or so makes of a face."""
+    how = Corruption(noise_mm=0.1, hole_share=0.0, cell_mm=cell_mm)
+    scan = corrupted(surface, 1, how)
+    return Surface(scan.vertices, scan.faces)
+
+
+@pytest.mark.parametrize("cell_mm", [1.4, 2.8])
+def test_eyes_lips_and_teeth_are_judged_at_the_densities_of_scanners(
+    cell_mm: float, tmp_path: Path
+) -> None:
+    looks = {
+        "open": ({}, set()),
+        "closed": (BLINK, {"scan.eyes_closed"}),
+        "parted": ({"jawOpen": 0.08}, {"scan.mouth_open"}),
+        "wide": ({"jawOpen": 0.3}, {"scan.mouth_open"}),
+    }
+    for look, (weights, expected) in looks.items():
+        found = checked(written(tmp_path, scanned(builtin_expression(weights), cell_mm)), "neutral")
+        codes = {finding.code for finding in found.findings}
+        assert codes & {"scan.eyes_closed", "scan.mouth_open"} == expected, look
+        judged = {each.about: each for each in found.judged}
+        assert judged["eyes"].judged
+        assert judged["lips"].judged
+        assert judged["teeth"].judged == (look == "wide")
+
+
+def test_what_is_too_coarse_to_judge_is_said_to_be(tmp_path: Path) -> None:
+    found = checked(written(tmp_path, scanned(builtin_expression(BLINK), 5.5)), "neutral")
+    assert "scan.coarse" in [finding.code for finding in found.findings]
+    assert judge_findings(found.findings) == "usable"
+    eyes = next(each for each in found.judged if each.about == "eyes")
+    assert not eyes.judged
+    assert "a vertex only every" in eyes.words
+    check_picture(found, "coarse", tmp_path / "check.png")
+
+
+def test_small_gaps_are_told_and_explained(tmp_path: Path) -> None:
+    head = dense(ict_capture("neutral"), 1)
+    middles = head.vertices[head.faces].mean(axis=1)
+    off = np.linalg.norm((middles - np.array([42.0, -15.0, 85.0]))[:, :2], axis=1)
+    found = checked(written(tmp_path, Surface(head.vertices, head.faces[off > 6.0])), "neutral")
+    assert found.cover is not None
+    assert not found.cover.covered.all()
+    codes = {finding.code: finding.severity for finding in found.findings}
+    assert codes["scan.gaps"] == "info"
+    assert judge_findings(found.findings) == "good"
+
+
 def test_noise_is_measured(tmp_path: Path) -> None:
-    head = ict_capture("neutral")
+    head = dense(ict_capture("neutral"), 1)
     noise = np.random.default_rng(3).normal(0, 0.8, head.vertices.shape)
     found = checked(written(tmp_path, head.moved(head.vertices + noise)), "neutral")
     assert alarms(found)[0].startswith("The surface is noisy")
@@ -124,6 +174,6 @@ def test_unit_and_axes_are_found_in_any_pose(tmp_path: Path) -> None:
     path = written(tmp_path, head.moved(head.vertices @ turn.T / 25.4 + 7.0))
     place = checked(path, "neutral").location
     assert place is not None
-    assert place.unit == "inch"
+    assert place.unit.name == "inch"
     back = place.motion(place.mm_per_unit * (head.vertices @ turn.T / 25.4 + 7.0))
     assert np.linalg.norm(back - head.vertices, axis=1).max() < 1.5

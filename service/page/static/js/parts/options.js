@@ -75,7 +75,17 @@ function control(shared, rules, value) {
       JSON.stringify(value ?? {}, null, 2),
     );
   }
-  return h("input", { ...shared, type: "text", value: value === null ? "" : asText(value) });
+  const text = h("input", { ...shared, type: "text", value: value === null ? "" : asText(value) });
+  const words = formsOf(rules).flatMap(({ enum: choices = [] }) => choices);
+  if (!words.length) return text;
+  text.setAttribute("list", `${shared.id}-words`);
+  text.required = true;
+  return [text, h("datalist", { id: `${shared.id}-words` }, words.map((word) => h("option", { value: word })))];
+}
+
+/** Return the forms that a value may have, such as a word or a number. */
+function formsOf(rules) {
+  return [...(rules.anyOf ?? []), ...(rules.oneOf ?? [])];
 }
 
 /** Tell whether an option is a whole JSON document, such as a scene. */

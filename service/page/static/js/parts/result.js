@@ -4,7 +4,7 @@ import { h } from "../dom.js";
 import { figure, plain } from "../words.js";
 import { film, picture } from "./files.js";
 import { rigFindings, verdictOf } from "./certificate.js";
-import { findingList } from "./findings.js";
+import { findingList, judgedLines } from "./findings.js";
 import { state } from "./state.js";
 
 /** What the pictures of each kind show. */
@@ -29,6 +29,7 @@ export function resultPanel(job, signal) {
   const content = [
     summary?.verdict && h("p", { class: "verdict" }, rigId ? verdictOf(summary) : state(summary.verdict)),
     summary?.findings && findingList(summary.findings),
+    summary && judgedLines(summary),
     rigId && summary?.checks && findingList(rigFindings(summary)),
     rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),
     job.kind === "fit_sequence" &&

@@ -9,7 +9,7 @@ import { forget, upload } from "../tus.js";
 import { bytes } from "../words.js";
 import { ask } from "./dialog.js";
 import { picture } from "./files.js";
-import { findingList } from "./findings.js";
+import { findingList, judgedLines, toMend } from "./findings.js";
 import { meter } from "./meter.js";
 import { state, word } from "./state.js";
 import { sentence } from "./trouble.js";
@@ -201,7 +201,7 @@ export class ScanRow {
       h(
         "div",
         { class: "judged" },
-        h("div", { class: "grow" }, findingList(toMend(summary))),
+        h("div", { class: "grow" }, findingList(toMend(summary)), judgedLines(summary)),
         image &&
           h(
             "a",
@@ -265,9 +265,4 @@ export class ScanRow {
     interrupted.forget(this.file);
     this.dropped(this);
   }
-}
-
-/** Return what the operator can do something about; the rest is at the check. */
-function toMend({ findings = [] }) {
-  return findings.filter(({ severity }) => severity === "error" || severity === "warning");
 }

@@ -95,7 +95,7 @@ class Tray {
         h("div", { class: "field" }, h("label", { for: "form" }, "The scans are"), this.form),
         h("div", { class: "field" }, h("label", { for: "then" }, "The service is to"), this.then),
       ),
-      h("details", {}, h("summary", {}, "How the scans lie, if the check cannot find it"), this.options),
+      h("details", {}, h("summary", {}, "Unit or eye distance, and axes, if the check cannot find them"), this.options),
       this.table,
       this.others,
       h(
