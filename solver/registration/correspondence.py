@@ -35,9 +35,7 @@ class CorrespondenceOptions:
 
     near_mm: float = 2.5  # from the registered skin ...
     cosine: float = 0.4  # ... facing the same way, at least with this cosine of the normals
-    hugging: float = (
-        0.8  # share of a loose piece that is near, by which it is skin too: brows, seams
-    )
+    hugging: float = 0.8  # share near of a loose piece that is skin too: a brow, another shell
 
 
 # Parts of a head: skin, and what moves with a bone.
@@ -111,11 +109,9 @@ class Correspondence:
     shares: Floats  # (n, 3) ... and the barycentric coordinates of the closest point between them
     faces: Ints  # (f, 3) of the head
 
-    @property
-    def closest(self) -> Ints:
-        """Return the template's vertex (n,) that is nearest to each of the head's; -1 if none."""
-        top = np.take_along_axis(self.corners, self.shares.argmax(axis=1)[:, None], axis=1)[:, 0]
-        return np.where(self.near, top, -1)
+    def among(self, vertices: Ints) -> Mask:
+        """Tell which of the head's vertices (n,) lie mostly among some of the template's."""
+        return self.near & ((np.isin(self.corners, vertices) * self.shares).sum(axis=1) > 0.5)
 
     def landmarks(self, head: Surface, person: Template, most_mm: float = 6.0) -> dict[str, int]:
         """Return the template's landmarks that have a vertex of the head within ``most_mm``."""

@@ -37,7 +37,7 @@ from solver.registration.topology import Topology, topology
 from solver.scans.cover import cover, has_second_face
 from solver.scans.findings import cover_findings
 from solver.similarity import IDENTITY, Similarity
-from solver.surface import Floats, Surface, directed_edges
+from solver.surface import Floats, Ints, Surface, directed_edges
 
 
 @dataclass(frozen=True)
@@ -194,10 +194,10 @@ def _carry_shapes(shapes: ShapeBasis | None, carry: Carrier, turn: Similarity) -
 
 def _on_head(person: Template, head: Surface, found: Correspondence, carry: Carrier) -> Template:
     """Return the anatomy of ``person`` with a head for its skin: sets of vertices, landmarks."""
-    parts, closest = found.parts, found.closest
+    parts = found.parts
 
-    def on_skin(vertices: np.ndarray) -> np.ndarray:
-        return np.flatnonzero(np.isin(closest, vertices) & parts.skin)
+    def on_skin(vertices: Ints) -> Ints:
+        return np.flatnonzero(found.among(vertices) & parts.skin)
 
     flesh = np.flatnonzero(parts.skin[head.faces].all(axis=1))
     with_mandible = np.union1d(np.flatnonzero(parts.lower), on_skin(person.attached_mandible))
@@ -226,6 +226,7 @@ def _on_head(person: Template, head: Surface, found: Correspondence, carry: Carr
         attached_cranium=np.setdiff1d(with_cranium, with_mandible),
         attached_mandible=with_mandible,
         parting=carry(person.parting),
+        bottom_y=max(person.bottom_y, float(head.vertices[parts.skin, 1].min()) - 1.0),
         landmarks=landmarks,
         regions={name: vertices for name, vertices in regions.items() if len(vertices)},
         depths=tuple(depth for depth in person.depths if depth.landmark in landmarks),

@@ -327,7 +327,11 @@ class _Checks:
         if not len(points):
             yield _find("muscle.behind", muscle.name)
             return
-        yield from self._part(muscle, "muscle.outside", -self.depth(points)[0])
+        out = -self.depth(points)[0]
+        # Beside the edge of a bare face there is no skin that a muscle could be under.
+        nearest = self.flesh.faces[barycentric(points, self.flesh)[0]]
+        out[np.isin(nearest, boundary_edges(self.flesh.faces)[0]).any(axis=1)] = 0.0
+        yield from self._part(muscle, "muscle.outside", out)
         for name, bone in self.solid.items():
             deep = np.where(contains(bone, points), barycentric(points, bone)[2], 0.0)
             yield from self._part(muscle, "muscle.in_bone", deep, name)
