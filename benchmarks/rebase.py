@@ -5,7 +5,7 @@ mouth, eyes and back of the head, in mm) and onto the neutral of ICT-FaceKit (a 
 parts, in cm), both in ``--data``. Of each: the tets and the findings of a template's check; the
 demo person, carried there, fitted to the five training scans by S and to the unseen ones by
 activations alone, distances over the face vertex by vertex; and two real raw scans registered to
-the new topology. ``built-in`` is the template itself. With ``--pictures`` the templates are drawn.
+the new topology. ``built-in`` as a head is the template itself. ``--pictures`` draws the templates.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def main() -> None:
     """Run from the command line."""
     parser = report.parser(__doc__ or "")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--heads", default="built-in,meshmonk,ict", help="some of these")
+    parser.add_argument("--heads", default="meshmonk,ict", help="built-in, meshmonk, ict")
     parser.add_argument("--pictures", type=Path, help="folder for pictures of the templates")
     options = parser.parse_args()
     report.finish(run(options), options, section)
@@ -62,7 +62,8 @@ def run(options: argparse.Namespace) -> Figures:
     template = find_or_make_mesh(builtin_template())
     heads = {}
     for name in options.heads.split(","):
-        based, figures, captures = template, {"seconds": 0.0}, builtin_capture_set()
+        based, captures = template, builtin_capture_set()
+        figures: Figures = {"seconds": 0.0}
         if name != "built-in":
             start = time.perf_counter()
             made = _rebase(template, name, options.data)

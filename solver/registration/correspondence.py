@@ -111,7 +111,8 @@ class Correspondence:
 
     def among(self, vertices: Ints) -> Mask:
         """Tell which of the head's vertices (n,) lie mostly among some of the template's."""
-        return self.near & ((np.isin(self.corners, vertices) * self.shares).sum(axis=1) > 0.5)
+        share = (np.isin(self.corners, vertices) * self.shares).sum(axis=1)
+        return np.asarray(self.near & (share > 0.5))
 
     def landmarks(self, head: Surface, person: Template, most_mm: float = 6.0) -> dict[str, int]:
         """Return the template's landmarks that have a vertex of the head within ``most_mm``."""
@@ -206,4 +207,5 @@ def _at_mouth(points: Floats, places: Mapping[str, Floats]) -> Mask:
     """Tell which points lie between the corners of the mouth."""
     if not {"cheilion_l", "cheilion_r"} <= places.keys():
         return np.zeros(len(points), bool)
-    return (points[:, 0] > places["cheilion_r"][0]) & (points[:, 0] < places["cheilion_l"][0])
+    right, left = (places[f"cheilion_{side}"][0] for side in "rl")
+    return np.asarray((points[:, 0] > right) & (points[:, 0] < left))

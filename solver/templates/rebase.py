@@ -97,7 +97,12 @@ def rebase(
         source=f"{template.source}; skin: {raw.file}",
         shapes=_carry_shapes(template.shapes, carry, turn),
     )
-    findings += [*_placing(turn, made_by), *_lacking(based, person, found, options)]
+    if turn is IDENTITY:
+        message = "The head is not upright about x = 0: it was turned into the template's axes."
+        findings.append(Finding("rebase.turned", "info", message))
+    if made_by != "transport":
+        findings.append(Finding("rebase.meshed", "info", f"The tetrahedra are new: {made_by}."))
+    findings += _remarks(based, person, found, options)
     laid = report(face, known)
     laid["findings"] = [finding.to_dict() for finding in findings] + laid["findings"]
     progress(Step("done", 1.0))
@@ -131,7 +136,9 @@ def _lay(
     """Register the template onto a head; return what is to be said of it as of a scan, too."""
     template, scan = known.template, mend(raw)[0]
     own, samples = face_surface(template), scan_samples(scan)
-    marks = landmarks and match(landmarks.name, read_landmarks(landmarks), template)
+    marks = None
+    if landmarks is not None:
+        marks = match(landmarks.name, read_landmarks(landmarks), template)
     face = register(scan, known, frame=frame, landmarks=marks, progress=progress)
     if has_second_face(samples, face_points(own), face.start.pose):
         raise InputError("scan.two_heads", f"{raw.file} holds two heads", file=raw.file)
@@ -257,17 +264,7 @@ def _bind(based: Template, person: Template) -> Template:
 # What is worth a look.
 
 
-def _placing(turn: Similarity, made_by: str) -> Iterator[Finding]:
-    """Yield what is unusual of the template's way onto the head."""
-    if turn is IDENTITY:
-        message = "The head is not upright about x = 0: it was turned into the template's axes."
-        yield Finding("rebase.turned", "info", message)
-    if made_by != "transport":
-        message = f"The tetrahedra were made anew: {made_by}."
-        yield Finding("rebase.meshed", "info", message)
-
-
-def _lacking(
+def _remarks(
     based: Template, person: Template, found: Correspondence, options: RebaseOptions
 ) -> Iterator[Finding]:
     """Yield what the head lacks: eyes, teeth, a mouth that opens."""
@@ -277,10 +274,11 @@ def _lacking(
         message = f"It has no {' and no '.join(lacking)}: rigs show none, and no skin meets them."
         yield Finding("rebase.parts", "info", message)
     skin, flesh = based.skin.vertices, based.flesh.faces
-    middle = [person.landmarks.get(f"stomion_{lip}us") for lip in ("superi", "inferi")]
+    stomia = ("stomion_superius", "stomion_inferius")
+    middle = [person.landmarks[name] for name in stomia if name in person.landmarks]
     edges = directed_edges(flesh)
     across = edges[found.sides[edges].prod(axis=1) < 0]
-    if None not in middle:
+    if middle and len(across):
         mouth = person.skin.vertices[middle].mean(axis=0)
         off = np.linalg.norm(skin[across].mean(axis=1) - mouth, axis=1)
         if (off < options.mouth_mm).any():
