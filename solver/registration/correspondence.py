@@ -57,7 +57,9 @@ def head_parts(head: Surface, person: Template, options: CorrespondenceOptions) 
     count = len(head.vertices)
     piece = connected_components(adjacency(head.faces, count), directed=False)[1]
     kinds = _kinds(head)
-    near = barycentric(head.vertices, person.flesh)[2] < options.near_mm
+    under = person.flesh
+    face, shares, distance = barycentric(head.vertices, under)
+    near = _lies_on(head, under, under.faces[face], shares, distance, options)
     skin = kinds["skin"] | (_mean(near, piece) > options.hugging)
     within = _inner_parts(person)
     bones = {"upper": person.cranium, "lower": person.mandible}
@@ -178,9 +180,7 @@ def correspond(
         other = (own == -side) & own_at_mouth
         lip = under.faces[~other[under.faces].any(axis=1)]
         lay(parts.skin & at_mouth & (sides == side), Surface(under.vertices, lip))
-    normals = np.einsum("nkd,nk->nd", vertex_normals(under)[corners], shares)
-    facing = np.einsum("nd,nd->n", vertex_normals(skin), normals)
-    near = (distance < options.near_mm) & (facing > options.cosine)
+    near = _lies_on(head, under, corners, shares, distance, options)
     eyes = parts.eyes | parts.lashes
     inner = {"eyes": eyes, "lower": parts.lower, "upper": ~(parts.skin | eyes | parts.lower)}
     for name, part in inner.items():
@@ -188,6 +188,20 @@ def correspond(
     return Correspondence(
         parts, sides, own, at_mouth, near | ~parts.skin, corners, shares, head.faces
     )
+
+
+def _lies_on(
+    head: Surface,
+    under: Surface,
+    corners: Ints,
+    shares: Floats,
+    distance: Floats,
+    options: CorrespondenceOptions,
+) -> Mask:
+    """Tell which vertices are near ``under`` and face as it does: an eyeball faces its socket."""
+    normals = np.einsum("nkd,nk->nd", vertex_normals(under)[corners], shares)
+    facing = np.einsum("nd,nd->n", vertex_normals(head), normals)
+    return np.asarray((distance < options.near_mm) & (facing > options.cosine))
 
 
 def _lips(flesh: Surface, places: Mapping[str, Floats]) -> Ints:
