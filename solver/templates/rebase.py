@@ -104,7 +104,9 @@ def rebase(
         findings.append(Finding("rebase.meshed", "info", f"The tetrahedra are new: {made_by}."))
     findings += _remarks(based, person, found, options)
     laid = report(face, known)
-    laid["findings"] = [finding.to_dict() for finding in findings] + laid["findings"]
+    told = [finding.to_dict() for finding in findings] + laid["findings"]
+    # advice is for who can scan again
+    laid["findings"] = [finding | {"advice": ""} for finding in told]
     progress(Step("done", 1.0))
     return Rebased(based, laid, carry, turn)
 

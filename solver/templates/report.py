@@ -234,7 +234,8 @@ class _Checks:
         Beside the edge of a bare face there is no skin that anything could be under.
         """
         nearest = self.flesh.faces[barycentric(points, self.flesh)[0]]
-        return nearest, np.isin(nearest, boundary_edges(self.flesh.faces)[0]).any(axis=1)
+        edge = boundary_edges(self.flesh.faces)[0]
+        return nearest, np.asarray(np.isin(nearest, edge).any(axis=1))
 
     def landmarks(self) -> Iterator[Finding]:
         """Check that landmarks are there, lie on their side, and come in pairs."""
