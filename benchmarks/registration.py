@@ -75,8 +75,8 @@ def run(options: argparse.Namespace) -> Figures:
 
     return {
         "template": template.name,
-        "raw": _raw(known, scans),
-        "raw_without_shapes": _raw(plain, scans),
+        "raw": raw_scans(known, scans),
+        "raw_without_shapes": raw_scans(plain, scans),
         "corrupted": spoilt(known),
         "corrupted_with_half_the_shapes": spoilt(half),
         "corrupted_without_shapes": spoilt(plain),
@@ -137,7 +137,8 @@ def _half(shapes: ShapeBasis | None) -> ShapeBasis | None:
     return ShapeBasis(shapes.identity[::2], shapes.expressions[::2], shapes.expression_names[::2])
 
 
-def _raw(known: Topology, folder: Path) -> Figures:
+def raw_scans(known: Topology, folder: Path) -> Figures:
+    """Register the raw scans in ``folder``; return figures of each and of the worst."""
     scans = {}
     for name in RAW:
         found, seconds = _timed(read_raw(folder / name), known)

@@ -7,12 +7,13 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from myoface.cli.app import NewFile, NewFolder
+from myoface.cli.app import Forward, LandmarksFile, NewFile, NewFolder, Unit, Up
 from myoface.cli.commands import Argument, Group, Option, UsageError
-from myoface.cli.console import JobView, Painted, out, show_table
+from myoface.cli.console import JobView, Painted, out, show_registration, show_table
 
 if TYPE_CHECKING:
     from solver.anatomy.template import Template
+    from solver.templates.report import TemplateReport
 
 template = Group("Make and check template anatomies.")
 
@@ -51,12 +52,38 @@ def build(
     if mesh:
         with JobView("template") as view:
             made = find_or_make_mesh(made, edge_mm, view)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    digest = made.save(output)
-    out.print(
-        f"{output}: {made.name} {made.version}, {len(made.muscles)} muscles, "
-        f"content sha256 {digest}"
-    )
+    _save(made, output)
+
+
+@template.command()
+def rebase(
+    skin: Annotated[
+        Path,
+        Option(exists=True, dir_okay=False, help="the head, OBJ, PLY or GLB; eyes and teeth too"),
+    ],
+    given: Given = None,
+    name: Annotated[str, Option(help="of the new template; default: of both")] = "",
+    landmarks: LandmarksFile = None,
+    unit: Unit = "auto",
+    up: Up = "auto",
+    forward: Forward = "auto",
+    output: NewFile = Path("rebased.npz"),
+) -> None:
+    """Carry a template onto a head of your own, whose vertices then are the topology of scans.
+
+    Bones, muscles, regions, landmarks and shapes come along. The head keeps its vertices and their
+    order, and its axes and origin if it is upright; its unit becomes mm. What is wrong with it
+    is told, and with an error nothing is written.
+    """
+    from solver.templates.rebase import rebase as carry
+    from solver.templates.report import report_template
+
+    frame = {"unit": unit, "up": up, "forward": forward}
+    with JobView("template") as view:
+        made = carry(_load(given), skin, name=name, frame=frame, landmarks=landmarks, progress=view)
+    show_registration(skin.name, made.registration)
+    _tell(report_template(made.template))
+    _save(made.template, output)
 
 
 @template.command()
@@ -74,14 +101,29 @@ def check(
     else:
         if json_file is not None:
             json_file.write_text(text + "\n", encoding="utf-8")
-        for finding in report.findings:
-            line = f"{finding.context['about']}: {finding.message}"
-            out.print(MARKS[finding.severity], f" {line}")
-        worth = "can be used" if report.good else "cannot be used"
-        name = f"{report.figures['name']} {report.figures['version']}"
-        out.print(f"{name}: {worth}, {len(report.findings)} findings")
+        _tell(report)
     if not report.good:
         raise SystemExit(1)
+
+
+def _tell(report: TemplateReport) -> None:
+    """Print a report's findings and verdict; end with 1 if the template is of no use."""
+    for finding in report.findings:
+        line = f"{finding.context['about']}: {finding.message}"
+        out.print(MARKS[finding.severity], f" {line}")
+    worth = "can be used" if report.good else "cannot be used"
+    name = f"{report.figures['name']} {report.figures['version']}"
+    out.print(f"{name}: {worth}, {len(report.findings)} findings")
+    if not report.good:
+        raise SystemExit(1)
+
+
+def _save(made: Template, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    digest = made.save(path)
+    out.print(
+        f"{path}: {made.name} {made.version}, {len(made.muscles)} muscles, content sha256 {digest}"
+    )
 
 
 @template.command()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, cast
 
 import igl
 import numpy as np
@@ -38,6 +39,14 @@ def build_subject_model(
     Raises :class:`InputError`, ``scan.vertex_count`` or ``scan.nan``, and as :func:`make_mesh`.
     """
     _check(template, neutral)
+    person, made_by = carry_anatomy(template, neutral, edge_mm=edge_mm, progress=progress)
+    return _assemble(template, person, made_by)
+
+
+def carry_anatomy(
+    template: Template, neutral: Floats, *, edge_mm: float = EDGE_MM, progress: Progress = silent
+) -> tuple[Template, str]:
+    """Return the template in the person with skin ``neutral`` (n, 3), and what made its tets."""
     progress(Step("transfer", 0.0))
     warp = skin_warp(template, neutral)
     person = carry(template, neutral, warp)
@@ -52,13 +61,11 @@ def build_subject_model(
             made_by = f"mesher, since transport failed: {error}"
     if made_by != "transport":
         mesh = make_mesh(person, edge_mm, progress)
-    return _assemble(template, person, mesh, made_by)
+    return replace(person, mesh=mesh), made_by
 
 
-def _assemble(
-    template: Template, person: Template, mesh: TemplateMesh, made_by: str
-) -> SubjectModel:
-    skin = person.skin.vertices
+def _assemble(template: Template, person: Template, made_by: str) -> SubjectModel:
+    mesh, skin = cast(TemplateMesh, person.mesh), person.skin.vertices
     embedding = mesh.embedding(skin)
     return SubjectModel(
         rest=mesh.vertices,

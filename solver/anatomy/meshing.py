@@ -89,7 +89,11 @@ def make_mesh(
     flesh = _mesh(head, edge_mm, options)
     progress(Step("relax", 0.85))
     flesh = _fit(head, flesh, options)
-    embedded, tet, shares, jaw_skin = _bound_skin(head, flesh, edge_mm, options)
+    embedded, tet, shares, jaw_skin = bind_skin(head, flesh, edge_mm, options)
+    lost = np.setdiff1d(head.face_vertices, embedded)
+    if len(lost):
+        reason = f"{len(lost)} face vertices, the first is {lost[0]}, are too far from the flesh"
+        raise SolveError("mesh.uncovered", reason, vertex=int(lost[0]), count=len(lost))
     rows = rows_of(flesh.tets[tet], shares, len(flesh.vertices))
     held = flesh.held_vertices
     start = close_lips(head, flesh.vertices, flesh.tets, flesh.outside, held)
@@ -152,8 +156,8 @@ def _bound(flesh: MeshedFlesh, points: Floats) -> tuple[Ints, Floats, Floats]:
     return bind_outside(points, flesh.vertices, flesh.tets, flesh.outside, flesh.outside_of)
 
 
-def _bound_skin(
-    head: Template, flesh: MeshedFlesh, edge_mm: float, options: MeshOptions
+def bind_skin(
+    head: Template, flesh: MeshedFlesh, edge_mm: float, options: MeshOptions = MESH
 ) -> tuple[Ints, Ints, Floats, Ints]:
     """Return skin vertices that follow the flesh, their tets and coordinates, and the jaw's skin.
 
@@ -163,10 +167,6 @@ def _bound_skin(
     parted = head.parted_skin.vertices[skin]
     (tet, shares, distance), ahead = _bound(flesh, parted), in_front(head, parted)
     near = (distance < options.embedding * edge_mm) & ahead
-    lost = skin[np.isin(skin, head.face_vertices) & ~near]
-    if len(lost):
-        reason = f"{len(lost)} face vertices, the first is {lost[0]}, are too far from the flesh"
-        raise SolveError("mesh.uncovered", reason, vertex=int(lost[0]), count=len(lost))
     loose = ~near & ahead
     to_jaw = cKDTree(head.mandible.vertices).query(parted[loose])[0]
     to_skull = cKDTree(head.cranium.vertices).query(parted[loose])[0]

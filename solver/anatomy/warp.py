@@ -125,13 +125,22 @@ class SkinDepth:
         return sign * distance, direction
 
 
-def close_holes(surface: Surface) -> Surface:
-    """Return a surface with a fan of triangles over every hole, around its middle."""
+def close_holes(surface: Surface, bare_mm: float = 100.0) -> Surface:
+    """Return a surface with a fan of triangles over every hole, around its middle.
+
+    One that is wider than ``bare_mm`` and looks back is that of a bare face: a cone as long as it
+    is wide has room for the head behind it.
+    """
     vertices, (edges, hole) = surface.vertices, boundary_edges(surface.faces)
-    rims = [np.unique(edges[hole == number]) for number in np.unique(hole)]
     # Turned round, the edges of a hole and its middle make faces that close it.
     caps = np.column_stack([edges[:, ::-1], len(vertices) + hole])
-    centres = [vertices[rim].mean(axis=0) for rim in rims]
+    centres = []
+    for rim in (vertices[edges[hole == number]] for number in np.unique(hole)):
+        middle, width = rim[:, 0].mean(axis=0), float(np.ptp(rim[:, 0], axis=0).max())
+        out = np.cross(rim[:, 1] - middle, rim[:, 0] - middle).sum(axis=0)
+        out /= np.linalg.norm(out) + 1e-30
+        looks_back = width > bare_mm and -out[2] > np.abs(out[:2]).max()
+        centres.append(middle + width * out if looks_back else middle)
     return Surface(np.vstack([vertices, *centres]), np.vstack([surface.faces, caps]))
 
 

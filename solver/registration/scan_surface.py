@@ -91,7 +91,7 @@ def scan_surface(
         thin = _thin(Surface(vertices, scan.faces), options.max_vertices)
         surface = _drop_debris(thin, options.small_piece)
         check_size(len(surface.vertices), scan.file, options)
-        return MeshScan(_turn_outward(surface), options)
+        return MeshScan(turn_outward(surface), options)
     points = _thin_points(vertices, options.max_vertices)
     check_size(len(points), scan.file, options)
     return CloudScan(points, options)
@@ -204,7 +204,7 @@ def _drop_debris(surface: Surface, least_share: float) -> Surface:
     return _compact(surface.vertices, surface.faces[share[owner] >= least_share])
 
 
-def _turn_outward(surface: Surface) -> Surface:
+def turn_outward(surface: Surface) -> Surface:
     """Return the scan, its faces wound the other way if most of them look inward."""
     normal = area_normals(surface.vertices, surface.faces)
     away = surface.vertices[surface.faces].mean(axis=1) - np.median(surface.vertices, axis=0)

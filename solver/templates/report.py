@@ -20,7 +20,7 @@ from solver.anatomy.tetrahedra import dihedral_angles, volumes
 from solver.anatomy.warp import SkinDepth, boundary_edges, close_holes
 from solver.errors import Finding, Severity
 from solver.registration.landmarks import IBUG_68, SYNONYMS
-from solver.surface import Floats, Surface, directed_edges
+from solver.surface import Floats, Ints, Surface, directed_edges
 
 
 @dataclass(frozen=True)
@@ -224,9 +224,18 @@ class _Checks:
         if not len(ahead):
             return np.zeros(0)
         out = -self.depth(ahead)[0]
-        nearest = self.flesh.faces[barycentric(ahead, self.flesh)[0]]
-        by_face = np.isin(nearest, self.template.face_vertices).all(axis=1)
+        nearest, is_edge = self._nearest(ahead)
+        by_face = np.isin(nearest, self.template.face_vertices).all(axis=1) & ~is_edge
         return np.asarray(out[by_face & (out > self.bounds.touching_mm)])
+
+    def _nearest(self, points: Floats) -> tuple[Ints, np.ndarray]:
+        """Return the nearest triangles (k, 3) of the flesh, and which (k,) are at its edge.
+
+        Beside the edge of a bare face there is no skin that anything could be under.
+        """
+        nearest = self.flesh.faces[barycentric(points, self.flesh)[0]]
+        edge = boundary_edges(self.flesh.faces)[0]
+        return nearest, np.asarray(np.isin(nearest, edge).any(axis=1))
 
     def landmarks(self) -> Iterator[Finding]:
         """Check that landmarks are there, lie on their side, and come in pairs."""
@@ -327,7 +336,8 @@ class _Checks:
         if not len(points):
             yield _find("muscle.behind", muscle.name)
             return
-        yield from self._part(muscle, "muscle.outside", -self.depth(points)[0])
+        out = np.where(self._nearest(points)[1], 0.0, -self.depth(points)[0])
+        yield from self._part(muscle, "muscle.outside", out)
         for name, bone in self.solid.items():
             deep = np.where(contains(bone, points), barycentric(points, bone)[2], 0.0)
             yield from self._part(muscle, "muscle.in_bone", deep, name)

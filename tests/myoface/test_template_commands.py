@@ -58,6 +58,15 @@ def test_show_prints_the_hash_and_draws(saved: Path, tmp_path: Path) -> None:
         assert (tmp_path / "pictures" / name).stat().st_size > 10_000
 
 
+def test_rebase_leaves_nothing_of_what_is_no_head(saved: Path, tmp_path: Path) -> None:
+    cloud, new = tmp_path / "cloud.xyz", tmp_path / "new.npz"
+    np.savetxt(cloud, ball_head().skin.vertices)
+    told = run("rebase", saved, "--skin", cloud, "-o", new, code=1)
+    assert "cloud.xyz is a cloud of points" in told
+    assert "required: --skin" in run("rebase", saved, code=2)
+    assert not new.exists()
+
+
 @pytest.mark.parametrize(
     "words",
     [[], ["--anatomy", "."], ["--builtin", "--folder", "."], ["--folder", ".", "--faces", "."]],

@@ -34,3 +34,13 @@ def test_depth_is_signed_and_its_direction_goes_deeper(bowl):
 def test_point_over_the_closed_hole_is_outside(bowl):
     assert SkinDepth(bowl)(np.array([[0, 48.0, 0]]))[0] < 0
     assert SkinDepth(bowl)(np.array([[0, 30.0, 0]]))[0] > 0
+
+
+def test_head_behind_a_bare_face_is_inside() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=90.0)
+    front = ball.faces[ball.triangles_center[:, 2] > 20]
+    used, faces = np.unique(front, return_inverse=True)
+    face = Surface(np.asarray(ball.vertices)[used], faces.reshape(-1, 3).astype(np.int64))
+    depth = SkinDepth(face)(np.array([[0, 0, -30.0], [60.0, 0, 0], [0, 0, 100.0]]))[0]
+    assert (depth[:2] > 0).all()  # behind the rim, at z = 20
+    assert depth[2] < 0

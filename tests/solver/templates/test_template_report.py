@@ -151,3 +151,10 @@ def test_fault_is_found(code: str, sound: Template) -> None:
 def test_ring_needs_no_attachments(sound: Template) -> None:
     far = np.array([0.0, 0.0, -400.0])
     assert report_template(left(sound, ring=True, origin=far, insertion=far)).findings == ()
+
+
+def test_muscle_beside_the_edge_of_the_skin_is_not_outside(sound: Template) -> None:
+    height = sound.skin.vertices[sound.skin.faces, 1].mean(axis=1)
+    crownless = replace(sound, flesh_faces=np.flatnonzero(height < 60))
+    report = report_template(left(crownless, surface=ball((20, 95, 20), 8.0)))
+    assert "muscle.outside" not in {finding.code for finding in report.findings}

@@ -1,0 +1,292 @@
+"""Carry a template onto a studio's own base mesh, whose vertices become its skin.
+
+The template is registered onto the head as onto a scan, and its bones, muscles and tets are carried
+into that shape as into a person's. Regions, landmarks and shapes then go to the head's vertices by
+:mod:`solver.registration.correspondence`, and these are bound to the tets as the template's were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import igl
+import numpy as np
+
+from solver.anatomy.build import carry_anatomy
+from solver.anatomy.contact_regions import contact_regions
+from solver.anatomy.domain import MeshedFlesh
+from solver.anatomy.meshing import bind_skin, find_or_make_mesh
+from solver.anatomy.relaxation import relax
+from solver.anatomy.template import ShapeBasis, Template
+from solver.anatomy.transfer import carry_muscle, guidance
+from solver.errors import Finding, InputError
+from solver.meshio.mesh import check_finite, too_large_error, weld
+from solver.meshio.raw import RawScan, mend, read_raw
+from solver.progress import Progress, Step, silent
+from solver.registration.correspondence import Carrier, Correspondence, correspond
+from solver.registration.landmarks import match, read_landmarks
+from solver.registration.locate import AXES, FRAME, face_surface, location_findings, scan_samples
+from solver.registration.register import RegisteredFace, register
+from solver.registration.report import report
+from solver.registration.scan_surface import turn_outward
+from solver.registration.search import face_points
+from solver.registration.topology import Topology, topology
+from solver.scans.cover import cover, has_second_face
+from solver.scans.findings import cover_findings
+from solver.similarity import IDENTITY, Similarity
+from solver.surface import Floats, Ints, Surface, directed_edges
+
+
+@dataclass(frozen=True)
+class RebaseOptions:
+    """Limits of a base mesh."""
+
+    most_vertices: int = 100_000  # animators' heads have 5,000 to 50,000
+    most_doubled: float = 0.2  # share of vertices in the place of another: triangles do not meet
+    straight_deg: float = 20.0  # a head that is turned by less keeps its axes and origin ...
+    centred_mm: float = 5.0  # ... if the middle of its face is so near to the plane x = 0
+    mouth_mm: float = 6.0  # about the middle of the mouth lips may not hang together
+
+
+@dataclass(frozen=True)
+class Rebased:
+    """A template on a head's vertices, and how it came there."""
+
+    template: Template
+    registration: dict[str, Any]  # of the template as it was, as of a scan, and what the head lacks
+    carry: Carrier  # of values of its vertices to those of the head
+    turn: Similarity  # from its frame to that of the head
+
+
+def rebase(
+    template: Template,
+    skin: Path,
+    *,
+    name: str = "",
+    frame: Mapping[str, Any] = FRAME,
+    landmarks: Path | None = None,
+    progress: Progress = silent,
+    options: RebaseOptions = RebaseOptions(),
+) -> Rebased:
+    """Return the template with the vertices of the head ``skin``, in their order.
+
+    ``frame`` and ``landmarks`` are those of a raw scan. A head that stands upright about x = 0
+    keeps its own axes and origin; the unit becomes mm.
+
+    Raises :class:`InputError`: ``scan.too_large``, ``scan.nan``, ``rebase.faces`` or
+    ``rebase.doubled`` for what is no base mesh, ``scan.two_heads``, and as :func:`read_raw` and
+    :func:`register`; :class:`SolveError` where no tets can be made.
+    """
+    raw = read_raw(skin)
+    _check(raw, options)
+    mesh = template.mesh or find_or_make_mesh(template, progress=progress).mesh
+    template, known = replace(template, mesh=mesh), topology(template)
+    face, findings = _lay(raw, known, frame, landmarks, progress)
+    head, turn = _place(raw, face, known, options)
+    progress(Step("anatomy", 0.7))
+    person, made_by = _into_shape(template, turn(face.skin.vertices))
+    progress(Step("correspondence", 0.9))
+    found = correspond(head, person)
+    carry = found.carrier(len(person.skin.vertices))
+    based = replace(
+        _bind(_on_head(person, head, found, carry), person),
+        name=name or f"{template.name}-{skin.stem}",
+        source=f"{template.source}; skin: {raw.file}",
+        shapes=_carry_shapes(template.shapes, carry, turn),
+    )
+    if turn is IDENTITY:
+        message = "The head is not upright about x = 0: it was turned into the template's axes."
+        findings.append(Finding("rebase.turned", "info", message))
+    if made_by != "transport":
+        findings.append(Finding("rebase.meshed", "info", f"The tetrahedra are new: {made_by}."))
+    findings += _remarks(based, person, found, options)
+    laid = report(face, known)
+    told = [finding.to_dict() for finding in findings] + laid["findings"]
+    # advice is for who can scan again
+    laid["findings"] = [finding | {"advice": ""} for finding in told]
+    progress(Step("done", 1.0))
+    return Rebased(based, laid, carry, turn)
+
+
+def _check(raw: RawScan, options: RebaseOptions) -> None:
+    """Raise what makes a mesh no skin of a template."""
+    file, count = raw.file, len(raw.vertices)
+    if count > options.most_vertices:
+        raise too_large_error(file, "vertices", count, "a base mesh", options.most_vertices)
+    if not len(raw.faces):
+        raise InputError("rebase.faces", f"{file} is a cloud of points, not a mesh", file=file)
+    check_finite(file, raw.vertices)
+    doubled = count - len(weld(raw.vertices)[0])
+    if doubled > options.most_doubled * count:
+        reason = "its triangles do not share vertices; export it as OBJ"
+        message = (
+            f"{doubled} of the {count} vertices of {file} lie in the place of another: {reason}"
+        )
+        raise InputError("rebase.doubled", message, file=file, found=doubled)
+
+
+def _lay(
+    raw: RawScan,
+    known: Topology,
+    frame: Mapping[str, Any],
+    landmarks: Path | None,
+    progress: Progress,
+) -> tuple[RegisteredFace, list[Finding]]:
+    """Register the template onto a head; return what is to be said of it as of a scan, too."""
+    template, scan = known.template, mend(raw)[0]
+    own, samples = face_surface(template), scan_samples(scan)
+    marks = None
+    if landmarks is not None:
+        marks = match(landmarks.name, read_landmarks(landmarks), template)
+    face = register(scan, known, frame=frame, landmarks=marks, progress=progress)
+    if has_second_face(samples, face_points(own), face.start.pose):
+        raise InputError("scan.two_heads", f"{raw.file} holds two heads", file=raw.file)
+    motion = replace(IDENTITY, scale=face.start.mm_per_unit).then(face.motion)
+    seen = cover(samples.transform(motion), face.skin.vertices, template, own)
+    return face, [*location_findings(scan, face.start, frame), *cover_findings(seen, 0.0)]
+
+
+def _place(
+    raw: RawScan, face: RegisteredFace, known: Topology, options: RebaseOptions
+) -> tuple[Surface, Similarity]:
+    """Return the head in mm, and the motion of the registered face to it."""
+    start, motion = face.start, face.motion
+    surface = turn_outward(Surface(start.mm_per_unit * raw.vertices, raw.faces))
+    up, forward = np.array(AXES[start.up]), np.array(AXES[start.forward])
+    axes = np.stack([np.cross(up, forward), up, forward])
+    if axes[0].any():
+        turned = axes @ motion.rotation.T
+        back = Similarity(1.0, turned, -turned @ motion.shift)
+        middle = float(back(face.skin.vertices[known.face])[:, 0].mean())
+        if back.degrees < options.straight_deg and abs(middle) < options.centred_mm:
+            return surface.moved(motion.scale * surface.vertices @ axes.T), back
+    return surface.moved(motion(surface.vertices)), IDENTITY
+
+
+def _into_shape(template: Template, skin: Floats) -> tuple[Template, str]:
+    """Return the template in the shape of ``skin`` (n, 3), and what made its tets.
+
+    It is brought to the skin's place first, so that its planes are at theirs.
+    """
+    assert template.mesh is not None
+    shift = (skin - template.skin.vertices)[template.face_vertices].mean(axis=0)
+
+    def move(points: Floats) -> Floats:
+        return np.asarray(points + shift)
+
+    moved = replace(
+        template,
+        skin=template.skin.moved(move(template.skin.vertices)),
+        cranium=template.cranium.moved(move(template.cranium.vertices)),
+        mandible=template.mandible.moved(move(template.mandible.vertices)),
+        muscles=tuple(carry_muscle(muscle, move) for muscle in template.muscles),
+        condyles=move(template.condyles),
+        bottom_y=template.bottom_y + float(shift[1]),
+        back_z=template.back_z + float(shift[2]),
+        mesh=replace(template.mesh, vertices=move(template.mesh.vertices)),
+    )
+    return carry_anatomy(moved, skin, edge_mm=template.mesh.edge_mm)
+
+
+def _carry_shapes(shapes: ShapeBasis | None, carry: Carrier, turn: Similarity) -> ShapeBasis | None:
+    if shapes is None:
+        return None
+    identity, expressions = (
+        np.array([carry(turn.turn(delta)) for delta in deltas], np.float32)
+        for deltas in (shapes.identity, shapes.expressions)
+    )
+    return ShapeBasis(identity, expressions, shapes.expression_names)
+
+
+def _on_head(person: Template, head: Surface, found: Correspondence, carry: Carrier) -> Template:
+    """Return the anatomy of ``person`` with a head for its skin: sets of vertices, landmarks."""
+    parts = found.parts
+
+    def on_skin(vertices: Ints) -> Ints:
+        return np.flatnonzero(found.among(vertices) & parts.skin)
+
+    flesh = np.flatnonzero(parts.skin[head.faces].all(axis=1))
+    with_mandible = np.union1d(np.flatnonzero(parts.lower), on_skin(person.attached_mandible))
+    with_cranium = np.flatnonzero(~parts.skin & ~parts.lower)
+    with_cranium = np.union1d(with_cranium, on_skin(person.attached_cranium))
+    landmarks = found.landmarks(head, person)
+    regions = {name: on_skin(vertices) for name, vertices in person.regions.items()}
+    left = head.vertices[:, 0] > 0
+    touching = {
+        "upper_teeth": parts.teeth & ~parts.lower,
+        "lower_teeth": parts.teeth & parts.lower,
+        "left_eyeball": parts.eyes & left,
+        "right_eyeball": parts.eyes & ~left,
+    }
+    regions |= {name: np.flatnonzero(part) for name, part in touching.items()}
+    corners = {f"{name}canthion_{side}" for name in ("endo", "exo") for side in "lr"}
+    if all(len(regions[name]) for name in touching) and corners <= landmarks.keys():
+        own = {name: regions[name] for name in touching}
+        skin = Surface(head.vertices, head.faces[flesh])
+        regions |= contact_regions(skin, found.sides, own, landmarks)
+    return replace(
+        person,
+        skin=head,
+        flesh_faces=flesh,
+        face_vertices=on_skin(person.face_vertices),
+        attached_cranium=np.setdiff1d(with_cranium, with_mandible),
+        attached_mandible=with_mandible,
+        parting=carry(person.parting),
+        bottom_y=max(person.bottom_y, float(head.vertices[parts.skin, 1].min()) - 1.0),
+        landmarks=landmarks,
+        regions={name: vertices for name, vertices in regions.items() if len(vertices)},
+        depths=tuple(depth for depth in person.depths if depth.landmark in landmarks),
+    )
+
+
+def _bind(based: Template, person: Template) -> Template:
+    """Return the template with its skin bound to the tets of ``person``, with parted lips."""
+    mesh = person.mesh
+    assert mesh is not None
+    held = np.concatenate([mesh.cranium, mesh.sliding, mesh.mandible, mesh.cut])
+    parted, place = person.parted_skin.vertices, mesh.vertices[held]
+    rows, start = mesh.surface_rows, mesh.vertices
+    guides = guidance(person, parted, mesh.embedded, rows, held, place, start)
+    facets, owners, _ = igl.boundary_facets(mesh.tets)
+    outside = ~np.isin(facets, held).all(axis=1)
+    flesh = MeshedFlesh(
+        relax(start, mesh.tets, guides), mesh.tets, facets[outside], owners[outside], {}
+    )
+    embedded, tet, shares, on_jaw = bind_skin(based, flesh, mesh.edge_mm)
+    bound = replace(
+        mesh, embedded=embedded, embedded_in=tet, shares=shares, attached_mandible=on_jaw
+    )
+    face = np.intersect1d(based.face_vertices, embedded)
+    return replace(based, face_vertices=face, mesh=bound)
+
+
+# What is worth a look.
+
+
+def _remarks(
+    based: Template, person: Template, found: Correspondence, options: RebaseOptions
+) -> Iterator[Finding]:
+    """Yield what the head lacks: eyes, teeth, a mouth that opens."""
+    parts = found.parts
+    lacking = [name for name in ("eyes", "teeth") if not getattr(parts, name).any()]
+    if lacking:
+        message = f"It has no {' and no '.join(lacking)}: rigs show none, and no skin meets them."
+        yield Finding("rebase.parts", "info", message)
+    skin, flesh = based.skin.vertices, based.flesh.faces
+    stomia = ("stomion_superius", "stomion_inferius")
+    middle = [person.landmarks[name] for name in stomia if name in person.landmarks]
+    edges = directed_edges(flesh)
+    across = edges[found.sides[edges].prod(axis=1) < 0]
+    if middle and len(across):
+        mouth = person.skin.vertices[middle].mean(axis=0)
+        off = np.linalg.norm(skin[across].mean(axis=1) - mouth, axis=1)
+        if (off < options.mouth_mm).any():
+            one, other = across[off.argmin()].tolist()
+            message = (
+                f"The lips hang together, as at vertices {one} and {other}: the skin between them "
+                "is stretched where the mouth opens."
+            )
+            yield Finding("rebase.mouth", "warning", message, context={"vertex": one})
