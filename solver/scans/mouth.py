@@ -115,7 +115,8 @@ class LidOptions:
     edge: float = 0.6  # ... with at least this share of the steepest slope
     near: float = 16.0  # radius of an eye
     coarse: float = 2.5  # spacing that hides an edge
-    fewest: int = 60  # vertices about an eye
+    few: int = 12  # vertices about an eye that tell their spacing
+    fewest: int = 60  # vertices about an eye that show its lids
 
 
 @dataclass(frozen=True)
@@ -144,17 +145,18 @@ def find_eyes(
 
 
 def _find_eye(scan: Surface, corners: Floats, options: LidOptions) -> Eye:
-    middle = corners.mean(axis=0)
-    spacing = _spacing(scan.vertices, middle, options)
+    middle, too_little = corners.mean(axis=0), Eye(None, "too little of it is in the scan")
+    near = scan.vertices[np.linalg.norm(scan.vertices - middle, axis=1) < options.near]
+    if len(near) < options.few:
+        return too_little
+    spacing = float(np.median(KDTree(near).query(near, k=2)[0][:, 1]))
     if spacing > options.coarse:
-        if not np.isfinite(spacing):
-            return Eye(None, "too little of it is in the scan")
         return Eye(None, f"a vertex only every {spacing:.1f} mm there does not show the lids")
     width = options.middle * abs(float(corners[0, 0] - corners[1, 0]))
     centre = middle + np.array([0.0, (options.above - options.below) / 2, 0.0])
     front = relief(scan, centre, (width, options.above + options.below), options.step)
-    if np.isfinite(front.height).mean() < 0.5:
-        return Eye(None, "too little of it is in the scan")
+    if len(near) < options.fewest or np.isfinite(front.height).mean() < 0.5:
+        return too_little
     fall, height = _falls(front.height, options), front.y - middle[1]
     upper, lower = (
         fall[(height > low) & (height < high)].max() for low, high in (options.upper, options.lower)
@@ -180,14 +182,6 @@ def _falls(height: Floats, options: LidOptions) -> Floats:
         fall.clip(0, options.steepest), round(options.arch / options.step), axis=0
     )
     return np.asarray(np.median(arched, axis=1))
-
-
-def _spacing(vertices: Floats, centre: Floats, options: LidOptions) -> float:
-    """Return the median distance of neighbouring vertices about an eye."""
-    near = vertices[np.linalg.norm(vertices - centre, axis=1) < options.near]
-    if len(near) < options.fewest:
-        return float("inf")
-    return float(np.median(KDTree(near).query(near, k=2)[0][:, 1]))
 
 
 # How rough a scan is: noise against a smooth surface, and spikes.

@@ -28,12 +28,13 @@ from solver.meshio.raw import RawScan, mend, read_raw
 from solver.progress import Progress, Step, silent
 from solver.registration.correspondence import Carrier, Correspondence, correspond
 from solver.registration.landmarks import match, read_landmarks
-from solver.registration.locate import AXES, FRAME, face_surface, location_findings, scan_samples
+from solver.registration.locate import face_surface, scan_samples
 from solver.registration.register import RegisteredFace, register
 from solver.registration.report import report
 from solver.registration.scan_surface import turn_outward
 from solver.registration.search import face_points
 from solver.registration.topology import Topology, topology
+from solver.registration.units import AXES, FRAME
 from solver.scans.cover import cover, has_second_face
 from solver.scans.findings import cover_findings
 from solver.similarity import IDENTITY, Similarity
@@ -135,7 +136,7 @@ def _lay(
     landmarks: Path | None,
     progress: Progress,
 ) -> tuple[RegisteredFace, list[Finding]]:
-    """Register the template onto a head; return what is to be said of it as of a scan, too."""
+    """Register the template onto a head; return what the head lacks of a face, too."""
     template, scan = known.template, mend(raw)[0]
     own, samples = face_surface(template), scan_samples(scan)
     marks = None
@@ -146,7 +147,7 @@ def _lay(
         raise InputError("scan.two_heads", f"{raw.file} holds two heads", file=raw.file)
     motion = replace(IDENTITY, scale=face.start.mm_per_unit).then(face.motion)
     seen = cover(samples.transform(motion), face.skin.vertices, template, own)
-    return face, [*location_findings(scan, face.start, frame), *cover_findings(seen, 0.0)]
+    return face, cover_findings(seen)
 
 
 def _place(

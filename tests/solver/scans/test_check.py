@@ -75,8 +75,8 @@ def test_no_alarm_for_real_heads(expression: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("scan", "true"),
     [
-        ("menpo3d/james.obj", set()),
-        ("meshmonk/DemoFace_10K.obj", {"scan.spikes"}),
+        ("menpo3d/james.obj", {"scan.coarse"}),
+        ("meshmonk/DemoFace_10K.obj", {"scan.spikes", "scan.coarse", "scan.size"}),
         ("meshmonk/Template.obj", {"scan.cut_off"}),  # a face cut off at the temples
     ],
 )
