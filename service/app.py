@@ -24,7 +24,7 @@ from service.jobs.following import Feed
 from service.jobs.routes import router as jobs
 from service.outbound import Sender
 from service.page.routes import router as page
-from service.records.reads import ReadLog
+from service.records.audit import ReadLog
 from service.records.routes import audit_router, deletions_router
 from service.rigs.routes import router as rigs
 from service.secret import secret

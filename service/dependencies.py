@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from service.access.principal import Caller, Scope, require
 from service.access.signed import FileReader
-from service.records.reads import ReadLog
+from service.records.audit import ReadLog
 from service.schemas import Label
 from service.settings import Settings
 from service.store.ballast import Ballast

@@ -11,18 +11,19 @@ import hmac
 import re
 import secrets
 import string
+import threading
 import zlib
 from collections.abc import Iterable
 from datetime import datetime, timedelta
 
-from sqlalchemy import ColumnElement, func, or_, select
+from sqlalchemy import ColumnElement, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from service import paging
-from service.access.last_used import LastUses
 from service.access.limits import KeyLookups
 from service.access.principal import Principal, Scope, unauthorized_problem
 from service.access.schemas import NewKey
+from service.background import Background
 from service.errors import Problem, not_found
 from service.paging import Slice
 from service.store.database import Store, clock
@@ -35,6 +36,36 @@ KEY = re.compile(r"(myo_([0-9A-Za-z]{12})[0-9A-Za-z]{32})([0-9A-Za-z]{6})")
 MOST_TENANT_KEYS = 100
 # Resolution of a key's `last_used_at`: one write a minute, not one a request
 USED_EVERY = timedelta(minutes=1)
+# Seconds between the writes of all that was used
+EVERY = 1.0
+
+
+class LastUses(Background):
+    """Write down, best effort, when keys were last used.
+
+    A database that is full or busy costs a note, never a request: the key's next use makes another.
+    """
+
+    def __init__(self, store: Store) -> None:
+        super().__init__("last-uses", EVERY)
+        self._store = store
+        self._noted: dict[str, datetime] = {}
+        self._lock = threading.Lock()
+
+    def note(self, key_id: str, moment: datetime) -> None:
+        """Remember that a key was used."""
+        with self._lock:
+            self._noted[key_id] = moment
+
+    def _round(self) -> None:
+        with self._lock:
+            noted, self._noted = self._noted, {}
+        if not noted:
+            return
+        with self._store.write() as session:
+            for key_id, moment in noted.items():
+                changed = update(ApiKey).where(ApiKey.id == key_id).values(last_used_at=moment)
+                session.execute(changed)
 
 
 class Keyring:

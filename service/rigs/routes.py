@@ -28,8 +28,7 @@ from service.dependencies import (
     part,
 )
 from service.errors import problems
-from service.records.audit import record
-from service.records.reads import ReadLog
+from service.records.audit import ReadLog, record
 from service.rigs import repository
 from service.rigs.archive import archive_of
 from service.rigs.download import StoredArtifact, send

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from service.access.principal import Principal
-from service.records import reads
-from service.records.reads import ReadLog
+from service.records import audit
+from service.records.audit import ReadLog
 from service.settings import Settings
 from service.store.models import DEFAULT_TENANT, Artifact
 from tests.service_client import Studio, eventually, served
@@ -69,8 +69,8 @@ def test_reading_goes_on_while_nothing_can_be_noted(tmp_path: Path) -> None:
 def test_what_cannot_be_written_waits_within_bounds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reads, "MOST_WAITING", 3)
-    monkeypatch.setattr(reads, "MOST_KNOWN", 2)
+    monkeypatch.setattr(audit, "MOST_WAITING", 3)
+    monkeypatch.setattr(audit, "MOST_KNOWN", 2)
     with served(Settings(data_dir=tmp_path)) as studio:
         store = studio.http.app.state.store  # type: ignore[attr-defined]
         log = ReadLog(store)
