@@ -18,7 +18,7 @@ from myoface.cli.app import (
     scan_frame,
 )
 from myoface.cli.commands import Argument, Group, Option, UsageError
-from myoface.cli.console import out, show_table, transfer_bar
+from myoface.cli.console import as_typed, out, show_table, transfer_bar
 from myoface.cli.lookup import find_batch, find_subject
 from myoface.client import DEFAULT_URL, Client
 from myoface.resources import Batch, Then
@@ -148,7 +148,7 @@ def _show(batch: Batch) -> None:
     show_table(("scan", "role", "check", "registration"), rows)
     for each in batch.scans:
         if each.left_out:
-            out.print(f"{each.name} is left out: {each.left_out}")
+            out.print(f"{each.name} is left out: {as_typed(each.left_out)}")
     out.print(f"{batch.state}, subject {batch.subject_id}")
     if batch.fit and batch.fit.rig_id:
         out.print(f"rig {batch.fit.rig_id}")

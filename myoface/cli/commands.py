@@ -184,7 +184,7 @@ class CommandParser(argparse.ArgumentParser):
         """Return the option or argument that a member of a request is read from."""
         name = MEMBERS.get(part.lstrip("."), part.lstrip("."))
         known = {action.dest: action for action in self._actions}
-        forms = (name, name.removesuffix("s"), name.removesuffix("_id"))
+        forms = (name, *(name.removesuffix(end) for end in ("s", "_id", "_mm")))
         return next((known[form] for form in forms if form in known), None)
 
     def error(self, message: str) -> NoReturn:

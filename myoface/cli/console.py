@@ -201,7 +201,12 @@ def _show_findings(findings: Iterable[Mapping[str, str]]) -> None:
     for finding in findings:
         out.print(f"  - {finding['message']}")
         if finding.get("advice"):
-            out.print(f"    {finding['advice']}")
+            out.print(f"    {as_typed(finding['advice'])}")
+
+
+def as_typed(advice: str) -> str:
+    """Return advice of the API with what it says of options as they are typed here."""
+    return advice.replace("eye_distance_mm", "--eye-distance")
 
 
 @contextmanager

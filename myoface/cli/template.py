@@ -7,7 +7,16 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from myoface.cli.app import Forward, LandmarksFile, NewFile, NewFolder, Unit, Up
+from myoface.cli.app import (
+    EyeDistance,
+    Forward,
+    LandmarksFile,
+    NewFile,
+    NewFolder,
+    Unit,
+    Up,
+    scan_frame,
+)
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import JobView, Painted, out, show_registration, show_table
 
@@ -65,6 +74,7 @@ def rebase(
     name: Annotated[str, Option(help="of the new template; default: of both")] = "",
     landmarks: LandmarksFile = None,
     unit: Unit = "auto",
+    eye_distance: EyeDistance = None,
     up: Up = "auto",
     forward: Forward = "auto",
     output: NewFile = Path("rebased.npz"),
@@ -75,10 +85,11 @@ def rebase(
     order, and its axes and origin if it is upright; its unit becomes mm. What is wrong with it
     is told, and with an error nothing is written.
     """
+    from solver.registration.units import FRAME
     from solver.templates.rebase import rebase as carry
     from solver.templates.report import report_template
 
-    frame = {"unit": unit, "up": up, "forward": forward}
+    frame = FRAME | scan_frame(unit, eye_distance, up, forward)
     with JobView("template") as view:
         made = carry(_load(given), skin, name=name, frame=frame, landmarks=landmarks, progress=view)
     show_registration(skin.name, made.registration)

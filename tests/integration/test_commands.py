@@ -295,8 +295,8 @@ def test_what_is_there_is_not_sent_again(myoface: Command, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--unit", "12.5"), "argument --unit: invalid choice: '12.5'"),
-        (("--unit", "furlong"), "argument --unit: invalid choice: 'furlong'"),
+        (("--unit", "0"), "argument --unit: '0' is not one of auto, mm"),
+        (("--unit", "furlong"), "argument --unit: 'furlong' is not one of auto, mm"),
         (("--forward", "up"), "argument --forward: invalid choice: 'up'"),
         (("--nothing",), "unrecognized arguments: --nothing"),
     ],

@@ -18,6 +18,7 @@ from myoface.cli.console import (
     transfer_bar,
 )
 from solver.progress import Step
+from solver.registration.units import ADVICE
 
 
 def test_an_id_stays_whole_beside_a_long_error(capsys: pytest.CaptureFixture[str]) -> None:
@@ -97,3 +98,11 @@ def test_a_bar_is_written_over_and_goes(monkeypatch: pytest.MonkeyPatch) -> None
 def test_text_of_other_languages_stays_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     console.out.print("Zoë 微笑 🙂\nund mehr")
     assert capsys.readouterr().out == "Zoë 微笑 🙂\nund mehr\n"
+
+
+def test_advice_names_the_options_that_are_typed(capsys: pytest.CaptureFixture[str]) -> None:
+    finding = {"message": "size unknown", "advice": ADVICE["scan.unit_unknown"]}
+    show_verdict("scan", {"verdict": "usable", "findings": [finding]})
+    told = capsys.readouterr().out
+    assert "--eye-distance" in told
+    assert "eye_distance_mm" not in told
