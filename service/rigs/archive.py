@@ -24,7 +24,7 @@ from sqlalchemy.orm import Session
 from service.errors import Problem, lost, not_found
 from service.rigs import repository
 from service.rigs.download import Sendable, Span
-from service.rigs.schemas import ArtifactView
+from service.rigs.schemas import ArtifactView, verdict_in
 from service.store.database import Store
 from service.store.deletion import waiting_receipt
 from service.store.files import Files
@@ -109,6 +109,9 @@ def _note(
     subject = session.get_one(Subject, rig.subject_id)
     return {
         "id": rig.id,
+        "name": rig.name,
+        "labels": rig.labels,
+        "verdict": verdict_in(rig.summary),
         "subject_id": rig.subject_id,
         "job_id": rig.job_id,
         "model_job_id": rig.model_job_id,

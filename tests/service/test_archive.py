@@ -83,6 +83,7 @@ def test_it_is_complete_and_says_of_each_file_which_job_left_it(
     assert packed.read("template.npz") == content
     assert note["template"] == {"id": template, "name": "House head"}
     assert note["subject"]["name"] == "Alex"
+    assert (note["name"], note["labels"]) == ("", {})
     assert {key: note[key] for key in ("id", "job_id")} == {
         "id": made["rig"],
         "job_id": made["fit"],
