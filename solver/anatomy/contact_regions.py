@@ -21,6 +21,7 @@ from solver.surface import Floats, Ints, Surface, directed_edges, vertex_normals
 # which a bent line of the mouth or an overbite would cross.
 
 UPPER, LOWER = 1, -1  # lips; 0 is neither
+SIDES = ("left", "right")  # the subject's
 
 
 def lips_apart(flesh: Surface, landmarks: Mapping[str, int]) -> Ints:
@@ -28,8 +29,8 @@ def lips_apart(flesh: Surface, landmarks: Mapping[str, int]) -> Ints:
 
     From the edges of the lips at the mid-line both ways to a corner of the mouth are equally long.
     """
-    upper, lower = (np.array([landmarks[f"stomion_{lip}us"]]) for lip in ("superi", "inferi"))
-    return lip_sides(flesh.vertices, flesh.faces, upper, lower)
+    upper, lower = stomia(landmarks)
+    return lip_sides(flesh.vertices, flesh.faces, np.array([upper]), np.array([lower]))
 
 
 def lip_sides(skin: Floats, faces: Ints, upper: Ints, lower: Ints) -> Ints:
@@ -45,6 +46,22 @@ def lip_sides(skin: Floats, faces: Ints, upper: Ints, lower: Ints) -> Ints:
         dijkstra(graph, directed=False, indices=seeds, min_only=True) for seeds in (upper, lower)
     )
     return np.asarray(UPPER * (to_upper < to_lower) + LOWER * (to_lower < to_upper))
+
+
+def stomia(landmarks: Mapping[str, int]) -> list[int]:
+    """Return the vertices at the mid-line's edges of the upper and the lower lip, if named."""
+    names = ("stomion_superius", "stomion_inferius")
+    return [landmarks[name] for name in names if name in landmarks]
+
+
+def eye_corners(landmarks: Mapping[str, int]) -> dict[str, Ints]:
+    """Return ``left`` and ``right`` -> the vertices (2,) of inner and outer corner, where named."""
+    names = {side: [f"{end}canthion_{side[0]}" for end in ("endo", "exo")] for side in SIDES}
+    return {
+        side: np.array([landmarks[name] for name in pair])
+        for side, pair in names.items()
+        if landmarks.keys() >= set(pair)
+    }
 
 
 @dataclass(frozen=True)
@@ -84,18 +101,13 @@ def contact_regions(
     lining = own[cKDTree(np.vstack(front)).query(skin[own])[0] < distances.lining_mm]
     for lip, side in (("upper", UPPER), ("lower", LOWER)):
         regions[f"{lip}_lip_lining"] = lining[sides[lining] == side]
-    for eye in ("left", "right"):
-        regions |= _lids(flesh, own, parts[f"{eye}_eyeball"], landmarks, eye, distances)
+    for eye, corners in eye_corners(landmarks).items():
+        regions |= _lids(flesh, own, parts[f"{eye}_eyeball"], corners, eye, distances)
     return regions
 
 
 def _lids(
-    flesh: Surface,
-    own: Ints,
-    eyeball: Ints,
-    landmarks: Mapping[str, int],
-    side: str,
-    distances: ContactDistances,
+    flesh: Surface, own: Ints, eyeball: Ints, corners: Ints, side: str, distances: ContactDistances
 ) -> dict[str, Ints]:
     """Split the skin on one eyeball along the line between the corners of the eye."""
     skin, ball = flesh.vertices, flesh.vertices[eyeball]
@@ -106,8 +118,7 @@ def _lids(
     outward = (away * vertex_normals(flesh)[own]).sum(axis=1) > 0
     on_lid = (height > -distances.on_ball_mm) & (height < distances.lid_mm)
     own = own[outward & on_lid & (away[:, 2] > 0)]
-    corners = [skin[landmarks[f"{name}_{side[0]}"]] for name in ("endocanthion", "exocanthion")]
-    inner, outer = sorted(corners, key=lambda point: float(point[0]))
+    inner, outer = sorted(skin[corners], key=lambda point: float(point[0]))
     line = np.interp(skin[own, 0], [inner[0], outer[0]], [inner[1], outer[1]])
     above = skin[own, 1] > line
     return {f"{side}_upper_lid": own[above], f"{side}_lower_lid": own[~above]}

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from solver.anatomy.contact_regions import eye_corners
 from solver.anatomy.template import Template
 from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan
-from solver.model import SizeFrom
 from solver.registration.landmarks import landmark_vertices
 from solver.registration.scan_surface import Samples, orient_outward, sample
 from solver.registration.search import (
@@ -46,7 +46,6 @@ from solver.registration.units import (
     check_frame,
     choose_unit,
     given_unit,
-    size_from,
     unit_findings,
 )
 from solver.similarity import Similarity, fit_similarity
@@ -77,13 +76,12 @@ def scan_samples(scan: RawScan) -> Samples:
 
 @dataclass(frozen=True)
 class Location:
-    """The face in a scan: its pose, the unit of the file, and its place in mm."""
+    """The face in a scan: its pose, its size, and its place in mm."""
 
     pose: FacePose
     likeness: ShapeFit | None  # of the template to the face; None where there is surely none
     is_face: bool
-    unit: ScanUnit
-    size: FaceSize
+    size: FaceSize  # and the unit of the file
     motion: Similarity  # takes the scan in mm, without scale, to the template's face
     up: str  # axis of the file nearest to the subject's up (y)
     forward: str  # axis of the file nearest to the subject's forward (z)
@@ -91,22 +89,7 @@ class Location:
     @property
     def mm_per_unit(self) -> float:
         """Return the mm of a unit of the file."""
-        return self.unit.mm_per_unit
-
-    @property
-    def is_measured(self) -> bool:
-        """Tell whether the size comes from the face in the scan and not from a unit."""
-        return self.unit.source in ("eyes", "template")
-
-    @property
-    def size_known(self) -> bool:
-        """Tell whether the size is the scan's own; it is else the template's."""
-        return self.unit.source != "template"
-
-    @property
-    def size_from(self) -> SizeFrom:
-        """Return where the size of all that is made of the scan comes from."""
-        return size_from(self.unit, self.size)
+        return self.size.unit.mm_per_unit
 
 
 @dataclass(frozen=True)
@@ -172,8 +155,7 @@ def locate_face(
         pose=pose,
         likeness=likeness,
         is_face=is_face,
-        unit=unit,
-        size=FaceSize(factor / motion.scale, *apart),
+        size=FaceSize(unit, factor / motion.scale, *apart),
         motion=Similarity(1.0, motion.rotation, centre - motion.rotation @ there),
         up=_nearest_axis(motion.rotation[1]),
         forward=_nearest_axis(motion.rotation[2]),
@@ -253,11 +235,9 @@ def _measure_eyes(
     has the eyes of a person like it: a patch of it around each is slid to where the scan has such
     a one. None where the template does not name the corners.
     """
-    known = landmark_vertices(template)
-    names = [[f"{corner}canthion_{side}" for corner in ("endo", "exo")] for side in "lr"]
-    if not all(name in known for pair in names for name in pair):
+    corners = np.array(list(eye_corners(landmark_vertices(template)).values()))
+    if len(corners) < 2:
         return None
-    corners = np.array([[known[name] for name in pair] for pair in names])
     rest = template.skin.vertices[corners]
     middles = [_find_eye(fitted, samples, face, pair) for pair in corners]
     if marks is not None:
@@ -295,8 +275,7 @@ def location_findings(scan: RawScan, location: Location, frame: Mapping[str, Any
     With an ``error`` among them nothing right would come of the scan.
     """
     if location.is_face:
-        size, unit = location.size, location.unit
-        return unit_findings(scan.file, frame, scan.mm_per_unit, unit, size)
+        return unit_findings(scan.file, frame, scan.mm_per_unit, location.size)
     pose = location.pose
     message = (
         f"{scan.file} shows no face: the best fit covers {pose.coverage:.0%} of a face and is "

@@ -111,7 +111,7 @@ def register(
         pins = Pins(start.mm_per_unit * landmarks[0], landmarks[1])
     elif landmarker is not None:
         pins = _find_pins(scan, start.motion, topology, landmarker)
-    if neutral is not None and start.is_measured:
+    if neutral is not None and start.size.is_measured:
         message = f"{raw.file} gets the neutral's size."
         told = [Finding("scan.unit_unknown", "info", message)]
     progress(Step("shape", 0.3))
@@ -158,10 +158,10 @@ def _fit_person(
     basis, rest, face = topology.template.shapes, topology.template.skin, topology.face
     if basis is not None and len(basis.identity):
         match, shapes = partial(find_correspondences, scan), identity_model(topology, basis)
-        return fit_shapes(match, start.motion, shapes, pins, sizes=not start.size_known), REFINE
+        return fit_shapes(match, start.motion, shapes, pins, sizes=not start.size.is_known), REFINE
     normals = vertex_normals(rest)[face]
     motion = align(scan, start.motion, rest.vertices[face], normals, sizes=True)
-    if not start.size_known:  # the scan takes the template's size
+    if not start.size.is_known:  # the scan takes the template's size
         return ShapeFit(np.zeros(0), rest.vertices, motion), FROM_AFAR
     resize = replace(IDENTITY, scale=start.motion.scale / motion.scale)
     return ShapeFit(np.zeros(0), resize(rest.vertices), motion.then(resize)), FROM_AFAR
@@ -172,7 +172,7 @@ def _fit_expression(
 ) -> tuple[ShapeFit, tuple[Round, ...]]:
     """Return an expression's shape and the rounds that follow; without shapes the neutral's."""
     # the neutral's size is surer than one that was measured on this scan's own face
-    basis, sizes = topology.template.shapes, start.is_measured
+    basis, sizes = topology.template.shapes, start.size.is_measured
     still = np.flatnonzero(topology.stable > STILL)
     normals = vertex_normals(topology.template.skin.moved(neutral))[still]
     share = topology.stable[still]

@@ -52,10 +52,7 @@ def report(
         "vertices": len(registered.skin.vertices),
         "scan_vertices": len(registered.scan.vertices),
         "regions": regions,
-        "unit": start.unit.name,
-        "mm_per_unit": start.mm_per_unit,
-        "eye_distance_mm": start.size.eyes_mm and round(start.size.eyes_mm, 1),
-        "size_from": start.size_from,
+        **start.size.figures,
         "motion": {
             "scale": start.mm_per_unit * motion.scale,
             "rotation": np.round(motion.rotation, 9).tolist(),

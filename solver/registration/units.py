@@ -75,8 +75,9 @@ class ScanUnit:
 
 @dataclass(frozen=True)
 class FaceSize:
-    """How large a face is at the size that was chosen for its scan."""
+    """How large a face is in the unit that was chosen for its scan, and how surely."""
 
+    unit: ScanUnit
     share: float  # by the template's face
     eyes_mm: float | None  # from the middle of an eye to the other's; None where it is not known
     template_eyes_mm: float | None  # the same in the template
@@ -92,6 +93,35 @@ class FaceSize:
             return f"the face is {by}"
         apart = f"the eyes are {self.eyes_mm:.1f} mm apart (template: {self.template_eyes_mm:.1f})"
         return f"{apart} and the face is {by}"
+
+    @property
+    def is_known(self) -> bool:
+        """Tell whether the size is the scan's own; it is else the template's."""
+        return self.unit.source != "template"
+
+    @property
+    def is_measured(self) -> bool:
+        """Tell whether the size comes from the face in the scan and not from a unit."""
+        return self.unit.source in ("eyes", "template")
+
+    @property
+    def taken_from(self) -> SizeFrom:
+        """Return where the size of all that is made of the scan comes from."""
+        if not self.is_known:
+            return "template"
+        is_rare = self.unit.source == "found" and self.unit.name not in COMMON
+        is_guess = is_rare or (self.unit.source == "assumed" and self.is_unusual())
+        return "guess" if is_guess else "scan"
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Return the size as a check and a registration have it among their figures."""
+        return {
+            "unit": self.unit.name,
+            "mm_per_unit": self.unit.mm_per_unit,
+            "size_from": self.taken_from,
+            "eye_distance_mm": self.eyes_mm and round(self.eyes_mm, 1),
+        }
 
     def is_a_persons(self, options: UnitOptions = UNIT_OPTIONS) -> bool:
         """Tell whether anybody has a face of such a size, a child or a giant."""
@@ -175,19 +205,19 @@ def choose_unit(
 
 
 def unit_findings(
-    file: str, frame: Mapping[str, Any], declared: float | None, unit: ScanUnit, size: FaceSize
+    file: str, frame: Mapping[str, Any], declared: float | None, size: FaceSize
 ) -> list[Finding]:
     """Return what is to be told of a scan's size, of the check and of the registration alike.
 
     An ``error`` is a unit that was given and cannot be.
     """
-    given = given_unit(frame)
+    given, unit = given_unit(frame), size.unit
     first = given or declared or 1.0
     figures = {
         "expected": first,
         "found": unit.mm_per_unit,
         "unit": unit.name,
-        "eye_distance_mm": None if size.eyes_mm is None else round(size.eyes_mm, 1),
+        "eye_distance_mm": size.figures["eye_distance_mm"],
     }
     ratio = first / unit.mm_per_unit * size.share
     off = f"{ratio:.3g} times too large" if ratio > 1 else f"{1 / ratio:.3g} times too small"
@@ -218,11 +248,3 @@ def unit_findings(
 
 def _finding(code: str, severity: Severity, message: str, figures: dict[str, Any]) -> Finding:
     return Finding(code, severity, message, ADVICE[code], figures)
-
-
-def size_from(unit: ScanUnit, size: FaceSize) -> SizeFrom:
-    """Return where the size of all that is made of a scan comes from."""
-    if unit.source == "template":
-        return "template"
-    is_rare = unit.source == "found" and unit.name not in COMMON
-    return "guess" if is_rare or (unit.source == "assumed" and size.is_unusual()) else "scan"

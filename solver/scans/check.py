@@ -124,10 +124,7 @@ def _check(
         return
     result.location = place
     result.figures |= {
-        "unit": place.unit.name,
-        "mm_per_unit": place.mm_per_unit,
-        "size_from": place.size_from,
-        "eye_distance_mm": place.size.eyes_mm and round(place.size.eyes_mm, 1),
+        **place.size.figures,
         "up": place.up,
         "forward": place.forward,
         "size": round(place.size.share, 3),

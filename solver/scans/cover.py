@@ -11,6 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from solver.anatomy.contact_regions import stomia
 from solver.anatomy.template import Template
 from solver.drawing.render import Camera, look
 from solver.registration.scan_surface import Samples, orient_outward, sample
@@ -150,8 +151,7 @@ def cover(
 def _at_mouth(
     points: Floats, skin: Floats, template: Template, options: CoverOptions
 ) -> NDArray[np.bool_]:
-    lips = ("stomion_superius", "stomion_inferius")
-    known = [template.landmarks[lip] for lip in lips if lip in template.landmarks]
+    known = stomia(template.landmarks)
     if not known:
         return np.zeros(len(points), bool)
     away = np.linalg.norm(points - skin[known].mean(axis=0), axis=1)

@@ -45,8 +45,9 @@ class Looked:
 
 def judged(scan: RawScan, place: Location, looked: Looked, *, marked: bool) -> Iterator[Judged]:
     """Yield what was judged; ``marked`` says whether the scan has landmarks."""
-    size = f"read {place.unit.words}, {place.size.words}"
-    yield Judged("size", place.size_known, size if place.size_known else SIZE_WORDS["template"])
+    size = place.size
+    words = f"read {size.unit.words}, {size.words}" if size.is_known else SIZE_WORDS["template"]
+    yield Judged("size", size.is_known, words)
     share = looked.cover.share()
     yield Judged("cover", True, f"{share:.1%} of the face is in the scan")
     is_dense = not np.isnan(looked.noise_mm)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, grey_closing, label, maximum_filter1d
 from scipy.spatial import KDTree
 
+from solver.anatomy.contact_regions import eye_corners, stomia
 from solver.anatomy.template import Template
 from solver.registration.landmarks import landmark_vertices
 from solver.scans.cover import relief
@@ -55,10 +56,10 @@ def find_mouth(scan: Surface, template: Template, options: LipOptions = LipOptio
     ``scan`` lies in the template's frame. Down the middle of the mouth, a gap is where the profile
     falls deep behind lips on both sides of it, over a steep edge.
     """
-    upper, lower = (template.landmarks.get(f"stomion_{lip}us") for lip in ("superi", "inferi"))
-    if upper is None or lower is None:
+    lips = stomia(template.landmarks)
+    if len(lips) < 2:
         return Mouth(None, why_not="the template does not name the lips")
-    centre = (template.skin.vertices[upper] + template.skin.vertices[lower]) / 2
+    centre = template.skin.vertices[lips].mean(axis=0)
     top, bottom = centre[1] + options.above, centre[1] - options.below
     middle = np.array([centre[0], (top + bottom) / 2, centre[2]])
     front = relief(scan, middle, (options.strip, top - bottom), options.step)
@@ -134,14 +135,8 @@ def find_eyes(
 
     ``scan`` lies in the frame of ``skin`` (n, 3), the template's skin fitted to it.
     """
-    known = landmark_vertices(template)
-    found = {}
-    for side in ("left", "right"):
-        names = [f"{corner}canthion_{side[0]}" for corner in ("endo", "exo")]
-        if all(name in known for name in names):
-            corners = skin[[known[name] for name in names]]
-            found[side] = _find_eye(scan, corners, options)
-    return found
+    known = eye_corners(landmark_vertices(template))
+    return {side: _find_eye(scan, skin[corners], options) for side, corners in known.items()}
 
 
 def _find_eye(scan: Surface, corners: Floats, options: LidOptions) -> Eye:

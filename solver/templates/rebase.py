@@ -16,7 +16,7 @@ import igl
 import numpy as np
 
 from solver.anatomy.build import carry_anatomy
-from solver.anatomy.contact_regions import contact_regions
+from solver.anatomy.contact_regions import contact_regions, eye_corners, stomia
 from solver.anatomy.domain import MeshedFlesh
 from solver.anatomy.meshing import bind_skin, find_or_make_mesh
 from solver.anatomy.relaxation import relax
@@ -223,9 +223,8 @@ def _on_head(person: Template, head: Surface, found: Correspondence, carry: Carr
         "right_eyeball": parts.eyes & ~left,
     }
     regions |= {name: np.flatnonzero(part) for name, part in touching.items()}
-    corners = {f"{name}canthion_{side}" for name in ("endo", "exo") for side in "lr"}
-    if all(len(regions[name]) for name in touching) and corners <= landmarks.keys():
-        own = {name: regions[name] for name in touching}
+    own = {name: regions[name] for name in touching}
+    if all(map(len, own.values())) and len(eye_corners(landmarks)) == 2:
         skin = Surface(head.vertices, head.faces[flesh])
         regions |= contact_regions(skin, found.sides, own, landmarks)
     return replace(
@@ -277,8 +276,7 @@ def _remarks(
         message = f"It has no {' and no '.join(lacking)}: rigs show none, and no skin meets them."
         yield Finding("rebase.parts", "info", message)
     skin, flesh = based.skin.vertices, based.flesh.faces
-    stomia = ("stomion_superius", "stomion_inferius")
-    middle = [person.landmarks[name] for name in stomia if name in person.landmarks]
+    middle = stomia(person.landmarks)
     edges = directed_edges(flesh)
     across = edges[found.sides[edges].prod(axis=1) < 0]
     if middle and len(across):

@@ -100,7 +100,7 @@ def test_the_face_is_found_in_any_pose_unit_and_crop(number: int) -> None:
     found = locate(raw_scan(place(seen.vertices), seen.faces))
     assert found.is_face
     assert found.mm_per_unit == pytest.approx(unit, rel=0.12)
-    assert found.size_known == (unit in MM_PER_UNIT[:4])
+    assert found.size.is_known == (unit in MM_PER_UNIT[:4])
     face, rest = template().face_vertices, template().skin.vertices
     there = place(head.vertices[face])
     known = fit_similarity(there, rest[face])
@@ -130,7 +130,7 @@ def test_a_size_of_no_unit_is_the_same_warning_to_check_and_registration(
     assert severities["scan.unit_unknown"] == "warning"
     assert judge_findings(found.findings) == "usable"
     _, start, _ = find_start(mend(read_raw(path))[0], template(), frame, None)
-    assert not start.size_known
+    assert not start.size.is_known
     assert start.mm_per_unit == found.figures["mm_per_unit"] == pytest.approx(3.7, rel=0.12)
 
 
@@ -168,7 +168,7 @@ def test_landmarks_replace_the_search(tmp_path: Path) -> None:
     marks = points, template().skin.vertices[vertices]
     found = locate_face(scan, scan_samples(scan), template(), FRAME, marks)
     assert found.is_face
-    assert found.unit.name == "cm"
+    assert found.size.unit.name == "cm"
     assert found.motion.then(Similarity(1.0, turn, np.zeros(3))).degrees < 6.0
 
 

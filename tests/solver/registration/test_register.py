@@ -47,7 +47,7 @@ def errors(found, truth, known):
 
 
 def test_neutral_in_any_pose_and_unit_finds_its_vertices(known, person, neutral):
-    assert neutral.start.unit.name == "cm"
+    assert neutral.start.size.unit.name == "cm"
     assert errors(neutral.skin.vertices, person[0].vertices, known).mean() < 0.8
     assert len(neutral.folded) == 0
 
@@ -80,7 +80,7 @@ def test_expression_keeps_the_head_where_the_neutral_has_it(known, person, neutr
     found = register(mend(raw)[0], known, neutral.skin.vertices)
     moved = found.skin.vertices - neutral.skin.vertices
     assert errors(moved, person[1].vertices - person[0].vertices, known).mean() < 0.6
-    assert found.start.unit.name == "m"
+    assert found.start.size.unit.name == "m"
 
 
 def test_without_shapes_the_surface_is_still_met(known, person):

@@ -52,8 +52,8 @@ def test_no_unit_is_guessed_for_a_face_of_another_size(
 def told(scale: float, unit: Any = "auto", declared: float | None = None) -> list[Finding]:
     given = None if unit == "auto" else 10.0 if unit == "cm" else float(unit)
     chosen = choose_unit(scale, given, declared)
-    size = FaceSize(chosen.mm_per_unit / scale, 62.0 * chosen.mm_per_unit / scale, 62.0)
-    return unit_findings("a.obj", {**FRAME, "unit": unit}, declared, chosen, size)
+    size = FaceSize(chosen, chosen.mm_per_unit / scale, 62.0 * chosen.mm_per_unit / scale, 62.0)
+    return unit_findings("a.obj", {**FRAME, "unit": unit}, declared, size)
 
 
 def test_inches_are_never_quiet() -> None:
@@ -128,7 +128,7 @@ def both(path: Path, frame: dict[str, Any]) -> tuple[Location, Location, list[st
 @pytest.mark.long
 def test_a_size_that_fits_no_unit_is_unknown_to_both(tmp_path: Path) -> None:
     checked, registered, told, again = both(written(tmp_path, 31.0), FRAME)
-    assert checked.size_from == registered.size_from == "template"
+    assert checked.size.taken_from == registered.size.taken_from == "template"
     assert told == again
     assert "size unknown: taken from the template, millimetres are estimates" in told[0]
 
@@ -138,7 +138,7 @@ def test_a_size_that_fits_no_unit_is_unknown_to_both(tmp_path: Path) -> None:
 def test_a_number_or_the_eyes_give_a_scan_its_size(frame: dict[str, Any], tmp_path: Path) -> None:
     checked, registered, told, again = both(written(tmp_path, 31.0), {**FRAME, **frame})
     assert told == again == []
-    assert checked.size_from == registered.size_from == "scan"
+    assert checked.size.taken_from == registered.size.taken_from == "scan"
     assert registered.mm_per_unit == checked.mm_per_unit
     if "unit" in frame:
         assert checked.mm_per_unit == 31.0

@@ -174,6 +174,6 @@ def test_unit_and_axes_are_found_in_any_pose(tmp_path: Path) -> None:
     path = written(tmp_path, head.moved(head.vertices @ turn.T / 25.4 + 7.0))
     place = checked(path, "neutral").location
     assert place is not None
-    assert place.unit.name == "inch"
+    assert place.size.unit.name == "inch"
     back = place.motion(place.mm_per_unit * (head.vertices @ turn.T / 25.4 + 7.0))
     assert np.linalg.norm(back - head.vertices, axis=1).max() < 1.5
