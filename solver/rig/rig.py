@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, field, fields
-from html import escape
+from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -72,20 +70,6 @@ class ExpressionFit:
 
 
 @dataclass(frozen=True)
-class Notebook:
-    """A page as a notebook's cell shows it, in a frame of its own."""
-
-    page: str
-    height: int
-
-    def _repr_html_(self) -> str:
-        look = f"width: 100%; height: {self.height}px; border: 0"
-        return (
-            f'<iframe sandbox="allow-scripts" style="{look}" srcdoc="{escape(self.page)}"></iframe>'
-        )
-
-
-@dataclass(frozen=True)
 class Rig:
     """Everything a fit hands over."""
 
@@ -130,15 +114,10 @@ class Rig:
         }
         Archive(header, arrays).write(path)
 
-    def show(self, height: int = 640) -> Notebook:
+    def show(self, height: int = 640) -> Any:
         """Return the rig for a notebook to show, ``height`` pixels high."""
-        from solver.rig.exporters import view  # which reads rigs
-
-        with TemporaryDirectory() as folder:
-            view.write(self, content := Path(folder) / view.FILE)
-            packed = b64encode(content.read_bytes()).decode()
-        page = Path(__file__).with_name("viewer.html").read_text(encoding="utf-8")
-        return Notebook(page.replace("@CONTENT@", packed), height)
+        # exporters are imported when they are asked for: they read rigs
+        return import_module("solver.rig.exporters.view").notebook(self, height)
 
     def save_as_0_1(self, folder: Path) -> list[Path]:
         """Write ``muscle_weights.npz`` and ``activations.npz``, for programs that read those."""

@@ -1,4 +1,4 @@
-"""``view.bin``: the skin of a rig for a page that shows it.
+"""``view.bin``: the skin of a rig for a page that shows it, and that page for a notebook.
 
 docs/reference/rig-format.md describes it. Displacements are in half precision, as in
 ``inside.bin``.
@@ -6,7 +6,11 @@ docs/reference/rig-format.md describes it. Displacements are in half precision, 
 
 from __future__ import annotations
 
+from base64 import b64encode
+from dataclasses import dataclass
+from html import escape
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -44,3 +48,26 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
         arrays[f"scan/{k}"] = (fit.target - neutral).astype(np.float16)
         arrays[f"error/{k}"] = fit.error_mm.astype(np.float16)
     write_container(path, header, arrays)
+
+
+@dataclass(frozen=True)
+class Notebook:
+    """A page as a notebook's cell shows it, in a frame of its own."""
+
+    page: str
+    height: int
+
+    def _repr_html_(self) -> str:
+        look = f"width: 100%; height: {self.height}px; border: 0"
+        return (
+            f'<iframe sandbox="allow-scripts" style="{look}" srcdoc="{escape(self.page)}"></iframe>'
+        )
+
+
+def notebook(rig: Rig, height: int) -> Notebook:
+    """Return a page with the skin of a rig in it, ``height`` pixels high."""
+    with TemporaryDirectory() as folder:
+        write(rig, content := Path(folder) / FILE)
+        packed = b64encode(content.read_bytes()).decode()
+    page = Path(__file__).with_name("viewer.html").read_text(encoding="utf-8")
+    return Notebook(page.replace("@CONTENT@", packed), height)
