@@ -202,7 +202,7 @@ class JobItem(View):
                 "subject_name": subject_name,
                 "queue_position": place,
                 "phase": job.progress["phase"] if job.progress else None,
-                "seconds": _seconds(job),
+                "seconds": job.seconds,
                 "retain_until": _retain_until(job, kept),
                 "result": cls._result(job) if job.state is State.SUCCEEDED else None,
             }
@@ -224,12 +224,6 @@ class JobView(JobItem):
     @classmethod
     def _result(cls, job: Job) -> dict[str, Any]:
         return {**super()._result(job), "summary": job.summary, "artifacts": job.artifacts}
-
-
-def _seconds(job: Job) -> float | None:
-    if job.started_at is None or job.finished_at is None:
-        return None
-    return (job.finished_at - job.started_at).total_seconds()
 
 
 def _retain_until(job: Job, kept: retention.Days) -> datetime | None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import select
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session, load_only
 
 from service import paging
 from service.errors import Problem, not_found
@@ -60,16 +60,9 @@ def lock(session: Session, rig_id: str) -> Rig:
 def rows(session: Session, rigs: Sequence[Rig]) -> list[RigRow]:
     """Return rigs with what other tables say of them, by two queries for all."""
     names = subjects.names(session, [rig.subject_id for rig in rigs])
-    jobs = session.execute(
-        select(Job.id, Job.started_at, Job.finished_at).where(
-            Job.id.in_([rig.job_id for rig in rigs])
-        )
-    )
-    took = {
-        job_id: (finished - started).total_seconds()
-        for job_id, started, finished in jobs
-        if started and finished
-    }
+    jobs = select(Job).where(Job.id.in_([rig.job_id for rig in rigs]))
+    times = load_only(Job.started_at, Job.finished_at)
+    took = {job.id: job.seconds for job in session.scalars(jobs.options(times))}
     return [RigRow(rig, names.get(rig.subject_id, ""), took.get(rig.job_id)) for rig in rigs]
 
 

@@ -111,6 +111,13 @@ class Job(Owned, Base):
         select(func.max(Event.id)).where(Event.job_id == id).scalar_subquery(), deferred=True
     )
 
+    @property
+    def seconds(self) -> float | None:
+        """Seconds that it took, waits between attempts among them; None: it has not ended."""
+        if self.started_at is None or self.finished_at is None:
+            return None
+        return (self.finished_at - self.started_at).total_seconds()
+
 
 class Attempt(Base):
     """One claim of a job by a worker."""
