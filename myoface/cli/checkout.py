@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from myoface.cli.assets import assets
 from myoface.cli.commands import Group, Runnable
-from myoface.cli.console import complain
+from myoface.cli.console import as_typed, complain
 from myoface.cli.demo import demo
 from myoface.cli.offline import solve
 from myoface.cli.service import admin_key, backup, doctor, restore, up
@@ -42,5 +42,5 @@ def told_faults() -> Iterator[None]:
     try:
         yield
     except (InputError, SolveError) as error:
-        complain(describe(error.as_dict()))
+        complain(describe(error.as_dict() | {"message": as_typed(error.message)}))
         raise SystemExit(1) from error

@@ -204,9 +204,9 @@ def _show_findings(findings: Iterable[Mapping[str, str]]) -> None:
             out.print(f"    {as_typed(finding['advice'])}")
 
 
-def as_typed(advice: str) -> str:
-    """Return advice of the API with what it says of options as they are typed here."""
-    return advice.replace("eye_distance_mm", "--eye-distance")
+def as_typed(words: str) -> str:
+    """Return words of the API or a solver with what they say of options as it is typed here."""
+    return words.replace("eye_distance_mm", "--eye-distance")
 
 
 @contextmanager

@@ -28,6 +28,14 @@ def test_a_refused_scan_leaves_no_empty_folder(existed: bool, tmp_path: Path) ->
     assert folder.exists() == existed
 
 
+def test_a_refusal_names_the_option_that_is_typed(tmp_path: Path) -> None:
+    scan = tmp_path / "neutral.obj"
+    scan.write_text("v 0 0 0\n")
+    sizes = ["--unit", "cm", "--eye-distance", "60"]
+    told = invoke(["solve", "check-scan", str(scan), *sizes, "-o", str(tmp_path / "check")])
+    assert told.stderr.startswith("error: --eye-distance: 60")
+
+
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a rig without expressions."""
