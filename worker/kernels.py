@@ -68,7 +68,7 @@ def compile_all() -> None:
 def _run_jobs(folder: Path) -> None:
     """Do a job of each sort on the built-in person, which compiles what they call.
 
-    The built-in template's tetrahedra, of the usual size, stay in the installation's cache.
+    The built-in template stays in the installation's cache.
     """
     from solver.jobs import run_job
     from solver.templates.builtin.build import builtin_capture_set

@@ -38,6 +38,7 @@ class GeometryOptions:
     w_v: float = 1e-2  # of the muscles' volume
     w_b: float = 1e-6  # of the jaw
     first_iterations: int = 4  # of the activations alone, for the first poses
+    retries: int = 3  # of a round whose step is refused, each with more damping
     # where two rounds in turn gain less than this part of f, the fit goes on to the whole rounds,
     # or ends there
     tolerance: float = 3e-3
@@ -97,7 +98,7 @@ def fit(
         terms = data if number >= whole else first_terms
         problem = _problem(face, terms, options, number, structure)
         before = problem.value(now.S, now.states)
-        now = joint.step(problem, now)
+        now = _step(problem, now, options.retries)
         gain = before - problem.value(now.S, now.states)
         idle = idle + 1 if gain < options.tolerance * before else 0
         number, steps = number + 1, steps + 1
@@ -106,6 +107,15 @@ def fit(
             number, idle = (whole, 0) if number < whole else (options.rounds, 0)
     last = replace(begin, w_a=options.w_a[1])
     return _finish(face.with_weights(now.S), data, last, now.states, steps)
+
+
+def _step(problem: GeometryProblem, now: Iterate, retries: int) -> Iterate:
+    """Return the next iterate; a refused step is no sign of convergence, and is tried again."""
+    for _ in range(1 + retries):
+        before, now = now, joint.step(problem, now)
+        if now.S is not before.S:
+            break
+    return now
 
 
 def _problem(

