@@ -26,6 +26,10 @@ ASSET_FORMATS = (*FORMATS, ".csv", ".npy")
 LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 # Roles of what is checked and registered
 SCANS = ("neutral", "expression")
+# Windows has devices of these names, whatever follows the first dot
+DEVICES = frozenset(
+    {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
+)
 
 
 def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
@@ -35,6 +39,7 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
     """
     # Two captures of one subject at a time would both find the name free.
     subjects.lock(session, subject_id)
+    _require_file_name(new.name)
     upload = uploads.get_complete(session, new.upload_id)
     if new.role == "performance":
         _check_performance(upload, new)
@@ -79,6 +84,8 @@ def change(session: Session, subject_id: str, capture_id: str, order: CaptureCha
         if role != capture.role and capture.role not in SCANS:
             detail = f"{capture.name} stays a file for scenes or a performance: add it anew"
             raise Problem(422, f"capture.is_{capture.role}", detail, capture_id=capture.id)
+        if name != capture.name:
+            _require_file_name(name)
         refuse_while_busy(session, subject_id)
         _refuse_while_in_batch(session, subject_id)
         _refuse_a_second(session, subject_id, name, role, besides=capture.id)
@@ -154,6 +161,17 @@ def _check_format(upload: Upload, code: str, what: str, formats: Sequence[str]) 
             file=upload.filename,
             expected=list(formats),
         )
+
+
+def _require_file_name(name: str) -> None:
+    """Refuse a name that a file cannot have on every system: jobs, archives and exports use it."""
+    if name.endswith("."):
+        detail = f"{name}: a name cannot end with a dot, which Windows takes off a file's name"
+    elif name.partition(".")[0].lower() in DEVICES:
+        detail = f"{name} is a device's name on Windows, and no file's: use another name"
+    else:
+        return
+    raise Problem(422, "capture.name", detail, found=name)
 
 
 def _as_a_file(name: str) -> str:

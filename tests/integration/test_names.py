@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from myoface.names import DEVICES, as_name
+from service.captures import service
 from service.settings import Settings
 from solver.kinds import BUILTIN_VERTICES
 from tests.servers.production import Production
@@ -100,7 +102,9 @@ def test_subjects_scans_and_rigs_are_called_and_found_as_the_studio_likes(studio
         ({"name": "   "}, 422, "request.invalid"),
         ({"name": None}, 422, "request.invalid"),
         ({"title": "  "}, 422, "request.invalid"),
-        ({"name": "NEUTRAL."}, 409, "capture.name_taken"),
+        ({"name": "NEUTRAL"}, 409, "capture.name_taken"),
+        ({"name": "grin."}, 422, "capture.name"),
+        ({"name": "Com1"}, 422, "capture.name"),
         ({"name": "with blank"}, 422, "request.invalid"),
         ({"role": "neutral"}, 409, "capture.neutral_exists"),
         ({"role": "performance"}, 422, "request.invalid"),
@@ -118,6 +122,21 @@ def test_a_change_that_cannot_be_is_refused_whole(
     subject = studio.subject()
     path = f"/v1/subjects/{subject}/captures/{studio.raw(subject, 'smile')}"
     assert refusal(studio, path, **{"title": "new", **change})[:2] == (status, code)
+
+
+@pytest.mark.parametrize("name", ["smile.", "nul", "Com1", "NUL.v2"])
+def test_a_scan_that_no_file_can_be_called_like_is_not_added(studio: Studio, name: str) -> None:
+    assert as_name(name) != name  # the clients have the same rule
+    assert DEVICES == service.DEVICES
+    subject = studio.post("/v1/subjects", name="Alex")["id"]
+    scan = {"name": name, "role": "expression", "upload_id": upload(studio, "smile")}
+    for path, body in (
+        (f"/v1/subjects/{subject}/captures", scan),
+        ("/v1/batches", {"subject_id": subject, "then": [], "captures": [scan]}),
+    ):
+        answer = studio.http.post(path, json=body)
+        assert (answer.status_code, answer.json()["code"]) == (422, "capture.name"), answer.text
+    assert captures_of(studio, subject) == []
 
 
 def test_a_scan_that_a_job_reads_keeps_its_name_and_role(studio: Studio) -> None:
