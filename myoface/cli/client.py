@@ -375,7 +375,7 @@ def download_rig(
     packed: Annotated[bool, Option("--zip", help="leave it packed: OUTPUT.zip")] = False,
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Download a rig whole, with its model, into a folder; what is there already is left as it is.
+    """Download a rig whole, with its model, into a folder; what it has of this rig stays.
 
     rig.json, which comes last, says whose rig it is, of which template, and lists the files with
     their jobs.

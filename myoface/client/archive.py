@@ -50,8 +50,18 @@ def check_archive(path: Path, archive: Artifact) -> None:
 
 
 def is_unpacked(folder: Path, archive: Artifact) -> bool:
-    """Return True if a folder has all files of an archive."""
+    """Return True if a folder has all files of an archive.
+
+    Raises :class:`ApiError`: ``client.folder`` if it has another rig, which would be lost.
+    """
     note = folder / RIG_NOTE
+    if note.is_file() and (found := _rig_of(note)) != archive.id.lower():
+        detail = (
+            f"{folder} has another rig, {found}: give another folder"
+            if found
+            else f"{note} is of no rig, and would be lost: give another folder"
+        )
+        raise ApiError({"code": "client.folder", "detail": detail, "file": str(note)})
     if not (note.is_file() and sha256_of(note) == archive.sha256):
         return False
     return all(_is_there(folder, each) for each in read_note(folder).artifacts)
@@ -96,6 +106,14 @@ def _stored(packed: zipfile.ZipFile, name: str) -> int:
     if info.compress_type != zipfile.ZIP_STORED:
         raise zipfile.BadZipFile(f"{name} is compressed")
     return info.file_size
+
+
+def _rig_of(note: Path) -> str:
+    """Return the id of the rig that a note is of; empty if it is of none."""
+    try:
+        return WholeRig.read(json.loads(note.read_bytes())).id
+    except (ApiError, ValueError, RecursionError):
+        return ""
 
 
 def _is_there(folder: Path, file: Artifact) -> bool:

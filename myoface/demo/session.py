@@ -12,6 +12,7 @@ from typing import Any
 
 from myoface.cli.console import JobView, err, transfer_bar
 from myoface.client import Client
+from myoface.client.archive import RIG_NOTE
 from myoface.errors import ApiError
 from myoface.names import Role
 from myoface.resources import Job, Result
@@ -63,6 +64,8 @@ class Session:
         self.rig_id = _result(fit).rig_id
         with self.time_phase("download"), transfer_bar("rig") as progress:
             assert self.rig_id is not None, "a fit leaves a rig"
+            # A demonstration takes the place of the one before
+            (self.folder / RIG_NOTE).unlink(missing_ok=True)
             self.client.download_rig(self.rig_id, self.folder, progress=progress)
         report: dict[str, Any] = json.loads((self.folder / "report.json").read_text())
         return report

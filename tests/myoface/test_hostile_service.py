@@ -182,6 +182,27 @@ def test_an_archive_that_is_not_as_it_says_leaves_nothing(
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
+@pytest.mark.parametrize(
+    ("note", "words"),
+    [
+        (json.dumps(_rig(_artifact("rig.glb"))), "has another rig"),
+        ('{"format": "of another program"}', "is of no rig"),
+    ],
+)
+def test_a_rig_is_not_put_over_another_one(
+    note: str, words: str, answer: Callable[[Any], None], tmp_path: Path
+) -> None:
+    answer(_rig(_artifact("rig.glb")))
+    files = {"rig.json": note, "rig.glb": "mine"}
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    told = invoke(["rigs", "download", str(uuid.uuid4()), "--output", str(tmp_path)])
+    assert told.exit_code == 1
+    assert "client.folder" in told.stderr
+    assert words in told.stderr
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == files
+
+
 def test_what_is_beside_the_listed_files_is_not_unpacked(tmp_path: Path) -> None:
     rig = _rig(_artifact("rig.glb"))
     packed = _archive(rig, {"rig.glb": CONTENT, "../x": CONTENT, "y": CONTENT})
