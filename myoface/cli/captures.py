@@ -110,6 +110,11 @@ def add(
     if check and any(each.role in NO_SCANS for each in scans):
         raise UsageError("--check is for scans, not for performances and assets")
     options = scan_frame(unit, eye_distance, up, forward)
+    if not check and options != scan_frame("auto", None, "auto", "auto"):
+        raise UsageError(
+            "--unit, --eye-distance, --up and --forward need --check: they are for a check, or for "
+            "`myoface captures register`, and are not kept with the scan"
+        )
     given = {
         "registered": registered,
         "landmarks": landmarks,
@@ -212,7 +217,7 @@ def register(
             except ApiError as error:
                 if capture.role == "neutral" or error.code == UNREACHABLE:
                     raise
-                complain(str(error))
+                complain(f"{capture.name}: {error}")
                 failed = True
             else:
                 show_registration(capture.name, _result(job).summary or {})
@@ -337,14 +342,24 @@ def _check(
     options: dict[str, Any],
     output: Path | None,
 ) -> None:
+    """Check scans one after the other; a check that fails keeps no other back."""
     verdicts = set()
     for capture in captures:
-        job = _solve(client, "check_scan", subject, capture, options, output)
-        summary = _result(job).summary or {}
-        show_verdict(capture.name, summary)
-        verdicts.add(summary["verdict"])
+        try:
+            job = _solve(client, "check_scan", subject, capture, options, output)
+        except ApiError as error:
+            if error.code == UNREACHABLE:
+                raise
+            complain(f"{capture.name}: {error}")
+            verdicts.add(None)
+        else:
+            summary = _result(job).summary or {}
+            show_verdict(capture.name, summary)
+            verdicts.add(summary["verdict"])
     if "bad" in verdicts:
         raise SystemExit(BAD_SCAN)
+    if None in verdicts:
+        raise SystemExit(1)
 
 
 def _solve(

@@ -105,6 +105,17 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
     }
 
 
+def test_a_check_that_fails_keeps_no_other_back(myoface: Command, tmp_path: Path) -> None:
+    subject = myoface("subjects", "add", "Ada").output.strip()
+    frown, smile = scan(tmp_path, "frown", "fault nan"), scan(tmp_path, "smile")
+    told = myoface("captures", "add", subject, frown, smile, "--check", code=1).output
+    assert "frown: frown.obj has a NaN in line 3" in told
+    assert "smile: good" in told
+    blink = scan(tmp_path, "blink", "verdict bad")
+    myoface("captures", "add", subject, blink)
+    assert "blink: bad" in myoface("captures", "check", subject, code=3).output
+
+
 def test_a_performance_and_its_frames(myoface: Command, tmp_path: Path) -> None:
     subject = myoface("subjects", "add", "Ada").output.strip()
     myoface("upload", subject, scan(tmp_path, "neutral"), "--registered")
@@ -298,6 +309,9 @@ def test_what_is_there_is_not_sent_again(myoface: Command, tmp_path: Path) -> No
         (("--unit", "0"), "argument --unit: '0' is not one of auto, mm"),
         (("--unit", "furlong"), "argument --unit: 'furlong' is not one of auto, mm"),
         (("--forward", "up"), "argument --forward: invalid choice: 'up'"),
+        (("--unit", "cm"), "--unit, --eye-distance, --up and --forward need --check"),
+        (("--eye-distance", "62"), "need --check"),
+        (("--up", "z"), "need --check"),
         (("--nothing",), "unrecognized arguments: --nothing"),
     ],
 )
