@@ -6,8 +6,8 @@
 //
 // It needs nothing but what Windows has: its own compiler (C# 5, in Microsoft.NET\Framework64\v4.0.30319)
 // makes it, and so does .NET 8. Each folder in C:\scans is a person, each OBJ, PLY, GLB or STL in it a raw
-// scan, named like its file; one with neutral or rest as a word of its name is the neutral. Scan again
-// into the same file, and the new one takes the old one's place. With --once it looks once, and ends.
+// scan, named like its file; one with neutral, neutre, rest or relaxed as a word of its name is the
+// neutral. Scan again into the same file, and the new one takes the old one's place. With --once it looks once, and ends.
 using System;
 using System.Collections.Generic;
 using System.Globalization;
@@ -26,6 +26,11 @@ using System.Xml.Linq;
 static class Station {
     static readonly HttpClient Http = new HttpClient { Timeout = TimeSpan.FromMinutes(10) };
     static readonly Dictionary<string, DateTime> Done = new Dictionary<string, DateTime>();
+
+    // Letters that are none with an accent
+    static readonly Dictionary<char, string> Letters = new Dictionary<char, string> {
+        { '\u00df', "ss" }, { '\u00e6', "ae" }, { '\u00c6', "AE" }, { '\u0153', "oe" }, { '\u0152', "OE" },
+        { '\u00f8', "o" }, { '\u00d8', "O" }, { '\u0142', "l" }, { '\u0141', "L" } };
 
     static void Main(string[] given) {
         Http.BaseAddress = new Uri(given.Length > 1 ? given[1] : "http://127.0.0.1:8765");
@@ -46,6 +51,7 @@ static class Station {
 
     static void DealWith(string path) {
         var name = NameOf(path);
+        RequireAlone(path, name);
         var sha256 = BitConverter.ToString(SHA256.Create().ComputeHash(File.ReadAllBytes(path))).Replace("-", "").ToLower();
         var captures = "/v1/subjects/" + SubjectOf(Path.GetDirectoryName(path)) + "/captures";
         var known = Ask("GET", captures + "?limit=1000").Element("items").Elements().FirstOrDefault(each => each.Element("name").Value == name);
@@ -96,14 +102,34 @@ static class Station {
 
     static bool IsScan(string path) { return Regex.IsMatch(path, @"\.(obj|ply|glb|stl)$", RegexOptions.IgnoreCase); }
 
-    static bool IsNeutral(string path) { return Regex.IsMatch(Path.GetFileNameWithoutExtension(path), "(?<![A-Za-z])(neutral|neutre|rest|relaxed)(?![A-Za-z])", RegexOptions.IgnoreCase); }
+    static bool IsNeutral(string path) { return Regex.IsMatch(Regex.Replace(Path.GetFileNameWithoutExtension(path), "([a-z])([A-Z])", "$1 $2"), "(?<![A-Za-z])(neutral|neutre|rest|relaxed)(?![A-Za-z])", RegexOptions.IgnoreCase); }
 
-    // A legal name: accents go, what is no letter, digit, _, - or . becomes _, and 64 characters stay.
+    // A legal name, as the client makes it (myoface/names.py): accents go, what is no letter, digit, _, - or .
+    // becomes _, and 64 characters stay. Windows has devices (nul, com1) that no file can be called like.
     static string NameOf(string path) {
-        var plain = Regex.Replace(Path.GetFileNameWithoutExtension(path).Normalize(NormalizationForm.FormD), @"\p{Mn}", "");
-        var name = Regex.Replace(Regex.Replace(plain, "[^A-Za-z0-9_.-]+", "_"), "^[^A-Za-z0-9]+|[^A-Za-z0-9]+$", "");
+        var stem = Path.GetFileNameWithoutExtension(path);
+        var name = stem;
+        if (!Regex.IsMatch(stem, @"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\z") || stem.EndsWith(".")) {
+            var letters = string.Concat(stem.Select(c => Letters.ContainsKey(c) ? Letters[c] : c.ToString()));
+            var plain = Regex.Replace(letters.Normalize(NormalizationForm.FormKD), "[\u0300-\u036f]", "");
+            name = Regex.Replace(Regex.Replace(plain, "[^A-Za-z0-9_.-]+", "_"), @"^[^A-Za-z0-9]+|[^A-Za-z0-9]+\z", "");
+            name = name.Substring(0, Math.Min(64, name.Length)).TrimEnd('.');
+        }
+        if (IsDevice(stem) || IsDevice(name)) throw new Refusal("this is a device's name on Windows, and no file's: rename it");
         if (name == "") throw new Refusal("no name can be made of it: a letter of a to z or a digit is needed");
-        return name.Substring(0, Math.Min(64, name.Length));
+        return name;
+    }
+
+    static bool IsDevice(string name) { return Regex.IsMatch(name, @"^(con|prn|aux|nul|(com|lpt)[0-9])(\.|\z)", RegexOptions.IgnoreCase); }
+
+    // Refuses a file that another one of the person's would take the place of: case and a last dot tell no two apart.
+    static void RequireAlone(string path, string name) {
+        foreach (var other in Directory.GetFiles(Path.GetDirectoryName(path)).Where(IsScan).Where(p => p != path)) {
+            string its;
+            try { its = NameOf(other); } catch (Refusal) { continue; }
+            if (string.Equals(its, name, StringComparison.OrdinalIgnoreCase))
+                throw new Refusal("it and " + Path.GetFileName(other) + " would both be called " + name + ": rename one");
+        }
     }
 
     static XElement Ask(string method, string path, string body = null) {
@@ -120,7 +146,7 @@ static class Station {
         if (text.Length == 0 || text[0] != '{') throw new HttpRequestException("the service answered " + (int)answer.StatusCode);
         var json = XElement.Load(JsonReaderWriterFactory.CreateJsonReader(text, XmlDictionaryReaderQuotas.Max));
         if (answer.IsSuccessStatusCode) return json;
-        var isForGood = new[] { 404, 410, 413, 422 }.Contains((int)answer.StatusCode);
+        var isForGood = new[] { 404, 409, 410, 413, 422 }.Contains((int)answer.StatusCode) && json.Element("code").Value != "subject.busy";
         if (isForGood) throw new Refusal(json.Element("detail").Value);
         throw new HttpRequestException(json.Element("detail").Value);
     }

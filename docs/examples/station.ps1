@@ -5,8 +5,8 @@
 #     powershell -File station.ps1 C:\scans -Url https://faces.example.com
 #
 # Each folder in C:\scans is a person, each OBJ, PLY, GLB or STL in it a raw scan, named like its file;
-# one with neutral or rest as a word of its name is the neutral. Scan again into the same file, and the
-# new one takes the old one's place. A file goes in one piece: a line that breaks costs the file anew.
+# one with neutral, neutre, rest or relaxed as a word of its name is the neutral. Scan again into the same
+# file, and the new one takes the old one's place. A file goes in one piece: a line that breaks costs the file anew.
 param(
     [Parameter(Mandatory = $true)][string]$Folder,
     [string]$Url = 'http://127.0.0.1:8765',
@@ -15,6 +15,7 @@ param(
 $ErrorActionPreference = 'Stop'
 $Key = @{ Authorization = "Bearer $env:MYOFACE_API_KEY" }
 $Done = @{}
+$Formats = '.obj', '.ply', '.glb', '.stl'
 
 function Invoke-Api($Method, $Path, $Body) {
     $request = @{ Method = $Method; Uri = "$Url$Path"; Headers = $Key; UseBasicParsing = $true }
@@ -38,27 +39,48 @@ function Send-File($File, $Sha256) {
     $upload.id
 }
 
-# A legal name: accents go, what is no letter, digit, _, - or . becomes _, and 64 characters stay.
+# Letters that are none with an accent, by their numbers: 5.1 does not read this file as UTF-8
+$Letters = @{ 0xdf = 'ss'; 0xe6 = 'ae'; 0xc6 = 'AE'; 0x153 = 'oe'; 0x152 = 'OE'; 0xf8 = 'o'; 0xd8 = 'O'; 0x142 = 'l'; 0x141 = 'L' }
+$Device = '^(con|prn|aux|nul|(com|lpt)[0-9])(\.|\z)' # no file on Windows can be called so
+
+# A legal name, as the client makes it (myoface/names.py): accents go, what is no letter, digit, _, - or .
+# becomes _, and 64 characters stay.
 function Get-ScanName($File) {
-    $plain = $File.BaseName.Normalize([Text.NormalizationForm]::FormD) -replace '\p{Mn}', ''
-    $name = $plain -creplace '[^A-Za-z0-9_.-]+', '_' -creplace '^[^A-Za-z0-9]+|[^A-Za-z0-9]+$', ''
+    $name = $File.BaseName
+    if ($name -match $Device) { throw 'this is a device''s name on Windows, and no file''s: rename it' }
+    if ($name -cnotmatch '^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\z' -or $name.EndsWith('.')) {
+        $whole = -join ($name.ToCharArray() | ForEach-Object { if ($Letters.ContainsKey([int]$_)) { $Letters[[int]$_] } else { $_ } })
+        $plain = $whole.Normalize([Text.NormalizationForm]::FormKD) -replace '[\u0300-\u036f]', ''
+        $name = $plain -creplace '[^A-Za-z0-9_.-]+', '_' -creplace '^[^A-Za-z0-9]+|[^A-Za-z0-9]+\z', ''
+        $name = $name.Substring(0, [Math]::Min(64, $name.Length)).TrimEnd('.')
+    }
     if (-not $name) { throw 'no name can be made of it: a letter of a to z or a digit is needed' }
-    $name.Substring(0, [Math]::Min(64, $name.Length))
+    if ($name -match $Device) { throw 'this is a device''s name on Windows, and no file''s: rename it' }
+    $name
 }
 
-function Test-Neutral($File) { $File.BaseName -match '(?<![A-Za-z])(neutral|neutre|rest|relaxed)(?![A-Za-z])' }
+# Refuses a file that another one of the person's would take the place of: case tells no two apart (-eq).
+function Assert-Alone($File, $Name) {
+    foreach ($other in Get-ChildItem -LiteralPath $File.DirectoryName -File | Where-Object { $_.Extension -in $Formats -and $_.Name -cne $File.Name }) {
+        try { $its = Get-ScanName $other } catch { continue }
+        if ($its -eq $Name) { throw "it and $($other.Name) would both be called ${Name}: rename one" }
+    }
+}
+
+function Test-Neutral($File) { ($File.BaseName -creplace '([a-z])([A-Z])', '$1 $2') -match '(?<![A-Za-z])(neutral|neutre|rest|relaxed)(?![A-Za-z])' }
 
 function Get-SubjectId($Person) {
     $note = Join-Path $Person.FullName '.myoface-subject'
-    if (-not (Test-Path $note)) {
-        Set-Content $note (Invoke-Api Post '/v1/subjects' @{ name = $Person.Name }).id
+    if (-not (Test-Path -LiteralPath $note)) {
+        Set-Content -LiteralPath $note (Invoke-Api Post '/v1/subjects' @{ name = $Person.Name }).id
     }
-    (Get-Content $note -TotalCount 1).Trim()
+    (Get-Content -LiteralPath $note -TotalCount 1).Trim()
 }
 
 function Submit-Scan($File) {
     $name = Get-ScanName $File
-    $sha256 = (Get-FileHash $File.FullName -Algorithm SHA256).Hash.ToLower()
+    Assert-Alone $File $name
+    $sha256 = (Get-FileHash -LiteralPath $File.FullName -Algorithm SHA256).Hash.ToLower()
     $subject = Get-SubjectId $File.Directory
     $captures = "/v1/subjects/$subject/captures"
     $scan = (Invoke-Api Get "${captures}?limit=1000").items | Where-Object { $_.name -eq $name }
@@ -82,7 +104,7 @@ function Submit-Scan($File) {
 }
 
 do {
-    $scans = Get-ChildItem $Folder -Recurse -File | Where-Object { $_.Extension -in '.obj', '.ply', '.glb', '.stl' }
+    $scans = Get-ChildItem -LiteralPath $Folder -Recurse -File | Where-Object { $_.Extension -in $Formats }
     foreach ($file in $scans | Sort-Object @({ -not (Test-Neutral $_) }, 'FullName')) {
         $saved = $file.LastWriteTimeUtc
         if ($Done[$file.FullName] -eq $saved -or ([DateTime]::UtcNow - $saved).TotalSeconds -lt 2) { continue }

@@ -61,9 +61,19 @@ def test_the_station_in_c_sharp_does_the_same(
     subprocess.run([mcs, "-langversion:5", f"-out:{program}", *references, source], check=True)
     ada = tmp_path / "scans" / "Ada"
     ada.mkdir(parents=True)
-    save(ada / "Ada Neutral.obj", "# neutral\n")
+    save(ada / "AdaNeutral.obj", "# neutral\n")
     save(ada / "Großes Lächeln.obj", "#! verdict bad\n")
-    save(ada / "   .obj", "# x\n")
+    refused = (
+        "   .obj",
+        "Ærger.obj",
+        "aerger.ply",
+        "nul.obj",
+        "(com1).obj",
+        "kiss..obj",
+        "Kiss.obj",
+    )
+    for name in refused:
+        save(ada / name, "# x\n")
 
     def look() -> str:
         command = [mono, str(program), str(ada.parent), url, "--once"]
@@ -72,22 +82,27 @@ def test_the_station_in_c_sharp_does_the_same(
         return done.stdout
 
     told = look()
-    assert "Ada Neutral.obj: good" in told
+    assert "AdaNeutral.obj: good" in told
     assert "towards the lower camera" in told
     assert "   .obj: refused: no name can be made of it" in told
+    assert "aerger.ply: refused: it and Ærger.obj would both be called aerger" in told
+    assert "kiss..obj: refused: it and Kiss.obj would both be called kiss" in told
+    assert "nul.obj: refused: this is a device's name on Windows" in told
+    for name in refused:
+        assert f"{name}: refused: " in told
     (subject,) = studio.get("/v1/subjects")["items"]
     path = f"/v1/subjects/{subject['id']}/captures"
     before = {each["name"]: each for each in studio.get(path)["items"]}
     assert {name: each["role"] for name, each in before.items()} == {
-        "Ada_Neutral": "neutral",
-        "Gro_es_Lacheln": "expression",
+        "AdaNeutral": "neutral",
+        "Grosses_Lacheln": "expression",
     }
     save(ada / "Großes Lächeln.obj", "# scanned again\n")
     assert "Lächeln.obj: good" in look()
     after = {each["name"]: each["id"] for each in studio.get(path)["items"]}
     assert set(after) == set(before)
-    assert after["Ada_Neutral"] == before["Ada_Neutral"]["id"]  # the same bytes: not sent again
-    assert after["Gro_es_Lacheln"] != before["Gro_es_Lacheln"]["id"]
+    assert after["AdaNeutral"] == before["AdaNeutral"]["id"]  # the same bytes: not sent again
+    assert after["Grosses_Lacheln"] != before["Grosses_Lacheln"]["id"]
 
 
 @contextmanager

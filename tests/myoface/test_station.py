@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import runpy
 from pathlib import Path
 from types import SimpleNamespace
@@ -63,6 +64,16 @@ def test_a_check_is_told_the_unit_and_tells_what_it_did_not_judge(
     here.look()
     assert asked == [{"unit": 22.9}]
     assert "not judged: eyes: a vertex every 4 mm" in capsys.readouterr().out
+
+
+def test_the_station_in_powershell_takes_no_path_for_a_wildcard() -> None:
+    """``Jörg [1]`` is a folder's name; there is no PowerShell here that could be asked."""
+    calls = re.findall(
+        r"(?:Test-Path|Get-Content|Set-Content|Get-FileHash|Get-ChildItem) \S+",
+        EXAMPLE.with_suffix(".ps1").read_text(encoding="utf-8"),
+    )
+    assert len(calls) >= 5
+    assert [call for call in calls if not call.endswith("-LiteralPath")] == []
 
 
 def refusal(status: int | None, code: str) -> ApiError:
