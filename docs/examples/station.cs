@@ -7,7 +7,8 @@
 // It needs nothing but what Windows has: its own compiler (C# 5, in Microsoft.NET\Framework64\v4.0.30319)
 // makes it, and so does .NET 8. Each folder in C:\scans is a person, each OBJ, PLY, GLB or STL in it a raw
 // scan, named like its file; one with neutral, neutre, rest or relaxed as a word of its name is the
-// neutral. Scan again into the same file, and the new one takes the old one's place. With --once it looks once, and ends.
+// neutral. Scan again into the same file, and the new one takes the old one's place. With --once it looks once, and ends;
+// the scans' unit is --unit cm (mm, cm, m, inch, or how many mm it has), or --eye-distance 62, in mm.
 using System;
 using System.Collections.Generic;
 using System.Globalization;
@@ -32,12 +33,19 @@ static class Station {
         { '\u00df', "ss" }, { '\u00e6', "ae" }, { '\u00c6', "AE" }, { '\u0153', "oe" }, { '\u0152', "OE" },
         { '\u00f8', "o" }, { '\u00d8', "O" }, { '\u0142', "l" }, { '\u0141', "L" } };
 
+    static string Options = "{}"; // of the checks, as JSON
+
     static void Main(string[] given) {
-        Http.BaseAddress = new Uri(given.Length > 1 ? given[1] : "http://127.0.0.1:8765");
+        var words = given.Where((word, i) => !word.StartsWith("--") && (i == 0 || given[i - 1] != "--unit" && given[i - 1] != "--eye-distance")).ToArray();
+        Http.BaseAddress = new Uri(words.Length > 1 ? words[1] : "http://127.0.0.1:8765");
+        var unit = After(given, "--unit");
+        var eyes = After(given, "--eye-distance");
+        if (unit != null) Options = "{\"unit\":" + NumberOrText(unit) + "}";
+        else if (eyes != null) Options = "{\"eye_distance_mm\":" + NumberOrText(eyes) + "}";
         var key = Environment.GetEnvironmentVariable("MYOFACE_API_KEY");
         Http.DefaultRequestHeaders.Authorization = new AuthenticationHeaderValue("Bearer", key);
         do {
-            foreach (var path in Directory.GetFiles(given[0], "*.*", SearchOption.AllDirectories).Where(IsScan).OrderBy(p => !IsNeutral(p))) {
+            foreach (var path in Directory.GetFiles(words[0], "*.*", SearchOption.AllDirectories).Where(IsScan).OrderBy(p => !IsNeutral(p))) {
                 var saved = File.GetLastWriteTimeUtc(path);
                 if (Done.ContainsKey(path) && Done[path] == saved || DateTime.UtcNow - saved < TimeSpan.FromSeconds(2)) continue;
                 try { DealWith(path); }
@@ -47,6 +55,14 @@ static class Station {
             }
             Thread.Sleep(1000);
         } while (!given.Contains("--once"));
+    }
+
+    static string After(string[] given, string option) { return given.SkipWhile(word => word != option).Skip(1).FirstOrDefault(); }
+
+    static string NumberOrText(string word) {
+        double number;
+        var isNumber = double.TryParse(word, NumberStyles.Float, CultureInfo.InvariantCulture, out number);
+        return isNumber ? number.ToString("R", CultureInfo.InvariantCulture) : Quote(word);
     }
 
     static void DealWith(string path) {
@@ -60,7 +76,7 @@ static class Station {
                 "upload_id", Upload(path, sha256), "replaces", known == null ? null : known.Element("id").Value));
         var url = "/v1/jobs/" + Guid.NewGuid(); // our own id: sent twice, it is still one job
         var check = Ask("PUT", url, "{\"kind\":\"check_scan\",\"subject_id\":" + Quote(known.Element("subject_id").Value)
-            + ",\"captures\":[" + Quote(known.Element("id").Value) + "]}");
+            + ",\"captures\":[" + Quote(known.Element("id").Value) + "],\"options\":" + Options + "}");
         while (!new[] { "succeeded", "failed", "canceled" }.Contains(check.Element("state").Value)) {
             Thread.Sleep(500);
             check = Ask("GET", url);

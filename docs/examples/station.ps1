@@ -10,11 +10,18 @@
 param(
     [Parameter(Mandatory = $true)][string]$Folder,
     [string]$Url = 'http://127.0.0.1:8765',
+    [string]$Unit, # of the scans: mm, cm, m, inch, or how many mm it has
+    [double]$EyeDistance, # or how far apart the person's pupils are, in mm
     [switch]$Once
 )
 $ErrorActionPreference = 'Stop'
 $Key = @{ Authorization = "Bearer $env:MYOFACE_API_KEY" }
 $Done = @{}
+$Options = @{}
+$Number = 0.0
+if ([double]::TryParse($Unit, 'Float', [Globalization.CultureInfo]::InvariantCulture, [ref]$Number)) { $Options.unit = $Number }
+elseif ($Unit) { $Options.unit = $Unit }
+elseif ($EyeDistance) { $Options.eye_distance_mm = $EyeDistance }
 $Formats = '.obj', '.ply', '.glb', '.stl'
 
 function Invoke-Api($Method, $Path, $Body) {
@@ -91,7 +98,7 @@ function Submit-Scan($File) {
         $scan = Invoke-Api Post $captures $new
     }
     $job = "/v1/jobs/$([guid]::NewGuid())" # our own id: sent twice, it is still one job
-    $check = Invoke-Api Put $job @{ kind = 'check_scan'; subject_id = $subject; captures = @($scan.id) }
+    $check = Invoke-Api Put $job @{ kind = 'check_scan'; subject_id = $subject; captures = @($scan.id); options = $Options }
     while ($check.state -notin 'succeeded', 'failed', 'canceled') {
         Start-Sleep -Milliseconds 500
         $check = Invoke-Api Get $job

@@ -75,8 +75,8 @@ def test_the_station_in_c_sharp_does_the_same(
     for name in refused:
         save(ada / name, "# x\n")
 
-    def look() -> str:
-        command = [mono, str(program), str(ada.parent), url, "--once"]
+    def look(*options: str) -> str:
+        command = [mono, str(program), str(ada.parent), *options, url, "--once"]
         env = {**os.environ, "MYOFACE_API_KEY": studio.key}
         done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
         return done.stdout
@@ -98,7 +98,12 @@ def test_the_station_in_c_sharp_does_the_same(
         "Grosses_Lacheln": "expression",
     }
     save(ada / "Großes Lächeln.obj", "# scanned again\n")
-    assert "Lächeln.obj: good" in look()
+    assert "Lächeln.obj: good" in look("--unit", "22.9")
+    checks = [studio.job(each["id"]) for each in studio.get("/v1/jobs?kind=check_scan")["items"]]
+    assert 22.9 in [each["options"].get("unit") for each in checks]
+    assert "Lächeln.obj: good" in look("--eye-distance", "62")
+    newest = studio.job(studio.get("/v1/jobs?kind=check_scan")["items"][0]["id"])
+    assert newest["options"]["eye_distance_mm"] == 62
     after = {each["name"]: each["id"] for each in studio.get(path)["items"]}
     assert set(after) == set(before)
     assert after["AdaNeutral"] == before["AdaNeutral"]["id"]  # the same bytes: not sent again
