@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,6 +21,7 @@ from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import as_typed, out, show_table, transfer_bar
 from myoface.cli.lookup import find_batch, find_subject
 from myoface.client import DEFAULT_URL, Client
+from myoface.names import NamedScan, name_session
 from myoface.resources import Batch, Then
 
 batches = Group("All scans of a session in one call.")
@@ -67,7 +68,7 @@ def add_batch(
     kinds = ["check_scan", *(["register_scan"] if "register" in steps else [])]
     frame = scan_frame(unit, eye_distance, up, forward)
     given = with_frame(read_object(options, "--options"), kinds, frame)
-    marks = landmarks_of(landmarks or [], [*files, *([] if neutral is None else [neutral])])
+    marks = landmarks_of(landmarks or [], name_session(neutral, files))
     with Client(url) as client:
         whose = subject and find_subject(client, subject)
         with transfer_bar("scans") as progress:
@@ -95,16 +96,22 @@ def with_frame(
     return found | {kind: {**frame, **found.get(kind, {})} for kind in kinds}
 
 
-def landmarks_of(given: list[str], scans: list[Path]) -> dict[Path, Path]:
-    """Return the files ``SCAN=FILE`` by the scan's, which is named as on the command line."""
+def landmarks_of(given: list[str], scans: Sequence[NamedScan]) -> dict[Path, Path]:
+    """Return the files ``SCAN=FILE`` by the scan's: its file or its name, or ``neutral``."""
     found = {}
     for each in given:
         scan, _, file = each.partition("=")
-        of = {path.resolve() for path in scans if scan in (str(path), path.name, path.stem)}
-        if len(of) != 1 or not Path(file).is_file():
-            message = f"--landmarks {each}: SCAN=FILE is expected, of one of the scans and a file"
-            raise UsageError(message)
-        found[of.pop()] = Path(file)
+        of = [one for one in scans if scan in (str(one.path), one.path.name, one.path.stem)]
+        of = of or [one for one in scans if scan == one.name]
+        of = of or [one for one in scans if scan == one.role == "neutral"]
+        if len(of) != 1:
+            names = ", ".join(one.name for one in scans)
+            raise UsageError(
+                f"--landmarks {each}: SCAN=FILE is expected, of one of the scans, which are {names}"
+            )
+        if not Path(file).is_file():
+            raise UsageError(f"--landmarks {each}: SCAN=FILE is expected, and {file!r} is no file")
+        found[of[0].path.resolve()] = Path(file)
     return found
 
 

@@ -225,6 +225,8 @@ def _add(parser: argparse.ArgumentParser, parameter: inspect.Parameter, hint: An
         rules = Argument() if is_required else Option()
     is_list = get_origin(kind) is list
     each = get_args(kind)[0] if is_list else kind
+    if isinstance(rules, Option) and rules.envvar and os.environ.get(rules.envvar):
+        default, is_required = os.environ[rules.envvar], False
     how: dict[str, Any] = {"help": _help(rules, each, None if is_required else default)}
     if each is not bool:
         how |= {"type": _reader(each, rules), "metavar": rules.metavar, **_choices(each)}
@@ -239,8 +241,6 @@ def _add(parser: argparse.ArgumentParser, parameter: inspect.Parameter, hint: An
         how["action"] = argparse.BooleanOptionalAction if can_be_denied else "store_true"
     elif is_list:
         how["action"] = "append"
-    if rules.envvar and os.environ.get(rules.envvar):
-        default, is_required = os.environ[rules.envvar], False
     parser.add_argument(
         *flags,
         dest=parameter.name,

@@ -16,6 +16,7 @@ from myoface.cli.captures import captures
 from myoface.cli.commands import Argument, Command, Group, Option, UsageError
 from myoface.cli.lookup import matching
 from myoface.errors import ApiError
+from myoface.names import name_session
 from myoface.resources import Subject
 from tests.command_line import invoke
 
@@ -243,7 +244,7 @@ def test_an_eye_distance_is_a_persons(wrong: str, tmp_path: Path) -> None:
 def test_landmarks_are_of_a_scan_that_is_named_twice(tmp_path: Path) -> None:
     scan, marks = tmp_path / "neutral.obj", tmp_path / "neutral.csv"
     marks.touch()
-    assert landmarks_of([f"neutral={marks}"], [scan, scan]) == {scan.resolve(): marks}
+    assert landmarks_of([f"neutral={marks}"], name_session(scan, [scan])) == {scan.resolve(): marks}
 
 
 def test_a_name_that_is_meant_exactly_comes_first() -> None:
@@ -251,3 +252,22 @@ def test_a_name_that_is_meant_exactly_comes_first() -> None:
     assert matching("Ada", people, lambda each: each.name) == people[1:]
     assert matching("ADA", people, lambda each: each.name) == people
     assert matching("222222", people, lambda each: each.name) == people[1:]
+
+
+def test_landmarks_are_of_a_scan_by_its_file_its_name_or_its_role(tmp_path: Path) -> None:
+    paths = [tmp_path / "James Neutral 01.obj", tmp_path / "James Smile 02.obj"]
+    marks = tmp_path / "marks.csv"
+    marks.write_text("nose_tip,0,0,0")
+    scans = name_session(None, paths)
+    for scan in ("neutral", "Neutral_01", "James Neutral 01.obj", "James Neutral 01"):
+        assert landmarks_of([f"{scan}={marks}"], scans) == {paths[0].resolve(): marks}
+    with pytest.raises(UsageError, match="one of the scans, which are Neutral_01, Smile_02"):
+        landmarks_of([f"kiss={marks}"], scans)
+    with pytest.raises(UsageError, match=r"'gone\.csv' is no file"):
+        landmarks_of(["neutral=gone.csv"], scans)
+
+
+def test_help_says_the_address_that_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MYOFACE_URL", "https://faces.example.com")
+    told = invoke(["subjects", "list", "--help"]).output
+    assert "https://faces.example.com" in told
