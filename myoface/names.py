@@ -126,6 +126,13 @@ def as_name(text: str) -> str:
     return "" if is_device(name) else name
 
 
+def why_no_name(text: str) -> str:
+    """Return words on why :func:`as_name` makes no name of text, or of a file's name."""
+    if re.search("[A-Za-z0-9]", _plain(_split(text)[0])):
+        return f"{text!r} is a device's name on Windows, and no file's"
+    return f"no name can be made of {text!r}, which has no letter of a to z and no digit"
+
+
 def _role(file: str) -> Role:
     stem, suffix = _split(file)
     if suffix == PERFORMANCE:
@@ -164,17 +171,8 @@ def _require_names(scans: Sequence[NamedScan], texts: Sequence[str], option: str
     taken: dict[str, Path] = {}
     neutral: Path | None = None
     for scan, text in zip(scans, texts, strict=True):
-        if not scan.name and re.search("[A-Za-z0-9]", _plain(_split(text)[0])):
-            _refuse(
-                scan.path,
-                f"{text!r} is a device's name on Windows, and no file's: rename it{another}",
-            )
         if not scan.name:
-            _refuse(
-                scan.path,
-                f"no name can be made of {text!r}, which has no letter of a to z and no "
-                f"digit: rename it{another}",
-            )
+            _refuse(scan.path, f"{why_no_name(text)}: rename it{another}")
         # Two that differ in case alone are one morph target to many programs, and one file to some
         other = taken.setdefault(same_file(scan.name), scan.path)
         if other is not scan.path:

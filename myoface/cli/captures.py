@@ -38,7 +38,7 @@ from myoface.cli.console import (
 from myoface.cli.lookup import find_subject, matching
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import UNREACHABLE, ApiError
-from myoface.names import NamedScan, Role, as_name, name_scans
+from myoface.names import NamedScan, Role, as_name, name_scans, why_no_name
 from myoface.resources import NO_SCANS, Capture, Job, Result
 
 captures = Group("A subject's scans: add, check, register, list, delete.")
@@ -158,7 +158,7 @@ def edit(
     require_change(name=name, title=title, role=role, label=changes)
     legal = None if name is None else as_name(name)
     if legal == "":
-        raise UsageError(f"--name {name!r}: a letter of a to z or a digit is needed, and no device")
+        raise UsageError(f"--name {why_no_name(str(name))}")
     with Client(url) as client:
         whose = find_subject(client, subject)
         (found,) = choose(client.captures(whose), [capture])

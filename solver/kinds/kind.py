@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, Tag, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
-from solver.kinds.document import Document, Fault, by_type, find_faults, json_schema, tell_forms
+from solver.kinds.document import Document, Fault, find_faults, json_schema, tell_forms
 
 Queue = Literal["ingest", "short", "long"]  # while a person waits, minutes, hours
 Input = Literal[
@@ -163,13 +163,19 @@ class PlayOptions(JobOptions):
     linear_solver: LinearSolver = None
 
 
+UnitName = Literal["auto", "mm", "cm", "m", "inch"]
+
+
+def find_unit(value: Any) -> str | None:
+    """Return the tag of a unit; a text that is none is told that numbers are allowed, too."""
+    if isinstance(value, str):
+        return "<name>" if value in get_args(UnitName) else None
+    return "<number>" if type(value) in {int, float} else None
+
+
 Unit = Annotated[
-    Annotated[Literal["auto", "mm", "cm", "m", "inch"], Tag("<name>")]
-    | Annotated[float, Field(ge=1e-6, le=1e6), Tag("<number>")],
-    tell_forms(
-        by_type({str: "<name>", int: "<number>", float: "<number>"}),
-        "is not auto, mm, cm, m, inch or a number of mm",
-    ),
+    Annotated[UnitName, Tag("<name>")] | Annotated[float, Field(ge=1e-6, le=1e6), Tag("<number>")],
+    tell_forms(find_unit, "is not auto, mm, cm, m, inch or a number of mm"),
 ]
 
 

@@ -85,7 +85,7 @@ def test_contracts_load_no_numerics() -> None:
             "check_scan",
             {"unit": "mile"},
             "options.unit",
-            "'mile' is not one of 'auto', 'mm', 'cm', 'm' or 'inch'",
+            "'mile' is not auto, mm, cm, m, inch or a number of mm",
         ),
         ("check_scan", {"unit": -3}, "options.unit", "-3 is less than the minimum of 1e-06"),
         ("register_scan", {"unit": float("nan")}, "options.unit", "nan is not a number"),

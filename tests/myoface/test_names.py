@@ -12,6 +12,7 @@ import pytest
 
 from myoface.errors import ApiError
 from myoface.names import LEGAL, by_files, name_scans, name_session
+from tests.command_line import invoke
 
 ROOT = Path(__file__).parents[2]
 CASES = json.loads((ROOT / "tests/fixtures/scan_names.json").read_text(encoding="utf-8"))
@@ -59,6 +60,14 @@ def test_what_has_no_name_of_its_own_is_refused(files: list[str], words: str) ->
     with pytest.raises(ApiError, match=words) as caught:
         name_scans([Path(file) for file in files])
     assert caught.value.code == "client.name"
+
+
+def test_a_name_that_is_given_is_refused_with_its_own_fault() -> None:
+    for name, words in (("com1", "is a device's name"), ("  ", "no name can be made of '  '")):
+        told = invoke(["captures", "edit", "Ada", "smile", "--name", name])
+        assert told.exit_code == 2
+        assert words in told.output
+        assert "digit is needed, and no device" not in told.output
 
 
 def test_what_is_given_comes_before_the_file_s_name() -> None:
