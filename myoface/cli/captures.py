@@ -343,7 +343,7 @@ def _check(
     output: Path | None,
 ) -> None:
     """Check scans one after the other; a check that fails keeps no other back."""
-    verdicts = set()
+    verdicts: set[str | None] = set()
     for capture in captures:
         try:
             job = _solve(client, "check_scan", subject, capture, options, output)
