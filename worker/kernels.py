@@ -125,7 +125,7 @@ def _run_jobs(folder: Path) -> None:
         ("simulate", "film", {"options": {"scene": scene}, "rig": rig}),
     ]
     for number, (kind, place, inputs) in enumerate(jobs, 1):
-        print(f"kernels of {kind} ({number} of {len(jobs)})", flush=True)
+        print(f"kernels of {kind} ({number} of {len(jobs)})", flush=True)  # noqa: T201
         run_job(kind, folder / place, **inputs)
 
 
