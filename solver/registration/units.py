@@ -239,9 +239,15 @@ def unit_findings(
             f"Read {source}, the face would be {off}, and no other unit fits."
         )
         return [_finding("scan.unit_unknown", "warning", message, figures)]
+    if unit.source == "found" and given:
+        said = frame["unit"] if isinstance(frame["unit"], str) else f"{given:g} mm a unit"
+        message = f"You gave {said}: the face would be {off}; it fits {unit.words}: {size.words}."
+        fitting = unit.name or f"{unit.mm_per_unit:.4g}"
+        advice = f"Give {fitting} as the unit, or none."
+        return [Finding("scan.scale", "error", message, advice, figures)]
     if unit.source == "found":
         message = f"Read {source}, the face would be {off}; it fits {unit.words}: {size.words}."
-        return [_finding("scan.scale", "error" if given else "warning", message, figures)]
+        return [_finding("scan.scale", "warning", message, figures)]
     if size.is_unusual():
         message = f"{file}, read {unit.words}, has a face of an unusual size: {size.words}."
         # a distance that was measured wrongly says as little as no unit

@@ -71,6 +71,14 @@ def test_inches_are_never_quiet() -> None:
     assert "11% larger" in finding.message
 
 
+def test_a_unit_that_does_not_fit_is_answered_with_the_one_that_does() -> None:
+    (finding,) = told(1.0, "cm")
+    assert (finding.code, finding.severity) == ("scan.scale", "error")
+    assert finding.message.startswith("You gave cm: the face would be 10 times too large")
+    assert "it fits in mm" in finding.message
+    assert finding.advice == "Give mm as the unit, or none."
+
+
 def test_a_face_of_an_unusual_size_is_told_with_its_eyes() -> None:
     (finding,) = told(1.25)
     assert (finding.code, finding.severity) == ("scan.size", "warning")
