@@ -6,10 +6,12 @@ import hashlib
 import json
 import math
 import os
+import shutil
 import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 from tokenize import TokenError
 from typing import IO, Any
 from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
@@ -37,23 +39,39 @@ LARGE_SIZE, LONGEST_COMMENT = 20, 1 << 16  # bytes
 ENCRYPTED = 1  # the bit of a member's flags
 
 
-def read_arrays(path: Path, most_bytes: int = MOST_BYTES) -> dict[str, np.ndarray]:
+def read_arrays(
+    path: Path, most_bytes: int = MOST_BYTES, inside: str = ""
+) -> dict[str, np.ndarray]:
     """Return the arrays of an NPZ file that unpack to no more than ``most_bytes``.
+
+    It may lie, by the name ``inside``, in a ZIP among other files, which are not read.
 
     Raises :class:`ValueError`, in words, for a file that is none, is damaged, holds more, or holds
     anything but plain arrays.
     """
     try:
         with path.open("rb") as stream:
-            check_directory(stream)
-            with ZipFile(stream) as archive:
-                members = archive.infolist()
-                _check_members(members, most_bytes)
-                for member in members:
-                    _check_array(archive, member)
-                return {member.filename[:-4]: _array(archive, member) for member in members}
+            return _arrays_in(stream, most_bytes, inside)
     except (*NOT_READABLE, ArithmeticError) as error:
         raise ValueError(str(error)) from error
+
+
+def _arrays_in(stream: IO[bytes], most_bytes: int, inside: str = "") -> dict[str, np.ndarray]:
+    check_directory(stream)
+    with ZipFile(stream) as archive:
+        members = archive.infolist()
+        packed = [member for member in members if member.filename == inside]
+        if packed:
+            _check_packing(packed, most_bytes)
+            with TemporaryFile() as unpacked:
+                with archive.open(packed[0]) as source:
+                    shutil.copyfileobj(source, unpacked)
+                return _arrays_in(unpacked, most_bytes)
+        _check_members(members)
+        _check_packing(members, most_bytes)
+        for member in members:
+            _check_array(archive, member)
+        return {member.filename[:-4]: _array(archive, member) for member in members}
 
 
 def map_array(path: Path) -> np.ndarray:
@@ -89,7 +107,7 @@ def check_directory(stream: IO[bytes]) -> None:
     stream.seek(0)
 
 
-def _check_members(members: list[ZipInfo], most_bytes: int) -> None:
+def _check_members(members: list[ZipInfo]) -> None:
     names = set()
     for member in members:
         name = quote(member.filename)
@@ -98,8 +116,13 @@ def _check_members(members: list[ZipInfo], most_bytes: int) -> None:
         if member.filename in names:
             raise ValueError(f"it holds '{name}' twice")
         names.add(member.filename)
+
+
+def _check_packing(members: list[ZipInfo], most_bytes: int) -> None:
+    for member in members:
         packed = member.compress_type in (ZIP_STORED, ZIP_DEFLATED)
         if not packed or member.flag_bits & ENCRYPTED:
+            name = quote(member.filename)
             raise ValueError(f"'{name}' is encrypted or packed in another way than NumPy does")
     size = sum(member.file_size for member in members)
     if size > most_bytes:
@@ -184,14 +207,16 @@ class Archive:
             unfinished.unlink(missing_ok=True)
 
     @classmethod
-    def read(cls, path: Path, kind: str, noun: str, format_number: int) -> Archive:
-        """Read such a file; ``noun`` is what it should be, in words.
+    def read(
+        cls, path: Path, kind: str, noun: str, format_number: int, inside: str = ""
+    ) -> Archive:
+        """Read such a file, or that of a ZIP (``inside``); ``noun`` says what it should be.
 
         Raises :class:`InputError`: ``<kind>.unreadable`` if it is not one, ``<kind>.format`` if
         its header has another format number.
         """
         try:
-            arrays = read_arrays(path)
+            arrays = read_arrays(path, inside=inside)
             header = json.loads(bytes(arrays.pop("header")))
             found = header["format"]
         except (LookupError, RecursionError, TypeError, ValueError) as error:

@@ -15,18 +15,23 @@ import fcntl
 import hashlib
 import importlib.metadata
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from service.process import die_with_parent
 
 SOLVER = Path(__file__).resolve().parents[1] / "solver"
 # The installation's folder where it is not beside the code, as in a read-only image
 KERNELS_VARIABLE = "NUMBA_CACHE_DIR"
+ENDS = (signal.SIGINT, signal.SIGTERM)  # what ends a compilation
+GRACE = 2.0  # s until a compilation that was told to end is killed
 
 
 def link_kernels(folder: Path) -> None:
@@ -46,10 +51,10 @@ def are_compiled() -> bool:
         return False
 
 
-def compile_all() -> None:
+def compile_all(tell: Callable[[str], object] | None = None) -> None:
     """Compile the kernels that jobs use, unless they are of this code already.
 
-    Processes that want it at the same time do it once.
+    Processes that want it at the same time do it once. ``tell`` is called with each step.
 
     Raises
     ------
@@ -61,8 +66,27 @@ def compile_all() -> None:
     with stamp.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not are_compiled():
-            command = ["nice", sys.executable, "-m", "worker.kernels", "--parent", str(os.getpid())]
-            subprocess.run(command, cwd=SOLVER.parent, check=True, stdout=subprocess.DEVNULL)
+            _compile_apart(tell)
+
+
+def _compile_apart(tell: Callable[[str], object] | None) -> None:
+    """Compile in a process of its own, which ends when this one is interrupted."""
+    command = ["nice", sys.executable, "-m", "worker.kernels", "--parent", str(os.getpid())]
+    with subprocess.Popen(command, cwd=SOLVER.parent, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        try:
+            for line in child.stdout:
+                if tell is not None:
+                    tell(line.rstrip())
+        except BaseException:
+            child.terminate()
+            try:
+                child.wait(GRACE)
+            except subprocess.TimeoutExpired:
+                child.kill()
+            raise
+    if child.returncode:
+        raise subprocess.CalledProcessError(child.returncode, command)
 
 
 def _run_jobs(folder: Path) -> None:
@@ -75,26 +99,34 @@ def _run_jobs(folder: Path) -> None:
 
     scans = builtin_capture_set().first(1, 1).write(folder / "scans")
     neutral, *train, test = scans
-    run_job("register_scan", folder / "registered", scan=scans[neutral], role="neutral")
-    run_job("build_model", folder / "model", neutral=scans[neutral])
-    run_job(
-        "fit_geometry",
-        folder / "rig",
-        model=folder / "model" / "model.npz",
-        captures={name: scans[name] for name in train},
-        options={"rounds": 1},
-    )
     rig = folder / "rig" / "rig.npz"
-    briefly = {"max_iterations": 2}
-    run_job(
-        "fit_activations", folder / "new", captures={test: scans[test]}, rig=rig, options=briefly
-    )
     scene = {
         "duration": 0.1,
         "mode": "dynamic",
         "keys": [{"time": 0.1, "expressions": {train[0]: 1.0}}],
     }
-    run_job("simulate", folder / "film", options={"scene": scene}, rig=rig)
+    jobs: list[tuple[str, str, dict[str, Any]]] = [
+        ("register_scan", "registered", {"scan": scans[neutral], "role": "neutral"}),
+        ("build_model", "model", {"neutral": scans[neutral]}),
+        (
+            "fit_geometry",
+            "rig",
+            {
+                "model": folder / "model" / "model.npz",
+                "captures": {name: scans[name] for name in train},
+                "options": {"rounds": 1},
+            },
+        ),
+        (
+            "fit_activations",
+            "new",
+            {"captures": {test: scans[test]}, "rig": rig, "options": {"max_iterations": 2}},
+        ),
+        ("simulate", "film", {"options": {"scene": scene}, "rig": rig}),
+    ]
+    for number, (kind, place, inputs) in enumerate(jobs, 1):
+        print(f"kernels of {kind} ({number} of {len(jobs)})", flush=True)  # noqa: T201
+        run_job(kind, folder / place, **inputs)
 
 
 def installed_place() -> Path | None:
@@ -131,16 +163,31 @@ def main() -> None:
     """Compile the kernels and note of which code they are."""
     parser = argparse.ArgumentParser(prog="python -m worker.kernels", description=main.__doc__)
     parser.add_argument("--parent", type=int, help="process whose end is the end of this one, too")
-    if parent := parser.parse_args().parent:
-        # in a shell's background it is ignored
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        die_with_parent(parent, signal.SIGINT)
-    for kernel in _installed():  # numba does not see that a function of another file has changed
-        kernel.unlink(missing_ok=True)
+    parent = parser.parse_args().parent
     with tempfile.TemporaryDirectory(prefix="myoface-kernels-") as name:
+        _end_when_told(Path(name))
+        if parent:
+            die_with_parent(parent, signal.SIGTERM)
+        for kernel in _installed():  # numba does not see that a function elsewhere has changed
+            kernel.unlink(missing_ok=True)
         _run_jobs(Path(name))
     _stamp().parent.mkdir(parents=True, exist_ok=True)
     _stamp().write_text(_hash())
+
+
+def _end_when_told(folder: Path) -> None:
+    """Have this process end at once and quietly at SIGINT or SIGTERM, and leave no ``folder``.
+
+    A thread waits for them: an exception that is raised in a callback of the compiler is lost.
+    """
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
+
+    def wait() -> None:
+        number = signal.sigwait(ENDS)
+        shutil.rmtree(folder, ignore_errors=True)
+        os._exit(128 + number)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 if __name__ == "__main__":

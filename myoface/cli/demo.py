@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from myoface.cli.commands import Option, UsageError
 from myoface.cli.console import complain, out, show_table
-from myoface.cli.service import compile_kernels, read_settings
+from myoface.cli.service import compile_kernels, end_in_order, read_settings
 from myoface.client import Client
 from myoface.demo.outcome import Bars, DemoOutcome, khronos_validation, millimetres
 
@@ -113,12 +112,11 @@ def _service(url: str | None, data: Path) -> Iterator[Client]:
         return
     from myoface.stack import Stack
 
-    compile_kernels()
-    # A SIGTERM too must stop the service in order.
-    signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
+    end_in_order()
     stack = Stack(read_settings(data_dir=data, port=0))
     with stack, Client(stack.url, stack.key) as client:
         out.print(f"service on {stack.url}")
+        compile_kernels()
         yield client
 
 

@@ -22,7 +22,7 @@ FILES: Mapping[Format, str] = {"usd": "rig.usdc", "glb": "rig.glb", "npz": "rig.
 
 def export(
     rig: Annotated[
-        str, Argument(help="rig.npz or a rig's folder; else a service's rig, by its id")
+        str, Argument(help="rig.npz, or a rig's folder or ZIP; else a service's rig, by its id")
     ],
     format: Annotated[Format, Option(help="usd needs the extra `usd` where it is made")] = "usd",
     output: NewFolder = Path("."),

@@ -33,7 +33,7 @@ SceneFile = Annotated[
 ]
 Resume = Annotated[bool, Option("--resume", help="go on after the frames in the folder")]
 
-RIG = "rig.npz, or a rig's folder; to one of 0.1 copy its model.npz"
+RIG = "rig.npz, or a rig's folder or ZIP; to one of 0.1 copy its model.npz"
 
 # What each input of a contract is on the command line.
 ARGUMENTS: Mapping[str, Mapping[str, Any]] = {

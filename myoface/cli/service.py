@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import signal
 import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -32,7 +34,7 @@ def up(port: Port = None, data: Data = None) -> None:
 
     settings = _settings(port, data)
     configure_logs(settings.log_json)
-    compile_kernels()
+    end_in_order()
     logging.getLogger("httpx").setLevel(logging.WARNING)  # the stack asks itself for its health
     with Stack(settings) as stack:
         out.print(f"Myoface listens on {stack.url}. Ctrl-C stops it.")
@@ -40,6 +42,7 @@ def up(port: Port = None, data: Data = None) -> None:
         if is_loopback(settings.host):
             key = f"#key={stack.key}" if out.is_terminal else ""  # never into a log
             out.print(f"Its page: {stack.url}/{key}")
+        compile_kernels()
         stack.wait()
 
 
@@ -130,17 +133,27 @@ def _show_backup(manifest: Manifest) -> None:
         out.print(f"not in it: {each.fault} in the service: {owners} ({each.sha256})")
 
 
+def end_in_order() -> None:
+    """Have SIGTERM stop, in order, what a command has started."""
+    signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
+
+
 def compile_kernels() -> None:
     """Compile the solver's kernels where they are not of this code; jobs can do without."""
     from worker.kernels import are_compiled, compile_all
 
     if are_compiled():
         return
-    out.print("compiling the solver's kernels, once for each release: about a minute")
+    out.print(
+        "compiling the solver's kernels, once for each release: about a minute; "
+        "scans can be uploaded and checked meanwhile"
+    )
     try:
-        compile_all()
+        compile_all(out.print)
     except (subprocess.CalledProcessError, OSError) as error:
         complain(f"the kernels were not compiled, each job compiles its own: {error}")
+        return
+    out.print("the kernels are compiled")
 
 
 def read_settings(**given: Any) -> Settings:

@@ -36,7 +36,10 @@ Source = Literal["given", "eyes", "declared", "assumed", "found", "template"]
 SAY_UNIT = "Give the unit, or how far apart the person's eyes are (eye_distance_mm)."
 ADVICE = {
     "scan.scale": f"If that is not its unit, the face has a wrong size. {SAY_UNIT}",
-    "scan.size": f"Nothing to do if the person has such a face, as a child has. Else: {SAY_UNIT}",
+    "scan.size": (
+        "Nothing to do if the person has such a face, as a child has. Else: give another unit, or "
+        "measure again how far apart the person's eyes are (eye_distance_mm)."
+    ),
     "scan.unit_unknown": SAY_UNIT,
 }
 
@@ -236,12 +239,19 @@ def unit_findings(
             f"Read {source}, the face would be {off}, and no other unit fits."
         )
         return [_finding("scan.unit_unknown", "warning", message, figures)]
+    if unit.source == "found" and given:
+        said = frame["unit"] if isinstance(frame["unit"], str) else f"{given:g} mm a unit"
+        message = f"You gave {said}: the face would be {off}; it fits {unit.words}: {size.words}."
+        fitting = unit.name or f"{unit.mm_per_unit:.4g}"
+        advice = f"Give {fitting} as the unit, or none."
+        return [Finding("scan.scale", "error", message, advice, figures)]
     if unit.source == "found":
         message = f"Read {source}, the face would be {off}; it fits {unit.words}: {size.words}."
-        return [_finding("scan.scale", "error" if given else "warning", message, figures)]
+        return [_finding("scan.scale", "warning", message, figures)]
     if size.is_unusual():
         message = f"{file}, read {unit.words}, has a face of an unusual size: {size.words}."
-        is_sure = unit.source != "assumed" and size.is_a_persons()
+        # a distance that was measured wrongly says as little as no unit
+        is_sure = unit.source not in ("assumed", "eyes") and size.is_a_persons()
         return [_finding("scan.size", "info" if is_sure else "warning", message, figures)]
     return []
 

@@ -300,7 +300,10 @@ def use(judgements: Sequence[Judgement], expressions: Sequence[str]) -> str:
         for name in expressions
         if any(name in each.measures and each.of(name) == "bad" for each in shown)
     ]
-    ready = f"Ready for animation without {', '.join(bad)}" if bad else "Ready for animation"
+    is_spoiled = any(each.spoils and each.verdict == "bad" for each in failed)
+    ready = "To be used for animation alone" if is_spoiled else "Ready for animation"
+    if bad:
+        ready += f"{',' if is_spoiled else ''} without {', '.join(bad)}"
     if bad and len(bad) == len(expressions):
         ready = "Not ready for animation, since every expression fails a check"
     spoiled = dict.fromkeys(each.spoils for each in failed if each.spoils)

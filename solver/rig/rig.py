@@ -131,7 +131,7 @@ class Rig:
 
     @classmethod
     def load(cls, files: Path | Mapping[str, Path]) -> Rig:
-        """Read a rig: its ``rig.npz``, its folder, or a job's files by their roles.
+        """Read a rig: its ``rig.npz``, folder or downloaded ZIP, or a job's files by their roles.
 
         Raises :class:`InputError`: ``rig.unreadable`` for what is no rig, ``rig.format``,
         ``rig.model`` for files of 0.1 that are not of one model, and as :meth:`SubjectModel.load`.
@@ -140,7 +140,7 @@ class Rig:
         if "weights" in given:
             return cls._load_0_1(given)
         path = given["rig"]
-        archive = Archive.read(path, "rig", "a rig", FORMAT)
+        archive = Archive.read(path, "rig", "a rig", FORMAT, inside=FILE)
         if "model" not in archive.header:
             raise _no_rig(path)
         with _reading(path):
@@ -174,7 +174,7 @@ class Rig:
 def find_files(rig: Path) -> dict[str, Path]:
     """Return the files of a rig by their roles in a job: its ``rig.npz``, else those of 0.1.
 
-    ``rig`` is the file or a folder. Raises :class:`InputError` (``rig.unreadable``).
+    ``rig`` is the file, a ZIP with it or a folder. Raises :class:`InputError` (``rig.unreadable``).
     """
     if not rig.is_dir():
         return {"rig": rig}
@@ -312,7 +312,7 @@ def _other_model(path: Path) -> InputError:
 
 def _no_rig(path: Path) -> InputError:
     message = (
-        f"{path.name} is no rig: a rig is its {FILE}, or a folder with model.npz, "
-        "muscle_weights.npz and activations.npz"
+        f"{path.name} is no rig: a rig is its {FILE}, a ZIP or folder with it, or a folder with "
+        "model.npz, muscle_weights.npz and activations.npz"
     )
     return InputError("rig.unreadable", message, file=path.name)

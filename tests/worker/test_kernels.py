@@ -4,10 +4,12 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import psutil
 import pytest
 
+from tests.command_line import invoke
 from tests.service_client import eventually
 from worker import kernels
 
@@ -29,3 +31,87 @@ def test_a_compilation_ends_with_the_worker_that_began_it(tmp_path, begun_by):
     assert gone
     assert not alive
     assert not list(tmp_path.glob("compiled"))
+
+
+# Jobs in which an interruption is lost, as in a callback of the compiler.
+STUBBORN = """
+import pathlib, time
+from worker import kernels
+def jobs(folder):
+    print(folder, flush=True)
+    while True:
+        try:
+            time.sleep(60)
+        except BaseException:
+            pass
+kernels._run_jobs = jobs
+kernels.main()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_compilation_ends_at_once_and_quietly(number, tmp_path):
+    own = os.environ | {kernels.KERNELS_VARIABLE: str(tmp_path)}
+    pipe = subprocess.PIPE
+    command = [sys.executable, "-c", STUBBORN]
+    with subprocess.Popen(command, env=own, stdout=pipe, stderr=pipe, text=True) as child:
+        folder = Path(child.stdout.readline().strip())
+        assert folder.is_dir()
+        child.send_signal(number)
+        try:
+            _, told = child.communicate(timeout=20)
+        finally:
+            child.kill()
+    assert (child.returncode, told) == (128 + number, "")
+    assert not folder.exists()
+
+
+def test_a_compilation_ends_with_the_command_that_is_interrupted(tmp_path, monkeypatch):
+    monkeypatch.setenv(kernels.KERNELS_VARIABLE, str(tmp_path))
+    begun = []
+
+    def interrupt(step):
+        begun.append((step, *psutil.Process().children(recursive=True)))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        kernels.compile_all(interrupt)
+    ((step, *children),) = begun
+    assert step == "kernels of register_scan (1 of 5)"
+    assert children
+    assert not any(child.is_running() for child in children)
+    assert not kernels.are_compiled()
+
+
+class Listening:
+    """A service that listens at once."""
+
+    url, key = "http://127.0.0.1:1", "secret"
+
+    def __init__(self, _settings):
+        self.wait = None
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+
+def test_the_service_listens_while_kernels_compile(tmp_path, monkeypatch):
+    def compile_all(tell):
+        tell("kernels of register_scan (1 of 5)")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("myoface.stack.Stack", Listening)
+    monkeypatch.setattr("worker.kernels.are_compiled", lambda: False)
+    monkeypatch.setattr("worker.kernels.compile_all", compile_all)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    monkeypatch.setattr("myoface.cli.service.configure_logs", lambda _json: None)
+    told = invoke(["up", "--data", str(tmp_path)])
+    listens, compiles = (
+        told.stdout.index("listens on"),
+        told.stdout.index("kernels of register_scan"),
+    )
+    assert listens < compiles
+    assert (told.exit_code, told.stderr) == (130, "")

@@ -17,7 +17,14 @@ from solver.meshio.obj import write_obj
 from solver.meshio.raw import mend, read_raw
 from solver.registration.locate import Location
 from solver.registration.register import find_start
-from solver.registration.units import FRAME, FaceSize, check_frame, choose_unit, unit_findings
+from solver.registration.units import (
+    FRAME,
+    FaceSize,
+    ScanUnit,
+    check_frame,
+    choose_unit,
+    unit_findings,
+)
 from solver.scans.check import check
 from solver.surface import Surface
 from solver.templates.builtin.build import builtin_expression, builtin_template
@@ -64,6 +71,14 @@ def test_inches_are_never_quiet() -> None:
     assert "11% larger" in finding.message
 
 
+def test_a_unit_that_does_not_fit_is_answered_with_the_one_that_does() -> None:
+    (finding,) = told(1.0, "cm")
+    assert (finding.code, finding.severity) == ("scan.scale", "error")
+    assert finding.message.startswith("You gave cm: the face would be 10 times too large")
+    assert "it fits in mm" in finding.message
+    assert finding.advice == "Give mm as the unit, or none."
+
+
 def test_a_face_of_an_unusual_size_is_told_with_its_eyes() -> None:
     (finding,) = told(1.25)
     assert (finding.code, finding.severity) == ("scan.size", "warning")
@@ -71,6 +86,14 @@ def test_a_face_of_an_unusual_size_is_told_with_its_eyes() -> None:
     (known,) = told(12.5, "cm")
     assert (known.code, known.severity) == ("scan.size", "info")
     assert told(1.1) == []
+
+
+@pytest.mark.parametrize(("eyes_mm", "severities"), [(50.0, ["warning"]), (61.0, [])])
+def test_eyes_too_near_each_other_are_told(eyes_mm: float, severities: list[str]) -> None:
+    share = eyes_mm / 62.0
+    size = FaceSize(ScanUnit(share, "eyes"), share, eyes_mm, 62.0)
+    findings = unit_findings("a.obj", {**FRAME, "eye_distance_mm": eyes_mm}, None, size)
+    assert [each.severity for each in findings] == severities
 
 
 def test_a_number_that_makes_no_face_is_refused_in_a_sentence() -> None:

@@ -10,8 +10,8 @@ import scipy.sparse as sp
 
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.certificate import certify, check_flesh, with_round_trips
-from solver.rig.checks import CHECKS, RigCheck, judge
+from solver.rig.certificate import Measure, certify, check_flesh, with_round_trips
+from solver.rig.checks import CHECKS, Judgement, RigCheck, judge, overall, use
 from solver.rig.report import report
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import activation_error
@@ -151,6 +151,17 @@ def test_muscles_beyond_what_muscles_can_do_are_no_effort(face: Face, state: Pos
     assert told["use"].startswith(
         "Ready for animation; single muscles are not to be read as effort"
     )
+
+
+def test_a_bad_rig_is_not_called_ready() -> None:
+    [check] = (check for check in CHECKS if check.code == "flesh.minimum")
+    [skin] = (check for check in CHECKS if check.code == "skin.mean")
+    snaps = Judgement(check, "smile", {"smile": Measure(1.0), "sad": Measure(0.0)})
+    off = Judgement(skin, "sad", {"smile": Measure(0.0), "sad": Measure(9.0)})
+    assert overall([snaps.verdict]) == "bad"
+    names = ["smile", "sad"]
+    assert use([snaps], names).startswith("To be used for animation alone; simulations are not")
+    assert use([snaps, off], names).startswith("To be used for animation alone, without sad; ")
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.code)

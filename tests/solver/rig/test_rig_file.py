@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from zipfile import ZIP_BZIP2, ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.rig.report import weights_hash
 from solver.rig.rig import ExpressionFit, Rig
+from solver.storage import read_arrays
 from tests.solver.block import block_model
 
 
@@ -48,6 +50,36 @@ def test_a_rig_comes_back_from_its_file_and_from_its_folder(rig: Rig, tmp_path: 
         found = Rig.load(path)
         check_same(rig, found)
         assert (found.seconds, found.notices) == (rig.seconds, rig.notices)
+
+
+def zip_of(file: Path, packing: int = ZIP_STORED) -> Path:
+    """Return a ZIP as the service sends it, with the rig's file among others."""
+    path = file.with_name("hero.zip")
+    with ZipFile(path, "w", packing) as archive:
+        archive.writestr("rig.json", "{}")
+        archive.write(file, "rig.npz")
+    return path
+
+
+@pytest.mark.parametrize("packing", [ZIP_STORED, ZIP_DEFLATED])
+def test_a_rig_is_read_from_the_zip_that_was_downloaded(
+    rig: Rig, packing: int, tmp_path: Path
+) -> None:
+    rig.save(tmp_path / "rig.npz")
+    check_same(rig, Rig.load(zip_of(tmp_path / "rig.npz", packing)))
+
+
+def test_a_rig_in_a_zip_has_the_bounds_of_other_archives(rig: Rig, tmp_path: Path) -> None:
+    file = tmp_path / "rig.npz"
+    rig.save(file)
+    path = zip_of(file, ZIP_BZIP2)
+    with pytest.raises(InputError, match="packed in another way"):
+        Rig.load(path)
+    with pytest.raises(ValueError, match="at most 100 can be read"):
+        read_arrays(zip_of(file), 100, "rig.npz")
+    file.write_bytes(b"no archive")
+    with pytest.raises(InputError, match="not a ZIP"):
+        Rig.load(zip_of(file))
 
 
 @pytest.fixture
