@@ -1,0 +1,87 @@
+"""A researcher's slip in S, a pose or a term is told by name, before anything is solved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from solver import Face, Pose
+from solver.errors import InputError
+from tests.solver.block import block_model, poses
+
+MODEL = block_model()
+S = MODEL.weights
+
+
+def changed(row, column, value):
+    found = S.toarray()
+    found[row, column] = value
+    return sp.csr_array(found)
+
+
+# column 0 and muscles only where they are: rows in another order have other places
+SPARSE = sp.csr_array(S.toarray())
+ORDERED = replace(MODEL, weights=SPARSE)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (S.toarray(), "S is ndarray, not a sparse matrix"),
+        (S[:100], r"shape \(100, 3\), not \(360, 3\): a row for each tet"),
+        (S[:, :2], r"shape \(360, 2\), not \(360, 3\).* 2 muscles"),
+        (changed(7, 1, np.nan), r"not finite in row 7, column 1 \(left\)"),
+        (changed(7, 2, np.inf), r"not finite in row 7, column 2 \(right\)"),
+        (changed(9, 1, -0.3), r"negative in row 9, column 1 \(left\): -0.3"),
+        (changed(11, 0, 7.0), "row 11 of S sums to 7"),
+        (SPARSE[::-1], r"row \d+ of S has a share of (left|right), .* another order"),
+    ],
+)
+def test_a_wrong_geometry_is_told(wrong, words):
+    for make in (lambda: Face(ORDERED, wrong), lambda: Face(ORDERED).with_weights(wrong)):
+        with pytest.raises(InputError, match=words) as caught:
+            make()
+        assert caught.value.code == "face.weights"
+
+
+def test_a_geometry_of_fewer_muscles_is_none_that_is_wrong():
+    cut = S.toarray()
+    cut[:, 0] += cut[:, 2]
+    cut[:, 2] = 0.0
+    assert Face(MODEL, sp.csr_array(cut)).S.nnz < S.nnz
+
+
+def of(a=None, b=None):
+    pose = poses(1)[0]
+    a, b = pose.a if a is None else a(pose.a.copy()), pose.b if b is None else b(pose.b.copy())
+    return Pose(a, b)
+
+
+def put(place, value):
+    def change(array):
+        array[place] = value
+        return array
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        (of(put((1, 2), np.nan)), "activation of right is not finite"),
+        (of(b=put(0, np.inf)), "jaw is not finite"),
+        (of(lambda a: a[:1]), r"activations have the shape \(1, 6\), not \(2, 6\)"),
+        (of(b=lambda b: b[:3]), r"jaw have the shape \(3,\), not \(5,\)"),
+        (of(b=put(0, 12.0)), "turns by 12 .* radians"),
+    ],
+)
+def test_a_wrong_pose_is_told(pose, words):
+    face = Face(MODEL)
+    for ask in (
+        lambda: face.continuation(face.rest, pose),
+        lambda: face.solve_equilibrium(pose, MODEL.rest),
+    ):
+        with pytest.raises(InputError, match=words) as caught:
+            ask()
+        assert caught.value.code == "face.pose"
