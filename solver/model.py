@@ -98,12 +98,12 @@ class SubjectModel:
         """Return the hash of all that the model holds."""
         return self.archive().sha256
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write the model as NPZ, without pickles."""
         self.archive().write(path)
 
     @classmethod
-    def load(cls, path: Path) -> SubjectModel:
+    def load(cls, path: Path | str) -> SubjectModel:
         """Read a model written by :meth:`save`, or that of a ``rig.npz``.
 
         Raises :class:`InputError` (``model.unreadable``, ``model.format``) if the file is not one.
