@@ -108,6 +108,7 @@ class SubjectModel:
 
         Raises :class:`InputError` (``model.unreadable``, ``model.format``) if the file is not one.
         """
+        path = Path(path)
         archive = Archive.read(path, "model", "a subject model", FORMAT)
         try:
             return cls.from_archive(archive.part("model") if "model" in archive.header else archive)

@@ -25,7 +25,7 @@ from solver.mechanics.equilibrium import (
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
-from solver.mechanics.terms import EnergyTerm, SlidingPlanes, no_planes, planes
+from solver.mechanics.terms import EnergyTerm, SlidingPlanes, check_entries, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.threads import leave_threads_to_kernels
@@ -115,6 +115,8 @@ class Face:
         self.model, self.options, self.tolerance = model, options, tolerance
         if S is not None:
             check_weights(S, model)
+        for term in energy:
+            check_entries(term, len(model.rest))
         self.S: sp.csr_array = model.weights if S is None else S
         material = material or COROTATED_TRACE
         self._held_rest = model.rest if bones is None else model.rest + bones

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver import Face, Pose
-from solver.errors import InputError
+from solver import Face, PassiveTerm, Pose, check_term
+from solver.errors import InputError, SolveError
 from tests.solver.block import block_model, poses
 
 MODEL = block_model()
@@ -85,3 +85,90 @@ def test_a_wrong_pose_is_told(pose, words):
         with pytest.raises(InputError, match=words) as caught:
             ask()
         assert caught.value.code == "face.pose"
+
+
+class SkinPoints(PassiveTerm):
+    """E = sum_e k / 2 |sum_u w_u x_u - place_e|^2, each point within a tet."""
+
+    k = 3.0
+
+    def __init__(self, vertices, weights, places):
+        self.vertices, self.weights, self.places = vertices, weights, places
+
+    def off(self, x):
+        return np.einsum("eu,eui->ei", self.weights, x[self.vertices]) - self.places
+
+    def energy(self, x, controls):
+        return 0.5 * self.k * float((self.off(x) ** 2).sum())
+
+    def forces(self, x, controls):
+        return self.k * self.weights[:, :, None] * self.off(x)[:, None]
+
+    def stiffness_of(self, some):
+        u, v = np.triu_indices(4)
+        weights = self.weights[some]
+        return self.k * (weights[:, u] * weights[:, v])[..., None, None] * np.eye(3)
+
+
+def points(term=SkinPoints, **changes):
+    given = {
+        "vertices": MODEL.tets[:3],
+        "weights": np.array([[0.1, 0.2, 0.3, 0.4]] * 3),
+        "places": np.full((3, 3), 2.0),
+    }
+    return term(**{**given, **changes})
+
+
+class Halved(SkinPoints):
+    def forces(self, x, controls):
+        return 0.5 * super().forces(x, controls)
+
+
+class Unordered(SkinPoints):
+    def stiffness_of(self, some):
+        return super().stiffness_of(some)[:, ::-1]
+
+
+class Diagonal(SkinPoints):
+    def stiffness_of(self, some):
+        return super().stiffness_of(some)[:, :4]
+
+
+def test_a_term_within_tets_passes_and_pulls():
+    term = points()
+    check_term(term, MODEL.rest)
+    assert Face(MODEL, energy=[term]).rest.equilibrium.residual < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("term", "words"),
+    [
+        (Halved, "forces of Halved are not its energy's gradient"),
+        (Unordered, "blocks of Unordered .* entry 0"),
+        (Diagonal, r"blocks of Diagonal have the shape \(3, 4, 3, 3\), not \(3, 10, 3, 3\)"),
+    ],
+)
+def test_a_term_that_contradicts_itself_is_told(term, words):
+    with pytest.raises(InputError, match=words):
+        check_term(points(term), MODEL.rest)
+
+
+@pytest.mark.parametrize(
+    ("term", "words"),
+    [
+        (3, "int is no term of the energy: it has no vertices, energy"),
+        (points(vertices=MODEL.tets[0]), r"int64 of shape \(4,\), not whole numbers \(e, 1\)"),
+        (points(vertices=MODEL.tets[:3] + 1000), "entry 0 of SkinPoints has vertices"),
+    ],
+)
+def test_a_face_refuses_what_is_no_term(term, words):
+    with pytest.raises(InputError, match=words) as caught:
+        Face(MODEL, energy=[term])
+    assert caught.value.code == "face.energy"
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_term_that_is_not_finite_is_named(value):
+    face = Face(MODEL, energy=[points(places=np.full((3, 3), value))])
+    with pytest.raises(SolveError, match="energy of SkinPoints is not finite"):
+        _ = face.rest
