@@ -116,7 +116,7 @@ class Face:
         if S is not None:
             check_weights(S, model)
         for term in energy:
-            check_entries(term, len(model.rest))
+            check_entries(term, len(model.rest), model.tets)
         self.S: sp.csr_array = model.weights if S is None else S
         material = material or COROTATED_TRACE
         self._held_rest = model.rest if bones is None else model.rest + bones

@@ -225,8 +225,11 @@ class TermCheckOptions:
     rounding: float = 1e-10  # of an energy, relative
 
 
-def check_entries(term: EnergyTerm, count: int) -> None:
-    """Raise :class:`InputError` (``face.energy``) unless a term is one of ``count`` vertices."""
+def check_entries(term: EnergyTerm, count: int, tets: Ints | None = None) -> None:
+    """Raise :class:`InputError` (``face.energy``) unless a term is one of ``count`` vertices.
+
+    Entries of four are vertices of one of the ``tets`` (n, 4), if these are given.
+    """
     name = type(term).__name__
     needed = ("vertices", "energy", "forces", "blocks", "forces_by_control")
     if missing := [each for each in needed if not hasattr(term, each)]:
@@ -238,6 +241,11 @@ def check_entries(term: EnergyTerm, count: int) -> None:
     for entry in np.flatnonzero(((vertices < 0) | (vertices >= count)).any(axis=1))[:1]:
         numbers = vertices[entry].tolist()
         raise _term_error(f"entry {entry} of {name} has vertices {numbers} of {count}")
+    if tets is not None and vertices.shape[1] > 1:
+        known = set(map(tuple, np.sort(tets).tolist()))
+        for entry, four in enumerate(np.sort(vertices).tolist()):
+            if tuple(four) not in known:
+                raise _term_error(f"the vertices {four} of {name}, entry {entry}, are no tet's")
 
 
 def check_term(

@@ -158,6 +158,7 @@ def test_a_term_that_contradicts_itself_is_told(term, words):
     [
         (3, "int is no term of the energy: it has no vertices, energy"),
         (points(vertices=MODEL.tets[0]), r"int64 of shape \(4,\), not whole numbers \(e, 1\)"),
+        (points(vertices=np.tile([0, 1, 2, 60], (3, 1))), r"vertices \[0, 1, 2, 60\] .* no tet's"),
         (points(vertices=MODEL.tets[:3] + 1000), "entry 0 of SkinPoints has vertices"),
     ],
 )
