@@ -11,7 +11,7 @@ from typing import Literal
 
 import scipy.sparse as sp
 
-from solver.errors import InputError
+from solver.errors import InputError, quote
 from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.surface import Floats, Ints, Surface
 
@@ -86,6 +86,18 @@ class SubjectModel:
     def muscle_count(self) -> int:
         """Return m, the number of muscles (the passive column not counted)."""
         return len(self.muscle_names)
+
+    def muscle_number(self, name: str) -> int:
+        """Return the row of a muscle in a pose's activations, one less than its column in S.
+
+        Raises :class:`InputError` (``model.muscle``) with the names there are.
+        """
+        if name not in self.muscle_names:
+            message = (
+                f"the model has no muscle {quote(name)!r}; it has {', '.join(self.muscle_names)}"
+            )
+            raise InputError("model.muscle", message)
+        return self.muscle_names.index(name)
 
     @property
     def anatomy(self) -> dict[str, str]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver import Face, PassiveTerm, Pose, check_term
+from solver import Face, Material, PassiveTerm, Pose, Target, check_term, expression_terms
 from solver.errors import InputError, SolveError
 from tests.solver.block import block_model, poses
 
@@ -173,3 +173,30 @@ def test_a_term_that_is_not_finite_is_named(value):
     face = Face(MODEL, energy=[points(places=np.full((3, 3), value))])
     with pytest.raises(SolveError, match="energy of SkinPoints is not finite"):
         _ = face.rest
+
+
+def test_an_unknown_name_is_told_with_those_there_are():
+    with pytest.raises(InputError, match="no muscle 'middle'; it has left, right") as caught:
+        MODEL.muscle_number("middle")
+    assert caught.value.code == "model.muscle"
+    assert MODEL.muscle_number("right") == 1
+    with pytest.raises(InputError, match="no law 'hencky'; there are corotated, neo_hookean"):
+        Face(MODEL, material=Material(law="hencky"))
+
+
+def test_a_target_of_another_count_is_told():
+    front = MODEL.skin.vertices
+    for wrong, words in (
+        (
+            lambda: Target.from_points(front[:, :2]),
+            r"points have the shape \(30, 2\), not \(k, 3\)",
+        ),
+        (lambda: Target.from_points(front, np.ones(7)), r"weights have the shape \(7,\), not"),
+        (lambda: Target.from_points(front, normals=front[:5]), r"normals have the shape \(5, 3\)"),
+    ):
+        with pytest.raises(InputError, match=words) as caught:
+            wrong()
+        assert caught.value.code == "target.shape"
+    target = Target.from_points(front[:-3])
+    with pytest.raises(InputError, match="has 27 points, the face 30"):
+        expression_terms(Face(MODEL), {"smile": target})
