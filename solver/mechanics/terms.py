@@ -274,11 +274,13 @@ def check_term(
     motion = np.random.default_rng(0).standard_normal(x.shape)
     way, (ahead, behind) = motion[vertices], (x + h * motion, x - h * motion)
     ends = term.energy(ahead, a), term.energy(behind, a)
-    expected, found = (ends[0] - ends[1]) / (2.0 * h), float((forces * way).sum())
+    expected, by_forces = (ends[0] - ends[1]) / (2.0 * h), float((forces * way).sum())
     rounding = options.rounding / h
-    allowed = options.tolerance * max(abs(expected), abs(found)) + rounding * max(map(abs, ends))
-    if not abs(found - expected) <= allowed:
-        message = f"its energy changes by {expected:.6g} a mm, its forces say {found:.6g}"
+    allowed = options.tolerance * max(abs(expected), abs(by_forces)) + rounding * max(
+        abs(ends[0]), abs(ends[1])
+    )
+    if not abs(by_forces - expected) <= allowed:
+        message = f"its energy changes by {expected:.6g} a mm, its forces say {by_forces:.6g}"
         raise _term_error(f"the forces of {name} are not its energy's gradient: {message}")
     change = (np.array(term.forces(ahead, a)) - term.forces(behind, a)) / (2.0 * h)
     product = np.zeros_like(forces)
