@@ -106,7 +106,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         docs_url=None,  # FastAPI's own pages load their scripts from elsewhere
         redoc_url=None,
         generate_unique_id_function=openapi.operation_id,
-        license_info={"name": "MIT"},
+        license_info={"name": "MIT", "url": "https://opensource.org/license/mit"},
         redirect_slashes=False,  # it would lead away from TLS, behind a proxy that is not known
     )
     app.state.settings = settings

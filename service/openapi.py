@@ -77,6 +77,10 @@ def _complete(document: JsonObject) -> JsonObject:
             for content in operation["requestBody"]["content"].values():
                 content["schema"] = _without_null(content.get("schema", {}))
                 asked |= _referred(content["schema"], schemas)
+        for content in _contents(operation):
+            # FastAPI describes each event of a stream, in a word of 3.2; to 3.1 all is text
+            if content.pop("itemSchema", None) is not None:
+                content["schema"] = {"type": "string"}
         if "security" in operation:
             operation["responses"] = of_keys | operation["responses"]
         for parameter in operation.get("parameters", ()):
@@ -95,9 +99,6 @@ def as_3_0(document: JsonObject) -> JsonObject:
     found = deepcopy(document)
     found["openapi"] = "3.0.3"
     for operation in _operations(found):
-        for content in _contents(operation):
-            if content.pop("itemSchema", None):  # of each event: to an older generator all is text
-                content["schema"] = {"type": "string"}
         for holder in (*operation.get("parameters", ()), *_contents(operation)):
             if "schema" in holder:
                 holder["schema"] = _schema_3_0(holder["schema"])

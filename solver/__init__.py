@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from solver.fitting.objective import Target as Target
     from solver.fitting.sensitivity import Sensitivity as Sensitivity
     from solver.jobs import run_job as run_job
+    from solver.mechanics.flesh import Material as Material
     from solver.mechanics.terms import PassiveTerm as PassiveTerm
+    from solver.mechanics.terms import check_term as check_term
     from solver.meshio.registered import write_registered as write_registered
     from solver.model import SubjectModel as SubjectModel
     from solver.rig.rig import Rig as Rig
@@ -35,6 +37,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 _PLACES = {
     "ActivationOptions": "solver.fitting.activation:ActivationOptions",
     "Face": "solver.fitting.face:Face",
+    "Material": "solver.mechanics.flesh:Material",
     "PassiveTerm": "solver.mechanics.terms:PassiveTerm",
     "Pose": "solver.fitting.face:Pose",
     "Rig": "solver.rig.rig:Rig",
@@ -42,6 +45,7 @@ _PLACES = {
     "SubjectModel": "solver.model:SubjectModel",
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",
+    "check_term": "solver.mechanics.terms:check_term",
     "expression_terms": "solver.fitting.contact:terms",
     "fit_expression": "solver.fitting.fallback:fit",
     "run_job": "solver.jobs:run_job",

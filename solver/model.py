@@ -11,7 +11,7 @@ from typing import Literal
 
 import scipy.sparse as sp
 
-from solver.errors import InputError
+from solver.errors import InputError, quote
 from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.surface import Floats, Ints, Surface
 
@@ -87,6 +87,18 @@ class SubjectModel:
         """Return m, the number of muscles (the passive column not counted)."""
         return len(self.muscle_names)
 
+    def muscle_number(self, name: str) -> int:
+        """Return the row of a muscle in a pose's activations, one less than its column in S.
+
+        Raises :class:`InputError` (``model.muscle``) with the names there are.
+        """
+        if name not in self.muscle_names:
+            message = (
+                f"the model has no muscle {quote(name)!r}; it has {', '.join(self.muscle_names)}"
+            )
+            raise InputError("model.muscle", message)
+        return self.muscle_names.index(name)
+
     @property
     def anatomy(self) -> dict[str, str]:
         """Return the template as reports name it: its hash is that of the content, of no file."""
@@ -98,16 +110,17 @@ class SubjectModel:
         """Return the hash of all that the model holds."""
         return self.archive().sha256
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write the model as NPZ, without pickles."""
         self.archive().write(path)
 
     @classmethod
-    def load(cls, path: Path) -> SubjectModel:
+    def load(cls, path: Path | str) -> SubjectModel:
         """Read a model written by :meth:`save`, or that of a ``rig.npz``.
 
         Raises :class:`InputError` (``model.unreadable``, ``model.format``) if the file is not one.
         """
+        path = Path(path)
         archive = Archive.read(path, "model", "a subject model", FORMAT)
         try:
             return cls.from_archive(archive.part("model") if "model" in archive.header else archive)

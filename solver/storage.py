@@ -34,7 +34,7 @@ PLAIN = "biufU"  # kinds of values: booleans, whole numbers, floats and text
 
 # The end of a ZIP's directory, and the locator of the end that large archives have besides.
 END_OF_DIRECTORY = struct.Struct("<4s4H2LH")
-END_MAGIC, LARGE_MAGIC = b"PK\5\6", b"PK\6\7"
+FIRST_MAGIC, END_MAGIC, LARGE_MAGIC = b"PK\3\4", b"PK\5\6", b"PK\6\7"
 LARGE_SIZE, LONGEST_COMMENT = 20, 1 << 16  # bytes
 ENCRYPTED = 1  # the bit of a member's flags
 
@@ -99,6 +99,9 @@ def check_directory(stream: IO[bytes]) -> None:
     tail = stream.read()
     place = tail.rfind(END_MAGIC)
     if place < 0 or place + END_OF_DIRECTORY.size > len(tail):
+        stream.seek(0)
+        if stream.read(len(FIRST_MAGIC)) == FIRST_MAGIC:
+            raise BadZipFile("it ends too soon: download it again")
         raise BadZipFile("it is not a ZIP")
     size = END_OF_DIRECTORY.unpack_from(tail, place)[5]
     large = tail[max(0, place - LARGE_SIZE) : place].startswith(LARGE_MAGIC)
@@ -195,8 +198,9 @@ class Archive:
         """Return an archive that was put into this one: its header and arrays under ``name``."""
         return Archive(self.header[name], with_prefix(self.arrays, f"{name}_"))
 
-    def write(self, path: Path) -> None:
+    def write(self, path: Path | str) -> None:
         """Write the file, replacing it whole: no reader ever sees half of it."""
+        path = Path(path)
         header = np.frombuffer(json.dumps(self.header).encode(), dtype=np.uint8)
         unfinished = path.with_name(f".{path.name}.{os.getpid()}")
         try:
@@ -208,15 +212,21 @@ class Archive:
 
     @classmethod
     def read(
-        cls, path: Path, kind: str, noun: str, format_number: int, inside: str = ""
+        cls, path: Path | str, kind: str, noun: str, format_number: int, inside: str = ""
     ) -> Archive:
         """Read such a file, or that of a ZIP (``inside``); ``noun`` says what it should be.
 
         Raises :class:`InputError`: ``<kind>.unreadable`` if it is not one, ``<kind>.format`` if
         its header has another format number.
         """
+        path = Path(path)
+        if not path.is_file():
+            message = f"there is no file {path.name}"
+            raise InputError(f"{kind}.unreadable", message, file=path.name)
         try:
             arrays = read_arrays(path, inside=inside)
+            if "header" not in arrays:
+                raise ValueError("it is another program's NPZ, without a header")
             header = json.loads(bytes(arrays.pop("header")))
             found = header["format"]
         except (LookupError, RecursionError, TypeError, ValueError) as error:

@@ -259,6 +259,11 @@ def _show_edit(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:
     )
 
 
+def _show_rig(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+    out.print(f"{report['verdict']}: {report['use']}")
+    out.print(f"{given['output'] / 'report.html'}")
+
+
 def _show_export(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
     out.print(f"{given['output'] / report['file']}, {report['bytes']} bytes")
 
@@ -271,6 +276,7 @@ SUMMARIES: Mapping[str, Callable[[Mapping[str, Any], Mapping[str, Any]], None]] 
     "animation": _show_animation,
     "edit": _show_edit,
     "export": _show_export,
+    "rig": _show_rig,
 }
 
 

@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from solver.anatomy.bones import bone_normals
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
+from solver.fitting.checks import check_pose, check_weights
 from solver.fitting.controls import Layout, pose_layout
 from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian, move_jaw
 from solver.mechanics.equilibrium import (
@@ -24,7 +25,7 @@ from solver.mechanics.equilibrium import (
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
-from solver.mechanics.terms import EnergyTerm, SlidingPlanes, no_planes, planes
+from solver.mechanics.terms import EnergyTerm, SlidingPlanes, check_entries, no_planes, planes
 from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.threads import leave_threads_to_kernels
@@ -112,6 +113,10 @@ class Face:
     ) -> None:
         leave_threads_to_kernels()
         self.model, self.options, self.tolerance = model, options, tolerance
+        if S is not None:
+            check_weights(S, model)
+        for term in energy:
+            check_entries(term, len(model.rest), model.tets)
         self.S: sp.csr_array = model.weights if S is None else S
         material = material or COROTATED_TRACE
         self._held_rest = model.rest if bones is None else model.rest + bones
@@ -135,7 +140,18 @@ class Face:
         self.face_offset = model.offset[row[model.face]]
 
     def with_weights(self, S: sp.csr_array) -> Face:
-        """Return this face with another muscle geometry ``S`` (n, m + 1)."""
+        """Return this face with another muscle geometry ``S`` (n, m + 1).
+
+        Raises as :func:`~solver.fitting.checks.check_weights`.
+        """
+        check_weights(S, self.model)
+        return self._with(S=S)
+
+    def with_unchecked_weights(self, S: sp.csr_array) -> Face:
+        """Return this face with the S of a fit's step, which keeps what :meth:`with_weights` asks.
+
+        The fit of every tet has a column for each.
+        """
         return self._with(S=S)
 
     def with_flesh(self, flesh: Flesh) -> Face:
@@ -162,6 +178,9 @@ class Face:
         """The neutral face as an equilibrium; raises :class:`SolveError` if there is none."""
         return self.solve_equilibrium(self.rest_pose(), self.model.rest)
 
+    def _check(self, pose: Pose) -> None:
+        check_pose(pose.a, pose.b, self.S.shape[1] - 1, self.model.muscle_names)
+
     def tet_activations(self, a: Floats) -> Floats:
         """Return A_i = sum_j s_ij a_j, (n, 6), with a_0 = a_I for the passive column."""
         return np.ascontiguousarray(self.S @ np.vstack([IDENTITY, a]))
@@ -176,8 +195,10 @@ class Face:
         """Find the equilibrium of a pose from ``x`` (p, 3), the mandible being put where b says.
 
         ``near`` is the Hessian of a state nearby, if there is one. Raises :class:`SolveError` if
-        it is not found within so many Newton steps.
+        it is not found within so many Newton steps, a :class:`~solver.fitting.checks.PoseError`
+        if the pose is not one of this face.
         """
+        self._check(pose)
         x = x.copy()
         x[self.flesh.held] = self.held_positions(pose.b)
         found = solve_equilibrium(
@@ -242,6 +263,7 @@ class Face:
 
         Raises the last :class:`SolveError` if the pose cannot be reached.
         """
+        self._check(pose)
         return self._along(start, pose, self.options.smallest, settled=True)
 
     def newton_continuation(self, state: PosedFace, response: Floats, pose: Pose) -> PosedFace:

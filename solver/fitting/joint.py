@@ -91,7 +91,7 @@ class Iterate:
 def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOptions()) -> Iterate:
     """Return a better iterate, or the same S with the losing states settled, and more damping."""
     rule, pose_rule = options.damping, options.pose_damping
-    face = problem.face.with_weights(now.S)
+    face = problem.face.with_unchecked_weights(now.S)
     damping = {name: now.pose_damping.get(name, pose_rule.start) for name in now.states}
     models = {
         name: _Linearised(problem, face, name, state, damping[name])
@@ -213,7 +213,7 @@ class _Linearised:
 
     def _move(self, S: sp.csr_array, response: Floats, pose: Pose) -> PosedFace | None:
         """Approach a pose with S; settle where that is too far; None where that fails too."""
-        face = self._face.with_weights(S)
+        face = self._face.with_unchecked_weights(S)
         with contextlib.suppress(SolveError):
             # the next linear models, of S too, are the better for a stiffness that is that at x
             return face.newton_predict(self._state, response, pose, PredictorOptions.reach_mm)

@@ -51,10 +51,21 @@ class Target:
         """Normalise ``weights`` (k,), all equal if not given.
 
         A point that is not finite counts as unseen (weight 0). Raises :class:`InputError`
+        (``target.shape``) for arrays that are not of one count,
         (``target.weight``) for a negative or infinite weight, (``target.no_weight``) if nothing is
         left to fit.
         """
+        if np.ndim(points) != 2 or np.shape(points)[1] != 3:
+            message = f"the target's points have the shape {np.shape(points)}, not (k, 3)"
+            raise InputError("target.shape", message)
         weights = np.ones(len(points)) if weights is None else weights.astype(np.float64)
+        for what, found, shape in (
+            ("weights", weights, (len(points),)),
+            ("normals", points if normals is None else normals, np.shape(points)),
+        ):
+            if np.shape(found) != shape:
+                message = f"the target's {what} have the shape {np.shape(found)}, not {shape}"
+                raise InputError("target.shape", message)
         seen = np.asarray(np.isfinite(points).all(axis=1))
         if normals is not None:
             seen &= np.isfinite(normals).all(axis=1)
@@ -175,6 +186,12 @@ class SkinDistance:
     """
 
     def __init__(self, face: Face, target: Target) -> None:
+        if len(target.points) != len(face.model.face):
+            message = (
+                f"the target has {len(target.points)} points, the face {len(face.model.face)}: "
+                "take those of its vertices, skin[model.face]"
+            )
+            raise InputError("target.shape", message)
         self._face, self.target = face, target
 
     def value(self, x: Floats) -> float:

@@ -120,6 +120,11 @@ def newton_predict(
 
 def _check_orientation(energy: Energy, x: Floats) -> None:
     if not np.isfinite(energy.value(x)):
+        flesh = energy.flesh
+        for term in flesh.terms[1:]:
+            if not np.isfinite(term.energy(flesh.rest, energy.a)):
+                message = f"the energy of {type(term).__name__} is not finite, not even at rest"
+                raise SolveError("solve.not_finite", message)
         count = energy.flesh.inverted(x)
         raise SolveError("solve.inverted", f"{count} tetrahedra are inverted before the first step")
 

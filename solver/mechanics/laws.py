@@ -12,6 +12,7 @@ from typing import Literal, get_args
 
 import numba as nb
 
+from solver.errors import InputError, quote
 from solver.mechanics.linalg3 import Matrix, Symmetric
 from solver.mechanics.materials import Moduli, corotated, neo_hookean
 from solver.surface import Floats
@@ -26,7 +27,10 @@ MODES = 12  # a law's Hessian has no more
 
 
 def number(law: Law) -> int:
-    """Return the number of a law."""
+    """Return the number of a law; raises :class:`InputError` (``material.law``) for another."""
+    if law not in get_args(Law):
+        message = f"there is no law {quote(law)!r}; there are {', '.join(get_args(Law))}"
+        raise InputError("material.law", message)
     return get_args(Law).index(law)
 
 

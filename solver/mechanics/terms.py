@@ -41,6 +41,8 @@ class EnergyTerm(Protocol):
     ) -> Floats:
         """Return the second derivatives (e, v (v + 1) / 2, 3, 3) by the pairs u <= v of vertices.
 
+        The pairs are in the order of ``np.triu_indices(v)``; a block's rows are u's coordinates.
+
         ``project`` goes from 0, as they are, to 1, positive semi-definite; ``some`` are the entries
         that are asked for. The next call may overwrite the result.
         """
@@ -212,3 +214,86 @@ def force_columns(forces: Floats, vertices: Ints, size: int) -> sp.csc_array:
     values, rows = np.where(out, 0.0, forces), np.where(out, 0, rows)
     indptr = rows.shape[1] * 3 * np.arange(len(forces) + 1)
     return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(size, len(forces)))
+
+
+@dataclass(frozen=True)
+class TermCheckOptions:
+    """Accuracy of :func:`check_term`."""
+
+    step_mm: float = 1e-4  # of central differences
+    tolerance: float = 1e-4  # of the largest value, relative
+    rounding: float = 1e-10  # of an energy, relative
+
+
+def check_entries(term: EnergyTerm, count: int, tets: Ints | None = None) -> None:
+    """Raise :class:`InputError` (``face.energy``) unless a term is one of ``count`` vertices.
+
+    Entries of four are vertices of one of the ``tets`` (n, 4), if these are given.
+    """
+    name = type(term).__name__
+    needed = ("vertices", "energy", "forces", "blocks", "forces_by_control")
+    if missing := [each for each in needed if not hasattr(term, each)]:
+        raise _term_error(f"{name} is no term of the energy: it has no {', '.join(missing)}")
+    vertices = np.asarray(term.vertices)
+    if vertices.ndim != 2 or vertices.shape[1] not in (1, 4) or vertices.dtype.kind not in "iu":
+        found = f"{vertices.dtype} of shape {vertices.shape}"
+        raise _term_error(f"the vertices of {name} are {found}, not whole numbers (e, 1) or (e, 4)")
+    for entry in np.flatnonzero(((vertices < 0) | (vertices >= count)).any(axis=1))[:1]:
+        numbers = vertices[entry].tolist()
+        raise _term_error(f"entry {entry} of {name} has vertices {numbers} of {count}")
+    if tets is not None and vertices.shape[1] > 1:
+        known = set(map(tuple, np.sort(tets).tolist()))
+        for entry, four in enumerate(np.sort(vertices).tolist()):
+            if tuple(four) not in known:
+                raise _term_error(f"the vertices {four} of {name}, entry {entry}, are no tet's")
+
+
+def check_term(
+    term: EnergyTerm,
+    x: Floats,
+    controls: Floats | None = None,
+    options: TermCheckOptions = TermCheckOptions(),
+) -> None:
+    """Compare a term's forces with its energy at x (p, 3), and its blocks with its forces.
+
+    By differences in a random direction. Raises :class:`InputError` (``face.energy``) for other
+    shapes than :class:`EnergyTerm` has, and where they differ.
+    """
+    check_entries(term, len(x))
+    a = np.zeros((0, 6)) if controls is None else controls
+    name, vertices, h = type(term).__name__, np.asarray(term.vertices), options.step_mm
+    u, v = np.triu_indices(vertices.shape[1])
+    forces, blocks = np.array(term.forces(x, a)), np.array(term.blocks(x, a))
+    for what, found, shape in (
+        ("forces", forces, (*vertices.shape, 3)),
+        ("blocks", blocks, (len(vertices), len(u), 3, 3)),
+        ("blocks of some", np.array(term.blocks(x, a, some=np.arange(1))), (1, len(u), 3, 3)),
+    ):
+        if found.shape != shape:
+            raise _term_error(f"the {what} of {name} have the shape {found.shape}, not {shape}")
+    motion = np.random.default_rng(0).standard_normal(x.shape)
+    way, (ahead, behind) = motion[vertices], (x + h * motion, x - h * motion)
+    ends = term.energy(ahead, a), term.energy(behind, a)
+    expected, by_forces = (ends[0] - ends[1]) / (2.0 * h), float((forces * way).sum())
+    rounding = options.rounding / h
+    allowed = options.tolerance * max(abs(expected), abs(by_forces)) + rounding * max(
+        abs(ends[0]), abs(ends[1])
+    )
+    if not abs(by_forces - expected) <= allowed:
+        message = f"its energy changes by {expected:.6g} a mm, its forces say {by_forces:.6g}"
+        raise _term_error(f"the forces of {name} are not its energy's gradient: {message}")
+    change = (np.array(term.forces(ahead, a)) - term.forces(behind, a)) / (2.0 * h)
+    product = np.zeros_like(forces)
+    for pair, (first, second) in enumerate(zip(u, v, strict=True)):
+        product[:, first] += np.einsum("eij,ej->ei", blocks[:, pair], way[:, second])
+        if first != second:
+            product[:, second] += np.einsum("eji,ej->ei", blocks[:, pair], way[:, first])
+    allowed = options.tolerance * np.abs(change).max() + rounding * np.abs(forces).max()
+    wrong = ~(np.abs(product - change) <= allowed).all(axis=(1, 2))
+    for entry in np.flatnonzero(wrong)[:1]:
+        message = f"the blocks of {name} are not its forces' derivative, first in entry {entry}"
+        raise _term_error(message)
+
+
+def _term_error(message: str) -> InputError:
+    return InputError("face.energy", message)

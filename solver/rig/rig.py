@@ -94,7 +94,7 @@ class Rig:
             raise InputError("export.figures", message)
         return self.figures
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write ``rig.npz``: lengths in mm, surfaces and errors in single precision."""
         model = self.model.archive()
         header = {
@@ -130,13 +130,13 @@ class Rig:
         return list(parts)
 
     @classmethod
-    def load(cls, files: Path | Mapping[str, Path]) -> Rig:
+    def load(cls, files: Path | str | Mapping[str, Path]) -> Rig:
         """Read a rig: its ``rig.npz``, folder or downloaded ZIP, or a job's files by their roles.
 
         Raises :class:`InputError`: ``rig.unreadable`` for what is no rig, ``rig.format``,
         ``rig.model`` for files of 0.1 that are not of one model, and as :meth:`SubjectModel.load`.
         """
-        given = find_files(files) if isinstance(files, Path) else files
+        given = find_files(Path(files)) if isinstance(files, Path | str) else files
         if "weights" in given:
             return cls._load_0_1(given)
         path = given["rig"]

@@ -9,6 +9,9 @@ from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
+from jsonschema import Draft202012Validator, ValidationError
+from jsonschema.validators import validator_for
+from schemathesis.specs.openapi.definitions import OPENAPI_30, OPENAPI_31
 
 from service.app import create_app
 from service.settings import Settings
@@ -20,6 +23,8 @@ NEWER = {
     *("$defs", "$id", "$schema", "$anchor", "$comment", "contentMediaType", "contentEncoding"),
     *("contentSchema", "dependentRequired", "minContains", "maxContains", "itemSchema"),
 }
+# What the two versions know of a body
+MEDIA_TYPE = {"schema", "example", "examples", "encoding"}
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +64,28 @@ def schemas(document: dict[str, Any]) -> Iterator[tuple[str, Any]]:
             for key in ("anyOf", "oneOf", "allOf"):
                 inner += [(key, each) for each in schema.get(key, ())]
             waiting += [(f"{place}.{key}", each) for key, each in inner]
+
+
+def test_each_is_valid_in_its_own_version(document: dict[str, Any]) -> None:
+    version = document["openapi"]
+    rules = {"3.0.3": OPENAPI_30, "3.1.0": OPENAPI_31}[version]
+    problems = sorted(f"{each.json_path}: {each.message}" for each in faults(rules, document))
+    assert not problems, (version, problems[:5])
+    if version == "3.1.0":  # a schema of 3.0 is checked with its document
+        for _, schema in schemas(document):
+            Draft202012Validator.check_schema(schema)
+
+
+def faults(rules: dict[str, Any], document: dict[str, Any]) -> Iterator[Any]:
+    yield from validator_for(rules)(rules).iter_errors(document)
+    for operation in operations(document):
+        for holder in (operation.get("requestBody", {}), *operation["responses"].values()):
+            for content in holder.get("content", {}).values():
+                if unknown := set(content) - MEDIA_TYPE:
+                    yield ValidationError(f"{operation['operationId']} says {unknown}")
+    licence = document["info"]["license"]
+    if not {"url", "identifier"} & set(licence):
+        yield ValidationError("the licence has neither url nor identifier")
 
 
 def test_operations_have_short_names_of_their_own(document: dict[str, Any]) -> None:

@@ -123,7 +123,7 @@ class Expression(IpoptProblem):
 
     def constraints(self, z: Floats, S: sp.csr_array | None = None) -> Floats:
         """Return the free coordinates' forces (size,); tells IPOPT where a tet is inverted."""
-        face = self.face if S is None else self.face.with_weights(S)
+        face = self.face if S is None else self.face.with_unchecked_weights(S)
         x, a = self.place(z), face.tet_activations(self.pose(z).a)
         finite(self.flesh.energy(x, a))
         return self.flesh.gradient(x, a)
@@ -134,7 +134,7 @@ class Expression(IpoptProblem):
 
     def jacobian(self, z: Floats, S: sp.csr_array | None = None) -> Floats:
         """Return its entries."""
-        face = self.face if S is None else self.face.with_weights(S)
+        face = self.face if S is None else self.face.with_unchecked_weights(S)
         x, pose = self.place(z), self.pose(z)
         by_x = self.flesh.hessian(x, face.tet_activations(pose.a)).data
         by_pose = PoseRates(TetForces(face, pose, x)).columns()

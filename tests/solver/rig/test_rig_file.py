@@ -165,3 +165,25 @@ def test_a_size_that_is_an_estimate_stays_one(rig: Rig, tmp_path: Path) -> None:
     (size, *others) = found.warnings
     assert others == list(rig.notices)
     assert size.message == "size unknown: taken from the template, millimetres are estimates"
+
+
+def test_a_path_may_be_text(rig: Rig, tmp_path: Path) -> None:
+    rig.save(str(tmp_path / "rig.npz"))
+    for path in (str(tmp_path / "rig.npz"), str(tmp_path)):
+        check_same(rig, Rig.load(path))
+    assert SubjectModel.load(str(tmp_path / "rig.npz")).sha256 == rig.model.sha256
+
+
+def test_a_file_that_is_no_rig_is_told_in_words(rig: Rig, tmp_path: Path) -> None:
+    rig.save(tmp_path / "rig.npz")
+    content = (tmp_path / "rig.npz").read_bytes()
+    (tmp_path / "short.npz").write_bytes(content[: len(content) // 2])
+    np.savez(tmp_path / "foreign.npz", x=np.zeros(3))
+    for name, words in (
+        ("short.npz", "short.npz is not a rig: it ends too soon: download it again"),
+        ("foreign.npz", "foreign.npz is not a rig: it is another program's NPZ"),
+        ("missing.npz", "there is no file .*missing.npz"),
+    ):
+        with pytest.raises(InputError, match=words) as caught:
+            Rig.load(tmp_path / name)
+        assert caught.value.code == "rig.unreadable"
