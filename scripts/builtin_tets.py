@@ -1,5 +1,4 @@
-#!/usr/bin/env python3
-"""Write the tetrahedra of the built-in face: with .venv/bin/python, two minutes.
+"""Write the tetrahedra of the built-in face: .venv/bin/python scripts/builtin_tets.py (a minute).
 
 fTetWild is not reproducible: another run gives another mesh, on which the demo person fits to 0.11
 to 0.13 mm. Look at `make demo` with it before it is committed.

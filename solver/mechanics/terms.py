@@ -8,6 +8,7 @@ and is a :class:`solver.mechanics.boundary.Potential`.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -118,14 +119,14 @@ class ElasticTerm:
         return np.empty((len(self._mesh.tets), PAIRS, 3, 3))
 
 
-class PassiveTerm:
+class PassiveTerm(ABC):
     """Base of an :class:`EnergyTerm` that no control changes, quadratic in x."""
 
     vertices: Ints  # (e, v), the entries'
 
+    @abstractmethod
     def stiffness_of(self, some: Ints | slice) -> Floats:
         """Return the second derivatives of some entries, as :meth:`blocks` has them."""
-        raise NotImplementedError
 
     def blocks(
         self,
@@ -138,8 +139,9 @@ class PassiveTerm:
         """See :class:`EnergyTerm`."""
         return self.stiffness_of(slice(None) if some is None else some)
 
-    def forces_by_control(self, x: Floats, controls: Floats) -> None:
+    def forces_by_control(self, x: Floats, controls: Floats) -> None:  # noqa: ARG002
         """See :class:`EnergyTerm`: none."""
+        return
 
 
 @dataclass(frozen=True)
