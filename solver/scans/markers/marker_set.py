@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -173,18 +173,19 @@ def _entry(marker: Marker) -> dict[str, Any]:
 
 def _marker(entry: MarkerEntry, number: int) -> Marker:
     where, at = f"markers.markers[{number}].at", entry.at
-    known = {"height_mm": entry.height_mm, "part": entry.part, "sigma_mm": entry.sigma_mm}
+    height, sigma = entry.height_mm, entry.sigma_mm
+    marker = Marker(entry.label, height_mm=height, part=entry.part, sigma_mm=sigma)
     if not isinstance(at, SkinPoint):
         if entry.part == "face":
             raise _schema_error(where, "is a place; a marker of the face is a point of the skin")
-        return Marker(entry.label, place_mm=(at[0], at[1], at[2]), **known)
+        return replace(marker, place_mm=(at[0], at[1], at[2]))
     if entry.part in BONY:
         raise _schema_error(where, "is a point of the skin; what rides on bone has a place")
     if abs(sum(at.weights) - 1.0) > ROUNDING:
         raise _schema_error(f"{where}.weights", f"sum to {sum(at.weights):.4g}, not to 1")
     first, second, third = at.vertices
-    weights = at.weights[0], at.weights[1], at.weights[2]
-    return Marker(entry.label, (first, second, third), weights, **known)
+    one, two, three = at.weights
+    return replace(marker, vertices=(first, second, third), weights=(one, two, three))
 
 
 def _schema_error(where: str, message: str) -> InputError:
