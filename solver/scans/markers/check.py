@@ -30,22 +30,22 @@ from solver.scans.markers.faults import WRONG, Faults, Span, find_faults
 from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.motion import Mask
 from solver.scans.markers.names import Named, read_names
+from solver.scans.markers.raw_take import ADVICE as READING
 from solver.scans.markers.take import Take
 from solver.similarity import IDENTITY, robust_motion
 from solver.surface import Floats, Ints, Surface
 
+USUAL_RATE = 60.0  # frames a second, where a take does not say
 WHERE = "on the brows, the cheeks, the lips' rims, the chin, and four on a headband"
 ADVICE = {
+    **READING,
     # the file
-    "markers.unit": "Export in millimetres, or go on: the unit was found by the face's size.",
     "markers.axes": "Nothing to do: the take is turned.",
-    "markers.rate": "Export the take with its frame rate: speeds and the stillest second need it.",
     "markers.repeated": "Export at the rate of the recording: repeated frames hold nothing new.",
     "markers.mirrored": "Export with right-handed axes; until then the take is mirrored back.",
     "markers.sides": "Left is the person's own left: exchange the sides of the labels.",
     "markers.outside": "Nothing to do: these labels are left out.",
     "markers.unlabelled": "Label these tracks as the message says, or go on: they are candidates.",
-    "markers.two_faces": "Export one person's markers a file.",
     "markers.few": f"Put more markers on the face: {WHERE}.",
     # single labels
     "markers.dead": "Nothing to do: the label is left out.",
@@ -65,9 +65,6 @@ ADVICE = {
     "markers.neutral": "Name frames with a relaxed face, lips closed, or the expression they show.",
     "markers.other_person": "Take this person's own rig, or carry the motion over: --actor.",
 }
-
-UNREADABLE = "Export the take again, as C3D, TRC or Motive CSV, and send the new file."
-
 
 @dataclass(frozen=True)
 class CheckLimits:
@@ -125,7 +122,7 @@ def check_take(
     limits: CheckLimits = CheckLimits(),
 ) -> MarkerCheck:
     """Check a take; ``neutral`` are frames, from 0, ``actor`` says that it is another person's."""
-    check = MarkerCheck(list(take.findings))
+    check = MarkerCheck([each for each in take.findings if each.code != "markers.two_faces"])
     named = read_names(take.labels)
     rate = _check_rate(check, take, limits)
     alive = np.isfinite(take.positions[..., 0]).any(axis=0)
@@ -183,9 +180,10 @@ def _check_rate(check: MarkerCheck, take: Take, limits: CheckLimits) -> float:
             message = f"{take.rate:g} frames a second are few: what is sudden cannot be told."
             add(check, "markers.rate", "warning", message, found=take.rate)
         return take.rate
-    message = f"{take.file} does not say its frame rate; 60 frames a second are assumed."
-    add(check, "markers.rate", "warning", message, expected=60.0)
-    return 60.0
+    if not any(found.code == "markers.rate" for found in take.findings):
+        message = f"{take.file} does not say its frame rate; {USUAL_RATE:g} are assumed."
+        add(check, "markers.rate", "warning", message, expected=USUAL_RATE)
+    return USUAL_RATE
 
 
 def _rough_unit(positions: Floats, limits: CheckLimits) -> float:
