@@ -13,7 +13,8 @@ from solver.model import SubjectModel
 from solver.progress import Step
 from solver.registration.locate import face_surface
 from solver.scans.markers.bind import frames_about, model_face
-from solver.scans.markers.check import ADVICE, MarkerCheck, Reference, check_take
+from solver.scans.markers.check import Reference, check_take
+from solver.scans.markers.findings import ADVICE, MarkerCheck
 from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.picture import check_picture
 from solver.scans.markers.take import read_take

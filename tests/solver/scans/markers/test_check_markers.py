@@ -10,8 +10,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from solver.errors import Finding, judge_findings
-from solver.scans.markers.bind import FLIP, bind, model_face, rest_places
-from solver.scans.markers.check import ADVICE, MarkerCheck, Reference, check_take
+from solver.scans.markers.bind import bind, model_face, rest_places
+from solver.scans.markers.locate import FLIP
+from solver.scans.markers.check import Reference, check_take
+from solver.scans.markers.findings import ADVICE, MarkerCheck
 from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.take import Take, read_take
 from solver.similarity import Similarity
