@@ -4,8 +4,8 @@ The page has the same rule in ``service/page/static/js/scan_files.js``; both are
 of ``tests/fixtures/scan_names.json``.
 
 - A role is in the name: ``neutral``, ``neutre``, ``rest`` or ``relaxed`` as a word of its own is
-  the neutral, the ending ``.npy`` a performance, ``.c3d`` and ``.trc`` a take of markers, all else an
-  expression.
+  the neutral, the ending ``.npy`` a performance, ``.c3d`` and ``.trc`` a take of markers, all else
+  an expression.
 - A name that is legal stays as it is. In others accents go, and blanks and signs become ``_``.
 - What all files of a session begin with, up to a blank, ``_`` or ``-``, is the person and goes,
   where the neutral is among them and what is left of each has a letter.

@@ -67,9 +67,7 @@ OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
             None,
         )
     },
-    "any_rig": {
-        "any_rig": (Annotated[Path | None, Option("--rig", exists=True, help=RIG)], None),
-    },
+    "any_rig": {"any_rig": (Annotated[Path | None, Option("--rig", exists=True, help=RIG)], None)},
     "markers": {
         "marker_set": (
             Annotated[

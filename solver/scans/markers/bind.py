@@ -19,7 +19,6 @@ from solver.scans.markers.marker_set import Marker, MarkerSet, Triple
 from solver.scans.markers.motion import Motion, take_apart
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
-from solver.similarity import Similarity
 from solver.surface import Floats, Surface, unit_rows, vertex_normals
 
 USUAL_RATE = 60.0  # frames a second, where a take does not say
@@ -201,7 +200,9 @@ def place_markers(
             vertices = tuple(corners[row].tolist())
             weights = tuple(shares[row].tolist())
             found.append(
-                Marker(labels[number], vertices, weights, float(heights[row]), sigma_mm=options.sigma)
+                Marker(
+                    labels[number], vertices, weights, float(heights[row]), sigma_mm=options.sigma
+                )
             )
         else:
             at_bone: Triple = (float(at[0]), float(at[1]), float(at[2]))

@@ -26,14 +26,15 @@ from solver.scans.markers.bind import (
 )
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import (
+    LIMITS,
     CheckLimits,
     MarkerCheck,
     add,
     count_words,
     label_rows,
+    tell_dead,
     tell_exchanged,
     tell_faults,
-    tell_labels,
     tell_location,
     tell_unlabelled,
 )
@@ -61,7 +62,7 @@ def check_take(
     neutral: tuple[int, int] | None = None,
     *,
     actor: bool = False,
-    limits: CheckLimits = CheckLimits(),
+    limits: CheckLimits = LIMITS,
 ) -> MarkerCheck:
     """Check a take; ``neutral`` are frames, from 0, ``actor`` says that it is another person's."""
     take = count_tracks(take)
@@ -79,7 +80,7 @@ def check_take(
         "markers": int(is_face.sum()),
         "unlabelled": len(take.unlabelled_names),
     }
-    tell_labels(check, take, "dead", np.flatnonzero(~alive), "never seen")
+    tell_dead(check, take, np.flatnonzero(~alive))
     if is_face.sum() < limits.least:
         message = f"{take.file} has {is_face.sum()} markers of a face; {limits.least} are needed."
         add(check, "markers.few", "error", message, found=int(is_face.sum()), expected=limits.least)
@@ -174,7 +175,7 @@ def _tell_person(
 ) -> None:
     """Tell whether the markers at rest fit the person: the skin, or the places of a marker set."""
     located = check.located
-    assert located is not None and check.placed is not None
+    assert located is not None
     is_lower = np.array([each is not None and each.region in LOWER for each in named], bool)
     off = located.off_skin
     if reference.markers is not None:
@@ -236,5 +237,3 @@ def _off_places(
 def _rms(off: Floats) -> float:
     known = off[np.isfinite(off)]
     return float(np.sqrt((known**2).mean())) if len(known) else 0.0
-
-

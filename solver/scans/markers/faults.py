@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from solver.scans.markers.motion import Mask, Motion, MotionOptions, median_of_seen, take_apart
+from solver.scans.markers.motion import MOTION, Mask, Motion, MotionOptions, median_of_seen, take_apart
 from solver.surface import Floats, Ints
 
 
@@ -102,7 +102,7 @@ def find_faults(
     positions: Floats,
     rate: float,
     options: FaultOptions = FaultOptions(),
-    motion_options: MotionOptions = MotionOptions(),
+    motion_options: MotionOptions = MOTION,
 ) -> Faults:
     """Find what is wrong with markers (f, k, 3) in mm, NaN where missing."""
     seen = np.isfinite(positions[..., 0])
@@ -156,9 +156,7 @@ def _find_frozen(
     return frozen, float(halts.mean())
 
 
-def _find_filled(
-    positions: Floats, rate: float, options: FaultOptions, spans: list[Span]
-) -> None:
+def _find_filled(positions: Floats, rate: float, options: FaultOptions, spans: list[Span]) -> None:
     """Find where markers run along a cubic, without the noise of the others in those frames."""
     least = max(options.least_filled, round(options.filled * rate))
     if len(positions) < 2 * least + 4 or positions.shape[1] < 4:
@@ -317,9 +315,7 @@ def _largest_jump(way: Floats) -> int:
     return int(seen[int(np.argmax(jumps)) + 1]) if len(jumps) else 0
 
 
-def _find_thrown(
-    residuals: Floats, rate: float, options: FaultOptions, spans: list[Span]
-) -> Mask:
+def _find_thrown(residuals: Floats, rate: float, options: FaultOptions, spans: list[Span]) -> Mask:
     """Return which points (f, k) are far off and came or went there at once, or between gaps."""
     off = np.linalg.norm(residuals, axis=2)
     jump = max(options.least_jump, options.speed / rate)

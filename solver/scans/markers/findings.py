@@ -50,6 +50,7 @@ ADVICE = {
     "markers.other_person": "Take this person's own rig, or carry the motion over: --actor.",
 }
 
+
 @dataclass(frozen=True)
 class CheckLimits:
     """Beyond these a take has a finding; lengths in mm."""
@@ -71,6 +72,9 @@ class CheckLimits:
     share_filled: float = 0.5  # of a track's frames
     spans: int = 20  # of a finding that are listed
     labels: int = 12  # with a finding of their own; the others are counted
+
+
+LIMITS = CheckLimits()
 
 
 @dataclass
@@ -206,11 +210,13 @@ def _tell_spans(
     add(check, f"markers.{fault}", severity, message, share=round(share, 4), **figures)
 
 
-def tell_labels(check: MarkerCheck, take: Take, fault: str, which: Ints, words: str) -> None:
-    if len(which):
-        names = quote_names([take.labels[number] for number in which.tolist()])
-        message = f"{count_words(len(which), 'label is', 'labels are')} {words}: {', '.join(names[:4])}."
-        add(check, f"markers.{fault}", "info", message, labels=names)
+def tell_dead(check: MarkerCheck, take: Take, dead: Ints) -> None:
+    """Add which labels are never seen."""
+    if len(dead):
+        names = quote_names([take.labels[number] for number in dead.tolist()])
+        number = count_words(len(dead), "label is", "labels are")
+        message = f"{number} never seen: {', '.join(names[:4])}."
+        add(check, "markers.dead", "info", message, labels=names)
 
 
 def label_rows(check: MarkerCheck, take: Take) -> list[dict[str, Any]]:
@@ -259,6 +265,7 @@ def tell_unlabelled(check: MarkerCheck, take: Take, mm: float, limits: CheckLimi
 
 
 def tell_location(check: MarkerCheck, take: Take, located: Located) -> None:
+    """Add unit and axes, and what is mirrored or exchanged."""
     rotation = located.session.rotation
     up, forward = nearest_axis(rotation[1]), nearest_axis(rotation[2])
     check.figures |= {
@@ -292,9 +299,11 @@ def tell_location(check: MarkerCheck, take: Take, located: Located) -> None:
 
 
 def tell_exchanged(check: MarkerCheck, first: str, second: str) -> None:
+    """Add that two labels have each other's marker all the time."""
     message = f"{quote(first)} and {quote(second)} lie in each other's place in the whole take."
     add(check, "markers.exchanged", "warning", message, label=first, other=second)
 
 
 def count_words(number: int, one: str, many: str) -> str:
+    """Return a number with its noun, and a verb, in the singular or the plural."""
     return f"{number} {one if number == 1 else many}"

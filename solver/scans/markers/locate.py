@@ -92,9 +92,7 @@ def locate(
         better = found[1].miss() < options.clearly * found[0].miss()
         chosen = found[1] if better else found[0]
     chosen = replace(
-        chosen,
-        by_names=by_names is not None,
-        sides_exchanged=turned and not chosen.mirrored,
+        chosen, by_names=by_names is not None, sides_exchanged=turned and not chosen.mirrored
     )
     if by_names is None or turned:
         return chosen

@@ -36,6 +36,9 @@ class MotionOptions:
     noise: float = 1.5  # off the shapes; how much a frame's weights keep to what is usual
 
 
+MOTION = MotionOptions()
+
+
 @dataclass(frozen=True)
 class Motion:
     """A take of k markers in f frames, taken apart; in the head's frame, in mm."""
@@ -52,9 +55,7 @@ class Motion:
         return np.asarray(self.places - self.expected)
 
 
-def take_apart(
-    positions: Floats, rate: float, options: MotionOptions = MotionOptions()
-) -> Motion:
+def take_apart(positions: Floats, rate: float, options: MotionOptions = MOTION) -> Motion:
     """Return the motion of markers (f, k, 3), NaN where missing, at ``rate`` frames a second.
 
     The head's frame is that of the frame with the most markers.

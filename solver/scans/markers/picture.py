@@ -40,7 +40,7 @@ def check_picture(
     """Write the picture of a check as PNG; without a face in the take it holds only the title."""
     names = [labels[number] for number in check.markers.tolist()]
     rows = max(HEIGHT, LANE * len(names))
-    legend = {"seen": SEEN, **{words: colour for words, colour in FAULTS.values()}}
+    legend = {"seen": SEEN, **dict(FAULTS.values())}
     width = WIDTH * len(YAWS) + NAMES + LANES + 2 * MARGIN
     page = Sheet.with_legend(title, _detail(check), legend, width, HEADER + rows + 36)
     if check.faults is not None:

@@ -11,15 +11,22 @@ from scipy.interpolate import CubicSpline
 
 from solver.errors import Finding, judge_findings
 from solver.scans.markers.bind import bind, model_face, rest_places
-from solver.scans.markers.locate import FLIP
 from solver.scans.markers.check import Reference, check_take
 from solver.scans.markers.findings import ADVICE, MarkerCheck
+from solver.scans.markers.locate import FLIP
 from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.take import Take, read_take
 from solver.similarity import Similarity
 from solver.surface import Floats, Surface
 from tests.fixtures import data_folder, small_model
-from tests.solver.scans.markers.made_take import LABELS, RATE, made_positions, made_take, on_skin, sites
+from tests.solver.scans.markers.made_take import (
+    LABELS,
+    RATE,
+    made_positions,
+    made_take,
+    on_skin,
+    sites,
+)
 
 AT = {label: number for number, label in enumerate(LABELS)}
 Plant = Callable[[Floats], "Floats | None"]
@@ -208,7 +215,7 @@ def test_three_markers_are_too_few(person: Reference, clean: Floats) -> None:
 
 def test_two_faces_are_told_apart_and_a_body_is_left_out(person: Reference, clean: Floats) -> None:
     others = tuple(f"B_{label}" for label in LABELS)
-    both = made_take(np.concatenate([clean, clean + [700.0, 0.0, 0.0]], axis=1), LABELS + others)
+    both = made_take(np.concatenate([clean, clean + np.array([700.0, 0.0, 0.0])], axis=1), LABELS + others)
     assert [each.code for each in told(check_take(both, person))] == ["markers.two_faces"]
     body = np.concatenate([clean, clean[:, :3] - [0.0, 500.0, 0.0]], axis=1)
     check = check_take(made_take(body, (*LABELS, "C7", "STRN", "LSHO")), person)
@@ -271,13 +278,17 @@ def test_an_unlabelled_track_that_fills_a_gap_is_named(person: Reference, clean:
     take = made_take(points, unlabelled=track, unlabelled_names=("*12",))
     check = check_take(take, person)
     [found] = [each for each in check.findings if each.code == "markers.unlabelled"]
-    assert found.context["tracks"] == [{"track": "*12", "label": "LowerLip", "frames": [[501, 580]]}]
+    assert found.context["tracks"] == [
+        {"track": "*12", "label": "LowerLip", "frames": [[501, 580]]}
+    ]
 
 
 def test_a_marker_set_tells_what_moved_between_takes(person: Reference, clean: Floats) -> None:
     bound = bind(made_take(clean), small_model()).markers
     known = replace(person, markers=bound)
-    turned = Similarity(1.0, np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0], np.ones(3))
+    turned = Similarity(
+        1.0, np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0], np.ones(3)
+    )
     if np.linalg.det(turned.rotation) < 0:
         turned = replace(turned, rotation=-turned.rotation)
     points = turned(made_positions(seed=7).reshape(-1, 3)).reshape(clean.shape)
@@ -341,4 +352,3 @@ def test_a_set_for_a_model_is_one_that_can_be_read_again(
     assert check.bound is not None
     check.bound.save(tmp_path / "markers.json")
     assert MarkerSet.load(tmp_path / "markers.json").labels == LABELS
-

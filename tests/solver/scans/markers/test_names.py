@@ -36,7 +36,12 @@ def test_a_label_tells_region_and_side(label: str, region: str, side: int) -> No
 
 @pytest.mark.parametrize(
     ("label", "part"),
-    [("headband_2", "head"), ("lower_teeth_1", "lower_teeth"), ("C7", "ignore"), ("LSHO", "ignore")],
+    [
+        ("headband_2", "head"),
+        ("lower_teeth_1", "lower_teeth"),
+        ("C7", "ignore"),
+        ("LSHO", "ignore"),
+    ],
 )
 def test_a_label_tells_what_the_marker_rides_on(label: str, part: str) -> None:
     named = read_name(label)
