@@ -11,7 +11,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from solver.scans.markers.motion import MOTION, Mask, Motion, MotionOptions, median_of_seen, take_apart
+from solver.scans.markers.motion import (
+    MOTION,
+    Mask,
+    Motion,
+    MotionOptions,
+    median_of_seen,
+    take_apart,
+)
 from solver.surface import Floats, Ints
 
 
@@ -32,7 +39,8 @@ class FaultOptions:
     least_jump: float = 2.5  # ... and in one frame
     neighbours: int = 6  # that a marker may be swapped with ...
     apart: tuple[float, float] = (4.0, 70.0)  # ... if they lie so far from it
-    near: float = 0.4  # of the way to another's place: it lies there
+    near: float = 0.4  # of the way to another's place: it lies there ...
+    reach: float = 6.0  # ... if it is so near to it
     ghost: float = 8.0  # off, between two gaps, is another thing
     block: float = 0.25  # whose median shows where a marker sits
     moved: float = 3.0  # a marker that stays so far off has moved ...
@@ -215,7 +223,7 @@ def _find_exchanged(
     frames, markers = np.nonzero(bad & ~taken)
     free = (missing | bad) & ~taken
     others, near = _nearest_expected(motion, frames, markers, free)
-    there = near < np.minimum(options.near * off[frames, markers], options.wrong)
+    there = near < np.minimum(options.near * off[frames, markers], options.reach)
     for a, b in {*zip(markers[there].tolist(), others[there].tolist(), strict=True)}:
         here = frames[there & (markers == a) & (others == b)]
         taken[here, a] = True

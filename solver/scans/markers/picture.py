@@ -19,6 +19,8 @@ WIDTH, HEIGHT = 430, 560  # pixels of a view
 YAWS = (0.0, np.radians(55))  # of the views
 SPAN_MM, BACK_MM = 250.0, 55.0  # height of a view, and its middle behind the tip of the nose
 LANES, LANE, NAMES = 620, 13, 150  # pixels: a lane's width and height, room for its name
+LEAST_FACING = 0.15  # cosine: a marker that is seen more from the side is not drawn
+NAME = (62, 9)  # pixels about a name in which no other is written
 SKIN = np.array([0.62, 0.60, 0.58])
 LIGHT = np.array([0.35, 0.45, 0.82])
 SEEN: Colour = (0.20, 0.55, 0.33)
@@ -30,7 +32,7 @@ FAULTS: dict[str, tuple[str, Colour]] = {  # later ones are drawn over earlier o
     "ghost": ("another thing", (0.60, 0.10, 0.35)),
     "swapped": ("swapped", (0.95, 0.60, 0.10)),
     "relabelled": ("in another's place", (0.80, 0.70, 0.10)),
-    "missing": ("missing", (0.98, 0.98, 0.98)),
+    "missing": ("missing", (0.84, 0.84, 0.85)),
 }
 
 
@@ -93,16 +95,20 @@ def _draw_face(
     page.panel((left, HEADER), render([body], camera, WIDTH, HEIGHT))
     pixels = camera.project(np.nan_to_num(placed), WIDTH, HEIGHT)
     backward = vertex_normals(face)[np.argmin(_squares(placed, face.vertices), axis=1)]
-    for number in np.argsort(-pixels[:, 2]).tolist():
+    written: list[tuple[int, int]] = []
+    is_good = [colour == SEEN for colour in colours]
+    for number in np.lexsort((pixels[:, 2], is_good)).tolist():  # names of the odd ones first
         column, row, _ = pixels[number]
         is_inside = 0 < row < HEIGHT and 0 < column < WIDTH
-        is_hidden = backward[number] @ camera.axes[2] < -0.1
+        is_hidden = backward[number] @ camera.axes[2] < LEAST_FACING
         if np.isnan(placed[number, 0]) or is_hidden or not is_inside:
             continue
         x, y = left + round(column), HEADER + round(row)
         fill = tuple(round(255 * value) for value in colours[number])
         page.draw.ellipse([x - 5, y - 5, x + 5, y + 5], fill=fill, outline=(30, 30, 30))
-        page.text((x + 7, y - 6), quote(names[number])[:14], 10)
+        if all(abs(x - a) > NAME[0] or abs(y - b) > NAME[1] for a, b in written):
+            page.text((x + 7, y - 6), quote(names[number])[:14], 10)
+            written.append((x, y))
 
 
 def _squares(points: Floats, vertices: Floats) -> Floats:

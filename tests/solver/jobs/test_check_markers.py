@@ -19,7 +19,7 @@ from tests.take_files import c3d_bytes
 @pytest.fixture
 def take(tmp_path: Path) -> Path:
     file = tmp_path / "take.c3d"
-    file.write_bytes(c3d_bytes(made_positions(300), LABELS, rate=60.0))
+    file.write_bytes(c3d_bytes(made_positions(300), list(LABELS), rate=60.0))
     return file
 
 
