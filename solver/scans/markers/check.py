@@ -69,7 +69,7 @@ def check_take(
     check = MarkerCheck([each for each in take.findings if each.code != "markers.two_faces"])
     named = read_names(take.labels)
     rate = _check_rate(check, take, limits)
-    alive = np.isfinite(take.positions[..., 0]).any(axis=0)
+    alive = np.asarray(np.isfinite(take.positions[..., 0]).any(axis=0))
     mm = rough_unit(take.positions[:, alive])
     is_face = _choose_face(check, take, named, alive, mm, limits)
     check.figures |= {
@@ -157,7 +157,7 @@ def _choose_face(
     if names and not any(each.code == "markers.two_faces" for each in check.findings):
         message = f"{count_words(len(names), 'label is', 'labels are')} not on the face."
         add(check, "markers.outside", "info", message, labels=quote_names(names))
-    return is_face
+    return np.asarray(is_face)
 
 
 # Where the face is, and whose.

@@ -91,7 +91,7 @@ class Faults:
         """Return the share of the living markers' time that has any of ``faults``."""
         frames, count = self.usable.shape
         living = frames * (count - len(self.dead))
-        return sum(span.frames for span in self.of(*faults)) / max(living, 1)
+        return float(sum(span.frames for span in self.of(*faults)) / max(living, 1))
 
     def by_marker(self, fault: str) -> dict[int, dict[int | None, list[Span]]]:
         """Return the spans of a fault by marker, then by the marker whose place it takes."""
@@ -102,7 +102,7 @@ class Faults:
 
     def gone(self, least: int) -> list[tuple[int, int]]:
         """Return first and last frames of spans of ``least`` frames in which nothing is seen."""
-        seen = np.isfinite(self.motion.places[..., 0]).any(axis=1)
+        seen = np.asarray(np.isfinite(self.motion.places[..., 0]).any(axis=1))
         return [run for run in runs(~seen) if run[1] - run[0] + 1 >= least]
 
 
@@ -279,7 +279,7 @@ def _find_moved(residuals: Floats, rate: float, options: FaultOptions) -> dict[i
         return found
     cut = residuals[: blocks * size].reshape(blocks, size, *residuals.shape[1:])
     medians = np.full((blocks, *residuals.shape[1:]), np.nan)
-    known = np.isfinite(cut[..., 0]).any(axis=1)
+    known = np.asarray(np.isfinite(cut[..., 0]).any(axis=1))
     by_block = cut.transpose(0, 2, 1, 3)
     medians[known] = np.nanmedian(by_block[known], axis=1)
     for marker in range(residuals.shape[1]):

@@ -144,11 +144,11 @@ def _learn_shapes(moved: Floats, rate: float, options: MotionOptions) -> tuple[F
         total += flat.T @ flat
         pairs += seen.astype(float).T @ seen
     squares, vectors = np.linalg.eigh(total / np.repeat(np.repeat(pairs, 3, 0), 3, 1))
-    most = int(min(options.most_shapes, count // options.markers_a_shape, frames // 4))
+    number = int(min(options.most_shapes, count // options.markers_a_shape, frames // 4))
     shapes = vectors.T.reshape(-1, count, 3)
     share = (shapes**2).sum(axis=2)
     kept = np.flatnonzero((squares > 1e-9) & ((share**2).sum(axis=1) * options.together < 1.0))
-    kept = kept[np.argsort(-squares[kept])][:most]
+    kept = kept[np.argsort(-squares[kept])][:number]
     return np.ascontiguousarray(shapes[kept]), squares[kept]
 
 

@@ -13,7 +13,7 @@ from solver.scans.markers.faults import Faults
 from solver.scans.markers.findings import MarkerCheck
 from solver.surface import Floats, Surface, vertex_normals
 
-Colour = tuple[float, float, float]
+Colour = tuple[float, ...]
 
 WIDTH, HEIGHT = 430, 560  # pixels of a view
 YAWS = (0.0, np.radians(55))  # of the views
@@ -96,7 +96,7 @@ def _draw_face(
     pixels = camera.project(np.nan_to_num(placed), WIDTH, HEIGHT)
     backward = vertex_normals(face)[np.argmin(_squares(placed, face.vertices), axis=1)]
     written: list[tuple[int, int]] = []
-    is_good = [colour == SEEN for colour in colours]
+    is_good = np.array([colour == SEEN for colour in colours])
     for number in np.lexsort((pixels[:, 2], is_good)).tolist():  # names of the odd ones first
         column, row, _ = pixels[number]
         is_inside = 0 < row < HEIGHT and 0 < column < WIDTH
