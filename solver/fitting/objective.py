@@ -85,6 +85,19 @@ class Target:
         return np.asarray(np.sum(offset * self.normals, axis=1, keepdims=True) * self.normals)
 
 
+class Prior(Protocol):
+    """A part of f that depends on the pose alone: how probable it is."""
+
+    def value(self, pose: Pose) -> float:
+        """Return the part."""
+
+    def gradient(self, pose: Pose) -> Floats:
+        """Return its derivative by the controls (k,)."""
+
+    def gauss_newton(self, pose: Pose) -> Floats:
+        """Return its positive semi-definite Gauss-Newton Hessian (k, k)."""
+
+
 @dataclass(frozen=True)
 class Regulariser:
     """Priors of a pose, with their weights."""
