@@ -20,6 +20,7 @@ import scipy.linalg
 from solver.fitting.activation import rest_curvature, unseen_regulariser
 from solver.fitting.controls import Layout
 from solver.fitting.face import Face, Pose
+from solver.fitting.information import inverse_of_positive
 from solver.fitting.objective import Prior
 from solver.fitting.sensitivity import Sensitivity
 from solver.surface import Floats
@@ -49,7 +50,7 @@ class GaussianPrior:
     @cached_property
     def precision(self) -> Floats:
         """Return the inverse of the covariance."""
-        return inverse(self.covariance)
+        return inverse_of_positive(self.covariance)
 
     @property
     def variance(self) -> Floats:
@@ -93,13 +94,6 @@ class PriorSum:
     def gauss_newton(self, pose: Pose) -> Floats:
         """See :class:`~solver.fitting.objective.Prior`."""
         return np.asarray(sum(prior.gauss_newton(pose) for prior in self.priors))
-
-
-def inverse(matrix: Floats) -> Floats:
-    """Return the inverse of a positive definite matrix."""
-    factor = scipy.linalg.cho_factor(matrix)
-    found = scipy.linalg.cho_solve(factor, np.eye(len(matrix)))
-    return np.asarray(0.5 * (found + found.T))
 
 
 def from_changes(
