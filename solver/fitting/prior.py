@@ -40,6 +40,11 @@ class PriorOptions:
     other_floor: float = 0.03  # of a block that is not named
 
 
+# Few expressions span few poses: what they leave out may vary more. With none all may.
+SCANS = PriorOptions(other_floor=0.06)
+WIDE = PriorOptions(floor={"jaw": (0.2, 0.1, 3.0, 3.0, 3.0)}, other_floor=0.2)
+
+
 @dataclass(frozen=True)
 class GaussianPrior:
     """-log of N(mean, covariance) over the controls q (k,), but for a constant."""
