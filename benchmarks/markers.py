@@ -38,6 +38,7 @@ from solver.fitting.objective import Target, distances
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.sequence import Tracker
 from solver.mechanics.linear import fastest
+from solver.model import SubjectModel
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.live_link import read_live_link
 from solver.scans.markers.marker_set import Marker
@@ -55,6 +56,8 @@ THROWN, THROWN_MM, WRONG_MM = 0.01, (5.0, 25.0), 4.0
 SWAP_EVERY_S, SWAP_S = 3.0, (0.2, 1.0)
 HELD_S = 1.0
 HEAD_MARKERS = 4
+# how much closer markers sit in regions by parts of their names, 0 for nowhere
+DENSER = {"lip": 2.0, "lid": 2.0, "chin": 1.3, "nose": 1.3, "brow": 1.3, "lining": 0.0}
 
 log = logging.getLogger(__name__)
 
@@ -200,11 +203,10 @@ class _Bench:
         self.face, self.truth = face, truth
         self._rng = np.random.default_rng(count)
         model = face.model
-        inside = model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)]
-        self.triangles = inside[_spread(model.skin.vertices[inside].mean(axis=1), count)]
+        self.triangles = _layout(model, count)
         self.shares = np.tile([0.3, 0.3, 0.4], (count, 1))
         self.points = self._true_points(head)
-        self.markers = self._bound(head)
+        self.markers = self._bound()
         self.places = MarkerPlaces(model, self.markers)
 
     def _true_points(self, head: int) -> Floats:
@@ -227,7 +229,7 @@ class _Bench:
             found.append(motion(np.concatenate([points, self.on_head.reshape(-1, 3)])))
         return np.array(found)
 
-    def _bound(self, head: int) -> list[Marker]:
+    def _bound(self) -> list[Marker]:
         """Return the marker set: places on the skin, each BOUND_WRONG_MM beside the true one."""
         corners = self.face.model.skin.vertices[self.triangles]
         markers = []
@@ -299,7 +301,7 @@ class _Bench:
         sigma = np.array([marker.sigma_mm for marker in self.markers])
         tracker = MarkerTracker(face, self.places, sigma, known, truth.seconds)
         mouth, failed = Mouth.of(face.model), 0
-        errors, milliseconds, turns, shifts, lips, jaws = [], [], [], [], [], []
+        errors, milliseconds, turns, shifts, lips = [], [], [], [], []
         inverted, states = 0, []
         middle = face.model.skin.vertices[face.model.face].mean(axis=0)
         for row, seen in enumerate(take.points):
@@ -425,13 +427,25 @@ def _dense(face: Face, truth: Truth) -> Figures:
     return {"face_mean_mm": float(np.mean(errors)), "frame_ms": float(np.median(milliseconds))}
 
 
-def _spread(points: Floats, count: int) -> Ints:
-    """Return numbers of ``count`` points that lie far apart."""
-    chosen, away = [0], np.full(len(points), np.inf)
+def _layout(model: SubjectModel, count: int) -> Ints:
+    """Return the triangles (k, 3) that markers sit on: far apart, closer where a face is lively.
+
+    None lies in the mouth, where nothing can be glued.
+    """
+    lively = np.ones(len(model.skin.vertices))
+    for name, ids in model.regions.items():
+        for part, dense in DENSER.items():
+            if part in name:
+                lively[ids] = dense
+    allowed = np.isin(np.arange(len(lively)), model.face) & (lively > 0.0)
+    triangles = model.skin.faces[allowed[model.skin.faces].all(axis=1)]
+    points = model.skin.vertices[triangles].mean(axis=1)
+    dense = lively[triangles].mean(axis=1)
+    chosen, away = [int(points[:, 2].argmax())], np.full(len(points), np.inf)
     for _ in range(count - 1):
-        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
+        away = np.minimum(away, dense * np.linalg.norm(points - points[chosen[-1]], axis=1))
         chosen.append(int(away.argmax()))
-    return np.array(chosen)
+    return triangles[chosen]
 
 
 def _rms(values: list[float]) -> float:
