@@ -13,10 +13,11 @@ from solver.model import SubjectModel
 from solver.progress import Step
 from solver.registration.locate import face_surface
 from solver.scans.markers.bind import frames_about, model_face
-from solver.scans.markers.check import UNREADABLE, MarkerCheck, Reference, check_take
+from solver.scans.markers.check import Reference, check_take
+from solver.scans.markers.findings import ADVICE, MarkerCheck
 from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.picture import check_picture
-from solver.scans.markers.read import read_take
+from solver.scans.markers.take import read_take
 from solver.storage import write_json
 from solver.templates.builtin.build import builtin_template
 
@@ -40,8 +41,8 @@ def run(task: Task[CheckMarkers]) -> list[Path]:
         neutral = frames_about(take, task.options.neutral)
         found = check_take(take, reference, neutral, actor=task.options.actor)
     except InputError as error:
-        about = error.context
-        found = MarkerCheck([Finding(error.code, "error", error.message, UNREADABLE, about)])
+        advice = ADVICE.get(error.code, ADVICE["markers.unreadable"])
+        found = MarkerCheck([Finding(error.code, "error", error.message, advice, error.context)])
     judged = judge_findings(found.findings)
     progress(Step("pictures", 0.8))
     files = [task.out / "check.json", task.out / "check.png"]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from solver.scans.markers.motion import Mask, Motion, MotionOptions, take_apart
+from solver.scans.markers.motion import Mask, Motion, MotionOptions, median_of_seen, take_apart
 from solver.surface import Floats, Ints
 
 
@@ -21,6 +21,7 @@ class FaultOptions:
 
     frozen: float = 0.08  # a place repeated for so long ...
     least_frozen: int = 4  # ... and in so many frames is no measurement
+    stirred: float = 0.05  # that the others moved by meanwhile: coarse decimals repeat, too
     halted: float = 0.9  # of the markers repeat: it is the file that repeats a frame
     filled: float = 0.1  # a cubic for so long is drawn by a program ...
     least_filled: int = 6  # ... in so many frames
@@ -147,7 +148,9 @@ def _find_frozen(
     changes = same & ~halts[:, None]
     for marker in np.flatnonzero(changes.sum(axis=0) >= least):
         for first, last in runs(same[:, marker]):
-            if changes[first : last + 1, marker].sum() >= least:
+            way = np.linalg.norm(positions[last] - positions[first - 1], axis=1)
+            stirred = np.median(way[np.isfinite(way)]) > options.stirred
+            if changes[first : last + 1, marker].sum() >= least and stirred:
                 frozen[first : last + 1, marker] = True
                 spans.append(Span("frozen", int(marker), first, last))
     return frozen, float(halts.mean())
@@ -163,7 +166,8 @@ def _find_filled(
     bend = np.abs(np.diff(positions, n=4, axis=0)).max(axis=2)
     usual = _row_medians(bend)
     floor = 10 * _resolution(positions)  # 16 halves of a step, which rarely meet
-    by_marker = np.nanmedian(np.where(usual > 2 * floor, bend.T / (usual + 1e-12), np.nan).T, axis=0)
+    ratio = np.where((usual > 2 * floor)[:, None], bend / (usual[:, None] + 1e-12), np.nan)
+    by_marker = median_of_seen(ratio)
     limit = options.cubic * usual[:, None] * np.nan_to_num(by_marker, nan=1.0) + floor
     smooth = (bend < limit) & (usual > 4 * floor)[:, None]
     for marker in np.flatnonzero(smooth.sum(axis=0) >= least):
@@ -200,7 +204,10 @@ def _find_exchanged(
     for a, b in _neighbours(motion.middle, options):
         frames = np.flatnonzero(bad[:, a] & bad[:, b])
         expected, places = motion.expected[frames], motion.places[frames]
-        crossed = [np.linalg.norm(places[:, i] - expected[:, j], axis=1) for i, j in ((a, b), (b, a))]
+        crossed = [
+            np.linalg.norm(places[:, here] - expected[:, there], axis=1)
+            for here, there in ((a, b), (b, a))
+        ]
         apart = np.linalg.norm(expected[:, a] - expected[:, b], axis=1)
         gain = off[frames, a] ** 2 + off[frames, b] ** 2 - crossed[0] ** 2 - crossed[1] ** 2
         close = np.maximum(*crossed) < np.maximum(options.near * apart, options.wrong)
@@ -242,7 +249,7 @@ def _neighbours(middle: Floats, options: FaultOptions) -> Iterator[tuple[int, in
 def _nearest_expected(
     motion: Motion, frames: Ints, markers: Ints, free: Mask, batch: int = 20_000
 ) -> tuple[Ints, Floats]:
-    """Return whose place is nearest to each bad point, among markers that are not there, and how."""
+    """Return whose place is nearest to each bad point, of markers that are not there, and how."""
     others, near = np.zeros(len(frames), np.int64), np.full(len(frames), np.inf)
     known = np.isfinite(motion.middle[:, 0])
     for start in range(0, len(frames), batch):
@@ -278,7 +285,8 @@ def _find_moved(residuals: Floats, rate: float, options: FaultOptions) -> dict[i
         before, after = np.median(way[:split], axis=0), np.median(way[split:], axis=0)
         step = after - before
         length = float(np.linalg.norm(step))
-        at_once = np.median(way[split : split + 2], axis=0) - np.median(way[split - 2 : split], axis=0)
+        left, right = way[split - 2 : split], way[split : split + 2]
+        at_once = np.median(right, axis=0) - np.median(left, axis=0)
         levels = np.where(np.arange(len(way))[:, None] < split, before, after)
         else_ = float(np.quantile(np.linalg.norm(way - levels, axis=1), 0.8))
         is_sharp = at_once @ step > options.sharp * length**2

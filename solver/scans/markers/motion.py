@@ -76,7 +76,7 @@ def rigid_motions(points: Floats, reference: Floats, weights: Floats) -> tuple[F
     centre = np.einsum("fk,fki->fi", share, points)
     goal = share @ reference
     spread = points - centre[:, None]
-    moments = np.matmul((spread * share[..., None]).transpose(0, 2, 1), reference).transpose(0, 2, 1)
+    moments = np.matmul(reference.T, spread * share[..., None])  # (f, 3, 3): goal by place
     u, _, vt = np.linalg.svd(moments)
     u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
     rotations = u @ vt

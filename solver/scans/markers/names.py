@@ -1,9 +1,9 @@
-"""Where on a face a marker lies by its name: ``LBRO1``, ``Leyebrow_Inside``, ``Mouth_UpL1``, ``30``.
+"""Where on a face a marker lies by its name: ``LBRO1``, ``Leyebrow_Inside``, ``Mouth_UpL1``.
 
 Names tell a region, a side and which part of it, in any order and with any signs between. Places
 are of a middling face, in mm from the tip of the nose: x to the subject's left, y up, z forward;
-they are as sure as names are, to a centimetre or three. Labels that are plain numbers are the 68 points
-of the iBUG scheme (Sagonas et al. 2013).
+they are as sure as names are, to a centimetre or three. Labels that are plain numbers are the 68
+points of the iBUG scheme (Sagonas et al. 2013).
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from solver.kinds.marker_set import Part
 from solver.surface import Floats
 
 Place = tuple[float, float, float]
+
+LOWER = frozenset({"chin", "jaw", "lower_lip", "lower_teeth"})  # regions that the jaw moves
 
 # Words for a region, the longer ones first, as ``eye`` is in ``eyebrow``.
 REGIONS: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -41,8 +43,8 @@ REGIONS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("head", ("headband", "head", "fhd", "bhd", "cap", "hat", "brim", "helmet")),
 )
 BODY = re.compile(
-    r"^[lr]?(sho|shoulder|elb|elbow|wr[abi]|wrist|fin|hand|clav|strn|c7|t10|rbak|bak|asi|psi|thi|kne"
-    r"|knee|tib|ank|hee|heel|toe|upa|frm|neck|hip|pelvis|spine|chest|arm|leg|foot|finger)\w{0,3}$"
+    r"^[lr]?(sho|shoulder|elb|elbow|wr[abi]|wrist|fin|hand|clav|strn|c7|t10|rbak|bak|asi|psi|thi"
+    r"|kne|knee|tib|ank|hee|heel|toe|upa|frm|neck|hip|pelvis|spine|chest|arm|leg|foot|finger)\w{0,3}$"
 )
 # Where the left one of a region lies, or the one in the middle of the face, and its parts.
 PLACES: dict[str, dict[str, Place]] = {

@@ -9,8 +9,8 @@ import numpy as np
 from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.errors import quote
-from solver.scans.markers.check import MarkerCheck
 from solver.scans.markers.faults import Faults
+from solver.scans.markers.findings import MarkerCheck
 from solver.surface import Floats, Surface, vertex_normals
 
 Colour = tuple[float, float, float]
@@ -88,14 +88,16 @@ def _draw_face(
     centre = tip - np.array([0.0, 0.0, BACK_MM])
     camera = Camera(centre, SPAN_MM, yaw)
     light = 0.35 + 0.65 * np.abs(vertex_normals(face) @ (camera.axes.T @ LIGHT))
-    body = DrawnBody(Lit(face, np.repeat(light[:, None], 3, axis=1)), np.tile(SKIN, (len(light), 1)))
+    lit = Lit(face, np.repeat(light[:, None], 3, axis=1))
+    body = DrawnBody(lit, np.tile(SKIN, (len(light), 1)))
     page.panel((left, HEADER), render([body], camera, WIDTH, HEIGHT))
     pixels = camera.project(np.nan_to_num(placed), WIDTH, HEIGHT)
     backward = vertex_normals(face)[np.argmin(_squares(placed, face.vertices), axis=1)]
     for number in np.argsort(-pixels[:, 2]).tolist():
         column, row, _ = pixels[number]
+        is_inside = 0 < row < HEIGHT and 0 < column < WIDTH
         is_hidden = backward[number] @ camera.axes[2] < -0.1
-        if np.isnan(placed[number, 0]) or is_hidden or not (0 < row < HEIGHT and 0 < column < WIDTH):
+        if np.isnan(placed[number, 0]) or is_hidden or not is_inside:
             continue
         x, y = left + round(column), HEADER + round(row)
         fill = tuple(round(255 * value) for value in colours[number])
