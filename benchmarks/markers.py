@@ -13,6 +13,7 @@ points, the same frames), ``speed``, and ``live`` with a rig's preview.
 from __future__ import annotations
 
 import argparse
+import copy
 import logging
 import os
 from collections.abc import Callable
@@ -32,6 +33,7 @@ from solver.fitting import geometry, prior
 from solver.fitting.activation import unseen_regulariser
 from solver.fitting.contact import terms
 from solver.fitting.face import Face, Pose
+from solver.fitting.markers.places import refine
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerTracker
 from solver.fitting.objective import Target, distances
@@ -55,6 +57,7 @@ GONE, BURST_S = 0.05, (0.1, 0.5)
 THROWN, THROWN_MM, WRONG_MM = 0.01, (5.0, 25.0), 4.0
 SWAP_EVERY_S, SWAP_S = 3.0, (0.2, 1.0)
 HELD_S = 1.0
+REFINING = 20
 HEAD_MARKERS = 4
 # how much closer markers sit in regions by parts of their names, 0 for nowhere
 DENSER = {"lip": 2.0, "lid": 2.0, "chin": 1.3, "nose": 1.3, "brow": 1.3, "lining": 0.0}
@@ -135,9 +138,18 @@ def run(options: argparse.Namespace) -> Figures:
         degraded = bench.fit(by_shapes, bench.degraded())
         degraded["over_clean"] = degraded["face_mean_mm"] / clean["face_mean_mm"]
         log.info("%d degraded: %s", count, degraded)
+        mended = bench.refined(by_shapes)
+        refined = mended.fit(by_shapes, mended.clean())
+        refined["bound_wrong_mm"] = mended.bound_wrong()
+        log.info("%d refined: %s", count, refined)
         by_rig = bench.fit(by_scans, bench.clean())
         log.info("%d scans: %s", count, by_rig)
-        found[str(count)] = {"clean": clean, "degraded": degraded, "scans_prior": by_rig}
+        found[str(count)] = {
+            "clean": clean,
+            "degraded": degraded,
+            "refined": refined,
+            "scans_prior": by_rig,
+        }
     most = _Bench(face, truth, SETS[0])
     with_head = _Bench(face, truth, SETS[0], head=HEAD_MARKERS)
     head = with_head.fit(by_shapes, with_head.clean())
@@ -251,6 +263,25 @@ class _Bench:
             at = tuple(place.tolist())
             markers.append(Marker(f"H{number}", part="head", place_mm=at, sigma_mm=0.2))
         return markers
+
+    def refined(self, known: GaussianPrior) -> _Bench:
+        """Return the bench with places mended by frames of the clean take."""
+        rows = np.linspace(0, len(self.points) - 1, REFINING).round().astype(int)
+        apart = len(self.points) / REFINING * self.truth.seconds
+        frames = list(self.clean().points[rows])
+        other = copy.copy(self)
+        other.markers = list(refine(self.face, self.markers, known, frames, apart))
+        other.places = MarkerPlaces(self.face.model, other.markers)
+        return other
+
+    def bound_wrong(self) -> float:
+        """Return how far markers are bound beside where they are, mean in mm."""
+        corners = self.face.model.skin.vertices[self.triangles]
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        true = np.einsum("ki,kix->kx", self.shares, corners)
+        true += HEIGHT_MM * unit_rows(np.cross(first, second))
+        off = self.places.at(self.face.model.rest)[: len(true)] - true
+        return float(np.linalg.norm(off, axis=1).mean())
 
     def clean(self) -> MadeTake:
         """Return the take with noise alone."""

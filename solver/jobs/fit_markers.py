@@ -8,7 +8,7 @@ import shutil
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,9 @@ from solver.anatomy.template import Template
 from solver.errors import InputError, SolveError
 from solver.fitting import prior
 from solver.fitting.face import Face, Pose, PosedFace
+from solver.fitting.markers.places import refine
 from solver.fitting.markers.robust import RobustOptions
+from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior, MarkerPlaces
 from solver.fitting.markers.tracker import MarkerFit, MarkerMemory, MarkerOptions, MarkerTracker
 from solver.fitting.prior import GaussianPrior
@@ -46,7 +48,7 @@ from solver.rig.rig import Rig
 from solver.scans.markers.bind import bind
 from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.scans.markers.take import Take, read_take
-from solver.similarity import Similarity
+from solver.similarity import Similarity, small_motion
 from solver.surface import Floats
 from solver.templates.builtin.build import builtin_template
 
@@ -77,7 +79,7 @@ class MarkerTake:
         self.markers: tuple[Marker, ...] = tuple(
             marker for marker in markers.markers if marker.part != "ignore"
         )
-        self._take, self._session = take, markers.session
+        self._take, self._set, self._session = take, markers, markers.session
         number = {label: column for column, label in enumerate(take.labels)}
         self._columns = np.array([number.get(each.label, -1) for each in self.markers], np.int64)
         known = int(np.sum(self._columns >= 0))
@@ -87,6 +89,11 @@ class MarkerTake:
                 f"{options.least} are needed"
             )
             raise InputError("markers.few", message, file=take.file, found=known)
+
+    def save(self, used: Sequence[Marker], path: Path) -> None:
+        """Write the set with the markers that are ``used`` as they are now."""
+        others = (marker for marker in self._set.markers if marker.part == "ignore")
+        replace(self._set, markers=(*used, *others)).save(path)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -136,11 +143,18 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     if not task.resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(take)}"))
+    known, used = _prior(task, rig, face), source.markers
+    if given.refine:
+        progress(Step("places", 0.01))
+        chosen = np.unique(np.linspace(0, len(numbers) - 1, given.refine).round().astype(int))
+        frames = [source.points(numbers[row]) for row in chosen.tolist()]
+        used = refine(face, used, known, frames, len(numbers) * given.step / rate / len(chosen))
+        source.save(used, out / "markers.json")
     tracker = MarkerTracker(
         face,
-        MarkerPlaces(model, source.markers),
-        np.array([marker.sigma_mm for marker in source.markers]),
-        _prior(task, rig, face),
+        MarkerPlaces(model, used),
+        np.array([marker.sigma_mm for marker in used]),
+        known,
         given.step / rate,
         _options(given),
     )
@@ -158,21 +172,54 @@ def run(task: Task[FitMarkers]) -> list[Path]:
         frame = session.fit(number, source)
         done.append(frame)
         skin.add(frame, face.whole_skin(tracker.tracker.state.x, frame.jaw))
-        part = 0.01 + 0.95 * len(done) / len(numbers)
+        part = 0.01 + 0.9 * len(done) / len(numbers)
         words = f"frame {len(done)} of {len(numbers)}"
         progress(Step("frames", part, mean_error_mm=frame.mean_mm, message=words))
     session.close()
     if all(frame.status != "fitted" for frame in done):
         message = f"none of the {len(done)} frames of {take.file} could be fitted"
         raise InputError("sequence.nothing", message, file=take.file)
+    if given.smooth:
+        progress(Step("smooth", 0.93))
+        done, skin = _smoothed(tracker, done, out)
     progress(Step("export", 0.96))
     fps = rate / given.step
     report = sequence_report(done, fps, take.file) | _marker_report(done, source.labels)
     files = write_sequence(out, done, model.muscle_names, fps, report)
+    files += [out / "markers.json"] if given.refine else []
     files.append(out / "sequence.glb")
     skin.write(files[-1], fps)
     progress(Step("done", 1.0))
     return files
+
+
+def _smoothed(
+    tracker: MarkerTracker, frames: Sequence[MarkerFrame], folder: Path
+) -> tuple[list[MarkerFrame], AnimatedSkin]:
+    """Return the frames after a sweep back, and their skin."""
+    face, found = tracker.face, []
+    skin, layout = AnimatedSkin(face.model.skin), face.layout
+    traced = [
+        TracedFrame(Pose(each.activations, each.jaw), small_motion(each.head), each.marker_weight)
+        for each in frames
+    ]
+    for frame, after in zip(frames, smooth(tracker, traced, folder), strict=True):
+        pose = face.rest_pose().add(after.controls - layout.rest)
+        with suppress(SolveError):  # out of reach: as the frame beside it
+            tracker.tracker.go_to(pose)
+        pose = tracker.tracker.state.pose
+        found.append(
+            replace(
+                frame,
+                activations=pose.a.round(DECIMALS),
+                jaw=pose.b.round(DECIMALS),
+                sd=after.sd.round(DECIMALS),
+                inverted=face.flesh.inverted(tracker.tracker.state.x),
+                mandible=mandible_motion(face.model.jaw, pose.b).round(DECIMALS),
+            )
+        )
+        skin.add(found[-1], face.whole_skin(tracker.tracker.state.x, pose.b))
+    return found, skin
 
 
 def _options(given: FitMarkers) -> MarkerOptions:

@@ -40,13 +40,25 @@ class FitMarkers(JobOptions):
         description="part of a muscle's spread that a frame must take away, or it counts as held",
     )
     sigma_mm: float = Field(
-        default=0.3, gt=0, le=20, description="standard deviation of a seen point, mm"
+        default=0.2, gt=0, le=20, description="standard deviation of a seen point, mm"
     )
     robust_mm: float = Field(
-        default=1.5,
+        default=1.8,
         gt=0,
         le=50,
         description="distance at which a point has a quarter of its say: twice as far it is wrong",
+    )
+    smooth: bool = Field(
+        default=False,
+        description="sweep back over the take at the end, so that every frame knows of those after "
+        "it too: smoother, and gaps are bridged from both sides",
+    )
+    refine: Whole = Field(
+        default=0,
+        ge=0,
+        le=1000,
+        description="frames, evenly over the take, by which the markers' places are mended first, "
+        "left in markers.json for all takes of the session; 0: none",
     )
     max_iterations: Whole = Field(
         default=15, ge=1, le=500, description="Gauss-Newton iterations per frame at most"

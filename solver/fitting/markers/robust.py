@@ -29,8 +29,8 @@ class RobustOptions:
     """Scales of the weights, and what is too far off to be a marker's."""
 
     scales: tuple[float, ...] = (4.0, 2.0, 1.0, 1.0)  # of the rounds, times ``scale_mm``
-    scale_mm: float = 1.5
-    least_weight: float = 0.05  # below it a marker is an outlier
+    scale_mm: float = 1.8
+    least_weight: float = 0.04  # below it, at twice the scale, a marker is an outlier
     gate_mm: float = 2.5  # of another's point that is taken for a marker ...
     gate_sd: float = 2.0  # ... and the predicted spread that comes to it
     most_gate_mm: float = 8.0
@@ -102,14 +102,13 @@ def judge(
     weights = weigh(prediction, seen, precision, options.scales, options)
     wrong = present & (weights < options.least_weight)
     states[wrong] = "outlier"
-    right = present & ~wrong
-    after = prediction.given(
-        np.where(right[:, None], seen, 0.0),
-        np.where(right[:, None], precision * weights[:, None], 0.0),
-    )
     points = seen.copy()
-    for label, point, state in _assign(after, seen, states, unlabelled, options):
-        points[label], states[label] = point, state
+    if wrong.any() or (len(unlabelled) and not present.all()):
+        right = (present & ~wrong)[:, None]
+        told = np.where(right, precision * weights[:, None], 0.0)
+        after = prediction.given(np.where(right, seen, 0.0), told)
+        for label, point, state in _assign(after, seen, states, unlabelled, options):
+            points[label], states[label] = point, state
     used = (states != "outlier") & (states != "missing")
     kept = np.where(used[:, None], precision, 0.0)
     weights = weigh(prediction, points, kept, options.scales[-1:] * 2, options)

@@ -9,11 +9,13 @@ the last value, which fades to the rest with the prior's time.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from solver.fitting.face import Face, PosedFace
+from solver.errors import SolveError
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.information import Posterior, inverse_of_positive
 from solver.fitting.markers.robust import JudgedFrame, Prediction, RobustOptions, judge
 from solver.fitting.markers.term import (
@@ -26,7 +28,7 @@ from solver.fitting.markers.term import (
 from solver.fitting.objective import Regulariser
 from solver.fitting.prior import GaussianPrior, PriorSum
 from solver.fitting.sequence import Tracker, TrackingOptions
-from solver.similarity import robust_motion
+from solver.similarity import Similarity, robust_motion
 from solver.surface import Floats
 
 
@@ -36,7 +38,7 @@ class MarkerOptions:
 
     forgetting: float = 1.0  # s in which a control that nothing tells of fades to 1/e
     hold_below: float = 0.2  # information of a muscle under which it is held
-    noise_mm: float = 0.3  # standard deviation of a point, beside that of its marker's place
+    noise_mm: float = 0.2  # standard deviation of a point, beside that of its marker's place
     w_v: float = 0.3  # of volume, beside half a squared Mahalanobis distance
     w_e: float = 3.0  # of least eigenvalues
     # spread that a head's motion gains in a second
@@ -98,7 +100,7 @@ class MarkerTracker:
         options: MarkerOptions = MarkerOptions(),
     ) -> None:
         self.face, self.places, self.prior = face, places, prior
-        self._sigma, self._seconds, self._options = sigma, seconds, options
+        self._sigma, self.seconds, self.options = sigma, seconds, options
         self._penalties = Regulariser(
             w_a=0.0, w_v=options.w_v, w_b=0.0, prior=face.rest_pose(), w_e=options.w_e
         )
@@ -106,7 +108,7 @@ class MarkerTracker:
 
     def begin(self, state: PosedFace, memory: MarkerMemory | None) -> None:
         """Go on from a frame: its state and what it left, None before the first."""
-        options = self._options
+        options = self.options
         self.memory = memory
         self.tracker = Tracker(
             self.face,
@@ -126,7 +128,7 @@ class MarkerTracker:
         ``unlabelled`` (u, 3) are points that may be any marker's; ``sigma`` (k, 3) the system's own
         standard deviations. Raises :class:`SolveError` if the face cannot be brought there.
         """
-        options = self._options
+        options = self.options
         noise = np.full((1, 3), options.noise_mm) if sigma is None else sigma
         precision = 1.0 / (self._sigma[:, None] ** 2 + noise**2)
         prior, head = self._before(seen)
@@ -144,12 +146,30 @@ class MarkerTracker:
             steps = self.tracker.fit_term(term, used, PriorSum((prior, self._penalties)))
         return self._leave(term, judged, prior, predicted, steps)
 
+    def normal(self, pose: Pose, head: Similarity, weights: Floats, number: int) -> Floats:
+        """Return what markers with ``weights`` (k,) tell of the controls of a pose, (q, q).
+
+        The poses come in their order; sensitivities are made anew after as many as frames take.
+        """
+        with suppress(SolveError):  # out of reach: as the frame before
+            self.tracker.go_to(pose)
+        state = self.tracker.state
+        places = self.places.at(state.x)
+        noise = self._sigma**2 + self.options.noise_mm**2
+        used = np.tile((weights / noise)[:, None], (1, 3))
+        unknown = HeadPrior(head, HeadPrior.unknown().precision)
+        term = MarkerTerm(self.places, head(places), used, unknown)
+        if number % self.options.tracking.lagged_frames == 0:
+            self.tracker.relinearise(term, used)
+        by_controls = self._by_controls()
+        return np.asarray(by_controls.T @ term.inner(term.place(places)) @ by_controls)
+
     def _before(self, seen: Floats) -> tuple[GaussianPrior, HeadPrior]:
         """Return what is probable of controls and head before a frame is looked at."""
-        options, memory = self._options, self.memory
+        options, memory = self.options, self.memory
         if memory is None:
             return self.prior, self._first_head(seen)
-        seconds = self._seconds
+        seconds = self.seconds
         prior = self.prior.after(memory.mean, memory.covariance, seconds, options.forgetting)
         gained = np.repeat([options.turn_rad**2, options.shift_mm**2], 3) * seconds
         spread = inverse_of_positive(memory.head.precision) + np.diag(gained)
@@ -157,7 +177,7 @@ class MarkerTracker:
 
     def _first_head(self, seen: Floats) -> HeadPrior:
         """Return where most of a frame's markers say that the head is."""
-        options, known = self._options, np.isfinite(seen).all(axis=1)
+        options, known = self.options, np.isfinite(seen).all(axis=1)
         sd = np.repeat([options.first_turn_rad, options.first_shift_mm], 3)
         if known.sum() < 3:
             return HeadPrior.unknown(HeadOptions())
@@ -203,13 +223,14 @@ class MarkerTracker:
         placed = term.place(self.places.at(state.x))
         by_controls = self._by_controls()
         normal = by_controls.T @ term.inner(placed) @ by_controls
-        posterior = Posterior.of_normal(normal, prior.precision)
-        alone = Posterior.of_normal(normal, self.prior.precision)
+        posterior = Posterior(inverse_of_positive(prior.precision + normal), prior.variance)
+        spread = inverse_of_positive(self.prior.precision + normal)
+        alone = Posterior(spread, self.prior.variance)
         head = HeadPrior(placed.head, placed.precision)
         self.memory = MarkerMemory(state.pose.vector(), posterior.covariance, head)
         layout = state.pose.layout
         muscles = layout.places("activations").reshape(self.face.model.muscle_count, -1)
-        held = alone.information_of(muscles) < self._options.hold_below
+        held = alone.information_of(muscles) < self.options.hold_below
         return MarkerFit(
             state, placed, judged, posterior.sd, alone.information, held, predicted, steps
         )

@@ -1,11 +1,15 @@
 """Takes of the small person whose muscles, jaw and head are known: clean, degraded, with gaps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from solver.fitting import prior
 from solver.fitting.face import Face
+from solver.fitting.markers.places import place_on, refine, triangle_axes
 from solver.fitting.markers.robust import Prediction, judge
+from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerTracker
 from solver.scans.markers.marker_set import Marker
@@ -21,7 +25,7 @@ def face():
 
 
 @pytest.fixture(scope="module")
-def places(face):
+def markers(face):
     """Markers spread evenly over the face, 2 mm off the skin."""
     model = face.model
     triangles = model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)]
@@ -31,7 +35,12 @@ def places(face):
         away = np.minimum(away, np.linalg.norm(middles - middles[chosen[-1]], axis=1))
         chosen.append(int(away.argmax()))
     corners = [tuple(map(int, triangles[number])) for number in chosen]
-    return MarkerPlaces(model, [Marker("", each, (0.3, 0.3, 0.4), 2.0) for each in corners])
+    return [Marker("", each, (0.3, 0.3, 0.4), 2.0) for each in corners]
+
+
+@pytest.fixture(scope="module")
+def places(face, markers):
+    return MarkerPlaces(face.model, markers)
 
 
 @pytest.fixture(scope="module")
@@ -152,3 +161,48 @@ def test_points_are_judged_by_what_the_others_say():
     np.testing.assert_allclose(judged.points[[6, 7]], seen[[7, 6]])
     assert judged.weights[3] == judged.weights[9] == 0.0
     assert np.delete(judged.weights, [3, 9]).min() > 0.9
+
+
+def test_places_that_are_bound_wrong_are_mended(face, markers, places, known, take):
+    """Each marker is bound 1.5 mm beside its place; the take says where it is."""
+    points = take[2]
+    rest = face.model.rest
+    true, corners = places.at(rest), face.model.skin.vertices
+    rng = np.random.default_rng(8)
+    axes = triangle_axes(places.corners(rest))
+    turn = rng.uniform(0.0, 2.0 * np.pi, MARKERS)
+    aside = 1.5 * np.stack([np.cos(turn), np.sin(turn), np.zeros(MARKERS)], axis=1)
+    wrong = [
+        replace(place_on(marker, at, corners[list(marker.vertices)]), sigma_mm=1.0)
+        for marker, at in zip(markers, true + np.einsum("kij,kj->ki", axes, aside), strict=True)
+    ]
+    mended = refine(face, wrong, known, list(points[::2]), 2.0 / RATE)
+    before, after = (
+        np.linalg.norm(MarkerPlaces(face.model, each).at(rest) - true, axis=1).mean()
+        for each in (wrong, mended)
+    )
+    assert before == pytest.approx(1.5, rel=1e-3)
+    assert after < 0.7 * before
+    assert all(marker.sigma_mm < 1.0 for marker in mended)
+
+
+def test_a_sweep_back_bridges_a_gap(face, places, known, take):
+    """In a gap the filter fades to rest; the sweep goes to what comes after it."""
+    points = take[2]
+    tracker = tracker_of(face, places, known)
+    fits, gap = [], range(6, 12)
+    for number, seen in enumerate(points[:18]):
+        fits.append(tracker.fit(np.full_like(seen, np.nan) if number in gap else seen))
+    traced = [TracedFrame(fit.state.pose, fit.placed.head, fit.judged.weights) for fit in fits]
+    swept = smooth(tracker, traced)
+    values, vectors = np.linalg.eigh(known.covariance)
+    way = vectors[:, -1] / np.sqrt(values[-1])
+    phases = np.linspace(0.0, 1.5 * np.pi, 24)
+    for number in gap:
+        true = 0.8 * 0.5 * (1.0 - np.cos(phases[number]))
+        before = (fits[number].state.pose.vector() - known.mean) @ way
+        after = (swept[number].controls - known.mean) @ way
+        if number > 7:
+            assert abs(after - true) < 0.6 * abs(before - true)
+        assert swept[number].sd.mean() < fits[number].sd.mean()
+    np.testing.assert_allclose(swept[-1].controls, fits[-1].state.pose.vector(), atol=1e-9)
