@@ -126,7 +126,7 @@ def run(options: argparse.Namespace) -> Figures:
     by_shapes = prior.from_shapes(face, shapes)
     poses = [Pose(each.activations, each.jaw).vector() for each in rig.expressions]
     by_scans = prior.from_changes(
-        face.layout, [pose - face.layout.rest for pose in poses], prior.SCANS
+        face.layout, [pose - face.layout.rest for pose in poses], prior.LOOSE
     )
     dense = _dense(face, truth)
     log.info("dense: %s", dense)

@@ -40,7 +40,10 @@ class Jacobian:
 
     def motion(self, rows: sp.csr_array) -> Floats:
         """Return A dx/dq (r, k) for sparse ``rows`` A (r, 3 p)."""
-        return np.asarray(rows[:, self.free] @ self.flesh + (rows @ self.held).toarray())
+        # the derivatives lie column by column: only the few rows that are needed are gathered
+        used = np.flatnonzero(np.isin(self.free, rows.indices))
+        moved = rows[:, self.free[used]] @ self.flesh[used]
+        return np.asarray(moved + (rows @ self.held).toarray())
 
     def contract(self, curvature: Curvature) -> Floats:
         """Return (dx/dq)^T C dx/dq (k, k) for C (3 p, 3 p)."""

@@ -46,7 +46,8 @@ from solver.rig.frames import (
 )
 from solver.rig.rig import Rig
 from solver.scans.markers.bind import bind
-from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.scans.markers.bound_take import BoundTake
+from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.take import Take, read_take
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats
@@ -70,53 +71,6 @@ class FitMarkersOptions:
 OPTIONS = FitMarkersOptions()
 
 
-class MarkerTake:
-    """A take's points of a set's markers, in the model's axes and mm."""
-
-    def __init__(
-        self, take: Take, markers: MarkerSet, options: FitMarkersOptions = OPTIONS
-    ) -> None:
-        self.markers: tuple[Marker, ...] = tuple(
-            marker for marker in markers.markers if marker.part != "ignore"
-        )
-        self._take, self._set, self._session = take, markers, markers.session
-        number = {label: column for column, label in enumerate(take.labels)}
-        self._columns = np.array([number.get(each.label, -1) for each in self.markers], np.int64)
-        known = int(np.sum(self._columns >= 0))
-        if known < options.least:
-            message = (
-                f"{take.file} has {known} of the marker set's {len(self.markers)} labels: "
-                f"{options.least} are needed"
-            )
-            raise InputError("markers.few", message, file=take.file, found=known)
-
-    def save(self, used: Sequence[Marker], path: Path) -> None:
-        """Write the set with the markers that are ``used`` as they are now."""
-        others = (marker for marker in self._set.markers if marker.part == "ignore")
-        replace(self._set, markers=(*used, *others)).save(path)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Return the markers' labels."""
-        return tuple(marker.label for marker in self.markers)
-
-    def points(self, frame: int) -> Floats:
-        """Return a frame's points (k, 3), NaN where one is missing."""
-        found = self._session(self._take.positions[frame][self._columns])
-        return np.where(self._columns[:, None] < 0, np.nan, found)
-
-    def unlabelled(self, frame: int) -> Floats:
-        """Return a frame's points (u, 3) without a label."""
-        return self._session(self._take.unlabelled[frame])
-
-    def sigma(self, frame: int) -> Floats | None:
-        """Return the standard deviations (k, 3) that the take has of them, None if it has none."""
-        if self._take.sigma is None:
-            return None
-        given = self._take.sigma[frame][self._columns] ** 2 @ self._session.rotation.T**2
-        return np.asarray(self._session.scale * np.sqrt(given))
-
-
 def run(task: Task[FitMarkers]) -> list[Path]:
     """Fit the frames of a take with the S of ``rig``, each from the one before.
 
@@ -135,7 +89,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     if markers.model_sha256 != model.sha256:
         message = "the marker set is of another model: bind it again"
         raise InputError("markers.other_model", message)
-    source = MarkerTake(take, markers)
+    source = BoundTake(take, markers, OPTIONS.least)
     numbers = _frame_numbers(take, given)
     rate = given.rate or (take.rate if take.rate > 0 else OPTIONS.rate)
     face = Face(model, rig.weights, linear=given.linear_solver or fastest())
@@ -236,12 +190,12 @@ def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
     """Return the prior that was asked for; raises ``markers.prior`` where there is none."""
     kind, layout = task.options.prior, face.layout
     if kind == "none":
-        return prior.from_changes(layout, [], prior.WIDE)
+        return prior.from_changes(layout, [], prior.LOOSE)
     if kind == "scans":
         if not rig.expressions:
             raise InputError("markers.prior", "the rig has no expressions to make a prior from")
         poses = [Pose(each.activations, each.jaw).vector() for each in rig.expressions]
-        return prior.from_changes(layout, [pose - layout.rest for pose in poses], prior.SCANS)
+        return prior.from_changes(layout, [pose - layout.rest for pose in poses], prior.LOOSE)
     given = task.inputs.get("template")
     shapes = (builtin_template() if given is None else Template.load(given)).shapes
     if shapes is None or shapes.expressions.shape[1] != len(face.model.skin.vertices):
@@ -312,7 +266,7 @@ class _Session:
         self._count, self._writer = len(done), self._writer_from(len(done))
         return done
 
-    def fit(self, number: int, source: MarkerTake) -> MarkerFrame:
+    def fit(self, number: int, source: BoundTake) -> MarkerFrame:
         """Fit the frame ``number``; one that cannot be keeps the last pose."""
         start, tracker = time.perf_counter(), self._tracker
         points, status = source.points(number), "fitted"

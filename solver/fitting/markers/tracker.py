@@ -27,6 +27,7 @@ from solver.fitting.markers.term import (
 )
 from solver.fitting.objective import Regulariser
 from solver.fitting.prior import GaussianPrior, PriorSum
+from solver.fitting.sensitivity import Jacobian
 from solver.fitting.sequence import Tracker, TrackingOptions
 from solver.similarity import Similarity, robust_motion
 from solver.surface import Floats
@@ -110,6 +111,7 @@ class MarkerTracker:
         """Go on from a frame: its state and what it left, None before the first."""
         options = self.options
         self.memory = memory
+        self._moved: tuple[PosedFace, Jacobian, Floats] | None = None
         self.tracker = Tracker(
             self.face,
             self._penalties,
@@ -206,9 +208,13 @@ class MarkerTracker:
 
     def _by_controls(self) -> Floats:
         """Return the derivative (3 k, q) of the markers' places in the head's frame."""
-        jacobian = self.tracker.jacobian
+        jacobian, state = self.tracker.jacobian, self.tracker.state
         assert jacobian is not None, "made when tracking began"
-        return jacobian.motion(self.places.jacobian(self.tracker.state.x))
+        # a frame ends with what the next begins with
+        if self._moved is None or self._moved[0] is not state or self._moved[1] is not jacobian:
+            found = jacobian.motion(self.places.jacobian(state.x))
+            self._moved = state, jacobian, found
+        return self._moved[2]
 
     def _leave(
         self,

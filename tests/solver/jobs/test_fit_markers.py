@@ -142,6 +142,20 @@ def test_killed_three_times_it_comes_to_the_same(
     assert found["marker_state"].tolist() == whole[1]["marker_state"].tolist()
 
 
+def test_places_are_mended_first_and_the_take_is_smoothed_last(
+    whole: tuple[Path, dict], files: Path, tmp_path: Path
+) -> None:
+    found = fit(files, tmp_path, options={"refine": 10, "smooth": True})
+    assert found["status"].tolist() == whole[1]["status"].tolist()
+    given, mended = (MarkerSet.load(each / "markers.json") for each in (files, tmp_path))
+    assert mended.labels == given.labels
+    assert 0.0 < np.abs(mended.heights - given.heights).max() < 1.0
+    # frames of the gap know of what comes after it
+    assert (found["sd"][list(GONE)] < whole[1]["sd"][list(GONE)]).mean() > 0.9
+    jitter = [np.abs(np.diff(each["jaw"][:, 0], 2)).mean() for each in (found, whole[1])]
+    assert jitter[0] < jitter[1]
+
+
 def test_other_options_do_not_go_on(whole: tuple[Path, dict], files: Path) -> None:
     with pytest.raises(InputError) as caught:
         fit(files, whole[0], resume=True, options={"robust_mm": 2.0})
