@@ -350,14 +350,15 @@ class _Bench:
             errors.append(float(away.mean()))
             head = fit.placed.head
             turns.append(head.then(truth.heads[row].inverse()).degrees)
-            shifts.append(np.linalg.norm(head(middle[None]) - truth.heads[row](middle[None])))
+            off = head(middle[None]) - truth.heads[row](middle[None])
+            shifts.append(float(np.linalg.norm(off)))
             inverted += face.flesh.inverted(state.x)
             states.append(fit.judged.states)
             if mouth is not None:
                 whole = face.whole_skin(state.x, state.pose.b)
                 own = crossing(mouth, skin).lips
                 lips.append(max(crossing(mouth, whole).lips - own, 0.0))
-        found = {
+        found: Figures = {
             "face_mean_mm": float(np.mean(errors)),
             "worst_frame_mm": float(np.max(errors)),
             "frame_ms": float(np.median(milliseconds)),
@@ -402,16 +403,12 @@ def _held(bench: _Bench, known: GaussianPrior) -> Figures:
     points = take.points.copy()
     points[first : first + length, cheek] = np.nan
     skins: dict[str, list[Floats]] = {"clean": [], "held": []}
-    fits: dict[str, list[Floats]] = {"clean": [], "held": []}
     for name, each in (("clean", take.points), ("held", points)):
-        bench.fit(
-            known,
-            MadeTake(each, take.wrong, take.swapped),
-            lambda _row, tracker, name=name: (
-                skins[name].append(face.face_points(tracker.tracker.state.x)),
-                fits[name].append(tracker.tracker.state.pose.vector()),
-            ),
-        )
+
+        def watch(_row: int, tracker: MarkerTracker, name: str = name) -> None:
+            skins[name].append(face.face_points(tracker.tracker.state.x))
+
+        bench.fit(known, MadeTake(each, take.wrong, take.swapped), watch)
     rest = model.skin.vertices[model.face]
     patch = np.linalg.norm(rest[:, None] - places[cheek], axis=2).min(axis=1) < 8.0
     rows = range(first, min(first + length, len(truth.numbers)))

@@ -176,12 +176,21 @@ class GramCurvature:
         return np.asarray(self.rows.T @ (self.inner @ (self.rows @ vector)))
 
     def __add__(self, other: Curvature) -> sp.csr_array:
-        return sp.csr_array(self.rows.T @ sp.csr_array(self.inner) @ self.rows) + other
+        return self.sparse() + other
+
+    def sparse(self) -> sp.csr_array:
+        """Return the whole matrix."""
+        return sp.csr_array(self.rows.T @ sp.csr_array(self.inner) @ self.rows)
 
     __radd__ = __add__
 
 
 Curvature: TypeAlias = sp.csr_array | GramCurvature
+
+
+def sparse(curvature: Curvature) -> sp.csr_array:
+    """Return a Gauss-Newton Hessian as one matrix (3 p, 3 p)."""
+    return curvature.sparse() if isinstance(curvature, GramCurvature) else curvature
 
 
 class Term(Protocol):

@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 
 from solver.fitting.activation import rest_curvature, unseen_regulariser
 from solver.fitting.controls import Layout
@@ -114,7 +115,7 @@ def from_changes(
 
 
 def from_shapes(
-    face: Face, shapes: Floats, options: PriorOptions = PriorOptions()
+    face: Face, shapes: NDArray[np.floating], options: PriorOptions = PriorOptions()
 ) -> GaussianPrior:
     """Return the prior of a template's expressions, motions (e, v, 3) of the whole skin, mm.
 

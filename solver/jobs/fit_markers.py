@@ -269,7 +269,8 @@ class _Session:
     def fit(self, number: int, source: BoundTake) -> MarkerFrame:
         """Fit the frame ``number``; one that cannot be keeps the last pose."""
         start, tracker = time.perf_counter(), self._tracker
-        points, status = source.points(number), "fitted"
+        points = source.points(number)
+        status: Status = "fitted"
         before = tracker.tracker.state, tracker.memory
         try:
             fit = tracker.fit(points, source.unlabelled(number), source.sigma(number))
@@ -383,6 +384,6 @@ def _marker_report(frames: Sequence[MarkerFrame], labels: Sequence[str]) -> dict
             for state in ("missing", "outlier", "swapped", "relabelled")
         }
         rms = round(float(np.sqrt(np.mean(mine**2))), 4) if len(mine) else None
-        found[label] = shares | {"rms_mm": rms}
+        found[label] = {**shares, "rms_mm": rms}
     held = np.array([frame.held for frame in frames])
     return {"markers": found, "held": round(float(held.mean()), 4)}

@@ -322,7 +322,7 @@ def write_sequence(
 ) -> list[Path]:
     """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths."""
     files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
-    kinds = dict.fromkeys(("frame", "inverted", "iterations"), np.int64)
+    kinds: dict[str, Any] = dict.fromkeys(("frame", "inverted", "iterations"), np.int64)
     kinds |= {"status": np.str_, "marker_state": np.str_, "held": np.bool_}
     record = type(frames[0])
     arrays: dict[str, Any] = {

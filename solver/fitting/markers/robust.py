@@ -74,7 +74,7 @@ class Prediction:
         """Return the greatest of a marker's three standard deviations, (k,) mm."""
         count = len(self.points)
         blocks = self.covariance.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
-        return np.sqrt(np.linalg.eigvalsh(blocks)[:, -1])
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(blocks)[:, -1]))
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def weigh(
     options: RobustOptions,
 ) -> Floats:
     """Return the weights (k,) of points after rounds with these scales, 0 where none was seen."""
-    known = np.isfinite(seen).all(axis=1) & (precision > 0.0).any(axis=1)
+    known = np.asarray(np.isfinite(seen).all(axis=1) & (precision > 0.0).any(axis=1))
     exact, points = np.where(known[:, None], precision, 0.0), np.where(known[:, None], seen, 0.0)
     places = prediction.points
     for number, scale in enumerate([*scales, scales[-1]]):

@@ -143,7 +143,8 @@ class MarkerTracker:
         predicted = not used.any()
         steps = 0
         if predicted:
-            self.tracker.go_to(state.pose.add(prior.mean - state.pose.vector()))
+            with suppress(SolveError):  # out of reach: it stays where it is
+                self.tracker.go_to(state.pose.add(prior.mean - state.pose.vector()))
         else:
             steps = self.tracker.fit_term(term, used, PriorSum((prior, self._penalties)))
         return self._leave(term, judged, prior, predicted, steps)
