@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from solver.fitting.controls import Block, Layout
 from solver.fitting.face import Face, Pose
 from solver.fitting.least_squares import Listener
-from solver.fitting.objective import Regulariser, Term
+from solver.fitting.objective import Regulariser, Term, sparse
 from solver.fitting.per_tet import PER_TET, PerTetOptions, PerTetPriors
 from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.reference.common import IpoptProblem, Reference, finite, solve
@@ -65,7 +65,7 @@ class Expression(IpoptProblem):
         self._block = np.tril_indices(muscles.shape[1])
         # the pattern at rest: what is curved elsewhere only, as contact is, has its gradient alone,
         # which slows IPOPT but moves no minimum
-        touched = data.curvature(flesh.rest).copy()
+        touched = sparse(data.curvature(flesh.rest)).copy()
         touched.data[:] = 1.0
         ones = self._motion(np.ones((3 * len(face.model.mandible), len(jaw))))
         curved_rows, curved_columns = sp.tril(ones.T @ touched @ ones).coords
