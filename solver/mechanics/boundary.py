@@ -50,6 +50,31 @@ def jaw_jacobian(frame: JawFrame, points: Floats, b: Floats) -> Floats:
     return out
 
 
+class JawMotion(Protocol):
+    """The mandible's motion by some numbers b (k,)."""
+
+    def move(self, points: Floats, b: Floats) -> Floats:
+        """Move points (n, 3) with the mandible."""
+
+    def jacobian(self, points: Floats, b: Floats) -> Floats:
+        """Return the derivative (n, 3, k) of :meth:`move` by b."""
+
+
+@dataclass(frozen=True)
+class FreeJaw:
+    """The mandible by b (5,), whatever its joint can do: :func:`move_jaw`."""
+
+    frame: JawFrame
+
+    def move(self, points: Floats, b: Floats) -> Floats:
+        """See :class:`JawMotion`."""
+        return move_jaw(self.frame, points, b)
+
+    def jacobian(self, points: Floats, b: Floats) -> Floats:
+        """See :class:`JawMotion`."""
+        return jaw_jacobian(self.frame, points, b)
+
+
 @dataclass(frozen=True)
 class Boundary:
     """Place of everything rigid in the head's frame, mm."""

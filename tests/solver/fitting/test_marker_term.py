@@ -30,7 +30,9 @@ def a_set(model):
     faces = model.skin.faces[rng.choice(len(model.skin.faces), 8, replace=False)]
     skin = [
         Marker(f"S{n}", tuple(map(int, corners)), tuple(share), height)
-        for n, (corners, share, height) in enumerate(zip(faces, shares, rng.uniform(0, 9, 8), strict=True))
+        for n, (corners, share, height) in enumerate(
+            zip(faces, shares, rng.uniform(0, 9, 8), strict=True)
+        )
     ]
     bones = [
         Marker("HEAD", part="head", place_mm=(60.0, 110.0, 0.0)),
