@@ -14,6 +14,7 @@ import numpy as np
 
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.flesh import IDENTITY
+from solver.mechanics.jaw_tracks import TRACK_FREEDOM, JawTracks
 from solver.surface import Floats, Ints
 
 # D: a radian of jaw counts as 100 mm, its motion at the chin
@@ -128,6 +129,14 @@ def jaw_block() -> Block:
     reach = np.array([TURN_REACH, TURN_REACH, np.inf, np.inf, np.inf])
     damping = JAW_UNITS**2 * JAW_DAMPING
     return Block("jaw", np.zeros(JAW_FREEDOM), damping, reach, units=JAW_UNITS)
+
+
+def track_block(tracks: JawTracks) -> Block:
+    """Return the block of a jaw on its tracks (3,): an angle, rad, and two slides, mm."""
+    units = np.array([JAW_UNITS[0], 1.0, 1.0])
+    reach = np.array([TURN_REACH, np.inf, np.inf])
+    rest, damping = np.zeros(TRACK_FREEDOM), units**2 * JAW_DAMPING
+    return Block("tracks", rest, damping, reach, tracks.lower, tracks.upper, units)
 
 
 def fibre_block(muscles: int) -> Block:
