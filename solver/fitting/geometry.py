@@ -88,7 +88,7 @@ def fit(
         ).state
         for name, term in first_terms.items()
     }
-    now = Iterate(face.S, states)
+    now = Iterate(face.S.data, states)
     idle, number, steps = 0, 0, options.first_iterations
     whole = max(options.rounds - WHOLE_ROUNDS, 0)
     while number < options.rounds:
@@ -96,16 +96,18 @@ def fit(
             listen(number, now.states)
         terms = data if number >= whole else first_terms
         problem = _problem(face, terms, options, number, structure)
-        before = problem.value(now.S, now.states)
+        before = problem.value(now.values, now.states)
         now = joint.step(problem, now)
-        gain = before - problem.value(now.S, now.states)
+        gain = before - problem.value(now.values, now.states)
         idle = idle + 1 if gain < options.tolerance * before else 0
         number, steps = number + 1, steps + 1
         if idle == 2:
             # what is left of this stage gains nothing: on to the whole rounds, or to the end
             number, idle = (whole, 0) if number < whole else (options.rounds, 0)
     last = replace(begin, w_a=options.w_a[1])
-    return _finish(face.with_weights(now.S), data, last, now.states, steps)
+    return _finish(
+        face.with_weights(replace_values(face.S, now.values)), data, last, now.states, steps
+    )
 
 
 def _problem(
