@@ -152,9 +152,12 @@ def calibrate(
     data: Mapping[str, Term],
     options: CalibrationOptions = CalibrationOptions(),
     listen: Listener | None = None,
+    *,
+    ends: Mapping[str, Term] | None = None,
 ) -> Calibration:
     """Calibrate the fibre muscles of a face, whose S are the fractions to begin with, to all data.
 
+    ``ends`` take the place of ``data`` in the last fit of the poses: the distance with contact.
     Raises :class:`~solver.errors.InputError` (``model.fibres``) for a model without fibres.
     """
     shape = FibreShape(plain)
@@ -178,7 +181,8 @@ def calibrate(
         if idle == 2:
             break
     face = shape.face(now.values)
-    return Calibration(shape.muscles(now.values), face, fit_all(face, data, options, now.states))
+    endings = fit_all(face, ends or data, options, now.states)
+    return Calibration(shape.muscles(now.values), face, endings)
 
 
 def fit_all(
