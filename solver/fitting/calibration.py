@@ -27,6 +27,7 @@ from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.strips import StripOptions, neighbours, split_broad, strip_names
 from solver.mechanics.fibre_muscle import CURVE, Curve, FibreMuscles, FibreTerm, driven_by_muscles
 from solver.mechanics.response import SparseControls
 from solver.storage import Archive
@@ -37,13 +38,17 @@ STRENGTH = 30.0
 FORMAT = 1  # of fibre_muscles.npz
 
 
-def fibre_muscles(face: Face, strength: Floats | float = STRENGTH) -> FibreMuscles:
+def fibre_muscles(
+    face: Face, strength: float = STRENGTH, strips: StripOptions | None = None
+) -> FibreMuscles:
     """Return the muscles of a face's model by its S, of so many times the flesh's mu.
 
-    Raises :class:`~solver.errors.InputError` (``model.fibres``) for a model without fibres.
+    With ``strips`` the broad ones are split. Raises :class:`~solver.errors.InputError`
+    (``model.fibres``) for a model without fibres.
     """
-    strengths = np.broadcast_to(face.flesh.material.mu * strength, face.model.muscle_count)
-    return FibreMuscles.of(face.model, face.S, np.array(strengths))
+    strengths = np.full(face.model.muscle_count, face.flesh.material.mu * strength)
+    whole = FibreMuscles.of(face.model, face.S, strengths)
+    return split_broad(face.model.rest, face.model.tets, whole, strips) if strips else whole
 
 
 def with_fibres(face: Face, muscles: FibreMuscles, curve: Curve = CURVE) -> Face:
@@ -57,6 +62,7 @@ class CalibrationOptions:
     """Rounds, weights of the poses, and stiffness of what is calibrated (mm^2 by its square)."""
 
     rounds: int = 10
+    strips: StripOptions | None = field(default_factory=StripOptions)  # None: muscles are whole
     first: ActivationOptions = field(default_factory=lambda: ActivationOptions(6, tolerance=1e-2))
     last: ActivationOptions = field(default_factory=lambda: ActivationOptions(20, tolerance=1e-3))
     w_a: float = 1e-3
@@ -75,8 +81,10 @@ class FibreShape:
     ``directions`` (t, 3) of the tets with muscle.
     """
 
-    def __init__(self, plain: Face, strength: float = STRENGTH) -> None:
-        self._plain, self._begin = plain, fibre_muscles(plain, strength)
+    def __init__(
+        self, plain: Face, strength: float = STRENGTH, strips: StripOptions | None = None
+    ) -> None:
+        self._plain, self._begin = plain, fibre_muscles(plain, strength, strips)
         S, fibres = plain.S, np.asarray(plain.model.fibres)
         self.indptr: Ints = S.indptr
         # the entries that FibreMuscles has, in its order
@@ -122,7 +130,7 @@ class FibreShape:
         weights = [options.fraction, options.strength, options.direction]
         pairs = zip(weights, self.layout.blocks, strict=True)
         each = np.concatenate([np.full(block.rest.size, weight) for weight, block in pairs])
-        one, other = _neighbours(self._plain.flesh.tets[self.tets])
+        one, other = neighbours(self._plain.flesh.tets[self.tets])
         places = self.layout.places("directions")
         rows = np.arange(3 * len(one))
         columns = places[one].ravel(), places[other].ravel()
@@ -160,7 +168,7 @@ def calibrate(
     ``ends`` take the place of ``data`` in the last fit of the poses: the distance with contact.
     Raises :class:`~solver.errors.InputError` (``model.fibres``) for a model without fibres.
     """
-    shape = FibreShape(plain)
+    shape = FibreShape(plain, strips=options.strips)
     values = shape.layout.rest
     face = shape.face(values)
     priors = regulariser(face, options)
@@ -209,7 +217,11 @@ def regulariser(face: Face, options: CalibrationOptions = CalibrationOptions()) 
 def save_muscles(path: Path, face: Face, muscles: FibreMuscles) -> None:
     """Write ``fibre_muscles.npz``: strengths over the flesh's mu."""
     model = face.model
-    header = {"format": FORMAT, "model_sha256": model.sha256, "muscle_names": model.muscle_names}
+    header = {
+        "format": FORMAT,
+        "model_sha256": model.sha256,
+        "muscle_names": strip_names(model.muscle_names, muscles),
+    }
     arrays = {each.name: getattr(muscles, each.name) for each in fields(muscles)}
     arrays["strengths"] = muscles.strengths / face.flesh.material.mu
     Archive(header, arrays).write(path)
@@ -247,11 +259,3 @@ def _turn_rates(turns: Floats) -> sp.csr_array:
     blocks = np.eye(3) + first[:, None, None] * K + second[:, None, None] * (K @ K)
     count = np.arange(len(turns))
     return sp.csr_array(sp.bsr_array((blocks, count, np.arange(len(turns) + 1))))
-
-
-def _neighbours(tets: Ints) -> tuple[Ints, Ints]:
-    """Return the pairs of tets (t, 4) that share a face."""
-    faces = np.sort(tets[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]], axis=2).reshape(-1, 3)
-    order = np.lexsort(faces.T)
-    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
-    return order[:-1][same] // 4, order[1:][same] // 4

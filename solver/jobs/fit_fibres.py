@@ -24,6 +24,7 @@ from solver.fitting.contact import terms
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.objective import Target, distances
+from solver.fitting.strips import StripOptions, strip_names
 from solver.jobs import Task
 from solver.jobs.fits import Targets
 from solver.kinds.fit_fibres import FitFibres
@@ -58,7 +59,8 @@ def run(task: Task[FitFibres]) -> list[Path]:
     if not train:
         message = "the rig has no expression that it was fitted to: fit its muscle geometry first"
         raise InputError("fibres.no_scans", message)
-    options = replace(CalibrationOptions(), rounds=given.rounds)
+    strips = StripOptions(breadth_mm=given.strips_mm) if given.strips_mm else None
+    options = replace(CalibrationOptions(), rounds=given.rounds, strips=strips)
     begin = time.perf_counter()
 
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
@@ -84,6 +86,7 @@ def run(task: Task[FitFibres]) -> list[Path]:
     for fit in seen:
         error = fit.measured_error(model.face)
         expressions[fit.name]["blended_mm"] = round(float(error.mean()), DECIMALS)
+    names = strip_names(model.muscle_names, found.muscles)
     strengths = found.muscles.strengths / face.flesh.material.mu
     report = {
         "means": {
@@ -92,7 +95,7 @@ def run(task: Task[FitFibres]) -> list[Path]:
             for kind in ("fibre_mm", "uncalibrated_mm", "blended_mm")
         },
         "expressions": expressions,
-        "strengths": dict(zip(model.muscle_names, strengths.round(2).tolist(), strict=True)),
+        "strengths": dict(zip(names, strengths.round(2).tolist(), strict=True)),
         "seconds": round(time.perf_counter() - begin, 1),
     }
     file = task.out / "fibre_muscles.json"

@@ -16,6 +16,14 @@ class FitFibres(FitOptions):
         description="at most so many rounds of Gauss-Newton on strengths, fractions, directions "
         "and all poses",
     )
+    strips_mm: float = Field(
+        default=20.0,
+        ge=0,
+        le=200,
+        allow_inf_nan=False,
+        description="breadth, in mm, of strips that broad muscles are split into along their "
+        "fibres, each with an activation of its own; 0: muscles stay whole",
+    )
     linear_solver: DoubleSolver = None
 
 

@@ -125,6 +125,7 @@ class FibreMuscles:
     fractions: Floats  # (e,) of the tets' volumes
     fibres: Floats  # (e, 3) of unit length
     strengths: Floats  # (m,) stresses, in the units of the flesh's mu
+    sources: Ints  # (m,) the model's muscle that each one is, or is a strip of
 
     @classmethod
     def of(cls, model: SubjectModel, S: sp.csr_array, strengths: Floats) -> FibreMuscles:
@@ -138,7 +139,8 @@ class FibreMuscles:
         tets, columns = S.tocoo().coords
         pulls = np.flatnonzero((columns > 0) & model.fibres.any(axis=1))
         kept = tets[pulls].astype(np.int64), columns[pulls].astype(np.int64) - 1
-        return cls(*kept, S.data[pulls], model.fibres[pulls], strengths)
+        each = np.arange(len(strengths))
+        return cls(*kept, S.data[pulls], model.fibres[pulls], strengths, each)
 
     def scaled(self, factor: Floats | float) -> FibreMuscles:
         """Return the muscles with their whole curves times ``factor``, of each (m,) or of all."""

@@ -60,7 +60,8 @@ def test_muscles_are_calibrated_and_unseen_expressions_gain(real, tmp_path):
     for fit in report["expressions"].values():
         assert fit["inverted"] == 0
         assert all(0.0 <= a <= 1.0 for a in fit["activations"])
-    assert set(report["strengths"]) == set(real.model.muscle_names)
+    # the left muscle is broad
+    assert set(report["strengths"]) == {"left.1", "left.2", "right"}
     fractions = [step.fraction for step in steps]
     assert fractions == sorted(fractions)
     plain = Face(real.model, material=MOONEY_RIVLIN)

@@ -161,7 +161,7 @@ def test_a_bar_with_one_fibre_pulls_as_its_closed_form(stretch):
     count = len(tets)
     along = np.tile([1.0, 0.0, 0.0], (count, 1))
     parts = np.arange(count), np.zeros(count, int), np.full(count, fraction)
-    muscles = FibreMuscles(*parts, along, np.array([strength]))
+    muscles = FibreMuscles(*parts, along, np.array([strength]), np.zeros(1, int))
     whole = driven_by_muscles(flesh, muscles)
     x = vertices * [stretch, width, width]
     start = whole.moved(x, 0.2 * np.random.default_rng(4).standard_normal(flesh.size))
