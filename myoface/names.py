@@ -4,7 +4,8 @@ The page has the same rule in ``service/page/static/js/scan_files.js``; both are
 of ``tests/fixtures/scan_names.json``.
 
 - A role is in the name: ``neutral``, ``neutre``, ``rest`` or ``relaxed`` as a word of its own is
-  the neutral, the ending ``.npy`` a performance, all else an expression.
+  the neutral, the ending ``.npy`` a performance, ``.c3d`` and ``.trc`` a take of markers, all else an
+  expression.
 - A name that is legal stays as it is. In others accents go, and blanks and signs become ``_``.
 - What all files of a session begin with, up to a blank, ``_`` or ``-``, is the person and goes,
   where the neutral is among them and what is left of each has a letter.
@@ -24,12 +25,13 @@ from typing import Literal
 
 from myoface.errors import ApiError
 
-Role = Literal["neutral", "expression", "performance", "asset"]
+Role = Literal["neutral", "expression", "performance", "markers", "asset"]
 BAD_NAME = "client.name"
 LEGAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 LONGEST = 64
 NEUTRAL = frozenset({"neutral", "neutre", "rest", "relaxed"})
 PERFORMANCE = ".npy"
+TAKES = frozenset({".c3d", ".trc"})
 DEVICES = frozenset(
     {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
 )
@@ -130,6 +132,8 @@ def _role(file: str) -> Role:
     stem, suffix = _split(file)
     if suffix == PERFORMANCE:
         return "performance"
+    if suffix in TAKES:
+        return "markers"
     words = re.sub(r"([a-z])([A-Z])", r"\1 \2", _plain(stem)).lower()
     return "neutral" if NEUTRAL & set(re.split(r"[^a-z]+", words)) else "expression"
 

@@ -14,7 +14,7 @@ Scope = Literal["read", "write", "delete", "webhooks", "metrics", "admin"]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
 
 # Roles of what is checked and registered by nobody
-NO_SCANS: frozenset[Role] = frozenset({"performance", "asset"})
+NO_SCANS: frozenset[Role] = frozenset({"performance", "markers", "asset"})
 
 Then = Literal["register", "model", "geometry"]
 

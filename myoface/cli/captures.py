@@ -68,6 +68,9 @@ def add(
     performance: Annotated[
         bool, Option("--performance", help="short for --role performance: skin points, .npy")
     ] = False,
+    markers: Annotated[
+        bool, Option("--markers", help="short for --role markers: a take of them, or their set")
+    ] = False,
     asset: Annotated[
         bool,
         Option(
@@ -101,14 +104,14 @@ def add(
     name is the neutral. A file that is there already is not sent again. With --check the command
     ends with 3 if a scan is bad.
     """
-    role = _role(role, neutral=neutral, performance=performance, asset=asset)
+    role = _role(role, neutral=neutral, performance=performance, markers=markers, asset=asset)
     if len(files) > 1 and (name is not None or title or landmarks or role == "neutral"):
         raise UsageError("--name, --title, --neutral and --landmarks take one file")
     if registered and raw:
         raise UsageError("--registered and --raw exclude one another")
     scans = name_scans(files, names=[name] * len(files), roles=[role] * len(files))
     if check and any(each.role in NO_SCANS for each in scans):
-        raise UsageError("--check is for scans, not for performances and assets")
+        raise UsageError("--check is for scans, not for performances, markers and assets")
     options = scan_frame(unit, eye_distance, up, forward)
     given = {
         "registered": registered,

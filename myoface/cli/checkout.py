@@ -10,6 +10,7 @@ from myoface.cli.assets import assets
 from myoface.cli.commands import Group, Runnable
 from myoface.cli.console import complain
 from myoface.cli.demo import demo
+from myoface.cli.markers import markers
 from myoface.cli.offline import solve
 from myoface.cli.service import admin_key, backup, doctor, restore, up
 from myoface.cli.template import template
@@ -26,6 +27,7 @@ MEMBERS: Mapping[str, Runnable] = {
     "tenants": tenants,
     "template": template,
     "assets": assets,
+    "markers": markers,
     "solve": solve,
 }
 

@@ -33,6 +33,9 @@ SceneFile = Annotated[
 ]
 Resume = Annotated[bool, Option("--resume", help="go on after the frames in the folder")]
 
+Take = Annotated[
+    Path, Argument(exists=True, dir_okay=False, help="markers: C3D, TRC, Motive CSV or NPZ")
+]
 RIG = "rig.npz, or a rig's folder; to one of 0.1 copy its model.npz"
 
 # What each input of a contract is on the command line.
@@ -51,6 +54,7 @@ ARGUMENTS: Mapping[str, Mapping[str, Any]] = {
             Path, Argument(exists=True, help="frames (.npy), or a folder of registered scans")
         ]
     },
+    "markers": {"take": Take},
 }
 OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
     "capture": {"landmarks": (LandmarksFile, None)},
@@ -59,6 +63,18 @@ OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
             Annotated[
                 Path | None,
                 Option("--template", exists=True, help="template NPZ; default: built-in"),
+            ],
+            None,
+        )
+    },
+    "any_rig": {
+        "any_rig": (Annotated[Path | None, Option("--rig", exists=True, help=RIG)], None),
+    },
+    "markers": {
+        "marker_set": (
+            Annotated[
+                Path | None,
+                Option("--set", exists=True, dir_okay=False, help="the session's marker set, JSON"),
             ],
             None,
         )
@@ -105,8 +121,8 @@ NEUTRAL_OF_EXPRESSION = Annotated[
 ]
 
 
-def _add(kind: Kind) -> None:
-    """Add the command of a kind of job."""
+def make_command(kind: Kind) -> Callable[..., None]:
+    """Return the command of a kind of job, which a group takes."""
     parameters = _parameters(kind)
 
     def command(**given: Any) -> None:
@@ -116,7 +132,7 @@ def _add(kind: Kind) -> None:
     command.__signature__ = Signature(order)  # type: ignore[attr-defined]
     command.__annotations__ = {each.name: each.annotation for each in order}
     command.__doc__ = f"{kind.title}. {kind.description}"
-    solve.command(_name(kind))(command)
+    return command
 
 
 def _name(kind: Kind) -> str:
@@ -205,10 +221,12 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
         for name in ("scan", "landmarks", "neutral", "template", "model", "performance")
     }
     inputs |= {"blendshapes": given.get("blendshapes"), "start": given.get("start_rig")}
-    if "rig" in given:
+    inputs |= {"markers": given.get("take"), "marker_set": given.get("marker_set")}
+    rig = given.get("rig") or given.get("any_rig")
+    if rig is not None:
         from solver.rig.rig import find_files
 
-        inputs |= find_files(given["rig"])
+        inputs |= find_files(rig)
     with JobView(_name(kind)) as view, _made(folder):
         run_job(
             kind.name,
@@ -224,12 +242,16 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
     if kind.leaves in SUMMARIES:
         SUMMARIES[kind.leaves](report, given)
     out.print(f"{folder / kind.result}")
-    if kind.leaves == "check" and report["verdict"] == "bad":
+    if kind.leaves in ("check", "marker_check") and report["verdict"] == "bad":
         raise SystemExit(BAD_SCAN)
 
 
 def _show_check(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
     show_verdict(given["scan"].name, report)
+
+
+def _show_marker_check(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+    show_verdict(given["take"].name, report)
 
 
 def _show_registration(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
@@ -266,6 +288,7 @@ def _show_export(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
 # What is said of a job, by what it leaves.
 SUMMARIES: Mapping[str, Callable[[Mapping[str, Any], Mapping[str, Any]], None]] = {
     "check": _show_check,
+    "marker_check": _show_marker_check,
     "registration": _show_registration,
     "sequence": _show_sequence,
     "animation": _show_animation,
@@ -325,4 +348,4 @@ def live_link(
 
 
 for _kind in KINDS.values():
-    _add(_kind)
+    solve.command(_name(_kind))(make_command(_kind))

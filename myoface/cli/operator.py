@@ -59,6 +59,7 @@ HELP = {
     "tenants": "Tenants: customers who see nothing of one another.",
     "template": "Make and check template anatomies.",
     "assets": "Anatomy and face models of others.",
+    "markers": "Markers on a face: check takes, bind them to a person.",
     "solve": "Solve here, without a service.",
 }
 OPERATOR: Mapping[str, Runnable] = {

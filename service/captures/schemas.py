@@ -24,7 +24,7 @@ from service.store import retention
 from service.store.models import Capture, Job
 
 LONGEST_TITLE = 200
-Role = Literal["neutral", "expression", "performance", "asset"]
+Role = Literal["neutral", "expression", "performance", "markers", "asset"]
 
 
 class NewCapture(RequestBody):
@@ -50,7 +50,8 @@ class NewCapture(RequestBody):
     )
     role: Role = Field(
         description="`performance`: frames of registered skin points, a `.npy` file; "
-        "`fit_sequence` reads it; `asset`: a file that scenes name (a recording, a mesh, a map)"
+        "`fit_sequence` reads it; `markers`: a take of them (C3D, TRC, CSV or NPZ), or the session's "
+        "marker set (JSON); `check_markers` reads it; `asset`: a file that scenes name (a recording, a mesh, a map)"
     )
     upload_id: Id
     registered: bool = Field(
@@ -76,7 +77,7 @@ class CaptureChange(Change):
     name: Name | None = None
     title: Title | None = None
     role: Literal["neutral", "expression"] | None = Field(
-        default=None, description="of a scan; performances and assets stay what they are"
+        default=None, description="of a scan; performances, markers and assets stay what they are"
     )
     labels: LabelChanges | None = None
 

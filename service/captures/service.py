@@ -22,6 +22,8 @@ from service.uploads import repository as uploads
 FORMATS = (".obj", ".ply", ".stl", ".glb")
 RAW_FORMATS = (*FORMATS, ".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
 PERFORMANCE_FORMATS = (".npy",)
+TAKE_FORMATS = (".c3d", ".trc", ".csv", ".npz")
+SET_FORMATS = (".json",)  # of marker sets
 ASSET_FORMATS = (*FORMATS, ".csv", ".npy")
 LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 # Roles of what is checked and registered
@@ -38,8 +40,12 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
     upload = uploads.get_complete(session, new.upload_id)
     if new.role == "performance":
         _check_performance(upload, new)
+    elif new.role == "markers":
+        _check_format(upload, "capture.format", "a take of markers", (*TAKE_FORMATS, *SET_FORMATS))
+        _refuse_landmarks(new, "capture.is_markers", "a take of markers")
     elif new.role == "asset":
-        _check_asset(upload, new)
+        _check_format(upload, "capture.format", "an asset", ASSET_FORMATS)
+        _refuse_landmarks(new, "capture.is_asset", "an asset")
     elif new.registered:
         _check_format(upload, "capture.format", "a registered scan", FORMATS)
     else:
@@ -77,7 +83,7 @@ def change(session: Session, subject_id: str, capture_id: str, order: CaptureCha
     name, role = order.name or capture.name, order.role or capture.role
     if (name, role) != (capture.name, capture.role):
         if role != capture.role and capture.role not in SCANS:
-            detail = f"{capture.name} stays a file for scenes or a performance: add it anew"
+            detail = f"{capture.name} stays what it is, {capture.role}: add it anew"
             raise Problem(422, f"capture.is_{capture.role}", detail, capture_id=capture.id)
         refuse_while_busy(session, subject_id)
         _refuse_while_in_batch(session, subject_id)
@@ -102,7 +108,7 @@ def views(session: Session, captures: Sequence[Capture], settings: Settings) -> 
 def set_landmarks(session: Session, subject_id: str, capture_id: str, given: Landmarks) -> Capture:
     """Give a scan landmarks, in place of those it had; jobs submitted earlier keep theirs."""
     capture = repository.get(session, subject_id, capture_id)
-    if capture.role in ("performance", "asset"):
+    if capture.role not in SCANS:
         code = f"capture.is_{capture.role}"
         raise Problem(422, code, f"{capture.name} takes no landmarks")
     _give_landmarks(session, capture, given.upload_id)
@@ -137,10 +143,9 @@ def _check_performance(upload: Upload, new: NewCapture) -> None:
         )
 
 
-def _check_asset(upload: Upload, new: NewCapture) -> None:
-    _check_format(upload, "capture.format", "an asset", ASSET_FORMATS)
+def _refuse_landmarks(new: NewCapture, code: str, what: str) -> None:
     if new.landmarks_upload_id is not None:
-        raise Problem(422, "capture.is_asset", f"{new.name}: an asset takes no landmarks")
+        raise Problem(422, code, f"{new.name}: {what} takes no landmarks")
 
 
 def _check_format(upload: Upload, code: str, what: str, formats: Sequence[str]) -> None:

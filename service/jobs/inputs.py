@@ -8,6 +8,7 @@ Of a raw capture, models and fits read the registered form.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import Any
 
 from sqlalchemy import select
@@ -15,6 +16,7 @@ from sqlalchemy.orm import Session
 
 from service.captures import repository as captures
 from service.captures.repository import neutral_of, registered_form
+from service.captures.service import SET_FORMATS
 from service.errors import Problem, not_found
 from service.jobs import repository
 from service.jobs.schemas import NewJob
@@ -42,6 +44,8 @@ def resolve(session: Session, kind: Kind, new: NewJob) -> Inputs:
     _refuse_unread(kind, new)
     if "capture" in kind.reads:
         return _about_one_capture(session, kind, new)
+    if "any_rig" in kind.reads and new.rig_id is None:
+        return Inputs([*_markers(session, new), *_template(session, kind, new)])
     if "neutral" in kind.reads:
         return Inputs([_neutral(session, new.subject_id), *_template(session, kind, new)])
     return _of_a_model(session, kind, new)
@@ -49,8 +53,8 @@ def resolve(session: Session, kind: Kind, new: NewJob) -> Inputs:
 
 def _refuse_unread(kind: Kind, new: NewJob) -> None:
     for member, reads in (
-        ("captures", {"captures", "capture", "performance", "assets"}),
-        ("rig_id", {"rig"}),
+        ("captures", {"captures", "capture", "performance", "markers", "assets"}),
+        ("rig_id", {"rig", "any_rig"}),
     ):
         if getattr(new, member) and reads.isdisjoint(kind.reads):
             raise Problem(422, "job.unexpected", f"{kind.name} takes no {member}", member=member)
@@ -93,6 +97,7 @@ def _the_capture(session: Session, new: NewJob) -> Capture:
 
 _NO_SCANS = {
     "performance": "is a performance: fit_sequence reads it",
+    "markers": "is a take of markers: check_markers reads it",
     "asset": "is an asset: scenes name it",
 }
 
@@ -133,7 +138,7 @@ def _template(session: Session, kind: Kind, new: NewJob) -> list[Input]:
 
 def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
     """Return a model, the rig if ``kind`` reads one, and what to fit or to play."""
-    if "rig" in kind.reads:
+    if not {"rig", "any_rig"}.isdisjoint(kind.reads):
         rig = _parent(session, new)
         model = repository.get(session, rig.model_job_id)
         files = _files_of_rig(session, rig)
@@ -142,6 +147,8 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
         files = [_artifact(session, model.id, "model", "model.npz")]
     if "performance" in kind.reads:
         files.append(_performance(session, new))
+    elif "markers" in kind.reads:
+        files += _markers(session, new)
     elif "captures" in kind.reads:
         files += _expressions(session, new, model)
     elif "assets" in kind.reads:
@@ -178,6 +185,33 @@ def _performance(session: Session, new: NewJob) -> Input:
     return _input_of("performance", capture.name, capture.filename, capture.sha256)
 
 
+def _markers(session: Session, new: NewJob) -> list[Input]:
+    """Return one take of markers, and the session's marker set where that is named, too."""
+    found = {}
+    for capture_id in dict.fromkeys(new.captures):
+        capture = captures.get(session, new.subject_id, capture_id)
+        if capture.role != "markers":
+            raise Problem(
+                422,
+                "capture.not_markers",
+                f"{capture.name} is no take of markers and no marker set",
+                capture_id=capture.id,
+            )
+        is_set = PurePath(capture.filename).suffix.lower() in SET_FORMATS
+        role = "marker_set" if is_set else "markers"
+        if role in found:
+            raise Problem(
+                422,
+                "job.one_take",
+                f"{new.kind} reads one take, and one marker set beside it",
+                member="captures",
+            )
+        found[role] = _input_of(role, capture.name, capture.filename, capture.sha256)
+    if "markers" not in found:
+        raise Problem(422, "job.missing", f"{new.kind} needs a take of markers", member="captures")
+    return [*found.values()]
+
+
 def _assets(session: Session, new: NewJob) -> list[Input]:
     """Return the files that a scene may name, by their captures' names."""
     found = [captures.get(session, new.subject_id, each) for each in dict.fromkeys(new.captures)]
@@ -186,7 +220,7 @@ def _assets(session: Session, new: NewJob) -> list[Input]:
             raise Problem(
                 422,
                 "capture.not_an_asset",
-                f"{capture.name} is a scan or performance, not an asset",
+                f"{capture.name} is no asset, which is a file that scenes name",
                 capture_id=capture.id,
             )
     return [_input_of("asset", each.name, each.filename, each.sha256) for each in found]

@@ -188,8 +188,8 @@ class _PoseProblem:
             return _whole_model(self.face, self.data, self.regulariser, point)
         parts = self.face, self.data, self.regulariser
         # the model begins with the matrix of the one before
-        matrix = self.model.matrix if self.model else self.matrix
-        self.model = GaussNewton(*parts, point, matrix, self.options)
+        learnt = self.model.learnt if self.model else LearntMatrix.of(self.matrix)
+        self.model = GaussNewton(*parts, point, learnt, self.options)
         return self.model
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
@@ -199,8 +199,41 @@ class _PoseProblem:
             return None
 
 
+@dataclass(frozen=True)
+class LearntMatrix:
+    """K (k, k) = L L^T, which learns by BFGS and stays positive semi-definite by its ``root`` L.
+
+    Updated by itself it does not where few points have weight: K is then singular, and what
+    rounding makes of s . K s in its kernel makes it indefinite by more with every update.
+    """
+
+    matrix: Floats
+    root: Floats
+
+    @classmethod
+    def of(cls, matrix: Floats) -> LearntMatrix:
+        """Begin with a positive semi-definite matrix, as far as rounding left it one."""
+        values, vectors = np.linalg.eigh(matrix)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        return cls(root @ root.T, root)
+
+    def update(self, change: Floats, seen: Floats) -> LearntMatrix:
+        """Return the matrix whose product with ``change`` is what was ``seen``."""
+        along = self.root.T @ change
+        guessed, true = float(along @ along), float(change @ seen)
+        # what the data do not feel is left to the regulariser
+        if min(guessed, true) <= 1e-12 * np.abs(self.matrix).max() * float(change @ change):
+            return self
+        expected = self.root @ along
+        towards = seen / np.sqrt(true * guessed) - expected / guessed
+        matrix = self.matrix - np.outer(expected, expected) / guessed
+        return LearntMatrix(
+            matrix + np.outer(seen, seen) / true, self.root + np.outer(towards, along)
+        )
+
+
 class GaussNewton:
-    """f's model at ``state``; ``matrix`` (size, size) is K, corrected as steps are taken."""
+    """f's model at ``state``; ``learnt`` is K, corrected as steps are taken."""
 
     def __init__(
         self,
@@ -208,7 +241,7 @@ class GaussNewton:
         data: Term,
         regulariser: Prior,
         state: PosedFace,
-        matrix: Floats,
+        learnt: LearntMatrix,
         options: DescentOptions = DescentOptions(),
     ) -> None:
         self._options, self._layout = options, state.pose.layout
@@ -219,7 +252,7 @@ class GaussNewton:
         self._regulariser = regulariser.gauss_newton(state.pose)
         self._gradient = sensitivity.response.adjoint(sensitivity.pose, by_x)
         self._gradient += regulariser.gradient(state.pose)
-        self.matrix = matrix
+        self.learnt = learnt
 
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """See :meth:`DenseModel.step`."""
@@ -228,12 +261,12 @@ class GaussNewton:
         step, curved = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
         for _ in range(self._options.products):
             residual = -(self._gradient + curved)
-            direction = _solve_positive(self.matrix + known, residual)
+            direction = _solve_positive(self.learnt.matrix + known, residual)
             square = direction @ residual
             if square <= self._options.accuracy**2 * step @ curved:
                 break
             seen = self._sensitivity.product(self._curvature, direction)
-            self.matrix = _update(self.matrix, direction, seen)
+            self.learnt = self.learnt.update(direction, seen)
             image = seen + known @ direction
             length = square / (direction @ image)
             step = step + length * direction
@@ -260,17 +293,6 @@ def rest_curvature(face: Face) -> Floats:
         target = Target.from_points(face.face_points(face.rest.x))
         _AT_REST[face] = curvature(face, SkinDistance(face, target), face.rest)
     return _AT_REST[face]
-
-
-def _update(matrix: Floats, change: Floats, seen: Floats) -> Floats:
-    """Return ``matrix`` updated by BFGS so that its product with ``change`` is what was seen."""
-    expected = matrix @ change
-    guessed, true = float(change @ expected), float(change @ seen)
-    # what the data do not feel is left to the regulariser
-    if min(guessed, true) <= 1e-12 * np.abs(matrix).max() * float(change @ change):
-        return matrix
-    matrix = matrix - np.outer(expected, expected) / guessed
-    return np.asarray(matrix + np.outer(seen, seen) / true)
 
 
 def _whole_model(face: Face, data: Term, regulariser: Prior, state: PosedFace) -> DenseModel:

@@ -32,7 +32,7 @@ from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.least_squares import DampingOptions, bounded_step
-from solver.fitting.objective import Regulariser, Term
+from solver.fitting.objective import Regulariser, Term, curvature_matrix
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.simplex import minimise_on_simplex, replace_values
 from solver.mechanics.equilibrium import PredictorOptions
@@ -216,7 +216,7 @@ class _Linearised:
         self._jacobian = jacobian
         data, regulariser = problem.data[name], problem.regulariser
         gradient = data.gradient(state.estimate)
-        curvature = data.curvature(state.estimate)
+        curvature = curvature_matrix(data.curvature(state.estimate))
         self._by_x = gradient.ravel()[jacobian.free]
         rows = curvature[jacobian.free]
         self._curvature = rows[:, jacobian.free]

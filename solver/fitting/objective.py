@@ -195,12 +195,21 @@ class GramCurvature:
         return np.asarray(self.rows.T @ (self.inner @ (self.rows @ vector)))
 
     def __add__(self, other: Curvature) -> sp.csr_array:
-        return sp.csr_array(self.rows.T @ sp.csr_array(self.inner) @ self.rows) + other
+        return self.matrix() + other
+
+    def matrix(self) -> sp.csr_array:
+        """Return the product."""
+        return sp.csr_array(self.rows.T @ sp.csr_array(self.inner) @ self.rows)
 
     __radd__ = __add__
 
 
 Curvature: TypeAlias = sp.csr_array | GramCurvature
+
+
+def curvature_matrix(curvature: Curvature) -> sp.csr_array:
+    """Return a curvature as one matrix (3 p, 3 p)."""
+    return curvature.matrix() if isinstance(curvature, GramCurvature) else curvature
 
 
 class Term(Protocol):

@@ -20,6 +20,7 @@ import scipy.linalg
 from solver.fitting.activation import rest_curvature, unseen_regulariser
 from solver.fitting.controls import Layout
 from solver.fitting.face import Face, Pose
+from solver.fitting.information import inverse_of_positive
 from solver.fitting.objective import Prior
 from solver.fitting.sensitivity import Sensitivity
 from solver.surface import Floats
@@ -39,6 +40,11 @@ class PriorOptions:
     other_floor: float = 0.03  # of a block that is not named
 
 
+# Few expressions span few poses: what they leave out may vary more. With none all may.
+SCANS = PriorOptions(other_floor=0.06)
+WIDE = PriorOptions(floor={"jaw": (0.2, 0.1, 3.0, 3.0, 3.0)}, other_floor=0.2)
+
+
 @dataclass(frozen=True)
 class GaussianPrior:
     """-log of N(mean, covariance) over the controls q (k,), but for a constant."""
@@ -49,7 +55,7 @@ class GaussianPrior:
     @cached_property
     def precision(self) -> Floats:
         """Return the inverse of the covariance."""
-        return inverse(self.covariance)
+        return inverse_of_positive(self.covariance)
 
     @property
     def variance(self) -> Floats:
@@ -93,13 +99,6 @@ class PriorSum:
     def gauss_newton(self, pose: Pose) -> Floats:
         """See :class:`~solver.fitting.objective.Prior`."""
         return np.asarray(sum(prior.gauss_newton(pose) for prior in self.priors))
-
-
-def inverse(matrix: Floats) -> Floats:
-    """Return the inverse of a positive definite matrix."""
-    factor = scipy.linalg.cho_factor(matrix)
-    found = scipy.linalg.cho_solve(factor, np.eye(len(matrix)))
-    return np.asarray(0.5 * (found + found.T))
 
 
 def from_changes(

@@ -18,9 +18,11 @@ Input = Literal[
     "neutral",
     "captures",
     "performance",
+    "markers",
     "template",
     "model",
     "rig",
+    "any_rig",
     "assets",
     "blendshapes",
     "role",
@@ -56,8 +58,10 @@ class Kind:
         Its inputs. A service looks them up at submission: ``capture`` is one scan as it was
         uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the
         subject's neutral and chosen expressions; ``performance`` is one capture of that role,
-        ``assets`` any number of theirs; ``template`` is the subject's, ``model`` its newest,
-        ``rig`` a fitted person, ``blendshapes`` are those that an earlier job of the rig solved.
+        ``markers`` a take of them with the session's marker set, if there is one, ``assets`` any
+        number of theirs; ``template`` is the subject's, ``model`` its newest, ``rig`` a fitted
+        person, ``any_rig`` one that may be left out, ``blendshapes`` are those that an earlier job
+        of the rig solved.
     asks
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
         the ``start`` of a fit, another rig.

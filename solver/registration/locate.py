@@ -157,8 +157,8 @@ def locate_face(
         is_face=is_face,
         size=FaceSize(unit, factor / motion.scale, *apart),
         motion=Similarity(1.0, motion.rotation, centre - motion.rotation @ there),
-        up=_nearest_axis(motion.rotation[1]),
-        forward=_nearest_axis(motion.rotation[2]),
+        up=nearest_axis(motion.rotation[1]),
+        forward=nearest_axis(motion.rotation[2]),
     )
 
 
@@ -314,5 +314,6 @@ def _given_axes(frame: Mapping[str, Any]) -> Axes:
     return known.get(frame["up"]), known.get(frame["forward"])
 
 
-def _nearest_axis(direction: Floats) -> str:
+def nearest_axis(direction: Floats) -> str:
+    """Return the name of the axis of a file that is nearest to a direction (3,) there."""
     return max(AXES, key=lambda name: float(np.dot(AXES[name], direction)))

@@ -29,7 +29,7 @@ from solver.simulation.forces import Motion
 from solver.storage import write_json
 from solver.surface import Floats
 
-FORMAT = 1  # of files of frames, of reports and of sequence.npz
+FORMAT = 1  # of files of frames, of reports and of sequence.npz; 2 has what markers add
 FRAMES = "frames"  # name of the folder
 
 
@@ -45,6 +45,7 @@ class FrameRecord:
     iterations: int  # of the solve
     seconds: float
 
+    FORMAT: ClassVar[int] = FORMAT
     ARRAYS: ClassVar[tuple[str, ...]] = ("activations", "jaw", "head")
     # array (., 3) -> its name in a file, where it is packed in single precision
     PACKED: ClassVar[Mapping[str, str]] = {}
@@ -77,7 +78,8 @@ def write_chunk(
 ) -> Path:
     """Write frames, the ``first``-th and on, and values ``beside`` them; whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
-    content = {"format": FORMAT, **beside, "frames": [frame.as_dict() for frame in frames]}
+    format_ = max((frame.FORMAT for frame in frames), default=FORMAT)
+    content = {"format": format_, **beside, "frames": [frame.as_dict() for frame in frames]}
     path = folder / _name(first, len(frames))
     partial = path.with_suffix(".partial")
     partial.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
@@ -140,8 +142,8 @@ def read_chunks(
     for path in sorted(folder.glob("*.json")):
         try:
             content = json.loads(path.read_bytes())
-            if content["format"] != FORMAT:
-                raise ValueError(f"their format is {content['format']}, not {FORMAT}")
+            if content["format"] != record.FORMAT:
+                raise ValueError(f"their format is {content['format']}, not {record.FORMAT}")
             read = [record.of(each) for each in content["frames"]]
             take(content, read)
         except InputError as error:
@@ -162,14 +164,14 @@ def _name(first: int, count: int) -> str:
 
 
 def pack(values: Floats, kind: str) -> str:
-    """Return an array (., 3) as text: zlib of its bytes as ``kind``, in base 64."""
+    """Return an array as text: zlib of its bytes as ``kind``, in base 64."""
     return base64.b64encode(zlib.compress(values.astype(kind).tobytes(), 1)).decode()
 
 
-def unpack(text: str, kind: str) -> Floats:
-    """Return the array (., 3) that :func:`pack` gave a text of."""
+def unpack(text: str, kind: str, columns: int = 3) -> Floats:
+    """Return the array (., columns) that :func:`pack` gave a text of."""
     content = zlib.decompress(base64.b64decode(text))
-    return np.frombuffer(content, kind).reshape(-1, 3).astype(np.float64)
+    return np.frombuffer(content, kind).reshape(-1, columns).astype(np.float64)
 
 
 # Simulations.
@@ -256,8 +258,9 @@ def motion_report(frames: Sequence[MotionRecord], model: SubjectModel) -> dict[s
 
 # Fitted performances.
 
-# kept: the fit failed, the pose is the frame before's; unseen: so it is as too little was seen
-Status = Literal["fitted", "kept", "unseen"]
+# kept: the fit failed, the pose is the frame before's; unseen: so it is as too little was seen;
+# predicted: no marker was seen that counts, the pose fades to the rest
+Status = Literal["fitted", "kept", "unseen", "predicted"]
 
 
 @dataclass(frozen=True)
@@ -273,6 +276,33 @@ class SequenceFrame(FrameRecord):
     p95_mm: float | None
     max_mm: float | None
     coverage: float  # share of the face's points that were seen
+
+
+@dataclass(frozen=True)
+class MarkerFrame(SequenceFrame):
+    """One frame of a take of k markers, fitted; distances are those of the markers that count.
+
+    What is of the q controls is in the order of activations and jaw.
+    """
+
+    marker_mm: Floats  # (k,) off the fitted face, NaN where nothing was seen
+    marker_weight: Floats  # (k,) in [0, 1]: the say that it had
+    marker_state: tuple[str, ...]  # (k,) seen, missing, outlier, swapped or relabelled
+    sd: Floats  # (q,) standard deviations
+    information: Floats  # (q,) in [0, 1]: part of the variance that this frame takes away
+    held: Floats  # (m,) 1 where the frame tells too little of a muscle
+    mandible: Floats  # (4, 4) its motion in the head's frame: x -> R x + t, mm
+
+    FORMAT: ClassVar[int] = 2
+    ARRAYS: ClassVar[tuple[str, ...]] = (
+        *FrameRecord.ARRAYS,
+        *("marker_mm", "marker_weight", "sd", "information", "held", "mandible"),
+    )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the frame as JSON values, null where a marker was not seen."""
+        off = [None if np.isnan(each) else each for each in self.marker_mm.tolist()]
+        return super().as_dict() | {"marker_mm": off, "marker_state": list(self.marker_state)}
 
 
 def read_frames(folder: Path, muscles: int) -> list[SequenceFrame]:
@@ -292,14 +322,21 @@ def write_sequence(
 ) -> list[Path]:
     """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths."""
     files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
-    kinds = {"frame": np.int64, "status": np.str_, "inverted": np.int64, "iterations": np.int64}
+    kinds = dict.fromkeys(("frame", "inverted", "iterations"), np.int64)
+    kinds |= {"status": np.str_, "marker_state": np.str_, "held": np.bool_}
+    record = type(frames[0])
     arrays: dict[str, Any] = {
         each.name: np.array(
             [getattr(frame, each.name) for frame in frames], kinds.get(each.name, np.float64)
         )
-        for each in fields(SequenceFrame)
+        for each in fields(record)
     }
-    arrays |= {"format": FORMAT, "muscles": muscles, "fps": fps, "time": arrays["frame"] / fps}
+    arrays |= {
+        "format": record.FORMAT,
+        "muscles": muscles,
+        "fps": fps,
+        "time": arrays["frame"] / fps,
+    }
     np.savez_compressed(files[0], allow_pickle=False, **arrays)
     _write_table(files[1], frames, muscles, fps)
     write_json(files[2], report)
@@ -318,6 +355,7 @@ def sequence_report(frames: Sequence[SequenceFrame], fps: float, name: str) -> d
         "fitted": len(fitted),
         "kept": [frame.frame for frame in frames if frame.status == "kept"],
         "unseen": [frame.frame for frame in frames if frame.status == "unseen"],
+        "predicted": [frame.frame for frame in frames if frame.status == "predicted"],
         "fps": fps,
         "mean_mm": _round(np.mean, errors),
         "median_mm": _round(np.median, errors),

@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import select
 
 from service.settings import Settings
-from service.store.models import Upload
+from service.store.models import Job, Upload
 from tests.service_client import Studio, served
 
 NOBODY = str(uuid.uuid4())
@@ -137,6 +137,39 @@ def test_a_performance_is_for_a_sequence_alone(studio: Studio) -> None:
         body = {"name": "b", "role": "performance", "upload_id": upload, "registered": registered}
         answer = studio.http.post(f"/v1/subjects/{subject}/captures", json=body)
         assert (answer.status_code, answer.json()["code"]) == (422, code)
+
+
+def test_markers_are_a_take_with_a_set_beside_it(studio: Studio) -> None:
+    subject = studio.subject()
+    smile = studio.capture(subject, "smile")
+
+    def add(name: str, file: str) -> dict[str, Any]:
+        body = {"name": name, "role": "markers", "upload_id": studio.upload(file, file.encode())}
+        return dict(studio.http.post(f"/v1/subjects/{subject}/captures", json=body).json())
+
+    take, other, its_set = add("take", "a.C3D"), add("other", "b.csv"), add("set", "markers.json")
+    assert take["registered"]
+    assert add("movie", "a.mov")["code"] == "capture.format"
+    for captures, code in (
+        ([], "job.missing"),
+        ([its_set["id"]], "job.missing"),
+        ([smile], "capture.not_markers"),
+        ([take["id"], other["id"]], "job.one_take"),
+    ):
+        body = {"kind": "check_markers", "subject_id": subject, "captures": captures}
+        answer = studio.http.post("/v1/jobs", json=body)
+        assert (answer.status_code, answer.json()["code"]) == (422, code)
+    body = {"kind": "check_scan", "subject_id": subject, "captures": [take["id"]]}
+    assert studio.http.post("/v1/jobs", json=body).json()["code"] == "capture.is_markers"
+    body = {"kind": "check_markers", "captures": [take["id"], its_set["id"]], "subject_id": subject}
+    job = studio.post("/v1/jobs", **body)
+    assert job["state"] == "queued"
+    with studio.http.app.state.store.read() as session:  # type: ignore[attr-defined]
+        inputs = session.get_one(Job, job["id"]).inputs
+    assert [(each["role"], each["filename"]) for each in inputs] == [
+        ("markers", "a.C3D"),
+        ("marker_set", "markers.json"),
+    ]
 
 
 def test_a_subject_is_deleted_with_all_that_is_its_own(studio: Studio) -> None:

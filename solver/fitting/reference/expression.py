@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from solver.fitting.controls import Block, Layout
 from solver.fitting.face import Face, Pose
 from solver.fitting.least_squares import Listener
-from solver.fitting.objective import Regulariser, Term
+from solver.fitting.objective import Regulariser, Term, curvature_matrix
 from solver.fitting.per_tet import PER_TET, PerTetOptions, PerTetPriors
 from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.reference.common import IpoptProblem, Reference, finite, solve
@@ -67,7 +67,7 @@ class Expression(IpoptProblem):
         self._block = np.tril_indices(muscles.shape[1])
         # the pattern at rest: what is curved elsewhere only, as contact is, has its gradient alone,
         # which slows IPOPT but moves no minimum
-        touched = data.curvature(flesh.rest).copy()
+        touched = curvature_matrix(data.curvature(flesh.rest)).copy()
         touched.data[:] = 1.0
         ones = self._motion(np.ones((3 * len(face.model.mandible), len(jaw))))
         curved_rows, curved_columns = sp.tril(ones.T @ touched @ ones).coords
@@ -119,7 +119,7 @@ class Expression(IpoptProblem):
         pose = self.pose(z)
         blocks, jaw = self._priors.curvature(pose)
         motion = self._motion_at(pose)
-        whole = motion.T @ self._data.curvature(self.place(z)) @ motion
+        whole = motion.T @ curvature_matrix(self._data.curvature(self.place(z))) @ motion
         by_data = np.asarray(sp.csr_array(whole)[self._curved]).ravel()
         lower = blocks[:, self._block[0], self._block[1]]
         return factor * np.concatenate([by_data, lower.ravel(), jaw])

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from solver.errors import Finding
-from solver.storage import Archive
+from solver.errors import Finding, InputError
+from solver.scans.markers.c3d import KEY, read_c3d
+from solver.scans.markers.cleaning import check_seen, drop_far, read_labels, settle_unit
+from solver.scans.markers.landmarks import arrange_landmarks
+from solver.scans.markers.motive import read_motive
+from solver.scans.markers.raw_take import TAKE_OPTIONS, Event, RawTake, TakeOptions, unreadable
+from solver.scans.markers.trc import read_trc
+from solver.storage import Archive, read_arrays
 from solver.surface import Floats
 
 FORMAT = 1
-
-
-@dataclass(frozen=True)
-class Event:
-    """Something that the file marks in time."""
-
-    name: str
-    time: float  # s after the first frame
+MOST_ARRAYS = 3  # of an NPZ, as large as the positions: they, sigma, and what is not read
+BEGIN = 4096  # bytes that tell which reader a file needs
 
 
 @dataclass(frozen=True)
@@ -89,20 +90,109 @@ class Take:
         """
         archive = Archive.read(path, "markers", "a take", FORMAT)
         header, arrays = archive.header, archive.arrays
-        rate = header["rate"]
-        return cls(
-            header["file"],
-            tuple(header["labels"]),
-            arrays["positions"],
-            float("nan") if rate is None else rate,
-            header["first"],
-            header["unit_mm"],
-            arrays.get("sigma"),
-            arrays.get("residual"),
-            arrays["unlabelled"],
-            tuple(header["unlabelled_names"]),
-            header["subject"],
-            header["up"],
-            tuple(Event(**event) for event in header["events"]),
-            tuple(Finding.from_dict(finding) for finding in header["findings"]),
-        )
+        try:
+            take = cls(
+                str(header["file"]),
+                tuple(map(str, header["labels"])),
+                arrays["positions"],
+                float("nan") if header["rate"] is None else float(header["rate"]),
+                int(header["first"]),
+                float(header["unit_mm"]),
+                arrays.get("sigma"),
+                arrays.get("residual"),
+                arrays["unlabelled"],
+                tuple(map(str, header["unlabelled_names"])),
+                str(header["subject"]),
+                header["up"],
+                tuple(Event(**event) for event in header["events"]),
+                tuple(Finding.from_dict(finding) for finding in header["findings"]),
+            )
+        except (AttributeError, LookupError, OverflowError, TypeError, ValueError) as error:
+            raise unreadable(path.name, f"it is not a take: {error}") from error
+        shape, others = take.positions.shape, take.unlabelled.shape
+        is_right = shape == (len(take), len(take.labels), 3)
+        is_right &= others == (len(take), len(take.unlabelled_names), 3)
+        is_right &= take.sigma is None or take.sigma.shape == shape
+        is_right &= take.residual is None or take.residual.shape == shape[:2]
+        if not is_right or any(array.dtype != float for array in arrays.values()):
+            raise unreadable(path.name, "its arrays do not fit its labels")
+        return take
+
+
+def read_take(path: Path, options: TakeOptions = TAKE_OPTIONS) -> Take:
+    """Return the take of a file: C3D, TRC, CSV of Motive, NPZ of landmarks or of :meth:`Take.save`.
+
+    The reader is chosen by what the file holds and not by its suffix. Labels lose blanks and the
+    subject's prefix, tracks without a label are kept apart; what the file left open, and how it was
+    settled, is in ``findings``. The axes stay the file's.
+
+    Raises :class:`InputError` with ``file``: ``markers.unreadable`` (with ``line`` where it is
+    text), ``markers.truncated``, ``markers.too_large``, ``markers.none`` or ``markers.format``.
+    """
+    file = path.name
+    try:
+        size = path.stat().st_size
+        if size > options.most_bytes:
+            message = f"{file} has {size} bytes; at most {options.most_bytes} can be read"
+            raise InputError("markers.too_large", message, file=file, found=size)
+        with path.open("rb") as stream:
+            begin = stream.read(BEGIN)
+        if begin.startswith(b"PK"):
+            return _read_npz(path, options)
+        read = _reader(file, begin)
+        return _settled(file, read(path, options), options)
+    except OSError as error:
+        raise unreadable(file, f"it cannot be read: {error.strerror}") from error
+
+
+def _reader(file: str, begin: bytes) -> Callable[[Path, TakeOptions], RawTake]:
+    text = begin.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    if begin[1:2] == bytes([KEY]) and not text.startswith(b"pathfiletype"):
+        return read_c3d
+    if text.startswith(b"pathfiletype"):
+        return read_trc
+    if text.startswith(b"format version"):
+        return read_motive
+    if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise unreadable(file, "it is text in UTF-16; save it as UTF-8")
+    raise unreadable(file, "it is not C3D, TRC, a CSV of Motive, or NPZ")
+
+
+def _read_npz(path: Path, options: TakeOptions) -> Take:
+    try:
+        arrays = read_arrays(path, MOST_ARRAYS * np.dtype(float).itemsize * options.most_values)
+    except ValueError as error:
+        raise unreadable(path.name, f"it is not a whole NPZ: {error}") from error
+    if "header" in arrays:
+        return Take.load(path)
+    return _settled(path.name, arrange_landmarks(path.name, arrays, options), options)
+
+
+def _settled(file: str, raw: RawTake, options: TakeOptions) -> Take:
+    """Return the take of what a file has: labels tidied, in mm."""
+    check_seen(file, raw)
+    count = raw.points.shape[1]
+    read = read_labels(file, raw.names, count)
+    points = raw.points
+    unit, told = settle_unit(file, raw.unit, points[:, read.labelled or read.unlabelled], options)
+    points *= unit
+    names = [*raw.names, *[""] * (count - len(raw.names))]
+    far = drop_far(file, names, points, options.farthest_mm)
+    check_seen(file, raw)
+    sigma, residual = raw.sigma, raw.residual
+    return Take(
+        file,
+        read.labels,
+        points[:, read.labelled],
+        raw.rate,
+        raw.first,
+        unit,
+        None if sigma is None else sigma[:, read.labelled] * unit,
+        None if residual is None else residual[:, read.labelled] * unit,
+        points[:, read.unlabelled],
+        read.unlabelled_names,
+        read.subject,
+        raw.up,
+        raw.events,
+        (*raw.findings, *read.findings, *told, *far),
+    )

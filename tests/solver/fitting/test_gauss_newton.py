@@ -4,10 +4,17 @@ import numpy as np
 import pytest
 
 from solver.fitting import activation
-from solver.fitting.activation import DenseModel, DescentOptions, GaussNewton
+from solver.fitting.activation import (
+    ActivationOptions,
+    DenseModel,
+    DescentOptions,
+    GaussNewton,
+    LearntMatrix,
+)
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
+from tests.fixtures import small_capture, small_model
 from tests.solver.block import block_model, poses
 
 DAMPING = 1e-3
@@ -38,7 +45,9 @@ def test_step_is_that_of_the_exact_matrix(problem):
     wrong = matrix + parts[2].gauss_newton(parts[3].pose)
     elsewhere = DenseModel(parts[3].pose.layout, wrong, gradient).step(DAMPING, np.inf).change
     assert np.abs(elsewhere - step).max() > 0.05 * np.abs(step).max()
-    found = GaussNewton(*parts, matrix, DescentOptions(accuracy=1e-6)).step(DAMPING, np.inf)
+    found = GaussNewton(*parts, LearntMatrix.of(matrix), DescentOptions(accuracy=1e-6)).step(
+        DAMPING, np.inf
+    )
     np.testing.assert_allclose(found.change, step, atol=1e-3 * np.abs(step).max())
     gain = -gradient @ step - 0.5 * step @ hessian @ step
     assert found.gain == pytest.approx(gain, rel=1e-4)
@@ -49,14 +58,14 @@ def test_step_is_that_of_the_exact_matrix(problem):
 
 def test_matrix_learns_what_the_step_needed(problem):
     *parts, matrix = problem
-    model = GaussNewton(*parts, matrix)
+    model = GaussNewton(*parts, LearntMatrix.of(matrix))
     model.step(DAMPING, np.inf)
     _, gradient, step = exact(*parts)
     known = parts[2].gauss_newton(parts[3].pose)
     layout = parts[3].pose.layout
     errors = [
         np.abs(DenseModel(layout, each + known, gradient).step(DAMPING, np.inf).change - step).max()
-        for each in (matrix, model.matrix)
+        for each in (matrix, model.learnt.matrix)
     ]
     assert errors[1] < 0.5 * errors[0]
 
@@ -65,6 +74,23 @@ def test_step_is_cut_to_the_trust(problem):
     *parts, matrix = problem
     _, gradient, step = exact(*parts)
     whole = parts[3].pose.layout.reach(step)
-    found = GaussNewton(*parts, matrix).step(DAMPING, 0.1 * whole)
+    found = GaussNewton(*parts, LearntMatrix.of(matrix)).step(DAMPING, 0.1 * whole)
     assert found.reach == pytest.approx(0.1 * whole, rel=1e-9)
     assert 0.0 < found.gain < -gradient @ found.change
+
+
+@pytest.mark.parametrize(("expression", "draw"), [("smile", 0), ("surprise", 3), ("ah", 6)])
+def test_few_points_are_fitted_from_rest(expression, draw):
+    """With 40 of 1,849 points K is singular; it has to stay positive semi-definite as it learns."""
+    face = Face(small_model())
+    points = small_capture(expression).vertices[face.model.face]
+    weights = np.zeros(len(points))
+    rng = np.random.default_rng(1)
+    chosen = [rng.choice(len(points), 40, replace=False) for _ in range(draw + 1)]
+    weights[chosen[draw]] = 1.0
+    data = SkinDistance(face, Target.from_points(points, weights))
+    prior = activation.unseen_regulariser(face)
+    matrix = activation.curvature(face, data, face.rest)
+    options = ActivationOptions(max_iterations=25, tolerance=1e-3)
+    fit = activation.fit(face, data, prior, options=options, matrix=matrix)
+    assert fit.objective < 0.3 * activation.objective(data, prior, face.rest)

@@ -5,6 +5,7 @@ const NEUTRAL = ["neutral", "neutre", "rest", "relaxed"];
 const LETTERS = { ß: "ss", æ: "ae", Æ: "AE", œ: "oe", Œ: "OE", ø: "o", Ø: "O", ł: "l", Ł: "L" };
 const LANDMARKS = /[ _.-]*(landmarks?|lm)$/i;
 const PERFORMANCE = ".npy";
+const TAKES = [".c3d", ".trc"];
 const DEVICES = /^(con|prn|aux|nul|com[0-9]|lpt[0-9])(\.|$)/i; // Windows keeps these names
 const LONGEST_NAME = 64;
 const LONGEST_HEADER = 1 << 14;
@@ -41,7 +42,7 @@ async function filesIn(entry) {
  * comes first.
  */
 export function sorted(files, limits) {
-  const isScan = (file) => [...limits.raw_scan_formats, PERFORMANCE].includes(suffix(file));
+  const isScan = (file) => [...limits.raw_scan_formats, PERFORMANCE, ...TAKES].includes(suffix(file));
   const isLandmarks = (file) => limits.landmark_formats.includes(suffix(file));
   const meshes = files.filter((file) => isScan(file) && !isLandmarks(file));
   const stems = new Set(meshes.map(stem));
@@ -75,6 +76,7 @@ export function named(files) {
 
 function roleOf(file) {
   if (suffix(file) === PERFORMANCE) return "performance";
+  if (TAKES.includes(suffix(file))) return "markers";
   const words = plain(stem(file)).replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase();
   return words.split(/[^a-z]+/).some((word) => NEUTRAL.includes(word)) ? "neutral" : "expression";
 }

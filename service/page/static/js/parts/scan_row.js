@@ -18,12 +18,14 @@ const ROLES = [
   ["neutral", "Neutral"],
   ["expression", "Expression"],
   ["performance", "Performance"],
+  ["markers", "Markers"],
   ["asset", "File for scenes"],
 ];
 
 /** What is no scan, and what becomes of it. */
 const UNCHECKED = {
   performance: "A performance is not checked; fit it with a rig.",
+  markers: "Markers are checked on the subject's page.",
   asset: "Scenes can name it.",
 };
 

@@ -25,7 +25,7 @@ const MODEL = { succeeded: "Built", queued: "Waits to be built", running: "Being
 
 /** Return the kinds of job that need nothing but a rig and, maybe, assets. */
 function kindsOfRigs(kinds) {
-  const needless = ({ reads }) => !reads.includes("captures") && !reads.includes("performance");
+  const needless = ({ reads }) => !["captures", "performance", "markers"].some((each) => reads.includes(each));
   return [...kinds.values()].filter((kind) => kind.reads.includes("rig") && needless(kind));
 }
 
@@ -156,12 +156,13 @@ class SubjectView {
     });
     const act = (words, action, kind = null) =>
       button([words, h("span", { class: "unseen" }, ` ${name}`)], action, kind);
-    const isScan = role !== "performance" && role !== "asset";
+    const isScan = role === "neutral" || role === "expression";
     const actions = h(
       "div",
       { class: "row end" },
       isScan && act("Check", () => this.order("check_scan", { captures: [id] })),
       isScan && !capture.registered && act("Register", () => this.order("register_scan", { captures: [id] })),
+      role === "markers" && act("Check", () => this.order("check_markers", { captures: [id] })),
       role === "performance" && act("Fit", () => this.fitPerformance(id)),
       act("Edit", () => this.edit(askToEditCapture(this.captures.get(id)))),
       act("Delete", () => this.deleteCapture(capture), "plain danger"),

@@ -1,0 +1,44 @@
+"""Commands about takes of markers: check them, bind them to a person."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from myoface.cli.app import NewFile
+from myoface.cli.commands import Argument, Group, Option
+from myoface.cli.console import out
+from myoface.cli.offline import Take, make_command
+from solver.kinds import KINDS
+
+markers = Group("Markers on a face: check takes, bind them to a person.")
+markers.command("check")(make_command(KINDS["check_markers"]))
+
+Person = Annotated[
+    Path, Argument(exists=True, dir_okay=False, help="the person: rig.npz or model.npz")
+]
+
+
+@markers.command()
+def bind(
+    model: Person,
+    take: Take,
+    frame: Annotated[
+        int | None, Option(help="at which the face is at rest; default: the stillest second")
+    ] = None,
+    output: NewFile = Path("markers.json"),
+) -> None:
+    """Propose where each label of a take sits on a person: the marker set of a session."""
+    from solver.model import SubjectModel
+    from solver.scans.markers.bind import bind, frames_about
+    from solver.scans.markers.take import read_take
+
+    read = read_take(take)
+    found = bind(read, SubjectModel.load(model), frames_about(read, frame))
+    found.markers.save(output)
+    first, last = (read.first + each for each in found.neutral)
+    parts = [each.part for each in found.markers.markers]
+    counted = ", ".join(f"{parts.count(part)} {part}" for part in dict.fromkeys(parts))
+    out.print(f"at rest in frames {first} to {last}: {counted}")
+    out.print(f"{found.located.miss():.1f} mm off the skin")
+    out.print(f"{output}")

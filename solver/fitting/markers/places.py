@@ -1,0 +1,108 @@
+"""Mend a marker set by the frames of a take: places and heights, solved with the activations.
+
+A marker that is bound beside where it is leaves the same offset in every frame, in the axes of its
+triangle; what the face does differs from frame to frame. So its place moves by the median offset,
+shrunk by how well that is known: b s^2 / (s^2 + v / n), for the offset b with the spread v over n
+frames and the binding's own spread s. It never moves far from where it was bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from solver.errors import SolveError
+from solver.fitting.face import Face
+from solver.fitting.least_squares import StopOptions
+from solver.fitting.markers.term import MarkerPlaces
+from solver.fitting.markers.tracker import MarkerOptions, MarkerTracker
+from solver.fitting.prior import GaussianPrior
+from solver.fitting.sequence import TrackingOptions
+from solver.scans.markers.marker_set import Marker
+from solver.surface import Floats, unit_rows
+
+
+@dataclass(frozen=True)
+class RefineOptions:
+    """Rounds, and how far a place may move."""
+
+    rounds: int = 2
+    most_mm: float = 5.0  # from where a marker was bound
+    least_frames: int = 5  # in which a marker counts, or it stays
+    left: float = 0.6  # of the binding's spread that a moved place is left with
+    # frames lie far apart: each may take more steps
+    tracking: MarkerOptions = field(
+        default_factory=lambda: MarkerOptions(tracking=TrackingOptions(StopOptions(10, 2e-3)))
+    )
+
+
+def refine(
+    face: Face,
+    markers: Sequence[Marker],
+    prior: GaussianPrior,
+    frames: Sequence[Floats],
+    seconds: float,
+    options: RefineOptions = RefineOptions(),
+) -> tuple[Marker, ...]:
+    """Return the markers moved by what ``frames`` (k, 3) in the model's axes say of them.
+
+    The frames are ``seconds`` apart, of all that the face does. Markers on bones stay.
+    """
+    rest, now = face.model.rest, list(markers)
+    bound = MarkerPlaces(face.model, markers).at(rest)
+    for _ in range(options.rounds):
+        places = MarkerPlaces(face.model, now)
+        sigma = np.array([marker.sigma_mm for marker in now])
+        tracker = MarkerTracker(face, places, sigma, prior, seconds, options.tracking)
+        offsets = _offsets(tracker, frames)
+        counts = np.isfinite(offsets[..., 0]).sum(axis=0)
+        axes, at = triangle_axes(places.corners(rest)), places.at(rest)
+        for number, marker in enumerate(now):
+            count = int(counts[number])
+            if count < options.least_frames or marker.place_mm is not None:
+                continue
+            mine = offsets[:, number][np.isfinite(offsets[:, number, 0])]
+            trusted = marker.sigma_mm**2 / (marker.sigma_mm**2 + mine.var(axis=0) / count)
+            goal = at[number] + axes[number] @ (trusted * np.median(mine, axis=0))
+            away = goal - bound[number]
+            away *= min(1.0, options.most_mm / max(float(np.linalg.norm(away)), 1e-9))
+            corners = face.model.skin.vertices[list(marker.vertices)]
+            now[number] = place_on(marker, bound[number] + away, corners)
+    return tuple(
+        marker if marker is before else replace(marker, sigma_mm=options.left * before.sigma_mm)
+        for marker, before in zip(now, markers, strict=True)
+    )
+
+
+def _offsets(tracker: MarkerTracker, frames: Sequence[Floats]) -> Floats:
+    """Return what is left of frames (f, k, 3) in the axes of triangles, NaN where nothing is."""
+    found = []
+    for seen in frames:
+        try:
+            fit = tracker.fit(seen)
+        except SolveError:
+            continue
+        off = (fit.judged.points - fit.placed.points) @ fit.placed.head.rotation
+        axes = triangle_axes(tracker.places.corners(fit.state.x))
+        local = np.einsum("kij,ki->kj", axes, off)
+        found.append(np.where(fit.judged.weights[:, None] > 0.0, local, np.nan))
+    return np.reshape(found, (-1, len(tracker.places), 3))
+
+
+def triangle_axes(corners: Floats) -> Floats:
+    """Return axes (k, 3, 3), as columns: along a triangle's first edge, across it, its normal."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal, along = unit_rows(np.cross(first, second)), unit_rows(first)
+    return np.stack([along, np.cross(normal, along), normal], axis=2)
+
+
+def place_on(marker: Marker, point: Floats, corners: Floats) -> Marker:
+    """Return a marker moved to ``point`` (3,), given by its triangle's ``corners`` (3, 3)."""
+    normal = triangle_axes(corners[None])[0, :, 2]
+    height = float((point - corners[0]) @ normal)
+    edges = (corners[1:] - corners[0]).T
+    shares = np.linalg.lstsq(edges, point - corners[0] - height * normal)[0]
+    one, two = (float(share) for share in shares)
+    return replace(marker, weights=(1.0 - one - two, one, two), height_mm=height)

@@ -1,0 +1,167 @@
+"""Tell right markers from wrong ones in one frame, before the face is fitted to them.
+
+    p ~ N(predicted, S),    o_k = p_k + e_k,    e_k ~ N(0, Lambda_k^-1 / w_k)
+
+p (3 k,) are the markers' places in the take: the spread S comes from the controls and the head as
+they are before the frame. Weights w are Geman and McClure's (1987), graduated: their scale falls
+round by round, so that a wrong marker loses its say before it has bent the face (Blake and
+Zisserman 1987). What a label lost is looked for among points of other labels and of tracks without
+one, by assignment to the predicted places: swaps and ghosts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from solver.surface import Floats, Ints
+
+MarkerState = Literal["seen", "missing", "outlier", "swapped", "relabelled"]
+
+
+@dataclass(frozen=True)
+class RobustOptions:
+    """Scales of the weights, and what is too far off to be a marker's."""
+
+    scales: tuple[float, ...] = (4.0, 2.0, 1.0, 1.0)  # of the rounds, times ``scale_mm``
+    scale_mm: float = 1.8
+    least_weight: float = 0.04  # below it, at twice the scale, a marker is an outlier
+    gate_mm: float = 2.5  # of another's point that is taken for a marker ...
+    gate_sd: float = 2.0  # ... and the predicted spread that comes to it
+    most_gate_mm: float = 8.0
+    better: float = 2.0  # times as far has the label's own point to be
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Markers' places ``points`` (k, 3) in the take before a frame, and their covariance."""
+
+    points: Floats
+    covariance: Floats  # (3 k, 3 k)
+
+    def given(self, seen: Floats, precision: Floats) -> Prediction:
+        """Return the places after points ``seen`` (k, 3) of ``precision`` (k, 3), 0 for none."""
+        rows = np.flatnonzero(precision.ravel() > 0.0)
+        gain, spread = self._gain(rows, precision)
+        told = scipy.linalg.solve(spread, gain.T, assume_a="pos") if len(rows) else gain.T
+        moved = (seen - self.points).ravel()[rows] @ told
+        return Prediction(self.points + moved.reshape(-1, 3), self.covariance - gain @ told)
+
+    def moved(self, seen: Floats, precision: Floats) -> Floats:
+        """Return the places (k, 3) of :meth:`given`, without their covariance."""
+        rows = np.flatnonzero(precision.ravel() > 0.0)
+        if not len(rows):
+            return self.points
+        gain, spread = self._gain(rows, precision)
+        off = (seen - self.points).ravel()[rows]
+        step = gain @ scipy.linalg.solve(spread, off, assume_a="pos")
+        return np.asarray(self.points + step.reshape(-1, 3))
+
+    def _gain(self, rows: Ints, precision: Floats) -> tuple[Floats, Floats]:
+        """Return the columns ``rows`` of the covariance, and that of what is seen there."""
+        gain = self.covariance[:, rows]
+        spread = gain[rows]
+        spread[np.diag_indices_from(spread)] += 1.0 / precision.ravel()[rows]
+        return gain, spread
+
+    @property
+    def sd(self) -> Floats:
+        """Return the greatest of a marker's three standard deviations, (k,) mm."""
+        count = len(self.points)
+        blocks = self.covariance.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
+        return np.sqrt(np.linalg.eigvalsh(blocks)[:, -1])
+
+
+@dataclass(frozen=True)
+class JudgedFrame:
+    """A frame's points with the labels that they are, their weights and states."""
+
+    points: Floats  # (k, 3) NaN where there is none
+    weights: Floats  # (k,) in [0, 1]
+    states: NDArray[np.str_]  # (k,) of MarkerState
+
+
+def judge(
+    prediction: Prediction,
+    seen: Floats,
+    precision: Floats,
+    unlabelled: Floats,
+    options: RobustOptions = RobustOptions(),
+) -> JudgedFrame:
+    """Weigh a frame's points ``seen`` (k, 3) and give those that are wrong to whom they belong.
+
+    ``precision`` (k, 3) is that of right points, ``unlabelled`` (u, 3) may hold NaN.
+    """
+    present = np.asarray(np.isfinite(seen).all(axis=1))
+    states = np.where(present, "seen", "missing").astype("<U10")
+    weights = weigh(prediction, seen, precision, options.scales, options)
+    wrong = present & (weights < options.least_weight)
+    states[wrong] = "outlier"
+    points = seen.copy()
+    if wrong.any() or (len(unlabelled) and not present.all()):
+        right = (present & ~wrong)[:, None]
+        told = np.where(right, precision * weights[:, None], 0.0)
+        after = prediction.given(np.where(right, seen, 0.0), told)
+        for label, point, state in _assign(after, seen, states, unlabelled, options):
+            points[label], states[label] = point, state
+    used = (states != "outlier") & (states != "missing")
+    kept = np.where(used[:, None], precision, 0.0)
+    weights = weigh(prediction, points, kept, options.scales[-1:] * 2, options)
+    # a label that was given a point does not keep one that the others speak against
+    again = used & (weights < options.least_weight)
+    states[again] = "outlier"
+    return JudgedFrame(points, np.where(used & ~again, weights, 0.0), states)
+
+
+def weigh(
+    prediction: Prediction,
+    seen: Floats,
+    precision: Floats,
+    scales: tuple[float, ...],
+    options: RobustOptions,
+) -> Floats:
+    """Return the weights (k,) of points after rounds with these scales, 0 where none was seen."""
+    known = np.isfinite(seen).all(axis=1) & (precision > 0.0).any(axis=1)
+    exact, points = np.where(known[:, None], precision, 0.0), np.where(known[:, None], seen, 0.0)
+    places = prediction.points
+    for number, scale in enumerate([*scales, scales[-1]]):
+        off = np.linalg.norm(points - places, axis=1) / (scale * options.scale_mm)
+        weights = np.where(known, 1.0 / (1.0 + off**2) ** 2, 0.0)
+        if number < len(scales):
+            places = prediction.moved(points, exact * np.maximum(weights, 1e-9)[:, None])
+    return weights
+
+
+def _assign(
+    after: Prediction,
+    seen: Floats,
+    states: NDArray[np.str_],
+    unlabelled: Floats,
+    options: RobustOptions,
+) -> list[tuple[int, Floats, MarkerState]]:
+    """Return labels that take a point near their places ``after`` the right points are known.
+
+    They are given as number, point and what that makes of the label.
+    """
+    owners = np.flatnonzero(states == "outlier")
+    labels = np.flatnonzero((states == "outlier") | (states == "missing"))
+    candidates = np.concatenate([seen[owners], unlabelled[np.isfinite(unlabelled).all(axis=1)]])
+    if not len(labels) or not len(candidates):
+        return []
+    gates = np.minimum(options.gate_mm + options.gate_sd * after.sd[labels], options.most_gate_mm)
+    away = np.linalg.norm(after.points[labels][:, None] - candidates, axis=2)
+    rows, columns = linear_sum_assignment(np.minimum(away / gates[:, None], 1.0))
+    found: list[tuple[int, Floats, MarkerState]] = []
+    for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+        label, other = int(labels[row]), column >= len(owners) or owners[column] != labels[row]
+        own = np.linalg.norm(seen[label] - after.points[label])  # NaN: it has none
+        near = away[row, column]
+        if other and near <= gates[row] and not own < options.better * near:
+            state: MarkerState = "swapped" if column < len(owners) else "relabelled"
+            found.append((label, candidates[column], state))
+    return found

@@ -1,0 +1,35 @@
+"""Check a take of markers: whether it can be used, and what is wrong with which label."""
+
+from pydantic import Field
+
+from solver.kinds.kind import JobOptions, Kind
+
+
+class CheckMarkers(JobOptions):
+    """Options of a check of markers."""
+
+    neutral: int | None = Field(
+        default=None,
+        ge=0,
+        le=2**31,
+        description="frame, as the file counts, at which the face is at rest; null: the stillest "
+        "second",
+    )
+    actor: bool = Field(
+        default=False,
+        description="the take is another person's than the rig, whose motion is carried over",
+    )
+
+
+KIND = Kind(
+    title="Check markers",
+    description="Whether a take of markers can be used: verdict, findings with label, frames and "
+    "advice, and a picture; with a rig also where each label sits on it.",
+    queue="short",
+    reads=("markers", "any_rig", "template"),
+    leaves="marker_check",
+    report="check.json",
+    result="check.png",
+    folder="check",
+    options=CheckMarkers,
+)

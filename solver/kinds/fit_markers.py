@@ -1,0 +1,81 @@
+"""Fit a take of markers with a rig's muscle weights, frame after frame."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from solver.kinds.document import Integral, Whole
+from solver.kinds.kind import JobOptions, Kind, LinearSolver
+
+
+class FitMarkers(JobOptions):
+    """Options of a fit of markers."""
+
+    start: Whole = Field(default=0, ge=0, description="first frame to fit, from 0")
+    end: Annotated[int, Field(ge=1), Integral] | None = Field(
+        default=None, description="the frame after the last to fit; null: all to the end"
+    )
+    step: Whole = Field(default=1, ge=1, description="fit every frame, every second ...")
+    rate: float | None = Field(
+        default=None,
+        gt=0,
+        le=10_000,
+        description="frames of the take per second; null: what the file says, else 60",
+    )
+    prior: Literal["shapes", "scans", "none"] = Field(
+        default="shapes",
+        description="what makes a pose probable: shapes, the template's expressions; scans, the "
+        "rig's own; none, the size of the activations alone",
+    )
+    temporal: float = Field(
+        default=1.0,
+        gt=0,
+        le=1000,
+        description="seconds in which a control that no marker tells of fades to the resting face",
+    )
+    hold_below: float = Field(
+        default=0.2,
+        ge=0,
+        le=1,
+        description="part of a muscle's spread that a frame must take away, or it counts as held",
+    )
+    sigma_mm: float = Field(
+        default=0.2, gt=0, le=20, description="standard deviation of a seen point, mm"
+    )
+    robust_mm: float = Field(
+        default=1.8,
+        gt=0,
+        le=50,
+        description="distance at which a point has a quarter of its say: twice as far it is wrong",
+    )
+    smooth: bool = Field(
+        default=False,
+        description="sweep back over the take at the end, so that every frame knows of those after "
+        "it too: smoother, and gaps are bridged from both sides",
+    )
+    refine: Whole = Field(
+        default=0,
+        ge=0,
+        le=1000,
+        description="frames, evenly over the take, by which the markers' places are mended first, "
+        "left in markers.json for all takes of the session; 0: none",
+    )
+    max_iterations: Whole = Field(
+        default=15, ge=1, le=500, description="Gauss-Newton iterations per frame at most"
+    )
+    linear_solver: LinearSolver = None
+
+
+KIND = Kind(
+    title="Fit markers",
+    description="Activations, jaw and head of every frame of a take of markers, with the spread "
+    "of each; wrong points are rejected, swaps mended, and muscles that no marker tells of held.",
+    queue="long",
+    reads=("rig", "markers", "template"),
+    leaves="sequence",
+    report="sequence.json",
+    result="sequence.npz",
+    folder="sequence",
+    options=FitMarkers,
+    frames=True,
+)

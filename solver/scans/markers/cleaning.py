@@ -1,0 +1,205 @@
+"""Settling what a file leaves open: whose labels, which tracks have none, and which unit."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from solver.errors import Finding, InputError, quote, quote_names
+from solver.kinds.marker_set import LONGEST_LABEL
+from solver.scans.markers.raw_take import RawTake, TakeOptions, tell
+from solver.surface import Floats
+
+# How capture programs call a track that nobody has labelled: *12, U_3, Unlabeled 1004, ?7.
+UNLABELLED = re.compile(r"[*?]+\d*|u_?\*?\d+|(unlabell?ed|uname|noname|unnamed)\W*_?\d*", re.I)
+UNITS = {  # in the singular, as Americans write it -> mm
+    "mm": 1.0,
+    "millimeter": 1.0,
+    "cm": 10.0,
+    "centimeter": 10.0,
+    "m": 1000.0,
+    "meter": 1000.0,
+    "in": 25.4,
+    "inch": 25.4,
+    "ft": 304.8,
+    "feet": 304.8,
+}
+GUESSES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}  # units of a file that does not say its own
+LOOKED_AT = 200  # frames of which the size is taken
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Which columns of a file are labelled tracks, and which are not."""
+
+    labels: tuple[str, ...]
+    labelled: list[int]  # columns
+    unlabelled_names: tuple[str, ...]
+    unlabelled: list[int]  # columns
+    subject: str
+    findings: list[Finding]
+
+
+def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
+    """Return labels of ``count`` tracks without blanks and subjects, and those that have none.
+
+    A label that stands there twice gets a number. Where two subjects have the same labels all keep
+    their subject's name, as ``Jane:LBRO1``.
+    """
+    plain = [_tidied(name) for name in names[:count]] + [""] * (count - len(names))
+    parts = [tuple(map(str.strip, name.rpartition(":")[::2])) for name in plain]
+    labelled = [at for at, (_, label) in enumerate(parts) if label and not _is_unlabelled(label)]
+    others = sorted(set(range(count)) - set(labelled))
+    unnamed = [at for at in others if not parts[at][1]]
+    findings = []
+    if unnamed:
+        message = f"{file}: {len(unnamed)} of {count} tracks have no label; they count as any."
+        findings.append(tell("labels", "warning", message, file=file, tracks=unnamed[:20]))
+    elif not labelled:
+        message = f"{file} has {count} tracks and no label; binding goes by their places."
+        findings.append(tell("labels", "warning", message, file=file))
+    pairs = {parts[at] for at in labelled}
+    subjects = list(dict.fromkeys(parts[at][0] for at in labelled))
+    if len(pairs) > len({label for _, label in pairs}):
+        shown = quote_names(subjects)
+        message = f"{file} has the same labels for {', '.join(shown)}: more than one face."
+        findings.append(tell("two_faces", "warning", message, file=file, subjects=shown))
+        texts, subject = [":".join(filter(None, parts[at])) for at in labelled], ""
+    else:
+        texts, subject = [parts[at][1] for at in labelled], ", ".join(filter(None, subjects))
+    labels, more = _numbered(file, texts)
+    names_of_others = [parts[at][1] or f"#{at + 1}" for at in others]
+    return Labels(
+        tuple(labels),
+        labelled,
+        tuple(names_of_others),
+        others,
+        quote(subject),
+        findings + more + _foreign(file, labels),
+    )
+
+
+def _tidied(name: str) -> str:
+    """Return a name in one form of Unicode, with single blanks and nothing that does not print."""
+    text = " ".join(unicodedata.normalize("NFC", name[: 4 * LONGEST_LABEL]).split())
+    return "".join(each for each in text if each.isprintable())[:LONGEST_LABEL].strip()
+
+
+def _is_unlabelled(label: str) -> bool:
+    return UNLABELLED.fullmatch(label) is not None
+
+
+def _numbered(file: str, texts: Sequence[str]) -> tuple[list[str], list[Finding]]:
+    """Return labels of which no two are alike; a number tells those that are apart."""
+    taken, proposals = set(texts), {}
+    seen: Counter[str] = Counter()
+    labels = []
+    for text in texts:
+        seen[text] += 1
+        label = text
+        while label != text or seen[text] > 1:
+            label = f"{text}_{seen[text]}"
+            if label not in taken:
+                break
+            seen[text] += 1
+        if label != text:
+            proposals[label] = text
+            taken.add(label)
+        labels.append(label)
+    if not proposals:
+        return labels, []
+    twice = quote_names(list(dict.fromkeys(proposals.values())))
+    message = f"{file} has labels more than once: {', '.join(twice)}; the others get a number."
+    shown = dict(zip(quote_names(list(proposals)), map(quote, proposals.values()), strict=False))
+    return labels, [tell("labels", "warning", message, file=file, labels=twice, proposals=shown)]
+
+
+def _foreign(file: str, labels: Sequence[str]) -> list[Finding]:
+    """Tell labels that not every program can read, with ones that it can."""
+    foreign = [label for label in labels if not label.isascii()]
+    if not foreign:
+        return []
+    plain = [unicodedata.normalize("NFKD", each).encode("ascii", "ignore") for each in foreign]
+    shown = dict(zip(quote_names(foreign), (each.decode() for each in plain), strict=False))
+    message = f"{file} has labels beyond ASCII: {', '.join(quote_names(foreign))}."
+    return [tell("labels", "info", message, file=file, labels=list(shown), proposals=shown)]
+
+
+# Units, and points that are none.
+
+
+def settle_unit(
+    file: str, unit: str | float | None, points: Floats, options: TakeOptions
+) -> tuple[float, list[Finding]]:
+    """Return mm a unit for points (f, n, 3): what the file says, unless no person is that large.
+
+    A file that says nothing, or what cannot be, is read in the unit in which its points spread as
+    markers of a face do. An ``error`` is one that no unit fits.
+    """
+    said = _mm_of(unit) if isinstance(unit, str) else unit
+    spread = _spread(points)
+    if said is not None and (np.isnan(spread) or _within(spread * said, options.seen_mm)):
+        return said, []
+    words = f"says '{quote(unit)}'" if unit else "does not say its unit"
+    for bounds in (options.face_mm, options.seen_mm):
+        for name, mm in GUESSES.items():
+            if not _within(spread * mm, bounds):
+                continue
+            told = f"{file} {words}; it is read in {name}, in which points spread {spread * mm:.0f}"
+            is_plain = not unit and bounds == options.face_mm
+            found = {"file": file, "unit": name, "spread_mm": round(spread * mm, 1)}
+            severity = "info" if is_plain else "warning"
+            return mm, [tell("unit", severity, f"{told} mm about their middle.", **found)]
+    if np.isnan(spread):
+        message = f"{file} {words}, and too few points are seen at once to tell: it is read in mm."
+        return 1.0, [tell("unit", "warning", message, file=file)]
+    message = f"{file} {words}, and in no unit its points, {spread:.3g} apart, are on a person."
+    return said or 1.0, [tell("unit", "error", message, file=file, spread=spread)]
+
+
+def drop_far(file: str, labels: Sequence[str], points: Floats, most: float) -> list[Finding]:
+    """Make points (f, n, 3) NaN that are infinite or farther off than ``most``; tell of them."""
+    with np.errstate(invalid="ignore"):
+        is_far = (np.abs(points) > most).any(axis=-1)
+    is_missing = np.isnan(points).any(axis=-1)
+    points[is_far | is_missing] = np.nan
+    count = int(is_far.sum())
+    if not count:
+        return []
+    frame, track = np.argwhere(is_far)[0]
+    where = f"the first, {quote(labels[track])}, in frame {frame} of the take"
+    message = f"{file} has {count} points where no studio is, {where}."
+    context = {"file": file, "label": quote(labels[track]), "frame": int(frame), "count": count}
+    return [tell("far", "warning", message, **context)]
+
+
+def check_seen(file: str, raw: RawTake) -> None:
+    """Raise :class:`InputError` (``markers.none``) if no point is ever seen."""
+    if not np.isfinite(raw.points[..., 0]).any():
+        message = f"{file} has {raw.points.shape[1]} tracks, and none of them is ever seen"
+        raise InputError("markers.none", message, file=file)
+
+
+def _mm_of(name: str) -> float | None:
+    word = name.strip().lower().replace("metre", "meter")
+    return UNITS.get(word.removesuffix("es") if word == "inches" else word.removesuffix("s"))
+
+
+def _spread(points: Floats) -> float:
+    """Return the usual distance from the middle, root mean square; NaN without three points."""
+    step = max(1, len(points) // LOOKED_AT)
+    spreads = []
+    for frame in points[::step]:
+        seen = frame[np.isfinite(frame).all(axis=1)]
+        if len(seen) >= 3:
+            spreads.append(np.sqrt(np.median(((seen - np.median(seen, axis=0)) ** 2).sum(axis=1))))
+    return float(np.median(spreads)) if spreads else float("nan")
+
+
+def _within(size: float, bounds: tuple[float, float]) -> bool:
+    return bounds[0] <= size <= bounds[1]

@@ -1,0 +1,300 @@
+"""Findings about a take of markers, each with a stable code, a plain sentence and advice.
+
+Every code has one advice, here; frames are told as the file counts them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from solver.errors import MOST_NAMES, Finding, Severity, quote, quote_names
+from solver.registration.locate import nearest_axis
+from solver.scans.markers.faults import WRONG, Faults, Span
+from solver.scans.markers.locate import Located
+from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.raw_take import ADVICE as READING
+from solver.scans.markers.take import Take
+from solver.surface import Floats, Ints
+
+WHERE = "on the brows, the cheeks, the lips' rims, the chin, and four on a headband"
+ADVICE = {
+    **READING,
+    # the file
+    "markers.axes": "Nothing to do: the take is turned.",
+    "markers.repeated": "Export at the rate of the recording: repeated frames hold nothing new.",
+    "markers.mirrored": "Export with right-handed axes; until then the take is mirrored back.",
+    "markers.sides": "Left is the person's own left: exchange the sides of the labels.",
+    "markers.outside": "Nothing to do: these labels are left out.",
+    "markers.unlabelled": "Label these tracks as the message says, or go on: they are candidates.",
+    "markers.few": f"Put more markers on the face: {WHERE}.",
+    # single labels
+    "markers.dead": "Nothing to do: the label is left out.",
+    "markers.double": "Take one of the two labels out.",
+    "markers.frozen": "Nothing to do: these frames count as missing.",
+    "markers.filled": "Nothing to do, but gaps left open are filled better by the fit.",
+    "markers.missing": "Nothing to do if they are short; else look for what hid the marker.",
+    "markers.gone": "Nothing to do: these frames are predicted, and marked so.",
+    "markers.swapped": "Exchange the two labels in these frames, or go on: the fit does.",
+    "markers.relabelled": "Give the track the other label in these frames, or go on: the fit does.",
+    "markers.exchanged": "Exchange the two labels in the whole take.",
+    "markers.moved": "Bind the take a second time from this frame on: the marker sits elsewhere.",
+    "markers.outlier": "Nothing to do: the fit leaves these frames of the label out.",
+    "markers.ghost": "Nothing to do: a reflection took the label, and is left out.",
+    "markers.wrong": "Clean the take, or take it again: too much of it is wrong.",
+    # the person
+    "markers.neutral": "Name frames with a relaxed face, lips closed, or the expression they show.",
+    "markers.other_person": "Take this person's own rig, or carry the motion over: --actor.",
+}
+
+@dataclass(frozen=True)
+class CheckLimits:
+    """Beyond these a take has a finding; lengths in mm."""
+
+    least: int = 4  # markers on a face
+    wrong: float = 0.3  # of the markers' time: the take is bad
+    seldom: float = 0.01  # of a label's time: outliers and ghosts are only told
+    long_missing: float = 0.2  # of a label's time
+    gone: float = 0.5  # s without any marker
+    slow: float = 20.0  # frames a second; with fewer nothing sudden can be told
+    repeated: float = 0.05  # of the frames
+    linked: float = 100.0  # markers of one head lie no farther apart, one to the next
+    second: float = 0.4  # of the first face's markers make another face ...
+    least_second: int = 6  # ... if they are so many
+    person: float = 3.0  # rms off the rig's skin, or off the places of a marker set
+    open_mouth: float = 5.0  # rms of the jaw's markers, when the others fit
+    misplaced: float = 4.0  # off the place in the set, when the others fit
+    fills: float = 4.0  # an unlabelled track so near to where a missing marker is expected
+    share_filled: float = 0.5  # of a track's frames
+    spans: int = 20  # of a finding that are listed
+    labels: int = 12  # with a finding of their own; the others are counted
+
+
+@dataclass
+class MarkerCheck:
+    """The findings of a check, its figures, and what its picture shows."""
+
+    findings: list[Finding] = field(default_factory=list)
+    figures: dict[str, Any] = field(default_factory=dict)
+    labels: list[dict[str, Any]] = field(default_factory=list)  # a row for each
+    markers: Ints = field(default_factory=lambda: np.zeros(0, np.int64))  # labels of the face
+    faults: Faults | None = None  # of these
+    located: Located | None = None
+    placed: Floats | None = None  # (k, 3) these at rest, in the face's frame
+    bound: MarkerSet | None = None  # proposed, if there is a rig
+
+
+def add(check: MarkerCheck, code: str, severity: Severity, message: str, **figures: Any) -> None:
+    """Add a finding with the advice that belongs to its code."""
+    check.findings.append(Finding(code, severity, message, ADVICE[code], figures))
+
+
+# Single labels.
+
+
+SAID = {
+    "frozen": "repeats its last place",
+    "filled": "runs along a curve that a program has drawn",
+    "missing": "is missing",
+    "swapped": "is swapped with",
+    "relabelled": "lies where another is expected:",
+    "outlier": "is thrown off",
+    "ghost": "is another thing between two gaps",
+}
+
+
+def tell_faults(check: MarkerCheck, take: Take, rate: float, limits: CheckLimits) -> None:
+    """Add a finding for every label and fault, and what holds for all."""
+    faults = check.faults
+    assert faults is not None
+    labels = [take.labels[number] for number in check.markers.tolist()]
+    if faults.halted > limits.repeated:
+        message = f"{faults.halted:.0%} of the frames repeat the one before."
+        add(check, "markers.repeated", "warning", message, found=round(faults.halted, 3))
+    for a, b in faults.doubles:
+        message = f"{quote(labels[a])} and {quote(labels[b])} are one marker."
+        add(check, "markers.double", "warning", message, label=labels[a], other=labels[b])
+    gone = faults.gone(round(limits.gone * rate))
+    if gone:
+        spans = [[take.first + first, take.first + last] for first, last in gone]
+        longest = max(last - first + 1 for first, last in gone) / rate
+        number = count_words(len(gone), "span", "spans")
+        message = f"No marker is seen in {number}, up to {longest:.1f} s."
+        add(check, "markers.gone", "warning", message, frames=spans[: limits.spans])
+    for marker, span in sorted(faults.moved.items()):
+        frame = take.first + span.first
+        message = f"{quote(labels[marker])} sits {span.mm:.1f} mm elsewhere from frame {frame} on."
+        figures = {"label": labels[marker], "frame": frame, "found": round(span.mm, 1)}
+        add(check, "markers.moved", "warning", message, **figures)
+    for fault in SAID:
+        _tell_fault(check, take, labels, fault, gone, limits)
+    frames = len(take)
+    wrong, missing = faults.share(*WRONG), faults.share("missing")
+    check.figures |= {"wrong": round(wrong, 4), "missing": round(missing, 4)}
+    if wrong > limits.wrong:
+        message = f"{wrong:.0%} of the markers' time in {frames} frames is wrong."
+        add(check, "markers.wrong", "error", message, found=round(wrong, 3), expected=limits.wrong)
+
+
+def _tell_fault(
+    check: MarkerCheck,
+    take: Take,
+    labels: Sequence[str],
+    fault: str,
+    gone: Sequence[tuple[int, int]],
+    limits: CheckLimits,
+) -> None:
+    """Add a finding for each label with a fault, the worst first; the last counts the others."""
+    assert check.faults is not None
+    told = []
+    for marker, others in check.faults.by_marker(fault).items():
+        for other, spans in others.items():
+            own = [span for span in spans if (span.first, span.last) not in gone]
+            twice = fault == "swapped" and other is not None and other < marker
+            if own and not twice:
+                told.append((sum(span.frames for span in own) / len(take), marker, other, own))
+    told.sort(key=lambda each: -each[0])
+    shown = [each for each in told[: limits.labels] if not _is_short_gap(fault, each[0], limits)]
+    for share, marker, other, spans in shown:
+        _tell_spans(check, take, labels, fault, (marker, other), spans, share, limits)
+    others_ = told[len(shown) :]
+    if others_:
+        names = quote_names([labels[each[1]] for each in others_])
+        which = "label has gaps", "labels have gaps"
+        if fault != "missing":
+            which = f"more label {SAID[fault]}", f"more labels: {SAID[fault]}"
+        worst = f"at most {others_[0][0]:.1%} of the time, {names[0]}"
+        severity: Severity = "warning" if fault in ("swapped", "relabelled") else "info"
+        message = f"{count_words(len(others_), *which)}, {worst}."
+        add(check, f"markers.{fault}", severity, message, labels=names)
+
+
+def _is_short_gap(fault: str, share: float, limits: CheckLimits) -> bool:
+    return fault == "missing" and share < limits.long_missing
+
+
+def _tell_spans(
+    check: MarkerCheck,
+    take: Take,
+    labels: Sequence[str],
+    fault: str,
+    pair: tuple[int, int | None],
+    spans: list[Span],
+    share: float,
+    limits: CheckLimits,
+) -> None:
+    """Add the finding of one label, and of the ``pair``'s other where it takes that one's place."""
+    marker, other = pair
+    count = sum(span.frames for span in spans)
+    severity: Severity = "info" if fault == "filled" else "warning"
+    if fault in ("outlier", "ghost", "frozen") and share < limits.seldom:
+        severity = "info"
+    listed = [[take.first + span.first, take.first + span.last] for span in spans]
+    what = SAID[fault] if other is None else f"{SAID[fault]} {quote(labels[other])}"
+    where = f"frames {listed[0][0]} to {listed[0][1]}" if count > 1 else f"frame {listed[0][0]}"
+    if len(spans) > 1:
+        where = f"{len(spans)} spans, {count} frames, the first {listed[0][0]} to {listed[0][1]}"
+    most = max(span.mm for span in spans)
+    off = f" by up to {most:.0f} mm" if fault in ("outlier", "ghost") else ""
+    figures: dict[str, Any] = {"label": labels[marker], "frames": listed[: limits.spans]}
+    if other is not None:
+        figures["other"] = labels[other]
+    message = f"{quote(labels[marker])} {what}{off}: {where}."
+    add(check, f"markers.{fault}", severity, message, share=round(share, 4), **figures)
+
+
+def tell_labels(check: MarkerCheck, take: Take, fault: str, which: Ints, words: str) -> None:
+    if len(which):
+        names = quote_names([take.labels[number] for number in which.tolist()])
+        message = f"{count_words(len(which), 'label is', 'labels are')} {words}: {', '.join(names[:4])}."
+        add(check, f"markers.{fault}", "info", message, labels=names)
+
+
+def label_rows(check: MarkerCheck, take: Take) -> list[dict[str, Any]]:
+    """Return what a table of labels shows."""
+    faults = check.faults
+    assert faults is not None
+    rows = []
+    for number, label in enumerate(check.markers.tolist()):
+        frames = {
+            fault: sum(span.frames for span in faults.of(fault) if span.marker == number)
+            for fault in (*SAID, "moved")
+        }
+        rows.append({"label": take.labels[label], "seen": len(take) - frames["missing"], **frames})
+    return rows
+
+
+def tell_unlabelled(check: MarkerCheck, take: Take, mm: float, limits: CheckLimits) -> None:
+    """Tell which unlabelled tracks lie where a missing marker is expected."""
+    faults = check.faults
+    assert faults is not None
+    if not take.unlabelled_names:
+        return
+    motion, missing = faults.motion, ~np.isfinite(faults.motion.places[..., 0])
+    fits = []
+    for track, name in enumerate(take.unlabelled_names):
+        frames = np.flatnonzero(np.isfinite(take.unlabelled[:, track, 0]))
+        if not len(frames):
+            continue
+        points = mm * take.unlabelled[frames, track]
+        placed = np.einsum("fij,fj->fi", motion.rotations[frames], points) + motion.shifts[frames]
+        away = np.linalg.norm(motion.expected[frames] - placed[:, None], axis=2)
+        near = (missing[frames] & (away < limits.fills)).mean(axis=0)
+        best = int(np.argmax(near))
+        if near[best] > limits.share_filled:
+            label = take.labels[int(check.markers[best])]
+            spans = [[take.first + int(frames[0]), take.first + int(frames[-1])]]
+            fits.append({"track": quote(name), "label": quote(label), "frames": spans})
+    message = f"{count_words(len(take.unlabelled_names), 'track has', 'tracks have')} no label"
+    if fits:
+        shown = ", ".join(f"{each['track']} is {each['label']}" for each in fits[:3])
+        message += f"; {count_words(len(fits), 'fills', 'fill')} gaps of a marker: {shown}"
+    add(check, "markers.unlabelled", "info", f"{message}.", tracks=fits[:MOST_NAMES])
+
+
+# Where the face is.
+
+
+def tell_location(check: MarkerCheck, take: Take, located: Located) -> None:
+    rotation = located.session.rotation
+    up, forward = nearest_axis(rotation[1]), nearest_axis(rotation[2])
+    check.figures |= {
+        "unit": located.unit.name,
+        "mm_per_unit": located.unit.mm_per_unit,
+        "up": up,
+        "forward": forward,
+        "left_handed": located.mirrored,
+        "by_names": located.by_names,
+        "height_mm": round(located.height_mm, 1),
+        "off_skin_mm": round(located.miss(), 2),
+    }
+    if located.unit.source != "assumed":
+        times = located.unit.mm_per_unit
+        message = f"Read as the file says, the face would be {times:.3g} times too small."
+        if times < 1:
+            message = f"Read as the file says, the face would be {1 / times:.3g} times too large."
+        add(check, "markers.unit", "warning", message, found=times)
+    if located.mirrored:
+        message = f"{take.file} is mirrored: its axes are left-handed."
+        add(check, "markers.mirrored", "warning", message)
+    if located.sides_exchanged:
+        message = "Labels of the left lie on the right, and those of the right on the left."
+        add(check, "markers.sides", "warning", message)
+    if (up, forward) != ("y", "z"):
+        message = f"The face looks along {forward}, its top is at {up}."
+        add(check, "markers.axes", "info", message, up=up, forward=forward)
+    labels = [take.labels[number] for number in check.markers.tolist()]
+    for a, b in located.exchanged:
+        tell_exchanged(check, labels[a], labels[b])
+
+
+def tell_exchanged(check: MarkerCheck, first: str, second: str) -> None:
+    message = f"{quote(first)} and {quote(second)} lie in each other's place in the whole take."
+    add(check, "markers.exchanged", "warning", message, label=first, other=second)
+
+
+def count_words(number: int, one: str, many: str) -> str:
+    return f"{number} {one if number == 1 else many}"

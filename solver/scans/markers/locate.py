@@ -1,0 +1,259 @@
+"""Where the face is under markers, in which unit and which way round.
+
+Names say it roughly, and whether left and right are where they should be; without them the
+markers' own shape is looked for on the face, as a face is in a scan. Either way they slide onto the
+skin then, all at one height over it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
+
+from solver.anatomy.embedding import barycentric
+from solver.registration.scan_surface import Samples, sample
+from solver.registration.search import FacePoints, RefinementOptions, find_pose, refine_pose
+from solver.registration.units import UNITS, ScanUnit, UnitOptions, choose_unit
+from solver.scans.markers.names import Named
+from solver.similarity import IDENTITY, Similarity, fit_similarity, robust_motion
+from solver.surface import Floats, Ints, Surface, nearest_sphere, unit_rows
+
+FLIP = np.diag([-1.0, 1.0, 1.0])  # left and right exchanged
+# Names give a size roughly, but units are far apart.
+NAMES_UNIT = UnitOptions(face_sizes=(0.65, 1.5), unusual=0.35)
+
+
+@dataclass(frozen=True)
+class LocateOptions:
+    """How a face is found under markers; lengths in mm."""
+
+    least: int = 4  # markers that say where a face is
+    trims: int = 5  # rounds in which names that fit badly lose their say
+    kept: float = 2.0  # times the median misfit of names: what counts
+    name_misfit: float = 22.0  # of most names; with more the shape is looked for
+    mirrored: float = 0.6  # of the misfit: sides the other way round fit that much better
+    clearly: float = 0.87  # of the first way's miss: the other way round fits better
+    exchanged: float = 800.0  # mm2 that two names gain by changing places
+    samples: int = 20_000  # points of the skin
+    heights: tuple[float, ...] = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0)  # of markers over the skin
+    flat: float = 0.1  # heights whose misfits differ by less cannot be told: the usual is taken
+    usual_height: float = 2.0
+    rounds: int = 3  # of normals and motion
+    extents: tuple[float, float] = (60.0, 420.0)  # of the markers of one head
+    off_skin: float = 15.0  # farther from the skin it is no marker of the face
+
+
+@dataclass(frozen=True)
+class Located:
+    """The face under markers, in their own axes and unit."""
+
+    session: Similarity  # takes the markers to the face's frame; it mirrors if ``mirrored``
+    unit: ScanUnit
+    by_names: bool  # or by the markers' shape
+    mirrored: bool
+    sides_exchanged: bool  # all left labels lie on the right, as the face is not mirrored
+    exchanged: tuple[tuple[int, int], ...]  # markers that lie where the other should by its name
+    height_mm: float  # of most over the skin
+    off_skin: Floats  # (k,) farther from the skin than that, in mm; NaN where not seen
+
+    def miss(self) -> float:
+        """Return the rms of how far markers miss the skin at that height, in mm."""
+        known = self.off_skin[np.isfinite(self.off_skin)]
+        return float(np.sqrt((known**2).mean())) if len(known) else 0.0
+
+
+def locate(
+    points: Floats,
+    named: Sequence[Named | None],
+    face: Surface,
+    options: LocateOptions = LocateOptions(),
+) -> Located | None:
+    """Return where ``face`` lies under markers (k, 3), NaN where not seen; None if they are few."""
+    seen = np.isfinite(points[:, 0])
+    may_be = np.array([each is None or each.part == "face" for each in named], bool)
+    used = np.flatnonzero(seen & may_be)
+    if len(used) < options.least:
+        return None
+    skin = sample(face.vertices, face.faces, None, options.samples)
+    by_names = _by_names(points, named, face, options)
+    if by_names is not None:
+        starts, turned = by_names
+        unit = choose_unit(starts[0].scale, None, None, NAMES_UNIT)
+    else:
+        unit, turned = _unit_of(points[used], options), False
+        starts = _by_shape(points[used], skin, unit.mm_per_unit)
+    found = [_slide(start, unit, points, used, face, skin, options) for start in starts]
+    chosen = found[0]
+    if len(found) > 1:  # a mirrored face, or sides exchanged: the first, unless it fits worse
+        better = found[1].miss() < options.clearly * found[0].miss()
+        chosen = found[1] if better else found[0]
+    chosen = replace(
+        chosen,
+        by_names=by_names is not None,
+        sides_exchanged=turned and not chosen.mirrored,
+    )
+    if by_names is None or turned:
+        return chosen
+    return replace(chosen, exchanged=_exchanged(chosen, points, named, face, options))
+
+
+def _by_names(
+    points: Floats, named: Sequence[Named | None], face: Surface, options: LocateOptions
+) -> tuple[list[Similarity], bool] | None:
+    """Return motions onto the face by names, and whether sides are the wrong way round.
+
+    None if names do not say it. Either the markers are mirrored then, or the labels are: the
+    motions of both come back.
+    """
+    told = [n for n, each in enumerate(named) if each is not None and each.part == "face"]
+    told = [number for number in told if np.isfinite(points[number, 0])]
+    places = {number: each.place for number, each in enumerate(named) if each is not None}
+    if len(told) < options.least or len({places[number] for number in told}) < options.least:
+        return None
+    goal = np.array([places[number] for number in told], float) + nose_tip(face)
+    plain, misfit = _trimmed(points[told], goal, options)
+    other, other_misfit = _trimmed(points[told] @ FLIP, goal, options)
+    turned = other_misfit < options.mirrored * misfit
+    if min(misfit, other_misfit) > options.name_misfit:
+        return None
+    if not turned:
+        return [plain], False
+    across = (goal - nose_tip(face)) @ FLIP + nose_tip(face)
+    return [_flipped(other), _trimmed(points[told], across, options)[0]], True
+
+
+def nose_tip(face: Surface) -> Floats:
+    """Return the foremost point (3,) of a face."""
+    used = face.vertices[np.unique(face.faces)]
+    return np.asarray(used[np.argmax(used[:, 2])])
+
+
+def _flipped(motion: Similarity) -> Similarity:
+    """Return a motion of mirrored points as one of the points."""
+    return Similarity(motion.scale, motion.rotation @ FLIP, motion.shift)
+
+
+def _trimmed(points: Floats, goal: Floats, options: LocateOptions) -> tuple[Similarity, float]:
+    """Return the motion that most points agree with, and the median misfit in mm."""
+    kept = np.ones(len(points), bool)
+    motion, off = fit_similarity(points, goal), np.zeros(len(points))
+    for _ in range(options.trims):
+        off = np.linalg.norm(motion(points) - goal, axis=1)
+        closer = off <= max(options.kept * float(np.median(off)), 1.0)
+        if closer.sum() < options.least or (closer == kept).all():
+            break
+        kept = closer
+        motion = fit_similarity(points[kept], goal[kept])
+    return motion, float(np.median(off))
+
+
+def _unit_of(points: Floats, options: LocateOptions) -> ScanUnit:
+    """Return the unit that makes markers as large as those of a head; mm if it does."""
+    extent = float(np.ptp(points, axis=0).max())
+    low, high = options.extents
+    fitting = [mm for mm in (1.0, *UNITS.values()) if low <= mm * extent <= high]
+    if fitting:
+        return ScanUnit(fitting[0], "assumed" if fitting[0] == 1.0 else "found")
+    return ScanUnit(180.0 / max(extent, 1e-9), "template")
+
+
+def _by_shape(points: Floats, skin: Samples, mm_per_unit: float) -> list[Similarity]:
+    """Return motions of markers and of their mirror image onto the face, by their shape alone."""
+    found = []
+    for flip in (np.eye(3), FLIP):
+        placed = mm_per_unit * points @ flip
+        centre, _ = nearest_sphere(placed)
+        outward = unit_rows(placed - centre)
+        tip = int(np.argmax(np.linalg.norm(placed - centre, axis=1)))
+        forward = unit_rows(outward.mean(axis=0))
+        cloud = FacePoints(placed, outward, placed[tip], forward)
+        motion = find_pose(cloud, skin, [1.0]).motion.inverse()
+        found.append(Similarity(mm_per_unit * motion.scale, motion.rotation @ flip, motion.shift))
+    return found
+
+
+def _slide(
+    start: Similarity,
+    unit: ScanUnit,
+    points: Floats,
+    used: Ints,
+    face: Surface,
+    skin: Samples,
+    options: LocateOptions,
+) -> Located:
+    """Return ``start`` after its markers slid onto the skin, all at one height over it."""
+    size = start.scale if unit.source == "template" else unit.mm_per_unit
+    rough = start(points[used])
+    begin = robust_motion(points[used] * size @ _hand(start), rough, np.ones(len(used)), 10.0, 3)
+    begin = Similarity(size, begin.rotation @ _hand(start), begin.shift)
+    tries = []
+    for height in options.heights:
+        raised = Samples(skin.points + height * skin.normals, skin.normals, True)
+        session = _onto(begin, points[used], raised, options)
+        over = heights_over(session(points[used]), face) - height
+        over = np.where(np.abs(over) > options.off_skin, np.nan, over)
+        tries.append((float(np.sqrt(np.nanmedian(over**2))), height, session))
+    least = min(miss for miss, _, _ in tries)
+    alike = [each for each in tries if each[0] <= least + options.flat]
+    _, height, session = min(alike, key=lambda each: abs(each[1] - options.usual_height))
+    off = np.full(len(points), np.nan)
+    off[used] = heights_over(session(points[used]), face) - height
+    mirrored = bool(np.linalg.det(session.rotation) < 0)
+    return Located(session, unit, False, mirrored, False, (), height, off)
+
+
+def _hand(motion: Similarity) -> Floats:
+    return FLIP if np.linalg.det(motion.rotation) < 0 else np.eye(3)
+
+
+def _onto(start: Similarity, points: Floats, skin: Samples, options: LocateOptions) -> Similarity:
+    """Return the motion after the markers slid onto the skin; the size stays."""
+    tree, session = KDTree(skin.points), start
+    stiff = RefinementOptions(
+        kept=0.85, sizes=(1.0, 1.0), least_points=options.least, close=options.off_skin, still=0.01
+    )
+    for _ in range(options.rounds):
+        placed = session(points)
+        normals = skin.normals[tree.query(placed)[1]]
+        cloud = FacePoints(placed, normals, placed[0], normals[0])
+        back = refine_pose(cloud, skin, tree, IDENTITY, 1.0, stiff)
+        session = session.then(back.motion.inverse())
+    return session
+
+
+def heights_over(placed: Floats, face: Surface) -> Floats:
+    """Return how far (n,) points lie over a face, below 0 inside of it."""
+    triangles, shares, distance = barycentric(placed, face)
+    corners = face.vertices[face.faces[triangles]]
+    nearest = np.einsum("nc,ncd->nd", shares, corners)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward = np.einsum("nd,nd->n", placed - nearest, normals)
+    return np.asarray(distance * np.sign(outward + 1e-30))
+
+
+def _exchanged(
+    located: Located,
+    points: Floats,
+    named: Sequence[Named | None],
+    face: Surface,
+    options: LocateOptions,
+) -> tuple[tuple[int, int], ...]:
+    """Return pairs of markers that lie where the other should by its name."""
+    told = [n for n, each in enumerate(named) if each is not None and each.part == "face"]
+    told = [number for number in told if np.isfinite(points[number, 0])]
+    places = {number: each.place for number, each in enumerate(named) if each is not None}
+    placed = located.session(points[told])
+    goal = np.array([places[number] for number in told], float) + nose_tip(face)
+    cost = ((placed[:, None] - goal[None]) ** 2).sum(axis=2)
+    _, chosen = linear_sum_assignment(cost)
+    pairs = []
+    for row, column in enumerate(chosen.tolist()):
+        if row < column and chosen[column] == row:
+            gain = cost[row, row] + cost[column, column] - cost[row, column] - cost[column, row]
+            if gain > options.exchanged:
+                pairs.append((told[row], told[column]))
+    return tuple(pairs)

@@ -1,0 +1,172 @@
+"""The motion of a take taken apart: the head's, what the face does, and what neither explains.
+
+Markers of one face move together: after the head's rigid motion a few shapes explain them all. The
+shapes are learnt from how markers move within parts of a second, so that a marker that jumps once,
+or falls off, does not teach its jump. A frame is then explained by most of its markers (Geman &
+McClure 1987), and what is left over of each is its residual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.surface import Floats
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """How a take's motion is taken apart; lengths in mm, times in s."""
+
+    head_rounds: int = 4  # of head motion and middle face in turns
+    head_slack: float = 3.0  # off the middle face by more: little say in the head's motion
+    least_markers: int = 3  # that give a head's motion
+    lags: tuple[float, ...] = (0.1, 0.4)  # over which shapes are learnt
+    pairs: int = 1500  # of frames at most that teach, for each lag
+    usual: float = 0.9  # quantile of a marker's motion in a lag ...
+    jump: tuple[float, float] = (3.0, 1.0)  # ... more than a x it + b counts as so much
+    markers_a_shape: int = 4  # so many markers allow one shape more ...
+    most_shapes: int = 12  # ... up to these
+    slacks: tuple[float, ...] = (10.0, 6.0, 4.0, 3.0, 2.0, 2.0)  # of what explains a frame
+    together: float = 3.5  # markers that a shape is of, at least: others cannot tell less
+    noise: float = 1.5  # off the shapes; how much a frame's weights keep to what is usual
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A take of k markers in f frames, taken apart; in the head's frame, in mm."""
+
+    rotations: Floats  # (f, 3, 3) into the head's frame: rotations @ x + shifts
+    shifts: Floats  # (f, 3)
+    middle: Floats  # (k, 3) the median face, NaN for a marker that is never seen
+    places: Floats  # (f, k, 3) markers in the head's frame, NaN where missing
+    expected: Floats  # (f, k, 3) where most of the markers say that they are
+
+    @property
+    def residuals(self) -> Floats:
+        """Return what is left over (f, k, 3), NaN where a marker is missing."""
+        return np.asarray(self.places - self.expected)
+
+
+def take_apart(
+    positions: Floats, rate: float, options: MotionOptions = MotionOptions()
+) -> Motion:
+    """Return the motion of markers (f, k, 3), NaN where missing, at ``rate`` frames a second.
+
+    The head's frame is that of the frame with the most markers.
+    """
+    rotations, shifts, middle = _hold_head(positions, options)
+    places = np.einsum("fij,fkj->fki", rotations, positions, optimize=True) + shifts[:, None]
+    moved = places - middle
+    shapes, spread = _learn_shapes(moved, rate, options)
+    expected = middle + _explain(moved, shapes, spread, options)
+    return Motion(rotations, shifts, middle, places, expected)
+
+
+def rigid_motions(points: Floats, reference: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Return rotations (f, 3, 3) and shifts (f, 3) that take points (f, k, 3) to a reference.
+
+    Least squares by ``weights`` (f, k), for every frame at once (Kabsch 1976).
+    """
+    share = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
+    centre = np.einsum("fk,fki->fi", share, points)
+    goal = share @ reference
+    spread = points - centre[:, None]
+    moments = np.matmul(reference.T, spread * share[..., None])  # (f, 3, 3): goal by place
+    u, _, vt = np.linalg.svd(moments)
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    rotations = u @ vt
+    return rotations, goal - np.einsum("fij,fj->fi", rotations, centre)
+
+
+def median_of_seen(values: Floats) -> Floats:
+    """Return the median over frames, NaN where nothing is seen in any."""
+    seen = np.isfinite(values).any(axis=0)
+    found = np.full(values.shape[1:], np.nan)
+    if seen.any():
+        found[seen] = np.nanmedian(values[:, seen], axis=0)
+    return found
+
+
+def _hold_head(positions: Floats, options: MotionOptions) -> tuple[Floats, Floats, Floats]:
+    """Return rotations and shifts into the head's frame, and the median face there."""
+    seen = np.isfinite(positions[..., 0])
+    points = np.nan_to_num(positions)
+    middle = positions[int(np.argmax(seen.sum(axis=1)))].copy()
+    say = seen.astype(float)
+    for _ in range(options.head_rounds):
+        known = np.isfinite(middle[:, 0])
+        rotations, shifts = rigid_motions(points, np.nan_to_num(middle), say * known)
+        _go_on(rotations, shifts, (seen & known).sum(axis=1) >= options.least_markers)
+        placed = np.einsum("fij,fkj->fki", rotations, positions, optimize=True) + shifts[:, None]
+        middle = median_of_seen(placed)
+        off = np.nan_to_num(np.linalg.norm(placed - middle, axis=2))
+        usual = np.sqrt((off**2 * say).sum(axis=0) / np.maximum(say.sum(axis=0), 1e-12))
+        say = 1 / (1 + (off / options.head_slack) ** 2) ** 2
+        say *= seen / (1 + (usual / options.head_slack) ** 2)
+    return rotations, shifts, middle
+
+
+def _go_on(rotations: Floats, shifts: Floats, known: Mask) -> None:
+    """Let frames without a motion of their own keep the one before, the first ones the next."""
+    if known.any():
+        last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
+        last[last < 0] = int(np.argmax(known))
+        rotations[:], shifts[:] = rotations[last], shifts[last]
+
+
+def _learn_shapes(moved: Floats, rate: float, options: MotionOptions) -> tuple[Floats, Floats]:
+    """Return shapes (r, k, 3) in which markers move together, and their usual squares (r,)."""
+    frames, count = moved.shape[:2]
+    total, pairs = np.zeros((3 * count, 3 * count)), np.full((count, count), 1e-9)
+    for lag in options.lags:
+        step = max(1, round(lag * rate))
+        starts = np.arange(0, frames - step, max(1, (frames - step) // options.pairs))
+        if not len(starts):
+            continue
+        change = moved[starts + step] - moved[starts]
+        seen = np.isfinite(change[..., 0])
+        length = np.linalg.norm(np.nan_to_num(change), axis=2)
+        factor, more = options.jump
+        known = seen.any(axis=0)
+        most = np.zeros(count)
+        most[known] = np.nanquantile(
+            np.where(seen, length, np.nan)[:, known], options.usual, axis=0
+        )
+        most = factor * most + more
+        change = np.nan_to_num(change) * np.minimum(1.0, most / (length + 1e-9))[..., None]
+        flat = change.reshape(len(change), -1)
+        total += flat.T @ flat
+        pairs += seen.astype(float).T @ seen
+    squares, vectors = np.linalg.eigh(total / np.repeat(np.repeat(pairs, 3, 0), 3, 1))
+    most = int(min(options.most_shapes, count // options.markers_a_shape, frames // 4))
+    shapes = vectors.T.reshape(-1, count, 3)
+    share = (shapes**2).sum(axis=2)
+    kept = np.flatnonzero((squares > 1e-9) & ((share**2).sum(axis=1) * options.together < 1.0))
+    kept = kept[np.argsort(-squares[kept])][:most]
+    return np.ascontiguousarray(shapes[kept]), squares[kept]
+
+
+def _explain(moved: Floats, shapes: Floats, spread: Floats, options: MotionOptions) -> Floats:
+    """Return the motion (f, k, 3) by the shapes that most markers of each frame agree with."""
+    if not len(shapes):
+        return np.zeros_like(moved)
+    seen = np.isfinite(moved[..., 0])
+    goal = np.nan_to_num(moved)
+    products = np.einsum("rki,ski->krs", shapes, shapes).reshape(shapes.shape[1], -1)
+    keep = np.diag(options.noise**2 / (4 * spread))
+    say = seen.astype(float)
+    found = np.zeros_like(goal)
+    flat = shapes.reshape(len(shapes), -1)
+    for slack in options.slacks:
+        left = (say @ products).reshape(-1, len(shapes), len(shapes)) + keep
+        right = (goal * say[..., None]).reshape(len(goal), -1) @ flat.T
+        weights = np.linalg.solve(left, right[..., None])[..., 0]
+        found = (weights @ flat).reshape(goal.shape)
+        off = ((goal - found) ** 2).sum(axis=2)
+        say = seen / (1 + off / slack**2) ** 2
+    return found

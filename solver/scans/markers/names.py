@@ -1,0 +1,239 @@
+"""Where on a face a marker lies by its name: ``LBRO1``, ``Leyebrow_Inside``, ``Mouth_UpL1``.
+
+Names tell a region, a side and which part of it, in any order and with any signs between. Places
+are of a middling face, in mm from the tip of the nose: x to the subject's left, y up, z forward;
+they are as sure as names are, to a centimetre or three. Labels that are plain numbers are the 68
+points of the iBUG scheme (Sagonas et al. 2013).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from solver.kinds.marker_set import Part
+from solver.surface import Floats
+
+Place = tuple[float, float, float]
+
+LOWER = frozenset({"chin", "jaw", "lower_lip", "lower_teeth"})  # regions that the jaw moves
+
+# Words for a region, the longer ones first, as ``eye`` is in ``eyebrow``.
+REGIONS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("forehead", ("forehead", "frhd", "front", "fore")),
+    ("glabella", ("glabella", "eyebrowcenter", "browcenter", "glab")),
+    ("brow", ("eyebrow", "brow", "bro", "brw")),
+    ("lid", ("eyelid", "lid")),
+    ("eye", ("infraorb", "orbit", "eye")),
+    ("nostril", ("nostril", "nstr", "alare", "alar", "nsl")),
+    ("nose", ("nose", "nasal", "nas", "nse")),
+    ("cheek", ("cheek", "malar", "zygoma", "puff", "chek", "chk")),
+    ("lower_teeth", ("lowerteeth", "lowertooth", "lowerdent", "lowersplint", "lowinc", "mandible")),
+    ("upper_teeth", ("upperteeth", "uppertooth", "upperdent", "uppersplint", "upinc", "maxilla")),
+    ("upper_lip", ("upperlip", "uplip", "ulip", "lipup", "mouthup", "uppermouth")),
+    ("lower_lip", ("lowerlip", "lowlip", "llip", "lipdown", "liplow", "mouthdown", "mouthlow")),
+    ("mouth", ("mouth", "mth", "lip")),
+    ("chin", ("chin", "chn")),
+    ("jaw", ("jawline", "jaw")),
+    ("temple", ("temple", "tmpl", "tmp")),
+    ("ear", ("tragus", "ear")),
+    ("head", ("headband", "head", "fhd", "bhd", "cap", "hat", "brim", "helmet")),
+)
+BODY = re.compile(
+    r"^[lr]?(sho|shoulder|elb|elbow|wr[abi]|wrist|fin|hand|clav|strn|c7|t10|rbak|bak|asi|psi|thi"
+    r"|kne|knee|tib|ank|hee|heel|toe|upa|frm|neck|hip|pelvis|spine|chest|arm|leg|foot|finger)\w{0,3}$"
+)
+# Where the left one of a region lies, or the one in the middle of the face, and its parts.
+PLACES: dict[str, dict[str, Place]] = {
+    "forehead": {"": (36, 86, -33), "middle": (0, 92, -28)},
+    "glabella": {"": (0, 50, -18), "middle": (0, 50, -18)},
+    "brow": {"": (30, 54, -22), "inner": (13, 51, -19), "outer": (53, 54, -40)},
+    "lid": {"": (31, 41, -25), "upper": (31, 42, -25), "lower": (31, 30, -28)},
+    "eye": {
+        "": (31, 30, -28),
+        "upper": (31, 43, -26),
+        "lower": (31, 20, -31),
+        "inner": (15, 33, -29),
+        "outer": (52, 33, -40),
+    },
+    "nostril": {"": (18, -5, -21)},
+    "nose": {"": (18, -5, -21), "middle": (0, 14, -9), "upper": (0, 32, -18), "tip": (0, 0, 0)},
+    "cheek": {
+        "": (48, -10, -36),
+        "upper": (46, 9, -33),
+        "lower": (45, -30, -42),
+        "inner": (33, -2, -27),
+        "outer": (64, -8, -62),
+    },
+    "upper_teeth": {"": (20, -30, -20), "middle": (0, -30, -12)},
+    "lower_teeth": {"": (20, -37, -20), "middle": (0, -37, -14)},
+    "upper_lip": {"": (15, -25, -13), "middle": (0, -22, -7), "outer": (26, -33, -22)},
+    "lower_lip": {"": (15, -43, -16), "middle": (0, -43, -11), "outer": (26, -33, -22)},
+    "mouth": {"": (28, -33, -23), "middle": (0, -33, -12)},
+    "chin": {"": (24, -66, -32), "middle": (0, -66, -20), "outer": (42, -58, -58)},
+    "jaw": {"": (50, -50, -75), "middle": (0, -74, -27)},
+    "temple": {"": (64, 56, -64)},
+    "ear": {"": (72, 17, -104)},
+    "head": {"": (70, 110, -70), "middle": (0, 125, -45), "back": (60, 100, -210)},
+}
+PARTS: dict[str, Part] = {
+    "head": "head",
+    "upper_teeth": "upper_teeth",
+    "lower_teeth": "lower_teeth",
+}
+WORDS: dict[str, tuple[str, ...]] = {
+    "inner": ("inside", "inner", "medial", "in"),
+    "outer": ("outside", "outer", "lateral", "corner", "crn", "end", "out"),
+    "upper": ("upper", "top", "up", "high", "bridge", "u"),
+    "lower": ("lower", "bottom", "down", "low", "dn", "d"),
+    "middle": ("middle", "center", "centre", "mid", "cen"),
+    "tip": ("tip", "head"),
+    "back": ("back",),
+}
+# The 68 points: corners of chains, between which the others lie.
+CHAINS: tuple[dict[int, Place], ...] = (
+    {0: (-71, 20, -95), 4: (-55, -43, -92), 6: (-34, -64, -56), 8: (0, -76, -32)},
+    {17: (-50, 56, -32), 19: (-27, 53, -20), 21: (-11, 50, -18)},
+    {27: (0, 38, -19), 30: (0, 0, 0)},
+    {31: (-17, -8, -21), 33: (0, -13, -11)},
+    {36: (-45, 37, -34), 37: (-36, 42, -27), 38: (-26, 42, -26), 39: (-17, 36, -29)},
+    {39: (-17, 36, -29), 40: (-26, 31, -28), 41: (-36, 31, -29)},
+    {48: (-25, -33, -22), 50: (-5, -22, -7), 51: (0, -23, -7)},
+    {57: (0, -42, -11), 58: (-7, -42, -12), 59: (-16, -40, -15)},
+    {60: (-22, -33, -21), 61: (-8, -32, -14), 62: (0, -32, -13)},
+    {66: (0, -34, -12), 67: (-8, -34, -13)},
+)
+# Each point's twin on the other side.
+TWINS_68 = {
+    **{n: 16 - n for n in range(17)},
+    **{n: 43 - n for n in range(17, 27)},
+    **{n: 66 - n for n in range(31, 36)},
+    **{36: 45, 37: 44, 38: 43, 39: 42, 40: 47, 41: 46},
+    **{n: 102 - n for n in range(48, 55)},
+    **{n: 114 - n for n in range(55, 60)},
+    **{n: 124 - n for n in range(60, 65)},
+    **{65: 67, 66: 66, 67: 65},
+}
+
+
+@dataclass(frozen=True)
+class Named:
+    """What a marker's name says of its place."""
+
+    region: str
+    place: Place  # on a middling face, mm from the tip of the nose
+    part: Part = "face"
+    side: int = 0  # 1 the subject's left, -1 the right, 0 the middle or unknown
+
+
+def read_names(labels: Sequence[str]) -> list[Named | None]:
+    """Return what each label says, None for one that says nothing."""
+    numbers = [_number(label) for label in labels]
+    known = [number for number in numbers if number is not None]
+    if len(labels) >= 17 and len(known) == len(labels) and max(known) <= 68:
+        scheme = _scheme_68()
+        start = 1 if min(known) == 1 and max(known) in (68, 51, 17) else 0
+        return [scheme.get(number - start) for number in known]
+    return [read_name(label) for label in labels]
+
+
+def read_name(label: str) -> Named | None:
+    """Return what one label says; ``ignore`` is the part of what is named after the body."""
+    parts = _split(label)
+    joined = "".join(parts)
+    if BODY.match(joined):
+        return Named("body", (0.0, 0.0, 0.0), "ignore")
+    found = next(
+        ((name, word) for name, words in REGIONS for word in words if word in joined), None
+    )
+    if found is None:
+        return None
+    region, word = found
+    rest = _rest(parts, joined.index(word), len(word))
+    side, marks = _side(rest)
+    if region == "mouth":
+        region = {"upper": "upper_lip", "lower": "lower_lip"}.get(marks[0] if marks else "", region)
+    if word in ("llip", "ulip") and side is None and len(parts) == 1:
+        side = 0
+    table = PLACES[region]
+    numbered = [int(part) for part in rest if part.isdigit()]
+    chosen = next((mark for mark in marks if mark in table and not (side and mark == "tip")), "")
+    if not chosen and side in (None, 0) and "middle" in table:
+        chosen = "middle"
+    if region == "chin" and side and numbered and numbered[0] > 1:
+        chosen = "outer"
+    x, y, z = table[chosen]
+    part = PARTS.get(region, "face")
+    if region == "head":
+        y, z = (y, PLACES["head"]["back"][2]) if "bhd" in joined or "back" in marks else (y, z)
+    if x and side in (None, 0):
+        return None if part == "face" else Named(region, (0, y, z), part)
+    return Named(region, (x * (side or 1), y, z), part, (side or 0) if x else 0)
+
+
+def _split(label: str) -> list[str]:
+    """Return a label's words in lower case: ``Mouth_UpL1`` is mouth, up, l, 1."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])", " ", label)
+    return re.findall(r"[a-z]+|\d+", spaced.lower())
+
+
+def _rest(parts: list[str], start: int, length: int) -> list[str]:
+    """Return the words without the letters of the region's word."""
+    rest, at = [], 0
+    for part in parts:
+        low, high = max(start - at, 0), min(start + length - at, len(part))
+        kept = [part] if low >= high else [part[:low], part[high:]]
+        rest += [piece for piece in kept if piece]
+        at += len(part)
+    return rest
+
+
+def _side(rest: list[str]) -> tuple[int | None, list[str]]:
+    """Return 1 for the left, -1 for the right, 0 for the middle, None if unsaid, and the marks."""
+    side: int | None = None
+    marks: list[str] = []
+    by_word = {word: mark for mark, words in WORDS.items() for word in words}
+    for part in rest:
+        if part in ("l", "left", "r", "right"):
+            side = 1 if part[0] == "l" else -1
+            continue
+        if part in ("m", "c"):
+            marks.append("middle")
+        elif part in by_word:
+            marks.append(by_word[part])
+        elif part[0] in "lr" and part[1:] in by_word:
+            side = 1 if part[0] == "l" else -1
+            marks.append(by_word[part[1:]])
+        elif part[-1] in "lr" and part[:-1] in by_word:
+            side = 1 if part[-1] == "l" else -1
+            marks.append(by_word[part[:-1]])
+    if side is None and "middle" in marks:
+        side = 0
+    return side, marks
+
+
+def _number(label: str) -> int | None:
+    found = re.fullmatch(r"[A-Za-z_ ]{0,12}?(\d{1,2})", label.strip())
+    return int(found.group(1)) if found else None
+
+
+def _scheme_68() -> dict[int, Named]:
+    """Return the 68 points, those of the left mirrored from the right."""
+    found: dict[int, Floats] = {}
+    for chain in CHAINS:
+        numbers = np.arange(min(chain), max(chain) + 1)
+        corners = np.array([chain[each] for each in sorted(chain)], float)
+        for number in numbers.tolist():
+            found[number] = np.array(
+                [np.interp(number, sorted(chain), corners[:, axis]) for axis in range(3)]
+            )
+    named = {}
+    for number, place in found.items():
+        x, y, z = place.tolist()
+        twin = TWINS_68.get(number, number)
+        named[number] = Named("68", (x, y, z), side=-1 if x else 0)
+        named[twin] = Named("68", (-x, y, z), side=1 if x else 0)
+    return named

@@ -1,0 +1,164 @@
+"""Reading tables of text, a frame a row: numbers, blanks where a point is missing."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from operator import itemgetter
+from typing import IO
+
+import numpy as np
+
+from solver.errors import Finding, quote
+from solver.scans.markers.raw_take import (
+    RawTake,
+    TakeOptions,
+    check_room,
+    choose_rate,
+    decode,
+    spread_frames,
+    truncated,
+    unreadable,
+)
+from solver.surface import Floats
+
+MOST_FRAME = 10**9  # a frame's number
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a file, without its end."""
+
+    number: int
+    text: str
+    is_whole: bool  # it has an end
+
+
+@dataclass(frozen=True)
+class Table:
+    """Frames as rows have them: their numbers and times in s (NaN if blank), points (f, n, 3)."""
+
+    numbers: list[int]
+    times: list[float]
+    points: Floats
+
+    def timed_rate(self) -> list[tuple[str, float]]:
+        """Return what the times say of the rate in Hz, as :func:`choose_rate` takes it."""
+        span = self.times[-1] - self.times[0]
+        steps = self.numbers[-1] - self.numbers[0]
+        return [("its times", steps / span)] if span > 0 and steps else []
+
+
+def read_lines(file: str, stream: IO[bytes], options: TakeOptions) -> Iterator[Line]:
+    """Give lines one after the other; none that is too long is ever whole in memory."""
+    number = 0
+    while line := stream.readline(options.longest_line + 1):
+        number += 1
+        if len(line) > options.longest_line:
+            raise unreadable(file, f"it has more than {options.longest_line} bytes", line=number)
+        text = decode(line.removeprefix(b"\xef\xbb\xbf").rstrip(b"\r\n"))
+        yield Line(number, text, line.endswith((b"\n", b"\r")))
+
+
+def split_row(text: str, separator: str | None) -> list[str]:
+    """Return a row's fields without blanks around them; None separates by any blanks."""
+    return [field.strip() for field in text.split(separator)]
+
+
+def read_table(
+    file: str,
+    lines: Iterator[Line],
+    separator: str | None,
+    columns: Sequence[int],
+    width: int,
+    options: TakeOptions,
+) -> Table:
+    """Return the frames of all further lines of ``width`` columns: number, time, and points.
+
+    x, y, z of n points are at ``columns`` (3 n). Numbers of frames increase; those that are left
+    out are missing from the table.
+    """
+    pick = itemgetter(*columns)
+    numbers: list[int] = []
+    times: list[float] = []
+    values = array("d")
+    for line in lines:
+        if not line.text.strip():
+            continue
+        fields = split_row(line.text, separator)
+        if len(fields) < width:
+            reason = f"{width} columns expected, {len(fields)} found"
+            if not line.is_whole:
+                raise truncated(file, f"line {line.number}, the last: {reason}", line=line.number)
+            raise unreadable(file, reason, line=line.number)
+        if any(fields[width:]):
+            reason = f"{width} columns expected, {len(fields)} found"
+            raise unreadable(file, reason, line=line.number)
+        numbers.append(_frame(file, line.number, fields[0], numbers))
+        times.append(*_numbers(file, line.number, fields[1:2]))
+        values.extend(_numbers(file, line.number, pick(fields)))
+        check_room(file, len(numbers), len(columns) // 3, options)
+    check_room(file, len(numbers), len(columns) // 3, options)
+    points = np.frombuffer(values).reshape(len(numbers), -1, 3).copy()
+    points[~points.any(axis=-1)] = np.nan  # exactly 0, 0, 0
+    return Table(numbers, times, points)
+
+
+def finish_table(
+    file: str,
+    names: Sequence[str],
+    table: Table,
+    said: list[tuple[str, float]],
+    unit: str | None,
+    findings: list[Finding],
+    options: TakeOptions,
+) -> RawTake:
+    """Return a table as a take, each frame in its place; ``said`` is what tells its rate in Hz."""
+    points, gaps = spread_frames(file, table.numbers, table.points, options)
+    rate, rates = choose_rate(file, [*said, *table.timed_rate()], options)
+    every = [*findings, *gaps, *rates]
+    return RawTake(names, points, rate, table.numbers[0], unit, findings=every)
+
+
+def parse_count(text: str | None) -> int | None:
+    """Return a whole number of a heading, None for anything else."""
+    is_number = text is not None and text.isascii() and text.isdigit() and len(text) < 10
+    return int(text) if is_number and text else None
+
+
+def parse_rate(text: str | None) -> list[tuple[str, float]]:
+    """Return what a heading says of the rate, as :func:`choose_rate` takes it."""
+    try:
+        return [] if not text else [("its heading", float(text))]
+    except ValueError:
+        return []
+
+
+def _frame(file: str, line: int, text: str, before: Sequence[int]) -> int:
+    """Return a frame's number, which is above those before."""
+    if not (text.isascii() and text.removeprefix("-").isdigit() and len(text) < 12):
+        raise unreadable(file, f"'{quote(text)}' is not the number of a frame", line=line)
+    number = int(text)
+    if abs(number) > MOST_FRAME:
+        raise unreadable(file, f"'{quote(text)}' is not the number of a frame", line=line)
+    if before and number <= before[-1]:
+        raise unreadable(file, f"frame {number} follows frame {before[-1]}", line=line)
+    return number
+
+
+def _numbers(file: str, line: int, fields: Sequence[str]) -> list[float]:
+    """Return numbers, NaN for blanks."""
+    try:
+        return [float(field) if field else np.nan for field in fields]
+    except ValueError:
+        bad = next(field for field in fields if field and not _is_number(field))
+        raise unreadable(file, f"'{quote(bad)}' is not a number", line=line) from None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,208 @@
+"""Takes of the small person whose muscles, jaw and head are known: clean, degraded, with gaps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solver.fitting import prior
+from solver.fitting.face import Face
+from solver.fitting.markers.places import place_on, refine, triangle_axes
+from solver.fitting.markers.robust import Prediction, judge
+from solver.fitting.markers.smooth import TracedFrame, smooth
+from solver.fitting.markers.term import MarkerPlaces
+from solver.fitting.markers.tracker import MarkerTracker
+from solver.scans.markers.marker_set import Marker
+from solver.similarity import small_motion
+from tests.fixtures import small_capture, small_model
+
+RATE, MARKERS, NOISE = 60.0, 40, 0.15
+
+
+@pytest.fixture(scope="module")
+def face():
+    return Face(small_model())
+
+
+@pytest.fixture(scope="module")
+def markers(face):
+    """Markers spread evenly over the face, 2 mm off the skin."""
+    model = face.model
+    triangles = model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)]
+    middles = model.skin.vertices[triangles].mean(axis=1)
+    chosen, away = [0], np.full(len(middles), np.inf)
+    for _ in range(MARKERS - 1):
+        away = np.minimum(away, np.linalg.norm(middles - middles[chosen[-1]], axis=1))
+        chosen.append(int(away.argmax()))
+    corners = [tuple(map(int, triangles[number])) for number in chosen]
+    return [Marker("", each, (0.3, 0.3, 0.4), 2.0) for each in corners]
+
+
+@pytest.fixture(scope="module")
+def places(face, markers):
+    return MarkerPlaces(face.model, markers)
+
+
+@pytest.fixture(scope="module")
+def known(face):
+    skin = small_capture("neutral").vertices
+    shapes = [small_capture(name).vertices - skin for name in ("smile", "surprise", "ah")]
+    return prior.from_shapes(face, np.stack(shapes))
+
+
+@pytest.fixture(scope="module")
+def take(face, places, known):
+    """The first direction of the prior comes and goes while the head turns: skin and points."""
+    values, vectors = np.linalg.eigh(known.covariance)
+    change = 0.8 * np.sqrt(values[-1]) * vectors[:, -1]
+    rng = np.random.default_rng(4)
+    state, skins, heads, points = face.rest, [], [], []
+    for phase in np.linspace(0.0, 1.5 * np.pi, 24):
+        pose = face.rest_pose().add(0.5 * (1.0 - np.cos(phase)) * change)
+        state = face.continuation(state, pose)
+        skins.append(face.face_points(state.x))
+        heads.append(
+            small_motion(np.array([0.2 * np.sin(phase), 0.1 * phase, 0.0, 9.0, phase, 0.0]))
+        )
+        points.append(heads[-1](places.at(state.x)) + NOISE * rng.standard_normal((MARKERS, 3)))
+    return np.array(skins), heads, np.array(points)
+
+
+def tracker_of(face, places, known):
+    return MarkerTracker(face, places, np.full(MARKERS, 0.3), known, 1.0 / RATE)
+
+
+def off(face, state, skin):
+    return float(np.linalg.norm(face.face_points(state.x) - skin, axis=1).mean())
+
+
+def test_face_and_head_are_followed(face, places, known, take):
+    skins, heads, points = take
+    tracker = tracker_of(face, places, known)
+    moved = np.linalg.norm(skins - skins[0], axis=2).mean(axis=1).max()
+    assert moved > 1.0
+    for skin, head, seen in zip(skins, heads, points, strict=True):
+        fit = tracker.fit(seen)
+        assert not fit.predicted
+        assert (fit.judged.states == "seen").all()
+        assert off(face, fit.state, skin) < 0.3
+        assert fit.placed.head.then(head.inverse()).degrees < 0.5
+        assert face.flesh.inverted(fit.state.x) == 0
+
+
+def test_wrong_markers_are_found_and_swaps_mended(face, places, known, take):
+    skins, _, points = take
+    tracker = tracker_of(face, places, known)
+    rng = np.random.default_rng(5)
+    for number, skin in enumerate(skins[:14]):
+        seen, states = points[number].copy(), np.full(MARKERS, "seen", "<U10")
+        if number > 3:
+            thrown = rng.choice(MARKERS, 3, replace=False)
+            far = rng.standard_normal((3, 3))
+            seen[thrown] += 15.0 * far / np.linalg.norm(far, axis=1, keepdims=True)
+            states[thrown] = "outlier"
+            left = np.flatnonzero(states == "seen")
+            one = int(rng.choice(left))
+            other = left[np.argsort(np.linalg.norm(seen[left] - seen[one], axis=1))[1]]
+            seen[[one, other]] = seen[[other, one]]
+            states[[one, other]] = "swapped"
+            gone, ghost = rng.choice(np.flatnonzero(states == "seen"), 2, replace=False)
+            states[gone], states[ghost] = "missing", "relabelled"
+            free = seen[[ghost]].copy()
+            seen[[gone, ghost]] = np.nan
+        fit = tracker.fit(seen, free if number > 3 else None)
+        np.testing.assert_array_equal(fit.judged.states, states)
+        assert off(face, fit.state, skin) < 0.35
+
+
+def test_what_nothing_tells_of_fades_and_comes_back(face, places, known, take):
+    skins, _, points = take
+    tracker = tracker_of(face, places, known)
+    for seen in points[:12]:
+        before = tracker.fit(seen)
+    none = np.full_like(points[0], np.nan)
+    gone = [tracker.fit(none) for _ in range(6)]
+    assert all(fit.predicted and fit.held.all() for fit in gone)
+    assert not before.held.all()
+    rest, last = face.layout.rest, before.state.pose.vector()
+    kept = np.exp(-6 / RATE)
+    np.testing.assert_allclose(gone[-1].state.pose.vector() - rest, kept * (last - rest), atol=1e-6)
+    assert (gone[-1].sd > before.sd).all()
+    again = tracker.fit(points[12])
+    assert off(face, again.state, skins[12]) < 0.35
+
+
+def test_a_take_goes_on_from_what_a_frame_left(face, places, known, take):
+    points = take[2]
+    tracker, other = (tracker_of(face, places, known) for _ in range(2))
+    for seen in points[:4]:
+        fit = tracker.fit(seen)
+    for each in (tracker, other):
+        each.begin(fit.state, tracker.memory)
+    fits = [each.fit(points[4]) for each in (tracker, other)]
+    np.testing.assert_allclose(fits[0].state.x, fits[1].state.x, atol=1e-9)
+    np.testing.assert_allclose(fits[0].sd, fits[1].sd, rtol=1e-9)
+
+
+def test_points_are_judged_by_what_the_others_say():
+    """Ten points on a bar that may be anywhere: one is off, two are each other's."""
+    rng = np.random.default_rng(6)
+    points = np.zeros((10, 3))
+    points[:, 0] = 10.0 * np.arange(10)
+    one = np.tile(np.eye(3), (10, 1))
+    prediction = Prediction(points, 400.0 * one @ one.T + 0.01 * np.eye(30))
+    seen = points + 7.0 + 0.1 * rng.standard_normal(points.shape)
+    seen[3] += (0.0, 8.0, 0.0)
+    seen[[6, 7]] = seen[[7, 6]]
+    seen[9] = np.nan
+    judged = judge(prediction, seen, np.full((10, 3), 4.0), np.full((1, 3), 200.0))
+    expected = ["seen"] * 3 + ["outlier"] + ["seen"] * 2 + ["swapped"] * 2 + ["seen", "missing"]
+    assert judged.states.tolist() == expected
+    np.testing.assert_allclose(judged.points[[6, 7]], seen[[7, 6]])
+    assert judged.weights[3] == judged.weights[9] == 0.0
+    assert np.delete(judged.weights, [3, 9]).min() > 0.9
+
+
+def test_places_that_are_bound_wrong_are_mended(face, markers, places, known, take):
+    """Each marker is bound 1.5 mm beside its place; the take says where it is."""
+    points = take[2]
+    rest = face.model.rest
+    true, corners = places.at(rest), face.model.skin.vertices
+    rng = np.random.default_rng(8)
+    axes = triangle_axes(places.corners(rest))
+    turn = rng.uniform(0.0, 2.0 * np.pi, MARKERS)
+    aside = 1.5 * np.stack([np.cos(turn), np.sin(turn), np.zeros(MARKERS)], axis=1)
+    wrong = [
+        replace(place_on(marker, at, corners[list(marker.vertices)]), sigma_mm=1.0)
+        for marker, at in zip(markers, true + np.einsum("kij,kj->ki", axes, aside), strict=True)
+    ]
+    mended = refine(face, wrong, known, list(points[::2]), 2.0 / RATE)
+    before, after = (
+        np.linalg.norm(MarkerPlaces(face.model, each).at(rest) - true, axis=1).mean()
+        for each in (wrong, mended)
+    )
+    assert before == pytest.approx(1.5, rel=1e-3)
+    assert after < 0.7 * before
+    assert all(marker.sigma_mm < 1.0 for marker in mended)
+
+
+def test_a_sweep_back_bridges_a_gap(face, places, known, take):
+    """In a gap the filter fades to rest; the sweep goes to what comes after it."""
+    points = take[2]
+    tracker = tracker_of(face, places, known)
+    fits, gap = [], range(6, 12)
+    for number, seen in enumerate(points[:18]):
+        fits.append(tracker.fit(np.full_like(seen, np.nan) if number in gap else seen))
+    traced = [TracedFrame(fit.state.pose, fit.placed.head, fit.judged.weights) for fit in fits]
+    swept = smooth(tracker, traced)
+    values, vectors = np.linalg.eigh(known.covariance)
+    way = vectors[:, -1] / np.sqrt(values[-1])
+    phases = np.linspace(0.0, 1.5 * np.pi, 24)
+    for number in gap:
+        true = 0.8 * 0.5 * (1.0 - np.cos(phases[number]))
+        before = (fits[number].state.pose.vector() - known.mean) @ way
+        after = (swept[number].controls - known.mean) @ way
+        if number > 7:
+            assert abs(after - true) < 0.6 * abs(before - true)
+        assert swept[number].sd.mean() < fits[number].sd.mean()
+    np.testing.assert_allclose(swept[-1].controls, fits[-1].state.pose.vector(), atol=1e-9)

@@ -1,0 +1,53 @@
+"""Priors over controls: derivatives, expressions, and what time does to them."""
+
+import numpy as np
+import pytest
+
+from solver.fitting import prior
+from solver.fitting.face import Face
+from solver.fitting.objective import Regulariser
+from solver.fitting.prior import PriorSum
+from tests.solver.block import head_block, poses
+
+
+@pytest.fixture(scope="module")
+def face():
+    return Face(head_block())
+
+
+def test_derivatives_match_differences(face):
+    here, there = poses(2)
+    known = prior.from_changes(face.layout, [there.vector() - face.layout.rest])
+    both = PriorSum((known, Regulariser(0.0, 0.5, 0.0, face.rest_pose())))
+    change = np.random.default_rng(1).standard_normal(face.layout.size)
+    ends = [here.add(sign * 1e-5 * change) for sign in (-1.0, 1.0)]
+    slope = (both.value(ends[1]) - both.value(ends[0])) / 2e-5
+    assert abs(slope) > 1.0
+    assert both.gradient(here) @ change == pytest.approx(slope, rel=1e-6)
+    bent = (known.gradient(ends[1]) - known.gradient(ends[0])) / 2e-5
+    np.testing.assert_allclose(known.gauss_newton(here) @ change, bent, rtol=1e-5)
+
+
+def test_what_an_expression_does_is_probable(face):
+    """A shape that the flesh makes gives back the change of the controls that makes it."""
+    model = face.model
+    pose = face.rest_pose().toward(poses(1)[0], 0.2)
+    state = face.continuation(face.rest, pose)
+    shape = face.whole_skin(state.x, pose.b) - model.skin.vertices
+    known = prior.from_shapes(face, shape[None])
+    change = pose.vector() - known.mean
+    other = np.random.default_rng(2).standard_normal(len(change))
+    other *= np.linalg.norm(change) / np.linalg.norm(other)
+    likely, unlikely = (known.value(face.rest_pose().add(each)) for each in (change, other))
+    assert likely < 0.1 * unlikely
+
+
+def test_with_nothing_seen_a_pose_goes_back_to_rest(face):
+    known = prior.from_changes(face.layout, [])
+    mean = known.mean + 1.0
+    certain = 0.01 * known.covariance
+    short, long = (known.after(mean, certain, time, 1.0) for time in (0.01, 5.0))
+    np.testing.assert_allclose(short.mean, known.mean + np.exp(-0.01))
+    assert np.all(short.variance < 0.05 * known.variance)
+    np.testing.assert_allclose(long.mean, known.mean, atol=0.01)
+    np.testing.assert_allclose(long.covariance, known.covariance, rtol=1e-3, atol=1e-9)

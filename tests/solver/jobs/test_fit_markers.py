@@ -1,0 +1,175 @@
+"""A take of markers of the small person, fitted whole, in attempts, and refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from solver.errors import InputError
+from solver.fitting.face import Face
+from solver.fitting.markers.term import MarkerPlaces
+from solver.jobs import fit_markers, run_job
+from solver.jobs.fit_markers import mandible_motion
+from solver.mechanics.boundary import move_jaw
+from solver.progress import Step
+from solver.rig.frames import MarkerFrame, read_chunks
+from solver.rig.rig import ExpressionFit, Rig
+from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.scans.markers.take import Take
+from solver.similarity import Similarity, small_motion
+from tests.fixtures import small_model
+
+pytestmark = pytest.mark.long
+
+FRAMES, MARKERS = 10, 30
+GONE = (4, 5)  # frames in which no marker is seen
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rig with one expression, and a take of it: turned axes, metres, a gap and an outlier."""
+    folder = tmp_path_factory.mktemp("take")
+    model = small_model()
+    face = Face(model)
+    rng = np.random.default_rng(7)
+    change = np.zeros(face.layout.size)
+    change[face.layout["activations"]] = 0.05 * rng.standard_normal(6 * model.muscle_count)
+    change[face.layout["jaw"]] = [0.1, 0.0, 0.0, 1.0, 0.0]
+    pose = face.rest_pose().add(change)
+    skin, none = model.skin.vertices, np.zeros(len(model.skin.vertices))
+    smile = ExpressionFit("smile", "train", pose.a, pose.b, skin, skin, none, 0, 1, 0.0, 0.0)
+    Rig(model, model.weights, (smile,)).save(folder / "rig.npz")
+    inside = model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)]
+    corners = inside[rng.choice(len(inside), MARKERS, replace=False)]
+    markers = tuple(
+        Marker(f"M{n}", tuple(map(int, each)), (0.2, 0.3, 0.5), 1.0, sigma_mm=0.3)
+        for n, each in enumerate(corners)
+    )
+    turn = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    session = Similarity(1.0, turn, np.array([3.0, -20.0, 7.0]))
+    MarkerSet(markers, session, model.sha256).save(folder / "markers.json")
+    places, state, points = MarkerPlaces(model, markers), face.rest, []
+    for share in np.linspace(0.0, 1.0, FRAMES):
+        state = face.continuation(state, face.rest_pose().add(share * change))
+        head = small_motion(np.array([0.1 * share, 0.0, 0.2 * share, 0.0, 5.0 * share, 0.0]))
+        points.append(session.inverse()(head(places.at(state.x))))
+    positions = np.array(points) + 0.05 * rng.standard_normal((FRAMES, MARKERS, 3))
+    positions[list(GONE)] = np.nan
+    positions[7, 3] += 20.0
+    labels = tuple(marker.label for marker in markers)
+    Take("take.c3d", labels, positions, 60.0).save(folder / "take.npz")
+    return folder
+
+
+def fit(files: Path, out: Path, **given: object) -> dict[str, np.ndarray]:
+    options = {"prior": "scans"} | dict(given.pop("options", {}))
+    run_job(
+        "fit_markers",
+        out,
+        options=options,
+        markers=files / "take.npz",
+        marker_set=files / "markers.json",
+        rig=files / "rig.npz",
+        **given,
+    )
+    with np.load(out / "sequence.npz") as data:
+        return dict(data)
+
+
+@pytest.fixture(scope="module")
+def whole(files: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    out = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fit_markers, "OPTIONS", replace(fit_markers.OPTIONS, frames=3))
+        return out, fit(files, out)
+
+
+def test_a_take_is_fitted(whole: tuple[Path, dict], files: Path) -> None:
+    out, found = whole
+    model = small_model()
+    assert found["format"] == 2
+    expected = ["predicted" if number in GONE else "fitted" for number in range(FRAMES)]
+    assert found["status"].tolist() == expected
+    states = found["marker_state"]
+    assert states[7, 3] == "outlier"
+    assert np.sum(states == "outlier") == 1
+    assert (states[list(GONE)] == "missing").all()
+    assert np.isnan(found["marker_mm"][list(GONE)]).all()
+    assert np.nanmean(np.where(found["marker_weight"] > 0, found["marker_mm"], np.nan)) < 0.2
+    turned = np.linalg.norm(found["head"][-1] - [0.1, 0.0, 0.2, 0.0, 5.0, 0.0])
+    assert turned < 0.5
+    assert found["held"].shape == (FRAMES, model.muscle_count)
+    assert found["held"][GONE[0]].all()
+    assert found["sd"].shape == found["information"].shape
+    assert (found["sd"][5] > found["sd"][3]).mean() > 0.9
+    points = model.rest[model.mandible]
+    moved = points @ found["mandible"][-1, :3, :3].T + found["mandible"][-1, :3, 3]
+    np.testing.assert_allclose(moved, move_jaw(model.jaw, points, found["jaw"][-1]), atol=1e-5)
+    np.testing.assert_allclose(
+        mandible_motion(model.jaw, found["jaw"][-1]), found["mandible"][-1], atol=1e-8
+    )
+    report = json.loads((out / "sequence.json").read_text())
+    assert report["predicted"] == list(GONE)
+    assert report["markers"]["M3"]["outlier"] == pytest.approx(1 / FRAMES)
+    assert (out / "sequence.glb").stat().st_size > 1000
+
+
+def test_killed_three_times_it_comes_to_the_same(
+    whole: tuple[Path, dict], files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fit_markers, "OPTIONS", replace(fit_markers.OPTIONS, frames=3))
+
+    class KilledError(Exception):
+        pass
+
+    for last in (5, 6, 8):
+
+        def stop(step: Step, last: int = last) -> None:
+            if step.phase == "frames" and step.message == f"frame {last} of {FRAMES}":
+                raise KilledError
+
+        with pytest.raises(KilledError):
+            fit(files, tmp_path, resume=True, progress=stop)
+    assert len(read_chunks(tmp_path / "frames", MarkerFrame, "", lambda _: True)) == 6
+    found = fit(files, tmp_path, resume=True)
+    for name, values in whole[1].items():
+        if values.dtype.kind == "f" and name != "seconds":
+            np.testing.assert_allclose(found[name], values, atol=1e-6, err_msg=name)
+    assert found["marker_state"].tolist() == whole[1]["marker_state"].tolist()
+
+
+def test_other_options_do_not_go_on(whole: tuple[Path, dict], files: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        fit(files, whole[0], resume=True, options={"robust_mm": 2.0})
+    assert caught.value.code == "sequence.resume"
+
+
+@pytest.mark.parametrize(
+    ("code", "change"),
+    [
+        ("markers.few", {"markers": [0, 1, 2]}),
+        ("markers.other_model", {"model_sha256": "0" * 64}),
+        ("options.frames", {"options": {"start": 100}}),
+    ],
+)
+def test_what_cannot_be_used(code: str, change: dict, files: Path, tmp_path: Path) -> None:
+    markers = MarkerSet.load(files / "markers.json")
+    if "markers" in change:
+        markers = replace(markers, markers=markers.markers[:3])
+    if "model_sha256" in change:
+        markers = replace(markers, model_sha256=change["model_sha256"])
+    markers.save(tmp_path / "markers.json")
+    with pytest.raises(InputError) as caught:
+        run_job(
+            "fit_markers",
+            tmp_path / "out",
+            options={"prior": "scans"} | change.get("options", {}),
+            markers=files / "take.npz",
+            marker_set=tmp_path / "markers.json",
+            rig=files / "rig.npz",
+        )
+    assert caught.value.code == code

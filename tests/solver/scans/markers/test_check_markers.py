@@ -1,0 +1,344 @@
+"""The check of takes: planted faults are found where they are, and nothing else is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from solver.errors import Finding, judge_findings
+from solver.scans.markers.bind import bind, model_face, rest_places
+from solver.scans.markers.locate import FLIP
+from solver.scans.markers.check import Reference, check_take
+from solver.scans.markers.findings import ADVICE, MarkerCheck
+from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.take import Take, read_take
+from solver.similarity import Similarity
+from solver.surface import Floats, Surface
+from tests.fixtures import data_folder, small_model
+from tests.solver.scans.markers.made_take import LABELS, RATE, made_positions, made_take, on_skin, sites
+
+AT = {label: number for number, label in enumerate(LABELS)}
+Plant = Callable[[Floats], "Floats | None"]
+
+
+@pytest.fixture(scope="module")
+def person() -> Reference:
+    model = small_model()
+    return Reference(model_face(model), model.sha256)
+
+
+@pytest.fixture(scope="module")
+def clean() -> Floats:
+    return made_positions()
+
+
+def told(check: MarkerCheck) -> list[Finding]:
+    """Return what is told beside notes."""
+    return [each for each in check.findings if each.severity != "info"]
+
+
+def test_a_clean_take_is_good(person: Reference, clean: Floats) -> None:
+    check = check_take(made_take(clean), person)
+    assert check.findings == []
+    assert check.figures["markers"] == len(LABELS)
+    assert check.figures["off_skin_mm"] < 0.5
+    assert check.figures["neutral"][1] <= 2.2 * RATE  # it is at rest until then
+    assert check.bound is not None
+    assert check.bound.labels == LABELS
+
+
+# Faults of single labels: the finding's code, its label, and the frame (from 1) where it begins.
+
+
+def dead(points: Floats) -> None:
+    points[:, AT["RCheek"]] = np.nan
+
+
+def frozen(points: Floats) -> None:
+    points[400:430, AT["LCheek"]] = points[400, AT["LCheek"]]
+
+
+def spline(points: Floats) -> None:
+    marker, known = AT["Chin_L1"], [498, 499, 530, 531]
+    curve = CubicSpline(known, points[known, marker])
+    points[500:530, marker] = curve(np.arange(500, 530))
+
+
+def line(points: Floats) -> None:
+    marker, share = AT["Chin_L1"], np.linspace(0, 1, 32)[1:-1, None]
+    points[500:530, marker] = points[499, marker] * (1 - share) + points[530, marker] * share
+
+
+def long_gap(points: Floats) -> None:
+    points[200:600, AT["Chin"]] = np.nan
+
+
+def exchange(points: Floats, first: int, last: int, *labels: str) -> None:
+    numbers = [AT[label] for label in labels]
+    others = numbers[1:] + numbers[:1]
+    points[first:last, numbers] = points[first:last, others]
+
+
+def swap_in_brief(points: Floats) -> None:
+    exchange(points, 700, 712, "UpperLip", "UpperLip_L")
+
+
+def swap_for_a_second(points: Floats) -> None:
+    exchange(points, 500, 560, "LBrow_In", "LBrow_M")
+
+
+def swap_in_a_gap(points: Floats) -> None:
+    exchange(points, 900, len(points), "LCheek", "LCheek_Up")
+    points[890:900, [AT["LCheek"], AT["LCheek_Up"]]] = np.nan
+
+
+def cycle(points: Floats) -> None:
+    exchange(points, 600, 640, "LowerLip", "LowerLip_L", "LowerLip_R")
+
+
+def spikes(points: Floats) -> None:
+    points[[300, 500, 777], AT["LBrow_M"]] += [0.0, 5.0, 3.0]
+
+
+def burst(points: Floats) -> None:
+    points[650:670, AT["RCheek_Out"]] += [0.0, 14.0, -14.0]
+
+
+def ghost(points: Floats) -> None:
+    there = points[540:552, AT["LEye_Out"]] + [25.0, 5.0, 0.0]
+    points[500:600, AT["Forehead_L"]] = np.nan
+    points[540:552, AT["Forehead_L"]] = there
+
+
+def relabelled(points: Floats) -> None:
+    points[500:600, AT["UpperLip_R"]] = np.nan
+    points[530:600, AT["UpperLip_R"]] = points[530:600, AT["UpperLip"]]
+    points[530:600, AT["UpperLip"]] = np.nan
+
+
+def moved(points: Floats) -> None:
+    way = points[700:, AT["LCheek_Down"]] - points[700:, AT["LCheek"]]
+    points[700:, AT["LCheek"]] += 5.0 * way / np.linalg.norm(way, axis=1, keepdims=True)
+
+
+def double(points: Floats) -> None:
+    points[:, AT["LBrow_In"]] = points[:, AT["LBrow_M"]]
+
+
+def sides(points: Floats) -> None:
+    exchange(points, 0, len(points), "LBrow_M", "RBrow_M")
+
+
+def gone(points: Floats) -> None:
+    points[300:480] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("plant", "code", "label", "first"),
+    [
+        (dead, "dead", None, None),
+        (frozen, "frozen", "LCheek", 402),
+        (spline, "filled", "Chin_L1", 501),
+        (line, "filled", "Chin_L1", 501),
+        (long_gap, "missing", "Chin", 201),
+        (swap_in_brief, "swapped", "UpperLip", 701),
+        (swap_for_a_second, "swapped", "LBrow_In", 501),
+        (swap_in_a_gap, "swapped", "LCheek", 901),
+        (cycle, "relabelled", "LowerLip", 601),
+        (spikes, "outlier", "LBrow_M", 301),
+        (burst, "outlier", "RCheek_Out", 651),
+        (ghost, "ghost", "Forehead_L", 541),
+        (relabelled, "relabelled", "UpperLip_R", 531),
+        (moved, "moved", "LCheek", 701),
+        (double, "double", "LBrow_In", None),
+        (sides, "exchanged", "LBrow_M", None),
+        (gone, "gone", None, 301),
+    ],
+)
+def test_a_planted_fault_is_found_where_it_is(
+    person: Reference, clean: Floats, plant: Plant, code: str, label: str | None, first: int | None
+) -> None:
+    points = clean.copy()
+    plant(points)
+    check = check_take(made_take(points), person)
+    found = [each for each in check.findings if each.code == f"markers.{code}"]
+    mine = [each for each in found if label is None or each.context["label"] == label]
+    assert len(mine) == 1, [each.message for each in check.findings]
+    if first is not None:
+        began = mine[0].context.get("frame") or mine[0].context["frames"][0][0]
+        assert abs(began - first) <= 2
+    others = {each.code for each in told(check)} - {f"markers.{code}"}
+    assert not others, [each.message for each in check.findings]
+    assert all(each.advice == ADVICE[each.code] for each in check.findings)
+
+
+# Faults of a whole take.
+
+
+@pytest.mark.parametrize(
+    ("change", "codes"),
+    [
+        (lambda points: points @ FLIP, {"markers.mirrored"}),
+        (lambda points: points / 1000.0, {"markers.unit"}),
+        (lambda points: points[..., [0, 2, 1]] * [1.0, -1.0, 1.0], {"markers.axes"}),
+        (lambda points: np.repeat(points, 2, axis=0), {"markers.repeated"}),
+    ],
+    ids=["mirrored", "metres called mm", "z up", "frames twice"],
+)
+def test_axes_units_and_rates_are_found_and_told(
+    person: Reference, clean: Floats, change: Plant, codes: set[str]
+) -> None:
+    check = check_take(made_take(change(clean)), person)
+    assert {each.code for each in check.findings} == codes
+    assert check.placed is not None
+    places = rest_places(check.bound, person.face)
+    assert np.linalg.norm(check.placed - places, axis=1).max() < 0.1
+    assert check.figures["off_skin_mm"] < 0.5
+
+
+def test_three_markers_are_too_few(person: Reference, clean: Floats) -> None:
+    check = check_take(made_take(clean[:, :3], LABELS[:3]), person)
+    assert [each.code for each in told(check)] == ["markers.few"]
+    assert judge_findings(check.findings) == "bad"
+
+
+def test_two_faces_are_told_apart_and_a_body_is_left_out(person: Reference, clean: Floats) -> None:
+    others = tuple(f"B_{label}" for label in LABELS)
+    both = made_take(np.concatenate([clean, clean + [700.0, 0.0, 0.0]], axis=1), LABELS + others)
+    assert [each.code for each in told(check_take(both, person))] == ["markers.two_faces"]
+    body = np.concatenate([clean, clean[:, :3] - [0.0, 500.0, 0.0]], axis=1)
+    check = check_take(made_take(body, (*LABELS, "C7", "STRN", "LSHO")), person)
+    assert [each.code for each in check.findings] == ["markers.outside"]
+    assert check.figures["markers"] == len(LABELS)
+
+
+def test_another_person_is_told_and_an_actor_is_meant(person: Reference, clean: Floats) -> None:
+    middle = clean.mean(axis=(0, 1))
+    wide = (clean - middle) * [1.16, 0.94, 1.2] + middle
+    check = check_take(made_take(wide), person)
+    assert [each.code for each in told(check)] == ["markers.other_person"]
+    assert told(check_take(made_take(wide), person, actor=True)) == []
+
+
+def test_an_open_mouth_at_rest_is_told(person: Reference, clean: Floats) -> None:
+    opened = clean[:400] + 0.0
+    opened[:] = on_skin("surprise") + 0.1 * np.random.default_rng(0).normal(size=opened.shape)
+    check = check_take(made_take(opened), person)
+    assert [each.code for each in told(check)] == ["markers.neutral"]
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5, 40])
+def test_takes_of_few_frames_are_no_error(person: Reference, clean: Floats, frames: int) -> None:
+    check = check_take(made_take(clean[:frames]), person)
+    assert judge_findings(check.findings) == "good"
+
+
+def test_half_of_the_markers_may_be_missing(person: Reference, clean: Floats) -> None:
+    points = clean.copy()
+    points[np.random.default_rng(3).random(points.shape[:2]) < 0.5] = np.nan
+    check = check_take(made_take(points), person)
+    assert {each.code for each in told(check)} == {"markers.missing"}
+    assert check.figures["wrong"] < 0.001
+    assert check.figures["off_skin_mm"] < 1.0
+
+
+def test_a_take_of_which_a_third_is_thrown_is_bad(person: Reference, clean: Floats) -> None:
+    points, rng = clean.copy(), np.random.default_rng(4)
+    thrown = rng.random(points.shape[:2]) < 0.35
+    points[thrown] += rng.normal(0.0, 15.0, (int(thrown.sum()), 3))
+    check = check_take(made_take(points), person)
+    assert "markers.wrong" in {each.code for each in told(check)}
+    assert judge_findings(check.findings) == "bad"
+
+
+def test_labels_may_say_nothing(person: Reference, clean: Floats) -> None:
+    labels = tuple(f"M{number:03d}" for number in range(len(LABELS)))
+    check = check_take(made_take(clean, labels), person)
+    assert check.findings == []
+    assert not check.figures["by_names"]
+    assert check.figures["off_skin_mm"] < 0.5
+
+
+def test_an_unlabelled_track_that_fills_a_gap_is_named(person: Reference, clean: Floats) -> None:
+    points = clean.copy()
+    track = np.full((len(points), 1, 3), np.nan)
+    track[500:580, 0] = points[500:580, AT["LowerLip"]]
+    points[500:580, AT["LowerLip"]] = np.nan
+    take = made_take(points, unlabelled=track, unlabelled_names=("*12",))
+    check = check_take(take, person)
+    [found] = [each for each in check.findings if each.code == "markers.unlabelled"]
+    assert found.context["tracks"] == [{"track": "*12", "label": "LowerLip", "frames": [[501, 580]]}]
+
+
+def test_a_marker_set_tells_what_moved_between_takes(person: Reference, clean: Floats) -> None:
+    bound = bind(made_take(clean), small_model()).markers
+    known = replace(person, markers=bound)
+    turned = Similarity(1.0, np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0], np.ones(3))
+    if np.linalg.det(turned.rotation) < 0:
+        turned = replace(turned, rotation=-turned.rotation)
+    points = turned(made_positions(seed=7).reshape(-1, 3)).reshape(clean.shape)
+    assert told(check_take(made_take(points), known)) == []
+    way = points[:, AT["LCheek_Down"]] - points[:, AT["LCheek"]]
+    points[:, AT["LCheek"]] += 7.0 * way / np.linalg.norm(way, axis=1, keepdims=True)
+    check = check_take(made_take(points), known)
+    assert [(each.code, each.context["label"]) for each in told(check)] == [
+        ("markers.moved", "LCheek")
+    ]
+
+
+def test_bound_markers_lie_where_they_were_made(clean: Floats) -> None:
+    model = small_model()
+    found = bind(made_take(clean), model)
+    goal = model.skin.vertices[sites()]
+    places = np.einsum(
+        "kc,kcd->kd", found.markers.weights, model.skin.vertices[found.markers.vertices]
+    )
+    off = np.linalg.norm(places - goal, axis=1)
+    assert off.max() < 2.0
+    assert off.mean() < 0.5
+    assert found.markers.model_sha256 == model.sha256
+
+
+# Real takes: nothing is told of them, whoever checks.
+
+
+@pytest.fixture(scope="module", params=["jaw", "nose"])
+def real(request: pytest.FixtureRequest) -> Take:
+    return read_take(data_folder("markers", "animface", f"{request.param}.c3d"))
+
+
+def real_person() -> Surface:
+    """Return the face of the man whose takes they are, by the identity in the data."""
+    with np.load(data_folder("ict_facekit", "ict_facekit.npz")) as data:
+        shape, quads = data["V"], data["quads"]
+        bound = np.load(data_folder("markers", "animface", "ict_binding.npz"))
+        shape = 10.0 * (shape + np.tensordot(bound["identity"], data["I"], 1))
+    faces = np.vstack([quads[:, [0, 1, 2]], quads[quads[:, 3] >= 0][:, [0, 2, 3]]])
+    return Surface(shape.astype(float), faces[(faces < 6706).all(axis=1)].astype(np.int64))
+
+
+def test_real_takes_have_no_false_alarm(real: Take) -> None:
+    check = check_take(real, Reference(real_person(), "0" * 64))
+    assert told(check) == []
+    assert check.figures["off_skin_mm"] < 2.0
+    assert check.figures["markers"] == 40
+
+
+def test_real_takes_are_another_person_s_than_the_small_one(real: Take, person: Reference) -> None:
+    check = check_take(real, person)
+    assert [each.code for each in told(check)] == ["markers.other_person"]
+    assert told(check_take(real, Reference(person.face))) == []
+
+
+def test_a_set_for_a_model_is_one_that_can_be_read_again(
+    tmp_path, person: Reference, clean: Floats
+) -> None:
+    check = check_take(made_take(clean), person)
+    assert check.bound is not None
+    check.bound.save(tmp_path / "markers.json")
+    assert MarkerSet.load(tmp_path / "markers.json").labels == LABELS
+
