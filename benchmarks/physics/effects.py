@@ -34,7 +34,7 @@ from solver.rig.rig import ExpressionFit, Rig
 from solver.scene.document import read_scene
 from solver.scene.places import Places
 from solver.scene.stage import Physics, edit_of
-from solver.simulation.fibres import fit_fibres
+from solver.simulation.fibres import fit_contractions
 from solver.surface import Floats
 
 SCENES = Path(__file__).parents[2] / "docs" / "examples" / "scenes"
@@ -103,7 +103,7 @@ def fibres(subject: Subject) -> Figures:
     found = {}
     for fit, one, other in zip(subject.fits, as_fitted, projected, strict=True):
         wanted = fit.skin[model.face]
-        best = face.face_points(fit_fibres(face.with_weights(subject.S), wanted).x)
+        best = face.face_points(fit_contractions(face.with_weights(subject.S), wanted).state.x)
         found[fit.name] = {
             "motion_mm": _mean(wanted - model.skin.vertices[model.face]),
             "blended_mm": None if one is None else _mean(one.skin[model.face] - wanted),

@@ -17,8 +17,10 @@ from solver.anatomy.template import Template, TemplateMesh
 from solver.anatomy.tetrahedra import dihedral_angles, volumes
 from solver.anatomy.transfer import carry, skin_warp, transport
 from solver.errors import InputError, SolveError
+from solver.mechanics.jaw_tracks import TRACKS, JawTracks, TrackOptions, tracks_of_shapes
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, silent
+from solver.similarity import fit_similarity
 from solver.surface import Floats, Surface, join_surfaces, part_of
 
 log = structlog.get_logger(__name__)
@@ -89,6 +91,28 @@ def _assemble(template: Template, person: Template, made_by: str) -> SubjectMode
         template={"name": template.name, "version": template.version, "sha256": template.sha256},
         mesh_source=made_by,
         fibres=fibre_directions(mesh.vertices, mesh.tets, mesh.weights, person.muscles),
+    )
+
+
+def jaw_tracks(
+    template: Template, model: SubjectModel, options: TrackOptions = TRACKS
+) -> JawTracks:
+    """Return the tracks of a person's jaw: those of the template's shapes, in the person's size.
+
+    They keep their slope against the frame of the condyles, and grow with the head.
+    """
+    skin, teeth = template.skin.vertices, template.regions.get("lower_teeth", np.zeros(0, int))
+    teeth = teeth if len(teeth) else template.attached_mandible
+    apart = float(np.linalg.norm(template.condyles[0] - template.condyles[1]))
+    shapes = [] if template.shapes is None else list(template.shapes.expressions[:, teeth])
+    found = tracks_of_shapes(jaw_frame(template.condyles), apart, skin[teeth], shapes, options)
+    size = fit_similarity(skin, model.skin.vertices).scale
+    return replace(
+        found,
+        frame=model.jaw,
+        apart=size * apart,
+        length=size * found.length,
+        bend=found.bend / size,
     )
 
 

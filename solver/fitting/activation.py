@@ -31,6 +31,7 @@ from solver.fitting.least_squares import (
     StopOptions,
     Termination,
     TrustRegion,
+    bounded_step,
     minimise,
 )
 from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, Term
@@ -103,15 +104,16 @@ def fit(
 ) -> ActivationFit:
     """Minimise f over (a, b) from ``start``, else from the neutral face, and settle the result.
 
-    ``matrix`` (6 m + 5, 6 m + 5) is f's Gauss-Newton matrix without its priors, or that of a state
+    ``matrix`` (size, size) is f's Gauss-Newton matrix without its priors, or that of a state
     nearby or of other data. Without it that of ``start`` is made, as dear as a few iterations.
+    Controls with bounds, of which there are few, have the matrix of every state made.
 
     Where the descent gets stuck, or the flesh buckles as it settles or does not settle, the fit
     goes on from the best that did settle, else from the neutral face, every state on the way then
     being settled too. A descent that gets stuck where it began has found the minimum. Raises
     :class:`SolveError` (``solve.no_convergence``) if the face cannot be settled even so.
     """
-    if start is None and matrix is None:
+    if start is None and matrix is None and not face.layout.is_bounded:
         matrix = rest_curvature(face)
     best = None
     iterations, begin, go = 0, start or face.rest, Face.newton_continuation
@@ -157,7 +159,8 @@ def descend(
 ) -> ActivationFit:
     """Minimise f over (a, b), going from state to state by ``go``, which settles them or not."""
     if matrix is None:
-        matrix = curvature(face, data, start)
+        bounded = start.pose.layout.is_bounded
+        matrix = np.zeros((0, 0)) if bounded else curvature(face, data, start)
     problem = _PoseProblem(face, data, regulariser, go, matrix, descent)
     stop = StopOptions(options.max_iterations, options.tolerance, options.tolerance)
     found = minimise(problem, start, TrustRegion(descent.damping), stop, listen)
@@ -180,7 +183,9 @@ class _PoseProblem:
     def value(self, point: PosedFace) -> float:
         return objective(self.data, self.regulariser, point)
 
-    def linearise(self, point: PosedFace) -> GaussNewton:
+    def linearise(self, point: PosedFace) -> GaussNewton | DenseModel:
+        if point.pose.layout.is_bounded:
+            return _whole_model(self.face, self.data, self.regulariser, point)
         parts = self.face, self.data, self.regulariser
         # the model begins with the matrix of the one before
         learnt = self.model.learnt if self.model else LearntMatrix.of(self.matrix)
@@ -274,7 +279,7 @@ class GaussNewton:
 
 
 def curvature(face: Face, data: Term, state: PosedFace) -> Floats:
-    """Return J^T C J at a state, (6 m + 5, 6 m + 5): f's Gauss-Newton matrix but for its priors."""
+    """Return J^T C J at a state, (size, size): f's Gauss-Newton matrix but for its priors."""
     jacobian = Sensitivity(face, state).by_pose()
     return jacobian.contract(data.curvature(state.estimate))
 
@@ -290,13 +295,29 @@ def rest_curvature(face: Face) -> Floats:
     return _AT_REST[face]
 
 
+def _whole_model(face: Face, data: Term, regulariser: Prior, state: PosedFace) -> DenseModel:
+    """Return f's model at a state with its matrix as it is there."""
+    jacobian = Sensitivity(face, state).by_pose()
+    gradient = jacobian.adjoint(data.gradient(state.estimate)) + regulariser.gradient(state.pose)
+    hessian = jacobian.contract(data.curvature(state.estimate))
+    hessian += regulariser.gauss_newton(state.pose)
+    at = state.pose.layout, hessian, gradient, state.pose.vector()
+    return DenseModel(*at, jacobian.flesh)
+
+
 @dataclass(frozen=True)
 class DenseModel:
-    """f's model by its ``gradient`` and a whole ``hessian``, in ``layout``."""
+    """f's model by its ``gradient`` and a whole ``hessian``, in ``layout``.
+
+    ``q`` (size,) is where it is, which a layout with bounds has to know; ``motion`` (free
+    coordinates, size) is what else is linear in the step.
+    """
 
     layout: Layout
     hessian: Floats
     gradient: Floats
+    q: Floats | None = None
+    motion: Floats | None = None
 
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """Return the step with ``damping`` D^2 added to the matrix, cut to the reach ``trust``.
@@ -305,10 +326,14 @@ class DenseModel:
         """
         damped = self.hessian.copy()
         damped[np.diag_indices_from(damped)] += damping * self.layout.damping
-        step = _solve_positive(damped, -self.gradient)
-        step = step / max(self.layout.reach(step) / trust, 1.0)
+        if self.q is not None and self.layout.is_bounded:
+            step = bounded_step(damped, self.gradient, self.layout.limits(self.q, trust))
+        else:
+            step = _solve_positive(damped, -self.gradient)
+            step = step / max(self.layout.reach(step) / trust, 1.0)
         slope, quadratic = float(self.gradient @ step), float(step @ self.hessian @ step)
-        return LeastSquaresStep(step, slope, quadratic, self.layout.reach(step))
+        response = np.zeros(0) if self.motion is None else self.motion @ step
+        return LeastSquaresStep(step, slope, quadratic, self.layout.reach(step), response)
 
 
 def _solve_positive(matrix: Floats, right: Floats) -> Floats:

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError, SolveError
+from solver.fitting.controls import JAW_UNITS, Layout
 from solver.model import SubjectModel
 from solver.surface import Floats
 
@@ -61,20 +62,23 @@ def _weights(message: str, **context: int) -> InputError:
     return InputError("face.weights", message, **context)
 
 
-def check_pose(a: Floats, b: Floats, muscles: int, names: Sequence[str]) -> None:
-    """Raise :class:`PoseError` (``face.pose``) unless a is (``muscles``, 6), b (5,), both finite.
+def check_pose(a: Floats, b: Floats, layout: Layout, names: Sequence[str]) -> None:
+    """Raise :class:`PoseError` (``face.pose``) unless a and b are a ``layout``'s blocks, finite.
 
     ``names`` are those of the muscles, if it is they that a drives.
     """
-    for what, value, shape in (("activations", a, (muscles, 6)), ("jaw", b, (5,))):
-        if np.shape(value) != shape:
-            message = f"a pose's {what} have the shape {np.shape(value)}, not {shape}"
-            raise PoseError("face.pose", message)
-    for j in np.flatnonzero(~np.isfinite(a).all(axis=1))[:1]:
-        name = names[j] if len(names) == muscles else f"number {j}"
+    muscles, jaw = layout.blocks
+    for block, value in ((muscles, a), (jaw, b)):
+        if np.shape(value) != block.rest.shape:
+            found = f"the shape {np.shape(value)}, not {block.rest.shape}"
+            raise PoseError("face.pose", f"a pose's {block.name} have {found}")
+    for j in np.flatnonzero(~np.isfinite(a.reshape(len(a), -1)).all(axis=1))[:1]:
+        name = names[j] if len(names) == len(a) else f"number {j}"
         raise PoseError("face.pose", f"the activation of {name} is not finite: {a[j]}")
     if not np.isfinite(b).all():
         raise PoseError("face.pose", f"the jaw is not finite: {b}")
-    if np.abs(b[:2]).max() > np.pi / 2.0:
-        message = f"the jaw turns by {b[0]:g} and {b[1]:g} rad: degrees? (np.radians makes radians)"
+    angles = b[np.broadcast_to(jaw.units, b.shape) == JAW_UNITS[0]]
+    if np.abs(angles).max() > np.pi / 2.0:
+        turns = ", ".join(f"{angle:g}" for angle in angles)
+        message = f"the jaw turns by {turns} rad: degrees? (np.radians makes radians)"
         raise PoseError("face.pose", message)

@@ -1,8 +1,7 @@
 """Controls of a fit: one vector q of named blocks, with rest, bounds and units.
 
-Activations of S and the jaw, contractions of fibres: a fit varies them all as one vector and finds
-its parts by name. Controls say where they put the flesh, and give the derivative of that
-(:class:`solver.mechanics.response.Controls`), all that a fit needs to know of them.
+Activations of S, contractions along fibres or activations of fibre muscles, the jaw free or on its
+tracks: a fit varies them all as one vector and finds its parts by name.
 """
 
 from __future__ import annotations
@@ -10,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Protocol
 
 import numpy as np
 
-from solver.mechanics import response
 from solver.mechanics.boundary import JAW_FREEDOM
-from solver.mechanics.flesh import IDENTITY, Flesh
+from solver.mechanics.flesh import IDENTITY
+from solver.mechanics.jaw_tracks import TRACK_FREEDOM, JawTracks
 from solver.surface import Floats, Ints
 
 # D: a radian of jaw counts as 100 mm, its motion at the chin
@@ -33,6 +31,7 @@ class Block:
     reach: Floats | float = np.inf  # the change up to which a linear model is surely good
     lower: Floats | float = -np.inf
     upper: Floats | float = np.inf
+    units: Floats | float = 1.0  # what a change of 1 counts as in a regulariser
 
 
 @dataclass(frozen=True)
@@ -68,6 +67,20 @@ class Layout:
     def upper(self) -> Floats:
         """Return the upper bounds (size,)."""
         return self._spread([block.upper for block in self.blocks])
+
+    @cached_property
+    def is_bounded(self) -> bool:
+        """Tell whether any entry has a bound."""
+        return bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
+
+    def clip(self, q: Floats) -> Floats:
+        """Return q (size,) within the bounds."""
+        return np.clip(q, self.lower, self.upper) if self.is_bounded else q
+
+    def limits(self, q: Floats, reach: float) -> tuple[Floats, Floats]:
+        """Return the least and the greatest step from q (size,), of a length up to ``reach``."""
+        longest = reach * self._reaches
+        return np.maximum(self.lower - q, -longest), np.minimum(self.upper - q, longest)
 
     @cached_property
     def damping(self) -> Floats:
@@ -106,22 +119,6 @@ class Layout:
         return self.join([np.broadcast_to(value, block.rest.shape) for value, block in pairs])
 
 
-class FitControls(Protocol):
-    """Variables of a fit: q (size,) in ``layout``, and what they make of the ``flesh``."""
-
-    layout: Layout
-    flesh: Flesh
-
-    def flesh_controls(self, q: Floats) -> Floats:
-        """Return what drives the flesh: activations (n, 6) of its tets, or its term's own."""
-
-    def held_positions(self, q: Floats) -> Floats:
-        """Return where the held vertices are, (h, 3) in the order of ``flesh.held``."""
-
-    def linearise(self, q: Floats, x: Floats) -> response.Controls:
-        """Return the derivative by q, at vertices x (p, 3)."""
-
-
 # changes that count as a step of reach 1: of an activation's entry, and of the jaw's angles in rad
 ACTIVATION_REACH, TURN_REACH = 0.4, 0.1
 JAW_DAMPING = 1e-3  # weight of D^2
@@ -130,7 +127,21 @@ JAW_DAMPING = 1e-3  # weight of D^2
 def jaw_block() -> Block:
     """Return the block of the jaw b (5,): two angles, rad, and a translation, mm."""
     reach = np.array([TURN_REACH, TURN_REACH, np.inf, np.inf, np.inf])
-    return Block("jaw", np.zeros(JAW_FREEDOM), JAW_UNITS**2 * JAW_DAMPING, reach)
+    damping = JAW_UNITS**2 * JAW_DAMPING
+    return Block("jaw", np.zeros(JAW_FREEDOM), damping, reach, units=JAW_UNITS)
+
+
+def track_block(tracks: JawTracks) -> Block:
+    """Return the block of a jaw on its tracks (3,): an angle, rad, and two slides, mm."""
+    units = np.array([JAW_UNITS[0], 1.0, 1.0])
+    reach = np.array([TURN_REACH, np.inf, np.inf])
+    rest, damping = np.zeros(TRACK_FREEDOM), units**2 * JAW_DAMPING
+    return Block("tracks", rest, damping, reach, tracks.lower, tracks.upper, units)
+
+
+def fibre_block(muscles: int) -> Block:
+    """Return the block of fibre muscles' activations (m,), relaxed at rest."""
+    return Block("fibres", np.zeros(muscles), reach=ACTIVATION_REACH, lower=0.0, upper=1.0)
 
 
 @cache

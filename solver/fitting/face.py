@@ -14,8 +14,8 @@ from solver.anatomy.bones import bone_normals
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
 from solver.fitting.checks import check_pose, check_weights
-from solver.fitting.controls import Layout, pose_layout
-from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian, move_jaw
+from solver.fitting.controls import Block, Layout, jaw_block, pose_layout
+from solver.mechanics.boundary import FreeJaw, JawMotion
 from solver.mechanics.equilibrium import (
     Equilibrium,
     PredictorOptions,
@@ -44,28 +44,40 @@ class ContinuationOptions:
 
 @dataclass(frozen=True)
 class Pose:
-    """Muscle activations ``a`` (m, 6) and the jaw ``b`` (5,), which drive the face."""
+    """What drives the face: its muscles by ``a``, its jaw by ``b``.
+
+    They are a vector in a layout of two blocks, theirs: ``activations`` (m, 6) of S and ``jaw``
+    (5,) unless ``form`` is another one.
+    """
 
     a: Floats
     b: Floats
+    form: Layout | None = None
+
+    @classmethod
+    def of(cls, layout: Layout, q: Floats) -> Pose:
+        """Return the pose of a vector q (size,) in a layout of two blocks."""
+        a, b = layout.split(q)
+        return cls(a, b, layout)
 
     @property
     def layout(self) -> Layout:
-        """Return where a and b are in one vector (6 m + 5,)."""
-        return pose_layout(len(self.a))
+        """Return where a and b are in one vector."""
+        return self.form or pose_layout(len(self.a))
 
     def vector(self) -> Floats:
-        """Return (a, b) as one vector (6 m + 5,)."""
+        """Return (a, b) as one vector (size,)."""
         return self.layout.join([self.a, self.b])
 
     def add(self, change: Floats) -> Pose:
-        """Return the pose with a ``change`` of (a, b), (6 m + 5,), added to it."""
-        by_a, by_b = self.layout.split(change)
-        return Pose(self.a + by_a, self.b + by_b)
+        """Return the pose with a ``change`` of (a, b), (size,), added to it, within its bounds."""
+        layout = self.layout
+        return Pose.of(layout, layout.clip(self.vector() + change))
 
     def toward(self, other: Pose, fraction: float) -> Pose:
         """Return the pose ``fraction`` of the way to another one."""
-        return Pose(self.a + fraction * (other.a - self.a), self.b + fraction * (other.b - self.b))
+        a, b = self.a + fraction * (other.a - self.a), self.b + fraction * (other.b - self.b)
+        return replace(self, a=a, b=b)
 
 
 @dataclass(frozen=True)
@@ -119,6 +131,9 @@ class Face:
             check_entries(term, len(model.rest), model.tets)
         self.S: sp.csr_array = model.weights if S is None else S
         material = material or COROTATED_TRACE
+        self.jaw: JawMotion = FreeJaw(model.jaw)
+        self._jaw_block = jaw_block()
+        self._muscle_block: Block | None = None
         self._held_rest = model.rest if bones is None else model.rest + bones
         pins = [model.sliding] if pinned else []
         held = np.concatenate([model.cranium, model.mandible, model.cut, *pins])
@@ -158,20 +173,37 @@ class Face:
         """Return this face with another flesh, whose tets join the same vertices."""
         return self._with(flesh=flesh)
 
-    def _with(self, **changes: sp.csr_array | Flesh) -> Face:
+    def driven_by(self, flesh: Flesh, muscles: Block) -> Face:
+        """Return this face with a flesh whose controls are those of ``muscles``, in place of S."""
+        return self._with(flesh=flesh, _muscle_block=muscles)
+
+    def with_jaw(self, jaw: JawMotion, block: Block) -> Face:
+        """Return this face with a jaw that moves by the numbers of ``block``."""
+        return self._with(jaw=jaw, _jaw_block=block)
+
+    def _with(self, **changes: sp.csr_array | Flesh | JawMotion | Block) -> Face:
         other = copy.copy(self)
-        other.__dict__.pop("rest", None)
+        for known in ("rest", "layout"):
+            other.__dict__.pop(known, None)
         other.__dict__.update(changes)
         return other
 
-    @property
+    @cached_property
     def layout(self) -> Layout:
-        """Return where the activations of S's muscles and the jaw are in one vector."""
-        return pose_layout(self.S.shape[1] - 1)
+        """Where the controls of the muscles and the jaw are in one vector."""
+        usual = pose_layout(self.S.shape[1] - 1)
+        if self._muscle_block is None and isinstance(self.jaw, FreeJaw):
+            return usual
+        return Layout((self._muscle_block or usual.blocks[0], self._jaw_block))
+
+    @property
+    def has_own_drive(self) -> bool:
+        """Tell whether the flesh's controls are the muscles' own, not activations by S."""
+        return self._muscle_block is not None
 
     def rest_pose(self) -> Pose:
         """Return the pose of the neutral face."""
-        return Pose(*self.layout.split(self.layout.rest.copy()))
+        return Pose.of(self.layout, self.layout.rest.copy())
 
     @cached_property
     def rest(self) -> PosedFace:
@@ -179,11 +211,15 @@ class Face:
         return self.solve_equilibrium(self.rest_pose(), self.model.rest)
 
     def _check(self, pose: Pose) -> None:
-        check_pose(pose.a, pose.b, self.S.shape[1] - 1, self.model.muscle_names)
+        check_pose(pose.a, pose.b, self.layout, self.model.muscle_names)
 
     def tet_activations(self, a: Floats) -> Floats:
         """Return A_i = sum_j s_ij a_j, (n, 6), with a_0 = a_I for the passive column."""
         return np.ascontiguousarray(self.S @ np.vstack([IDENTITY, a]))
+
+    def flesh_controls(self, a: Floats) -> Floats:
+        """Return what drives the flesh for the muscles' ``a``: activations (n, 6) if by S."""
+        return a if self.has_own_drive else self.tet_activations(a)
 
     def solve_equilibrium(
         self,
@@ -205,7 +241,7 @@ class Face:
             self.flesh,
             self.linear,
             x,
-            self.tet_activations(pose.a),
+            self.flesh_controls(pose.a),
             tolerance=self.tolerance,
             max_iterations=max_iterations,
             near=near,
@@ -233,14 +269,14 @@ class Face:
         ``response`` (size,) is the flesh's linear response to the change of pose (or of S). Raises
         as :func:`~solver.mechanics.equilibrium.newton_predict`.
         """
-        a = self.tet_activations(pose.a)
+        a = self.flesh_controls(pose.a)
         x = self._guess(state, response, pose, a)
         options = PredictorOptions(settled_mm=settled_mm)
         return PosedFace(pose, newton_predict(self.flesh, self.linear, x, a, options))
 
     def predict_and_solve(self, state: PosedFace, response: Floats, pose: Pose) -> PosedFace:
         """Do as :meth:`newton_predict`, but solve to the end."""
-        guess = self._guess(state, response, pose, self.tet_activations(pose.a))
+        guess = self._guess(state, response, pose, self.flesh_controls(pose.a))
         return self.solve_equilibrium(pose, guess)
 
     def _guess(self, state: PosedFace, response: Floats, pose: Pose, a: Floats) -> Floats:
@@ -306,7 +342,7 @@ class Face:
         if settled:
             return self.solve_equilibrium(target, x, state.equilibrium.factor)
         rough = PredictorOptions(settled_mm=PredictorOptions.reach_mm)
-        a = self.tet_activations(target.a)
+        a = self.flesh_controls(target.a)
         reached = newton_predict(self.flesh, self.linear, x, a, rough)
         # where flesh buckles a linear response leads nowhere
         if reached.minimum:
@@ -315,7 +351,7 @@ class Face:
 
     def mandible(self, b: Floats) -> Floats:
         """Return where the mandible's vertices are for b, (k, 3)."""
-        return move_jaw(self.model.jaw, self._held_rest[self.model.mandible], b)
+        return self.jaw.move(self._held_rest[self.model.mandible], b)
 
     def held_positions(self, b: Floats) -> Floats:
         """Return where the held vertices are for b, (h, 3) in the order of ``flesh.held``."""
@@ -324,10 +360,10 @@ class Face:
         return x[self.flesh.held]
 
     def mandible_jacobian(self, b: Floats) -> Floats:
-        """Return dx/db of all vertices as far as it is direct: (p, 3, 5), zero off the mandible."""
-        out = np.zeros((*self.model.rest.shape, JAW_FREEDOM))
+        """Return dx/db of all vertices as far as it is direct: (p, 3, k), zero off the mandible."""
+        out = np.zeros((*self.model.rest.shape, len(b)))
         points = self._held_rest[self.model.mandible]
-        out[self.model.mandible] = jaw_jacobian(self.model.jaw, points, b)
+        out[self.model.mandible] = self.jaw.jacobian(points, b)
         return out
 
     def face_points(self, x: Floats) -> Floats:
@@ -338,7 +374,7 @@ class Face:
         """Return every vertex of the scan topology (V, 3), what is rigid going with its bone."""
         model = self.model
         skin, attached = model.skin.vertices.copy(), model.attached_mandible
-        skin[attached] = move_jaw(model.jaw, skin[attached], b)
+        skin[attached] = self.jaw.move(skin[attached], b)
         skin[model.embedded] = model.embedding @ x + model.offset
         # beyond the flesh it follows that on it
         skin[self._loose_skin.ids] += self._loose_skin.follow(skin - model.skin.vertices)
@@ -352,10 +388,10 @@ class Face:
         """Predict x (p, 3) at ``target`` by the flesh's linear response to the change of pose."""
         x = state.x.copy()
         x[self.model.mandible] = self.mandible(target.b)
-        before = self.tet_activations(state.pose.a)
+        before = self.flesh_controls(state.pose.a)
         # the held vertices are where they will be
         pull = self.flesh.coupling(state.x, before, (x - state.x)[:, :, None])[:, 0]
-        change = self.flesh.gradient(state.x, self.tet_activations(target.a))
+        change = self.flesh.gradient(state.x, self.flesh_controls(target.a))
         return self.flesh.moved(x, -state.equilibrium.factor.solve(pull + change))
 
     def _sliding_planes(self, mu: Floats | float) -> SlidingPlanes:

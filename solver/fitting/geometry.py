@@ -89,7 +89,7 @@ def fit(
         ).state
         for name, term in first_terms.items()
     }
-    now = Iterate(face.S, states)
+    now = Iterate(face.S.data, states)
     idle, number, steps = 0, 0, options.first_iterations
     whole = max(options.rounds - WHOLE_ROUNDS, 0)
     while number < options.rounds:
@@ -97,23 +97,25 @@ def fit(
             listen(number, now.states)
         terms = data if number >= whole else first_terms
         problem = _problem(face, terms, options, number, structure)
-        before = problem.value(now.S, now.states)
+        before = problem.value(now.values, now.states)
         now = _step(problem, now, options.retries)
-        gain = before - problem.value(now.S, now.states)
+        gain = before - problem.value(now.values, now.states)
         idle = idle + 1 if gain < options.tolerance * before else 0
         number, steps = number + 1, steps + 1
         if idle == 2:
             # what is left of this stage gains nothing: on to the whole rounds, or to the end
             number, idle = (whole, 0) if number < whole else (options.rounds, 0)
     last = replace(begin, w_a=options.w_a[1])
-    return _finish(face.with_weights(now.S), data, last, now.states, steps)
+    return _finish(
+        face.with_unchecked_weights(replace_values(face.S, now.values)), data, last, now.states, steps
+    )
 
 
 def _step(problem: GeometryProblem, now: Iterate, retries: int) -> Iterate:
     """Return the next iterate; a refused step is no sign of convergence, and is tried again."""
     for _ in range(1 + retries):
         before, now = now, joint.step(problem, now)
-        if now.S is not before.S:
+        if now.values is not before.values:
             break
     return now
 

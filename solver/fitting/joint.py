@@ -1,5 +1,7 @@
 """One Gauss-Newton step on everything the multi-target problem solves for: S, and every a_k, b_k.
 
+What is written of S holds for whatever else shapes a face in all of its poses (:class:`Shape`).
+
     f = sum_k [ data_k(x_k) + regulariser(a_k, b_k) ] + w_s/2 |S - S_0|^2 + 1/2 |L (S - S_0)|^2
 
 The equilibria x_k are eliminated as everywhere (:mod:`solver.fitting.sensitivity`). Linearised,
@@ -19,6 +21,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg
@@ -28,12 +31,13 @@ import scipy.sparse.linalg
 from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.face import Face, Pose, PosedFace
-from solver.fitting.least_squares import DampingOptions
+from solver.fitting.least_squares import DampingOptions, bounded_step
 from solver.fitting.objective import Regulariser, Term, sparse
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.simplex import minimise_on_simplex, replace_values
 from solver.mechanics.equilibrium import PredictorOptions
-from solver.surface import Floats
+from solver.mechanics.response import Controls
+from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,40 @@ class JointOptions:
     pose_damping: DampingOptions = field(default_factory=lambda: DampingOptions(1e-2, least=1e-6))
 
 
+class Shape(Protocol):
+    """What makes a face, by values (k,): rows of them are on the simplex, the last ones free."""
+
+    @property
+    def indptr(self) -> Ints:
+        """Return the rows' places; values beyond the last are in none."""
+
+    def face(self, values: Floats) -> Face:
+        """Return the face."""
+
+    def rates(self, sensitivity: Sensitivity, values: Floats) -> Controls:
+        """Return the forces' derivative by the values, at a state of their face."""
+
+
+@dataclass(frozen=True)
+class WeightShape:
+    """The values (nnz,) of S."""
+
+    plain: Face
+
+    @property
+    def indptr(self) -> Ints:
+        """See :class:`Shape`."""
+        return np.asarray(self.plain.S.indptr)
+
+    def face(self, values: Floats) -> Face:
+        """See :class:`Shape`."""
+        return self.plain.with_unchecked_weights(replace_values(self.plain.S, values))
+
+    def rates(self, sensitivity: Sensitivity, values: Floats) -> Controls:  # noqa: ARG002
+        """See :class:`Shape`."""
+        return sensitivity.weights
+
+
 @dataclass(frozen=True)
 class GeometryProblem:
     """f: the terms and the regulariser of every expression, and the priors of S."""
@@ -56,11 +94,17 @@ class GeometryProblem:
     w_s: float
     prior: Floats  # (nnz,) the values of S_0
     structure: sp.csr_array  # L (k, nnz)
+    other: Shape | None = None  # in the place of S
 
-    def value(self, S: sp.csr_array, states: Mapping[str, PosedFace]) -> float:
+    @property
+    def shape(self) -> Shape:
+        """Return what the values are of."""
+        return self.other or WeightShape(self.face)
+
+    def value(self, values: Floats, states: Mapping[str, PosedFace]) -> float:
         """Return f at the states' estimates."""
         data = sum(self.expression_value(name, state) for name, state in states.items())
-        return data + self.prior_value(S.data)
+        return data + self.prior_value(values)
 
     def expression_value(self, name: str, state: PosedFace) -> float:
         """Return one expression's contribution to f."""
@@ -80,62 +124,63 @@ class GeometryProblem:
 
 @dataclass(frozen=True)
 class Iterate:
-    """S and the states of a fit, with the damping of the linear models of S and of every pose."""
+    """Values of S and the states of a fit, with the damping of S's and every pose's models."""
 
-    S: sp.csr_array
+    values: Floats
     states: dict[str, PosedFace]
     damping: float = JointOptions().damping.start
     pose_damping: dict[str, float] = field(default_factory=dict)
 
 
 def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOptions()) -> Iterate:
-    """Return a better iterate, or the same S with the losing states settled, and more damping."""
+    """Return a better iterate, or the same with the losing states settled, and more damping."""
     rule, pose_rule = options.damping, options.pose_damping
-    face = problem.face.with_unchecked_weights(now.S)
+    shape, face = problem.shape, problem.shape.face(now.values)
     damping = {name: now.pose_damping.get(name, pose_rule.start) for name in now.states}
     models = {
-        name: _Linearised(problem, face, name, state, damping[name])
+        name: _Linearised(problem, face, now.values, name, state, damping[name])
         for name, state in now.states.items()
     }
     change = _change(problem, now, list(models.values()), options.largest_change)
-    before = problem.prior_value(now.S.data)
+    before = problem.prior_value(now.values)
     for halving in range(options.halvings):
         fraction = 0.5**halving
         part = fraction * change
-        S = replace_values(now.S, now.S.data + part)
-        trials = {name: model.trial(S, part, fraction) for name, model in models.items()}
+        values = now.values + part
+        shaped = shape.face(values)
+        trials = {name: model.trial(shaped, part, fraction) for name, model in models.items()}
         for name, trial in trials.items():
             damping[name] = pose_rule.adapt(damping[name], trial.ratio)
         # the priors are quadratic: what they gain is what their model says
-        nearer = before - problem.prior_value(S.data)
+        nearer = before - problem.prior_value(values)
         gain = sum(trial.gain for trial in trials.values()) + nearer
         if gain > 0.0:
             predicted = sum(trial.predicted for trial in trials.values()) + nearer
             # a step that had to be halved says how much too far the linear model reached
             increased = rule.increase(now.damping, halving)
             states = {name: trial.state for name, trial in trials.items() if trial.state}
-            return Iterate(S, states, rule.adapt(increased, gain / predicted), damping)
+            return Iterate(values, states, rule.adapt(increased, gain / predicted), damping)
     # near buckling the value at an estimate may flatter: settle those that lose, where possible
     states = dict(now.states)
     for name, state in now.states.items():
         if trials[name].gain < 0.0:
             states[name] = face.settle(state.pose, state.x) or state
-    return Iterate(now.S, states, rule.increase(now.damping, options.halvings), damping)
+    return Iterate(now.values, states, rule.increase(now.damping, options.halvings), damping)
 
 
 def _change(
     problem: GeometryProblem, now: Iterate, models: list[_Linearised], reach: float
 ) -> Floats:
     """Return the change (nnz,) of S's values that minimises the damped model, poses following."""
-    structure, known = problem.structure, problem.prior_gradient(now.S.data)
+    structure, known = problem.structure, problem.prior_gradient(now.values)
     gradient = sum((model.gradient_by_geometry() for model in models), known)
 
     def product(direction: Floats) -> Floats:
         known = (problem.w_s + now.damping) * direction + structure.T @ (structure @ direction)
         return np.asarray(sum((model.product(direction) for model in models), known))
 
-    best = minimise_on_simplex(now.S.data, gradient, product, now.S.indptr, reach)
-    return np.asarray(best - now.S.data)
+    best = minimise_on_simplex(now.values, gradient, product, problem.shape.indptr, reach)
+    return np.asarray(best - now.values)
 
 
 @dataclass(frozen=True)
@@ -155,13 +200,19 @@ class _Linearised:
     """The Gauss-Newton model of one expression at a state, its pose's part damped."""
 
     def __init__(
-        self, problem: GeometryProblem, face: Face, name: str, state: PosedFace, damping: float
+        self,
+        problem: GeometryProblem,
+        face: Face,
+        values: Floats,
+        name: str,
+        state: PosedFace,
+        damping: float,
     ) -> None:
-        self._problem, self._face = problem, face
-        self._name, self._state = name, state
+        self._problem, self._name, self._state = problem, name, state
         sensitivity = Sensitivity(face, state)
         jacobian = sensitivity.by_pose()
-        self._response, self._weights = sensitivity.response, sensitivity.weights
+        self._response = sensitivity.response
+        self._weights = problem.shape.rates(sensitivity, values)
         self._jacobian = jacobian
         data, regulariser = problem.data[name], problem.regulariser
         gradient = data.gradient(state.estimate)
@@ -175,8 +226,17 @@ class _Linearised:
         self._coupling[direct.row, direct.col] += direct.data
         self._by_pose = jacobian.adjoint(gradient) + regulariser.gradient(state.pose)
         self._hessian = jacobian.contract(curvature) + regulariser.gauss_newton(state.pose)
-        units = np.diag(state.pose.layout.damping)
-        self._factor = scipy.linalg.cho_factor(self._hessian + damping * units)
+        self._layout, self._q = state.pose.layout, state.pose.vector()
+        damped = self._hessian + damping * np.diag(self._layout.damping)
+        # at a bound that the step would leave, the pose does not follow
+        self._open: slice | Ints = slice(None)
+        if self._layout.is_bounded:
+            limits = self._layout.limits(self._q, 1.0)
+            ahead = bounded_step(damped, self._by_pose, limits)
+            at_bound = (ahead == limits[0]) | (ahead == limits[1])
+            self._open = np.flatnonzero(~(at_bound & (ahead == 0.0)))
+            damped = damped[np.ix_(self._open, self._open)]
+        self._factor = scipy.linalg.cho_factor(damped)
 
     def gradient_by_geometry(self) -> Floats:
         """Return f's derivative (nnz,) by S, the pose following."""
@@ -192,28 +252,29 @@ class _Linearised:
         by_x[self._touched] -= self._coupling @ self._solve(by_pose)
         return self._response.free_adjoint(self._weights, by_x)
 
-    def trial(self, S: sp.csr_array, change: Floats, fraction: float) -> _Trial:
-        """Go to a new S and ``fraction`` of the way to the pose that goes with it."""
+    def trial(self, face: Face, change: Floats, fraction: float) -> _Trial:
+        """Go to a face of new values and ``fraction`` of the way to the pose that goes with it."""
         problem, state = self._problem, self._state
         flesh = self._response.free_motion(self._weights, change)
         coupled = self._couple(flesh)
         by_pose = -self._solve(self._by_pose + coupled)
-        by_pose *= fraction / max(state.pose.layout.reach(by_pose), 1.0)
+        by_pose *= fraction / max(self._layout.reach(by_pose), 1.0)
+        if self._layout.is_bounded:
+            by_pose = self._layout.clip(self._q + by_pose) - self._q
         # the undamped model's gain
         first = self._by_x @ flesh + self._by_pose @ by_pose
         second = flesh @ (self._curvature @ flesh) + by_pose @ (self._hessian @ by_pose)
         predicted = float(-first - 0.5 * second - by_pose @ coupled)
         response = flesh + self._jacobian.flesh @ by_pose
-        found = self._move(S, response, state.pose.add(by_pose))
+        found = self._move(face, response, state.pose.add(by_pose))
         if found is None:
             return _Trial(state=None, gain=-np.inf, predicted=predicted)
         before = problem.expression_value(self._name, state)
         after = problem.expression_value(self._name, found)
         return _Trial(state=found, gain=before - after, predicted=predicted)
 
-    def _move(self, S: sp.csr_array, response: Floats, pose: Pose) -> PosedFace | None:
-        """Approach a pose with S; settle where that is too far; None where that fails too."""
-        face = self._face.with_unchecked_weights(S)
+    def _move(self, face: Face, response: Floats, pose: Pose) -> PosedFace | None:
+        """Approach a pose of a face; settle where that is too far; None where that fails too."""
         with contextlib.suppress(SolveError):
             # the next linear models, of S too, are the better for a stiffness that is that at x
             return face.newton_predict(self._state, response, pose, PredictorOptions.reach_mm)
@@ -225,4 +286,6 @@ class _Linearised:
         return np.asarray(self._coupling.T @ flesh[self._touched])
 
     def _solve(self, right: Floats) -> Floats:
-        return np.asarray(scipy.linalg.cho_solve(self._factor, right))
+        out = np.zeros_like(right)
+        out[self._open] = scipy.linalg.cho_solve(self._factor, right[self._open])
+        return out

@@ -15,7 +15,10 @@ from enum import StrEnum
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
+import scipy.linalg
+from scipy.optimize import lsq_linear
 
+from solver.errors import SolveError
 from solver.surface import Floats
 
 Point = TypeVar("Point")  # where a fit is: its variables and what follows from them
@@ -83,6 +86,26 @@ class LinearModel(Protocol):
 
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """Return the step that minimises the damped model, cut to a reach of ``trust``."""
+
+
+def bounded_step(hessian: Floats, gradient: Floats, limits: tuple[Floats, Floats]) -> Floats:
+    """Return the s that minimises g . s + s . H s / 2 within ``limits``, which it keeps exactly.
+
+    The active set is found by bounded least squares (Stark and Parker 1995). Raises
+    :class:`SolveError` (``solve.not_finite``) where H is not positive definite.
+    """
+    try:
+        root = scipy.linalg.cholesky(hessian, lower=True)
+        right = -scipy.linalg.solve_triangular(root, gradient, lower=True)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
+    lower, upper = limits
+    step = np.zeros_like(gradient)
+    # what its bounds leave nowhere to go stays
+    open_ = np.flatnonzero(upper - lower > 0.0)
+    found = lsq_linear(root.T[:, open_], right, (lower[open_], upper[open_]), method="bvls")
+    step[open_] = np.clip(found.x, lower[open_], upper[open_])
+    return step
 
 
 class LeastSquaresProblem(Protocol[Point]):

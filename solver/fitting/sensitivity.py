@@ -71,12 +71,23 @@ class TetForces:
 
     def __init__(self, face: Face, pose: Pose, x: Floats) -> None:
         self.face, self.pose, self.x = face, pose, x
-        flesh, S = face.flesh, face.S
-        self.tet_a = face.tet_activations(pose.a)
-        self.by_tet = flesh.elastic.forces_by_activation(x, self.tet_a)  # (n, 4, 3, 6)
-        self.numbers = flesh.free_numbers[flesh.tets]
-        self.columns = np.vstack([IDENTITY, pose.a])
-        self.pattern = self.by_tet, self.numbers, S.indptr, S.indices
+        self.controls = face.flesh_controls(pose.a)
+
+    @cached_property
+    def by_tet(self) -> Floats:
+        """The derivative (n, 4, 3, 6)."""
+        return self.face.flesh.elastic.forces_by_activation(self.x, self.controls)
+
+    @cached_property
+    def columns(self) -> Floats:
+        """What the columns of S stand for, (m + 1, 6)."""
+        return np.vstack([IDENTITY, self.pose.a])
+
+    @cached_property
+    def pattern(self) -> tuple[Floats, Ints, Ints, Ints]:
+        """The derivative, the free vertices' numbers (n, 4), and the pattern of S."""
+        flesh, S = self.face.flesh, self.face.S
+        return self.by_tet, flesh.free_numbers[flesh.tets], S.indptr, S.indices
 
 
 class PoseRates:
@@ -87,23 +98,29 @@ class PoseRates:
         face, pose = forces.face, forces.pose
         self._S, self._layout = face.S, pose.layout
         direct = face.mandible_jacobian(pose.b)
-        # the free gradient's derivative by b (size, 5)
-        self.by_jaw = face.flesh.coupling(forces.x, forces.tet_a, direct)
+        # the free gradient's derivative by b (size, k)
+        self.by_jaw = face.flesh.coupling(forces.x, forces.controls, direct)
         by_jaw = sp.csr_array(direct.reshape(face.model.rest.size, -1))
-        ahead = sp.csr_array((len(direct) * 3, self._layout["jaw"].start))
+        ahead = sp.csr_array((len(direct) * 3, pose.a.size))
         self.held = sp.hstack([ahead, by_jaw], format="csr")
 
     def columns(self) -> Floats:
-        """Return d(grad_x E)/d(a, b), (size, 6 m + 5)."""
+        """Return d(grad_x E)/d(a, b), (size, k)."""
         out = np.zeros((len(self.by_jaw), self._layout.size), order="F")
-        _add_by_muscle(*self._forces.pattern, self._S.data, out)
-        out[:, self._layout["jaw"]] = self.by_jaw
+        count = self._layout.size - self.by_jaw.shape[1]
+        if self._own is None:
+            _add_by_muscle(*self._forces.pattern, self._S.data, out)
+        else:
+            out[:, :count] = self._own.toarray()
+        out[:, count:] = self.by_jaw
         return out
 
     def product(self, change: Floats) -> Floats:
         """Return the free gradient's change (size,) for one of (a, b)."""
         by_a, by_b = self._layout.split(change)
         pull = self.by_jaw @ by_b
+        if self._own is not None:
+            return np.asarray(pull + self._own @ by_a)
         by_tet, numbers = self._forces.pattern[:2]
         tets, fractions = self._active
         _forces_by_activations(by_tet, numbers, tets, fractions @ by_a, pull)
@@ -111,11 +128,21 @@ class PoseRates:
 
     def adjoint(self, motion: Floats) -> Floats:
         """Return the transpose of :meth:`product` applied to (size,)."""
+        if self._own is not None:
+            return self._layout.join([self._own.T @ motion, self.by_jaw.T @ motion])
         by_tet, numbers = self._forces.pattern[:2]
         tets, fractions = self._active
         by_tet_a = np.empty((len(tets), 6))
         _activations_by_forces(by_tet, numbers, tets, motion, by_tet_a)
         return self._layout.join([fractions.T @ by_tet_a, self.by_jaw.T @ motion])
+
+    @cached_property
+    def _own(self) -> sp.csr_array | None:
+        """The derivative (size, m) by controls of the flesh's own, None of activations by S."""
+        forces = self._forces
+        if not forces.face.has_own_drive:
+            return None
+        return forces.face.flesh.forces_by_control(forces.x, forces.controls)
 
     @cached_property
     def _active(self) -> tuple[Ints, sp.csr_array]:

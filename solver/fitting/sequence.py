@@ -150,7 +150,7 @@ class Tracker:
         far = np.abs(found.factor.x - found.x).max() > CorrectorOptions.close_mm
         # what was projected, too, would be wrong in every frame that it serves
         if found.factor.projection > 0 or far:
-            a = self.face.tet_activations(pose.a)
+            a = self.face.flesh_controls(pose.a)
             factorization = Factorization(self.face.flesh, self.face.linear, found.x, a)
             self.state = PosedFace(pose, replace(found, factor=factorization))
         jacobian = Sensitivity(self.face, self.state).by_pose()
@@ -183,7 +183,7 @@ class _FrameProblem:
         gradient = self.lagged.jacobian.adjoint(self.data.gradient(point.x))
         gradient += self.regulariser.gradient(point.pose)
         hessian = self.lagged.hessian + self.regulariser.gauss_newton(point.pose)
-        return DenseModel(point.pose.layout, hessian, gradient)
+        return DenseModel(point.pose.layout, hessian, gradient, point.pose.vector())
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
         """Correct the equilibrium, no more."""
@@ -198,7 +198,7 @@ def _correct(face: Face, state: PosedFace, pose: Pose, x: Floats) -> PosedFace |
     guess = untangle(face.flesh, state.x, x)
     if guess is None:
         return None
-    a = face.tet_activations(pose.a)
+    a = face.flesh_controls(pose.a)
     found = correct(face.flesh, face.linear, guess, a, state.equilibrium.factor)
     return None if found is None else PosedFace(pose, found)
 
@@ -209,6 +209,7 @@ class UsualMotion:
 
     activation: float = 0.2  # of an entry
     jaw: tuple[float, ...] = (0.2, 0.1, 3.0, 3.0, 3.0)  # rad and mm
+    tracks: tuple[float, ...] = (0.2, 3.0, 3.0)
     mobile_mm: float = 0.4  # of a point that is half as still as the skull
 
 
@@ -221,7 +222,7 @@ def stillness(face: Face, usual: UsualMotion = UsualMotion()) -> Floats:
     sensitivity = Sensitivity(face, face.rest)
     by_pose = sensitivity.response.motions(sensitivity.pose)
     by_a = np.full_like(face.rest_pose().a, usual.activation)
-    change = face.layout.join([by_a, np.array(usual.jaw)])
+    change = face.layout.join([by_a, np.array(getattr(usual, face.layout.blocks[1].name))])
     columns = (by_pose * change).reshape(len(by_pose), -1)
     motion = np.asarray(face.face_embedding @ columns)
     squares = np.sum(motion.reshape(len(motion), -1) ** 2, axis=1)

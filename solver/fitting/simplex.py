@@ -42,6 +42,8 @@ def minimise_on_simplex(
 ) -> Floats:
     """Return the values that minimise g . d + 1/2 d . H d on the simplex, d their change.
 
+    Values beyond the last row are on no simplex.
+
     ``gradient`` (nnz,) is g at ``values``, ``product`` multiplies by the positive definite H; no
     value moves by more than ``reach``. Each pass of conjugate gradients is on the face that the one
     before ended on, and projected afterwards (More and Toraldo 1991).
@@ -71,7 +73,7 @@ def minimise_on_simplex(
 @nb.njit(cache=True, parallel=True)
 def project(values: Floats, indptr: Ints) -> Floats:
     """Return the nearest values with s >= 0 and sum 1 in every row (Held, Wolfe, Crowder 1974)."""
-    out = np.empty_like(values)
+    out = values.copy()
     for row in nb.prange(len(indptr) - 1):
         first, last = indptr[row], indptr[row + 1]
         descending = np.sort(values[first:last])[::-1]
@@ -116,6 +118,7 @@ def free_entries(values: Floats, gradient: Floats, indptr: Ints) -> NDArray[np.b
 def tangent(values: Floats, free: NDArray[np.bool_], indptr: Ints) -> Floats:
     """Project onto the face's tangent: zero at entries that are not free, rows that sum to zero."""
     out = np.zeros_like(values)
+    out[indptr[-1] :] = values[indptr[-1] :]
     for row in nb.prange(len(indptr) - 1):
         total, count = 0.0, 0
         for entry in range(indptr[row], indptr[row + 1]):

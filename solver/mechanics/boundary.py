@@ -15,7 +15,7 @@ from solver.surface import Floats
 JAW_FREEDOM = 5  # of the mandible: hinge, sideways, and three of translation
 
 
-def _rotation(axis: Floats, angle: float) -> tuple[Floats, Floats]:
+def rotation(axis: Floats, angle: float) -> tuple[Floats, Floats]:
     """Return the rotation about a unit axis (Rodrigues) and its derivative by the angle."""
     skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     square = skew @ skew
@@ -25,7 +25,7 @@ def _rotation(axis: Floats, angle: float) -> tuple[Floats, Floats]:
 
 def jaw_rotation(frame: JawFrame, b: Floats) -> Floats:
     """Return the mandible's rotation (3, 3) for b (5,): hinge first, then sideways."""
-    return _rotation(frame.axes[1], b[1])[0] @ _rotation(frame.axes[0], b[0])[0]
+    return rotation(frame.axes[1], b[1])[0] @ rotation(frame.axes[0], b[0])[0]
 
 
 def move_jaw(frame: JawFrame, points: Floats, b: Floats) -> Floats:
@@ -40,14 +40,61 @@ def move_jaw_back(frame: JawFrame, points: Floats, b: Floats) -> Floats:
 
 def jaw_jacobian(frame: JawFrame, points: Floats, b: Floats) -> Floats:
     """Return d move_jaw / db, shape (k, 3, 5)."""
-    hinge, hinge_rate = _rotation(frame.axes[0], b[0])
-    side, side_rate = _rotation(frame.axes[1], b[1])
+    hinge, hinge_rate = rotation(frame.axes[0], b[0])
+    side, side_rate = rotation(frame.axes[1], b[1])
     arms = points - frame.origin
     out = np.empty((len(points), 3, JAW_FREEDOM))
     out[:, :, 0] = arms @ (side @ hinge_rate).T
     out[:, :, 1] = arms @ (side_rate @ hinge).T
     out[:, :, 2:] = frame.axes.T
     return out
+
+
+class JawMotion(Protocol):
+    """The mandible's motion by some numbers b (k,)."""
+
+    def move(self, points: Floats, b: Floats) -> Floats:
+        """Move points (n, 3) with the mandible."""
+
+    def jacobian(self, points: Floats, b: Floats) -> Floats:
+        """Return the derivative (n, 3, k) of :meth:`move` by b."""
+
+    def matrix(self, b: Floats) -> Floats:
+        """Return the motion as a matrix (4, 4)."""
+
+
+def five_numbers(frame: JawFrame, motion: Floats) -> Floats:
+    """Return the b (5,) nearest to a rigid motion (4, 4) of the mandible.
+
+    They are the motion itself where its axis through the condyles stays level in the frame: both
+    condyles may go forward by different ways, but not down.
+    """
+    turned = frame.axes @ motion[:3, :3] @ frame.axes.T
+    hinge, side = np.arctan2(-turned[1, 2], turned[1, 1]), np.arctan2(-turned[2, 0], turned[0, 0])
+    place = motion[:3, :3] @ frame.origin + motion[:3, 3] - frame.origin
+    return np.concatenate([[hinge, side], frame.axes @ place])
+
+
+@dataclass(frozen=True)
+class FreeJaw:
+    """The mandible by b (5,), whatever its joint can do: :func:`move_jaw`."""
+
+    frame: JawFrame
+
+    def move(self, points: Floats, b: Floats) -> Floats:
+        """See :class:`JawMotion`."""
+        return move_jaw(self.frame, points, b)
+
+    def jacobian(self, points: Floats, b: Floats) -> Floats:
+        """See :class:`JawMotion`."""
+        return jaw_jacobian(self.frame, points, b)
+
+    def matrix(self, b: Floats) -> Floats:
+        """See :class:`JawMotion`."""
+        out, R = np.eye(4), jaw_rotation(self.frame, b)
+        origin = self.frame.origin
+        out[:3, :3], out[:3, 3] = R, origin + b[2:] @ self.frame.axes - R @ origin
+        return out
 
 
 @dataclass(frozen=True)

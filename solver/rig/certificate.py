@@ -13,7 +13,7 @@ from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import determinants, fibre_tensors, matrices
-from solver.mechanics.boundary import move_jaw
+from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization
 from solver.model import SubjectModel
@@ -135,12 +135,14 @@ class JawMotion:
         ]
 
 
-def jaw_motion(model: SubjectModel, b: Floats) -> JawMotion:
-    """Return the mandible's motion for b (5,)."""
+def jaw_motion(model: SubjectModel, mandible: Floats) -> JawMotion:
+    """Return what a rigid motion (4, 4) of the mandible comes to."""
+    b = five_numbers(model.jaw, mandible)
     teeth = np.intersect1d(model.regions.get("lower_teeth", []), model.attached_mandible)
     bone = model.skin.vertices[teeth.astype(np.int64)] if len(teeth) else model.rest[model.mandible]
     front = bone[(bone @ model.jaw.axes[2]).argmax()][None]
-    motion = (move_jaw(model.jaw, front, b) - front)[0] @ model.jaw.axes.T
+    moved = front @ mandible[:3, :3].T + mandible[:3, 3]
+    motion = (moved - front)[0] @ model.jaw.axes.T
     return JawMotion(
         point="lower incisors" if len(teeth) else "chin",
         opening_deg=float(np.degrees(b[0])),
@@ -218,7 +220,7 @@ def _check(
     a = face.tet_activations(fit.activations)
     return ExpressionCheck(
         muscles(face.model, face.flesh.volumes, face.S, fit.activations),
-        jaw_motion(face.model, fit.jaw),
+        jaw_motion(face.model, FreeJaw(face.model.jaw).matrix(fit.jaw)),
         None if fit.x is None else check_flesh(face, a, fit.x, linear),
         None if mouth is None else crossing(mouth, fit.skin),
         crossing(mouth, fit.target) if mouth and np.isfinite(fit.target).all() else None,

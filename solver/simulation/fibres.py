@@ -17,13 +17,13 @@ import scipy.sparse as sp
 
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import InputError
-from solver.fitting.controls import Block, Layout, jaw_block
+from solver.fitting import activation
+from solver.fitting.activation import UNSEEN_STOP, ActivationFit
+from solver.fitting.controls import Block
 from solver.fitting.face import Face
-from solver.fitting.skin_fit import SkinFit
+from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import FROBENIUS, entries
-from solver.mechanics.boundary import BoundaryRates
 from solver.mechanics.flesh import IDENTITY, Flesh
-from solver.mechanics.response import SparseControls
 from solver.mechanics.terms import ElasticTerm
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
@@ -31,10 +31,11 @@ from solver.surface import Floats, Ints
 
 @dataclass(frozen=True)
 class ContractionLimits:
-    """Limits of contractions."""
+    """Limits of contractions, and the weight of a fit's rest."""
 
     least: float = 0.3  # gamma of a muscle that has shortened to a third
     most: float = 1.5  # of one that gives way to half as much again
+    w_rest: float = 2e-2  # mm^2 by the square of a contraction
 
 
 def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Floats:
@@ -123,48 +124,21 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
     return entries(model.fibres)
 
 
-@dataclass(frozen=True)
-class FibreFit:
-    """Contractions ``gamma`` (m,), the ``jaw`` (5,), and vertices ``x`` (p, 3) they lead to."""
-
-    gamma: Floats
-    jaw: Floats
-    x: Floats
+def contracting(face: Face, options: ContractionLimits = ContractionLimits()) -> Face:
+    """Return a face whose muscles are driven by contractions (m,) within the limits."""
+    relaxed = np.ones(face.model.muscle_count)
+    block = Block("contractions", relaxed, lower=options.least, upper=options.most)
+    return face.driven_by(driven_by_fibres(face), block)
 
 
-class FibreControls:
-    """Contractions along fibres and the jaw: :class:`solver.fitting.controls.FitControls`."""
-
-    def __init__(self, face: Face, options: ContractionLimits = ContractionLimits()) -> None:
-        self._face = face
-        self.flesh = driven_by_fibres(face)
-        relaxed = np.ones(face.model.muscle_count)
-        contractions = Block("contractions", relaxed, lower=options.least, upper=options.most)
-        self.layout = Layout((contractions, jaw_block()))
-
-    def flesh_controls(self, q: Floats) -> Floats:
-        """See :class:`solver.fitting.controls.FitControls`."""
-        return self.layout.part("contractions", q)
-
-    def held_positions(self, q: Floats) -> Floats:
-        """See :class:`solver.fitting.controls.FitControls`."""
-        return self._face.held_positions(self.layout.part("jaw", q))
-
-    def linearise(self, q: Floats, x: Floats) -> SparseControls:
-        """See :class:`solver.fitting.controls.FitControls`."""
-        gamma, b = self.layout.split(q)
-        by_jaw = np.eye(self.layout.size)[self.layout["jaw"]]
-        direct = self._face.mandible_jacobian(b)[self.flesh.held]
-        rates = sp.eye_array(len(gamma), self.layout.size, format="csr")
-        boundary = BoundaryRates(direct @ by_jaw, by_jaw)
-        return SparseControls.of(self.flesh, x, gamma, rates, boundary)
-
-
-def fit_fibres(
+def fit_contractions(
     face: Face, target: Floats, options: ContractionLimits = ContractionLimits()
-) -> FibreFit:
-    """Fit the face's points (k, 3) to ``target``, mm; raises as :func:`fibre_activations`."""
-    controls = FibreControls(face, options)
-    found = SkinFit(face, controls, target).solve().point
-    gamma, jaw = controls.layout.split(found.q)
-    return FibreFit(gamma, jaw, found.equilibrium.x)
+) -> ActivationFit:
+    """Fit the face's points (k, 3) to ``target``, mm, by contractions and the jaw.
+
+    Raises as :func:`fibre_activations`.
+    """
+    driven = contracting(face, options)
+    prior = Regulariser(w_a=options.w_rest, w_v=0.0, w_b=1e-6, prior=driven.rest_pose())
+    data = SkinDistance(driven, Target.from_points(target))
+    return activation.fit(driven, data, prior, options=UNSEEN_STOP)

@@ -157,5 +157,5 @@ def test_frames_are_where_the_worker_looks() -> None:
 def test_linear_solvers_are_those_of_the_solver(kind: str) -> None:
     rules = KINDS[kind].schema["properties"].get("linear_solver")
     if rules is not None:
-        names = DOUBLE if kind == "fit_geometry" else SOLVERS
+        names = DOUBLE if kind in ("fit_geometry", "fit_fibres") else SOLVERS
         assert rules["enum"] == [*names, None]

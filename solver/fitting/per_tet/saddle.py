@@ -91,7 +91,7 @@ class SaddleSolver:
         blocks = np.zeros((len(flesh.tets), len(u), 3, 3))
         blocks[active] = np.einsum("epir,epjr->epij", weighted[:, u], by_tet[:, v])
         K = flesh.block_sum(blocks)
-        H = flesh.hessian(state.x, forces.tet_a, project=not state.equilibrium.minimum)
+        H = flesh.hessian(state.x, forces.controls, project=not state.equilibrium.minimum)
         C = model.data[free][:, free]
         jaw = rates.held[:, layout["jaw"]]
         E = (model.data[free] @ jaw).toarray()

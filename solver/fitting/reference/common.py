@@ -82,16 +82,18 @@ def solve(
     tolerance: float,
     max_iterations: int,
     lower: Floats | float = -UNBOUNDED,
+    upper: Floats | float = UNBOUNDED,
 ) -> tuple[Floats, Solution]:
     """Run IPOPT from ``start`` (n,), the constraints (m,) being equal to ``constants``.
 
-    ``lower`` (n,) bounds the variables from below. Returns the variables that it ended with, too.
+    ``lower`` and ``upper`` (n,) bound the variables. Returns those that it ended with, too.
     """
     ipopt = cyipopt.Problem(
         n=len(start),
         m=len(constants),
         problem_obj=problem,
         lb=np.maximum(np.full(len(start), -UNBOUNDED), lower),
+        ub=np.minimum(np.full(len(start), UNBOUNDED), upper),
         cl=constants,
         cu=constants,
     )

@@ -53,7 +53,9 @@ class Expression(IpoptProblem):
         self.face = face
         self.flesh = flesh = face.flesh
         self.layout = Layout((Block("x", flesh.rest[flesh.free]), *face.layout.blocks))
-        muscles, jaw = self.layout.places("activations"), self.layout.places("jaw")
+        muscles, jaw = (self.layout.places(block.name) for block in face.layout.blocks)
+        muscles = muscles.reshape(len(muscles), -1)
+        self._columns = muscles.shape[1], len(jaw)
         self._data, self._priors = data, priors
         self._pose_entries = self._find_touched(face.S if candidates is None else candidates)
         pattern = flesh.hessian(flesh.rest, flesh.passive())
@@ -78,7 +80,8 @@ class Expression(IpoptProblem):
     def minimise(self, start: Pose, x: Floats, tolerance: float, max_iterations: int) -> Reference:
         """Minimise f from ``start`` and ``x`` (p, 3); raises :class:`NotConvergedError`."""
         forces = np.zeros(self.flesh.size)
-        z, found = solve(self, self.start(start, x), forces, tolerance, max_iterations)
+        bounds = self.layout.lower, self.layout.upper
+        z, found = solve(self, self.start(start, x), forces, tolerance, max_iterations, *bounds)
         return Reference(pose=self.pose(z), x=self.place(z), **vars(found)).check()
 
     def start(self, pose: Pose, x: Floats) -> Floats:
@@ -87,7 +90,7 @@ class Expression(IpoptProblem):
 
     def pose(self, z: Floats) -> Pose:
         """Return a and b."""
-        return Pose(self.layout.part("activations", z), self.layout.part("jaw", z))
+        return Pose.of(self.face.layout, z[self.flesh.size :])
 
     def place(self, z: Floats) -> Floats:
         """Return x (p, 3), the mandible being where b puts it."""
@@ -116,7 +119,7 @@ class Expression(IpoptProblem):
         pose = self.pose(z)
         blocks, jaw = self._priors.curvature(pose)
         motion = self._motion_at(pose)
-        whole = motion.T @ self._data.curvature(self.place(z)) @ motion
+        whole = motion.T @ sparse(self._data.curvature(self.place(z))) @ motion
         by_data = np.asarray(sp.csr_array(whole)[self._curved]).ravel()
         lower = blocks[:, self._block[0], self._block[1]]
         return factor * np.concatenate([by_data, lower.ravel(), jaw])
@@ -124,7 +127,7 @@ class Expression(IpoptProblem):
     def constraints(self, z: Floats, S: sp.csr_array | None = None) -> Floats:
         """Return the free coordinates' forces (size,); tells IPOPT where a tet is inverted."""
         face = self.face if S is None else self.face.with_unchecked_weights(S)
-        x, a = self.place(z), face.tet_activations(self.pose(z).a)
+        x, a = self.place(z), face.flesh_controls(self.pose(z).a)
         finite(self.flesh.energy(x, a))
         return self.flesh.gradient(x, a)
 
@@ -136,7 +139,7 @@ class Expression(IpoptProblem):
         """Return its entries."""
         face = self.face if S is None else self.face.with_unchecked_weights(S)
         x, pose = self.place(z), self.pose(z)
-        by_x = self.flesh.hessian(x, face.tet_activations(pose.a)).data
+        by_x = self.flesh.hessian(x, face.flesh_controls(pose.a)).data
         by_pose = PoseRates(TetForces(face, pose, x)).columns()
         return np.concatenate([by_x, by_pose[self._pose_entries]])
 
@@ -149,7 +152,8 @@ class Expression(IpoptProblem):
         """Return dx/dz (3 p, n) with ``by_jaw`` (k, 5) the mandible's coordinates by b."""
         free, riding = self.flesh.free_coordinates, coordinates(self.face.model.mandible)
         rows = np.concatenate([free, np.repeat(riding, by_jaw.shape[1])])
-        columns = [np.arange(len(free)), np.tile(self.layout.places("jaw"), len(riding))]
+        jaw = np.arange(self.layout.size)[-by_jaw.shape[1] :]
+        columns = [np.arange(len(free)), np.tile(jaw, len(riding))]
         values = np.concatenate([np.ones(len(free)), by_jaw.ravel()])
         shape = self.flesh.rest.size, self.layout.size
         return sp.csr_array((values, (rows, np.concatenate(columns))), shape=shape)
@@ -163,8 +167,8 @@ class Expression(IpoptProblem):
         joins = sp.csr_array((np.ones(len(tet)), (numbers[tet, corner], tet)), shape=shape)
         rides = np.isin(flesh.tets, self.face.model.mandible).any(axis=1)
         near = (joins @ (candidates[:, 1:] != 0).astype(float)).toarray() > 0.0
-        near = np.repeat(near, self.layout.places("activations").shape[1], axis=1)
-        jaw = np.tile((joins @ rides > 0.0)[:, None], len(self.layout.places("jaw")))
+        near = np.repeat(near, self._columns[0], axis=1)
+        jaw = np.tile((joins @ rides > 0.0)[:, None], self._columns[1])
         force, entry = np.nonzero(np.repeat(np.hstack([near, jaw]), 3, axis=0))
         return force, entry
 
@@ -216,7 +220,7 @@ class _Forward(IpoptProblem):
 
     def __init__(self, face: Face, pose: Pose, x: Floats) -> None:
         super().__init__()
-        self._flesh, self._a, self._x = face.flesh, face.tet_activations(pose.a), x.copy()
+        self._flesh, self._a, self._x = face.flesh, face.flesh_controls(pose.a), x.copy()
         self._x[face.model.mandible] = face.mandible(pose.b)
         pattern = self._flesh.hessian(x, self._a)
         rows = np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))

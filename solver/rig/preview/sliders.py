@@ -355,7 +355,7 @@ class SliderSolver:
 def state_at(face: Face, controls: Sliders, values: Floats, x: Floats) -> PosedFace:
     """Return the state of slider ``values`` (k,) with its equilibrium ``x`` (p, 3)."""
     pose = controls.pose(values)
-    factor = Factorization(face.flesh, face.linear, x, face.tet_activations(pose.a))
+    factor = Factorization(face.flesh, face.linear, x, face.flesh_controls(pose.a))
     return PosedFace(pose, Equilibrium(x, x, factor, 0.0, 0))
 
 

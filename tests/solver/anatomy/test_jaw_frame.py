@@ -5,9 +5,11 @@ import pytest
 
 from benchmarks.anatomy import jaw_residual
 from solver.anatomy.bones import jaw_frame
+from solver.anatomy.build import jaw_tracks
 from solver.mechanics.boundary import move_jaw
 from solver.templates import ict_facekit
-from tests.fixtures import data_folder
+from solver.templates.builtin.build import builtin_template
+from tests.fixtures import data_folder, small_model
 
 CONDYLES = np.array([[52.0, 20.0, 38.0], [-50.0, 21.0, 37.0]])
 
@@ -49,3 +51,15 @@ def test_ict_jaw_opening_is_within_reach():
     found = jaw_residual(jaw_frame(CONDYLES), teeth, moved)
     assert found.rms < 0.1
     assert np.degrees(found.b[0]) == pytest.approx(25, abs=2)
+
+
+def test_a_person_has_the_templates_tracks_in_its_own_size():
+    template, model = builtin_template(), small_model()
+    found = jaw_tracks(template, model)
+    assert found.frame is model.jaw
+    apart = np.linalg.norm(template.condyles[0] - template.condyles[1])
+    assert 0.9 < found.apart / apart < 1.1
+    assert found.apart != apart
+    # jawOpen of the built-in face slides its condyles 19 degrees downwards
+    assert np.degrees(found.slope) == pytest.approx(19.2, abs=0.5)
+    assert found.length > 10.0

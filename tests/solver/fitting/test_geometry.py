@@ -81,9 +81,9 @@ def test_step_solves_the_dense_system():
     expected = -tangent @ np.linalg.solve(tangent.T @ matrix @ tangent, tangent.T @ gradient)
     expected = simplex.project(S.data + expected[: S.nnz], S.indptr) - S.data
     found = joint.step(
-        problem, Iterate(S, states, damping=0.05, pose_damping=dict.fromkeys(data, 1e-2))
+        problem, Iterate(S.data, states, damping=0.05, pose_damping=dict.fromkeys(data, 1e-2))
     )
-    change = found.S.data - S.data
+    change = found.values - S.data
     assert np.abs(expected).max() > 1e-2
     assert np.linalg.norm(change - expected) < 0.1 * np.linalg.norm(expected)
 

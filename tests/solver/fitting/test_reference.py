@@ -105,11 +105,11 @@ def test_joint_gauss_newton_reaches_the_multi_target_minimum(face):
     np.testing.assert_allclose(full.S.sum(axis=1), 1.0, atol=1e-8)
     assert np.abs(full.S.data - S.data).max() > 0.05
 
-    now = Iterate(S, start)
+    now = Iterate(S.data, start)
     for _ in range(60):
         now = joint.step(problem, now)
-    assert problem.value(S, start) > 2.0 * full.objective
-    assert problem.value(now.S, now.states) < 1.001 * full.objective
+    assert problem.value(S.data, start) > 2.0 * full.objective
+    assert problem.value(now.values, now.states) < 1.001 * full.objective
 
 
 def test_per_tet_fit_reaches_the_minimum():

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.rig.certificate import Muscles, jaw_motion, muscles
@@ -70,14 +71,15 @@ def test_a_muscle_without_flesh_is_not_judged(model: SubjectModel) -> None:
 
 
 def test_the_jaws_motion(model: SubjectModel) -> None:
-    opened = jaw_motion(model, np.array([0.3, 0.0, 0.0, 0.0, 0.0]))
+    matrix = FreeJaw(model.jaw).matrix
+    opened = jaw_motion(model, matrix(np.array([0.3, 0.0, 0.0, 0.0, 0.0])))
     assert opened.point == "chin"
     assert opened.opening_deg == pytest.approx(np.degrees(0.3))
     assert opened.opening_mm > 5.0  # the back of the block is 30 mm in front of the hinge
     assert opened.faults() == []
-    left = jaw_motion(model, np.array([0.0, 0.1, 1.0, 0.0, 0.0]))
+    left = jaw_motion(model, matrix(np.array([0.0, 0.1, 1.0, 0.0, 0.0])))
     assert left.sideways_mm > 1.0
     assert left.faults() == []
-    torn = jaw_motion(model, np.array([0.0, 0.0, 0.0, -30.0, -6.0]))
+    torn = jaw_motion(model, matrix(np.array([0.0, 0.0, 0.0, -30.0, -6.0])))
     assert torn.condyles_down_mm == pytest.approx(30.0)
     assert torn.faults() == ["is 6.0 mm behind its sockets", "drops from its sockets by 30 mm"]

@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from solver.fitting.face import Face
-from solver.fitting.skin_fit import SkinFit
+from solver.fitting.face import Face, Pose
+from solver.fitting.sensitivity import Sensitivity
 from solver.mechanics import equilibrium
 from solver.simulation.fibres import (
-    FibreControls,
+    ContractionLimits,
     activation_rates,
+    contracting,
     driven_by_fibres,
     fibre_activations,
-    fit_fibres,
+    fit_contractions,
 )
 from tests.solver.simulation.test_fibres import fibred_block
 
@@ -66,15 +67,20 @@ def test_contractions_drive_the_flesh_as_their_activations_do(face):
 
 
 def test_the_jacobian_is_that_of_the_equilibrium(face):
+    driven = contracting(face)
     theta = np.concatenate([GAMMA, JAW])
-    fit = SkinFit(face, FibreControls(face), face.face_points(face.model.rest))
-    point = fit.settle(theta, face.model.rest)
-    jacobian, x = fit.jacobian(point), point.equilibrium.x
+    state = driven.continuation(driven.rest, Pose.of(driven.layout, theta))
+    motions = Sensitivity(driven, state).by_pose()
+    points = np.zeros((face.model.rest.size, len(theta)))
+    points[motions.free] = motions.flesh
+    points += motions.held.toarray()
+    jacobian = face.face_embedding @ points.reshape(len(face.model.rest), -1)
+    jacobian = jacobian.reshape(-1, len(theta))
     step = 1e-4
     for k in (0, 1, 2, 6):
         change = step * np.eye(len(theta))[k]
-        both = [fit.settle(theta + sign * change, x).equilibrium for sign in (1, -1)]
-        ends = [face.face_points(each.x) for each in both]
+        poses = [Pose.of(driven.layout, theta + sign * change) for sign in (1, -1)]
+        ends = [face.face_points(driven.solve_equilibrium(pose, state.x).x) for pose in poses]
         expected = (ends[0] - ends[1]).ravel() / (2 * step)
         assert np.abs(expected).max() > 0.1
         np.testing.assert_allclose(jacobian[:, k], expected, atol=2e-3 * np.abs(expected).max())
@@ -83,7 +89,13 @@ def test_the_jacobian_is_that_of_the_equilibrium(face):
 def test_contractions_and_jaw_are_found(face):
     target = skin(face, GAMMA, JAW)
     moved = np.linalg.norm(target - face.face_points(face.model.rest), axis=1).mean()
-    found = fit_fibres(face, target)
+    found = fit_contractions(face, target).state
     left = np.linalg.norm(face.face_points(found.x) - target, axis=1).mean()
     assert left < 0.03 * moved
-    np.testing.assert_allclose(found.gamma, GAMMA, atol=0.05)
+    np.testing.assert_allclose(found.pose.a, GAMMA, atol=0.05)
+
+
+def test_limits_of_contractions_hold_exactly(face):
+    limits = ContractionLimits(least=0.85, most=1.1)
+    found = fit_contractions(face, skin(face, GAMMA, JAW), limits).state
+    np.testing.assert_array_equal(found.pose.a, [0.85, 1.1])

@@ -1,0 +1,118 @@
+"""Strips of broad muscles, which contract on their own: a sheet's or a ring's fibres side by side.
+
+A muscle is split along its fibres f by a function u that hardly changes along them, the smoothest
+but for the constant:
+
+    min int (f . grad u)^2 + slip |grad u|^2,    int u^2 = 1, int u = 0
+
+in linear elements of its tets. It grows across a sheet from side to side, and across a ring from
+within to without.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from solver.mechanics.fibre_muscle import FibreMuscles
+from solver.mechanics.flesh import shape_gradients
+from solver.surface import Floats, Ints
+
+
+@dataclass(frozen=True)
+class StripOptions:
+    """Breadth of strips, and what is split."""
+
+    breadth_mm: float = 20.0
+    most: int = 4  # strips of a muscle
+    least_tets: int = 12  # of a strip
+    slip: float = 0.01  # weight of changes in any direction, by that of changes along fibres
+    end: float = 0.1  # part of the muscle's tets that are its end by u
+
+
+def split_broad(
+    rest: Floats, tets: Ints, muscles: FibreMuscles, options: StripOptions = StripOptions()
+) -> FibreMuscles:
+    """Return muscles with the broad ones in strips, of the same strength, side by side."""
+    of_entry = muscles.muscles.copy()
+    sources: list[int] = []
+    strengths: list[float] = []
+    centres = rest[tets].mean(axis=1)
+    for muscle, source in enumerate(muscles.sources):
+        mine = np.flatnonzero((muscles.muscles == muscle) & (muscles.fractions > 0.0))
+        every = np.flatnonzero(muscles.muscles == muscle)
+        at = centres[muscles.tets[mine]]
+        number = np.zeros(len(every), dtype=np.int64)
+        if len(mine) >= 2 * options.least_tets:
+            own = tets[muscles.tets[mine]]
+            whole, across = _across(rest, own, muscles.fibres[mine], options)
+            at, fibres = at[whole], muscles.fibres[mine][whole]
+            wanted = round(_breadth(at, fibres, across, options) / options.breadth_mm)
+            count = max(1, min(wanted, options.most, len(at) // options.least_tets))
+            bounds = np.quantile(across, np.linspace(0.0, 1.0, count + 1)[1:-1])
+            strip = np.searchsorted(bounds, across)
+            # what lies apart goes with what is nearest; so do candidates without volume
+            number = strip[cKDTree(at).query(centres[muscles.tets[every]])[1]]
+        of_entry[every] = len(sources) + number
+        parts = int(number.max(initial=0)) + 1
+        sources += [int(source)] * parts
+        strengths += [float(muscles.strengths[muscle])] * parts
+    return replace(
+        muscles, muscles=of_entry, sources=np.array(sources), strengths=np.array(strengths)
+    )
+
+
+def strip_names(names: tuple[str, ...], muscles: FibreMuscles) -> tuple[str, ...]:
+    """Return the names of muscles and of strips, ``frontalis_l.1``, by those of the model's."""
+    counts, seen, found = np.bincount(muscles.sources), dict.fromkeys(names, 0), []
+    for source in muscles.sources:
+        name = names[source]
+        seen[name] += 1
+        found.append(f"{name}.{seen[name]}" if counts[source] > 1 else name)
+    return tuple(found)
+
+
+def neighbours(tets: Ints) -> tuple[Ints, Ints]:
+    """Return the pairs of tets (t, 4) that share a face."""
+    faces = np.sort(tets[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]], axis=2).reshape(-1, 3)
+    order = np.lexsort(faces.T)
+    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
+    return order[:-1][same] // 4, order[1:][same] // 4
+
+
+def _across(rest: Floats, tets: Ints, fibres: Floats, options: StripOptions) -> tuple[Ints, Floats]:
+    """Return the tets (k,) of the largest part of a muscle, and their u (k,)."""
+    used, number = np.unique(tets, return_inverse=True)
+    corners = number.reshape(-1, 4)
+    rows = np.repeat(np.arange(len(tets)), 4)
+    joins = sp.csr_array((np.ones(len(rows)), (rows, corners.ravel())))
+    part = connected_components(joins.T @ joins, directed=False)[1]
+    inside = np.flatnonzero(part[corners[:, 0]] == np.bincount(part[corners[:, 0]]).argmax())
+    gradients, volumes = shape_gradients(rest, tets[inside])
+    along = np.einsum("evi,ei->ev", gradients, fibres[inside])
+    local = along[:, :, None] * along[:, None, :]
+    local += options.slip * gradients @ gradients.transpose(0, 2, 1)
+    used, number = np.unique(tets[inside], return_inverse=True)
+    corners, size = number.reshape(-1, 4), len(used)
+    K = np.zeros((size, size))
+    np.add.at(K, (corners[:, :, None], corners[:, None, :]), volumes[:, None, None] * local)
+    mass = np.bincount(corners.ravel(), np.repeat(volumes / 4.0, 4), size)
+    found = scipy.linalg.eigh(K, np.diag(mass), subset_by_index=[1, 1])[1][:, 0]
+    # its sign is chance: what lies further out and up comes last
+    upward = np.abs(rest[used, 0]) + rest[used, 1]
+    u = found * np.sign(found @ (mass * (upward - upward.mean())))
+    return inside, u[corners].mean(axis=1)
+
+
+def _breadth(centres: Floats, fibres: Floats, across: Floats, options: StripOptions) -> float:
+    """Return how far apart, mm square to the fibres, the ends of a muscle by u are."""
+    ends = np.quantile(across, [options.end, 1.0 - options.end])
+    low, high = across <= ends[0], across >= ends[1]
+    way = centres[high][cKDTree(centres[high]).query(centres[low])[1]] - centres[low]
+    # along a slender muscle u grows too, but the ends are not beside each other
+    return float(np.median(np.linalg.norm(np.cross(way, fibres[low]), axis=1)))
