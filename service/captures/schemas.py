@@ -50,7 +50,8 @@ class NewCapture(RequestBody):
     )
     role: Role = Field(
         description="`performance`: frames of registered skin points, a `.npy` file; "
-        "`fit_sequence` reads it; `asset`: a file that scenes name (a recording, a mesh, a map)"
+        "`fit_sequence` reads it; `asset`: a file that scenes name (a recording, "
+        "a fitted sequence, a mesh, a map)"
     )
     upload_id: Id
     registered: bool = Field(

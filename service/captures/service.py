@@ -22,7 +22,7 @@ from service.uploads import repository as uploads
 FORMATS = (".obj", ".ply", ".stl", ".glb")
 RAW_FORMATS = (*FORMATS, ".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
 PERFORMANCE_FORMATS = (".npy",)
-ASSET_FORMATS = (*FORMATS, ".csv", ".npy")
+ASSET_FORMATS = (*FORMATS, ".csv", ".npy", ".npz")
 LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 # Roles of what is checked and registered
 SCANS = ("neutral", "expression")

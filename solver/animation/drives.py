@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -191,18 +191,23 @@ def _names_of(mappings: Iterable[Mapping[str, object]]) -> list[str]:
 
 
 def _check_names(
-    keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: SubjectModel, list_name: str
+    keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: SubjectModel, what: str
 ) -> None:
     for number, key in enumerate(keys):
-        for code, noun, names, known in (
-            ("scene.expression", "expression", key.expressions, list(poses)),
-            ("scene.muscle", "muscle", key.activations, list(model.muscle_names)),
-        ):
-            for name in names:
-                if name not in known:
-                    what = f"{list_name}[{number}] names the {noun} {name!r}"
-                    reason = f"{what}, which is not one of the face's"
-                    raise InputError(code, reason, key=number, found=name, expected=known)
+        where = f"{what}[{number}]"
+        check_known(key.expressions, list(poses), "scene.expression", where, key=number)
+        check_known(key.activations, model.muscle_names, "scene.muscle", where, key=number)
+
+
+def check_known(
+    names: Iterable[str], known: Sequence[str], code: str, where: str, **context: Any
+) -> None:
+    """Raise :class:`InputError` (``code``) for the first name of a face that is not ``known``."""
+    for name in names:
+        if name not in known:
+            what = f"{where} names the {code.removeprefix('scene.')} {name!r}"
+            reason = f"{what}, which is not one of the face's"
+            raise InputError(code, reason, found=name, expected=list(known), **context)
 
 
 class RecordedDrives:

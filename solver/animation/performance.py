@@ -2,22 +2,30 @@
 
 A muscle's activation is carried as log S(a), in which all that is done to it is linear: a gain k
 makes S(a)^k = exp(k log S(a)), and from frame to frame, or over a gap, log S goes without a jump,
-so that no blend folds a muscle (Arsigny et al. 2006, "Log-Euclidean metrics"). The head's turn goes
-the shortest way between frames, and the neck on a line.
+so that no blend folds a muscle (Arsigny et al. 2006, "Log-Euclidean metrics"). The head turns about
+the neck, by its turn and the neck's place from frame to frame, so that it moves rigidly in between.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from solver.animation.blendshapes import unfold
-from solver.animation.drives import Drives, Interpolation, PosedFrame, neck, track, turn_about
+from solver.animation.drives import (
+    Drives,
+    Interpolation,
+    PosedFrame,
+    check_known,
+    neck,
+    track,
+    turn_about,
+)
 from solver.errors import InputError, quote, quote_names
 from solver.fitting.objective import LEAST_STRETCH
 from solver.fitting.stretches import map_stretches
@@ -144,7 +152,9 @@ def _sequence(asset: str, data: dict[str, np.ndarray]) -> FittedSequence:
     ):
         raise ValueError("its frames are not one after the other in number and time")
     values = [data[name].astype(np.float64) for name in ("activations", "jaw", "head")]
-    return FittedSequence(asset, muscles, frames, times, data["status"] == "fitted", *values)
+    return FittedSequence(
+        asset, muscles, frames, times, data["status"].astype(np.str_) == "fitted", *values
+    )
 
 
 def to_logarithms(a: Floats) -> Floats:
@@ -158,7 +168,7 @@ def from_logarithms(logarithms: Floats) -> tuple[Floats, int]:
     return unfold(map_stretches(logarithms, lambda values: np.exp(np.minimum(values, most))))
 
 
-class Performance:
+class PlayedPerformance:
     """:class:`Drives` of a fitted ``sequence``, played as a scene's ``entry`` says.
 
     Its first frame is at time 0. ``frames`` (f,) are the numbers of those that are played as
@@ -186,44 +196,34 @@ class Performance:
         left = played.part(kept)
         left.check_values()
         self.frames, self.jaw = left.frames, left.jaw
-        logarithms = to_logarithms(left.activations.reshape(-1, 6)).reshape(left.activations.shape)
-        moments = self.times[kept]
-        values = [(gains[:, None] * logarithms).reshape(len(moments), -1), left.jaw]
-        name = f"performance {entry.asset}"
-        self._track = track(moments.tolist(), np.hstack(values), name, interpolation)
         self._neck = neck(model)
-        turns, moves = _head(left.head, self._neck, entry)
-        self._move = track(moments.tolist(), moves, name, interpolation)
-        self._turn = None if len(moments) == 1 else Slerp(moments, turns)
-        self._ends = moments[0], moments[-1]
-        self._only = turns[0]
+        self._start, turns, moves = _head(left.head, self._neck, entry)
+        moments = self.times[kept]
+        logarithms = to_logarithms(left.activations.reshape(-1, 6)).reshape(len(moments), -1, 6)
+        strong = (gains[:, None] * logarithms).reshape(len(moments), -1)
+        values = np.hstack([strong, left.jaw, turns, moves])
+        name = f"performance {entry.asset}"
+        self._track = track(moments.tolist(), values, name, interpolation)
 
     def __call__(self, time: float) -> PosedFrame:
         """See :class:`Drives`."""
-        logarithms, jaw = np.split(self._track(time), [-JAW_FREEDOM])
+        logarithms, jaw, turn, move = np.split(self._track(time), [-JAW_FREEDOM - 6, -6, -3])
         a, clamped = from_logarithms(logarithms.reshape(-1, 6))
-        turn = self._turn(np.clip(time, *self._ends)) if self._turn else self._only
-        head = turn_about(self._neck, turn.as_rotvec(), self._move(time))
+        turned = (self._start * Rotation.from_rotvec(turn)).as_rotvec()
+        head = turn_about(self._neck, turned, move)
         return PosedFrame(a, jaw, head, np.zeros((2, 3)), clamped)
 
 
 def _gains(entry: PerformanceEntry, model: SubjectModel) -> Floats:
     """Return every muscle's gain (m,)."""
-    check_muscles(entry.muscles, model, f"muscles of the performance {entry.asset!r}")
-    check_muscles(entry.curve, model, f"curve of the performance {entry.asset!r}")
+    for what, names in (("muscles", entry.muscles), ("curve", entry.curve)):
+        where = f"{what} of the performance {entry.asset!r}"
+        check_known(names, model.muscle_names, "scene.muscle", where)
     for name in entry.curve:
         reason = "has six numbers a muscle, and no force-length curve: use muscles, its gains"
         message = f"curve names {name!r}, but the performance {entry.asset!r} {reason}"
         raise InputError("scene.curve", message, asset=entry.asset, found=name)
     return entry.gain * np.array([entry.muscles.get(name, 1.0) for name in model.muscle_names])
-
-
-def check_muscles(names: Iterable[str], model: SubjectModel, where: str) -> None:
-    """Raise :class:`InputError` (``scene.muscle``) if the face lacks one of the muscles."""
-    for name in names:
-        if name not in model.muscle_names:
-            reason = f"{where} names the muscle {name!r}, which is not one of the face's"
-            raise InputError("scene.muscle", reason, found=name, expected=list(model.muscle_names))
 
 
 def _bridged(played: FittedSequence, entry: PerformanceEntry) -> np.ndarray:
@@ -241,14 +241,18 @@ def _bridged(played: FittedSequence, entry: PerformanceEntry) -> np.ndarray:
     return bridged
 
 
-def _head(head: Floats, pivot: Floats, entry: PerformanceEntry) -> tuple[Rotation, Floats]:
-    """Return the head's turns, and how far they take the ``pivot`` (3,), (f, 3) in mm."""
+def _head(head: Floats, pivot: Floats, entry: PerformanceEntry) -> tuple[Rotation, Floats, Floats]:
+    """Return the first turn, those from it on (f, 3), and how far the ``pivot`` moves (f, 3), mm.
+
+    From the first one on a head never turns by half a circle, where rotation vectors jump.
+    """
     head = np.zeros_like(head) if entry.head == "still" else head
     turns, shifts = Rotation.from_rotvec(head[:, :3]), head[:, 3:]
     if entry.head == "from_start":
         back = turns[0].inv()
         turns, shifts = back * turns, back.apply(shifts - shifts[0])
-    return turns, turns.apply(pivot) + shifts - pivot
+    start = turns[0]
+    return start, (start.inv() * turns).as_rotvec(), turns.apply(pivot) + shifts - pivot
 
 
 class MixedPerformances:
@@ -260,7 +264,10 @@ class MixedPerformances:
     """
 
     def __init__(
-        self, performances: Sequence[Performance], drives: Sequence[Drives], model: SubjectModel
+        self,
+        performances: Sequence[PlayedPerformance],
+        drives: Sequence[Drives],
+        model: SubjectModel,
     ) -> None:
         self.performances = performances
         self.times: Floats = max(
@@ -290,7 +297,7 @@ def _movers(entries: Sequence[PerformanceEntry], model: SubjectModel) -> Ints:
         raise InputError("scene.mask", reason, found=len(rest), expected=1)
     for number, entry in enumerate(entries):
         where = f"the mask of performance[{number}], {entry.asset!r},"
-        check_muscles(entry.mask or [], model, where)
+        check_known(entry.mask or [], model.muscle_names, "scene.muscle", where)
         for name in entry.mask or []:
             muscle = model.muscle_names.index(name)
             if movers[muscle] not in (-1, number):

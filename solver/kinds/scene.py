@@ -21,7 +21,6 @@ from solver.kinds.document import (
 )
 
 MOST_TRACK_KEYS = 10000  # of one track of a scene
-MOST_PERFORMANCES = 8  # of a scene: each is a file that is held in memory
 STIFFNESS_PA = 3000.0  # mu of facial soft tissue: a Young's modulus of 7.5 kPa, 8.6 by other laws
 
 Time = Annotated[float, Field(ge=0, le=600, description="in seconds")]
@@ -137,7 +136,7 @@ Gain = Annotated[float, Field(ge=0, le=10)]
 Frame = Annotated[int, Field(ge=0), Integral]
 
 
-class Span(Document):
+class FrameSpan(Document):
     """Frames of a take, from ``start`` to before ``end``."""
 
     start: Frame
@@ -152,7 +151,9 @@ class Bridges(Document):
         description="frames without data, that the fit kept, did not see or predicted; false: "
         "these are played as they are",
     )
-    spans: list[Span] = Field(default=[], max_length=1000, description="others, by their numbers")
+    spans: list[FrameSpan] = Field(
+        default=[], max_length=1000, description="others, by their numbers"
+    )
 
 
 class PerformanceEntry(Document):
@@ -200,9 +201,7 @@ class PerformanceEntry(Document):
 
 Performances = Annotated[
     Annotated[PerformanceEntry, Tag("<one>")]
-    | Annotated[
-        list[PerformanceEntry], Field(min_length=1, max_length=MOST_PERFORMANCES), Tag("<several>")
-    ],
+    | Annotated[list[PerformanceEntry], Field(min_length=1, max_length=8), Tag("<several>")],
     tell_forms(
         by_type({dict: "<one>", PerformanceEntry: "<one>", list: "<several>"}),
         "is not null, a performance or a list of them",
@@ -266,6 +265,16 @@ class Ball(Document):
     ball_mm: float = Field(gt=0, le=500, description="its radius")
 
 
+class Rod(Document):
+    """A round rod."""
+
+    rod_mm: list[Annotated[float, Field(gt=0, le=500)]] = Field(
+        min_length=2,
+        max_length=2,
+        description="its radius, and its length along z without its round ends",
+    )
+
+
 class Object(Document):
     """A closed mesh that meets the face."""
 
@@ -273,10 +282,11 @@ class Object(Document):
     mesh: Annotated[
         Annotated[AssetMesh, Tag("<asset>")]
         | Annotated[Box, Tag("<box_mm>")]
-        | Annotated[Ball, Tag("<ball_mm>")],
+        | Annotated[Ball, Tag("<ball_mm>")]
+        | Annotated[Rod, Tag("<rod_mm>")],
         tell_forms(
-            by_member("asset", "box_mm", "ball_mm"),
-            "is not an object with asset, box_mm or ball_mm",
+            by_member("asset", "box_mm", "ball_mm", "rod_mm"),
+            "is not an object with asset, box_mm, ball_mm or rod_mm",
         ),
     ]
     at: Place = Field(

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from pydantic import ValidationError
 
 from solver.animation.drives import Drives, HeadKey, KeyedDrives, PoseKey
-from solver.animation.performance import FittedSequence, MixedPerformances, Performance
+from solver.animation.performance import FittedSequence, MixedPerformances, PlayedPerformance
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.stretches import fibre_tensors, shorten
@@ -19,6 +19,7 @@ from solver.kinds.scene import Jaw, Key, MotionKey, SimulateScene
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.scene.places import Places
+from solver.scene.stage import check_length
 from solver.surface import Floats
 
 Scene = TypeVar("Scene", bound=Document)
@@ -72,6 +73,7 @@ def drives_of(
     ends = [float(under.times[-1])] if under else []
     last = max([*ends, *(key.time for key in keys)], default=0.0)
     seconds, fps = last if scene.duration is None else scene.duration, scene.fps
+    check_length(seconds * fps)  # of a file's times, before there are so many
     times = np.arange(int(seconds * fps + 1e-6) + 1) / fps
     head, interpolation = head_of(scene.head), scene.interpolation
     drives = KeyedDrives(
@@ -87,7 +89,7 @@ def performances_of(
 ) -> MixedPerformances | None:
     """Return a scene's performances with their own keys, mixed; None if it has none.
 
-    Raises :class:`InputError`: as :class:`FittedSequence`, :class:`Performance`,
+    Raises :class:`InputError`: as :class:`FittedSequence`, :class:`PlayedPerformance`,
     :class:`MixedPerformances` and :func:`drives_of`, and ``scene.asset``.
     """
     given = scene.performance
@@ -96,13 +98,13 @@ def performances_of(
     entries = given if isinstance(given, list) else [given]
     model, read, smooth = places.model, _KeyReader(places.model, S), scene.interpolation
     files: dict[str, FittedSequence] = {}
-    played: list[Performance] = []
+    played: list[PlayedPerformance] = []
     layered: list[Drives] = []
     for number, entry in enumerate(entries):
         name, what, keys = entry.asset, f"performance[{number}].keys", read(entry.keys)
         if name not in files:
             files[name] = FittedSequence.load(places.asset(name), name)
-        played.append(Performance(files[name], entry, model, smooth))
+        played.append(PlayedPerformance(files[name], entry, model, smooth))
         for frame, b in zip(played[-1].frames, played[-1].jaw, strict=True):
             check_jaw(b, f"frame {frame} of the performance {name!r}")
         times, under = played[-1].times, played[-1]
