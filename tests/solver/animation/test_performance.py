@@ -222,6 +222,7 @@ def test_performances_are_mixed_by_muscle_and_keys_lie_on_top(take: Path) -> Non
         ),
         (take_of(asset="other"), "sequence.muscles", "'other' was fitted with another anatomy"),
         (take_of(asset="rig"), "sequence.unreadable", "the asset 'rig', rig.npz, is not"),
+        (take_of(asset="endless"), "scene.long", "frames; at most 20000"),
         (
             take_of(asset="later"),
             "sequence.format",
@@ -241,6 +242,7 @@ def test_performances_that_cannot_be(
         "folded": {"jaw": jaw},
         "holed": {"activations": holed},
         "other": {"muscles": np.array(["left", "tongue"])},
+        "endless": {"time": content["time"] * 1e7},
         "rig": {"activations": content["activations"][:, :1]},
         "later": {"format": 9},
     }
