@@ -268,7 +268,7 @@ class Ball(Document):
 class Rod(Document):
     """A round rod."""
 
-    rod_mm: list[Annotated[float, Field(gt=0, le=500)]] = Field(
+    rod_mm: list[Annotated[float, Field(ge=0.01, le=500)]] = Field(
         min_length=2,
         max_length=2,
         description="its radius, and its length along z without its round ends",

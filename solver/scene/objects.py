@@ -76,16 +76,17 @@ def _object(entry: Object, places: Places, interpolation: Interpolation) -> Scen
 
 def _rod(radius: float, length: float, sides: int = 24, most_rings: int = 60) -> Surface:
     """Return a round rod along z; ``length`` is without its round ends."""
+    half = 0.5 * length / radius  # in radii, as what is made of small triangles has holes
     angles = np.linspace(0.0, 0.5 * np.pi, sides // 4 + 1)
-    cap = radius * np.column_stack([np.sin(angles), -np.cos(angles)])
-    # rings as far apart as the radius, so that no triangle is a needle
-    rings = min(int(np.ceil(length / radius)), most_rings)
-    between = np.linspace(-0.5 * length, 0.5 * length, rings + 1)[1:-1]
-    side = np.column_stack([np.full_like(between, radius), between])
-    end = np.array([0.0, 0.5 * length])
+    cap = np.column_stack([np.sin(angles), -np.cos(angles)])
+    cap[0, 0] = 0.0
+    # rings as far apart as the radius, so that few triangles are needles
+    between = np.linspace(-half, half, min(int(np.ceil(2.0 * half)), most_rings) + 1)[1:-1]
+    side = np.column_stack([np.ones_like(between), between])
+    end = np.array([0.0, half])
     profile = np.vstack([cap - end, side, cap[::-1] * np.array([1.0, -1.0]) + end])
-    profile[[0, -1], 0] = 0.0
-    return _surface(trimesh.creation.revolve(profile, sections=sides))
+    whole = trimesh.creation.revolve(profile, sections=sides)
+    return _surface(whole.apply_scale(radius))
 
 
 def _read(name: str, path: Path) -> Surface:
