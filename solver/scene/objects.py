@@ -65,7 +65,8 @@ def _object(entry: Object, places: Places, interpolation: Interpolation) -> Scen
     elif isinstance(mesh, Ball):
         shape = _surface(trimesh.creation.icosphere(BALL_SUBDIVISIONS, mesh.ball_mm))
     elif isinstance(mesh, Rod):
-        shape = _rod(*mesh.rod_mm)
+        radius, length = mesh.rod_mm
+        shape = _rod(radius, length)
     else:
         shape = _read(name, places.asset(mesh.asset))
     times = [key.time for key in entry.path] or [0.0]
@@ -85,8 +86,8 @@ def _rod(radius: float, length: float, sides: int = 24, most_rings: int = 60) ->
     side = np.column_stack([np.ones_like(between), between])
     end = np.array([0.0, half])
     profile = np.vstack([cap - end, side, cap[::-1] * np.array([1.0, -1.0]) + end])
-    whole = trimesh.creation.revolve(profile, sections=sides)
-    return _surface(whole.apply_scale(radius))
+    unit = _surface(trimesh.creation.revolve(profile, sections=sides))
+    return unit.moved(radius * unit.vertices)
 
 
 def _read(name: str, path: Path) -> Surface:
