@@ -87,6 +87,10 @@ def test_frames_are_played_as_they_were_fitted(take: Path) -> None:
         expected = small_motion(frame.head)
         np.testing.assert_allclose(pose.head(MODEL.rest), expected(MODEL.rest), atol=1e-9)
         assert pose.clamped == 0
+    # between frames, too, where the studio's rotation vectors jump
+    for time in drives.times[:-1]:
+        turn = drives(time).head.rotation.T @ drives(time + 0.5 / FPS).head.rotation
+        assert Rotation.from_matrix(turn).magnitude() < 0.03
 
 
 def test_a_gain_is_a_power_of_the_stretch_by_muscle(take: Path) -> None:
