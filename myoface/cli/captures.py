@@ -74,7 +74,8 @@ def add(
     asset: Annotated[
         bool,
         Option(
-            "--asset", help="short for --role asset: a file that scenes name, CSV, NPY or a mesh"
+            "--asset",
+            help="short for --role asset: a file that scenes name, a mesh, CSV, NPY or NPZ",
         ),
     ] = False,
     registered: Annotated[

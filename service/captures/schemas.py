@@ -51,8 +51,8 @@ class NewCapture(RequestBody):
     role: Role = Field(
         description="`performance`: frames of registered skin points, a `.npy` file; "
         "`fit_sequence` reads it; `markers`: a take of them (C3D, TRC, CSV, NPZ), or their set "
-        "(JSON); `check_markers` reads it; `asset`: a file that scenes name (a recording, a mesh, "
-        "a map)"
+        "(JSON); `check_markers` reads it; `asset`: a file that scenes name (a recording, "
+        "a fitted sequence, a mesh, a map)"
     )
     upload_id: Id
     registered: bool = Field(

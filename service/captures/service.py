@@ -24,7 +24,7 @@ RAW_FORMATS = (*FORMATS, ".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzr
 PERFORMANCE_FORMATS = (".npy",)
 TAKE_FORMATS = (".c3d", ".trc", ".csv", ".npz")
 SET_FORMATS = (".json",)  # of marker sets
-ASSET_FORMATS = (*FORMATS, ".csv", ".npy")
+ASSET_FORMATS = (*FORMATS, ".csv", ".npy", ".npz")
 LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 # Roles of what is checked and registered
 SCANS = ("neutral", "expression")

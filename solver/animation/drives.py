@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -137,8 +137,10 @@ class KeyedDrives:
     """:class:`Drives` by ``keys``, with frames at ``times`` (f,) in s.
 
     Weights of the expressions ``poses``, activations and jaw are interpolated, each by itself, at
-    rest if there is no key. The ``head`` turns about the neck. Raises :class:`InputError` as
-    :func:`track`, and ``scene.expression`` and ``scene.muscle`` for names that are not known.
+    rest if there is no key. The ``head`` turns about the neck. What the keys differ from rest by is
+    added to other drives, ``under`` them, if there are any. Raises :class:`InputError` as
+    :func:`track`, and ``scene.expression`` and ``scene.muscle`` for names that are not known, in
+    the list of keys that the scene calls ``what``.
     """
 
     def __init__(
@@ -150,10 +152,12 @@ class KeyedDrives:
         *,
         head: Sequence[HeadKey] = (),
         interpolation: Interpolation = "smooth",
+        under: Drives | None = None,
+        what: str = "keys",
     ) -> None:
-        self.times = times
+        self.times, self.under = times, under
         self._head = head_motion(head, neck(model), interpolation)
-        _check_names(keys, poses, model)
+        _check_names(keys, poses, model, what)
         used = _names_of(key.expressions for key in keys)
         self._blend = Blend.of({name: poses[name] for name in used}, model.muscle_count)
         moved = _names_of(key.activations for key in keys)
@@ -163,7 +167,7 @@ class KeyedDrives:
             weights = [key.expressions.get(name, 0.0) for name in used]
             moves = [key.activations.get(name, IDENTITY) - IDENTITY for name in moved]
             row[:] = np.concatenate([weights, *moves, key.jaw])
-        self._track = track([key.time for key in keys], values, "keys", interpolation)
+        self._track = track([key.time for key in keys], values, what, interpolation)
 
     def __call__(self, time: float) -> PosedFrame:
         """See :class:`Drives`."""
@@ -171,8 +175,14 @@ class KeyedDrives:
         weights, moves, jaw = np.split(self._track(time), [count, -5])
         pose = self._blend.pose(weights)
         pose.a[self._muscles] += moves.reshape(-1, 6)
-        a, clamped = unfold(pose.a)
-        return PosedFrame(a, pose.b + jaw, self._head(time), np.zeros((2, 3)), clamped)
+        head, b = self._head(time), pose.b + jaw
+        if self.under is None:
+            a, clamped = unfold(pose.a)
+            return PosedFrame(a, b, head, np.zeros((2, 3)), clamped)
+        under = self.under(time)
+        a, clamped = unfold(under.a + pose.a - IDENTITY)
+        clamped = max(clamped, under.clamped)
+        return PosedFrame(a, under.jaw + b, under.head.then(head), under.eyes, clamped)
 
 
 def _names_of(mappings: Iterable[Mapping[str, object]]) -> list[str]:
@@ -180,17 +190,24 @@ def _names_of(mappings: Iterable[Mapping[str, object]]) -> list[str]:
     return list(dict.fromkeys(name for names in mappings for name in names))
 
 
-def _check_names(keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: SubjectModel) -> None:
+def _check_names(
+    keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: SubjectModel, what: str
+) -> None:
     for number, key in enumerate(keys):
-        for code, noun, names, known in (
-            ("scene.expression", "expression", key.expressions, list(poses)),
-            ("scene.muscle", "muscle", key.activations, list(model.muscle_names)),
-        ):
-            for name in names:
-                if name not in known:
-                    what = f"keys[{number}] names the {noun} {name!r}"
-                    reason = f"{what}, which is not one of the face's"
-                    raise InputError(code, reason, key=number, found=name, expected=known)
+        where = f"{what}[{number}]"
+        check_known(key.expressions, list(poses), "scene.expression", where, key=number)
+        check_known(key.activations, model.muscle_names, "scene.muscle", where, key=number)
+
+
+def check_known(
+    names: Iterable[str], known: Sequence[str], code: str, where: str, **context: Any
+) -> None:
+    """Raise :class:`InputError` (``code``) for the first name of a face that is not ``known``."""
+    for name in names:
+        if name not in known:
+            what = f"{where} names the {code.removeprefix('scene.')} {name!r}"
+            reason = f"{what}, which is not one of the face's"
+            raise InputError(code, reason, found=name, expected=list(known), **context)
 
 
 class RecordedDrives:

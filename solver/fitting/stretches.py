@@ -8,6 +8,7 @@ computing", section 3): to first order it is A + dA, but it never leaves these m
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,13 @@ def matrices(a: Floats) -> Floats:
 def entries(directions: Floats) -> Floats:
     """Return the six entries (..., 6) of d d^T for ``directions`` (..., 3)."""
     return np.asarray(directions[..., ROW] * directions[..., COLUMN])
+
+
+def map_stretches(a: Floats, function: Callable[[Floats], Floats]) -> Floats:
+    """Return the entries (n, 6) of S(a) with a ``function`` of its stretches in their place."""
+    values, axes = np.linalg.eigh(matrices(a))
+    mapped = (axes * function(values)[:, None]) @ axes.transpose(0, 2, 1)
+    return np.asarray(mapped[:, ROW, COLUMN])
 
 
 def determinants(a: Floats) -> Floats:

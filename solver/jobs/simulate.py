@@ -1,4 +1,4 @@
-"""The job that plays keys of expressions, muscles and jaw."""
+"""The job that plays fitted performances, and keys of expressions, muscles and jaw."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_per
 from solver.kinds.simulate import Simulate
 from solver.progress import part_of
 from solver.rig.animation import check_video
-from solver.scene.document import drives_of
+from solver.scene.document import drives_of, performances_of
 from solver.scene.stage import Stage
 
 
 def run(task: Task[Simulate]) -> list[Path]:
-    """Play keys of a rig's expressions, of muscles and of the jaw on a fitted face.
+    """Play performances and keys of a rig's expressions, of muscles and jaw on a fitted face.
 
     Frames that are ready are in ``out/frames``; with ``resume`` those that are there are kept and
     the simulation goes on after them. Raises :class:`InputError` (``scene.*``) for a scene that
@@ -27,8 +27,16 @@ def run(task: Task[Simulate]) -> list[Path]:
         check_video()
     rig, places = read_person(task)
     poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in rig.expressions}
-    drives = drives_of(given.scene, poses, rig.model, rig.weights)
+    performances = performances_of(given.scene, poses, places, rig.weights)
+    drives = drives_of(given.scene, poses, rig.model, rig.weights, performances)
     stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver)
+    played = performances.performances if performances else ()
+    more = {
+        "performances": [
+            {"asset": each.entry.asset, "frames": len(each.times), "bridged": each.bridged.tolist()}
+            for each in played
+        ]
+    }
     playing = part_of(progress, READ, EXPORT)
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
-    return finish(stage, frames, out, progress, title="Simulation", video=given.video, more={})
+    return finish(stage, frames, out, progress, title="Simulation", video=given.video, more=more)

@@ -132,6 +132,83 @@ class Recording(Document):
     )
 
 
+Gain = Annotated[float, Field(ge=0, le=10)]
+Frame = Annotated[int, Field(ge=0), Integral]
+
+
+class FrameSpan(Document):
+    """Frames of a take, from ``start`` to before ``end``."""
+
+    start: Frame
+    end: Annotated[int, Field(ge=1), Integral]
+
+
+class Bridges(Document):
+    """Frames that are blended over, from the one before them to the one after."""
+
+    missing: bool = Field(
+        default=True,
+        description="frames without data, that the fit kept, did not see or predicted; false: "
+        "these are played as they are",
+    )
+    spans: list[FrameSpan] = Field(
+        default=[], max_length=1000, description="others, by their numbers"
+    )
+
+
+class PerformanceEntry(Document):
+    """A fitted performance, played by the flesh."""
+
+    asset: str = Field(description="the sequence.npz of a fit to a performance")
+    start: Frame | None = Field(
+        default=None, description="the first frame, by its number in the take; null: its first"
+    )
+    end: Annotated[int, Field(ge=1), Integral] | None = Field(
+        default=None, description="the frame after the last; null: to the end"
+    )
+    speed: float = Field(default=1.0, ge=0.01, le=100, description="2 plays it twice as fast")
+    gain: Gain = Field(
+        default=1.0,
+        description="of all activations, S to this power: 0 is rest, 1 as fitted, above it "
+        "exaggerates, with stretches from 0.1 to 10; the jaw and the head stay as they are",
+    )
+    muscles: dict[str, Gain] = Field(
+        default={}, max_length=256, description="gains of muscles by name, times that of all"
+    )
+    curve: dict[str, Gain] = Field(
+        default={},
+        max_length=256,
+        description="factors on the force-length curves of fibre muscles, by name",
+    )
+    mask: list[str] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=256,
+        description="the muscles that it moves; null: all that no other performance's mask names",
+    )
+    head: Literal["from_start", "as_fitted", "still"] = Field(
+        default="from_start",
+        description="the head's motion from where it is in the first frame, or as it was fitted, "
+        "in the studio; or none",
+    )
+    keys: list[Key] = Field(
+        default=[],
+        max_length=MOST_TRACK_KEYS,
+        description="what is added to it, at times of the scene",
+    )
+    bridges: Bridges = Field(default_factory=Bridges)
+
+
+Performances = Annotated[
+    Annotated[PerformanceEntry, Tag("<one>")]
+    | Annotated[list[PerformanceEntry], Field(min_length=1, max_length=8), Tag("<several>")],
+    tell_forms(
+        by_type({dict: "<one>", PerformanceEntry: "<one>", list: "<several>"}),
+        "is not null, a performance or a list of them",
+    ),
+]
+
+
 class GravityEntry(Document):
     """Weight, less that under which the neutral was scanned."""
 
@@ -188,6 +265,16 @@ class Ball(Document):
     ball_mm: float = Field(gt=0, le=500, description="its radius")
 
 
+class Rod(Document):
+    """A round rod."""
+
+    rod_mm: list[Annotated[float, Field(ge=0.01, le=500)]] = Field(
+        min_length=2,
+        max_length=2,
+        description="its radius, and its length along z without its round ends",
+    )
+
+
 class Object(Document):
     """A closed mesh that meets the face."""
 
@@ -195,10 +282,11 @@ class Object(Document):
     mesh: Annotated[
         Annotated[AssetMesh, Tag("<asset>")]
         | Annotated[Box, Tag("<box_mm>")]
-        | Annotated[Ball, Tag("<ball_mm>")],
+        | Annotated[Ball, Tag("<ball_mm>")]
+        | Annotated[Rod, Tag("<rod_mm>")],
         tell_forms(
-            by_member("asset", "box_mm", "ball_mm"),
-            "is not an object with asset, box_mm or ball_mm",
+            by_member("asset", "box_mm", "ball_mm", "rod_mm"),
+            "is not an object with asset, box_mm, ball_mm or rod_mm",
         ),
     ]
     at: Place = Field(
@@ -370,20 +458,27 @@ class PlayedScene(FleshEntry):
 
 
 class SimulateScene(PlayedScene):
-    """Keys of expressions, muscles and jaw, played by the flesh."""
+    """Fitted performances, and keys of expressions, muscles and jaw, played by the flesh."""
 
     fps: float = Field(default=30.0, ge=1, le=240, description="frames per second")
     duration: Annotated[float, Field(ge=0, le=600)] | None = Field(
-        default=None, description="in seconds, from 0; null: as long as the keys"
+        default=None, description="in seconds, from 0; null: as long as the keys and performances"
     )
     interpolation: Literal["smooth", "linear"] = Field(
         default="smooth",
-        description="between keys, those of head and objects too; smooth never goes beyond them",
+        description="between keys, those of head and objects too, and between a performance's "
+        "frames; smooth never goes beyond them",
+    )
+    performance: Performances | None = Field(
+        default=None,
+        description="fitted performances: the muscles are mixed by their masks, jaw and head are "
+        "the first one's",
     )
     keys: list[Key] = Field(
         default=[],
         max_length=MOST_TRACK_KEYS,
-        description="what the face does; what a key does not name is at rest there",
+        description="what the face does, on top of its performances; what a key does not name is "
+        "at rest there, or as performed",
     )
 
 

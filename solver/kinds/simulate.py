@@ -14,8 +14,9 @@ class Simulate(PlayOptions):
 
 KIND = Kind(
     title="Simulate a scene",
-    description="Plays keys of the rig's expressions, of muscles and of the jaw by its flesh, with "
-    "contact, forces, objects and edits; frames can be read while the job runs.",
+    description="Plays fitted performances and keys of the rig's expressions, of muscles and of "
+    "the jaw by its flesh, with contact, forces, objects and edits; frames can be read while the "
+    "job runs.",
     queue="long",
     reads=("rig", "template", "assets"),
     leaves="animation",

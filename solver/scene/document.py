@@ -9,14 +9,17 @@ import numpy as np
 import scipy.sparse as sp
 from pydantic import ValidationError
 
-from solver.animation.drives import HeadKey, KeyedDrives, PoseKey
+from solver.animation.drives import Drives, HeadKey, KeyedDrives, PoseKey
+from solver.animation.performance import FittedSequence, MixedPerformances, PlayedPerformance
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.stretches import fibre_tensors, shorten
 from solver.kinds.document import Document, find_faults
-from solver.kinds.scene import Jaw, MotionKey, SimulateScene
+from solver.kinds.scene import Jaw, Key, MotionKey, SimulateScene
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
+from solver.scene.places import Places
+from solver.scene.stage import check_length
 from solver.surface import Floats
 
 Scene = TypeVar("Scene", bound=Document)
@@ -54,32 +57,63 @@ JAW_LIMITS = {"open_deg": (-10.0, 45.0), "left_deg": (-15.0, 15.0), "move_mm": (
 
 
 def drives_of(
-    scene: SimulateScene, poses: Mapping[str, Pose], model: SubjectModel, S: sp.csr_array
+    scene: SimulateScene,
+    poses: Mapping[str, Pose],
+    model: SubjectModel,
+    S: sp.csr_array,
+    under: Drives | None = None,
 ) -> KeyedDrives:
-    """Return what the keys of a scene make a face do.
+    """Return what the keys of a scene make a face do, on top of what its performances do.
 
-    ``poses`` are the rig's expressions. Frames come ``fps`` a second, from 0 on. Raises
-    :class:`InputError`: as :class:`KeyedDrives`, and ``scene.jaw`` where no jaw can be.
+    ``poses`` are the rig's expressions, ``under`` is from :func:`performances_of`. Frames come
+    ``fps`` a second, from 0 on. Raises :class:`InputError`: as :class:`KeyedDrives`, and
+    ``scene.jaw`` where no jaw can be.
     """
-    tensors = fibre_tensors(model, shape_gradients(model.rest, model.tets)[1], S)
-    keys = [
-        PoseKey(
-            entry.time,
-            entry.expressions,
-            {name: _activation(model, tensors, name, how) for name, how in entry.muscles.items()},
-            jaw_of(entry.jaw),
-        )
-        for entry in scene.keys
-    ]
-    last = max((key.time for key in keys), default=0.0)
+    keys = _KeyReader(model, S)(scene.keys)
+    ends = [float(under.times[-1])] if under else []
+    last = max([*ends, *(key.time for key in keys)], default=0.0)
     seconds, fps = last if scene.duration is None else scene.duration, scene.fps
+    check_length(seconds * fps)  # of a file's times, before there are so many
     times = np.arange(int(seconds * fps + 1e-6) + 1) / fps
+    head, interpolation = head_of(scene.head), scene.interpolation
     drives = KeyedDrives(
-        keys, poses, model, times, head=head_of(scene.head), interpolation=scene.interpolation
+        keys, poses, model, times, head=head, interpolation=interpolation, under=under
     )
     for number, key in enumerate(keys):
         check_jaw(drives(key.time).jaw, f"keys[{number}]")
     return drives
+
+
+def performances_of(
+    scene: SimulateScene, poses: Mapping[str, Pose], places: Places, S: sp.csr_array
+) -> MixedPerformances | None:
+    """Return a scene's performances with their own keys, mixed; None if it has none.
+
+    Raises :class:`InputError`: as :class:`FittedSequence`, :class:`PlayedPerformance`,
+    :class:`MixedPerformances` and :func:`drives_of`, and ``scene.asset``.
+    """
+    given = scene.performance
+    if given is None:
+        return None
+    entries = given if isinstance(given, list) else [given]
+    model, read, smooth = places.model, _KeyReader(places.model, S), scene.interpolation
+    files: dict[str, FittedSequence] = {}
+    played: list[PlayedPerformance] = []
+    layered: list[Drives] = []
+    for number, entry in enumerate(entries):
+        name, what, keys = entry.asset, f"performance[{number}].keys", read(entry.keys)
+        if name not in files:
+            files[name] = FittedSequence.load(places.asset(name), name)
+        played.append(PlayedPerformance(files[name], entry, model, smooth))
+        for frame, b in zip(played[-1].frames, played[-1].jaw, strict=True):
+            check_jaw(b, f"frame {frame} of the performance {name!r}")
+        times, under = played[-1].times, played[-1]
+        layered.append(
+            KeyedDrives(keys, poses, model, times, interpolation=smooth, under=under, what=what)
+        )
+        for place, key in enumerate(keys):
+            check_jaw(layered[-1](key.time).jaw, f"{what}[{place}]")
+    return MixedPerformances(played, layered, model)
 
 
 def head_of(entries: Sequence[MotionKey]) -> list[HeadKey]:
@@ -102,20 +136,35 @@ def check_jaw(b: Floats, where: str) -> None:
         least, most = JAW_LIMITS[name]
         worst = float(values[np.argmax(np.abs(values))])
         if not least <= worst <= most:
-            place = f"{where}: the jaw's {name} is {worst:.1f}, with what its expressions do"
+            place = f"{where}: the jaw's {name} is {worst:.1f}, with all that moves it"
             reason = f"{place}; a jaw gets from {least:g} to {most:g}"
             raise InputError("scene.jaw", reason, found=worst, expected=[least, most])
 
 
-def _activation(
-    model: SubjectModel, tensors: Floats, name: str, how: float | Sequence[float]
-) -> Floats:
-    """Return a muscle's activation (6,): six numbers are one, one is its fibres' stretch."""
-    if not isinstance(how, int | float):
-        return np.array(how, np.float64)
-    names = model.muscle_names
-    tensor = tensors[names.index(name)] if name in names else np.eye(3)
-    if np.isnan(tensor).any():
-        reason = f"the muscle {name!r} has no fibres in this rig: give six numbers instead"
-        raise InputError("scene.muscle", reason, found=name)
-    return shorten(tensor, how)
+class _KeyReader:
+    """Reads a scene's keys of a person."""
+
+    def __init__(self, model: SubjectModel, S: sp.csr_array) -> None:
+        self._names = model.muscle_names
+        self._tensors = fibre_tensors(model, shape_gradients(model.rest, model.tets)[1], S)
+
+    def __call__(self, entries: Sequence[Key]) -> list[PoseKey]:
+        return [
+            PoseKey(
+                entry.time,
+                entry.expressions,
+                {name: self._activation(name, how) for name, how in entry.muscles.items()},
+                jaw_of(entry.jaw),
+            )
+            for entry in entries
+        ]
+
+    def _activation(self, name: str, how: float | Sequence[float]) -> Floats:
+        """Return a muscle's activation (6,): six numbers are one, one is its fibres' stretch."""
+        if not isinstance(how, int | float):
+            return np.array(how, np.float64)
+        tensor = self._tensors[self._names.index(name)] if name in self._names else np.eye(3)
+        if np.isnan(tensor).any():
+            reason = f"the muscle {name!r} has no fibres in this rig: give six numbers instead"
+            raise InputError("scene.muscle", reason, found=name)
+        return shorten(tensor, how)

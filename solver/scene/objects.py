@@ -16,7 +16,7 @@ from solver.contact.potentials import touching
 from solver.contact.surface import ContactSurface, collision_mesh
 from solver.drawing.head import skin_parts
 from solver.errors import InputError
-from solver.kinds.scene import Ball, Box, Object
+from solver.kinds.scene import Ball, Box, Object, Rod
 from solver.meshio.raw import read_raw
 from solver.model import SubjectModel
 from solver.scene.places import Places
@@ -64,12 +64,30 @@ def _object(entry: Object, places: Places, interpolation: Interpolation) -> Scen
         shape = _surface(trimesh.creation.box(mesh.box_mm))
     elif isinstance(mesh, Ball):
         shape = _surface(trimesh.creation.icosphere(BALL_SUBDIVISIONS, mesh.ball_mm))
+    elif isinstance(mesh, Rod):
+        radius, length = mesh.rod_mm
+        shape = _rod(radius, length)
     else:
         shape = _read(name, places.asset(mesh.asset))
     times = [key.time for key in entry.path] or [0.0]
     motion = [[*np.radians(key.rotation_deg), *origin + key.move_mm] for key in entry.path]
     values = np.array(motion or [[0.0, 0.0, 0.0, *origin]])
     return SceneObject(name, shape, track(times, values, f"{name}'s path", interpolation))
+
+
+def _rod(radius: float, length: float, sides: int = 24, most_rings: int = 60) -> Surface:
+    """Return a round rod along z; ``length`` is without its round ends."""
+    half = 0.5 * length / radius  # in radii, as what is made of small triangles has holes
+    angles = np.linspace(0.0, 0.5 * np.pi, sides // 4 + 1)
+    cap = np.column_stack([np.sin(angles), -np.cos(angles)])
+    cap[0, 0] = 0.0
+    # rings as far apart as the radius, so that few triangles are needles
+    between = np.linspace(-half, half, min(int(np.ceil(2.0 * half)), most_rings) + 1)[1:-1]
+    side = np.column_stack([np.ones_like(between), between])
+    end = np.array([0.0, half])
+    profile = np.vstack([cap - end, side, cap[::-1] * np.array([1.0, -1.0]) + end])
+    unit = _surface(trimesh.creation.revolve(profile, sections=sides))
+    return unit.moved(radius * unit.vertices)
 
 
 def _read(name: str, path: Path) -> Surface:

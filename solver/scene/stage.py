@@ -119,6 +119,14 @@ MOST_FRAMES = 20_000
 STEPS = 4  # of a dynamic face in a frame: flesh swings some 15 times a second, long steps damp
 
 
+def check_length(frames: float) -> None:
+    """Raise :class:`InputError` (``scene.long``) for more frames than a job simulates."""
+    if frames > MOST_FRAMES:
+        reason = f"at most {MOST_FRAMES} can be simulated in one job"
+        message = f"the scene has {frames:.0f} frames; {reason}"
+        raise InputError("scene.long", message, found=round(frames), expected=MOST_FRAMES)
+
+
 class Stage:
     """A person with the S (n, m + 1) in a scene.
 
@@ -135,11 +143,7 @@ class Stage:
         drives: Drives,
         linear: str | None = None,
     ) -> None:
-        frames = len(drives.times)
-        if frames > MOST_FRAMES:
-            reason = f"at most {MOST_FRAMES} can be simulated in one job"
-            message = f"the scene has {frames} frames; {reason}"
-            raise InputError("scene.long", message, found=frames, expected=MOST_FRAMES)
+        check_length(len(drives.times))
         self.drives = drives
         self._physics = Physics(scene)
         edits = [edit_of(entry, places) for entry in scene.edits]

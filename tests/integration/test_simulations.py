@@ -64,6 +64,10 @@ def test_what_a_scene_leaves_and_what_it_reads(studio: Studio, rigged: tuple[str
     assert done["result"]["summary"]["assets"] == {"take": "take of Alex.csv"}
     kinds = {file["name"]: file["media_type"] for file in done["result"]["artifacts"]}
     assert kinds["animation.mp4"] == "video/mp4"
+    fitted = asset(studio, subject, "fitted", "sequence.npz")
+    options = {"scene": {**scene, "performance": {"asset": "fitted", "gain": 2}}}
+    done = studio.done("simulate", subject, rig_id=rig, captures=[fitted], options=options)
+    assert done["result"]["summary"]["assets"] == {"fitted": "sequence.npz"}
     options = {"scene": {"recording": {"asset": "take"}}}
     found = [
         studio.done("animate", subject, rig_id=rig, captures=[take], options=options)["result"][

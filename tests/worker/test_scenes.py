@@ -13,6 +13,7 @@ from solver.animation.blendshapes import Blendshapes, Solved
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import silent
+from solver.rig.frames import SequenceFrame, write_sequence
 from solver.rig.rig import Rig
 from solver.scans.live_link import ARKIT_NAMES
 from tests.solver.block import head_block
@@ -21,19 +22,23 @@ from worker.solve import solve
 MODEL = head_block((7, 5, 1))
 SOFT = {"edits": [{"kind": "stiffness", "factor": 0.5, "map": {"asset": "soft"}}]}
 TAKE = {"recording": {"asset": "take"}}
+PERFORMED = {"fps": 10, "performance": {"asset": "sequence"}}
 
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Role, or the name of an asset -> file."""
     folder = tmp_path_factory.mktemp("files")
-    names = ("rig", "soft", "take", "blendshapes")
+    names = ("rig", "soft", "take", "blendshapes", "sequence")
     files = {name: folder / name for name in names}
     files = {**files, "soft": folder / "map.npy", "take": folder / "take.csv"}
     Rig(MODEL, MODEL.weights, ()).save(files["rig"])
     np.save(files["soft"], np.ones(len(MODEL.skin.vertices)))
     rows = [["Timecode", *ARKIT_NAMES], ["00:00:00:00", *(["0"] * len(ARKIT_NAMES))]]
     files["take"].write_text("\n".join(map(",".join, rows)))
+    a, still = np.tile(IDENTITY, (2, 1)), (np.zeros(5), np.zeros(6))
+    fitted = [SequenceFrame(n, a, *still, 0, 1, 0.1, "fitted", 0, 0, 0, 1) for n in range(4)]
+    files["sequence"], *_ = write_sequence(folder, fitted, MODEL.muscle_names, 30.0, {})
     smile = Solved(Pose(np.tile(IDENTITY, (2, 1)), np.zeros(5)), 0.0)
     shapes = Blendshapes(MODEL.muscle_names, {"mouthSmileLeft": smile})
     shapes.save(files["blendshapes"], MODEL, MODEL.weights)
@@ -44,6 +49,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     ("kind", "scene", "roles", "told"),
     [
         ("simulate", SOFT, ["soft"], "frames"),
+        ("simulate", PERFORMED, ["sequence"], "performances"),
         ("animate", TAKE, ["take", "blendshapes"], "blendshapes"),
         ("edit", SOFT, ["soft"], "volume"),
     ],
@@ -57,7 +63,11 @@ def test_a_scene_gets_its_person_and_its_assets(
     told: str,
 ) -> None:
     items = [
-        {"role": "asset" if name in ("soft", "take") else name, "name": name, "path": str(path)}
+        {
+            "role": "asset" if name in ("soft", "take", "sequence") else name,
+            "name": name,
+            "path": str(path),
+        }
         for name, path in inputs.items()
         if name in ("rig", *roles)
     ]

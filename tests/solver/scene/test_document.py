@@ -25,6 +25,10 @@ EVERYTHING = {
         },
     ],
     "head": [{"time": 0.5, "rotation_deg": [0, 20, 0]}],
+    "performance": [
+        {"asset": "take", "start": 3, "speed": 0.5, "gain": 2, "muscles": {"risorius": 0}},
+        {"asset": "other", "mask": ["risorius"], "bridges": {"spans": [{"start": 1, "end": 4}]}},
+    ],
     "forces": [
         {"kind": "gravity"},
         {"kind": "wind", "m_s": [10, 0, 0], "gusts": 0.3},
@@ -33,6 +37,7 @@ EVERYTHING = {
     "objects": [
         {"name": "glass", "mesh": {"box_mm": [120, 120, 2]}, "at": [0, 0, 60]},
         {"name": "ball", "mesh": {"ball_mm": 10}, "path": [{"time": 0, "move_mm": [0, 0, 9]}]},
+        {"name": "rod", "mesh": {"rod_mm": [3, 60]}},
     ],
     "edits": [{"kind": "paralysis", "side": "left"}],
 }
@@ -61,6 +66,18 @@ def test_the_schema_is_one_and_defaults_are_allowed():
             "3",
         ),
         ({"forces": [{"kind": "wind"}]}, "scene.forces[0]", "'m_s' is a required property"),
+        ({"performance": {}}, "scene.performance", "'asset' is a required property"),
+        ({"performance": "take"}, "scene.performance", "a performance or a list of them"),
+        (
+            {"performance": [{"asset": "take"}, {"asset": "take", "muscles": {"risorius": -1}}]},
+            "scene.performance[1].muscles.risorius",
+            "-1 is less than the minimum of 0",
+        ),
+        (
+            {"performance": {"asset": "take", "bridges": {"spans": [{"start": 4}]}}},
+            "scene.performance.bridges.spans[0]",
+            "'end' is a required property",
+        ),
         (
             {"objects": [{"name": "x", "mesh": {"box_mm": [1, 2]}}]},
             "scene.objects[0].mesh.box_mm",

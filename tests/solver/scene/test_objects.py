@@ -53,3 +53,16 @@ def test_a_file_is_read_in_its_unit_and_turned_outward(places, asset):
     whole = trimesh.Trimesh(box.shape.vertices, box.shape.faces, process=False)
     assert whole.is_watertight
     assert whole.volume == pytest.approx(80 * 60 * 20, rel=1e-4)
+
+
+@pytest.mark.parametrize(("radius", "length"), [(3.0, 60.0), (4.0, 1.0), (0.01, 500.0)])
+def test_a_rod_is_round_closed_and_as_long_as_it_says(places, radius, length):
+    entry = Object.model_validate({"name": "rod", "mesh": {"rod_mm": [radius, length]}})
+    [rod] = objects_of([entry], places)
+    whole = trimesh.Trimesh(rod.shape.vertices, rod.shape.faces, process=False)
+    assert whole.is_volume
+    assert len(rod.shape.vertices) < 2000
+    size = [2 * radius, 2 * radius, length + 2 * radius]
+    np.testing.assert_allclose(np.ptp(rod.shape.vertices, axis=0), size)
+    volume = np.pi * radius**2 * (length + 4 / 3 * radius)
+    assert whole.volume == pytest.approx(volume, rel=0.03)

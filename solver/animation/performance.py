@@ -1,0 +1,310 @@
+"""Fitted performances as drives: between their frames, exaggerated, bridged and mixed.
+
+A muscle's activation is carried as log S(a), in which all that is done to it is linear: a gain k
+makes S(a)^k = exp(k log S(a)), and from frame to frame, or over a gap, log S goes without a jump,
+so that no blend folds a muscle (Arsigny et al. 2006, "Log-Euclidean metrics"). The head turns about
+the neck, by its turn and the neck's place from frame to frame, so that it moves rigidly in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from solver.animation.blendshapes import unfold
+from solver.animation.drives import (
+    Drives,
+    Interpolation,
+    PosedFrame,
+    check_known,
+    neck,
+    track,
+    turn_about,
+)
+from solver.errors import InputError, quote, quote_names
+from solver.fitting.objective import LEAST_STRETCH
+from solver.fitting.stretches import map_stretches
+from solver.kinds.scene import PerformanceEntry
+from solver.mechanics.boundary import JAW_FREEDOM
+from solver.mechanics.flesh import IDENTITY
+from solver.model import SubjectModel
+from solver.storage import read_arrays
+from solver.surface import Floats, Ints
+
+FORMATS = (1, 2)  # of sequence.npz that are read
+MOST_STRETCH = 1.0 / LEAST_STRETCH  # of a muscle, however great its gain
+
+
+@dataclass(frozen=True)
+class FittedSequence:
+    """What a fit to a performance left, the scene's ``asset``: f frames of m muscles.
+
+    ``frames`` (f,) are their numbers and ``times`` (f,) in s; ``fitted`` (f,) is false where there
+    was no data to fit. ``activations`` (f, m, 6), ``jaw`` (f, 5) and ``head`` (f, 6) are as in
+    :class:`solver.rig.frames.SequenceFrame`.
+    """
+
+    asset: str
+    muscles: tuple[str, ...]
+    frames: Ints
+    times: Floats
+    fitted: np.ndarray
+    activations: Floats
+    jaw: Floats
+    head: Floats
+
+    @classmethod
+    def load(cls, path: Path, asset: str) -> FittedSequence:
+        """Read a ``sequence.npz``.
+
+        Raises :class:`InputError`: ``sequence.unreadable`` if it is none, ``sequence.format`` if it
+        is of a later version.
+        """
+        names = {"file": path.name, "asset": asset}
+        try:
+            data = read_arrays(path)
+            version = int(data["format"])
+            found = _sequence(asset, data) if version in FORMATS else None
+        except (LookupError, OverflowError, TypeError, ValueError) as error:
+            reason = error.args[0] if isinstance(error, ValueError) else f"it has no {quote(error)}"
+            message = f"the asset {asset!r}, {path.name}, is not a fitted sequence: {reason}"
+            raise InputError("sequence.unreadable", message, **names) from error
+        if found is None:
+            reason = f"has the sequence format {version}, not one of {list(FORMATS)}"
+            raise InputError(
+                "sequence.format", f"the asset {asset!r}, {path.name}, {reason}", **names
+            )
+        return found
+
+    def part(self, chosen: Any) -> FittedSequence:
+        """Return some of the frames."""
+        arrays = (self.frames, self.times, self.fitted, self.activations, self.jaw, self.head)
+        return FittedSequence(self.asset, self.muscles, *(each[chosen] for each in arrays))
+
+    def between(self, start: int | None, end: int | None) -> FittedSequence:
+        """Return the frames from number ``start`` to before ``end``; None is where it has its ends.
+
+        Raises :class:`InputError` (``scene.frames``) if there are no such frames.
+        """
+        first, last = int(self.frames[0]), int(self.frames[-1])
+        start, end = first if start is None else start, last + 1 if end is None else end
+        chosen = (self.frames >= start) & (self.frames < end)
+        if start < first or end > last + 1 or not chosen.any():
+            asked = f"start {start} and end {end} are not within it, or no frame lies between"
+            reason = f"the performance {self.asset!r} has the frames {first} to {last}: {asked}"
+            more = {"asset": self.asset, "start": start, "end": end}
+            raise InputError("scene.frames", reason, expected=len(self.frames), **more)
+        return self.part(chosen)
+
+    def of_muscles(self, names: Sequence[str]) -> FittedSequence:
+        """Return it with a face's muscles, in their order.
+
+        Raises :class:`InputError` (``sequence.muscles``) if it has others.
+        """
+        other = sorted(set(names) ^ set(self.muscles))
+        if other:
+            whose = "of the performance" if other[0] in self.muscles else "of the rig"
+            reason = f"the performance {self.asset!r} was fitted with another anatomy: the muscle "
+            message = f"{reason}{quote(other[0])!r} is only one {whose}"
+            more = {"asset": self.asset, "found": quote_names(other)}
+            raise InputError("sequence.muscles", message, **more)
+        order = [self.muscles.index(name) for name in names]
+        parts = (self.frames, self.times, self.fitted, self.activations[:, order])
+        return FittedSequence(self.asset, tuple(names), *parts, self.jaw, self.head)
+
+    def check_values(self) -> None:
+        """Raise :class:`InputError` (``sequence.values``) for a number that is none."""
+        for name, values in (
+            ("activations", self.activations),
+            ("jaw", self.jaw),
+            ("head", self.head),
+        ):
+            bad = np.argwhere(~np.isfinite(values))
+            if len(bad):
+                frame, muscle = int(self.frames[bad[0, 0]]), None
+                what = f"its {name}"
+                if name == "activations":
+                    muscle = self.muscles[bad[0, 1]]
+                    what = f"the activation of {muscle!r}"
+                message = f"frame {frame} of the performance {self.asset!r}: {what} is no number"
+                more = {"asset": self.asset, "frame": frame, "muscle": muscle}
+                raise InputError("sequence.values", message, **more)
+
+
+def _sequence(asset: str, data: dict[str, np.ndarray]) -> FittedSequence:
+    """Return the sequence of a file's arrays; raises LookupError or ValueError in words."""
+    muscles = tuple(str(name) for name in np.atleast_1d(data["muscles"]))
+    frames, times = data["frame"].astype(np.int64), data["time"].astype(np.float64)
+    count = len(np.atleast_1d(frames))
+    shapes = {"frame": (), "time": (), "status": (), "jaw": (JAW_FREEDOM,), "head": (6,)}
+    for name, shape in {**shapes, "activations": (len(muscles), 6)}.items():
+        if data[name].shape != (count, *shape):
+            raise ValueError(f"its {name} has the shape {data[name].shape}, not {(count, *shape)}")
+    if not count:
+        raise ValueError("it has no frames")
+    steps = np.diff(times), np.diff(frames)
+    # a bound on times, as differences of huge ones are none
+    if not ((np.abs(times) < 1e9).all() and all((step > 0).all() for step in steps)):
+        raise ValueError("its frames are not one after the other in number and time")
+    values = [data[name].astype(np.float64) for name in ("activations", "jaw", "head")]
+    return FittedSequence(
+        asset, muscles, frames, times, data["status"].astype(np.str_) == "fitted", *values
+    )
+
+
+def to_logarithms(a: Floats) -> Floats:
+    """Return log S(a) as entries (n, 6), of stretches within what a muscle can have."""
+    return map_stretches(a, lambda values: np.log(np.clip(values, LEAST_STRETCH, MOST_STRETCH)))
+
+
+def from_logarithms(logarithms: Floats) -> tuple[Floats, int]:
+    """Return the activations (n, 6) of logarithms, and how many muscles were kept from folding."""
+    most = np.log(MOST_STRETCH)
+    return unfold(map_stretches(logarithms, lambda values: np.exp(np.minimum(values, most))))
+
+
+class PlayedPerformance:
+    """:class:`Drives` of a fitted ``sequence``, played as a scene's ``entry`` says.
+
+    Its first frame is at time 0. ``frames`` (f,) are the numbers of those that are played as
+    fitted, with their ``jaw`` (f, 5); the ``bridged`` (b,) between them are blended over. Raises
+    :class:`InputError`: ``scene.frames``, ``scene.muscle``, ``scene.curve``, ``scene.bridges``,
+    ``sequence.muscles`` and ``sequence.values``.
+    """
+
+    def __init__(
+        self,
+        sequence: FittedSequence,
+        entry: PerformanceEntry,
+        model: SubjectModel,
+        interpolation: Interpolation = "smooth",
+    ) -> None:
+        self.entry = entry
+        gains = _gains(entry, model)
+        played = sequence.of_muscles(model.muscle_names).between(entry.start, entry.end)
+        kept = ~_bridged(played, entry)
+        if not kept.any():
+            reason = f"nothing is left of the performance {entry.asset!r}: every frame is bridged"
+            raise InputError("scene.bridges", reason, asset=entry.asset)
+        self.times: Floats = (played.times - played.times[0]) / entry.speed
+        self.bridged = played.frames[~kept]
+        left = played.part(kept)
+        left.check_values()
+        self.frames, self.jaw = left.frames, left.jaw
+        self._neck = neck(model)
+        self._start, turns, moves = _head(left.head, self._neck, entry)
+        moments = self.times[kept]
+        logarithms = to_logarithms(left.activations.reshape(-1, 6)).reshape(len(moments), -1, 6)
+        strong = (gains[:, None] * logarithms).reshape(len(moments), -1)
+        values = np.hstack([strong, left.jaw, turns, moves])
+        name = f"performance {entry.asset}"
+        self._track = track(moments.tolist(), values, name, interpolation)
+
+    def __call__(self, time: float) -> PosedFrame:
+        """See :class:`Drives`."""
+        logarithms, jaw, turn, move = np.split(self._track(time), [-JAW_FREEDOM - 6, -6, -3])
+        a, clamped = from_logarithms(logarithms.reshape(-1, 6))
+        turned = (self._start * Rotation.from_rotvec(turn)).as_rotvec()
+        head = turn_about(self._neck, turned, move)
+        return PosedFrame(a, jaw, head, np.zeros((2, 3)), clamped)
+
+
+def _gains(entry: PerformanceEntry, model: SubjectModel) -> Floats:
+    """Return every muscle's gain (m,)."""
+    for what, names in (("muscles", entry.muscles), ("curve", entry.curve)):
+        where = f"{what} of the performance {entry.asset!r}"
+        check_known(names, model.muscle_names, "scene.muscle", where)
+    for name in entry.curve:
+        reason = "has six numbers a muscle, and no force-length curve: use muscles, its gains"
+        message = f"curve names {name!r}, but the performance {entry.asset!r} {reason}"
+        raise InputError("scene.curve", message, asset=entry.asset, found=name)
+    return entry.gain * np.array([entry.muscles.get(name, 1.0) for name in model.muscle_names])
+
+
+def _bridged(played: FittedSequence, entry: PerformanceEntry) -> np.ndarray:
+    """Return which frames (f,) are blended over."""
+    frames = played.frames
+    bridged = ~played.fitted if entry.bridges.missing else np.zeros(len(frames), bool)
+    for number, span in enumerate(entry.bridges.spans):
+        inside = (frames >= span.start) & (frames < span.end)
+        if not inside.any():
+            where = f"bridges.spans[{number}] of the performance {entry.asset!r}"
+            reason = f"no frame that is played lies from {span.start} to before {span.end}"
+            more = {"asset": entry.asset, "start": span.start, "end": span.end}
+            raise InputError("scene.bridges", f"{where}: {reason}", **more)
+        bridged = bridged | inside
+    return bridged
+
+
+def _head(head: Floats, pivot: Floats, entry: PerformanceEntry) -> tuple[Rotation, Floats, Floats]:
+    """Return the first turn, those from it on (f, 3), and how far the ``pivot`` moves (f, 3), mm.
+
+    From the first one on a head never turns by half a circle, where rotation vectors jump.
+    """
+    head = np.zeros_like(head) if entry.head == "still" else head
+    turns, shifts = Rotation.from_rotvec(head[:, :3]), head[:, 3:]
+    if entry.head == "from_start":
+        back = turns[0].inv()
+        turns, shifts = back * turns, back.apply(shifts - shifts[0])
+    start = turns[0]
+    return start, (start.inv() * turns).as_rotvec(), turns.apply(pivot) + shifts - pivot
+
+
+class MixedPerformances:
+    """:class:`Drives` of several ``performances``: each moves the muscles of its mask.
+
+    They move the face by their ``drives``, which add keys to them. Jaw, head and eyes are the
+    first's; a muscle that none moves is at rest. Raises :class:`InputError`: ``scene.muscle`` for a
+    name that is not known, ``scene.mask`` for a muscle that two would move.
+    """
+
+    def __init__(
+        self,
+        performances: Sequence[PlayedPerformance],
+        drives: Sequence[Drives],
+        model: SubjectModel,
+    ) -> None:
+        self.performances = performances
+        self.times: Floats = max(
+            (each.times for each in drives), key=lambda times: float(times[-1])
+        )
+        self._drives = drives
+        self._movers = _movers([each.entry for each in performances], model)
+
+    def __call__(self, time: float) -> PosedFrame:
+        """See :class:`Drives`."""
+        poses = [drives(time) for drives in self._drives]
+        a = np.tile(IDENTITY, (len(self._movers), 1))
+        for number, pose in enumerate(poses):
+            own = self._movers == number
+            a[own] = pose.a[own]
+        first = poses[0]
+        return PosedFrame(a, first.jaw, first.head, first.eyes, max(p.clamped for p in poses))
+
+
+def _movers(entries: Sequence[PerformanceEntry], model: SubjectModel) -> Ints:
+    """Return the number of the performance that moves each muscle (m,); -1 is none."""
+    movers = np.full(model.muscle_count, -1)
+    rest = [number for number, entry in enumerate(entries) if entry.mask is None]
+    if len(rest) > 1:
+        names = " and ".join(repr(entries[number].asset) for number in rest[:2])
+        reason = f"the performances {names} have no mask: one of them may move all other muscles"
+        raise InputError("scene.mask", reason, found=len(rest), expected=1)
+    for number, entry in enumerate(entries):
+        where = f"the mask of performance[{number}], {entry.asset!r},"
+        check_known(entry.mask or [], model.muscle_names, "scene.muscle", where)
+        for name in entry.mask or []:
+            muscle = model.muscle_names.index(name)
+            if movers[muscle] not in (-1, number):
+                other = entries[movers[muscle]].asset
+                reason = f"{where} names {name!r}, which that of {other!r} names too"
+                raise InputError("scene.mask", reason, found=name)
+            movers[muscle] = number
+    if rest:
+        movers[movers < 0] = rest[0]
+    return movers
