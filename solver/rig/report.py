@@ -56,6 +56,7 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
         "use": use(judgements, list(expressions)),
         "checks": [_judgement(judgement, certificate.settings) for judgement in judgements],
         "expressions": expressions,
+        "information": _information(model, certificate),
         "warnings": [notice.as_dict() for notice in rig.warnings],
         "train_mean_mm": _role_mean(rig, "train"),
         "test_mean_mm": _role_mean(rig, "test"),
@@ -158,6 +159,18 @@ def _muscles(model: SubjectModel, found: Muscles) -> dict[str, dict[str, Any]]:
         name: {column: _round(getattr(found, column)[number]) for column in columns}
         | {"faults": found.faults(number)}
         for number, name in enumerate(model.muscle_names)
+    }
+
+
+def _information(model: SubjectModel, certificate: Certificate) -> dict[str, Any] | None:
+    found, names = certificate.information, model.muscle_names
+    return found and {
+        "scans": found.scans,
+        "muscles": {name: _round(found.information[j]) for j, name in enumerate(names)},
+        "confused": [
+            {"muscles": [names[i], names[j]], "correlation": _round(correlation)}
+            for i, j, correlation in found.confused
+        ],
     }
 
 
