@@ -208,7 +208,7 @@ def rank(
     before = linearisation.error_mm(posterior, everywhere)
     found = []
     for name, matrix in library.items():
-        after = linearisation.error_mm(_with(posterior, matrix), everywhere)
+        after = linearisation.error_mm(posterior.after(matrix), everywhere)
         found.append(Proposal(name, before, after))
     return sorted(found, key=lambda proposal: proposal.after_mm)
 
@@ -217,21 +217,15 @@ def plan(
     linearisation: Linearisation, posterior: Posterior, library: Mapping[str, Floats], count: int
 ) -> list[Proposal]:
     """Return what to scan next, and after that, up to ``count``: each beside those before it."""
-    left, chosen = dict(library), []
+    left = dict(library)
+    chosen: list[Proposal] = []
     while left and len(chosen) < count:
         everywhere = np.mean(list(library.values()), axis=0)
         before = linearisation.error_mm(posterior, everywhere)
-        after = {name: _with(posterior, matrix) for name, matrix in left.items()}
+        after = {name: posterior.after(matrix) for name, matrix in left.items()}
         errors = {name: linearisation.error_mm(each, everywhere) for name, each in after.items()}
         name = min(errors, key=lambda name: errors[name])
         chosen.append(Proposal(name, before, errors[name]))
         posterior = after[name]
         del left[name]
     return chosen
-
-
-def _with(posterior: Posterior, matrix: Floats) -> Posterior:
-    """Return the posterior after a scan of the information ``matrix``, which is of any rank."""
-    both = np.eye(len(matrix)) + matrix @ posterior.covariance
-    after = posterior.covariance @ np.linalg.inv(both)
-    return Posterior(0.5 * (after + after.T), posterior.prior_variance)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,6 +12,7 @@ import scipy.sparse as sp
 
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
+from solver.errors import SolveError
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry_information import Linearisation, MuscleInformation
 from solver.fitting.stretches import determinants, fibre_tensors, matrices
@@ -235,7 +237,9 @@ def scan_information(linearisation: Linearisation, rig: Rig) -> list[Floats]:
             continue
         state = face.settle(Pose(fit.activations, fit.jaw), fit.x)
         seen = np.isfinite(fit.error_mm[face.model.face]).astype(np.float64)
-        if state is not None and seen.any():
+        if state is None or not seen.any():
+            continue
+        with contextlib.suppress(SolveError):  # the certificate has no figures of it then
             found.append(linearisation.information(state, seen))
     return found
 
