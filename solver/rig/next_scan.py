@@ -184,7 +184,7 @@ class Library:
 
 def suggestion_words(suggestions: list[Suggestion]) -> str:
     """Return what to do now in one line."""
-    return f"shoot next: {', then '.join(each.words for each in suggestions)}"
+    return f"Shoot next: {', then '.join(each.words for each in suggestions)}"
 
 
 def suggestion_figures(suggestion: Suggestion) -> dict[str, Any]:

@@ -57,7 +57,7 @@ def test_what_no_scan_has_moved_is_proposed(
         "next_scan", tmp_path, options=options, rig=tmp_path / "rig.npz", progress=steps.append
     )
     found = json.loads(file.read_text())
-    assert found["words"] == "shoot next: lip corner pull on the right, then jaw dropped"
+    assert found["words"] == "Shoot next: lip corner pull on the right, then jaw dropped"
     smile, jaw = found["next"]
     assert (smile["shape"], smile["side"], smile["facs"]) == ("mouthSmile", "right", "AU 12")
     assert smile["gain_mm"] > 3 * jaw["gain_mm"]
