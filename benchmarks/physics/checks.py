@@ -27,7 +27,14 @@ from solver.edits.edit import DENSITY
 from solver.fitting.face import Face
 from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics import equilibrium, linear
-from solver.mechanics.flesh import COROTATED_DET, COROTATED_TRACE, NEO_HOOKEAN, Flesh, Material
+from solver.mechanics.flesh import (
+    COROTATED_DET,
+    COROTATED_TRACE,
+    MOONEY_RIVLIN,
+    NEO_HOOKEAN,
+    Flesh,
+    Material,
+)
 from solver.model import SubjectModel
 from solver.similarity import IDENTITY
 from solver.simulation.forces import Drive, Inertia, Motion, lumped_masses
@@ -38,6 +45,7 @@ MATERIALS = {
     "corotated, trace": COROTATED_TRACE,
     "corotated, det": COROTATED_DET,
     "Neo-Hookean": NEO_HOOKEAN,
+    "Mooney-Rivlin": MOONEY_RIVLIN,
 }
 
 STRETCH = 1.3
@@ -78,8 +86,12 @@ def principal_energy(material: Material, stretches: Floats) -> float:
     if material.law == "corotated":
         strain = stretches - 1.0
         return float(mu * strain @ strain + 0.5 * lam * strain.sum() ** 2) + volume
-    mu, lam = 4.0 / 3.0 * mu, lam + 5.0 / 6.0 * mu
     squares = float(stretches @ stretches)
+    if material.law == "mooney_rivlin":
+        inverse = J**2 * float((1.0 / stretches**2).sum())
+        parts = np.cbrt(J) ** -2 * squares + np.cbrt(J) ** -4 * inverse - 6.0
+        return float(0.25 * mu * parts + (0.5 * lam + mu / 3.0) * (J - 1.0) ** 2) + volume
+    mu, lam = 4.0 / 3.0 * mu, lam + 5.0 / 6.0 * mu
     alpha = 1.0 + 0.75 * mu / lam
     sheared = 0.5 * mu * (squares - 3.0 - np.log((squares + 1.0) / 4.0))
     return float(sheared + 0.5 * lam * ((J - alpha) ** 2 - (1.0 - alpha) ** 2)) + volume

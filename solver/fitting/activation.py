@@ -33,7 +33,7 @@ from solver.fitting.least_squares import (
     TrustRegion,
     minimise,
 )
-from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
+from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.surface import Floats
 
@@ -85,7 +85,7 @@ class ActivationFit:
 Continuation = Callable[[Face, PosedFace, Floats, Pose], PosedFace]
 
 
-def objective(data: Term, regulariser: Regulariser, state: PosedFace) -> float:
+def objective(data: Term, regulariser: Prior, state: PosedFace) -> float:
     """Return f at a state's estimate (see :mod:`solver.fitting.objective`)."""
     return data.value(state.estimate) + regulariser.value(state.pose)
 
@@ -93,7 +93,7 @@ def objective(data: Term, regulariser: Regulariser, state: PosedFace) -> float:
 def fit(
     face: Face,
     data: Term,
-    regulariser: Regulariser,
+    regulariser: Prior,
     start: PosedFace | None = None,
     options: ActivationOptions = ActivationOptions(),
     listen: Listener | None = None,
@@ -147,7 +147,7 @@ def fit(
 def descend(
     face: Face,
     data: Term,
-    regulariser: Regulariser,
+    regulariser: Prior,
     start: PosedFace,
     options: ActivationOptions,
     listen: Listener | None = None,
@@ -171,7 +171,7 @@ class _PoseProblem:
 
     face: Face
     data: Term
-    regulariser: Regulariser
+    regulariser: Prior
     go: Continuation
     matrix: Floats
     options: DescentOptions
@@ -201,7 +201,7 @@ class GaussNewton:
         self,
         face: Face,
         data: Term,
-        regulariser: Regulariser,
+        regulariser: Prior,
         state: PosedFace,
         matrix: Floats,
         options: DescentOptions = DescentOptions(),

@@ -15,7 +15,7 @@ import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -85,6 +85,19 @@ class Target:
         return np.asarray(np.sum(offset * self.normals, axis=1, keepdims=True) * self.normals)
 
 
+class Prior(Protocol):
+    """A part of f that depends on the pose alone: how probable it is."""
+
+    def value(self, pose: Pose) -> float:
+        """Return the part."""
+
+    def gradient(self, pose: Pose) -> Floats:
+        """Return its derivative by the controls (k,)."""
+
+    def gauss_newton(self, pose: Pose) -> Floats:
+        """Return its positive semi-definite Gauss-Newton Hessian (k, k)."""
+
+
 @dataclass(frozen=True)
 class Regulariser:
     """Priors of a pose, with their weights."""
@@ -152,6 +165,25 @@ def eigenvalue_deficits(a: Floats) -> tuple[Floats, Floats]:
     return deficit, gradients * (deficit > 0.0)[:, :, None]
 
 
+@dataclass(frozen=True)
+class GramCurvature:
+    """A Gauss-Newton Hessian A^T K A (3 p, 3 p) of few rows: sparse A (r, 3 p), dense K (r, r)."""
+
+    rows: sp.csr_array
+    inner: Floats
+
+    def __matmul__(self, vector: Floats) -> Floats:
+        return np.asarray(self.rows.T @ (self.inner @ (self.rows @ vector)))
+
+    def __add__(self, other: Curvature) -> sp.csr_array:
+        return sp.csr_array(self.rows.T @ sp.csr_array(self.inner) @ self.rows) + other
+
+    __radd__ = __add__
+
+
+Curvature: TypeAlias = sp.csr_array | GramCurvature
+
+
 class Term(Protocol):
     """A part of f that depends on the tets' vertices x (p, 3) alone, held ones included, in mm.
 
@@ -164,7 +196,7 @@ class Term(Protocol):
     def gradient(self, x: Floats) -> Floats:
         """Return its derivative by x, (p, 3)."""
 
-    def curvature(self, x: Floats) -> sp.csr_array:
+    def curvature(self, x: Floats) -> Curvature:
         """Return the positive semi-definite Gauss-Newton Hessian by x, (3 p, 3 p)."""
 
 
@@ -223,6 +255,6 @@ class SumTerm:
         """See :class:`Term`."""
         return np.asarray(sum(term.gradient(x) for term in self.terms))
 
-    def curvature(self, x: Floats) -> sp.csr_array:
+    def curvature(self, x: Floats) -> Curvature:
         """See :class:`Term`."""
         return reduce(operator.add, (term.curvature(x) for term in self.terms))

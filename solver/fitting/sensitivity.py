@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.face import Face, Pose, PosedFace
+from solver.fitting.objective import Curvature, GramCurvature
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.response import Response, SparseControls
 from solver.mechanics.terms import force_columns
@@ -37,8 +38,15 @@ class Jacobian:
         flat = gradient.ravel()
         return np.asarray(self.flesh.T @ flat[self.free] + self.held.T @ flat)
 
-    def contract(self, curvature: sp.csr_array) -> Floats:
+    def motion(self, rows: sp.csr_array) -> Floats:
+        """Return A dx/dq (r, k) for sparse ``rows`` A (r, 3 p)."""
+        return np.asarray(rows[:, self.free] @ self.flesh + (rows @ self.held).toarray())
+
+    def contract(self, curvature: Curvature) -> Floats:
         """Return (dx/dq)^T C dx/dq (k, k) for C (3 p, 3 p)."""
+        if isinstance(curvature, GramCurvature):
+            moved = self.motion(curvature.rows)
+            return np.asarray(moved.T @ (curvature.inner @ moved))
         touched = np.flatnonzero(np.diff(curvature.indptr))
         rows = self.held[touched].toarray()
         _, place, number = np.intersect1d(touched, self.free, return_indices=True)
@@ -176,7 +184,7 @@ class Sensitivity:
         free = self.forces.face.flesh.free_coordinates
         return Jacobian(self.response.columns(self.pose), self.pose.held, free)
 
-    def product(self, curvature: sp.csr_array, change: Floats) -> Floats:
+    def product(self, curvature: Curvature, change: Floats) -> Floats:
         """Return J^T C J applied to a change of (a, b), for C (3 p, 3 p) and J = dx/d(a, b)."""
         pull = curvature @ self.response.product(self.pose, change).ravel()
         return self.response.adjoint(self.pose, pull)

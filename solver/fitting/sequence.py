@@ -25,7 +25,7 @@ from solver.fitting.least_squares import (
     Termination,
     minimise,
 )
-from solver.fitting.objective import Regulariser, SkinDistance, Target, Term
+from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, Term
 from solver.fitting.sensitivity import Jacobian, Sensitivity
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization
@@ -52,15 +52,15 @@ class TrackingOptions:
 
 @dataclass(frozen=True)
 class _LaggedModel:
-    """Sensitivities of a frame before, and the pose's Gauss-Newton matrix without regulariser."""
+    """Sensitivities of a frame before, and the pose's Gauss-Newton matrix without priors."""
 
     jacobian: Jacobian
     weights: Floats  # (k,) of the points that the matrix is of
     hessian: Floats
 
     @classmethod
-    def of(cls, jacobian: Jacobian, data: SkinDistance, x: Floats) -> _LaggedModel:
-        return cls(jacobian, data.target.weights, jacobian.contract(data.curvature(x)))
+    def of(cls, jacobian: Jacobian, data: Term, weights: Floats, x: Floats) -> _LaggedModel:
+        return cls(jacobian, weights, jacobian.contract(data.curvature(x)))
 
 
 class Tracker:
@@ -91,39 +91,50 @@ class Tracker:
         self._search = Backtracking(self._options.damping, least_ratio=self._options.least_ratio)
 
     def fit(self, target: Target, before: Pose | None = None) -> int:
-        """Fit a frame and return the steps it took.
+        """Fit a frame's points and return the steps it took.
 
         ``before`` is the frame before's pose, where the state is this frame's already: fitted to
-        another placing of the head. Raises :class:`SolveError` if it cannot be fitted; the state
-        stays that of the frame before.
+        another placing of the head. Raises as :meth:`fit_term`.
+        """
+        prior = self._regulariser.with_proximal_term(before or self.state.pose, self._temporal)
+        return self.fit_term(SkinDistance(self.face, target), target.weights, prior)
+
+    def fit_term(self, data: Term, weights: Floats, prior: Prior) -> int:
+        """Fit a frame by any term and return the steps it took.
+
+        ``weights`` (k,) are what its curvature depends on, all of it in the same measure: where
+        they change by much, the lagged matrix is made anew. Raises :class:`SolveError` if the frame
+        cannot be fitted; the state stays that of the frame before.
         """
         options, lagged = self._options, self._lagged
-        data = SkinDistance(self.face, target)
-        regulariser = self._regulariser.with_proximal_term(
-            before or self.state.pose, self._temporal
-        )
         found = None
         if lagged:
             # points may be seen otherwise
-            if np.abs(data.target.weights - lagged.weights).sum() >= options.reseen:
-                lagged = self._lagged = _LaggedModel.of(lagged.jacobian, data, self.state.x)
-            found = self._fit_lagged(lagged, data, regulariser)
+            if np.abs(weights - lagged.weights).sum() >= options.reseen * np.abs(weights).sum():
+                lagged = _LaggedModel.of(lagged.jacobian, data, weights, self.state.x)
+                self._lagged = lagged
+            found = self._fit_lagged(lagged, data, prior)
             if found is None and self._age:
-                found = self._fit_lagged(self._relinearise(data), data, regulariser)
-            value = activation.objective(data, regulariser, self.state)
+                found = self._fit_lagged(self.relinearise(data, weights), data, prior)
+            value = activation.objective(data, prior, self.state)
             if found is None and value < options.stuck * self._value:
                 return 0
         if found is None:
             known = None if self._lagged is None else self._lagged.hessian
             whole, stop = self._whole_fit, Termination.ITERATIONS
-            fitted = activation.fit(self.face, data, regulariser, self.state, whole, matrix=known)
+            fitted = activation.fit(self.face, data, prior, self.state, whole, matrix=known)
             found = LeastSquaresSolution(fitted.state, fitted.objective, fitted.iterations, stop)
             self._age = options.lagged_frames
         self.state, self._value = found.point, found.value
         self._age += 1
         if found.termination != Termination.CONVERGED and self._age >= options.lagged_frames:
-            self._relinearise(data)
+            self.relinearise(data, weights)
         return found.steps
+
+    @property
+    def jacobian(self) -> Jacobian | None:
+        """The sensitivities that frames are fitted by, those of a frame or a few ago."""
+        return None if self._lagged is None else self._lagged.jacobian
 
     def go_to(self, pose: Pose) -> None:
         """Go to a pose, as near its equilibrium as fitted frames are.
@@ -133,7 +144,7 @@ class Tracker:
         near = _correct(self.face, self.state, pose, self.face.predict(self.state, pose))
         self.state = near or self.face.continuation(self.state, pose)
 
-    def _relinearise(self, data: SkinDistance) -> _LaggedModel:
+    def relinearise(self, data: Term, weights: Floats) -> _LaggedModel:
         """Make the sensitivities of the state as it is, with its Hessian if that is another's."""
         pose, found = self.state.pose, self.state.equilibrium
         far = np.abs(found.factor.x - found.x).max() > CorrectorOptions.close_mm
@@ -143,12 +154,12 @@ class Tracker:
             factorization = Factorization(self.face.flesh, self.face.linear, found.x, a)
             self.state = PosedFace(pose, replace(found, factor=factorization))
         jacobian = Sensitivity(self.face, self.state).by_pose()
-        self._lagged = _LaggedModel.of(jacobian, data, self.state.x)
+        self._lagged = _LaggedModel.of(jacobian, data, weights, self.state.x)
         self._age = 0
         return self._lagged
 
     def _fit_lagged(
-        self, lagged: _LaggedModel, data: Term, regulariser: Regulariser
+        self, lagged: _LaggedModel, data: Term, regulariser: Prior
     ) -> LeastSquaresSolution[PosedFace] | None:
         """Fit a frame with lagged derivatives; None if the first step leads nowhere."""
         problem = _FrameProblem(self.face, lagged, data, regulariser)
@@ -163,7 +174,7 @@ class _FrameProblem:
     face: Face
     lagged: _LaggedModel
     data: Term
-    regulariser: Regulariser
+    regulariser: Prior
 
     def value(self, point: PosedFace) -> float:
         return activation.objective(self.data, self.regulariser, point)

@@ -37,7 +37,7 @@ Turn = Annotated[
 class MaterialEntry(Document):
     """Material of the flesh."""
 
-    law: Literal["corotated_trace", "corotated_det", "neo_hookean"] = Field(
+    law: Literal["corotated_trace", "corotated_det", "neo_hookean", "mooney_rivlin"] = Field(
         default="corotated_trace", description="corotated_trace is what rigs are fitted with"
     )
     stiffness_pa: float = Field(

@@ -53,6 +53,10 @@ COROTATED_DET = Material(mu=1.0, lam=0.0, kappa=3.0)
 # The stable Neo-Hookean flesh that is like Phace's at small strains.
 NEO_HOOKEAN = replace(COROTATED_DET, law="neo_hookean")
 
+# Nearly incompressible flesh for fibre muscles: a bulk modulus of 6.7 mu, as linear tets lock above
+# ten.
+MOONEY_RIVLIN = replace(COROTATED_DET, law="mooney_rivlin")
+
 
 def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:
     """Return the linear shape functions' gradients (n, 4, 3) in 1/mm and rest volumes (n,) in mm^3.

@@ -13,14 +13,15 @@ from typing import Literal, get_args
 import numba as nb
 
 from solver.mechanics.linalg3 import Matrix, Symmetric
-from solver.mechanics.materials import Moduli, corotated, neo_hookean
+from solver.mechanics.materials import Moduli, corotated, mooney_rivlin, neo_hookean
 from solver.surface import Floats
 
-Law = Literal["corotated", "neo_hookean"]
+Law = Literal["corotated", "neo_hookean", "mooney_rivlin"]
 
 # places in Law, as kernels know them
 COROTATED = get_args(Law).index("corotated")
 NEO_HOOKEAN = get_args(Law).index("neo_hookean")
+MOONEY_RIVLIN = get_args(Law).index("mooney_rivlin")
 
 MODES = 12  # a law's Hessian has no more
 
@@ -32,12 +33,14 @@ def number(law: Law) -> int:
 
 def own_moduli(law: Law, mu: Floats, lam: Floats) -> tuple[Floats, Floats]:
     """Return a law's own mu and lambda (n,) for Lame's constants at small strain."""
+    if law == "mooney_rivlin":
+        return mooney_rivlin.from_lame(mu, lam)
     return neo_hookean.from_lame(mu, lam) if law == "neo_hookean" else (mu, lam)
 
 
 def needs_volume(law: int) -> bool:
     """Tell whether the law is undefined for activations with det A <= 0."""
-    return law == NEO_HOOKEAN
+    return law in (NEO_HOOKEAN, MOONEY_RIVLIN)
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
@@ -45,6 +48,8 @@ def density(law: int, F: Matrix, A: Symmetric, moduli: Moduli) -> float:
     """Return psi(F, A), infinite where the tet is inverted."""
     if law == COROTATED:
         return corotated.density(F, A, moduli)
+    if law == MOONEY_RIVLIN:
+        return mooney_rivlin.density(F, A, moduli)
     return neo_hookean.density(F, A, moduli)
 
 
@@ -53,6 +58,8 @@ def stress(law: int, F: Matrix, A: Symmetric, moduli: Moduli) -> Matrix:
     """Return d psi/dF, the first Piola-Kirchhoff stress."""
     if law == COROTATED:
         return corotated.stress(F, A, moduli)
+    if law == MOONEY_RIVLIN:
+        return mooney_rivlin.stress(F, A, moduli)
     return neo_hookean.stress(F, A, moduli)
 
 
@@ -77,6 +84,8 @@ def hessian_modes(
     """
     if law == COROTATED:
         return corotated.hessian_modes(F, A, moduli, project, left, right, work)
+    if law == MOONEY_RIVLIN:
+        return mooney_rivlin.hessian_modes(F, A, moduli, project, left, right, work)
     return neo_hookean.hessian_modes(F, A, moduli, project, left, right, work)
 
 
@@ -90,5 +99,7 @@ def stress_by_activation(
     """
     if law == COROTATED:
         corotated.stress_by_activation(F, A, moduli, left, right, out)
+    elif law == MOONEY_RIVLIN:
+        mooney_rivlin.stress_by_activation(F, A, moduli, left, right, out)
     else:
         neo_hookean.stress_by_activation(F, A, moduli, left, right, out)

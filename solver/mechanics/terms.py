@@ -116,6 +116,40 @@ class ElasticTerm:
         return np.empty((len(self._mesh.tets), PAIRS, 3, 3))
 
 
+class RestingTerm:
+    """The law of tets whose activations ``a`` (n, 6) stay as they are, an :class:`EnergyTerm`."""
+
+    def __init__(self, elastic: ElasticTerm, a: Floats) -> None:
+        self._elastic, self._a = elastic, a
+
+    @property
+    def vertices(self) -> Ints:
+        """See :class:`EnergyTerm`."""
+        return self._elastic.vertices
+
+    def energy(self, x: Floats, controls: Floats) -> float:  # noqa: ARG002
+        """See :class:`EnergyTerm`."""
+        return self._elastic.energy(x, self._a)
+
+    def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
+        """See :class:`EnergyTerm`."""
+        return self._elastic.forces(x, self._a)
+
+    def blocks(
+        self,
+        x: Floats,
+        controls: Floats,  # noqa: ARG002
+        *,
+        project: float = 0.0,
+        some: Ints | None = None,
+    ) -> Floats:
+        """See :class:`EnergyTerm`."""
+        return self._elastic.blocks(x, self._a, project=project, some=some)
+
+    def forces_by_control(self, x: Floats, controls: Floats) -> None:
+        """See :class:`EnergyTerm`: none."""
+
+
 class PassiveTerm:
     """Base of an :class:`EnergyTerm` that no control changes, quadratic in x."""
 

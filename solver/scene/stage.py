@@ -15,7 +15,14 @@ from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.kinds import scene as scenes
 from solver.mechanics.boundary import Potential
-from solver.mechanics.flesh import COROTATED_DET, COROTATED_TRACE, IDENTITY, NEO_HOOKEAN, Material
+from solver.mechanics.flesh import (
+    COROTATED_DET,
+    COROTATED_TRACE,
+    IDENTITY,
+    MOONEY_RIVLIN,
+    NEO_HOOKEAN,
+    Material,
+)
 from solver.mechanics.linear import fastest
 from solver.scene.objects import check_objects, objects_of
 from solver.scene.places import Places
@@ -61,6 +68,7 @@ LAWS: Mapping[str, Material] = {
     "corotated_trace": COROTATED_TRACE,
     "corotated_det": COROTATED_DET,
     "neo_hookean": NEO_HOOKEAN,
+    "mooney_rivlin": MOONEY_RIVLIN,
 }
 
 

@@ -11,7 +11,7 @@ from tests.solver.block import block_model
 def test_bars_stretch_and_round_bodies_shrink_as_their_material_says(material):
     width, stress = checks.pulled(material)
     assert 0.85 < width < 0.98
-    assert stress > 0.6
+    assert stress > 0.55
     assert checks.stretched(material) < 1e-6
     assert checks.squeezed(material) < 1e-3
 

@@ -2,16 +2,25 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from solver.errors import InputError, SolveError
 from solver.mechanics import equilibrium, linear
-from solver.mechanics.flesh import COROTATED_DET, COROTATED_TRACE, NEO_HOOKEAN, Flesh, Material
+from solver.mechanics.flesh import (
+    COROTATED_DET,
+    COROTATED_TRACE,
+    MOONEY_RIVLIN,
+    NEO_HOOKEAN,
+    Flesh,
+    Material,
+)
 from tests.solver.block import block_model, grid
 
 MATERIALS = {
     "trace": COROTATED_TRACE,
     "det": COROTATED_DET,
     "neo_hookean": NEO_HOOKEAN,
+    "mooney_rivlin": MOONEY_RIVLIN,
     "pascal": NEO_HOOKEAN.in_pascal(2.5),
 }
 
@@ -94,7 +103,40 @@ def test_all_laws_are_the_same_flesh_at_small_strain(material):
     assert half == pytest.approx(1000.0 * density, rel=1e-9)
 
 
-@pytest.mark.parametrize("material", [COROTATED_DET, NEO_HOOKEAN])
+@pytest.mark.parametrize("stretch", [0.7, 0.9, 1.1, 1.4, 1.8])
+def test_a_bar_of_mooney_rivlin_flesh_pulls_as_its_closed_form(stretch):
+    """Only its ends are held: the width and the force are Holzapfel's (2000, eq. 6.89 to 6.108).
+
+    s1 - s2 = 2/J (l1^2 - l2^2)(c1 + c2 l2^2) of the stretches without change of volume, s2 = 0, and
+    (s1 + 2 s2) / 3 = U'(J).
+    """
+    material = MOONEY_RIVLIN.in_pascal(3000.0)
+    c, bulk = material.mu / 4.0, 2.0 * material.kappa + (material.lam + 2.0 / 3.0 * material.mu)
+
+    def pull(width):
+        J = stretch * width**2
+        long, wide = (each * J ** (-1.0 / 3.0) for each in (stretch, width))
+        return 2.0 / J * (long**2 - wide**2) * (c + c * wide**2), bulk * (J - 1.0)
+
+    width = brentq(lambda w: pull(w)[0] - 3.0 * pull(w)[1], 0.5, 1.5, xtol=1e-15)
+    assert abs(width - stretch**-0.5) < 0.05
+    vertices, tets = grid((6, 2, 2), (30.0, 10.0, 10.0))
+    ends = [vertices[:, 0] == 0.0, vertices[:, 0] == 30.0]
+    flesh = Flesh(vertices, tets, np.flatnonzero(ends[0] | ends[1]), material)
+    x = vertices * [stretch, width, width]
+    start, a = x.copy(), flesh.passive()
+    start[flesh.free] += 0.3 * np.random.default_rng(4).standard_normal((len(flesh.free), 3))
+    solver = linear.analyse(flesh.hessian(vertices, a))
+    found = equilibrium.solve_equilibrium(flesh, solver, start, a, tolerance=1e-13).x
+    np.testing.assert_allclose(found, x, atol=1e-8)
+    free = Flesh(vertices, tets, np.zeros(0, int), material)
+    force = free.gradient(found, a).reshape(-1, 3)[ends[1]].sum(axis=0)
+    pulled = pull(width)[0] * (10.0 * width) ** 2
+    assert abs(pulled) > 1e4
+    np.testing.assert_allclose(force, [pulled, 0.0, 0.0], atol=1e-6 * abs(pulled))
+
+
+@pytest.mark.parametrize("material", [COROTATED_DET, NEO_HOOKEAN, MOONEY_RIVLIN])
 def test_grown_and_active_flesh_comes_to_rest_where_both_lead(material):
     """F = S(a) F_p on every tet: without energy, and found from far away."""
     vertices, tets = grid((2, 2, 2), (10.0, 10.0, 10.0))

@@ -9,7 +9,7 @@ from solver.mechanics.boundary import BoundaryRates
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import analyse
 from solver.mechanics.response import Response, SparseControls
-from solver.mechanics.terms import force_columns
+from solver.mechanics.terms import RestingTerm, force_columns
 from tests.solver.block import block_model
 
 
@@ -47,25 +47,6 @@ class Fibres:
         return columns @ sp.csr_array((np.ones(len(entries)), (entries, self.muscles)), shape)
 
 
-class Passive:
-    """The law with flesh at rest, whatever the controls are."""
-
-    def __init__(self, flesh):
-        self.law, self.a, self.vertices = flesh.elastic, flesh.passive(), flesh.tets
-
-    def energy(self, x, controls):
-        return self.law.energy(x, self.a)
-
-    def forces(self, x, controls):
-        return self.law.forces(x, self.a)
-
-    def blocks(self, x, controls, **options):
-        return self.law.blocks(x, self.a, **options)
-
-    def forces_by_control(self, x, controls):
-        return None
-
-
 @pytest.fixture(scope="module")
 def muscled():
     """The block, two muscles along x, some tets in both."""
@@ -76,7 +57,9 @@ def muscled():
     muscles = np.repeat([0, 1], [len(each) for each in tets])
     fibres = np.tile([1.0, 0.0, 0.0], (len(muscles), 1))
     term = Fibres(flesh, np.concatenate(tets), muscles, fibres, 2)
-    return flesh.driven_by(Passive(flesh), np.zeros(2)).plus(term), model
+    return flesh.driven_by(RestingTerm(flesh.elastic, flesh.passive()), np.zeros(2)).plus(
+        term
+    ), model
 
 
 def test_derivatives_match_finite_differences(muscled):

@@ -1,0 +1,1 @@
+"""Activations, jaw and head from a few dozen markers."""

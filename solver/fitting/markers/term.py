@@ -1,0 +1,253 @@
+"""Predict where markers are, and measure how far off they were seen: a term of fits.
+
+    y_k(x) = sum_i w_ki c_ki(x) + h_k n_k(x),    f(x) = min over the head of
+             1/2 sum_k (R y_k + t - o_k)^T Lambda_k (R y_k + t - o_k) + 1/2 xi^T Pi xi
+
+Corners c of a marker's triangle move with flesh, mandible or skull; n is the triangle's normal. The
+head (R, t) is the predicted one followed by a small motion xi = (omega, tau) about the markers'
+middle, with the precision Pi; it is eliminated: as xi is at a minimum, f's gradient needs no
+derivative of it (envelope theorem), and the Gauss-Newton matrix is a Schur complement. f is half a
+squared Mahalanobis distance, without unit; robust weights are within Lambda.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.spatial.transform import Rotation
+
+from solver.anatomy.embedding import rows_of
+from solver.contact.mouth import Mandible
+from solver.fitting.objective import GramCurvature
+from solver.model import SubjectModel
+from solver.scans.markers.marker_set import BONY, Marker
+from solver.similarity import IDENTITY, Similarity, weighted_motion
+from solver.surface import Floats
+
+# corners of a marker's triangle on a bone, mm from it
+_TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+class MarkerPlaces:
+    """Places of k markers in the head's frame, by the flesh's vertices x (p, 3)."""
+
+    def __init__(self, model: SubjectModel, markers: Sequence[Marker]) -> None:
+        self.weights = np.array([marker.weights for marker in markers]).reshape(-1, 3)
+        self.heights = np.array([marker.height_mm for marker in markers])
+        self._corners, self._fixed = _corner_rows(model, markers)
+        self._rows = sp.csr_array(sp.kron(self._corners, sp.eye_array(3), format="csr"))
+
+    def __len__(self) -> int:
+        return len(self.heights)
+
+    def at(self, x: Floats) -> Floats:
+        """Return the markers' places (k, 3), mm."""
+        corners = self.corners(x)
+        places = np.einsum("ki,kix->kx", self.weights, corners)
+        return np.asarray(places + self.heights[:, None] * _normals(corners)[0])
+
+    def corners(self, x: Floats) -> Floats:
+        """Return the corners of the markers' triangles (k, 3, 3)."""
+        return np.asarray(self._corners @ x + self._fixed).reshape(-1, 3, 3)
+
+    def jacobian(self, x: Floats) -> sp.csr_array:
+        """Return the derivative of the places by x, (3 k, 3 p)."""
+        local = self.by_corners(x)
+        count = len(local)
+        # a marker's block (3, 9) stands in the columns of its own three corners
+        columns = np.repeat(9 * np.arange(count)[:, None] + np.arange(9), 3, axis=0)
+        indptr = 9 * np.arange(3 * count + 1)
+        blocks = sp.csr_array((local.ravel(), columns.ravel(), indptr), (3 * count, 9 * count))
+        return sp.csr_array(blocks @ self._rows)
+
+    def by_corners(self, x: Floats) -> Floats:
+        """Return each place's derivative (k, 3, 9) by its triangle's corners, one after another."""
+        corners = self.corners(x)
+        normals, lengths = _normals(corners)
+        across = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+        across *= (self.heights / lengths)[:, None, None]
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        by_first, by_second = -across @ _cross(second), across @ _cross(first)
+        by_normal = np.stack([-by_first - by_second, by_first, by_second], axis=2)
+        local = by_normal + self.weights[:, None, :, None] * np.eye(3)[None, :, None, :]
+        return np.asarray(local.reshape(-1, 3, 9))
+
+
+def _corner_rows(model: SubjectModel, markers: Sequence[Marker]) -> tuple[sp.csr_array, Floats]:
+    """Return rows (3 k, p) and offsets (3 k, 3) that give triangles' corners by x.
+
+    A marker on a bone is the first corner of a triangle that rides on it.
+    """
+    ids = np.array([marker.vertices for marker in markers], np.int64).ravel()
+    parts = np.repeat([marker.part for marker in markers], 3)
+    on_bone, on_jaw = np.isin(parts, BONY), parts == "lower_teeth"
+    fixed = model.skin.vertices[ids].copy()
+    for number, marker in enumerate(markers):
+        if marker.place_mm is not None:
+            fixed[3 * number : 3 * number + 3] = np.array(marker.place_mm) + _TRIANGLE
+    row = np.full(len(model.skin.vertices), -1)
+    row[model.embedded] = np.arange(len(model.embedded))
+    on_flesh = ~on_bone & (row[ids] >= 0)
+    on_jaw |= ~on_bone & ~on_flesh & np.isin(ids, model.attached_mandible)
+    rows = sp.lil_array((len(ids), len(model.rest)))
+    rows[on_flesh] = model.embedding[row[ids[on_flesh]]]
+    if on_jaw.any():
+        mandible = Mandible.of(model)
+        shares = mandible.shares(fixed[on_jaw])
+        corners = np.tile(mandible.corners, (len(shares), 1))
+        rows[on_jaw] = rows_of(corners, shares, len(model.rest))
+    fixed[on_flesh] = model.offset[row[ids[on_flesh]]]
+    fixed[on_jaw] = 0.0
+    return sp.csr_array(rows), fixed
+
+
+def _normals(corners: Floats) -> tuple[Floats, Floats]:
+    """Return unit normals (k, 3) of triangles, and twice their areas (k,)."""
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(cross, axis=1)
+    return cross / lengths[:, None], lengths
+
+
+def _cross(vectors: Floats) -> Floats:
+    """Return the matrices (k, 3, 3) of v x . for ``vectors`` (k, 3)."""
+    out = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
+    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
+    return out
+
+
+@dataclass(frozen=True)
+class HeadOptions:
+    """The head's elimination, and what is known of it before a frame."""
+
+    steps: int = 30  # of Newton's method, at most
+    accuracy: float = 1e-12  # of a step, rad and mm, that is the last
+    unknown_rad: float = 3.0  # standard deviations of a head that nothing is known of
+    unknown_mm: float = 1e3
+
+
+@dataclass(frozen=True)
+class HeadPrior:
+    """The head's predicted motion into the take, and the precision of a small one after it."""
+
+    motion: Similarity
+    precision: Floats  # (6, 6) of a rotation vector, rad, and a shift, mm
+
+    @classmethod
+    def unknown(cls, options: HeadOptions = HeadOptions()) -> HeadPrior:
+        """Return the prior of a head that may be anywhere."""
+        sd = np.repeat([options.unknown_rad, options.unknown_mm], 3)
+        return cls(IDENTITY, np.diag(sd**-2))
+
+
+@dataclass(frozen=True)
+class PlacedMarkers:
+    """Markers in the take, the head being where they say."""
+
+    head: Similarity
+    points: Floats  # (k, 3) predicted, mm
+    offsets: Floats  # (k, 3) off what was seen; 0 for what was not
+    by_head: Floats  # (3 k, 6) derivative by a further small motion
+    precision: Floats  # (6, 6) of the head, the face being known
+
+
+@dataclass(frozen=True)
+class MarkerTerm:
+    """f for what was seen in one frame: an :class:`~solver.fitting.objective.Term`.
+
+    ``seen`` (k, 3) may hold NaN where ``precision`` (k, 3), the diagonals of Lambda in the take's
+    axes, is 0.
+    """
+
+    places: MarkerPlaces
+    seen: Floats
+    precision: Floats
+    head: HeadPrior = field(default_factory=HeadPrior.unknown)
+    options: HeadOptions = HeadOptions()
+
+    def value(self, x: Floats) -> float:
+        """See :class:`~solver.fitting.objective.Term`."""
+        return self._solve(self.places.at(x))[1]
+
+    def gradient(self, x: Floats) -> Floats:
+        """See :class:`~solver.fitting.objective.Term`."""
+        placed = self.place(self.places.at(x))
+        pull = (self.precision * placed.offsets) @ placed.head.rotation
+        return np.asarray(self.places.jacobian(x).T @ pull.ravel()).reshape(x.shape)
+
+    def curvature(self, x: Floats) -> GramCurvature:
+        """See :class:`~solver.fitting.objective.Term`."""
+        placed = self.place(self.places.at(x))
+        return GramCurvature(self.places.jacobian(x), self.inner(placed))
+
+    def inner(self, placed: PlacedMarkers) -> Floats:
+        """Return f's Gauss-Newton matrix by the places in the head's frame, (3 k, 3 k)."""
+        count, turn = len(self.places), placed.head.rotation
+        # a marker's three rows, turned from the take's axes into the head's
+        pulled = self.precision[:, :, None] * placed.by_head.reshape(count, 3, 6)
+        pulled = np.einsum("ji,kjm->kim", turn, pulled).reshape(-1, 6)
+        own = np.einsum("ji,kj,jm->kim", turn, self.precision, turn)
+        out = -pulled @ np.linalg.solve(placed.precision, pulled.T)
+        each = np.arange(3 * count).reshape(count, 3)
+        out[each[:, :, None], each[:, None, :]] += own
+        return np.asarray(out)
+
+    def place(self, places: Floats) -> PlacedMarkers:
+        """Place markers that are at ``places`` (k, 3) in the head's frame by what was seen."""
+        xi, _ = self._solve(places)
+        return self._placed(places, xi)
+
+    def _solve(self, places: Floats) -> tuple[Floats, float]:
+        """Return the small motion xi (6,) of the head, and f."""
+        xi = self._start(places)
+        value = self._value(places, xi)
+        for _ in range(self.options.steps):
+            placed = self._placed(places, xi)
+            weighted = (self.precision * placed.offsets).ravel()
+            slope = placed.by_head.T @ weighted + self.head.precision @ xi
+            step = -np.linalg.solve(placed.precision, slope)
+            # a further rotation, composed; it is small
+            turned = Rotation.from_rotvec(step[:3]) * Rotation.from_rotvec(xi[:3])
+            xi = np.concatenate([turned.as_rotvec(), xi[3:] + step[3:]])
+            if np.abs(step).max() < self.options.accuracy:
+                break
+        value = self._value(places, xi)
+        return xi, value
+
+    def _start(self, places: Floats) -> Floats:
+        """Return xi (6,) that least squares give, as if all axes counted alike."""
+        weights = self.precision.mean(axis=1)
+        predicted = self.head.motion(places) - self._middle
+        if np.count_nonzero(weights) < 3:
+            return np.zeros(6)
+        seen = np.where(weights[:, None] > 0.0, self.seen, 0.0) - self._middle
+        return weighted_motion(predicted, seen, weights).twist
+
+    @property
+    def _middle(self) -> Floats:
+        """The point (3,) that the head turns about: the middle of what was seen."""
+        counted = self.precision.any(axis=1)
+        return self.seen[counted].mean(axis=0) if counted.any() else self.head.motion.shift
+
+    def _placed(self, places: Floats, xi: Floats) -> PlacedMarkers:
+        middle = self._middle
+        small = Similarity(1.0, Rotation.from_rotvec(xi[:3]).as_matrix(), xi[3:])
+        arms = small.turn(self.head.motion(places) - middle)
+        points = arms + xi[3:] + middle
+        offsets = np.where(self.precision > 0.0, points - self.seen, 0.0)
+        by_head = np.concatenate([-_cross(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], 2)
+        by_head = by_head.reshape(-1, 6)
+        matrix = by_head.T @ (self.precision.ravel()[:, None] * by_head) + self.head.precision
+        about = Similarity(1.0, np.eye(3), -middle)
+        head = self.head.motion.then(about).then(small).then(about.inverse())
+        return PlacedMarkers(head, points, offsets, by_head, matrix)
+
+    def _value(self, places: Floats, xi: Floats) -> float:
+        offsets = self._placed(places, xi).offsets
+        return float(
+            0.5 * np.sum(self.precision * offsets**2) + 0.5 * xi @ self.head.precision @ xi
+        )

@@ -1,0 +1,129 @@
+"""Say how probable a pose is: normal distributions over the controls, from known expressions.
+
+    N(rest, C),    C = sum_e sd^2 dq_e dq_e^T + diag(floor^2)
+
+with dq_e the change of the controls that makes expression e: of a template's shapes by the flesh's
+linear response at rest, of a rig's scans as fitted. Over time a control forgets: its correlation
+after dt is exp(-dt / time), so that with nothing seen it goes back to the rest (Ornstein and
+Uhlenbeck 1930), and the spread of the frame before grows by (1 - exp(-2 dt / time)) C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+
+from solver.fitting.activation import rest_curvature, unseen_regulariser
+from solver.fitting.controls import Layout
+from solver.fitting.face import Face, Pose
+from solver.fitting.objective import Prior
+from solver.fitting.sensitivity import Sensitivity
+from solver.surface import Floats
+
+
+@dataclass(frozen=True)
+class PriorOptions:
+    """Strength of expressions, and the spread of what none of them does.
+
+    ``floor`` are standard deviations by the name of a block, in its units.
+    """
+
+    strength: float = 0.5  # standard deviation of an expression's amount
+    floor: Mapping[str, Sequence[float] | float] = field(
+        default_factory=lambda: {"jaw": (0.03, 0.03, 0.5, 0.5, 0.5)}
+    )
+    other_floor: float = 0.03  # of a block that is not named
+
+
+@dataclass(frozen=True)
+class GaussianPrior:
+    """-log of N(mean, covariance) over the controls q (k,), but for a constant."""
+
+    mean: Floats
+    covariance: Floats  # (k, k)
+
+    @cached_property
+    def precision(self) -> Floats:
+        """Return the inverse of the covariance."""
+        return inverse(self.covariance)
+
+    @property
+    def variance(self) -> Floats:
+        """Return the variance (k,) of each control."""
+        return np.diag(self.covariance)
+
+    def value(self, pose: Pose) -> float:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        away = pose.vector() - self.mean
+        return float(0.5 * away @ self.precision @ away)
+
+    def gradient(self, pose: Pose) -> Floats:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        return np.asarray(self.precision @ (pose.vector() - self.mean))
+
+    def gauss_newton(self, pose: Pose) -> Floats:  # noqa: ARG002 - it is the same everywhere
+        """See :class:`~solver.fitting.objective.Prior`."""
+        return self.precision
+
+    def after(self, mean: Floats, covariance: Floats, seconds: float, time: float) -> GaussianPrior:
+        """Return the prior so long after a frame whose posterior was N(mean, covariance)."""
+        kept = np.exp(-seconds / time)
+        spread = kept**2 * covariance + (1.0 - kept**2) * self.covariance
+        return GaussianPrior(self.mean + kept * (mean - self.mean), spread)
+
+
+@dataclass(frozen=True)
+class PriorSum:
+    """The sum of priors."""
+
+    priors: tuple[Prior, ...]
+
+    def value(self, pose: Pose) -> float:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        return sum(prior.value(pose) for prior in self.priors)
+
+    def gradient(self, pose: Pose) -> Floats:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        return np.asarray(sum(prior.gradient(pose) for prior in self.priors))
+
+    def gauss_newton(self, pose: Pose) -> Floats:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        return np.asarray(sum(prior.gauss_newton(pose) for prior in self.priors))
+
+
+def inverse(matrix: Floats) -> Floats:
+    """Return the inverse of a positive definite matrix."""
+    factor = scipy.linalg.cho_factor(matrix)
+    found = scipy.linalg.cho_solve(factor, np.eye(len(matrix)))
+    return np.asarray(0.5 * (found + found.T))
+
+
+def from_changes(
+    layout: Layout, changes: Iterable[Floats], options: PriorOptions = PriorOptions()
+) -> GaussianPrior:
+    """Return the prior of expressions, changes (k,) of the controls off the rest."""
+    known = options.strength * np.reshape([*changes], (-1, layout.size))
+    floor = [
+        np.broadcast_to(options.floor.get(block.name, options.other_floor), block.rest.shape)
+        for block in layout.blocks
+    ]
+    return GaussianPrior(layout.rest, known.T @ known + np.diag(layout.join(floor) ** 2))
+
+
+def from_shapes(
+    face: Face, shapes: Floats, options: PriorOptions = PriorOptions()
+) -> GaussianPrior:
+    """Return the prior of a template's expressions, motions (e, v, 3) of the whole skin, mm.
+
+    A shape's change of the controls is the regularised least squares of the face's points.
+    """
+    jacobian = Sensitivity(face, face.rest).by_pose()
+    hessian = rest_curvature(face) + unseen_regulariser(face).gauss_newton(face.rest.pose)
+    moved = np.asarray(shapes[:, face.model.face], np.float64) * (2.0 / len(face.model.face))
+    pulls = [jacobian.adjoint(face.face_embedding.T @ shape) for shape in moved]
+    changes = scipy.linalg.solve(hessian, np.transpose(pulls), assume_a="pos").T
+    return from_changes(face.layout, changes, options)

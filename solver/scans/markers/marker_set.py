@@ -1,0 +1,192 @@
+"""A session's marker set: where each label sits on a person, on the skin or on a bone."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from solver.errors import InputError
+from solver.kinds.document import find_faults
+from solver.kinds.marker_set import MarkerEntry, MarkerSetDocument, Part, SkinPoint
+from solver.similarity import Similarity
+from solver.storage import write_json
+from solver.surface import Floats, Ints
+
+Triple = tuple[float, float, float]
+
+MOST_BYTES = 4 << 20  # of a marker set's file
+ROUNDING = 1e-3  # off which weights may sum to 1, and a rotation be orthogonal
+BONY: tuple[Part, ...] = ("head", "upper_teeth", "lower_teeth")  # parts that ride on a bone
+
+
+@dataclass(frozen=True)
+class Marker:
+    """One marker: a point of the skin and its height over it, or a place on a bone."""
+
+    label: str
+    vertices: tuple[int, int, int] = (0, 0, 0)  # skin vertices of a triangle; of `face` only
+    weights: Triple = (1.0, 0.0, 0.0)  # their shares, which sum to 1
+    height_mm: float = 0.0  # over the skin, along its normal
+    part: Part = "face"
+    sigma_mm: float = 0.5  # of its place, a standard deviation
+    place_mm: Triple | None = None  # on the person at rest, in the model's frame; of BONY parts
+
+
+@dataclass(frozen=True)
+class MarkerSet:
+    """Markers of all takes of a session, and where the session's axes are in the model's.
+
+    ``session`` takes a take's positions to the model's frame at the neutral; its rotation is
+    orthogonal and mirrors if the take's axes are left-handed.
+    """
+
+    markers: tuple[Marker, ...]
+    session: Similarity
+    model_sha256: str
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the markers' labels."""
+        return tuple(marker.label for marker in self.markers)
+
+    @property
+    def mirrors(self) -> bool:
+        """Tell whether the session's axes are left-handed."""
+        return bool(np.linalg.det(self.session.rotation) < 0)
+
+    @cached_property
+    def vertices(self) -> Ints:
+        """Return skin vertices (k, 3)."""
+        return np.array([marker.vertices for marker in self.markers], np.int64).reshape(-1, 3)
+
+    @cached_property
+    def weights(self) -> Floats:
+        """Return their shares (k, 3)."""
+        return np.array([marker.weights for marker in self.markers], float).reshape(-1, 3)
+
+    @cached_property
+    def heights(self) -> Floats:
+        """Return heights (k,) over the skin in mm."""
+        return np.array([marker.height_mm for marker in self.markers], float)
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """Return standard deviations (k,) in mm."""
+        return np.array([marker.sigma_mm for marker in self.markers], float)
+
+    @cached_property
+    def places(self) -> Floats:
+        """Return places on bones (k, 3) in mm, NaN for markers of the skin."""
+        nowhere = (np.nan, np.nan, np.nan)
+        places = [nowhere if each.place_mm is None else each.place_mm for each in self.markers]
+        return np.array(places, float).reshape(-1, 3)
+
+    def of_part(self, *parts: Part) -> Ints:
+        """Return the numbers of the markers that ride on any of ``parts``."""
+        chosen = [number for number, each in enumerate(self.markers) if each.part in parts]
+        return np.array(chosen, np.int64)
+
+    def save(self, path: Path) -> None:
+        """Write the set as JSON."""
+        write_json(path, self.to_document())
+
+    @classmethod
+    def load(cls, path: Path) -> MarkerSet:
+        """Read a set.
+
+        Raises :class:`InputError`: ``markers.set_unreadable`` with ``file``, or what
+        :meth:`from_document` finds.
+        """
+        file = path.name
+        try:
+            with path.open("rb") as stream:
+                content = stream.read(MOST_BYTES + 1)
+            if len(content) > MOST_BYTES:
+                raise ValueError(f"it has more than {MOST_BYTES} bytes")
+            document = json.loads(content)
+        except (OSError, RecursionError, ValueError) as error:
+            message = f"{file} is not a marker set: {error}"
+            raise InputError("markers.set_unreadable", message, file=file) from error
+        try:
+            return cls.from_document(document)
+        except InputError as error:
+            error.context["file"] = file
+            raise
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the set as JSON values."""
+        session = self.session
+        return {
+            "format": 1,
+            "model_sha256": self.model_sha256,
+            "session": {
+                "scale": float(session.scale),
+                "rotation": np.asarray(session.rotation, float).tolist(),
+                "shift_mm": np.asarray(session.shift, float).tolist(),
+            },
+            "markers": [_entry(marker) for marker in self.markers],
+        }
+
+    @classmethod
+    def from_document(cls, document: Any) -> MarkerSet:
+        """Return the set that JSON values describe.
+
+        Raises :class:`InputError`: ``markers.set_schema`` with ``where`` (a JSON path), or
+        ``markers.set_labels`` (``label`` stands there twice).
+        """
+        try:
+            read = MarkerSetDocument.model_validate(document)
+        except (ValidationError, RecursionError) as error:
+            if isinstance(error, RecursionError):
+                raise _schema_error("markers", "is nested too deeply") from error
+            fault = find_faults(error, document, "markers")[0]
+            raise _schema_error(fault.where, fault.message) from error
+        markers = tuple(_marker(entry, number) for number, entry in enumerate(read.markers))
+        seen: set[str] = set()
+        for marker in markers:
+            if marker.label in seen:
+                message = f"the marker set has the label {marker.label!r} twice"
+                raise InputError("markers.set_labels", message, label=marker.label)
+            seen.add(marker.label)
+        rotation, shift = np.array(read.session.rotation), np.array(read.session.shift_mm)
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUNDING:
+            raise _schema_error("markers.session.rotation", "is not orthogonal")
+        return cls(markers, Similarity(read.session.scale, rotation, shift), read.model_sha256)
+
+
+def _entry(marker: Marker) -> dict[str, Any]:
+    at: Any = {"vertices": list(marker.vertices), "weights": list(marker.weights)}
+    return {
+        "label": marker.label,
+        "part": marker.part,
+        "at": at if marker.place_mm is None else list(marker.place_mm),
+        "height_mm": marker.height_mm,
+        "sigma_mm": marker.sigma_mm,
+    }
+
+
+def _marker(entry: MarkerEntry, number: int) -> Marker:
+    where, at = f"markers.markers[{number}].at", entry.at
+    height, sigma = entry.height_mm, entry.sigma_mm
+    marker = Marker(entry.label, height_mm=height, part=entry.part, sigma_mm=sigma)
+    if not isinstance(at, SkinPoint):
+        if entry.part == "face":
+            raise _schema_error(where, "is a place; a marker of the face is a point of the skin")
+        return replace(marker, place_mm=(at[0], at[1], at[2]))
+    if entry.part in BONY:
+        raise _schema_error(where, "is a point of the skin; what rides on bone has a place")
+    if abs(sum(at.weights) - 1.0) > ROUNDING:
+        raise _schema_error(f"{where}.weights", f"sum to {sum(at.weights):.4g}, not to 1")
+    first, second, third = at.vertices
+    one, two, three = at.weights
+    return replace(marker, vertices=(first, second, third), weights=(one, two, three))
+
+
+def _schema_error(where: str, message: str) -> InputError:
+    return InputError("markers.set_schema", f"{where}: {message}", where=where)
