@@ -7,9 +7,9 @@ by activations alone. ``better_than_random`` is the part of the draws in which t
 lowers their mean error more than the median of the five; ``gain_correlation`` is that between
 predicted and measured gains over all draws, ``rank_correlation`` that of their ranks within a draw.
 
-``identifiable``: the part of the muscles of which markers tell more than half, by contractions
-along the fibres of prior sd 0.3 and markers of 0.5 mm, spread evenly over the face, linearised at
-rest; ``greedy`` has each marker where it helps most. Worst subject.
+``identifiable``: the part of the muscles of which markers tell more than half, by fibre muscles of
+90 kPa with activations of prior sd 0.3, and markers of 0.5 mm spread evenly over the face,
+linearised at rest; ``greedy`` has each marker where it helps most. Worst subject.
 """
 
 from __future__ import annotations
@@ -26,14 +26,18 @@ from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.fitting import activation, fallback, geometry
+from solver.fitting.controls import JAW_UNITS, Block, Layout, jaw_block
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.geometry_information import InformationOptions, Linearisation
 from solver.fitting.information import Posterior
 from solver.fitting.objective import SkinDistance, Target, distances
-from solver.mechanics.response import Response
+from solver.mechanics.boundary import JAW_FREEDOM, BoundaryRates
+from solver.mechanics.fibre_muscle import FibreMuscles, driven_by_muscles
+from solver.mechanics.flesh import MOONEY_RIVLIN
+from solver.mechanics.response import Response, SparseControls
+from solver.model import SubjectModel
 from solver.rig.next_scan import Library, library_targets
-from solver.simulation.fibres import FibreControls
 from solver.surface import Floats, Ints
 from solver.templates.builtin.build import builtin_template
 from solver.templates.export import CaptureSet
@@ -42,8 +46,11 @@ from solver.templates.ict_facekit import read_facekit, shape_basis
 SCANS, OTHERS = 3, 5
 QUICK_ROUNDS = 6
 MARKERS = (79, 40, 17)
+STRENGTH = 30.0
+"""Of all fibres, by the flesh's mu: 90 kPa in flesh of 3."""
+
 PRIOR_SD, NOISE_MM, KNOWN = 0.3, 0.5, 0.5
-"""Of a contraction and of a marker; and the information of a muscle that counts as identifiable."""
+"""Of an activation and of a marker; and the information of a muscle that counts as identifiable."""
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +76,7 @@ def run(options: argparse.Namespace) -> Figures:
     people, draws = {}, []
     for name, model, captures in subjects.each(options, options.subjects.split(","), edge):
         face = Face(model)
-        people[name] = identifiable(face)
+        people[name] = identifiable(model)
         log.info("%s: %s", name, people[name])
         targets = library_targets(model, shapes)
         goals = {shape: sides["both"] for shape, sides in targets.items()}
@@ -162,23 +169,30 @@ def unseen_error(face: Face, unseen: Mapping[str, Floats]) -> float:
     return float(np.mean(errors))
 
 
-def identifiable(face: Face) -> Figures:
+def identifiable(model: SubjectModel) -> Figures:
     """Return the part of the muscles that markers tell, by their number."""
-    controls = FibreControls(face)
-    rates = controls.linearise(controls.layout.rest, face.rest.x)
-    motion = Response(controls.flesh, face.rest.equilibrium.factor).motions(rates)
+    face = Face(model, material=MOONEY_RIVLIN)
+    strengths = np.full(model.muscle_count, STRENGTH)
+    flesh = driven_by_muscles(face.flesh, FibreMuscles.of(model, face.S, strengths))
+    layout = Layout((Block("activations", np.zeros(model.muscle_count)), jaw_block()))
+    by_jaw = np.eye(layout.size)[layout["jaw"]]
+    direct = face.mandible_jacobian(np.zeros(JAW_FREEDOM))[flesh.held]
+    relaxed, x = layout.part("activations", layout.rest), model.rest
+    rates = sp.eye_array(len(relaxed), layout.size, format="csr")
+    boundary = BoundaryRates(direct @ by_jaw, by_jaw)
+    controls = SparseControls.of(flesh, x, relaxed, rates, boundary)
+    motion = Response.exact(flesh, x, relaxed).motions(controls)
     by_point = face.face_embedding @ motion.reshape(len(motion), -1)
-    rows = np.asarray(by_point).reshape(len(face.model.face), 3, -1)
-    sd = np.full(controls.layout.size, PRIOR_SD)
-    sd[controls.layout["jaw"]] = InformationOptions().jaw_sd_mm / np.array([100, 100, 1, 1, 1])
-    precision = np.diag(sd**-2.0)
-    muscles = controls.layout["contractions"]
+    rows = np.asarray(by_point).reshape(len(model.face), 3, -1)
+    sd = np.full(layout.size, PRIOR_SD)
+    sd[layout["jaw"]] = InformationOptions().jaw_sd_mm / JAW_UNITS
+    precision, muscles = np.diag(sd**-2.0), layout["activations"]
 
     def told(chosen: Ints) -> float:
         found = Posterior.of(rows[chosen].reshape(-1, len(sd)), NOISE_MM, precision)
         return float((found.information[muscles] > KNOWN).mean())
 
-    spread = farthest(face.face_points(face.model.rest), max(MARKERS))
+    spread = farthest(face.face_points(x), max(MARKERS))
     nothing = Posterior.of_normal(np.zeros_like(precision), precision)
     greedy = np.array([point for point, _ in nothing.greedy(rows, max(MARKERS), NOISE_MM)])
     figures = {str(count): told(spread[:count]) for count in MARKERS}
@@ -217,7 +231,7 @@ def section(figures: Figures) -> Section:
         compared="The scan that `next_scan` proposes after three expressions of the template, "
         "against five others at random: by how much a fourth scan lowers the error of expressions "
         "that S has not seen. And the part of the muscles of which markers tell more than half "
-        "(contractions along fibres, prior sd 0.3, markers of 0.5 mm, at rest, worst subject).",
+        "(fibre muscles of 90 kPa, prior sd 0.3, markers of 0.5 mm, at rest, worst subject).",
         parts=parts,
     )
 

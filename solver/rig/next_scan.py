@@ -27,30 +27,31 @@ from solver.model import SubjectModel
 from solver.surface import Floats
 
 SIDES = ("Left", "Right")
-# shapes as ARKit calls them -> action unit of FACS (Ekman, Friesen and Hager 2002), and words to
-# say to the person in the chair. Looks are missing: a scan of one tells of lids alone.
+# shapes as ARKit calls them -> action unit or descriptor of FACS (Ekman, Friesen and Hager 2002),
+# "" where it has none, and words to say to the person in the chair. Looks are missing: a scan of
+# one tells of lids alone.
 WORDS = {
     "browDown": ("AU 4", "brows down"),
     "browInnerUp": ("AU 1", "inner brows up"),
     "browOuterUp": ("AU 2", "outer brows up"),
-    "cheekPuff": ("AU 34", "cheeks puffed"),
+    "cheekPuff": ("AD 34", "cheeks puffed"),
     "cheekSquint": ("AU 6", "cheeks raised"),
     "eyeBlink": ("AU 45", "eyes closed"),
     "eyeSquint": ("AU 7", "lids tight"),
     "eyeWide": ("AU 5", "eyes wide"),
-    "jawForward": ("AU 29", "jaw forward"),
-    "jawLeft": ("AU 30", "jaw to the left"),
+    "jawForward": ("AD 29", "jaw forward"),
+    "jawLeft": ("AD 30", "jaw to the left"),
     "jawOpen": ("AU 26", "jaw dropped"),
-    "jawRight": ("AU 30", "jaw to the right"),
-    "mouthClose": ("AU 26", "jaw dropped, lips closed"),
+    "jawRight": ("AD 30", "jaw to the right"),
+    "mouthClose": ("AU 26 + 8", "jaw dropped, lips closed"),
     "mouthDimple": ("AU 14", "dimples"),
     "mouthFrown": ("AU 15", "lip corners down"),
     "mouthFunnel": ("AU 22", "lips funnelled"),
-    "mouthLeft": ("AU 12", "mouth to the left"),
+    "mouthLeft": ("", "mouth to the left"),
     "mouthLowerDown": ("AU 16", "lower lip down"),
     "mouthPress": ("AU 24", "lips pressed"),
     "mouthPucker": ("AU 18", "lips puckered"),
-    "mouthRight": ("AU 12", "mouth to the right"),
+    "mouthRight": ("", "mouth to the right"),
     "mouthRollLower": ("AU 28", "lower lip sucked in"),
     "mouthRollUpper": ("AU 28", "upper lip sucked in"),
     "mouthShrugLower": ("AU 17", "chin raised"),
@@ -193,7 +194,7 @@ def suggestion_figures(suggestion: Suggestion) -> dict[str, Any]:
     return {
         "shape": suggestion.shape,
         "side": suggestion.side or None,
-        "facs": unit,
+        "facs": unit or None,
         "words": suggestion.words,
         "expected_mm": round(suggestion.proposal.after_mm, 4),
         "gain_mm": round(suggestion.proposal.gain_mm, 4),
