@@ -29,12 +29,11 @@ from solver.surface import Floats
 SIDES = ("Left", "Right")
 # shapes as ARKit calls them -> action unit or descriptor of FACS (Ekman, Friesen and Hager 2002),
 # "" where it has none, and words to say to the person in the chair. Looks are missing: a scan of
-# one tells of lids alone.
+# one tells of lids alone; and puffed cheeks, which air makes.
 WORDS = {
     "browDown": ("AU 4", "brows down"),
     "browInnerUp": ("AU 1", "inner brows up"),
     "browOuterUp": ("AU 2", "outer brows up"),
-    "cheekPuff": ("AD 34", "cheeks puffed"),
     "cheekSquint": ("AU 6", "cheeks raised"),
     "eyeBlink": ("AU 45", "eyes closed"),
     "eyeSquint": ("AU 7", "lids tight"),
