@@ -88,6 +88,12 @@ class Posterior:
         taken = told.T @ np.linalg.solve(spread, told)
         return Posterior(self.covariance - taken, self.prior_variance)
 
+    def after(self, normal: Floats) -> Posterior:
+        """Return the posterior after further data of the ``normal`` matrix (k, k), of any rank."""
+        both = np.eye(len(normal)) + normal @ self.covariance
+        found = self.covariance @ np.linalg.inv(both)
+        return Posterior(0.5 * (found + found.T), self.prior_variance)
+
     def gains(
         self, candidates: Floats, sd: Floats | float = 1.0, weights: Floats | None = None
     ) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,7 +12,9 @@ import scipy.sparse as sp
 
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
+from solver.errors import SolveError
 from solver.fitting.face import Face, Pose
+from solver.fitting.geometry_information import Linearisation, MuscleInformation
 from solver.fitting.stretches import determinants, fibre_tensors, matrices
 from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.linear import LinearSolver, analyse
@@ -180,10 +183,14 @@ class ExpressionCheck:
 
 @dataclass(frozen=True)
 class Certificate:
-    """The checks of a rig: expression -> check, and the ``settings`` of the job that made it."""
+    """The checks of a rig: expression -> check, and the ``settings`` of the job that made it.
+
+    ``information`` is what the training scans tell of each muscle; None where none is known to.
+    """
 
     expressions: dict[str, ExpressionCheck]
     settings: dict[str, Any]
+    information: MuscleInformation | None = None
 
 
 # called before each expression with its name and number
@@ -211,7 +218,32 @@ def certify(face: Face, rig: Rig, settings: dict[str, Any]) -> Certificate:
     # the signs of pivots near buckling take double precision, whatever the fit had
     linear = analyse(face.flesh.hessian(face.model.rest, face.flesh.passive()))
     checks = {fit.name: _check(face, fit, mouth, linear) for fit in rig.expressions}
-    return Certificate(checks, settings)
+    return Certificate(checks, settings, muscle_information(face, rig))
+
+
+def muscle_information(face: Face, rig: Rig) -> MuscleInformation | None:
+    """Return what the training scans of a rig tell of the muscles of ``face``, which has its S."""
+    linearisation = Linearisation(face)
+    scanned = scan_information(linearisation, rig)
+    if not scanned:
+        return None
+    posterior = linearisation.posterior(scanned)
+    return MuscleInformation.of(posterior, linearisation.modes.places, len(scanned))
+
+
+def scan_information(linearisation: Linearisation, rig: Rig) -> list[Floats]:
+    """Return the information of every training scan whose state is known and settles."""
+    face, found = linearisation.face, []
+    for fit in rig.expressions:
+        if fit.role != "train" or fit.status == "failed" or fit.x is None:
+            continue
+        state = face.settle(Pose(fit.activations, fit.jaw), fit.x)
+        seen = np.isfinite(fit.error_mm[face.model.face]).astype(np.float64)
+        if state is None or not seen.any():
+            continue
+        with contextlib.suppress(SolveError):  # the certificate has no figures of it then
+            found.append(linearisation.information(state, seen))
+    return found
 
 
 def _check(

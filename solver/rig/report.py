@@ -13,6 +13,7 @@ import scipy.sparse as sp
 
 from solver.contact.crossing import Crossing
 from solver.errors import Verdict
+from solver.fitting.geometry_information import MuscleInformation
 from solver.model import SubjectModel
 from solver.rig.certificate import (
     Certificate,
@@ -43,7 +44,7 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
     and ``test_mean_mm`` are the means of the expressions' means (None without any). ``inverted`` is
     the sum over the expressions.
     """
-    model = rig.model
+    model, found = rig.model, certificate.information
     judgements = judge(rig, certificate)
     noticed: list[Verdict] = ["usable"] if rig.warnings else []
     verdict = overall([*(judgement.verdict for judgement in judgements), *noticed])
@@ -56,6 +57,7 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
         "use": use(judgements, list(expressions)),
         "checks": [_judgement(judgement, certificate.settings) for judgement in judgements],
         "expressions": expressions,
+        "information": found and information_figures(model, found),
         "warnings": [notice.as_dict() for notice in rig.warnings],
         "train_mean_mm": _role_mean(rig, "train"),
         "test_mean_mm": _role_mean(rig, "test"),
@@ -158,6 +160,19 @@ def _muscles(model: SubjectModel, found: Muscles) -> dict[str, dict[str, Any]]:
         name: {column: _round(getattr(found, column)[number]) for column in columns}
         | {"faults": found.faults(number)}
         for number, name in enumerate(model.muscle_names)
+    }
+
+
+def information_figures(model: SubjectModel, found: MuscleInformation) -> dict[str, Any]:
+    """Return what scans tell of muscles: each muscle's information, and pairs not told apart."""
+    names = model.muscle_names
+    return {
+        "scans": found.scans,
+        "muscles": {name: _round(found.information[j]) for j, name in enumerate(names)},
+        "confused": [
+            {"muscles": [names[i], names[j]], "correlation": _round(correlation)}
+            for i, j, correlation in found.confused
+        ],
     }
 
 

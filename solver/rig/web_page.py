@@ -43,6 +43,7 @@ FILES = {
 STRONG_PERCENT = 40.0  # change of a fibre's length at which a cell has its full colour
 PICTURE_WIDTH, JPEG_QUALITY = 1400, 86  # of a fit's picture: sharp on a large screen
 FEW = 4  # expressions that are named one by one, even where a check fails in all of them
+LITTLE = 0.5  # information of a muscle below which most of what is to be known is not
 LONG = 200  # letters of a detail that is only told with its expression
 
 
@@ -99,6 +100,7 @@ def _markup(figures: dict[str, Any], anchors: dict[str, str], folder: Path) -> d
         "articles": "\n".join(articles),
         "muscle_columns": "".join(_element("th", escape(each), scope="col") for each in anchors),
         "muscles": _muscles(expressions),
+        "information": _information(figures["information"]),
         "files": _definitions({_element("a", name, href=name): there[name] for name in there}),
     }
 
@@ -279,6 +281,23 @@ def _muscle_cell(muscle: dict[str, Any]) -> str:
         title="; ".join(muscle["faults"]),
         style=f"background:rgba(var(--{colour}),{strength:.2f})",
     )
+
+
+def _information(found: dict[str, Any] | None) -> str:
+    """Return what the scans tell: muscles little known, the least first, and pairs."""
+    if found is None:
+        return ""
+    known = sorted(found["muscles"].items(), key=lambda item: item[1])
+    little = [f"{name} {100 * told:.0f} %" for name, told in known if told < LITTLE]
+    pairs = [
+        f"{' and '.join(pair['muscles'])} ({pair['correlation']:+.2f})".replace("-", "−")
+        for pair in found["confused"]
+    ]
+    told = f"From the training scans ({found['scans']}) more than half of what is to be known of "
+    told += f"their flesh is known of {len(known) - len(little)} of {len(known)} muscles."
+    lists = {"Little known": little, "Not told apart (correlation)": pairs}
+    facts = {name: "; ".join(items) for name, items in lists.items() if items}
+    return _fold("What the scans tell", _element("p", told) + _element("dl", _definitions(facts)))
 
 
 # One expression: its picture, figures, regions and faults.

@@ -377,6 +377,12 @@ def test_a_subject_is_worked_with_and_deleted(show: Show, studio: Studio) -> Non
 
     page.goto(f"{studio.http.base_url}".rstrip("/") + f"/subjects/{subject_id}")
     page.get_by_role("link", name="Open the rig").wait_for()
+    assert page.get_by_text("Shoot next").is_hidden()
+    page.get_by_role("button", name=re.compile("next scan", re.IGNORECASE)).click()
+    page.get_by_role("dialog").get_by_role("button", name="Submit").click()
+    page.locator(".head .state").get_by_text("Succeeded").wait_for()
+    page.get_by_role("link", name="Alex").first.click()
+    page.get_by_text("Shoot next: not smile. Why").wait_for()
     page.get_by_role("button", name="Delete subject").click()
     page.get_by_label(re.compile("type the name")).fill("Alex")
     page.get_by_role("button", name="Delete for good").click()

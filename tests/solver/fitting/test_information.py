@@ -68,6 +68,7 @@ def test_gains_are_what_each_candidate_takes_from_the_variance(weighted: str | N
         after = Posterior.of(np.vstack([jacobian, rows]), np.append(sd, [0.5] * 3), precision)
         assert np.isclose(gain, np.trace(matrix @ (now.covariance - after.covariance)))
         assert np.allclose(now.given(rows, 0.5).covariance, after.covariance)
+        assert np.allclose(now.after(rows.T @ rows / 0.25).covariance, after.covariance)
 
 
 def test_a_greedy_choice_is_the_best_at_every_step() -> None:

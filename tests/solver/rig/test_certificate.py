@@ -170,3 +170,16 @@ def test_advice_names_the_option_of_the_job(check: RigCheck) -> None:
     assert check.advise({"max_iterations": 25}).count("max_iterations 50 instead of 25") == (
         check.advice.count("{longer}")
     )
+
+
+def test_training_scans_tell_of_the_muscles_that_they_move(face: Face, S: sp.csr_array) -> None:
+    pose = Pose(np.vstack([PULL[0], IDENTITY]), JAW)
+    fit = fitted(face, face.continuation(face.rest, pose))
+    unseen = replace(fit, name="test", role="test")
+    found = report(rig := Rig(face.model, S, (fit, unseen)), certify(face, rig, {}))["information"]
+    assert found["scans"] == 1
+    assert found["muscles"]["left"] > 0.2
+    assert found["muscles"]["right"] == 0.0
+    assert found["confused"] == []
+    none = Rig(face.model, S, (unseen, replace(fit, x=None), replace(fit, status="failed")))
+    assert report(none, certify(face, none, {}))["information"] is None

@@ -71,7 +71,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Reader:
     noticed = replace(
         fit(face, "ah", 0.2), status="stopped", notices=(make_warning("x", "half & half"),)
     )
-    fits = (fit(face, EVIL, 0.7), noticed)
+    fits = (replace(fit(face, EVIL, 0.7), role="train"), noticed)
     rig = Rig(face.model, face.model.weights, fits, {}, told)
     Image.new("RGB", (1600, 1188)).save(folder / "fit_ah.png")
     write_page(folder / "report.html", report(rig, certify(face, rig, {"rounds": 12})))
@@ -113,3 +113,4 @@ def test_it_says_what_to_look_at(page: Reader) -> None:
     assert "Ready for animation. What to do says more." in words
     assert "Warnings : 2 in ah : left has <no> flesh; half & half." in words
     assert "Fits that ended early : 1 in ah : after 3 steps by reduced." in words
+    assert "is known of 0 of 2 muscles. Little known left 0 %; right 0 %" in words

@@ -65,6 +65,7 @@ class SubjectView {
       { class: "empty", hidden: true },
       "No rigs yet. Build the model, choose expressions above and fit them.",
     );
+    this.next = h("p", { class: "fine", hidden: true });
     this.captureTable = table(
       ["(Choose)", "Scan", "Role", "Form", "Check", "Registration", "Added", "(Actions)"],
       this.captureBody,
@@ -84,7 +85,7 @@ class SubjectView {
         h("a", { class: "button", href: `/upload?subject=${subject.id}` }, "Upload scans"),
         h("button", { type: "button", class: "danger", onclick: () => this.delete() }, "Delete subject"),
       ),
-      panel("scans", "Scans", this.captureTable, this.noScans),
+      panel("scans", "Scans", this.captureTable, this.noScans, this.next),
       panel("model", "Model", h("div", { class: "row" }, this.model, this.build, this.fit)),
       panel("rigs", "Rigs", this.rigTable, this.noRigs),
     ];
@@ -92,11 +93,12 @@ class SubjectView {
 
   async refresh() {
     const of = { subject_id: this.subject.id };
-    const [captures, rigs, models, checks] = await Promise.all([
+    const [captures, rigs, models, checks, proposals] = await Promise.all([
       all(`/v1/subjects/${this.subject.id}/captures`, {}, this.signal),
       all("/v1/rigs", of, this.signal),
       get("/v1/jobs", { ...of, kind: "build_model", limit: 1 }, this.signal),
       get("/v1/jobs", { ...of, kind: "check_scan", limit: 200 }, this.signal),
+      get("/v1/jobs", { ...of, kind: "next_scan", state: "succeeded", limit: 1 }, this.signal),
     ]);
     // newest first, so the last one written is the newest
     this.checks = new Map(checks.items.reverse().map((job) => [job.captures[0], job]));
@@ -115,6 +117,7 @@ class SubjectView {
     this.noRigs.hidden = rigs.length > 0;
     this.showModel(models.items[0]);
     this.mark();
+    await this.showNext(proposals.items[0]);
   }
 
   showModel(job) {
@@ -127,6 +130,15 @@ class SubjectView {
         ? [state(job.state, MODEL[job.state]), " ", h("a", { href: `/jobs/${job.id}` }, `by the job of ${when(job.created_at)}`)]
         : "Not built yet.",
     );
+  }
+
+  /** Say what to scan next, as the newest proposal for a rig of this person has it. */
+  async showNext(job) {
+    if (this.shownNext === job?.id) return;
+    const { result } = job ? await get(`/v1/jobs/${job.id}`, {}, this.signal) : {};
+    this.shownNext = job?.id;
+    this.next.hidden = !job;
+    if (job) show(this.next, result.summary.words, ". ", link(job.id, "Why"));
   }
 
   mark() {

@@ -1,0 +1,231 @@
+"""What scans tell of a person's muscle geometry S, and what one more expression would.
+
+S has a number for every muscle near a tet. What scans can tell of it is coarser: how much of the
+flesh a muscle fills, and where it fills more. So S = S_0 + sum_l theta_l B_l, with a constant and
+three slopes for every muscle, and theta ~ N(0, weight_sd^2). Linearised at an expression's state,
+the face's points move by X theta + Z dp, where p = (a, b) is the pose, which is not known either.
+With the noise's precision W and the pose's prior precision R, eliminating dp leaves
+
+    I = X^T (W - W Z (Z^T W Z + R)^-1 Z^T W) X,
+
+the matrix of :mod:`solver.fitting.joint` in few unknowns. It is the information that a scan of the
+expression adds, and at once what an error of theta costs there: theta . I theta is the least
+weighted squared distance that the pose leaves. So scans k leave the posterior (P + sum_k I_k)^-1 of
+theta, and an expression e never scanned an expected mean square error tr(I_e C) by what is not
+known of S.
+
+Conditioned on the template's fibres and muscles near each tet, on the law, and on the states it is
+linearised at; S within a muscle finer than its slopes counts as known. Distances that no S could
+explain are in the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+
+from solver.errors import SolveError
+from solver.fitting.controls import JAW_UNITS
+from solver.fitting.face import Face, PosedFace
+from solver.fitting.information import Posterior
+from solver.fitting.sensitivity import Sensitivity
+from solver.mechanics.response import SparseControls
+from solver.surface import Floats, Ints
+
+
+@dataclass(frozen=True)
+class InformationOptions:
+    """Noise of a scan, and spreads of S and of a pose before any."""
+
+    noise_mm: float = 0.5  # of a coordinate of a scan's point, registration and law included
+    # errors of a scan are smooth: so many of its points err independently
+    independent: float = 200.0
+    weight_sd: float = 0.1  # of S, which is a fraction of a tet's volume
+    activation_sd: float = 0.3  # of an entry of an activation, around that of the fit
+    jaw_sd_mm: float = 5.0  # of the jaw's motion at the chin
+
+
+@dataclass(frozen=True)
+class WeightModes:
+    """The changes of S that count: ``matrix`` (nnz, 4 m) B, and each muscle's ``places`` (m, 4)."""
+
+    matrix: sp.csr_array
+    places: Ints
+
+    @classmethod
+    def of(cls, face: Face) -> WeightModes:
+        """Return a constant and three slopes of every muscle of S, each of unit mean square."""
+        S, model = face.S, face.model
+        tets = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
+        passive = np.full(S.shape[0], -1)
+        passive[tets[S.indices == 0]] = np.flatnonzero(S.indices == 0)
+        centres = model.rest[model.tets].mean(axis=1)
+        muscles = S.shape[1] - 1
+        rows, columns, values = [], [], []
+        for muscle in range(muscles):
+            entries = np.flatnonzero(S.indices == muscle + 1)
+            own = tets[entries]
+            if not len(own):
+                continue
+            shapes = _shapes(centres[own], face.flesh.volumes[own])
+            for number, shape in enumerate(shapes.T):
+                # what a muscle gains passive flesh loses, where there is any
+                rest = passive[own]
+                rows += [entries, rest[rest >= 0]]
+                columns += [np.full(len(own) + (rest >= 0).sum(), 4 * muscle + number)]
+                values += [shape, -shape[rest >= 0]]
+        size = S.nnz, 4 * muscles
+        if not rows:
+            return cls(sp.csr_array(size), np.arange(4 * muscles).reshape(-1, 4))
+        found = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+        return cls(sp.csr_array(found, shape=size), np.arange(4 * muscles).reshape(-1, 4))
+
+
+def _shapes(centres: Floats, volumes: Floats) -> Floats:
+    """Return 1 and the coordinates along the principal axes (k, 4), of unit mean square."""
+    share = volumes / volumes.sum()
+    away = centres - share @ centres
+    _, axes = np.linalg.eigh(away.T @ (share[:, None] * away))
+    along = away @ axes
+    scale = np.sqrt(share @ along**2)
+    # a muscle in one tet, or in one plane, has no slope there
+    flat = scale <= 1e-6 * max(scale.max(), 1.0)
+    slopes = np.divide(along, scale, out=np.zeros_like(along), where=~flat)
+    return np.column_stack([np.ones(len(along)), slopes])
+
+
+def pose_precision(face: Face, options: InformationOptions = InformationOptions()) -> Floats:
+    """Return the precision (6 m + 5, 6 m + 5) of a pose whose entries are independent."""
+    layout = face.layout
+    out = np.full(layout.size, options.activation_sd**-2)
+    out[layout["jaw"]] = (JAW_UNITS / options.jaw_sd_mm) ** 2
+    return np.diag(out)
+
+
+class Linearisation:
+    """Makes the matrices I (4 m, 4 m) of states of one face, in ``modes`` of its S.
+
+    ``precision`` is the prior's of a pose; without it that of :func:`pose_precision`.
+    """
+
+    def __init__(
+        self,
+        face: Face,
+        precision: Floats | None = None,
+        options: InformationOptions = InformationOptions(),
+    ) -> None:
+        self.face, self.options, self.modes = face, options, WeightModes.of(face)
+        self._precision = pose_precision(face, options) if precision is None else precision
+
+    def information(self, state: PosedFace, weights: Floats | None = None) -> Floats:
+        """Return I of one state; ``weights`` (k,) are of the face's points, none of 0 is seen.
+
+        Raises :class:`SolveError` (``solve.not_finite``) where the state is no equilibrium that
+        has derivatives.
+        """
+        face, sensitivity = self.face, Sensitivity(self.face, state)
+        weights = np.ones(len(face.model.face)) if weights is None else weights
+        seen = np.flatnonzero(weights > 0.0)
+        forces = sp.csc_array(sensitivity.weights.matrix() @ self.modes.matrix)
+        held = sp.csr_array((state.x.size, forces.shape[1]))
+        by_weights = sensitivity.response.motions(SparseControls(forces, held))
+        by_pose = sensitivity.response.motions(sensitivity.pose)
+        share = np.sqrt(weights[seen] / weights.sum() * self.options.independent)
+        root = sp.diags_array(share / self.options.noise_mm) @ face.face_embedding[seen]
+        X, Z = (
+            np.asarray(root @ by.reshape(len(by), -1)).reshape(3 * len(seen), -1)
+            for by in (by_weights, by_pose)
+        )
+        coupling, known = Z.T @ X, Z.T @ Z + self._precision
+        try:
+            found = X.T @ X - coupling.T @ scipy.linalg.solve(known, coupling, assume_a="pos")
+        except (np.linalg.LinAlgError, ValueError) as error:
+            message = f"no information of a state: {error}"
+            raise SolveError("solve.not_finite", message) from error
+        return np.asarray(0.5 * (found + found.T))
+
+    def posterior(self, scanned: Sequence[Floats]) -> Posterior:
+        """Return what scans of the matrices ``scanned`` tell of theta."""
+        size = self.modes.matrix.shape[1]
+        prior = np.eye(size) / self.options.weight_sd**2
+        return Posterior.of_normal(sum(scanned, np.zeros((size, size))), prior)
+
+    def error_mm(self, posterior: Posterior, unseen: Floats) -> float:
+        """Return the expected rms distance, mm, of an expression by what is not known of S."""
+        squared = float(np.vdot(unseen, posterior.covariance))
+        return self.options.noise_mm * float(np.sqrt(squared / self.options.independent))
+
+
+@dataclass(frozen=True)
+class MuscleInformation:
+    """What scans tell of each muscle's part of S, (m,) in [0, 1], and pairs not told apart.
+
+    ``confused`` are numbers of muscles and the correlation of how much flesh they fill: near -1 the
+    scans know what both do together, and not which of them.
+    """
+
+    information: Floats
+    confused: tuple[tuple[int, int, float], ...]
+    scans: int
+
+    @classmethod
+    def of(cls, posterior: Posterior, places: Ints, scans: int) -> MuscleInformation:
+        """Read it from a posterior of theta; ``places`` (m, 4) are the muscles'."""
+        size = places[:, 0]
+        constant = Posterior(
+            posterior.covariance[np.ix_(size, size)], posterior.prior_variance[size]
+        )
+        information = posterior.information_of(places)
+        return cls(information, tuple(constant.confused()), scans)
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An expression to scan, and the expected rms error, mm, over the library before and after."""
+
+    name: str
+    before_mm: float
+    after_mm: float
+
+    @property
+    def gain_mm(self) -> float:
+        """Return by how much the expected error falls."""
+        return self.before_mm - self.after_mm
+
+
+def rank(
+    linearisation: Linearisation, posterior: Posterior, library: Mapping[str, Floats]
+) -> list[Proposal]:
+    """Rank a ``library``, name -> I, by what a scan of each would add to ``posterior``, best first.
+
+    What counts is the expected error over the whole library, the expression itself included.
+    """
+    everywhere = np.mean(list(library.values()), axis=0)
+    before = linearisation.error_mm(posterior, everywhere)
+    found = []
+    for name, matrix in library.items():
+        after = linearisation.error_mm(posterior.after(matrix), everywhere)
+        found.append(Proposal(name, before, after))
+    return sorted(found, key=lambda proposal: proposal.after_mm)
+
+
+def plan(
+    linearisation: Linearisation, posterior: Posterior, library: Mapping[str, Floats], count: int
+) -> list[Proposal]:
+    """Return what to scan next, and after that, up to ``count``: each beside those before it."""
+    left = dict(library)
+    chosen: list[Proposal] = []
+    while left and len(chosen) < count:
+        everywhere = np.mean(list(library.values()), axis=0)
+        before = linearisation.error_mm(posterior, everywhere)
+        after = {name: posterior.after(matrix) for name, matrix in left.items()}
+        errors = {name: linearisation.error_mm(each, everywhere) for name, each in after.items()}
+        name = min(errors, key=lambda name: errors[name])
+        chosen.append(Proposal(name, before, errors[name]))
+        posterior = after[name]
+        del left[name]
+    return chosen

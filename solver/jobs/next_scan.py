@@ -1,0 +1,66 @@
+"""The job that says which expression to scan next."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from solver.anatomy.template import Template
+from solver.fitting.face import Face
+from solver.fitting.geometry_information import InformationOptions, Linearisation, MuscleInformation
+from solver.fitting.target_checks import check_held
+from solver.jobs import Task
+from solver.kinds.next_scan import NextScan
+from solver.mechanics.linear import fastest
+from solver.progress import Step
+from solver.rig.certificate import scan_information
+from solver.rig.next_scan import Library, library_targets, suggestion_figures, suggestion_words
+from solver.rig.report import information_figures
+from solver.rig.rig import Rig
+from solver.storage import write_json
+from solver.templates.builtin.build import builtin_template
+
+SCANNED = 0.2  # part of a job after which the rig's own scans are read
+
+
+def run(task: Task[NextScan]) -> list[Path]:
+    """Rank the template's expressions by what each would add to the rig's training scans.
+
+    Raises :class:`solver.errors.InputError` as :func:`solver.rig.next_scan.library_targets`, and
+    :class:`solver.errors.SolveError` (``fit.failed``) where no expression can be fitted.
+    """
+    given, progress, template = task.options, task.progress, task.inputs.get("template")
+    progress(Step("read", 0.0, message=task.inputs["rig"].name))
+    begin = time.perf_counter()
+    rig = Rig.load(task.inputs)
+    anatomy = builtin_template() if template is None else Template.load(template)
+    targets = library_targets(rig.model, anatomy.shapes)
+    face = Face(rig.model, rig.weights, linear=fastest())
+    check_held(face)
+    linearisation = Linearisation(face, options=InformationOptions(noise_mm=given.noise_mm))
+    progress(Step("scans", 0.05))
+    scanned = scan_information(linearisation, rig)
+    posterior = linearisation.posterior(scanned)
+
+    def listen(name: str, number: int) -> None:
+        done = SCANNED + (0.95 - SCANNED) * number / len(targets)
+        progress(Step("library", done, number + 1, message=name))
+
+    library = Library(linearisation, targets, listen=listen)
+    suggestions = library.suggest(posterior, given.count)
+    words = suggestion_words(suggestions)
+    muscles = MuscleInformation.of(posterior, linearisation.modes.places, len(scanned))
+    ranked = library.rank(posterior)
+    report = {
+        "words": words,
+        "next": [suggestion_figures(each) for each in suggestions],
+        "expected_mm": round(ranked[0].before_mm, 4),
+        "library": {each.name: round(each.gain_mm, 4) for each in ranked},
+        "failed": library.failed,
+        "information": information_figures(rig.model, muscles),
+        "seconds": round(time.perf_counter() - begin, 1),
+    }
+    file = task.out / "next_scan.json"
+    write_json(file, report)
+    progress(Step("done", 1.0, message=words))
+    return [file]

@@ -1,0 +1,200 @@
+"""What to scan next: the template's expressions, ranked by what each adds to a person's scans.
+
+Every shape of the template that muscles make, both sides of it together, is put on the person's
+neutral, fitted roughly with the S that is known so far, and linearised there
+(:mod:`solver.fitting.geometry_information`). The best scan is the one after which the whole library
+is expected to fit best. A side alone is proposed where it adds nearly all that both would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from solver.anatomy.template import ShapeBasis
+from solver.animation.blendshapes import expression_targets
+from solver.errors import InputError, SolveError
+from solver.fitting import activation
+from solver.fitting.activation import ActivationOptions
+from solver.fitting.face import Face, PosedFace
+from solver.fitting.geometry_information import Linearisation, Proposal, plan, rank
+from solver.fitting.information import Posterior
+from solver.fitting.objective import SkinDistance, Target
+from solver.model import SubjectModel
+from solver.surface import Floats
+
+SIDES = ("Left", "Right")
+# shapes as ARKit calls them -> action unit or descriptor of FACS (Ekman, Friesen and Hager 2002),
+# "" where it has none, and words to say to the person in the chair. Looks are missing: a scan of
+# one tells of lids alone; and puffed cheeks, which air makes.
+WORDS = {
+    "browDown": ("AU 4", "brows down"),
+    "browInnerUp": ("AU 1", "inner brows up"),
+    "browOuterUp": ("AU 2", "outer brows up"),
+    "cheekSquint": ("AU 6", "cheeks raised"),
+    "eyeBlink": ("AU 45", "eyes closed"),
+    "eyeSquint": ("AU 7", "lids tight"),
+    "eyeWide": ("AU 5", "eyes wide"),
+    "jawForward": ("AD 29", "jaw forward"),
+    "jawLeft": ("AD 30", "jaw to the left"),
+    "jawOpen": ("AU 26", "jaw dropped"),
+    "jawRight": ("AD 30", "jaw to the right"),
+    "mouthClose": ("AU 26 + 8", "jaw dropped, lips closed"),
+    "mouthDimple": ("AU 14", "dimples"),
+    "mouthFrown": ("AU 15", "lip corners down"),
+    "mouthFunnel": ("AU 22", "lips funnelled"),
+    "mouthLeft": ("", "mouth to the left"),
+    "mouthLowerDown": ("AU 16", "lower lip down"),
+    "mouthPress": ("AU 24", "lips pressed"),
+    "mouthPucker": ("AU 18", "lips puckered"),
+    "mouthRight": ("", "mouth to the right"),
+    "mouthRollLower": ("AU 28", "lower lip sucked in"),
+    "mouthRollUpper": ("AU 28", "upper lip sucked in"),
+    "mouthShrugLower": ("AU 17", "chin raised"),
+    "mouthShrugUpper": ("AU 17", "upper lip pushed up"),
+    "mouthSmile": ("AU 12", "lip corner pull"),
+    "mouthStretch": ("AU 20", "lips stretched"),
+    "mouthUpperUp": ("AU 10", "upper lip raised"),
+    "noseSneer": ("AU 9", "nose wrinkled"),
+}
+
+
+@dataclass(frozen=True)
+class NextScanOptions:
+    """How roughly a library is fitted, and when a side alone is enough."""
+
+    iterations: int = 4  # of a fit
+    one_side: float = 0.9  # of the gain of both
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """An expression to scan: a shape's name without sides, the side if one is enough, its gain."""
+
+    shape: str
+    side: str  # ``left``, ``right``, or "" for both or where there are none
+    proposal: Proposal
+
+    @property
+    def words(self) -> str:
+        """Return it as one says it to the person."""
+        _, words = WORDS[self.shape]
+        return f"{words} on the {self.side}" if self.side else words
+
+
+def library_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, dict[str, Floats]]:
+    """Return shape -> the face's points (k, 3): of ``both``, and of each side where it has two.
+
+    Raises as :func:`solver.animation.blendshapes.expression_targets`, and :class:`InputError`
+    (``next_scan.no_shapes``) for a template none of whose shapes has a name of ARKit's.
+    """
+    neutral = model.skin.vertices[model.face]
+    found: dict[str, dict[str, Floats]] = {}
+    for name, points in expression_targets(model, basis).items():
+        side = next((side for side in SIDES if name.endswith(side) and name not in WORDS), "")
+        shape = name.removesuffix(side)
+        if shape in WORDS:
+            found.setdefault(shape, {})[side.lower() or "both"] = points
+    for sides in found.values():
+        if "both" not in sides:
+            sides["both"] = neutral + sum(
+                (each - neutral for each in sides.values()), 0.0 * neutral
+            )
+    if not found:
+        message = "the template's expressions have no names that are known here"
+        raise InputError("next_scan.no_shapes", message, expected=sorted(WORDS))
+    return found
+
+
+class Library:
+    """The template's expressions on one face: their information, fitted and linearised in turn."""
+
+    def __init__(
+        self,
+        linearisation: Linearisation,
+        targets: Mapping[str, Mapping[str, Floats]],
+        options: NextScanOptions = NextScanOptions(),
+        listen: Callable[[str, int], None] | None = None,
+    ) -> None:
+        self._linearisation, self._targets, self._options = linearisation, targets, options
+        face = linearisation.face
+        self._regulariser = activation.unseen_regulariser(face)
+        self._curvature = activation.rest_curvature(face)
+        self.information: dict[str, Floats] = {}
+        self.failed: list[str] = []
+        for number, name in enumerate(targets):
+            if listen:
+                listen(name, number)
+            matrix = self._of(targets[name]["both"])
+            if matrix is None:
+                self.failed.append(name)
+            else:
+                self.information[name] = matrix
+        if not self.information:
+            raise SolveError("fit.failed", "no expression of the template could be fitted")
+
+    def rank(self, posterior: Posterior) -> list[Proposal]:
+        """Return all by what each adds, best first."""
+        return rank(self._linearisation, posterior, self.information)
+
+    def suggest(self, posterior: Posterior, count: int) -> list[Suggestion]:
+        """Return what to scan next, in turn, up to ``count`` expressions."""
+        found = []
+        for proposal in plan(self._linearisation, posterior, self.information, count):
+            found.append(Suggestion(proposal.name, self._side(posterior, proposal), proposal))
+            posterior = posterior.after(self.information[proposal.name])
+        return found
+
+    def _side(self, posterior: Posterior, proposal: Proposal) -> str:
+        """Return the side that adds nearly as much as both."""
+        enough = self._options.one_side * proposal.gain_mm
+        for side, points in self._targets[proposal.name].items():
+            matrix = None if side == "both" else self._of(points)
+            if matrix is None:
+                continue
+            everywhere = np.mean(list(self.information.values()), axis=0)
+            after = self._linearisation.error_mm(posterior.after(matrix), everywhere)
+            if proposal.before_mm - after >= enough:
+                return side
+        return ""
+
+    def _of(self, points: Floats) -> Floats | None:
+        """Return the information of a scan of ``points`` (k, 3); None where none fits them."""
+        try:
+            return self._linearisation.information(self._fit(points))
+        except SolveError:
+            return None
+
+    def _fit(self, points: Floats) -> PosedFace:
+        face = self._linearisation.face
+        data = SkinDistance(face, Target.from_points(points))
+        return activation.descend(
+            face,
+            data,
+            self._regulariser,
+            face.rest,
+            ActivationOptions(self._options.iterations),
+            go=Face.newton_predict,
+            matrix=self._curvature,
+        ).state
+
+
+def suggestion_words(suggestions: list[Suggestion]) -> str:
+    """Return what to do now in one line."""
+    return f"Shoot next: {', then '.join(each.words for each in suggestions)}"
+
+
+def suggestion_figures(suggestion: Suggestion) -> dict[str, Any]:
+    """Return a suggestion as plain JSON values."""
+    unit, _ = WORDS[suggestion.shape]
+    return {
+        "shape": suggestion.shape,
+        "side": suggestion.side or None,
+        "facs": unit or None,
+        "words": suggestion.words,
+        "expected_mm": round(suggestion.proposal.after_mm, 4),
+        "gain_mm": round(suggestion.proposal.gain_mm, 4),
+    }

@@ -1,0 +1,85 @@
+"""The job that says what to scan next: the side that no scan has moved, in words."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from solver.anatomy.template import ShapeBasis
+from solver.errors import InputError
+from solver.fitting.face import Face, Pose
+from solver.jobs import next_scan, run_job
+from solver.mechanics.flesh import IDENTITY
+from solver.progress import Step
+from solver.rig.next_scan import library_targets
+from solver.rig.rig import ExpressionFit, Rig
+from tests.solver.block import head_block
+
+MODEL = head_block((7, 5, 1))
+PULL = np.array([0.75, 0.02, 0.0, 1.15, 0.0, 1.15])
+
+
+@pytest.fixture(scope="module")
+def fits() -> dict[str, ExpressionFit]:
+    """One muscle at a time, and an open jaw, simulated."""
+    face, found = Face(MODEL), {}
+    for name, muscles, hinge in (("Left", (0,), 0.0), ("Right", (1,), 0.0), ("jaw", (), 0.1)):
+        a = np.tile(IDENTITY, (2, 1))
+        a[list(muscles)] = PULL
+        b = np.array([hinge, 0.0, 0.0, 0.0, 0.0])
+        x = face.continuation(face.rest, Pose(a, b)).x
+        skin = face.whole_skin(x, b)
+        error = np.zeros(len(skin))
+        found[name] = ExpressionFit(name, "train", a, b, skin, skin, error, 0, 1, 0.0, 0.0, x)
+    return found
+
+
+def basis(fits: dict[str, ExpressionFit], names: dict[str, str]) -> ShapeBasis:
+    shapes = np.array([fits[name].skin - MODEL.skin.vertices for name in names.values()])
+    none = np.zeros((0, *shapes.shape[1:]), np.float32)
+    return ShapeBasis(none, shapes.astype(np.float32), tuple(names))
+
+
+def test_what_no_scan_has_moved_is_proposed(
+    tmp_path: Path, fits: dict[str, ExpressionFit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = {"mouthSmileLeft": "Left", "mouthSmileRight": "Right", "jawOpen": "jaw"}
+    template = SimpleNamespace(shapes=basis(fits, names))
+    monkeypatch.setattr(next_scan, "builtin_template", lambda: template)
+    Rig(MODEL, MODEL.weights, (fits["Left"],)).save(tmp_path / "rig.npz")
+    steps: list[Step] = []
+    options = {"count": 2}
+    [file] = run_job(
+        "next_scan", tmp_path, options=options, rig=tmp_path / "rig.npz", progress=steps.append
+    )
+    found = json.loads(file.read_text())
+    assert found["words"] == "Shoot next: lip corner pull on the right, then jaw dropped"
+    smile, jaw = found["next"]
+    assert (smile["shape"], smile["side"], smile["facs"]) == ("mouthSmile", "right", "AU 12")
+    assert smile["gain_mm"] > 3 * jaw["gain_mm"]
+    assert found["expected_mm"] == pytest.approx(smile["expected_mm"] + smile["gain_mm"], abs=1e-3)
+    assert list(found["library"]) == ["mouthSmile", "jawOpen"]
+    muscles = found["information"]["muscles"]
+    assert muscles["left"] > 0.3
+    assert muscles["right"] == pytest.approx(0.0, abs=1e-3)
+    fractions = [step.fraction for step in steps]
+    assert fractions == sorted(fractions)
+
+
+def test_a_template_of_other_names_is_refused(fits: dict[str, ExpressionFit]) -> None:
+    with pytest.raises(InputError) as error:
+        library_targets(MODEL, basis(fits, {"eyeLookUpLeft": "Left"}))
+    assert error.value.code == "next_scan.no_shapes"
+
+
+def test_both_sides_are_the_sum_of_their_motions(fits: dict[str, ExpressionFit]) -> None:
+    names = {"browDownLeft": "Left", "browDownRight": "Right", "mouthLeft": "jaw"}
+    found = library_targets(MODEL, basis(fits, names))
+    assert set(found) == {"browDown", "mouthLeft"}
+    neutral = MODEL.skin.vertices[MODEL.face]
+    sides = [fits[name].skin[MODEL.face] - neutral for name in ("Left", "Right")]
+    assert np.allclose(found["browDown"]["both"], neutral + sum(sides), atol=1e-4)
