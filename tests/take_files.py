@@ -17,7 +17,7 @@ INTEL, DEC, MIPS = 84, 85, 86
 def face_points(frames: int = 12, tracks: int = 5, seed: int = 1) -> np.ndarray:
     """Return points (f, k, 3) in mm about as far apart as markers of a face, some missing."""
     random = np.random.default_rng(seed)
-    rest = random.normal(0.0, (45.0, 55.0, 25.0), (tracks, 3)) + (10.0, 800.0, 30.0)
+    rest = random.normal((10.0, 800.0, 30.0), (45.0, 55.0, 25.0), (tracks, 3))
     points = rest + random.normal(0.0, 2.0, (frames, tracks, 3))
     points[frames // 2, 0] = np.nan
     return points.astype(np.float32).astype(float)

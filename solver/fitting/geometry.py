@@ -106,9 +106,8 @@ def fit(
             # what is left of this stage gains nothing: on to the whole rounds, or to the end
             number, idle = (whole, 0) if number < whole else (options.rounds, 0)
     last = replace(begin, w_a=options.w_a[1])
-    return _finish(
-        face.with_unchecked_weights(replace_values(face.S, now.values)), data, last, now.states, steps
-    )
+    found = face.with_unchecked_weights(replace_values(face.S, now.values))
+    return _finish(found, data, last, now.states, steps)
 
 
 def _step(problem: GeometryProblem, now: Iterate, retries: int) -> Iterate:
