@@ -357,8 +357,8 @@ def test_things_are_called_and_found_as_the_studio_likes(myoface: Command, tmp_p
     assert [row.split()[1:3] for row in listed] == [["Ada", "Neumann"]]
     edit = ("captures", "edit", subject, "ruhe_1")
     for wrong, words in (
-        ((*edit, "--name", "  "), "a letter of a to z"),
-        ((*edit, "--name", "nul.obj"), "a letter of a to z"),
+        ((*edit, "--name", "  "), "no letter of a to z"),
+        ((*edit, "--name", "nul.obj"), "a device's name on Windows"),
         (edit, "nothing is to be changed"),
         ((*edit, "--label", "camera"), "KEY:VALUE is expected"),
         ((*edit, "--label", ":left"), "KEY:VALUE is expected"),
