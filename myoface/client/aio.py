@@ -332,9 +332,18 @@ class AsyncClient(AsyncCaptures):
         await self._fetch_archive(rig_id, await self._find_archive(rig_id), path, progress)
 
     async def _find_archive(self, rig_id: str) -> Artifact:
-        """Return size and tag of a rig's archive as it is now."""
-        url, first = f"/v1/rigs/{rig_id}/archive", {"Range": "bytes=0-0"}
-        return read_archive(await self._request("GET", url, headers=first), rig_id)
+        """Return size and tag of a rig's archive as it is now.
+
+        For a HEAD the service reads no file; for the first byte it would read them all.
+        """
+        url = f"/v1/rigs/{rig_id}/archive"
+        try:
+            answer = await self._request("HEAD", url)
+        except ApiError as error:
+            if error.status is not None:  # the answer to a HEAD has no words, that to a GET has
+                await self._request("GET", url, headers={"Range": "bytes=0-0"})
+            raise
+        return read_archive(answer, rig_id)
 
     async def _fetch_archive(
         self, rig_id: str, archive: Artifact, path: Path, progress: Transferred

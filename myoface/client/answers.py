@@ -63,12 +63,16 @@ def read_offset(response: httpx.Response, size: int) -> int:
     return int(text)
 
 
-def read_range(response: httpx.Response) -> tuple[str, int]:
-    """Return the tag of what a range is of, and the bytes of all of it."""
-    tag = response.headers.get("ETag", "").strip('"')
-    size = response.headers.get("Content-Range", "").rpartition("/")[2]
+def read_tag(response: httpx.Response) -> str:
+    """Return the tag of the file that an answer is of; empty if it has none."""
+    return str(response.headers.get("ETag", "")).removeprefix("W/").strip('"')
+
+
+def read_tag_and_size(response: httpx.Response) -> tuple[str, int]:
+    """Return the tag of a file, and its bytes, of the answer to a HEAD."""
+    tag, size = read_tag(response), response.headers.get("Content-Length", "")
     if not (tag and size.isascii() and size.isdigit()):
-        _refuse(response, f"{response.status_code} and no range of a file")
+        _refuse(response, f"{response.status_code} without a file's tag and size")
     return tag, int(size)
 
 

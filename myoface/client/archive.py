@@ -14,7 +14,7 @@ from pathlib import Path
 import anyio
 import httpx
 
-from myoface.client.answers import read_range
+from myoface.client.answers import read_tag_and_size
 from myoface.client.files import sha256_of
 from myoface.errors import ApiError
 from myoface.resources import Artifact, WholeRig
@@ -28,8 +28,8 @@ FAULTS = (zipfile.BadZipFile, LookupError, ValueError, NotImplementedError, Runt
 
 
 def read_archive(response: httpx.Response, rig_id: str) -> Artifact:
-    """Return size and tag, which is the sha256 of ``rig.json``, of the archive a range is of."""
-    tag, size = read_range(response)
+    """Return size and tag, which is the sha256 of ``rig.json``, of an archive asked about."""
+    tag, size = read_tag_and_size(response)
     values = {"id": rig_id, "name": "rig.zip", "media_type": "application/zip"}
     return Artifact.read({**values, "size": size, "sha256": tag})
 

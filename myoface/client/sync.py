@@ -330,9 +330,18 @@ class Client(Captures):
         self._fetch_archive(rig_id, self._find_archive(rig_id), path, progress)
 
     def _find_archive(self, rig_id: str) -> Artifact:
-        """Return size and tag of a rig's archive as it is now."""
-        url, first = f"/v1/rigs/{rig_id}/archive", {"Range": "bytes=0-0"}
-        return read_archive(self._request("GET", url, headers=first), rig_id)
+        """Return size and tag of a rig's archive as it is now.
+
+        For a HEAD the service reads no file; for the first byte it would read them all.
+        """
+        url = f"/v1/rigs/{rig_id}/archive"
+        try:
+            answer = self._request("HEAD", url)
+        except ApiError as error:
+            if error.status is not None:  # the answer to a HEAD has no words, that to a GET has
+                self._request("GET", url, headers={"Range": "bytes=0-0"})
+            raise
+        return read_archive(answer, rig_id)
 
     def _fetch_archive(
         self, rig_id: str, archive: Artifact, path: Path, progress: Transferred
