@@ -15,7 +15,7 @@ import anyio
 import httpx
 
 from myoface.client.aio_captures import AsyncCaptures
-from myoface.client.answers import read_json
+from myoface.client.answers import CHANGED, read_json
 from myoface.client.archive import (
     PACKED,
     async_check_archive,
@@ -320,7 +320,7 @@ class AsyncClient(AsyncCaptures):
         archive = await self._find_archive(rig_id)
         if not await async_is_unpacked(folder, archive):
             packed = folder / PACKED
-            await self._fetch_archive(rig_id, archive, packed, progress)
+            archive = await self._fetch_archive(rig_id, archive, packed, progress)
             await async_unpack(packed, folder, archive)
             packed.unlink()
         return read_note(folder)
@@ -347,17 +347,30 @@ class AsyncClient(AsyncCaptures):
 
     async def _fetch_archive(
         self, rig_id: str, archive: Artifact, path: Path, progress: Transferred
-    ) -> None:
+    ) -> Artifact:
+        """Fetch an archive; return the one it is, another if the rig has changed meanwhile."""
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_file():
             with suppress(ApiError):
                 await async_check_archive(path, archive)
-                return
+                return archive
         part = part_path(path, archive)
-        await self._fetch(f"/v1/rigs/{rig_id}/archive", part, archive, progress)
+        backoff = Backoff(self._options)
+        while True:
+            try:
+                await self._fetch(f"/v1/rigs/{rig_id}/archive", part, archive, progress)
+                break
+            except ApiError as error:
+                if error.code != CHANGED:
+                    raise
+                part.unlink()
+                await anyio.sleep(backoff.pause_after(error))
+                archive = await self._find_archive(rig_id)
+                part = part_path(path, archive)
         try:
             await async_check_archive(part, archive)
         except ApiError:
             part.unlink()
             raise
         os.replace(part, path)
+        return archive

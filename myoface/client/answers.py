@@ -8,8 +8,10 @@ from typing import Any, NoReturn
 import httpx
 
 from myoface.errors import ApiError
+from myoface.resources import Artifact
 from myoface.values import NOT_OF_THE_API
 
+CHANGED = "client.changed"
 EXCERPT = 80  # characters of a strange answer that are told
 
 
@@ -66,6 +68,14 @@ def read_offset(response: httpx.Response, size: int) -> int:
 def read_tag(response: httpx.Response) -> str:
     """Return the tag of the file that an answer is of; empty if it has none."""
     return str(response.headers.get("ETag", "")).removeprefix("W/").strip('"')
+
+
+def require_tag(response: httpx.Response, file: Artifact) -> None:
+    """Refuse the bytes of what has become another file since it was asked about."""
+    tag = read_tag(response)
+    if tag and tag != file.sha256:
+        detail = f"{file.name} has changed while it was fetched"
+        raise ApiError({"code": CHANGED, "detail": detail, "file": file.name})
 
 
 def read_tag_and_size(response: httpx.Response) -> tuple[str, int]:

@@ -16,7 +16,7 @@ from typing import Any
 
 import httpx
 
-from myoface.client.answers import read_json
+from myoface.client.answers import CHANGED, read_json
 from myoface.client.archive import (
     PACKED,
     check_archive,
@@ -318,7 +318,7 @@ class Client(Captures):
         archive = self._find_archive(rig_id)
         if not is_unpacked(folder, archive):
             packed = folder / PACKED
-            self._fetch_archive(rig_id, archive, packed, progress)
+            archive = self._fetch_archive(rig_id, archive, packed, progress)
             unpack(packed, folder, archive)
             packed.unlink()
         return read_note(folder)
@@ -345,17 +345,30 @@ class Client(Captures):
 
     def _fetch_archive(
         self, rig_id: str, archive: Artifact, path: Path, progress: Transferred
-    ) -> None:
+    ) -> Artifact:
+        """Fetch an archive; return the one it is, another if the rig has changed meanwhile."""
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_file():
             with suppress(ApiError):
                 check_archive(path, archive)
-                return
+                return archive
         part = part_path(path, archive)
-        self._fetch(f"/v1/rigs/{rig_id}/archive", part, archive, progress)
+        backoff = Backoff(self._options)
+        while True:
+            try:
+                self._fetch(f"/v1/rigs/{rig_id}/archive", part, archive, progress)
+                break
+            except ApiError as error:
+                if error.code != CHANGED:
+                    raise
+                part.unlink()
+                time.sleep(backoff.pause_after(error))
+                archive = self._find_archive(rig_id)
+                part = part_path(path, archive)
         try:
             check_archive(part, archive)
         except ApiError:
             part.unlink()
             raise
         os.replace(part, path)
+        return archive
