@@ -321,8 +321,10 @@ class AsyncClient(AsyncCaptures):
         if not await async_is_unpacked(folder, archive):
             packed = folder / PACKED
             archive = await self._fetch_archive(rig_id, archive, packed, progress)
-            await async_unpack(packed, folder, archive)
-            packed.unlink()
+            try:
+                await async_unpack(packed, folder, archive)
+            finally:
+                packed.unlink()
         return read_note(folder)
 
     async def download_archive(

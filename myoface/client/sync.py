@@ -319,8 +319,10 @@ class Client(Captures):
         if not is_unpacked(folder, archive):
             packed = folder / PACKED
             archive = self._fetch_archive(rig_id, archive, packed, progress)
-            unpack(packed, folder, archive)
-            packed.unlink()
+            try:
+                unpack(packed, folder, archive)
+            finally:
+                packed.unlink()
         return read_note(folder)
 
     def download_archive(

@@ -204,6 +204,18 @@ def test_a_rig_is_not_put_over_another_one(
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == files
 
 
+def test_a_rig_is_not_put_over_files_of_somebody(
+    answer: Callable[[Any], None], tmp_path: Path
+) -> None:
+    answer(_rig(_artifact("rig.glb"), _artifact("rig.usdc")))
+    (tmp_path / "rig.usdc").write_text("mine")
+    told = invoke(["rigs", "download", str(uuid.uuid4()), "--output", str(tmp_path)])
+    assert told.exit_code == 1
+    assert "client.folder" in told.stderr
+    assert "rig.usdc is another file" in " ".join(told.stderr.split())
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"rig.usdc": "mine"}
+
+
 def test_what_is_beside_the_listed_files_is_not_unpacked(tmp_path: Path) -> None:
     rig = _rig(_artifact("rig.glb"))
     packed = _archive(rig, {"rig.glb": CONTENT, "../x": CONTENT, "y": CONTENT})
