@@ -216,6 +216,42 @@ def test_a_rig_is_not_put_over_files_of_somebody(
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"rig.usdc": "mine"}
 
 
+@pytest.mark.parametrize(
+    ("left", "words"),
+    [
+        (None, "it has left nothing"),
+        (["export.json"], "it has left export.json"),
+        (["export.json", "rig.usdc", "more.txt"], ""),
+    ],
+)
+def test_an_export_takes_the_file_of_its_format(
+    left: list[str] | None, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = _rig()
+    result = None if left is None else {"artifacts": [_artifact(name) for name in left]}
+    job = {"id": rig["job_id"], "subject_id": rig["subject_id"], "kind": "export_rig"}
+    job |= {"state": "succeeded", "attempt": 1, "result": result, "created_at": rig["created_at"]}
+
+    def handle(request: httpx.Request) -> httpx.Response:
+        path = request.url.path
+        if "/artifacts/" in path:
+            return httpx.Response(200, content=CONTENT)
+        if path == "/v1/rigs":
+            return httpx.Response(200, json={"items": [rig]})
+        return httpx.Response(200, json=rig if "/rigs/" in path else job)
+
+    whole = httpx.Client.__init__
+    monkeypatch.setattr(
+        httpx.Client,
+        "__init__",
+        lambda self, **given: whole(self, **given | {"transport": httpx.MockTransport(handle)}),
+    )
+    told = invoke(["export", rig["id"], "--output", str(tmp_path)])
+    assert told.exit_code == (1 if words else 0), told.stderr
+    assert words in " ".join(told.stderr.split())
+    assert [path.name for path in tmp_path.iterdir()] == ([] if words else ["rig.usdc"])
+
+
 def test_what_is_beside_the_listed_files_is_not_unpacked(tmp_path: Path) -> None:
     rig = _rig(_artifact("rig.glb"))
     packed = _archive(rig, {"rig.glb": CONTENT, "../x": CONTENT, "y": CONTENT})
