@@ -35,11 +35,14 @@ Sha256 = Annotated[str, matching(r"^[0-9a-f]{64}$", "a sha256 of 64 hexadecimal 
 # What a studio notes of a subject, scan or rig; a label that is changed to None is taken away
 Labels = Mapping[str, str]
 LabelChanges = Mapping[str, str | None]
+# Labels that a list is asked for; None stands for any value
+LabelFilter = Mapping[str, str | None]
 
 
-def as_query(labels: Labels | None) -> list[str] | None:
+def as_query(labels: LabelFilter | None) -> list[str] | None:
     """Return labels as a list is asked for them."""
-    return [f"{key}:{value}" for key, value in labels.items()] if labels else None
+    pairs = (labels or {}).items()
+    return [key if value is None else f"{key}:{value}" for key, value in pairs] or None
 
 
 @dataclass(frozen=True, kw_only=True)

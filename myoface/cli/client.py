@@ -17,6 +17,7 @@ from myoface.cli.app import (
     Url,
     WithLabels,
     read_label_changes,
+    read_label_filter,
     read_labels,
     read_object,
     read_scene,
@@ -67,7 +68,7 @@ def list_subjects(label: WithLabels = None, url: Url = DEFAULT_URL) -> None:
                 moment(each.created_at),
                 label_words(each.labels),
             )
-            for each in client.subjects(labels=read_labels(label))
+            for each in client.subjects(labels=read_label_filter(label))
         ]
     show_table(("id", "name", "template", "added", "labels"), rows)
 
@@ -347,7 +348,7 @@ def _stand(job: JobItem) -> str:
 @rigs.command("list")
 def list_rigs(subject: OfSubject = None, label: WithLabels = None, url: Url = DEFAULT_URL) -> None:
     """List rigs."""
-    labels = read_labels(label)
+    labels = read_label_filter(label)
     with Client(url) as client:
         whose = subject and find_subject(client, subject)
         _show_rigs(client.rigs(subject_id=whose, labels=labels))

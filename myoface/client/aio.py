@@ -49,7 +49,7 @@ from myoface.resources import (
     JobItem,
     JobKind,
     LabelChanges,
-    Labels,
+    LabelFilter,
     LogLine,
     LogPage,
     MotionFrame,
@@ -290,11 +290,11 @@ class AsyncClient(AsyncCaptures):
     # Rigs
 
     async def rigs(
-        self, *, subject_id: str | None = None, labels: Labels | None = None
+        self, *, subject_id: str | None = None, labels: LabelFilter | None = None
     ) -> list[RigItem]:
         """Return rigs in short, newest first, of one subject and with ``labels`` if they are given.
 
-        :meth:`rig` has the files and figures of each.
+        A label of None has any value. :meth:`rig` has the files and figures of each.
         """
         query = {"subject_id": subject_id, "label": as_query(labels)}
         return await self._list("/v1/rigs", RigItem, **query)

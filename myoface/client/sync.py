@@ -51,7 +51,7 @@ from myoface.resources import (
     JobItem,
     JobKind,
     LabelChanges,
-    Labels,
+    LabelFilter,
     LogLine,
     LogPage,
     MotionFrame,
@@ -289,10 +289,12 @@ class Client(Captures):
 
     # Rigs
 
-    def rigs(self, *, subject_id: str | None = None, labels: Labels | None = None) -> list[RigItem]:
+    def rigs(
+        self, *, subject_id: str | None = None, labels: LabelFilter | None = None
+    ) -> list[RigItem]:
         """Return rigs in short, newest first, of one subject and with ``labels`` if they are given.
 
-        :meth:`rig` has the files and figures of each.
+        A label of None has any value. :meth:`rig` has the files and figures of each.
         """
         query = {"subject_id": subject_id, "label": as_query(labels)}
         return self._list("/v1/rigs", RigItem, **query)
