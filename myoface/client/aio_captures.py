@@ -20,16 +20,15 @@ from myoface.names import NamedScan, Role, name_scans, same_file
 from myoface.resources import (
     NO_SCANS,
     Capture,
-    Deletion,
     LabelChanges,
     LabelFilter,
     Labels,
-    Limits,
     SignedUrl,
     Subject,
     Template,
     as_query,
 )
+from myoface.tenant import Deletion, Limits
 
 
 class AsyncCaptures(AsyncAccess):
