@@ -209,7 +209,7 @@ class Result(ResultItem):
 
 @dataclass(frozen=True, kw_only=True)
 class Cancel(Resource):
-    """Who asked for a job to stop, and why."""
+    """The order that stopped a job: by whom, and why."""
 
     by: str
     reason: str

@@ -1,4 +1,4 @@
-// What a dropped set of files is: which are scans, what they are called, which is the neutral.
+// Sort a dropped set of files: which are scans, what they are called, which is the neutral.
 
 const NEUTRAL = ["neutral", "neutre", "rest", "relaxed"];
 // letters that are none with an accent
