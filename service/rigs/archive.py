@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
+from threading import Lock
 from typing import Any
 
 from sqlalchemy import select
@@ -160,7 +161,7 @@ class Archive(Sendable):
         if member.content is not None:
             return zlib.crc32(member.content)
         try:
-            return _checksum(self.store.files, member.sha256)
+            return _checksum_once(self.store.files, member.sha256)
         except LostFileError as error:
             raise self._lost(member.name, error) from error
 
@@ -196,6 +197,20 @@ class Archive(Sendable):
         except LostFileError as error:
             note_fault(self.store, error.sha256, error.fault)
             raise
+
+
+# Locks of the files that are being read for their checksums
+_reading: dict[str, Lock] = {}
+
+
+def _checksum_once(files: Files, sha256: str) -> int:
+    """Return a file's CRC-32; of the threads that want it at the same time one reads the file."""
+    lock = _reading.setdefault(sha256, Lock())
+    try:
+        with lock:
+            return _checksum(files, sha256)
+    finally:
+        _reading.pop(sha256, None)  # from here on the checksum is remembered
 
 
 @lru_cache(maxsize=MOST_CHECKSUMS)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import threading
 import tracemalloc
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,8 @@ from service.rigs.archive import Member, archive_of, lay_out, length
 from service.rigs.download import Span
 from service.settings import Settings
 from service.store.database import Store
+from service.store.files import Files
+from service.store.integrity import open_checked
 from tests.service_client import Studio, eventually, served
 
 OF_RIG = ("rig.npz", "rig.glb", "fit_smile.png")
@@ -130,6 +134,29 @@ def test_a_preview_that_was_made_since_is_in_another_archive(
     packed = zipfile.ZipFile(io.BytesIO(answer.content))
     assert packed.read("preview.bin") == Path(__file__).read_bytes()
     assert packed.testzip() is None
+
+
+def test_of_two_who_want_it_at_once_one_reads_its_files(
+    studio: Studio, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = rigged(studio, tmp_path)
+    store, both, read = store_of(studio), threading.Barrier(2), []
+
+    def read_beside(files: Files, sha256: str) -> Iterator[bytes]:
+        read.append(sha256)
+        with suppress(threading.BrokenBarrierError):
+            both.wait(0.5)  # for the other one to read as well
+        return open_checked(files, sha256)
+
+    monkeypatch.setattr(archive, "open_checked", read_beside)
+    with store.read() as session:
+        found = archive_of(session, repository.get(session, made["rig"]), store)
+    threads = [threading.Thread(target=found.blocks, args=(Span(0, 1),)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(read) == sorted(each.sha256 for each in found.members if each.content is None)
 
 
 @pytest.mark.parametrize("fault", ["lost", "damaged"])
