@@ -14,6 +14,7 @@ import pytest
 
 from myoface.names import DEVICES, as_name
 from service.captures import service
+from service.http import takes_gzip
 from service.settings import Settings
 from service.store.integrity import LostFileError
 from service.templates.service import SKIN, count_vertices
@@ -285,6 +286,22 @@ def test_json_is_packed_for_who_can_unpack_it_and_files_are_not(studio: Studio) 
     assert "content-encoding" not in file.headers
     assert len(file.content) == int(file.headers["content-length"]) > 2000
     assert "content-encoding" not in studio.http.get("/healthz").headers
+
+
+@pytest.mark.parametrize(
+    ("accepted", "takes"),
+    [
+        ("gzip", True),
+        ("br, GZIP ; q=0.8", True),
+        ("gzip;q=0.001", True),
+        ("gzip;q=0", False),
+        ("br;q=1.0, gzip; q=0.000, identity", False),
+        ("x-gzip", False),
+        ("", False),
+    ],
+)
+def test_gzip_is_sent_to_nobody_who_refuses_it(accepted: str, takes: bool) -> None:
+    assert takes_gzip(accepted) is takes
 
 
 @pytest.mark.parametrize(
