@@ -103,7 +103,7 @@ def _about(template: Template | None, sha256: str | None) -> dict[str, Any] | No
     """Return what `rig.json` says of a template, also of one that was deleted meanwhile."""
     if template is not None:
         return {"id": template.id, "name": template.name}
-    return sha256 and {"sha256": sha256, "missing": True}
+    return {"sha256": sha256, "missing": True} if sha256 else None
 
 
 def _as_artifacts(template: Template | None) -> list[File]:

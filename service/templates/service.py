@@ -68,7 +68,7 @@ def count_vertices(files: Files, sha256: str, size: int) -> int | None:
     No array is unpacked: of the file are read its end, its list of members and one header.
     """
     try:
-        stored = _StoredFile(files, sha256, size)
+        stored = io.BufferedReader(_StoredFile(files, sha256, size))
         check_directory(stored)
         with ZipFile(stored) as archive:
             skin = archive.getinfo(SKIN)
