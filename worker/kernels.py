@@ -22,6 +22,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,17 @@ def are_compiled() -> bool:
         return False
 
 
+def remove_stale() -> None:
+    """Remove kernels that are not of this code, before a job is given them.
+
+    A process that compiles at the moment has removed them; where nothing can be written they stay.
+    """
+    with suppress(OSError), _lock_file().open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not are_compiled():
+            _remove_all()
+
+
 def compile_all(tell: Callable[[str], object] | None = None) -> None:
     """Compile the kernels that jobs use, unless they are of this code already.
 
@@ -61,9 +73,7 @@ def compile_all(tell: Callable[[str], object] | None = None) -> None:
     subprocess.CalledProcessError
         If one of the jobs that use them failed.
     """
-    stamp = _stamp()
-    stamp.parent.mkdir(parents=True, exist_ok=True)
-    with stamp.with_suffix(".lock").open("w") as lock:
+    with _lock_file().open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not are_compiled():
             _compile_apart(tell)
@@ -140,6 +150,11 @@ def _installed() -> Iterator[Path]:
     return place.glob("*/*.nb[ic]") if place else SOLVER.rglob("__pycache__/*.nb[ic]")
 
 
+def _remove_all() -> None:
+    for kernel in _installed():
+        kernel.unlink(missing_ok=True)
+
+
 def _subfolder(package: Path) -> str:
     """Return numba's name, below its folder of caches, for the kernels of a package."""
     return f"{package.name}_{hashlib.sha1(str(package).encode()).hexdigest()}"
@@ -159,6 +174,12 @@ def _stamp() -> Path:
     return (installed_place() or SOLVER / "__pycache__") / "compiled"
 
 
+def _lock_file() -> Path:
+    file = _stamp().with_suffix(".lock")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    return file
+
+
 def main() -> None:
     """Compile the kernels and note of which code they are."""
     parser = argparse.ArgumentParser(prog="python -m worker.kernels", description=main.__doc__)
@@ -168,8 +189,7 @@ def main() -> None:
         _end_when_told(Path(name))
         if parent:
             die_with_parent(parent, signal.SIGTERM)
-        for kernel in _installed():  # numba does not see that a function elsewhere has changed
-            kernel.unlink(missing_ok=True)
+        _remove_all()  # numba does not see that a function elsewhere has changed
         _run_jobs(Path(name))
     _stamp().parent.mkdir(parents=True, exist_ok=True)
     _stamp().write_text(_hash())

@@ -111,8 +111,10 @@ def _service(url: str | None, data: Path) -> Iterator[Client]:
             yield client
         return
     from myoface.stack import Stack
+    from worker.kernels import remove_stale
 
     end_in_order()
+    remove_stale()
     stack = Stack(read_settings(data_dir=data, port=0))
     with stack, Client(stack.url, stack.key) as client:
         out.print(f"service on {stack.url}")

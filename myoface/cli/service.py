@@ -31,11 +31,13 @@ def up(port: Port = None, data: Data = None) -> None:
     """Run the service here: API, broker and worker, until Ctrl-C."""
     from myoface.stack import Stack  # loading the service's parts takes a while
     from service.access.bootstrap import is_loopback
+    from worker.kernels import remove_stale
 
     settings = _settings(port, data)
     configure_logs(settings.log_json)
     end_in_order()
     logging.getLogger("httpx").setLevel(logging.WARNING)  # the stack asks itself for its health
+    remove_stale()
     with Stack(settings) as stack:
         out.print(f"Myoface listens on {stack.url}. Ctrl-C stops it.")
         out.print(f"Its key is in {settings.admin_key}.")

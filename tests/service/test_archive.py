@@ -24,6 +24,7 @@ from service.settings import Settings
 from service.store.database import Store
 from service.store.files import Files
 from service.store.integrity import open_checked
+from service.store.models import Subject
 from tests.service_client import Studio, eventually, served
 
 OF_RIG = ("rig.npz", "rig.glb", "fit_smile.png")
@@ -96,6 +97,26 @@ def test_it_is_complete_and_says_of_each_file_which_job_left_it(
     assert {info.compress_type for info in packed.infolist()} == {zipfile.ZIP_STORED}
     # programs that unpack a stream want sizes and checksums before the files
     assert not any(info.flag_bits & 8 for info in packed.infolist())
+
+
+def test_a_template_that_was_deleted_is_not_the_built_in_one(
+    studio: Studio, tmp_path: Path
+) -> None:
+    def template_of(path: str) -> Any:
+        packed = zipfile.ZipFile(io.BytesIO(studio.http.get(path).content))
+        assert "template.npz" not in packed.namelist()
+        return json.loads(packed.read("rig.json"))["template"]
+
+    assert template_of(rigged(studio, tmp_path)["path"]) is None
+    content = b"an anatomy" * 5000
+    upload = studio.upload("anatomy.npz", content)
+    template = studio.post("/v1/templates", name="House head", upload_id=upload)["id"]
+    made = rigged(studio, tmp_path, template)
+    with store_of(studio).of("default").write() as session:
+        session.query(Subject).filter_by(id=made["subject_id"]).update({"template_id": None})
+    assert studio.http.delete(f"/v1/templates/{template}").status_code == 204
+    found = template_of(made["path"])
+    assert found == {"sha256": hashlib.sha256(content).hexdigest(), "missing": True}
 
 
 def test_every_range_is_that_of_the_whole(studio: Studio, tmp_path: Path) -> None:

@@ -116,3 +116,30 @@ def test_the_service_listens_while_kernels_compile(tmp_path, monkeypatch):
     )
     assert listens < compiles
     assert (told.exit_code, told.stderr) == (130, "")
+
+
+@pytest.mark.parametrize("command", ["up", "demo"])
+def test_no_job_is_given_kernels_of_older_code(command, tmp_path, monkeypatch):
+    installed = tmp_path / "installed" / "mechanics_1"
+    installed.mkdir(parents=True)
+    (installed / "laws.energy-1.py311.nbi").touch()
+    (installed.parent / "compiled").write_text("of another release")
+    monkeypatch.setenv(kernels.KERNELS_VARIABLE, str(installed.parent))
+    given = []
+
+    class Stack(Listening):
+        def __enter__(self):
+            kernels.link_kernels(tmp_path / "attempt")
+            given.extend((tmp_path / "attempt").glob("*/*"))
+            return self
+
+    def compile_all(_tell):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("myoface.stack.Stack", Stack)
+    monkeypatch.setattr("worker.kernels.compile_all", compile_all)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    monkeypatch.setattr("myoface.cli.service.configure_logs", lambda _json: None)
+    told = invoke([command, "--data" if command == "up" else "--output", str(tmp_path / "data")])
+    assert told.exit_code == 130, told
+    assert given == []
