@@ -63,10 +63,11 @@ def remove_stale() -> None:
             _remove_all()
 
 
-def compile_all(tell: Callable[[str], object] | None = None) -> None:
+def compile_all(tell: Callable[[str], object] | None = None, *, niceness: int = 10) -> None:
     """Compile the kernels that jobs use, unless they are of this code already.
 
-    Processes that want it at the same time do it once. ``tell`` is called with each step.
+    Processes that want it at the same time do it once. ``tell`` is called with each step. Checks
+    of scans come first, unless ``niceness`` is 0.
 
     Raises
     ------
@@ -76,12 +77,13 @@ def compile_all(tell: Callable[[str], object] | None = None) -> None:
     with _lock_file().open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not are_compiled():
-            _compile_apart(tell)
+            _compile_apart(tell, niceness)
 
 
-def _compile_apart(tell: Callable[[str], object] | None) -> None:
+def _compile_apart(tell: Callable[[str], object] | None, niceness: int) -> None:
     """Compile in a process of its own, which ends when this one is interrupted."""
-    command = ["nice", sys.executable, "-m", "worker.kernels", "--parent", str(os.getpid())]
+    command = ["nice", "-n", str(niceness), sys.executable]
+    command += ["-m", "worker.kernels", "--parent", str(os.getpid())]
     with subprocess.Popen(command, cwd=SOLVER.parent, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         try:

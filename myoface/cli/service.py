@@ -140,7 +140,7 @@ def end_in_order() -> None:
     signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
 
 
-def compile_kernels() -> None:
+def compile_kernels(niceness: int = 10) -> None:
     """Compile the solver's kernels where they are not of this code; jobs can do without."""
     from worker.kernels import are_compiled, compile_all
 
@@ -151,7 +151,7 @@ def compile_kernels() -> None:
         "scans can be uploaded and checked meanwhile"
     )
     try:
-        compile_all(out.print)
+        compile_all(out.print, niceness=niceness)
     except (subprocess.CalledProcessError, OSError) as error:
         complain(f"the kernels were not compiled, each job compiles its own: {error}")
         return

@@ -100,7 +100,7 @@ class Listening:
 
 
 def test_the_service_listens_while_kernels_compile(tmp_path, monkeypatch):
-    def compile_all(tell):
+    def compile_all(tell, **_):
         tell("kernels of register_scan (1 of 5)")
         raise KeyboardInterrupt
 
@@ -133,7 +133,7 @@ def test_no_job_is_given_kernels_of_older_code(command, tmp_path, monkeypatch):
             given.extend((tmp_path / "attempt").glob("*/*"))
             return self
 
-    def compile_all(_tell):
+    def compile_all(_tell, **_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("myoface.stack.Stack", Stack)
