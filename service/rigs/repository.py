@@ -43,7 +43,7 @@ def newest(
     cursor: str | None,
 ) -> Slice[Rig]:
     """Return rigs, newest first, of a subject and with all of ``labels`` if they are given."""
-    query = paging.labelled(select(Rig), Rig.labels, labels)
+    query = paging.filter_by_labels(select(Rig), Rig.labels, labels)
     if subject_id is not None:
         query = query.where(Rig.subject_id == subject_id)
     return paging.newest(session, query, limit, cursor)

@@ -1,4 +1,4 @@
-// Which view shows at which path. `service/page/routes.py` serves the document at the same paths.
+// The views by path. `service/page/routes.py` serves the document at the same paths.
 //
 // A view module exports
 //

@@ -1,4 +1,4 @@
-// What a finished job left, for people: a verdict with its findings, a picture, figures, a rig.
+// The result of a job, for people: a verdict with its findings, a picture, figures, a rig.
 
 import { h } from "../dom.js";
 import { figure, plain } from "../words.js";

@@ -15,6 +15,7 @@ import { state } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
+import { NO_SCANS } from "../scan_files.js";
 import { navigate, title as nameWindow } from "../navigate.js";
 import { bytes, count, figure, labelWords, plain, short, when } from "../words.js";
 
@@ -168,7 +169,7 @@ class SubjectView {
     });
     const act = (words, action, kind = null) =>
       button([words, h("span", { class: "unseen" }, ` ${name}`)], action, kind);
-    const isScan = role === "neutral" || role === "expression";
+    const isScan = !NO_SCANS.includes(role);
     const actions = h(
       "div",
       { class: "row end" },
