@@ -30,6 +30,7 @@ from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.strips import StripOptions, neighbours, split_broad, strip_names
 from solver.mechanics.fibre_muscle import CURVE, Curve, FibreMuscles, FibreTerm, driven_by_muscles
 from solver.mechanics.response import SparseControls
+from solver.model import SubjectModel
 from solver.storage import Archive
 from solver.surface import Floats, Ints
 
@@ -230,6 +231,14 @@ def save_muscles(path: Path, face: Face, muscles: FibreMuscles) -> None:
 def load_muscles(path: Path, face: Face) -> FibreMuscles:
     """Read what :func:`save_muscles` wrote, for a face of the same model.
 
+    Raises as :func:`read_muscles`.
+    """
+    return read_muscles(path, face.model).scaled(face.flesh.material.mu)
+
+
+def read_muscles(path: Path, model: SubjectModel) -> FibreMuscles:
+    """Read what :func:`save_muscles` wrote of this model: strengths over the flesh's mu.
+
     Raises :class:`InputError` (``fibres.unreadable``, ``fibres.format``, ``fibres.model``).
     """
     archive = Archive.read(path, "fibres", "a file of fibre muscles", FORMAT)
@@ -237,14 +246,14 @@ def load_muscles(path: Path, face: Face) -> FibreMuscles:
         muscles = FibreMuscles(
             **{each.name: archive.arrays[each.name] for each in fields(FibreMuscles)}
         )
-        of_model = archive.header["model_sha256"] == face.model.sha256
+        of_model = archive.header["model_sha256"] == model.sha256
     except (KeyError, TypeError) as error:
         message = f"{path.name} is not a file of fibre muscles: {error}"
         raise InputError("fibres.unreadable", message, file=path.name) from error
     if not of_model:
         message = f"the fibre muscles in {path.name} are of another model"
         raise InputError("fibres.model", message, file=path.name)
-    return muscles.scaled(face.flesh.material.mu)
+    return muscles
 
 
 def _turn_rates(turns: Floats) -> sp.csr_array:
