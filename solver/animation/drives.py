@@ -210,8 +210,9 @@ class KeyedDrives:
         self.times, self.under = times, under
         self._head = head_motion(head, neck(model), interpolation)
         _check_names(keys, poses, model, what, fibres)
-        blended = fibres is None
-        self._keys = _BlendedKeys(keys, poses, model) if blended else _FibreKeys(keys, fibres)
+        self._keys: _BlendedKeys | _FibreKeys = (
+            _BlendedKeys(keys, poses, model) if fibres is None else _FibreKeys(keys, fibres)
+        )
         rows = [np.concatenate([self._keys.row(key), key.jaw]) for key in keys]
         values = np.reshape(rows, (len(keys), self._keys.size + 5))
         self._track = track([key.time for key in keys], values, what, interpolation)

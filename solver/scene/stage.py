@@ -185,8 +185,8 @@ class Stage:
         self._edited = apply(
             edits, places.model, S if fibres is None else even_weights(places.model)
         )
-        names = places.model.muscle_names
-        self.muscles = names if fibres is None else strip_names(names, fibres)
+        muscles = places.model.muscle_names
+        self.muscles = muscles if fibres is None else strip_names(muscles, fibres)
         self.model = self._edited.model
         self._face = self._physics.face(self._edited)
         if isinstance(scene, scenes.SimulateScene):
