@@ -95,6 +95,7 @@ def main() -> None:
     parser.add_argument("--muscles", type=Path, help="calibrated muscles: read if there, else left")
     parser.add_argument("--only", nargs="*", choices=PARTS, default=list(PARTS))
     parser.add_argument("--rounds", type=int, help="of the calibration")
+    parser.add_argument("--exaggerated", default="smile", help="expressions, with commas between")
     if data.is_dir():
         parser.set_defaults(anatomy=data / "bodyparts3d", faces=data / "ict_facekit")
     options = parser.parse_args()
@@ -114,11 +115,13 @@ def run(options: argparse.Namespace) -> Figures:
         "muscles": len(muscles.strengths),
         "calibration_s": seconds,
     }
-    fits = _fits(face, {**person.train, **person.test})
+    scans = {**person.train, **person.test}
     if "fibre" in options.only:
+        fits = _fits(face, scans)
         found["fibre"] = _quality(plain, person, fits)
         log.info("fibre: %s", found["fibre"])
     if "exaggerated" in options.only:
+        fits = _fits(face, {name: scans[name] for name in options.exaggerated.split(",")})
         poses = {name: state.pose for name, state in fits.items()}
         found.setdefault("fibre", {})["exaggerated"] = exaggerated(person.model, muscles, poses)
     if "round_trip" in options.only:
@@ -233,7 +236,7 @@ def _blended(person: Person) -> dict[str, Floats]:
 
 
 def exaggerated(
-    model: SubjectModel, muscles: FibreMuscles, poses: Mapping[str, Pose], steps: int = 8
+    model: SubjectModel, muscles: FibreMuscles, poses: Mapping[str, Pose], steps: int = 5
 ) -> Figures:
     """Return what whole curves times 2 and 4 make of expressions, in contact."""
     plain = Face(model, material=MOONEY_RIVLIN.in_pascal(3000.0), linear=fastest())
@@ -268,7 +271,7 @@ def exaggerated(
 
 
 def _played(face: Face, simulator: Simulator, gauge: Gauge, pose: Pose, steps: int) -> Figures:
-    """Go to a pose in steps and back none: what the flesh is on the way and at its end."""
+    """Return what flesh does on its way to a pose, and where it ends."""
     drives = [
         Drive(float(number), pose.a * (number / steps), pose.b * (number / steps), STILL, ())
         for number in range(steps + 1)

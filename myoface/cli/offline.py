@@ -95,7 +95,7 @@ OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
             None,
         )
     },
-    "fibres": {
+    "fibre_muscles": {
         "fibres": (
             Annotated[
                 Path | None,
@@ -227,7 +227,7 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
         name: given.get(name)
         for name in ("scan", "landmarks", "neutral", "template", "model", "performance")
     }
-    inputs |= {name: given.get(name) for name in ("blendshapes", "fibres")}
+    inputs |= {"blendshapes": given.get("blendshapes"), "fibre_muscles": given.get("fibres")}
     inputs |= {"start": given.get("start_rig")}
     inputs |= {"markers": given.get("take"), "marker_set": given.get("marker_set")}
     rig = given.get("rig") or given.get("any_rig")

@@ -163,7 +163,7 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
 # What later jobs of a rig read, if there is any: the kind that leaves it, and its file
 _LEFT_BEFORE = {
     "blendshapes": ("animate", "blendshapes.npz"),
-    "fibres": ("fit_fibres", "fibre_muscles.npz"),
+    "fibre_muscles": ("fit_fibres", "fibre_muscles.npz"),
 }
 
 

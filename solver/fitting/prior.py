@@ -36,14 +36,14 @@ class PriorOptions:
 
     strength: float = 0.5  # standard deviation of an expression's amount
     floor: Mapping[str, Sequence[float] | float] = field(
-        default_factory=lambda: {"jaw": (0.03, 0.03, 0.5, 0.5, 0.5), "fibres": 0.1}
+        default_factory=lambda: {"jaw": (0.03, 0.03, 0.5, 0.5, 0.5)}
     )
     other_floor: float = 0.03  # of a block that is not named
 
 
 # A person's few scans span few poses, and what they leave out may vary as much: of 79 markers a
 # floor of 0.06 left 2.5 mm, one of 0.3 1.8 mm and this one 1.5 mm.
-LOOSE = PriorOptions(floor={"jaw": (0.2, 0.1, 3.0, 3.0, 3.0), "fibres": 0.3}, other_floor=0.6)
+LOOSE = PriorOptions(floor={"jaw": (0.2, 0.1, 3.0, 3.0, 3.0)}, other_floor=0.6)
 
 
 @dataclass(frozen=True)

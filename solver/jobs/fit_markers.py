@@ -17,21 +17,17 @@ import numpy as np
 from solver.anatomy.template import Template
 from solver.errors import InputError, SolveError
 from solver.fitting import prior
-from solver.fitting.calibration import fit_all, load_muscles, with_fibres
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.markers.places import refine
 from solver.fitting.markers.robust import RobustOptions
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior, MarkerPlaces
 from solver.fitting.markers.tracker import MarkerFit, MarkerMemory, MarkerOptions, MarkerTracker
-from solver.fitting.objective import Target, distances
 from solver.fitting.prior import GaussianPrior
-from solver.fitting.strips import strip_names
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
 from solver.kinds.fit_markers import FitMarkers
 from solver.mechanics.boundary import jaw_rotation
-from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
 from solver.model import JawFrame
 from solver.progress import Step
@@ -96,7 +92,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     source = BoundTake(take, markers, OPTIONS.least)
     numbers = _frame_numbers(take, given)
     rate = given.rate or (take.rate if take.rate > 0 else OPTIONS.rate)
-    face, muscles = _face(task, rig)
+    face = Face(model, rig.weights, linear=given.linear_solver or fastest())
     check_held(face)
     if not task.resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
@@ -143,7 +139,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     progress(Step("export", 0.96))
     fps = rate / given.step
     report = sequence_report(done, fps, take.file) | _marker_report(done, source.labels)
-    files = write_sequence(out, done, muscles, fps, report)
+    files = write_sequence(out, done, model.muscle_names, fps, report)
     files += [out / "markers.json"] if given.refine else []
     files.append(out / "sequence.glb")
     skin.write(files[-1], fps)
@@ -158,7 +154,7 @@ def _smoothed(
     face, found = tracker.face, []
     skin, layout = AnimatedSkin(face.model.skin), face.layout
     traced = [
-        TracedFrame(_pose(face, each), small_motion(each.head), each.marker_weight)
+        TracedFrame(Pose(each.activations, each.jaw), small_motion(each.head), each.marker_weight)
         for each in frames
     ]
     for frame, after in zip(frames, smooth(tracker, traced, folder), strict=True):
@@ -198,7 +194,7 @@ def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
     if kind == "scans":
         if not rig.expressions:
             raise InputError("markers.prior", "the rig has no expressions to make a prior from")
-        poses = [pose.vector() for pose in _expressions(rig, face)]
+        poses = [Pose(each.activations, each.jaw).vector() for each in rig.expressions]
         return prior.from_changes(layout, [pose - layout.rest for pose in poses], prior.LOOSE)
     given = task.inputs.get("template")
     shapes = (builtin_template() if given is None else Template.load(given)).shapes
@@ -206,33 +202,6 @@ def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
         message = "the template has no expressions of this skin: use the prior scans or none"
         raise InputError("markers.prior", message)
     return prior.from_shapes(face, shapes.expressions)
-
-
-def _face(task: Task[FitMarkers], rig: Rig) -> tuple[Face, tuple[str, ...]]:
-    """Return the face, with the muscles that were asked for, and their names."""
-    given, model = task.options, rig.model
-    linear = given.linear_solver or fastest()
-    if given.muscles == "blended":
-        return Face(model, rig.weights, linear=linear), model.muscle_names
-    if "fibres" not in task.inputs:
-        message = "the rig has no calibrated fibre muscles, and the template's explain little"
-        raise InputError("model.fibres", f"{message}: run fit_fibres, or give its result")
-    plain = Face(model, material=MOONEY_RIVLIN, linear=linear)
-    muscles = load_muscles(task.inputs["fibres"], plain)
-    return with_fibres(plain, muscles), strip_names(model.muscle_names, muscles)
-
-
-def _pose(face: Face, frame: MarkerFrame) -> Pose:
-    return Pose(frame.activations, frame.jaw, face.layout)
-
-
-def _expressions(rig: Rig, face: Face) -> list[Pose]:
-    """Return the poses of the rig's expressions: of other muscles than S's they are fitted."""
-    if not face.has_own_drive:
-        return [Pose(each.activations, each.jaw) for each in rig.expressions]
-    ids = rig.model.face
-    data = {each.name: Target.from_points(each.target[ids]) for each in rig.expressions}
-    return [ending.state.pose for ending in fit_all(face, distances(face, data)).values()]
 
 
 def _frame_numbers(take: Take, given: FitMarkers) -> range:
@@ -271,7 +240,7 @@ class _Session:
     def read(self, numbers: range) -> list[MarkerFrame]:
         """Return the frames that an earlier attempt left, and go on from the last."""
         face, states = self._tracker.face, []
-        shape = face.rest_pose().a.shape
+        shape = (face.model.muscle_count, 6)
 
         def take(values: Mapping[str, Any], _frames: Sequence[MarkerFrame]) -> None:
             states.append(values["state"])
@@ -356,7 +325,7 @@ class _Session:
         tracker = self._tracker.tracker
         for frame in frames:
             with suppress(SolveError):  # out of reach: it is shown as the one before
-                tracker.go_to(_pose(self._tracker.face, frame))
+                tracker.go_to(Pose(frame.activations, frame.jaw))
             self.reached[frame.frame] = tracker.state.x
 
 

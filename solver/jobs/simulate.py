@@ -29,7 +29,7 @@ def run(task: Task[Simulate]) -> list[Path]:
         check_video()
     rig, places = read_person(task)
     poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in rig.expressions}
-    file = task.inputs.get("fibres")
+    file = task.inputs.get("fibre_muscles")
     known = None if file is None else read_muscles(file, rig.model)
     performances = performances_of(given.scene, poses, places, rig.weights, known)
     fibres = moving_fibres(given.scene, performances, known)

@@ -22,11 +22,6 @@ class FitMarkers(JobOptions):
         le=10_000,
         description="frames of the take per second; null: what the file says, else 60",
     )
-    muscles: Literal["blended", "fibre"] = Field(
-        default="blended",
-        description="blended: six numbers each, by the rig's S; fibre: one activation in [0, 1] "
-        "each, as fit_fibres has calibrated them",
-    )
     prior: Literal["shapes", "scans", "none"] = Field(
         default="shapes",
         description="what makes a pose probable: shapes, the template's expressions; scans, the "
@@ -76,7 +71,7 @@ KIND = Kind(
     description="Activations, jaw and head of every frame of a take of markers, with the spread "
     "of each; wrong points are rejected, swaps mended, and muscles that no marker tells of held.",
     queue="long",
-    reads=("rig", "markers", "template", "fibres"),
+    reads=("rig", "markers", "template", "fibre_muscles"),
     leaves="sequence",
     report="sequence.json",
     result="sequence.npz",

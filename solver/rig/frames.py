@@ -378,9 +378,9 @@ def _write_table(
 ) -> None:
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
     head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]
-    of_fibres = frames[0].activations.ndim == 1
     entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
-    entries = list(muscles) if of_fibres else entries
+    if frames[0].activations.ndim == 1:
+        entries = list(muscles)
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
         rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries])

@@ -235,8 +235,8 @@ class MarkerTracker:
         alone = Posterior(spread, self.prior.variance)
         head = HeadPrior(placed.head, placed.precision)
         self.memory = MarkerMemory(state.pose.vector(), posterior.covariance, head)
-        layout, count = state.pose.layout, len(state.pose.a)
-        muscles = layout.places(layout.blocks[0].name).reshape(count, -1)
+        layout = state.pose.layout
+        muscles = layout.places("activations").reshape(self.face.model.muscle_count, -1)
         held = alone.information_of(muscles) < self.options.hold_below
         return MarkerFit(
             state, placed, judged, posterior.sd, alone.information, held, predicted, steps

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from solver.fitting import activation, reference
-from solver.fitting.activation import ActivationOptions
+from solver.fitting.activation import ActivationOptions, DenseModel
 from solver.fitting.calibration import fibre_muscles, with_fibres
 from solver.fitting.face import Face, Pose
 from solver.fitting.least_squares import bounded_step
@@ -82,6 +82,20 @@ def test_bounds_hold_exactly_and_ipopt_finds_the_same(plain, face):
     full = reference.activations(face, wanted, prior, face.rest_pose(), face.model.rest)
     assert full.objective == pytest.approx(found.objective, rel=1e-3)
     np.testing.assert_allclose(full.pose.a, found.state.pose.a, atol=2e-3)
+
+
+def test_a_step_within_bounds_is_cut_as_a_whole(face):
+    """With its turn cut alone, a jaw that opens wide would be shifted in its place."""
+    layout, rng = face.layout, np.random.default_rng(5)
+    root = rng.standard_normal((layout.size, layout.size))
+    gradient = rng.standard_normal(layout.size)
+    gradient[layout["jaw"]][0] = -30.0
+    model = DenseModel(layout, root @ root.T + np.eye(layout.size), gradient, layout.rest)
+    whole = model.step(0.0, np.inf).change
+    assert layout.reach(whole) > 1.0
+    part = model.step(0.0, 0.5).change
+    np.testing.assert_allclose(part, 0.5 / layout.reach(whole) * whole, rtol=1e-12)
+    assert (part[layout["fibres"]] >= 0.0).all()
 
 
 def test_frames_are_followed(face):

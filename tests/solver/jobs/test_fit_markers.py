@@ -9,15 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solver.animation.performance import FittedSequence
 from solver.errors import InputError
-from solver.fitting.calibration import fibre_muscles, save_muscles
 from solver.fitting.face import Face
 from solver.fitting.markers.term import MarkerPlaces
 from solver.jobs import fit_markers, run_job
 from solver.jobs.fit_markers import mandible_motion
 from solver.mechanics.boundary import move_jaw
-from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.progress import Step
 from solver.rig.frames import MarkerFrame, read_chunks
 from solver.rig.rig import ExpressionFit, Rig
@@ -190,22 +187,3 @@ def test_what_cannot_be_used(code: str, change: dict, files: Path, tmp_path: Pat
             rig=files / "rig.npz",
         )
     assert caught.value.code == code
-
-
-def test_a_take_is_fitted_with_fibre_muscles(files: Path, tmp_path: Path) -> None:
-    """One activation each in [0, 1], in a sequence that scenes can play."""
-    options = {"muscles": "fibre", "prior": "none", "end": 3}
-    with pytest.raises(InputError) as caught:
-        fit(files, tmp_path / "without", options=options)
-    assert caught.value.code == "model.fibres"
-    plain = Face(small_model(), material=MOONEY_RIVLIN)
-    save_muscles(tmp_path / "fibres.npz", plain, fibre_muscles(plain))
-    found = fit(files, tmp_path / "out", options=options, fibres=tmp_path / "fibres.npz")
-    assert found["status"].tolist() == ["fitted"] * 3
-    count = plain.model.muscle_count
-    assert found["activations"].shape == found["held"].shape == (3, count)
-    assert found["activations"].min() == 0.0  # a bound is met exactly
-    assert 0.0 < found["activations"].max() <= 1.0
-    assert np.nanmean(found["marker_mm"]) < 0.5
-    take = FittedSequence.load(tmp_path / "out" / "sequence.npz", "take")
-    assert take.of_fibres

@@ -38,13 +38,13 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     ]
     take, table, _ = write_sequence(folder, frames, MODEL.muscle_names, FPS, {})
     assert table.read_text().splitlines()[0].endswith("head.tz,left,right")
-    names = {"rig": "rig.npz", "fibres": "fibre_muscles.npz"}
+    names = {"rig": "rig.npz", "fibre_muscles": "fibre_muscles.npz"}
     return {**{name: folder / file for name, file in names.items()}, "take": take}
 
 
 def simulate(files: dict[str, Path], out: Path, scene: dict[str, Any], **less: None) -> Any:
     """Play a scene and return the arrays of its animation."""
-    inputs = {"rig": files["rig"], "fibres": files["fibres"], **less}
+    inputs = {"rig": files["rig"], "fibre_muscles": files["fibre_muscles"], **less}
     options = {"scene": {"fps": FPS, "contact": {"lips": False, "eyes": False}, **scene}}
     run_job("simulate", out, options=options, captures={"take": files["take"]}, **inputs)
     with np.load(out / "animation.npz") as data:
@@ -103,10 +103,10 @@ def test_a_palsy_weakens_fibre_muscles(files: dict[str, Path], tmp_path: Path) -
 @pytest.mark.parametrize(
     ("scene", "less", "code", "words"),
     [
-        ({"performance": TAKE}, {"fibres": None}, "scene.fibres", "run fit_fibres"),
+        ({"performance": TAKE}, {"fibre_muscles": None}, "scene.fibres", "run fit_fibres"),
         (
             {"keys": [{"time": 0, "fibres": {"left": 1}}]},
-            {"fibres": None},
+            {"fibre_muscles": None},
             "scene.fibres",
             "run fit_fibres",
         ),
