@@ -21,15 +21,17 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import report, subject_fits, subjects
+from benchmarks import markers, report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.speed.clock import Stopwatch
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
+from solver.anatomy.build import build_subject_model
+from solver.anatomy.meshing import find_or_make_mesh
 from solver.contact.potentials import Gauge, contact_potentials
 from solver.drawing.head import both_sides
 from solver.errors import SolveError
-from solver.fitting import activation
-from solver.fitting.activation import ActivationOptions
+from solver.fitting import activation, prior
+from solver.fitting.activation import ActivationOptions, unseen_regulariser
 from solver.fitting.calibration import (
     CalibrationOptions,
     calibrate,
@@ -43,23 +45,28 @@ from solver.fitting.contact import terms
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Regulariser, SkinDistance, Target, distances
+from solver.fitting.sequence import Tracker
 from solver.fitting.strips import strip_names
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig.rig import Rig
+from solver.scans.live_link import read_live_link
 from solver.similarity import IDENTITY as STILL
 from solver.simulation.forces import Drive
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface
-from solver.templates.ict_facekit import ict_capture_set
+from solver.templates.builtin.build import builtin_capture_set, builtin_template
+from solver.templates.ict_facekit import drive, ict_capture_set, ict_neutral, read_facekit
 
 log = logging.getLogger(__name__)
 
-PARTS = ("fibre", "round_trip", "exaggerated")
+PARTS = ("fibre", "round_trip", "exaggerated", "speed")
 FACTORS = (1, 2, 4)
 ROUNDS, QUICK_ROUNDS = 16, 6
+FRAMES, LARGE_FRAMES = 60, 6
+LARGE_EDGE_MM = 3.6  # of some 370,000 tets
 
 
 @dataclass(frozen=True)
@@ -96,8 +103,14 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", choices=PARTS, default=list(PARTS))
     parser.add_argument("--rounds", type=int, help="of the calibration")
     parser.add_argument("--exaggerated", default="smile", help="expressions, with commas between")
+    parser.add_argument("--recording", type=Path, help="Live Link Face recording")
+    parser.add_argument("--large", action="store_true", help="frames of 370,000 tets too")
     if data.is_dir():
-        parser.set_defaults(anatomy=data / "bodyparts3d", faces=data / "ict_facekit")
+        parser.set_defaults(
+            anatomy=data / "bodyparts3d",
+            faces=data / "ict_facekit",
+            recording=data / "performance" / "alex_rom_3.csv",
+        )
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     report.finish(run(options), options, section)
@@ -124,11 +137,16 @@ def run(options: argparse.Namespace) -> Figures:
         fits = _fits(face, {name: scans[name] for name in options.exaggerated.split(",")})
         poses = {name: state.pose for name, state in fits.items()}
         found.setdefault("fibre", {})["exaggerated"] = exaggerated(person.model, muscles, poses)
+    if "speed" in options.only:
+        found["speed"] = _speed(face, options)
+        log.info("speed: %s", found["speed"])
     if "round_trip" in options.only:
         found["round_trip"] = {
             "fibre": round_trip(face, strip_names(person.model.muscle_names, muscles))
         }
         log.info("round trip: %s", found["round_trip"])
+    if options.large:
+        found.setdefault("speed", {}).update(_large())
     return found
 
 
@@ -313,9 +331,9 @@ def round_trip(face: Face, names: tuple[str, ...], trip: TripOptions = TripOptio
         for noise, w_a in zip(trip.noise_mm, trip.w_a, strict=True):
             seen = points + noise * rng.standard_normal(points.shape)
             data = SkinDistance(face, Target.from_points(seen))
-            prior = Regulariser(w_a, 0.0, trip.w_b, face.rest_pose())
+            light = Regulariser(w_a, 0.0, trip.w_b, face.rest_pose())
             stop = ActivationOptions(40, tolerance=1e-6)
-            state = activation.fit(face, data, prior, options=stop).state
+            state = activation.fit(face, data, light, options=stop).state
             a = state.pose.a
             error = float(np.sqrt(np.mean((a - pose.a) ** 2)))
             found[noise].append(error)
@@ -335,6 +353,46 @@ def round_trip(face: Face, names: tuple[str, ...], trip: TripOptions = TripOptio
         "skin_mm": max(skin),
         "out_of_bounds": outside,
         "sets": sets,
+    }
+
+
+def _speed(face: Face, options: argparse.Namespace) -> Figures:
+    """Follow a take of 79 markers as :mod:`benchmarks.markers` does, by fibre muscles."""
+    kit = read_facekit(options.faces)
+    neutral = ict_neutral(kit, options.faces, options.subject, options.capture_sets).vertices
+    take = drive(kit, neutral, read_live_link(options.recording))
+    bench = markers._Bench(face, markers._truth(take, FRAMES), markers.SETS[0])
+    followed = bench.fit(prior.from_shapes(face, np.stack([*kit.deltas.values()])), bench.clean())
+    return {
+        "fibre_frame_ms": followed["frame_ms"],
+        "fibre_face_mean_mm": followed["face_mean_mm"],
+        "frames": FRAMES,
+    }
+
+
+def _large() -> Figures:
+    """Follow the built-in person's smile in a mesh as large as that of 2005."""
+    captures = builtin_capture_set()
+    template = find_or_make_mesh(builtin_template(), LARGE_EDGE_MM)
+    model = build_subject_model(template, captures.neutral.vertices, edge_mm=LARGE_EDGE_MM)
+    log.info("large: %d tets", len(model.tets))
+    face = Face(model, linear=fastest())
+    tracker = Tracker(face, unseen_regulariser(face), face.rest)
+    rest = face.face_points(face.rest.x)
+    away = captures.train["smile"].vertices[model.face] - rest
+    seconds, errors = [], []
+    for number in range(LARGE_FRAMES):
+        target = Target.from_points(rest + 0.05 * (number + 1) * away)
+        with Stopwatch() as clock:
+            tracker.fit(target)
+        seconds.append(clock.seconds)
+        errors.append(float(target.distances(face.face_points(tracker.state.x)).mean()))
+        log.info("large: frame %d, %.1f s, %.3f mm", number, seconds[-1], errors[-1])
+    return {
+        "large_tets": len(model.tets),
+        "tets_370k_frame_s": float(np.median(seconds[1:])),
+        "tets_370k_first_frame_s": seconds[0],
+        "tets_370k_mean_mm": float(np.mean(errors)),
     }
 
 
