@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from solver.errors import InputError
 from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions, DenseModel
 from solver.fitting.calibration import fibre_muscles, with_fibres
@@ -126,3 +127,9 @@ def test_bounded_steps_are_the_least_of_all_within_bounds():
     np.testing.assert_allclose(slope[inside], 0.0, atol=1e-10)
     assert (slope[(step == limits[0]) & ~(step == limits[1])] > 0.0).all()
     assert (slope[(step == limits[1]) & ~(step == limits[0])] < 0.0).all()
+
+
+def test_what_is_for_other_controls_is_refused_in_words(face):
+    with pytest.raises(InputError, match="moved by fibres and jaw, not by activations") as caught:
+        _ = face.layout["activations"]
+    assert caught.value.code == "face.layout"
