@@ -38,7 +38,7 @@ class FrameRecord:
     """One frame of a face over time, as far as all jobs with frames know it."""
 
     frame: int  # its number, from 0
-    activations: Floats  # (m, 6), as of an expression
+    activations: Floats  # (m, 6), as of an expression, or (m,) of fibre muscles
     jaw: Floats  # (5,)
     head: Floats  # (6,) rotation vector (rad), translation (mm): in the world, x -> R x + t
     inverted: int  # number of tets with det F <= 0
@@ -379,6 +379,8 @@ def _write_table(
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
     head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]
     entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
+    if frames[0].activations.ndim == 1:
+        entries = list(muscles)
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
         rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries])
