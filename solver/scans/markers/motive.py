@@ -108,12 +108,15 @@ def _tracks(file: str, rows: list[list[str]]) -> list[_Track]:
     kinds, names, places = above[0], above[1], above[-1]
     tracks, column = [], 2
     while column < len(axes):
-        is_place = _at(places, column).lower() == "position"
-        if is_place and axes[column : column + 3] == ["x", "y", "z"]:
-            tracks.append(_Track(_at(names, column), _at(kinds, column).lower(), column))
-            column += 3
-        else:
+        if _at(places, column).lower() != "position":
             column += 1
+            continue
+        of_one = all(len({_at(row, column + axis) for axis in range(3)}) == 1 for row in above)
+        if not of_one or axes[column : column + 3] != ["x", "y", "z"]:
+            reason = f"columns {column + 1} to {column + 3} are not x, y, z of one marker"
+            raise unreadable_error(file, reason, line=len(rows))
+        tracks.append(_Track(_at(names, column), _at(kinds, column).lower(), column))
+        column += 3
     return tracks
 
 
