@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solver.errors import Finding, InputError, quote, quote_names
+from solver.errors import Finding, InputError, Severity, quote, quote_names
 from solver.kinds.marker_set import LONGEST_LABEL
 from solver.scans.markers.raw_take import RawTake, TakeOptions, tell
 from solver.surface import Floats
@@ -154,7 +154,7 @@ def settle_unit(
             told = f"{file} {words}; it is read in {name}, in which points spread {spread * mm:.0f}"
             is_plain = not unit and bounds == options.face_mm
             found = {"file": file, "unit": name, "spread_mm": round(spread * mm, 1)}
-            severity = "info" if is_plain else "warning"
+            severity: Severity = "info" if is_plain else "warning"
             return mm, [tell("unit", severity, f"{told} mm about their middle.", **found)]
     if np.isnan(spread):
         message = f"{file} {words}, and too few points are seen at once to tell: it is read in mm."
