@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solver.errors import Finding, InputError, Severity, quote, quote_names
+from solver.errors import MOST_NAMES, Finding, InputError, Severity, quote, quote_names
 from solver.kinds.marker_set import LONGEST_LABEL
 from solver.scans.markers.raw_take import RawTake, TakeOptions, tell
 from solver.surface import Floats
@@ -30,6 +30,7 @@ UNITS = {  # in the singular, as Americans write it -> mm
     "feet": 304.8,
 }
 GUESSES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}  # units of a file that does not say its own
+LONGEST_NUMBER = 6  # characters that tell labels apart which are alike
 LOOKED_AT = 200  # frames of which the size is taken
 
 
@@ -103,7 +104,7 @@ def _number_labels(file: str, texts: Sequence[str]) -> tuple[list[str], list[Fin
         seen[text] += 1
         label = text
         while label != text or seen[text] > 1:
-            label = f"{text}_{seen[text]}"
+            label = f"{text[: LONGEST_LABEL - LONGEST_NUMBER]}_{seen[text]}"
             if label not in taken:
                 break
             seen[text] += 1
@@ -115,7 +116,7 @@ def _number_labels(file: str, texts: Sequence[str]) -> tuple[list[str], list[Fin
         return labels, []
     twice = quote_names(list(dict.fromkeys(proposals.values())))
     message = f"{file} has labels more than once: {', '.join(twice)}; the others get a number."
-    shown = dict(zip(quote_names(list(proposals)), map(quote, proposals.values()), strict=False))
+    shown = dict(list(proposals.items())[:MOST_NAMES])  # labels are short and printable by now
     return labels, [tell("labels", "warning", message, file=file, labels=twice, proposals=shown)]
 
 
@@ -124,8 +125,10 @@ def _find_foreign(file: str, labels: Sequence[str]) -> list[Finding]:
     foreign = [label for label in labels if not label.isascii()]
     if not foreign:
         return []
-    plain = [unicodedata.normalize("NFKD", each).encode("ascii", "ignore") for each in foreign]
-    shown = dict(zip(quote_names(foreign), (each.decode() for each in plain), strict=False))
+    shown = {
+        each: unicodedata.normalize("NFKD", each).encode("ascii", "ignore").decode()
+        for each in foreign[:MOST_NAMES]
+    }
     message = f"{file} has labels beyond ASCII: {', '.join(quote_names(foreign))}."
     return [tell("labels", "info", message, file=file, labels=list(shown), proposals=shown)]
 

@@ -178,6 +178,13 @@ def test_labels_alike_or_foreign_have_proposals(tmp_path: Path) -> None:
     assert foreign.context["proposals"] == {"Bräu": "Brau"}
 
 
+def test_long_labels_alike_stay_short_enough_for_a_marker_set(tmp_path: Path) -> None:
+    take = read(tmp_path, trc_bytes(face_points(4, 30), ["L" * 300] * 30))
+    assert len(set(take.labels)) == 30
+    assert max(map(len, take.labels)) <= 100
+    assert len(take.findings[0].context["proposals"]) == 20
+
+
 def test_two_subjects_with_the_same_labels_are_two_faces(tmp_path: Path) -> None:
     take = read(tmp_path, c3d_bytes(face_points(4, 3), ["A:LIP", "B:LIP", "B:CHIN"]))
     assert take.labels == ("A:LIP", "B:LIP", "B:CHIN")
