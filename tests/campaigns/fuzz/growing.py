@@ -176,9 +176,6 @@ OTHERS: dict[str, dict[str, Make]] = {
     },
     "markers c3d": {
         "frames": lambda n: take_files.c3d_bytes(take_files.face_points(n, 3)),
-        "analog": lambda n: take_files.c3d_bytes(
-            take_files.face_points(9, 3), analog=(1, n % 6000)
-        ),
         "records": _records,
         "cut": lambda n: take_files.c3d_bytes(take_files.face_points(n, 3))[:-512],
     },
