@@ -18,8 +18,8 @@ from solver.scans.markers.raw_take import (
     choose_rate,
     decode,
     spread_frames,
-    truncated,
-    unreadable,
+    truncated_error,
+    unreadable_error,
 )
 from solver.surface import Floats
 
@@ -56,7 +56,9 @@ def read_lines(file: str, stream: IO[bytes], options: TakeOptions) -> Iterator[L
     while line := stream.readline(options.longest_line + 1):
         number += 1
         if len(line) > options.longest_line:
-            raise unreadable(file, f"it has more than {options.longest_line} bytes", line=number)
+            raise unreadable_error(
+                file, f"it has more than {options.longest_line} bytes", line=number
+            )
         text = decode(line.removeprefix(b"\xef\xbb\xbf").rstrip(b"\r\n"))
         yield Line(number, text, line.endswith((b"\n", b"\r")))
 
@@ -79,6 +81,7 @@ def read_table(
     x, y, z of n points are at ``columns`` (3 n). Numbers of frames increase; those that are left
     out are missing from the table.
     """
+    check_room(file, 1, len(columns) // 3, options)
     pick = itemgetter(*columns)
     numbers: list[int] = []
     times: list[float] = []
@@ -90,17 +93,19 @@ def read_table(
         if len(fields) < width:
             reason = f"{width} columns expected, {len(fields)} found"
             if not line.is_whole:
-                raise truncated(file, f"line {line.number}, the last: {reason}", line=line.number)
-            raise unreadable(file, reason, line=line.number)
+                raise truncated_error(
+                    file, f"line {line.number}, the last: {reason}", line=line.number
+                )
+            raise unreadable_error(file, reason, line=line.number)
         if any(fields[width:]):
             reason = f"{width} columns expected, {len(fields)} found"
-            raise unreadable(file, reason, line=line.number)
+            raise unreadable_error(file, reason, line=line.number)
         numbers.append(_frame(file, line.number, fields[0], numbers))
         times.append(*_numbers(file, line.number, fields[1:2]))
         values.extend(_numbers(file, line.number, pick(fields)))
         check_room(file, len(numbers), len(columns) // 3, options)
     check_room(file, len(numbers), len(columns) // 3, options)
-    points = np.frombuffer(values).reshape(len(numbers), -1, 3).copy()
+    points = np.frombuffer(values).reshape(len(numbers), -1, 3)
     points[~points.any(axis=-1)] = np.nan  # exactly 0, 0, 0
     return Table(numbers, times, points)
 
@@ -138,12 +143,12 @@ def parse_rate(text: str | None) -> list[tuple[str, float]]:
 def _frame(file: str, line: int, text: str, before: Sequence[int]) -> int:
     """Return a frame's number, which is above those before."""
     if not (text.isascii() and text.removeprefix("-").isdigit() and len(text) < 12):
-        raise unreadable(file, f"'{quote(text)}' is not the number of a frame", line=line)
+        raise unreadable_error(file, f"'{quote(text)}' is not the number of a frame", line=line)
     number = int(text)
     if abs(number) > MOST_FRAME:
-        raise unreadable(file, f"'{quote(text)}' is not the number of a frame", line=line)
+        raise unreadable_error(file, f"'{quote(text)}' is not the number of a frame", line=line)
     if before and number <= before[-1]:
-        raise unreadable(file, f"frame {number} follows frame {before[-1]}", line=line)
+        raise unreadable_error(file, f"frame {number} follows frame {before[-1]}", line=line)
     return number
 
 
@@ -153,7 +158,7 @@ def _numbers(file: str, line: int, fields: Sequence[str]) -> list[float]:
         return [float(field) if field else np.nan for field in fields]
     except ValueError:
         bad = next(field for field in fields if field and not _is_number(field))
-        raise unreadable(file, f"'{quote(bad)}' is not a number", line=line) from None
+        raise unreadable_error(file, f"'{quote(bad)}' is not a number", line=line) from None
 
 
 def _is_number(text: str) -> bool:
