@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from solver.scans.markers.motion import (
     MOTION,
@@ -79,7 +80,7 @@ class Faults:
     motion: Motion
     usable: Mask  # (f, k) points that are seen and not wrong
     dead: Ints  # markers that are never seen
-    doubles: list[tuple[int, int]] = field(default_factory=list)  # labels of one marker
+    doubles: list[list[int]] = field(default_factory=list)  # labels that are one marker
     halted: float = 0.0  # share of frames that repeat the one before
     moved: dict[int, Span] = field(default_factory=dict)
 
@@ -353,11 +354,13 @@ def _jump(way: Floats, frame: int, step: int) -> float:
     return float(np.linalg.norm(way[frame] - way[other]))
 
 
-def _find_doubles(positions: Floats, options: FaultOptions) -> list[tuple[int, int]]:
-    """Return pairs of labels that lie in one place all the time."""
+def _find_doubles(positions: Floats, options: FaultOptions) -> list[list[int]]:
+    """Return groups of labels that lie in one place all the time."""
     some = positions[:: max(1, len(positions) // 50)]
     apart = np.linalg.norm(some[:, :, None] - some[:, None], axis=3)
     known = np.isfinite(apart)
     near = (known & (apart < options.double)).sum(axis=0)
     is_double = (near > 0.9 * known.sum(axis=0)) & (known.sum(axis=0) > 0)
-    return [(int(a), int(b)) for a, b in np.argwhere(np.triu(is_double, 1))]
+    count, group = connected_components(is_double)
+    groups = [np.flatnonzero(group == each).tolist() for each in range(count)]
+    return [each for each in groups if len(each) > 1]

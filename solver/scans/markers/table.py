@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import IO
 
@@ -18,12 +18,15 @@ from solver.scans.markers.raw_take import (
     choose_rate,
     decode,
     spread_frames,
+    tell,
     truncated_error,
     unreadable_error,
 )
 from solver.surface import Floats
 
 MOST_FRAME = 10**9  # a frame's number
+DROPPED = (2, 4)  # numbers that a timecode leaves out at once
+SAME_STEP = 0.1  # of the time between frames: it passed as between any two
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Table:
     numbers: list[int]
     times: list[float]
     points: Floats
+    findings: tuple[Finding, ...] = ()
 
     def timed_rate(self) -> list[tuple[str, float]]:
         """Return what the times say of the rate in Hz, as :func:`choose_rate` takes it."""
@@ -107,7 +111,7 @@ def read_table(
     check_room(file, len(numbers), len(columns) // 3, options)
     points = np.frombuffer(values).reshape(len(numbers), -1, 3)
     points[~points.any(axis=-1)] = np.nan  # exactly 0, 0, 0
-    return Table(numbers, times, points)
+    return _count_on(file, Table(numbers, times, points))
 
 
 def finish_table(
@@ -122,8 +126,30 @@ def finish_table(
     """Return a table as a take, each frame in its place; ``said`` is what tells its rate in Hz."""
     points, gaps = spread_frames(file, table.numbers, table.points, options)
     rate, rates = choose_rate(file, [*said, *table.timed_rate()], options)
-    every = [*findings, *gaps, *rates]
+    every = [*findings, *table.findings, *gaps, *rates]
     return RawTake(names, points, rate, table.numbers[0], unit, findings=every)
+
+
+def _count_on(file: str, table: Table) -> Table:
+    """Return a table whose frames are counted without what a drop-frame timecode leaves out.
+
+    It leaves out the first two numbers (four beyond 30 Hz) of most minutes, and no time passes.
+    """
+    steps, numbers = np.diff(np.array(table.times)), np.array(table.numbers)
+    left_out = np.diff(numbers) - 1
+    dropped = np.isin(left_out, DROPPED)
+    if not dropped.any() or not np.isfinite(steps).all():
+        return table
+    usual = float(np.median(steps))
+    dropped &= np.abs(steps - usual) < SAME_STEP * usual
+    count = int(dropped.sum())
+    if not count:
+        return table
+    numbers[1:] -= np.cumsum(np.where(dropped, left_out, 0))
+    places = f"{count} places" if count > 1 else "one place"
+    message = f"{file} counts frames by drop-frame timecode, which leaves out numbers at {places}."
+    told = tell("frames", "info", message, file=file, places=count)
+    return replace(table, numbers=numbers.tolist(), findings=(told,))
 
 
 def parse_count(text: str | None) -> int | None:

@@ -213,6 +213,38 @@ def test_three_markers_are_too_few(person: Reference, clean: Floats) -> None:
     assert judge_findings(check.findings) == "bad"
 
 
+def test_labels_of_one_point_are_one_finding(person: Reference, clean: Floats) -> None:
+    points = clean.copy()
+    points[:, 3:] = points[:, :1]
+    check = check_take(made_take(points), person)
+    assert [each.code for each in told(check)] == ["markers.few"]
+    assert told(check)[0].message == "made.c3d has 3 markers of a face; 4 are needed."
+    points[:, 8:] = clean[:, 8:]
+    found = check_take(made_take(points), person).findings
+    (double,) = (each for each in found if each.code == "markers.double")
+    assert double.message.endswith("and others are one marker.")
+    assert len(double.context["labels"]) == 6
+
+
+def test_rest_that_shows_too_little_or_moves_is_told(person: Reference, clean: Floats) -> None:
+    points = clean.copy()
+    points[:150, 20:] = np.nan
+    check = check_take(made_take(points), person, (40, 80))
+    (found,) = told(check)
+    assert found.code == "markers.neutral"
+    assert found.context["stillest"][0] > 100
+    assert len(check.bound.markers) == 20
+    found, *_ = told(check_take(made_take(clean), person, (300, 420)))
+    assert found.code == "markers.neutral"
+    assert "moves" in found.message
+
+
+def test_points_without_any_unit_are_refused_at_once(person: Reference, clean: Floats) -> None:
+    why = Finding("markers.unit", "error", "no unit", "")
+    check = check_take(made_take(1e-9 * clean, findings=(why,)), person)
+    assert check.findings == [why]
+
+
 def test_two_faces_are_told_apart_and_a_body_is_left_out(person: Reference, clean: Floats) -> None:
     others = tuple(f"B_{label}" for label in LABELS)
     both = made_take(
@@ -301,6 +333,21 @@ def test_a_marker_set_tells_what_moved_between_takes(person: Reference, clean: F
     assert [(each.code, each.context["label"]) for each in told(check)] == [
         ("markers.moved", "LCheek")
     ]
+
+
+def test_labels_that_a_marker_set_does_not_have_are_told(person: Reference, clean: Floats) -> None:
+    bound = bind(made_take(clean), small_model()).markers
+    known = replace(person, markers=bound)
+
+    def said(labels: tuple[str, ...]) -> Finding:
+        check = check_take(made_take(clean[:, -len(labels) :], labels), known)
+        (found,) = (each for each in check.findings if each.code == "markers.unlike_set")
+        return found
+
+    assert said(LABELS[5:]).severity == "info"
+    renamed = said(("New", *LABELS[1:]))
+    assert (renamed.severity, renamed.context["new"]) == ("warning", ["New"])
+    assert said(tuple(f"M{number}" for number in range(len(LABELS)))).severity == "error"
 
 
 def test_bound_markers_lie_where_they_were_made(clean: Floats) -> None:

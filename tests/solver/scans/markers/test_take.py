@@ -123,6 +123,23 @@ def test_trc_with_blanks_zeros_and_frames_left_out(tmp_path: Path) -> None:
     assert codes(take) == [("frames", "warning")]
 
 
+def test_drop_frame_numbers_are_no_gaps(tmp_path: Path) -> None:
+    points = face_points(40)
+    content = trc_bytes(points, rate=29.97, first=1780)
+    rows = content.decode().split("\r\n")
+    for number, row in enumerate(rows[6:-1]):
+        frame, rest = row.split("\t", 1)
+        rows[6 + number] = f"{int(frame) + 2 * (int(frame) >= 1800)}\t{rest}"
+    (tmp_path / "a.trc").write_bytes("\r\n".join(rows).encode())
+    take = read_take(tmp_path / "a.trc")
+    assert len(take) == 40
+    assert take.first == 1780
+    np.testing.assert_allclose(take.positions, points, atol=1e-4)
+    (found,) = take.findings
+    assert "drop-frame" in found.message
+    assert take.rate == pytest.approx(29.97)
+
+
 def test_trc_with_blanks_for_tabs(tmp_path: Path) -> None:
     points = np.abs(face_points(4)[[0, 1]])
     content = trc_bytes(points).replace(b"\t", b" ").replace(b"\r\n\r\n", b"\n")
