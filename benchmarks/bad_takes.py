@@ -51,7 +51,7 @@ class BadTake:
         found = [each for each in findings if each.code == self.code]
         if self.names:
             label = take.labels[marker_of(take, self.names)]
-            found = [each for each in found if each.context.get("label") == label]
+            found = [each for each in found if label in _labels_of(each)]
         if len(found) != 1 or self.first is None:
             return len(found) == 1
         context = found[0].context
@@ -61,6 +61,12 @@ class BadTake:
     def others(self, findings: Sequence[Finding]) -> list[Finding]:
         """Return what is told beside it, and is more than a note."""
         return [each for each in findings if each.code != self.code and each.severity != "info"]
+
+
+def _labels_of(finding: Finding) -> list[str]:
+    """Return the labels that a finding is about; a swap is of two."""
+    keys = ["label", "other"] if finding.code == "markers.swapped" else ["label"]
+    return [finding.context[key] for key in keys if key in finding.context]
 
 
 def marker_of(take: Take, names: Names) -> int:

@@ -13,7 +13,6 @@ import json
 import logging
 import os
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks import report
 from benchmarks.bad_takes import BAD_TAKES
 from benchmarks.documents import Figures, Section, Table
+from benchmarks.speed.clock import Stopwatch
 from solver.anatomy.template import Template
 from solver.jobs import run_job
 from solver.registration.locate import face_surface
@@ -97,10 +97,9 @@ def _time_job(template: Template, seconds: int) -> tuple[float, str]:
         folder = Path(name)
         path = folder / "made.trc"
         _write_trc(path, _made_positions(template, seconds * RATE))
-        start = time.perf_counter()
-        run_job("check_markers", folder / "out", markers=path)
-        elapsed = time.perf_counter() - start
-        return elapsed, json.loads((folder / "out" / "check.json").read_text())["verdict"]
+        with Stopwatch() as watch:
+            run_job("check_markers", folder / "out", markers=path)
+        return watch.seconds, json.loads((folder / "out" / "check.json").read_text())["verdict"]
 
 
 def _made_positions(template: Template, frames: int) -> Floats:

@@ -300,8 +300,12 @@ def tell_location(check: MarkerCheck, take: Take, located: Located) -> None:
         message = f"The face looks along {forward}, its top is at {up}."
         add(check, "markers.axes", "info", message, up=up, forward=forward)
     labels = [take.labels[number] for number in check.markers.tolist()]
+    assert check.faults is not None
+    rest = sum(check.figures["neutral"]) // 2 - take.first
+    swaps = [each for each in check.faults.of("swapped") if each.first <= rest <= each.last]
     for a, b in located.exchanged:
-        tell_exchanged(check, labels[a], labels[b])
+        if not any((each.marker, each.other) == (a, b) for each in swaps):  # told already
+            tell_exchanged(check, labels[a], labels[b])
 
 
 def tell_exchanged(check: MarkerCheck, first: str, second: str) -> None:

@@ -11,6 +11,7 @@ import { StageBox } from "./stage_box.js";
 
 const COLOURS = { face: "#12a37b", head: "#c98a12", upper_teeth: "#2f6fe0", lower_teeth: "#9256d6", ignore: "#8b9298" };
 const CHOSEN = "#d6453d";
+const CHOSEN_SIZE = 1.5;
 const STEP_MM = 1;
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 const HINT = "Drag a dot along the skin, or choose a label and move it by Alt and the arrow keys. The arrow goes back to where the marker was in the take.";
@@ -22,7 +23,7 @@ export class BindingPage {
   #solids;
   #save;
   #chosen = 0;
-  #box = new StageBox("The face with its markers");
+  #box = new StageBox("The face with its markers", { expressions: false });
   #rows;
   #told = h("p", { class: "fine", role: "status" });
   #count = h("p", {});
@@ -66,6 +67,7 @@ export class BindingPage {
 
   #row(marker, k) {
     const name = h("input", {
+      type: "text",
       value: marker.label, "aria-label": `Label ${marker.label}`, autocomplete: "off", spellcheck: "false",
       onfocus: () => this.#choose(k),
       onchange: () => this.#rename(k, name),
@@ -141,7 +143,7 @@ export class BindingPage {
     const places = new Float32Array(markers.flatMap((each) => this.#set.placeOf(each)));
     const off = new Float32Array(markers.flatMap((_, k) => this.#set.seen(k).map((each, d) => each - places[3 * k + d])));
     const colours = markers.map(({ part }, k) => (k === this.#chosen ? CHOSEN : COLOURS[part]));
-    this.#solids.set(places, off, colours);
+    this.#solids.set(places, off, colours, { sizes: markers.map((_, k) => (k === this.#chosen ? CHOSEN_SIZE : 1)) });
     markers.forEach(({ part }, k) => {
       const row = this.#rows[k];
       row.part.value = part;

@@ -11,7 +11,7 @@ export const STATES = {
   relabelled: { title: "other label", colour: "#9256d6" },
 };
 
-const RADIUS_MM = 1.7;
+const RADIUS_MM = 2;
 const ARROW_MM = 0.75; // half its width at the root
 const LEAST_MM = 1e-3; // no arrow is shorter
 const G = (1 + Math.sqrt(5)) / 2;
@@ -47,14 +47,14 @@ export class MarkerSolids {
   /**
    * Place the markers; `places` and `off` are flat x, y, z in mm, `colours` are CSS, one a marker.
    *
-   * Arrows are `times` as long as `off`, which may be NaN where there is none, or null.
+   * Arrows are `times` as long as `off`, which may be NaN where there is none; `sizes` of dots are 1 by default.
    */
-  set(places, off, colours, times = 1) {
+  set(places, off, colours, { times = 1, sizes = [] } = {}) {
     for (let k = 0; k < colours.length; k++) {
       const at = places.slice(3 * k, 3 * k + 3);
       const colour = new Color(colours[k]);
-      this.#dots.set(k, CORNERS.map((corner) => corner.map((each, d) => each + at[d])), colour);
-      const way = off ? Array.from(off.slice(3 * k, 3 * k + 3), (each) => times * each) : [NaN];
+      this.#dots.set(k, CORNERS.map((corner) => corner.map((each, d) => (sizes[k] ?? 1) * each + at[d])), colour);
+      const way = Array.from(off.slice(3 * k, 3 * k + 3), (each) => times * each);
       this.#arrows.set(k, spike(at, way), colour);
     }
     this.#dots.update();

@@ -178,7 +178,7 @@ export class RigPage extends EventTarget {
     }
     const { frame } = this.state.take;
     const colours = markers.labels.map((_, k) => STATES[markers.state(frame, k)].colour);
-    this.#solids.set(markers.places(frame), markers.off(frame), colours, ARROWS);
+    this.#solids.set(markers.places(frame), markers.off(frame), colours, { times: ARROWS });
   }
 
   /** Show the scan of the same blend of expressions; there is none of muscles and frames. */

@@ -230,14 +230,14 @@ class SubjectView {
       element: h(
         "tr",
         {},
-        h("th", { scope: "row" }, name, about),
+        h("th", { scope: "row", class: "tight" }, name, about),
         h("td", { class: "tight" }, verdictOf(rig) ?? "not judged"),
         h("td", {}, rig.expressions.join(", ")),
         h("td", { class: "tight" }, error === null ? "" : `${figure(error)} mm`),
         h("td", { class: "tight" }, when(rig.created_at)),
         h(
           "td",
-          { class: "tight" },
+          {},
           h(
             "div",
             { class: "row end" },
