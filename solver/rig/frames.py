@@ -383,11 +383,15 @@ def _write_table(
         entries = list(muscles)
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
-        rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries])
+        spread = [f"{name}.sd" for name in (*entries, *jaw)] if isinstance(frames[0], MarkerFrame) else []
+        rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries, *spread])
         for frame in frames:
             values = [*frame.jaw, *frame.head, *frame.activations.ravel()]
+            if isinstance(frame, MarkerFrame):
+                values += [*frame.sd]
             error = "" if frame.mean_mm is None else f"{frame.mean_mm:.4f}"
             rows.writerow(
                 [frame.frame, f"{frame.frame / fps:.4f}", frame.status, error]
                 + [f"{value:.6f}" for value in values]
             )
+

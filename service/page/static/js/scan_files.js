@@ -13,7 +13,7 @@ const [NEW_LINE, V, BLANK, TAB] = [..."\nv \t"].map((letter) => letter.charCodeA
 const LEGAL = /^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/;
 
 /** Roles of what is checked and registered by nobody. */
-export const NO_SCANS = ["performance", "asset"];
+export const NO_SCANS = ["performance", "markers", "asset"];
 
 /** What the API takes as a name. */
 export const NAME = "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}";
