@@ -265,7 +265,8 @@ def exaggerated(
     for factor in FACTORS:
         face = with_fibres(plain, own.scaled(float(factor)))
         for name, pose in poses.items():
-            potentials = contact_potentials(model, plain.flesh.material.mu)
+            # as scenes have it: what presses harder meets what is firmer
+            potentials = contact_potentials(model, factor * plain.flesh.material.mu)
             density = np.full(len(model.tets), 1e-3)
             simulator = Simulator(face, potentials, [], dynamic=False, density=density)
             found[str(factor)][name] = _played(face, simulator, gauge, pose, steps)

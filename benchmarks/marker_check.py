@@ -157,7 +157,9 @@ def section(figures: Figures) -> Section:
         "false_beside": "told beside a planted fault",
     }
     takes = check["takes"]
-    rows = [[name, *(found.get(take) for take in takes)] for name, found in figures["faults"].items()]
+    rows = [
+        [name, *(found.get(take) for take in takes)] for name, found in figures["faults"].items()
+    ]
     return Section(
         title="The check of markers",
         compared="Real takes of one man's face (40 markers, 60 Hz), which have nothing wrong, as "

@@ -35,7 +35,8 @@ def run(task: Task[Simulate]) -> list[Path]:
     fibres = moving_fibres(given.scene, performances, known)
     names = None if fibres is None else strip_names(rig.model.muscle_names, fibres)
     drives = drives_of(given.scene, poses, rig.model, rig.weights, performances, names)
-    stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver, fibres)
+    firmer = 1.0 if performances is None else max(float(performances.curve.max()), 1.0)
+    stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver, fibres, firmer)
     played = performances.performances if performances else ()
     more = {
         "performances": [

@@ -383,7 +383,11 @@ def _write_table(
         entries = list(muscles)
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
-        spread = [f"{name}.sd" for name in (*entries, *jaw)] if isinstance(frames[0], MarkerFrame) else []
+        spread = (
+            [f"{name}.sd" for name in (*entries, *jaw)]
+            if isinstance(frames[0], MarkerFrame)
+            else []
+        )
         rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries, *spread])
         for frame in frames:
             values = [*frame.jaw, *frame.head, *frame.activations.ravel()]
@@ -394,4 +398,3 @@ def _write_table(
                 [frame.frame, f"{frame.frame / fps:.4f}", frame.status, error]
                 + [f"{value:.6f}" for value in values]
             )
-

@@ -81,11 +81,14 @@ class Physics:
     """Flesh of a ``scene``, and what it meets, as its document says.
 
     Where ``fibres`` move it, strengths over the flesh's mu, it is of the law that they are
-    calibrated in, unless the document says another.
+    calibrated in, unless the document says another. Contact is ``firmer`` by what muscles press
+    harder: what is pressed into teeth goes by their ratio.
     """
 
-    def __init__(self, scene: scenes.FleshEntry, fibres: FibreMuscles | None = None) -> None:
-        self._scene, self._fibres = scene, fibres
+    def __init__(
+        self, scene: scenes.FleshEntry, fibres: FibreMuscles | None = None, firmer: float = 1.0
+    ) -> None:
+        self._scene, self._fibres, self._firmer = scene, fibres, firmer
         given = scene.material
         own = fibres is not None and "law" not in given.model_fields_set
         law = MOONEY_RIVLIN if own else LAWS[given.law]
@@ -112,7 +115,7 @@ class Physics:
         contact = self._scene.contact
         return contact_potentials(
             edited.model,
-            self._material.mu,
+            self._material.mu * self._firmer,
             unedited=edited.unedited,
             lips=contact.lips,
             teeth=contact.teeth,
@@ -131,18 +134,22 @@ class Physics:
         return np.ascontiguousarray(S @ np.vstack([IDENTITY, a]))
 
 
-def even_weights(model: SubjectModel) -> sp.csr_array:
-    """Return weights of the pattern of S, alike in a tet, by which edits of muscles are told."""
+def whole_weights(model: SubjectModel, least: float = 1e-6) -> sp.csr_array:
+    """Return the model's weights with a ``least`` part of each muscle of their pattern.
+
+    What edits of muscles multiply can then be told, also where a model has none of a muscle.
+    """
     S = model.weights
-    each = 1.0 / np.diff(S.indptr)
-    return sp.csr_array((np.repeat(each, np.diff(S.indptr)), S.indices, S.indptr), shape=S.shape)
+    count = np.diff(S.indptr)
+    even = np.repeat(1.0 / count, count)
+    return sp.csr_array((S.data + least * (even - S.data), S.indices, S.indptr), shape=S.shape)
 
 
 def _weakened(fibres: FibreMuscles, edited: Edited) -> FibreMuscles:
-    """Return fibre muscles with what edits leave of them, by :func:`even_weights`."""
-    even = even_weights(edited.model)
-    left = even.copy()
-    left.data = edited.S.data / even.data
+    """Return fibre muscles with what edits leave of them, by :func:`whole_weights`."""
+    whole = whole_weights(edited.unedited)
+    left = whole.copy()
+    left.data = edited.S.data / whole.data
     columns = fibres.sources[fibres.muscles] + 1
     kept = np.asarray(left.tocsr()[fibres.tets, columns]).ravel()
     return replace(fibres, fractions=fibres.fractions * kept)
@@ -165,8 +172,9 @@ class Stage:
     """A person with the S (n, m + 1) in a scene, or with ``fibres`` that the ``drives`` are of.
 
     ``drives`` say what the face does; ``linear`` names the linear solver; ``objects`` are what the
-    face meets, ``muscles`` what moves it. Raises :class:`~solver.errors.InputError` (``scene.*``,
-    ``force.point``, ``contact.crossed``) for what the person does not have or cannot be.
+    face meets, ``muscles`` what moves it; contact is ``firmer`` by a factor. Raises
+    :class:`~solver.errors.InputError` (``scene.*``, ``force.point``, ``contact.crossed``) for what
+    the person does not have or cannot be.
     """
 
     def __init__(
@@ -177,13 +185,14 @@ class Stage:
         drives: Drives,
         linear: str | None = None,
         fibres: FibreMuscles | None = None,
+        firmer: float = 1.0,
     ) -> None:
         check_length(len(drives.times))
         self.drives = drives
-        self._physics = Physics(scene, fibres)
+        self._physics = Physics(scene, fibres, firmer)
         edits = [edit_of(entry, places) for entry in scene.edits]
         self._edited = apply(
-            edits, places.model, S if fibres is None else even_weights(places.model)
+            edits, places.model, S if fibres is None else whole_weights(places.model)
         )
         muscles = places.model.muscle_names
         self.muscles = muscles if fibres is None else strip_names(muscles, fibres)

@@ -285,11 +285,7 @@ def _off_places(
 
 
 def _tell_unlike_set(
-    check: MarkerCheck,
-    markers: MarkerSet,
-    labels: Sequence[str],
-    known: int,
-    limits: CheckLimits,
+    check: MarkerCheck, markers: MarkerSet, labels: Sequence[str], known: int, limits: CheckLimits
 ) -> None:
     """Tell which labels only the take has, and which only the marker set."""
     used = [each.label for each in markers.markers if each.part != "ignore"]
