@@ -416,7 +416,8 @@ def _random_pose(
 def section(figures: Figures) -> Section:
     """Return the section of docs/science/benchmarks.md."""
     parts = []
-    if fibre := figures.get("fibre"):
+    fibre = figures.get("fibre", {})
+    if "train_mm" in fibre:
         kinds = {"neutral face": "neutral", "template's": "uncalibrated", "six numbers": "blended"}
         rows = [
             [word, *(fibre[key][k] for k in ("train_mm", "unseen_mm"))]
