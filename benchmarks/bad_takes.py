@@ -176,7 +176,7 @@ def _gone(points: Floats, _: At) -> None:
 
 
 def _two_faces(take: Take) -> Take:
-    beside = take.positions + [600.0, 0.0, 0.0]
+    beside = take.positions + np.array([600.0, 0.0, 0.0])
     labels = (*take.labels, *(f"B_{label}" for label in take.labels))
     return replace(take, positions=np.concatenate([take.positions, beside], axis=1), labels=labels)
 

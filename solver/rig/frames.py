@@ -381,7 +381,11 @@ def _write_table(
     entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
-        spread = [f"{name}.sd" for name in (*entries, *jaw)] if isinstance(frames[0], MarkerFrame) else []
+        spread = (
+            [f"{name}.sd" for name in (*entries, *jaw)]
+            if isinstance(frames[0], MarkerFrame)
+            else []
+        )
         rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries, *spread])
         for frame in frames:
             values = [*frame.jaw, *frame.head, *frame.activations.ravel()]
@@ -392,4 +396,3 @@ def _write_table(
                 [frame.frame, f"{frame.frame / fps:.4f}", frame.status, error]
                 + [f"{value:.6f}" for value in values]
             )
-

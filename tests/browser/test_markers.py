@@ -59,7 +59,9 @@ def test_a_marker_is_dragged_renamed_and_the_set_saved(
     by_keys = np.array(page.evaluate("Array.from(window.placed.places)")).reshape(-1, 3)
     places = _places(place)
     assert 0.3 < np.linalg.norm(by_keys[5] - places[5]) < 2.0
-    np.testing.assert_allclose(np.delete(by_keys, 5, axis=0), np.delete(places, 5, axis=0), atol=1e-3)
+    np.testing.assert_allclose(
+        np.delete(by_keys, 5, axis=0), np.delete(places, 5, axis=0), atol=1e-3
+    )
 
     page.screenshot(path="/tmp/n-page/binding-before.png")
     x, y = _on_canvas(page, place.sample.neutral.vertices, by_keys[2])

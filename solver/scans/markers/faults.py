@@ -241,7 +241,9 @@ def _find_exchanged(
         mask[np.concatenate(lists)] = True
         for first, last in runs(mask, options.bridged):
             came, went = _jumps(residuals[:, a], first, last)
-            is_sudden = bool(np.fmax(came, went) > options.jump(rate)) or np.isnan([came, went]).all()
+            is_sudden = (
+                bool(np.fmax(came, went) > options.jump(rate)) or np.isnan([came, went]).all()
+            )
             if fault == "relabelled" and not is_sudden:
                 taken[first : last + 1, a] = False
                 continue

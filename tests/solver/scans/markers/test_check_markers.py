@@ -59,9 +59,7 @@ def test_a_clean_take_is_good(person: Reference, clean: Floats) -> None:
 
 
 @pytest.mark.parametrize("fault", sorted(BAD_TAKES))
-def test_a_planted_fault_is_found_where_it_is(
-    person: Reference, clean: Floats, fault: str
-) -> None:
+def test_a_planted_fault_is_found_where_it_is(person: Reference, clean: Floats, fault: str) -> None:
     bad, take = BAD_TAKES[fault], made_take(clean)
     findings = check_take(bad.spoil(take), person).findings
     assert bad.is_found(take, findings), [each.message for each in findings]
