@@ -66,7 +66,7 @@ def test_a_take_is_checked_bound_and_fitted_as_documented(
 @pytest.mark.parametrize(
     ("content", "verdict", "code"),
     [
-        (b"\x02P" + bytes(600), "bad", "markers.unreadable"),
+        (b"hello" * 200, "bad", "markers.unreadable"),
         (b"PathFileType\t4\t(X/Y/Z)\ta.trc\n", "bad", "markers.truncated"),
     ],
 )
