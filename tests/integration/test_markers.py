@@ -21,6 +21,7 @@ from solver.fitting.face import Face
 from solver.rig.rig import ExpressionFit, Rig
 from tests.browser.rig_place import put_rig
 from tests.fixtures import small_capture, small_model
+from tests.servers.production import Production
 from tests.service_client import served
 from tests.solver.scans.markers.made_take import LABELS, made_positions
 from tests.take_files import c3d_bytes
@@ -32,7 +33,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+def session(
+    parts: Production | None, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[dict[str, Any]]:
     """A running service with a person's rig."""
     folder = tmp_path_factory.mktemp("rig")
     settings = Settings(data_dir=tmp_path_factory.mktemp("stack"), port=0)
