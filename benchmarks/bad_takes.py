@@ -15,6 +15,8 @@ from solver.errors import Finding
 from solver.scans.markers.take import Take
 from solver.surface import Floats
 
+# A filling is told by the noise that it lacks. The real takes were filtered: they lack it all over.
+NOISE_MM = 0.05
 SLACK = 2  # frames by which a fault may be found beside where it begins
 
 # markers by their names in the takes that are spoilt
@@ -74,9 +76,12 @@ def marker_of(take: Take, names: Names) -> int:
     return next(take.labels.index(name) for name in names if name in take.labels)
 
 
-def _planted(code: str, plant: Plant, names: Names = (), first: int | None = None) -> BadTake:
+def _planted(
+    code: str, plant: Plant, names: Names = (), first: int | None = None, noise_mm: float = 0.0
+) -> BadTake:
     def spoil(take: Take) -> Take:
-        positions = take.positions.copy()
+        noise = np.random.default_rng(0).normal(0.0, noise_mm, take.positions.shape)
+        positions = take.positions + noise
         plant(positions, lambda wanted: marker_of(take, wanted))
         return replace(take, positions=positions)
 
@@ -176,7 +181,7 @@ def _gone(points: Floats, _: At) -> None:
 
 
 def _two_faces(take: Take) -> Take:
-    beside = take.positions + [600.0, 0.0, 0.0]
+    beside = take.positions + np.array([600.0, 0.0, 0.0])
     labels = (*take.labels, *(f"B_{label}" for label in take.labels))
     return replace(take, positions=np.concatenate([take.positions, beside], axis=1), labels=labels)
 
@@ -184,8 +189,8 @@ def _two_faces(take: Take) -> Take:
 BAD_TAKES: dict[str, BadTake] = {
     "a marker is dead": _planted("dead", _dead),
     "frozen": _planted("frozen", _frozen, CHEEK, 401),
-    "filled by a spline": _planted("filled", _spline, BESIDE_CHIN, 500),
-    "filled by a line": _planted("filled", _line, BESIDE_CHIN, 500),
+    "filled by a spline": _planted("filled", _spline, BESIDE_CHIN, 500, NOISE_MM),
+    "filled by a line": _planted("filled", _line, BESIDE_CHIN, 500, NOISE_MM),
     "a long gap": _planted("missing", _long_gap, CHIN, 200),
     "swapped for 0.2 s": _planted("swapped", _swap_in_brief, UPPER, 700),
     "swapped for 1 s": _planted("swapped", _swap_for_a_second, BROW_INSIDE, 500),

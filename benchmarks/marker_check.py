@@ -26,7 +26,7 @@ from solver.anatomy.template import Template
 from solver.jobs import run_job
 from solver.registration.locate import face_surface
 from solver.scans.markers.check import Reference, check_take
-from solver.scans.markers.take import Take, read_take
+from solver.scans.markers.take import read_take
 from solver.surface import Floats, vertex_normals
 from solver.templates.builtin.build import builtin_template
 
@@ -116,7 +116,7 @@ def _made_positions(template: Template, frames: int) -> Floats:
     face = rest + np.einsum("fs,skd->fkd", weights, shapes)
     angles = moving[:, None] * TURN_DEG * np.sin(np.outer(time_, [0.9, 0.5, 0.7]))
     turns = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
-    moved = np.einsum("fij,fkj->fki", turns, face) + [120.0, 900.0, 60.0]
+    moved = np.einsum("fij,fkj->fki", turns, face) + np.array([120.0, 900.0, 60.0])
     return np.asarray(moved + NOISE_MM * rng.standard_normal(moved.shape))
 
 

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from solver.anatomy.template import Template
-from solver.errors import Finding, InputError, judge_findings
+from solver.errors import Finding, InputError, judge_findings, quote
+from solver.fitting import prior
+from solver.fitting.face import Face, Pose
+from solver.fitting.markers.reach import reach
+from solver.fitting.prior import GaussianPrior
 from solver.jobs import Task
 from solver.kinds.check_markers import CheckMarkers
+from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.progress import Step
 from solver.registration.locate import face_surface
-from solver.scans.markers.bind import frames_about, model_face
+from solver.rig.rig import ExpressionFit, Rig
+from solver.scans.markers.bind import frames_about, model_face, rest_places
 from solver.scans.markers.check import Reference, check_take
-from solver.scans.markers.findings import ADVICE, MarkerCheck
+from solver.scans.markers.findings import ADVICE, MarkerCheck, add
 from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.picture import check_picture
 from solver.scans.markers.take import read_take
@@ -43,6 +52,9 @@ def run(task: Task[CheckMarkers]) -> list[Path]:
     except InputError as error:
         advice = ADVICE.get(error.code, ADVICE["markers.unreadable"])
         found = MarkerCheck([Finding(error.code, "error", error.message, advice, error.context)])
+    if "rig" in task.inputs and found.bound is not None:
+        progress(Step("muscles", 0.5))
+        _tell_reach(task, found)
     judged = judge_findings(found.findings)
     progress(Step("pictures", 0.8))
     files = [task.out / "check.json", task.out / "check.png"]
@@ -68,6 +80,63 @@ def _reference(task: Task[CheckMarkers]) -> Reference:
     if "rig" in files or "model" in files:
         model = SubjectModel.load(files.get("model", files.get("rig", Path())))
         markers = MarkerSet.load(files["marker_set"]) if "marker_set" in files else None
-        return Reference(model_face(model), model.sha256, markers)
+        face, shown = model_face(model), task.options.expression
+        if shown is not None:
+            fit = _expression(task, shown)
+            face = face.moved(fit.skin)
+            return Reference(face, model.sha256, markers, (model.jaw, fit.jaw))
+        return Reference(face, model.sha256, markers)
     given = files.get("template")
     return Reference(face_surface(builtin_template() if given is None else Template.load(given)))
+
+
+def _expression(task: Task[CheckMarkers], name: str) -> ExpressionFit:
+    """Return an expression of the rig; raises ``markers.expression`` if it has none of the name."""
+    known = {fit.name: fit for fit in Rig.load(task.inputs).expressions}
+    if name not in known:
+        message = f"the rig has no expression {quote(name)}"
+        raise InputError("markers.expression", message, expected=sorted(known), found=quote(name))
+    return known[name]
+
+
+def _tell_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
+    """Add what the markers tell of the rig's muscles, and where one more would help most."""
+    assert check.bound is not None
+    rig = Rig.load(task.inputs)
+    face = Face(rig.model, rig.weights, linear=fastest())
+    markers = [each for each in check.bound.markers if each.part != "ignore"]
+    found = reach(face, markers, _prior(task, rig, face))
+    names = rig.model.muscle_names
+    known = rest_places(replace(check.bound, markers=tuple(markers)), rig.model.skin)
+    check.figures |= {"muscles": len(names), "muscles_told": found.told}
+    words = f"{len(markers)} markers tell of {found.told} of {len(names)} muscles"
+    told = {
+        name: round(float(each), 3) for name, each in zip(names, found.information, strict=True)
+    }
+    further = []
+    for each in found.further:
+        away = np.linalg.norm(known - each.place, axis=1)
+        nearest = int(np.nanargmin(away))
+        further.append(
+            {
+                "place_mm": each.place.round(1).tolist(),
+                "gain": round(each.gain, 3),
+                "beside": quote(markers[nearest].label),
+                "beside_mm": round(float(away[nearest]), 1),
+                "muscles": [names[muscle] for muscle in each.muscles],
+            }
+        )
+    first = further[0]
+    where = f"{first['beside_mm']:.0f} mm beside {first['beside']}"
+    message = f"{words}; one more would help most {where}: {' and '.join(first['muscles'])}."
+    add(check, "markers.reach", "info", message, information=told, further=further)
+
+
+def _prior(task: Task[CheckMarkers], rig: Rig, face: Face) -> GaussianPrior:
+    """Return the prior of the template's shapes, or of the rig's expressions."""
+    given = task.inputs.get("template")
+    shapes = (builtin_template() if given is None else Template.load(given)).shapes
+    if shapes is not None and shapes.expressions.shape[1] == len(face.model.skin.vertices):
+        return prior.from_shapes(face, shapes.expressions)
+    poses = [Pose(each.activations, each.jaw).vector() for each in rig.expressions]
+    return prior.from_changes(face.layout, [pose - face.layout.rest for pose in poses], prior.LOOSE)

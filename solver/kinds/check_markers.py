@@ -15,6 +15,13 @@ class CheckMarkers(JobOptions):
         description="frame, as the file counts, at which the face is at rest; null: the stillest "
         "second",
     )
+    expression: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=64,
+        description="expression of the rig that the face shows in these frames; null: it is at "
+        "rest",
+    )
     actor: bool = Field(
         default=False,
         description="the take is another person's than the rig, whose motion is carried over",

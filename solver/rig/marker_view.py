@@ -49,7 +49,7 @@ class MarkerView:
             "status": [frame.status for frame in self._frames],
             "fps": fps,
         }
-        arrays = {
+        arrays: dict[str, np.ndarray] = {
             "places": np.array(self._places, np.float32),
             "off": np.array(self._off, np.float32).astype(np.float16),
             "state": states.astype(np.uint8),

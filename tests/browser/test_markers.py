@@ -63,7 +63,6 @@ def test_a_marker_is_dragged_renamed_and_the_set_saved(
         np.delete(by_keys, 5, axis=0), np.delete(places, 5, axis=0), atol=1e-3
     )
 
-    page.screenshot(path="/tmp/n-page/binding-before.png")
     x, y = _on_canvas(page, place.sample.neutral.vertices, by_keys[2])
     page.mouse.move(x, y)
     page.mouse.down()
@@ -81,13 +80,11 @@ def test_a_marker_is_dragged_renamed_and_the_set_saved(
     page.get_by_text("Another marker is called Chin.").wait_for()
     page.get_by_label("Label M09").fill("M09")
     page.get_by_label("What M11 rides on").select_option("head")
-    page.screenshot(path="/tmp/n-page/binding.png")
     sent: list[bytes] = []
     page.on("request", lambda each: each.method == "PATCH" and sent.append(each.post_data_buffer))
     page.get_by_role("button", name="Save the marker set").click()
     page.get_by_text("The marker set is saved as").wait_for()
     page.get_by_text("Marker set", exact=True).wait_for()
-    page.screenshot(path="/tmp/n-page/subject.png")
     found = json.loads(sent[0])
     assert MarkerSet.from_document(found).labels[7] == "Chin"
     entries = {each["label"]: each for each in found["markers"]}
@@ -112,8 +109,6 @@ def test_a_take_of_markers_plays_with_its_lanes(place: Place, look: Callable[[st
     held = page.get_by_role("list", name="Held muscles").get_by_role("listitem")
     assert "Risorius l" in held.nth(0).inner_text()
     page.get_by_text("2 muscles are never held.").wait_for()
-    page.wait_for_timeout(500)
-    page.screenshot(path="/tmp/n-page/player.png")
     box = rows.nth(0).locator("canvas").bounding_box()
     page.mouse.click(box["x"] + 0.8 * box["width"], box["y"] + box["height"] / 2)
     until(lambda: f"{place.marked}:7" in page.evaluate("location.search"))

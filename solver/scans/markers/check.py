@@ -7,7 +7,7 @@ what to do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import connected_components
 
 from solver.errors import Severity, quote, quote_names
+from solver.mechanics.boundary import jaw_rotation
+from solver.model import JawFrame
 from solver.scans.markers.bind import (
     USUAL_RATE,
     count_tracks,
@@ -40,7 +42,7 @@ from solver.scans.markers.findings import (
     tell_unlabelled,
 )
 from solver.scans.markers.locate import locate
-from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.scans.markers.motion import Mask
 from solver.scans.markers.names import LOWER, Named, read_names
 from solver.scans.markers.take import Take
@@ -55,6 +57,7 @@ class Reference:
     face: Surface
     model_sha256: str = ""  # of the person's model; empty for a face that is nobody's
     markers: MarkerSet | None = None
+    jaw: tuple[JawFrame, Floats] | None = None  # and its b (5,), if the face shows an expression
 
 
 def check_take(
@@ -109,6 +112,8 @@ def check_take(
         labels = [take.labels[number] for number in check.markers.tolist()]
         _tell_person(check, take, reference, labels, on_face, actor=actor, limits=limits)
         markers = place_markers(labels, on_face, check.placed, reference.face)
+        if reference.jaw is not None:
+            markers = tuple(_close_jaw(each, *reference.jaw) for each in markers)
         check.bound = MarkerSet(markers, located.session, reference.model_sha256)
     return check
 
@@ -243,6 +248,15 @@ def _tell_person(
         severity: Severity = "info" if actor else "error"
         figures = {"found": round(_rms(off), 2), "expected": limits.person}
         add(check, "markers.other_person", severity, message, **figures)
+
+
+def _close_jaw(marker: Marker, frame: JawFrame, b: Floats) -> Marker:
+    """Return a marker with the place that it has at rest, if it rides on the mandible."""
+    if marker.part != "lower_teeth" or marker.place_mm is None:
+        return marker
+    moved = np.asarray(marker.place_mm) - frame.origin - b[2:] @ frame.axes
+    x, y, z = (frame.origin + jaw_rotation(frame, b).T @ moved).tolist()
+    return replace(marker, place_mm=(x, y, z))
 
 
 def _off_places(

@@ -41,6 +41,7 @@ class FaultOptions:
     neighbours: int = 6  # that a marker may be swapped with ...
     apart: tuple[float, float] = (4.0, 70.0)  # ... if they lie so far from it
     near: float = 0.4  # of the way to another's place: it lies there ...
+    less_near: float = 0.8  # the same, where exchanging two gains what it does of exact places
     reach: float = 6.0  # ... if it is so near to it
     ghost: float = 8.0  # off, between two gaps, is another thing
     block: float = 0.25  # whose median shows where a marker sits
@@ -224,7 +225,9 @@ def _find_exchanged(
         ]
         apart = np.linalg.norm(expected[:, a] - expected[:, b], axis=1)
         gain = off[frames, a] ** 2 + off[frames, b] ** 2 - crossed[0] ** 2 - crossed[1] ** 2
-        close = np.maximum(*crossed) < np.maximum(options.near * apart, options.wrong)
+        worse = np.maximum(*crossed)
+        close = worse < np.maximum(options.near * apart, options.wrong)
+        close |= (worse < options.less_near * apart) & (gain > 2.0 * apart**2)
         swapped = frames[(gain > apart**2) & close & (apart > options.apart[0])]
         taken[swapped, a] = taken[swapped, b] = True
         found[a, b, "swapped"] = found[b, a, "swapped"] = [swapped]

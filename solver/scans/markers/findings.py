@@ -30,6 +30,7 @@ ADVICE = {
     "markers.sides": "Left is the person's own left: exchange the sides of the labels.",
     "markers.outside": "Nothing to do: these labels are left out.",
     "markers.unlabelled": "Label these tracks as the message says, or go on: they are candidates.",
+    "markers.reach": "Put the next marker there, if there is one to spare.",
     "markers.few": f"Put more markers on the face: {WHERE}.",
     # single labels
     "markers.dead": "Nothing to do: the label is left out.",

@@ -5,14 +5,19 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from myoface.cli.markers import markers
+from solver.errors import InputError
+from solver.fitting.face import Face
 from solver.jobs import run_job
+from solver.rig.rig import ExpressionFit, Rig
+from solver.scans.markers.bind import rest_places
 from solver.scans.markers.marker_set import MarkerSet
-from tests.fixtures import small_model
-from tests.solver.scans.markers.made_take import LABELS, made_positions
+from tests.fixtures import small_capture, small_model
+from tests.solver.scans.markers.made_take import LABELS, made_positions, made_take, on_skin
 from tests.take_files import c3d_bytes
 
 
@@ -38,6 +43,33 @@ def test_a_take_is_checked_against_a_person_and_against_nobody(tmp_path: Path, t
     files = {"markers": take, "model": model, "marker_set": bound}
     report, *_ = run_job("check_markers", tmp_path / "set", options={"neutral": 40}, **files)
     assert json.loads(report.read_text())["verdict"] == "good"
+
+
+def test_a_take_without_rest_is_bound_in_an_expression(tmp_path: Path) -> None:
+    model, face = small_model(), small_capture("ah")
+    at_rest, none = Face(model).rest_pose(), np.zeros(len(face.vertices))
+    skin = face.vertices, model.skin.vertices, none
+    opened = ExpressionFit("ah", "train", at_rest.a, at_rest.b, *skin, 0, 1, 0.0, 0.0)
+    rig, take = tmp_path / "rig.npz", tmp_path / "open.npz"
+    Rig(model, model.weights, (opened,)).save(rig)
+    noise = 0.1 * np.random.default_rng(0).normal(size=(200, len(LABELS), 3))
+    made_take(on_skin("ah") + noise).save(take)
+    files = {"markers": take, "rig": rig}
+    report, *_ = run_job("check_markers", tmp_path / "rest", **files)
+    assert json.loads(report.read_text())["findings"][0]["code"] == "markers.neutral"
+    report, _, bound = run_job(
+        "check_markers", tmp_path / "ah", options={"expression": "ah"}, **files
+    )
+    (reach,) = json.loads(report.read_text())["findings"]
+    assert reach["code"] == "markers.reach"
+    information = np.array([*reach["information"].values()])
+    assert ((information >= 0.0) & (information <= 1.0)).all()
+    assert reach["further"][0]["gain"] > 0.0
+    markers = MarkerSet.load(bound)
+    places = rest_places(markers, model.skin)
+    assert np.median(np.linalg.norm(places - on_skin("neutral"), axis=1)) < 0.5
+    with pytest.raises(InputError, match="no expression kiss"):
+        run_job("check_markers", tmp_path / "kiss", options={"expression": "kiss"}, **files)
 
 
 @pytest.mark.parametrize("content", [b"", b"PathFileType\t4", b"\x02P" + bytes(600)])
