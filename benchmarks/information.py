@@ -11,7 +11,8 @@ A draw is seven fits of S: ten draws of three subjects take an hour with ``--coa
 ``identifiable``: the part of the muscles whose information by a set of markers is above a half, by
 fibre muscles calibrated to the capture set's training scans with activations of prior sd 0.3, and
 markers of 0.5 mm as :mod:`benchmarks.markers` places them, linearised at rest. ``greedy_K`` has
-each marker where it helps most; ``uncalibrated_K`` are muscles of 90 kPa each. Worst subject.
+each marker where it helps most; ``uncalibrated_K`` are muscles of 90 kPa with the person's S, and
+``template_K`` the same with the template's. Worst subject.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ def run(options: argparse.Namespace) -> Figures:
     for name, model, captures in subjects.each(options, options.subjects.split(","), edge):
         face = Face(model)
         trained = {name: scan.vertices[model.face] for name, scan in captures.train.items()}
-        people[name] = identifiable(face, trained, rounds)
+        people[name] = measure_identifiability(face, trained, rounds)
         log.info("%s: %s", name, people[name])
         targets = library_targets(model, shapes)
         goals = {shape: sides["both"] for shape, sides in targets.items()}
@@ -177,17 +178,20 @@ def fit_unseen(
     return float(np.mean(errors)), found
 
 
-def identifiable(face: Face, scans: Mapping[str, Floats], rounds: int) -> Figures:
+def measure_identifiability(face: Face, scans: Mapping[str, Floats], rounds: int) -> Figures:
     """Return the part of the muscles that markers determine, calibrated to scans (k, 3) or not."""
     S, _ = fit_geometry(face, scans, rounds)
-    plain = Face(face.model, S, material=MOONEY_RIVLIN)
+    template = Face(face.model, material=MOONEY_RIVLIN)
+    plain = template.with_weights(S)
     targets = {name: Target.from_points(points) for name, points in scans.items()}
-    calibrated = calibrate(plain, distances(plain, targets)).face
-    found = determined(with_fibres(plain, fibre_muscles(plain)))
-    return determined(calibrated) | {f"uncalibrated_{key}": part for key, part in found.items()}
+    found = muscle_shares(calibrate(plain, distances(plain, targets)).face)
+    for name, before in (("uncalibrated", plain), ("template", template)):
+        parts = muscle_shares(with_fibres(before, fibre_muscles(before)))
+        found |= {f"{name}_{key}": part for key, part in parts.items()}
+    return found
 
 
-def determined(face: Face) -> Figures:
+def muscle_shares(face: Face) -> Figures:
     """Return the part of a face's fibre muscles that markers determine, by the markers' number."""
     model = face.model
     jacobian = Sensitivity(face, face.rest).by_pose()
@@ -221,7 +225,12 @@ def section(figures: Figures) -> Section:
         "gain_others_mm": "gain by others, mm",
         "draws": "draws",
     }
-    kinds = {"": "muscles determined", "greedy_": "placed greedily", "uncalibrated_": "at 90 kPa"}
+    kinds = {
+        "": "muscles determined",
+        "greedy_": "placed greedily",
+        "uncalibrated_": "at 90 kPa",
+        "template_": "and with the template's S",
+    }
     muscles = [[count, *(shares[f"{kind}{count}"] for kind in kinds)] for count in MARKERS]
     parts: list[Table | str] = []
     if scans:

@@ -118,7 +118,7 @@ class Posterior:
             best = int(gains.argmax())
             chosen.append((best, float(gains[best])))
             rows = covariances[best]
-            gain = np.linalg.solve(_predicted(rows, candidates[best], each[best]), rows)
+            gain = np.linalg.solve(_prediction_spread(rows, candidates[best], each[best]), rows)
             covariances = covariances - (candidates @ rows.T) @ gain
             now = Posterior(now.covariance - rows.T @ gain, now.prior_variance)
         return chosen
@@ -130,11 +130,11 @@ class Posterior:
         weights = 1.0 / self.prior_variance if weights is None else weights
         scaled = covariances * weights if weights.ndim == 1 else covariances @ weights
         taken = scaled @ np.swapaxes(covariances, -1, -2)
-        spread = _predicted(covariances, candidates, sd)
+        spread = _prediction_spread(covariances, candidates, sd)
         return np.asarray(np.trace(np.linalg.solve(spread, taken), axis1=-2, axis2=-1))
 
 
-def _predicted(covariances: Floats, rows: Floats, sd: Floats | float) -> Floats:
+def _prediction_spread(covariances: Floats, rows: Floats, sd: Floats | float) -> Floats:
     """Return the spread A C A^T + R of what rows A (..., d, k) predict; ``covariances`` is A C."""
     spread = covariances @ np.swapaxes(rows, -1, -2)
     each = np.arange(rows.shape[-2])

@@ -288,7 +288,8 @@ def _information(found: dict[str, Any] | None) -> str:
     if found is None:
         return ""
     known = sorted(found["muscles"].items(), key=lambda item: item[1])
-    little = [f"{name} {100 * part:.0f} %" for name, part in known if part < LITTLE]
+    space = "\N{NO-BREAK SPACE}"
+    little = [f"{name} {100 * part:.0f}{space}%" for name, part in known if part < LITTLE]
     pairs = [
         f"{' and '.join(pair['muscles'])} ({pair['correlation']:+.2f})".replace("-", "−")
         for pair in found["confused"]
