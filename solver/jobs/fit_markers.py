@@ -6,7 +6,7 @@ import hashlib
 import json
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,6 +44,8 @@ from solver.rig.frames import (
     unpack,
     write_sequence,
 )
+from solver.rig.marker_view import FILE as VIEW_FILE
+from solver.rig.marker_view import MarkerView
 from solver.rig.rig import Rig
 from solver.scans.markers.bind import bind
 from solver.scans.markers.bound_take import BoundTake
@@ -119,13 +121,18 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     }
     session = _Session(tracker, out / FRAMES, about)
     done = session.read(numbers)
-    skin = AnimatedSkin(model.skin)
+    skin, view = AnimatedSkin(model.skin), MarkerView(source.labels, model.muscle_names)
+
+    def show(frame: MarkerFrame, x: Floats) -> None:
+        skin.add(frame, face.whole_skin(x, frame.jaw))
+        view.add(frame, tracker.places.at(x), source.points(frame.frame))
+
     for frame in done:
-        skin.add(frame, face.whole_skin(session.reached[frame.frame], frame.jaw))
+        show(frame, session.reached[frame.frame])
     for number in numbers[len(done) :]:
         frame = session.fit(number, source)
         done.append(frame)
-        skin.add(frame, face.whole_skin(tracker.tracker.state.x, frame.jaw))
+        show(frame, tracker.tracker.state.x)
         part = 0.01 + 0.9 * len(done) / len(numbers)
         words = f"frame {len(done)} of {len(numbers)}"
         progress(Step("frames", part, mean_error_mm=frame.mean_mm, message=words))
@@ -135,7 +142,9 @@ def run(task: Task[FitMarkers]) -> list[Path]:
         raise InputError("sequence.nothing", message, file=take.file)
     if given.smooth:
         progress(Step("smooth", 0.93))
-        done, skin = _smoothed(tracker, done, out)
+        skin = AnimatedSkin(model.skin)
+        view = MarkerView(source.labels, model.muscle_names)
+        done = _smoothed(tracker, done, out, show)
     progress(Step("export", 0.96))
     fps = rate / given.step
     report = sequence_report(done, fps, take.file) | _marker_report(done, source.labels)
@@ -143,16 +152,20 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     files += [out / "markers.json"] if given.refine else []
     files.append(out / "sequence.glb")
     skin.write(files[-1], fps)
+    files.append(out / VIEW_FILE)
+    view.write(files[-1], fps)
     progress(Step("done", 1.0))
     return files
 
 
 def _smoothed(
-    tracker: MarkerTracker, frames: Sequence[MarkerFrame], folder: Path
-) -> tuple[list[MarkerFrame], AnimatedSkin]:
-    """Return the frames after a sweep back, and their skin."""
-    face, found = tracker.face, []
-    skin, layout = AnimatedSkin(face.model.skin), face.layout
+    tracker: MarkerTracker,
+    frames: Sequence[MarkerFrame],
+    folder: Path,
+    show: Callable[[MarkerFrame, Floats], None],
+) -> list[MarkerFrame]:
+    """Return the frames after a sweep back; ``show`` gets each with its flesh."""
+    face, layout, found = tracker.face, tracker.face.layout, []
     traced = [
         TracedFrame(Pose(each.activations, each.jaw), small_motion(each.head), each.marker_weight)
         for each in frames
@@ -172,8 +185,8 @@ def _smoothed(
                 mandible=mandible_motion(face.model.jaw, pose.b).round(DECIMALS),
             )
         )
-        skin.add(found[-1], face.whole_skin(tracker.tracker.state.x, pose.b))
-    return found, skin
+        show(found[-1], tracker.tracker.state.x)
+    return found
 
 
 def _options(given: FitMarkers) -> MarkerOptions:

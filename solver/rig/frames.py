@@ -38,7 +38,7 @@ class FrameRecord:
     """One frame of a face over time, as far as all jobs with frames know it."""
 
     frame: int  # its number, from 0
-    activations: Floats  # (m, 6), as of an expression
+    activations: Floats  # (m, 6), as of an expression, or (m,) of fibre muscles
     jaw: Floats  # (5,)
     head: Floats  # (6,) rotation vector (rad), translation (mm): in the world, x -> R x + t
     inverted: int  # number of tets with det F <= 0
@@ -379,13 +379,19 @@ def _write_table(
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
     head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]
     entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
+    if frames[0].activations.ndim == 1:
+        entries = list(muscles)
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
-        rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries])
+        spread = [f"{name}.sd" for name in (*entries, *jaw)] if isinstance(frames[0], MarkerFrame) else []
+        rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries, *spread])
         for frame in frames:
             values = [*frame.jaw, *frame.head, *frame.activations.ravel()]
+            if isinstance(frame, MarkerFrame):
+                values += [*frame.sd]
             error = "" if frame.mean_mm is None else f"{frame.mean_mm:.4f}"
             rows.writerow(
                 [frame.frame, f"{frame.frame / fps:.4f}", frame.status, error]
                 + [f"{value:.6f}" for value in values]
             )
+
