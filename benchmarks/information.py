@@ -1,4 +1,4 @@
-"""Whether what scans and markers are said to tell is so: the next scan, and muscles by markers.
+"""Proposals of the next scan against others at random, and the muscles that markers determine.
 
 ``next_scan``: three expressions of the template are drawn, S is fitted to them, and the library is
 ranked as by the job ``next_scan``. Then S is fitted again with the expression it proposes, and with
@@ -6,10 +6,13 @@ five others drawn at random, and the capture set's expressions, none of which S 
 by activations alone. ``better_than_random`` is the part of the draws in which the proposed one
 lowers their mean error more than the median of the five; ``gain_correlation`` is that between
 predicted and measured gains over all draws, ``rank_correlation`` that of their ranks within a draw.
+A draw is seven fits of S: ten draws of three subjects take an hour with ``--coarse --rounds 4``.
 
-``identifiable``: the part of the muscles of which markers tell more than half, by fibre muscles of
-90 kPa with activations of prior sd 0.3, and markers of 0.5 mm spread evenly over the face,
-linearised at rest; ``greedy`` has each marker where it helps most. Worst subject.
+``identifiable``: the part of the muscles whose information by a set of markers is above a half, by
+fibre muscles calibrated to the capture set's training scans with activations of prior sd 0.3, and
+markers of 0.5 mm as :mod:`benchmarks.markers` places them, linearised at rest. ``greedy_K`` has
+each marker where it helps most; ``uncalibrated_K`` are muscles of 90 kPa with the person's S, and
+``template_K`` the same with the template's. Worst subject.
 """
 
 from __future__ import annotations
@@ -24,33 +27,30 @@ import scipy.stats
 
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
+from benchmarks.markers import SHARES, marker_triangles
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.fitting import activation, fallback, geometry
-from solver.fitting.controls import JAW_UNITS, Block, Layout, jaw_block
+from solver.fitting.activation import ActivationOptions
+from solver.fitting.calibration import calibrate, fibre_muscles, with_fibres
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.geometry_information import InformationOptions, Linearisation
+from solver.fitting.geometry_information import Linearisation, pose_precision
 from solver.fitting.information import Posterior
 from solver.fitting.objective import SkinDistance, Target, distances
-from solver.mechanics.boundary import JAW_FREEDOM, BoundaryRates
-from solver.mechanics.fibre_muscle import FibreMuscles, driven_by_muscles
+from solver.fitting.sensitivity import Sensitivity
 from solver.mechanics.flesh import MOONEY_RIVLIN
-from solver.mechanics.response import Response, SparseControls
-from solver.model import SubjectModel
 from solver.rig.next_scan import Library, library_targets
-from solver.surface import Floats, Ints
+from solver.surface import Floats
 from solver.templates.builtin.build import builtin_template
 from solver.templates.export import CaptureSet
 from solver.templates.ict_facekit import read_facekit, shape_basis
 
 SCANS, OTHERS = 3, 5
-QUICK_ROUNDS = 6
+QUICK_ROUNDS = 4
+UNSEEN_STOP = ActivationOptions(max_iterations=8, tolerance=1e-2)
 MARKERS = (79, 40, 17)
-STRENGTH = 30.0
-"""Of all fibres, by the flesh's mu: 90 kPa in flesh of 3."""
-
-PRIOR_SD, NOISE_MM, KNOWN = 0.3, 0.5, 0.5
-"""Of an activation and of a marker; and the information of a muscle that counts as identifiable."""
+NOISE_MM = 0.5  # of a marker
+KNOWN = 0.5  # information from which on a muscle counts as identifiable
 
 log = logging.getLogger(__name__)
 
@@ -61,6 +61,7 @@ def main() -> None:
     subjects.add_folders(parser)
     parser.add_argument("--subjects", default="A,B,C", metavar="LIST")
     parser.add_argument("--draws", type=int, default=10, help="draws of three scans a subject")
+    parser.add_argument("--rounds", type=int, help="of a fit of S")
     parser.add_argument("--coarse", action="store_true", help="tets of twice the size")
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
@@ -73,15 +74,17 @@ def run(options: argparse.Namespace) -> Figures:
     shapes = builtin_template().shapes
     if options.faces is not None:
         shapes = shape_basis(read_facekit(options.faces))
+    rounds = options.rounds or (QUICK_ROUNDS if options.quick else GeometryOptions.rounds)
     people, draws = {}, []
     for name, model, captures in subjects.each(options, options.subjects.split(","), edge):
         face = Face(model)
-        people[name] = identifiable(model)
+        trained = {name: scan.vertices[model.face] for name, scan in captures.train.items()}
+        people[name] = measure_identifiability(face, trained, rounds)
         log.info("%s: %s", name, people[name])
         targets = library_targets(model, shapes)
         goals = {shape: sides["both"] for shape, sides in targets.items()}
         for seed in range(options.draws):
-            found = draw(face, goals, captures, np.random.default_rng(seed), options.quick)
+            found = draw(face, goals, captures, np.random.default_rng(seed), rounds)
             log.info("%s %d: %s", name, seed, found)
             draws.append({"subject": name, "seed": seed, **found})
     return {
@@ -119,7 +122,7 @@ def draw(
     goals: Mapping[str, Floats],
     captures: CaptureSet,
     rng: np.random.Generator,
-    quick: bool,
+    rounds: int,
 ) -> Figures:
     """Return predicted and measured gains, mm, of the proposed expression and of five others."""
     scans = [str(name) for name in rng.choice(list(goals), SCANS, replace=False)]
@@ -127,18 +130,22 @@ def draw(
         name: scan.vertices[face.model.face]
         for name, scan in {**captures.train, **captures.test}.items()
     }
-    S, scanned = fit_geometry(face, {name: goals[name] for name in scans}, quick)
+    S, scanned = fit_geometry(face, {name: goals[name] for name in scans}, rounds)
     known = Linearisation(face.with_weights(S))
     posterior = known.posterior([known.information(state) for state in scanned.values()])
     library = Library(known, {name: {"both": points} for name, points in goals.items()})
     gains = {each.name: each.gain_mm for each in library.rank(posterior)}
     left = [name for name in gains if name not in scans]
     tried = [left[0], *(str(name) for name in rng.choice(left[1:], OTHERS, replace=False))]
-    before = unseen_error(face.with_weights(S), unseen)
+    rest = dict.fromkeys(unseen, face.rest)
+    _, states = fit_unseen(known.face, unseen, rest)
+    # all are measured after as many iterations, from the same poses
+    before, _ = fit_unseen(known.face, unseen, states)
     measured = []
     for name in tried:
-        more, _ = fit_geometry(face, {each: goals[each] for each in (*scans, name)}, quick)
-        measured.append(before - unseen_error(face.with_weights(more), unseen))
+        more, _ = fit_geometry(face, {each: goals[each] for each in (*scans, name)}, rounds)
+        after, _ = fit_unseen(face.with_weights(more), unseen, states)
+        measured.append(before - after)
     return {
         "scans": scans,
         "tried": tried,
@@ -149,69 +156,66 @@ def draw(
 
 
 def fit_geometry(
-    face: Face, goals: Mapping[str, Floats], quick: bool
+    face: Face, goals: Mapping[str, Floats], rounds: int
 ) -> tuple[sp.csr_array, dict[str, PosedFace]]:
     """Fit S to the face's points of some expressions; return their states too."""
     targets = {name: Target.from_points(points) for name, points in goals.items()}
-    schedule = GeometryOptions(rounds=QUICK_ROUNDS) if quick else GeometryOptions()
-    found = geometry.fit(face, distances(face, targets), schedule)
+    found = geometry.fit(face, distances(face, targets), GeometryOptions(rounds=rounds))
     return found.S, found.states
 
 
-def unseen_error(face: Face, unseen: Mapping[str, Floats]) -> float:
-    """Return the mean distance, mm, of expressions fitted by activations alone."""
-    regulariser, errors = activation.unseen_regulariser(face), []
-    for points in unseen.values():
+def fit_unseen(
+    face: Face, unseen: Mapping[str, Floats], states: Mapping[str, PosedFace]
+) -> tuple[float, dict[str, PosedFace]]:
+    """Fit expressions by activations alone; return their mean distance in mm and their states."""
+    regulariser, errors, found = activation.unseen_regulariser(face), [], {}
+    for name, points in unseen.items():
         data = SkinDistance(face, Target.from_points(points))
-        found = fallback.fit(face, data, regulariser, activation.UNSEEN_STOP)
-        off = np.linalg.norm(face.face_points(found.state.x) - points, axis=1)
+        start = face.settle(states[name].pose, states[name].x)
+        found[name] = fallback.fit(face, data, regulariser, UNSEEN_STOP, start=start).state
+        off = np.linalg.norm(face.face_points(found[name].x) - points, axis=1)
         errors.append(off.mean())
-    return float(np.mean(errors))
+    return float(np.mean(errors)), found
 
 
-def identifiable(model: SubjectModel) -> Figures:
-    """Return the part of the muscles that markers tell, by their number."""
-    face = Face(model, material=MOONEY_RIVLIN)
-    strengths = np.full(model.muscle_count, STRENGTH)
-    flesh = driven_by_muscles(face.flesh, FibreMuscles.of(model, face.S, strengths))
-    layout = Layout((Block("activations", np.zeros(model.muscle_count)), jaw_block()))
-    by_jaw = np.eye(layout.size)[layout["jaw"]]
-    direct = face.mandible_jacobian(np.zeros(JAW_FREEDOM))[flesh.held]
-    relaxed, x = layout.part("activations", layout.rest), model.rest
-    rates = sp.eye_array(len(relaxed), layout.size, format="csr")
-    boundary = BoundaryRates(direct @ by_jaw, by_jaw)
-    controls = SparseControls.of(flesh, x, relaxed, rates, boundary)
-    motion = Response.exact(flesh, x, relaxed).motions(controls)
-    by_point = face.face_embedding @ motion.reshape(len(motion), -1)
-    rows = np.asarray(by_point).reshape(len(model.face), 3, -1)
-    sd = np.full(layout.size, PRIOR_SD)
-    sd[layout["jaw"]] = InformationOptions().jaw_sd_mm / JAW_UNITS
-    precision, muscles = np.diag(sd**-2.0), layout["activations"]
+def measure_identifiability(face: Face, scans: Mapping[str, Floats], rounds: int) -> Figures:
+    """Return the part of the muscles that markers determine, calibrated to scans (k, 3) or not."""
+    S, _ = fit_geometry(face, scans, rounds)
+    template = Face(face.model, material=MOONEY_RIVLIN)
+    plain = template.with_weights(S)
+    targets = {name: Target.from_points(points) for name, points in scans.items()}
+    found = muscle_shares(calibrate(plain, distances(plain, targets)).face)
+    for name, before in (("uncalibrated", plain), ("template", template)):
+        parts = muscle_shares(with_fibres(before, fibre_muscles(before)))
+        found |= {f"{name}_{key}": part for key, part in parts.items()}
+    return found
 
-    def told(chosen: Ints) -> float:
-        found = Posterior.of(rows[chosen].reshape(-1, len(sd)), NOISE_MM, precision)
+
+def muscle_shares(face: Face) -> Figures:
+    """Return the part of a face's fibre muscles that markers determine, by the markers' number."""
+    model = face.model
+    jacobian = Sensitivity(face, face.rest).by_pose()
+    motions = jacobian.motion(sp.kron(face.face_embedding, sp.eye_array(3), format="csr"))
+    points = motions.reshape(len(model.face), 3, -1)
+    number = np.zeros(len(model.skin.vertices), np.int64)
+    number[model.face] = np.arange(len(model.face))
+    corners = points[number[marker_triangles(model, max(MARKERS))]]
+    placed = np.einsum("c,kcdq->kdq", SHARES, corners)
+    nothing = Posterior.of_normal(0.0, precision := pose_precision(face))
+    best = [point for point, _ in nothing.greedy(points, max(MARKERS), NOISE_MM)]
+    muscles = face.layout.places(face.layout.blocks[0].name)
+
+    def known(rows: Floats) -> float:
+        found = Posterior.of(rows.reshape(-1, len(precision)), NOISE_MM, precision)
         return float((found.information[muscles] > KNOWN).mean())
 
-    spread = farthest(face.face_points(x), max(MARKERS))
-    nothing = Posterior.of_normal(np.zeros_like(precision), precision)
-    greedy = np.array([point for point, _ in nothing.greedy(rows, max(MARKERS), NOISE_MM)])
-    figures = {str(count): told(spread[:count]) for count in MARKERS}
-    return figures | {f"greedy_{count}": told(greedy[:count]) for count in MARKERS}
-
-
-def farthest(points: Floats, count: int) -> Ints:
-    """Return points that are each as far as can be from those before, from the middle one on."""
-    chosen = [int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmin())]
-    distance = np.full(len(points), np.inf)
-    while len(chosen) < count:
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-        chosen.append(int(distance.argmax()))
-    return np.array(chosen)
+    figures = {str(count): known(placed[:count]) for count in MARKERS}
+    return figures | {f"greedy_{count}": known(points[best[:count]]) for count in MARKERS}
 
 
 def section(figures: Figures) -> Section:
     """Return the section of docs/science/benchmarks.md."""
-    scans, tells = figures["next_scan"], figures["identifiable"]
+    scans, shares = figures["next_scan"], figures["identifiable"]
     words = {
         "better_than_random": "draws in which it beats the median of five others",
         "gain_correlation": "correlation of predicted and measured gain",
@@ -221,17 +225,24 @@ def section(figures: Figures) -> Section:
         "gain_others_mm": "gain by others, mm",
         "draws": "draws",
     }
-    muscles = [[count, tells[str(count)], tells[f"greedy_{count}"]] for count in MARKERS]
+    kinds = {
+        "": "muscles determined",
+        "greedy_": "placed greedily",
+        "uncalibrated_": "at 90 kPa",
+        "template_": "and with the template's S",
+    }
+    muscles = [[count, *(shares[f"{kind}{count}"] for kind in kinds)] for count in MARKERS]
     parts: list[Table | str] = []
     if scans:
         parts.append(Table([*words.values()], [[scans[key] for key in words]]))
-    parts.append(Table(["markers", "muscles told, spread evenly", "placed greedily"], muscles))
+    parts.append(Table(["markers", *kinds.values()], muscles))
     return Section(
-        title="What scans and markers tell",
+        title="Information of scans and markers",
         compared="The scan that `next_scan` proposes after three expressions of the template, "
         "against five others at random: by how much a fourth scan lowers the error of expressions "
-        "that S has not seen. And the part of the muscles of which markers tell more than half "
-        "(fibre muscles of 90 kPa, prior sd 0.3, markers of 0.5 mm, at rest, worst subject).",
+        "that S has not seen. And the part of the muscles whose information by markers is above a "
+        "half (fibre muscles calibrated to five scans, prior sd 0.3, markers of 0.5 mm, at rest, "
+        "worst subject).",
         parts=parts,
     )
 

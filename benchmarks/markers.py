@@ -26,6 +26,7 @@ from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.speed.clock import Stopwatch
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
+from solver.anatomy.warp import spread
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError
@@ -59,6 +60,7 @@ SWAP_EVERY_S, SWAP_S = 3.0, (0.2, 1.0)
 HELD_S = 1.0
 REFINING = 20
 HEAD_MARKERS = 4
+SHARES = (0.3, 0.3, 0.4)  # of a triangle's corners in a marker on it
 # how much closer markers sit in regions by parts of their names, 0 for nowhere
 DENSER = {"lip": 2.0, "lid": 2.0, "chin": 1.3, "nose": 1.3, "brow": 1.3, "lining": 0.0}
 
@@ -215,8 +217,8 @@ class _Bench:
         self.face, self.truth = face, truth
         self._rng = np.random.default_rng(count)
         model = face.model
-        self.triangles = _layout(model, count)
-        self.shares = np.tile([0.3, 0.3, 0.4], (count, 1))
+        self.triangles = marker_triangles(model, count)
+        self.shares = np.tile(SHARES, (count, 1))
         self.points = self._true_points(head)
         self.markers = self._bound()
         self.places = MarkerPlaces(model, self.markers)
@@ -455,10 +457,10 @@ def _dense(face: Face, truth: Truth) -> Figures:
     return {"face_mean_mm": float(np.mean(errors)), "frame_ms": float(np.median(milliseconds))}
 
 
-def _layout(model: SubjectModel, count: int) -> Ints:
+def marker_triangles(model: SubjectModel, count: int) -> Ints:
     """Return the triangles (k, 3) that markers sit on: far apart, closer where a face is lively.
 
-    None lies in the mouth, where nothing can be glued.
+    None lies in the mouth, where nothing can be glued. A smaller set is the start of a larger one.
     """
     lively = np.ones(len(model.skin.vertices))
     for name, ids in model.regions.items():
@@ -468,12 +470,8 @@ def _layout(model: SubjectModel, count: int) -> Ints:
     allowed = np.isin(np.arange(len(lively)), model.face) & (lively > 0.0)
     triangles = model.skin.faces[allowed[model.skin.faces].all(axis=1)]
     points = model.skin.vertices[triangles].mean(axis=1)
-    dense = lively[triangles].mean(axis=1)
-    chosen, away = [int(points[:, 2].argmax())], np.full(len(points), np.inf)
-    for _ in range(count - 1):
-        away = np.minimum(away, dense * np.linalg.norm(points - points[chosen[-1]], axis=1))
-        chosen.append(int(away.argmax()))
-    return triangles[chosen]
+    tip = int(points[:, 2].argmax())
+    return triangles[spread(points, count, tip, lively[triangles].mean(axis=1))]
 
 
 def _rms(values: list[float]) -> float:

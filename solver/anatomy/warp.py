@@ -52,13 +52,17 @@ def interpolate(source: Floats, target: Floats, smoothing: float = 0.0) -> Warp:
     return Warp(source, solve(matrix, right, assume_a="sym"))
 
 
-def spread(points: Floats, count: int) -> Ints:
-    """Return the numbers of ``count`` points far from each other (farthest-point sampling)."""
-    chosen = np.zeros(min(count, len(points)), dtype=np.int64)
-    distance = np.linalg.norm(points - points[0], axis=1)
+def spread(points: Floats, count: int, first: int = 0, density: Floats | float = 1.0) -> Ints:
+    """Return the numbers of ``count`` points far from each other, from number ``first`` on.
+
+    Farthest-point sampling; where ``density`` (n,) is 2, they are half as far apart as at 1.
+    """
+    chosen = np.full(min(count, len(points)), first)
+    distance = np.full(len(points), np.inf)
     for k in range(1, len(chosen)):
+        away = density * np.linalg.norm(points - points[chosen[k - 1]], axis=1)
+        np.minimum(distance, away, out=distance)
         chosen[k] = int(np.argmax(distance))
-        np.minimum(distance, np.linalg.norm(points - points[chosen[k]], axis=1), out=distance)
     return chosen
 
 

@@ -1,7 +1,7 @@
-"""What scans tell of a person's muscle geometry S, and what one more expression would.
+"""Information of scans on a person's muscle geometry S, and the gain of one more expression.
 
-S has a number for every muscle near a tet. What scans can tell of it is coarser: how much of the
-flesh a muscle fills, and where it fills more. So S = S_0 + sum_l theta_l B_l, with a constant and
+S has a number for every muscle near a tet. Scans determine less: how much of the flesh a muscle
+fills, and where it fills more. So S = S_0 + sum_l theta_l B_l, with a constant and
 three slopes for every muscle, and theta ~ N(0, weight_sd^2). Linearised at an expression's state,
 the face's points move by X theta + Z dp, where p = (a, b) is the pose, which is not known either.
 With the noise's precision W and the pose's prior precision R, eliminating dp leaves
@@ -16,7 +16,7 @@ known of S.
 
 Conditioned on the template's fibres and muscles near each tet, on the law, and on the states it is
 linearised at; S within a muscle finer than its slopes counts as known. Distances that no S could
-explain are in the noise.
+explain are part of the noise.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from solver.errors import SolveError
-from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.information import Posterior
 from solver.fitting.sensitivity import Sensitivity
@@ -99,11 +98,11 @@ def _shapes(centres: Floats, volumes: Floats) -> Floats:
 
 
 def pose_precision(face: Face, options: InformationOptions = InformationOptions()) -> Floats:
-    """Return the precision (6 m + 5, 6 m + 5) of a pose whose entries are independent."""
-    layout = face.layout
-    out = np.full(layout.size, options.activation_sd**-2)
-    out[layout["jaw"]] = (JAW_UNITS / options.jaw_sd_mm) ** 2
-    return np.diag(out)
+    """Return the precision (size, size) of a pose whose entries are independent."""
+    muscles, jaw = face.layout.blocks
+    by_muscle = np.full(muscles.rest.shape, options.activation_sd**-2)
+    by_jaw = np.broadcast_to((jaw.units / options.jaw_sd_mm) ** 2, jaw.rest.shape)
+    return np.diag(face.layout.join([by_muscle, by_jaw]))
 
 
 class Linearisation:
@@ -149,23 +148,23 @@ class Linearisation:
         return np.asarray(0.5 * (found + found.T))
 
     def posterior(self, scanned: Sequence[Floats]) -> Posterior:
-        """Return what scans of the matrices ``scanned`` tell of theta."""
+        """Return the posterior of theta after scans of the matrices ``scanned``."""
         size = self.modes.matrix.shape[1]
         prior = np.eye(size) / self.options.weight_sd**2
         return Posterior.of_normal(sum(scanned, np.zeros((size, size))), prior)
 
     def error_mm(self, posterior: Posterior, unseen: Floats) -> float:
-        """Return the expected rms distance, mm, of an expression by what is not known of S."""
+        """Return the expected rms distance, mm, that the uncertainty of S adds to an expression."""
         squared = float(np.vdot(unseen, posterior.covariance))
         return self.options.noise_mm * float(np.sqrt(squared / self.options.independent))
 
 
 @dataclass(frozen=True)
 class MuscleInformation:
-    """What scans tell of each muscle's part of S, (m,) in [0, 1], and pairs not told apart.
+    """Information (m,) in [0, 1] of scans on each muscle's part of S, and pairs they confuse.
 
     ``confused`` are numbers of muscles and the correlation of how much flesh they fill: near -1 the
-    scans know what both do together, and not which of them.
+    scans determine what both do together, and not which of them does it.
     """
 
     information: Floats
@@ -180,7 +179,7 @@ class MuscleInformation:
             posterior.covariance[np.ix_(size, size)], posterior.prior_variance[size]
         )
         information = posterior.information_of(places)
-        return cls(information, tuple(constant.confused()), scans)
+        return cls(information, tuple(constant.correlated_pairs()), scans)
 
 
 @dataclass(frozen=True)
@@ -200,9 +199,9 @@ class Proposal:
 def rank(
     linearisation: Linearisation, posterior: Posterior, library: Mapping[str, Floats]
 ) -> list[Proposal]:
-    """Rank a ``library``, name -> I, by what a scan of each would add to ``posterior``, best first.
+    """Rank a ``library``, name -> I, by the gain of a scan of each after ``posterior``, best first.
 
-    What counts is the expected error over the whole library, the expression itself included.
+    The expected error is that over the whole library, the expression itself included.
     """
     everywhere = np.mean(list(library.values()), axis=0)
     before = linearisation.error_mm(posterior, everywhere)
@@ -211,21 +210,3 @@ def rank(
         after = linearisation.error_mm(posterior.after(matrix), everywhere)
         found.append(Proposal(name, before, after))
     return sorted(found, key=lambda proposal: proposal.after_mm)
-
-
-def plan(
-    linearisation: Linearisation, posterior: Posterior, library: Mapping[str, Floats], count: int
-) -> list[Proposal]:
-    """Return what to scan next, and after that, up to ``count``: each beside those before it."""
-    left = dict(library)
-    chosen: list[Proposal] = []
-    while left and len(chosen) < count:
-        everywhere = np.mean(list(library.values()), axis=0)
-        before = linearisation.error_mm(posterior, everywhere)
-        after = {name: posterior.after(matrix) for name, matrix in left.items()}
-        errors = {name: linearisation.error_mm(each, everywhere) for name, each in after.items()}
-        name = min(errors, key=lambda name: errors[name])
-        chosen.append(Proposal(name, before, errors[name]))
-        posterior = after[name]
-        del left[name]
-    return chosen

@@ -1,19 +1,19 @@
-"""What data tell of controls: the posterior of a linear model with Gaussian noise and prior.
+"""Posterior covariance and information of the controls of a linear Gaussian model.
 
     y = J q + e,    e ~ N(0, diag(sd^2)),    q ~ N(mean, P^-1)
 
 The covariance of q after y is C = (P + J^T diag(sd^-2) J)^-1, whatever y is: so what a set of
-markers or scans would tell is known before any is taken. The information of an entry of q is
-1 - C_jj / (P^-1)_jj: 0, the data say nothing of it; 1, they say all (Rodgers 2000, chapter 2, calls
-it the averaging kernel's diagonal). Further rows A with noise R take
+markers or scans would determine is known before any is taken. The information of an entry of q is
+1 - C_jj / (P^-1)_jj: 0 where the data leave it as uncertain as the prior, 1 where they determine it
+(the averaging kernel's diagonal, Rodgers 2000, chapter 2). Further rows A with noise R take
 
     C A^T (A C A^T + R)^-1 A C
 
 from C, so that a candidate costs a small matrix and not another inverse.
 
 All of it is conditioned on what J was made with. For fits of a face that is the muscle geometry S,
-the flesh's law and the state it was linearised at, none of which is exactly known: the spreads are
-those of controls if S were right, and too small by what S is wrong. The information of S itself is
+the flesh's law and the state of linearisation, none of which is exact: the spreads are those of
+controls under the S at hand, and too small by the errors of S. The information of S itself is
 :mod:`solver.fitting.geometry_information`.
 """
 
@@ -37,16 +37,16 @@ class Posterior:
 
     @classmethod
     def of(cls, jacobian: Floats, sd: Floats | float, precision: Floats) -> Posterior:
-        """Return what rows ``jacobian`` (r, k), of noise ``sd`` (r,), add to a prior.
+        """Return the posterior of a prior and rows ``jacobian`` (r, k) of noise ``sd`` (r,).
 
-        ``precision`` (k, k) is the prior's, positive definite. A row with an infinite sd says
+        ``precision`` (k, k) is the prior's, positive definite. A row with an infinite sd adds
         nothing. Raises :class:`SolveError` (``solve.not_finite``) where there is no covariance.
         """
         rows = jacobian / np.broadcast_to(sd, len(jacobian))[:, None]
         return cls.of_normal(rows.T @ rows, precision)
 
     @classmethod
-    def of_normal(cls, normal: Floats, precision: Floats) -> Posterior:
+    def of_normal(cls, normal: Floats | float, precision: Floats) -> Posterior:
         """Return the same for the data's ``normal`` matrix J^T diag(sd^-2) J, (k, k)."""
         prior = inverse_of_positive(precision)
         return cls(inverse_of_positive(precision + normal), np.diag(prior).copy())
@@ -75,18 +75,12 @@ class Posterior:
         sd = self.sd
         return np.asarray(self.covariance / np.outer(sd, sd))
 
-    def confused(self, least: float = 0.8) -> list[tuple[int, int, float]]:
+    def correlated_pairs(self, least: float = 0.8) -> list[tuple[int, int, float]]:
         """Return the pairs i < j whose correlation is ``least`` or more, and it, worst first."""
         correlation = np.triu(self.correlation, 1)
         pairs = np.argwhere(np.abs(correlation) >= least)
         found = [(int(i), int(j), float(correlation[i, j])) for i, j in pairs]
         return sorted(found, key=lambda pair: -abs(pair[2]))
-
-    def given(self, rows: Floats, sd: Floats | float) -> Posterior:
-        """Return the posterior after further ``rows`` (r, k) of noise ``sd``; r is small."""
-        told, spread = _told(rows @ self.covariance, rows, sd)
-        taken = told.T @ np.linalg.solve(spread, told)
-        return Posterior(self.covariance - taken, self.prior_variance)
 
     def after(self, normal: Floats) -> Posterior:
         """Return the posterior after further data of the ``normal`` matrix (k, k), of any rank."""
@@ -97,14 +91,13 @@ class Posterior:
     def gains(
         self, candidates: Floats, sd: Floats | float = 1.0, weights: Floats | None = None
     ) -> Floats:
-        """Return what each of ``candidates`` (c, d, k) would take from the controls' variances.
+        """Return by how much each of ``candidates`` (c, d, k) would lower the controls' variances.
 
         A candidate is d rows, the three coordinates of a marker for one, of noise ``sd`` (d,) or
         (c, d). Variances count by ``weights`` (k,), or by a positive semi-definite (k, k); without
         them by one over those of the prior, so that a gain is the sum of the information gained.
         """
-        seen = candidates @ self.covariance
-        return self._gains(candidates, seen, sd, weights)
+        return self._gains(candidates, candidates @ self.covariance, sd, weights)
 
     def greedy(
         self,
@@ -118,35 +111,35 @@ class Posterior:
         Returns their numbers and gains as of :meth:`gains`. A chosen one may be chosen again:
         that is a second, independent look at the same place.
         """
-        now, seen, chosen = self, candidates @ self.covariance, []
+        now, covariances, chosen = self, candidates @ self.covariance, []
         each = np.broadcast_to(sd, candidates.shape[:2])
         for _ in range(count):
-            gains = now._gains(candidates, seen, each, weights)
+            gains = now._gains(candidates, covariances, each, weights)
             best = int(gains.argmax())
             chosen.append((best, float(gains[best])))
-            told, spread = _told(seen[best], candidates[best], each[best])
-            answer = np.linalg.solve(spread, told)
-            seen = seen - (candidates @ told.T) @ answer
-            now = Posterior(now.covariance - told.T @ answer, now.prior_variance)
+            rows = covariances[best]
+            gain = np.linalg.solve(_prediction_spread(rows, candidates[best], each[best]), rows)
+            covariances = covariances - (candidates @ rows.T) @ gain
+            now = Posterior(now.covariance - rows.T @ gain, now.prior_variance)
         return chosen
 
     def _gains(
-        self, candidates: Floats, seen: Floats, sd: Floats | float, weights: Floats | None
+        self, candidates: Floats, covariances: Floats, sd: Floats | float, weights: Floats | None
     ) -> Floats:
-        """Return :meth:`gains` for ``seen`` (c, d, k), the candidates' rows times C."""
+        """Return :meth:`gains` for ``covariances`` (c, d, k), the candidates' rows times C."""
         weights = 1.0 / self.prior_variance if weights is None else weights
-        scaled = seen * weights if weights.ndim == 1 else seen @ weights
-        told, spread = _told(seen, candidates, sd)
-        worth = scaled @ np.swapaxes(told, -1, -2)
-        return np.asarray(np.trace(np.linalg.solve(spread, worth), axis1=-2, axis2=-1))
+        scaled = covariances * weights if weights.ndim == 1 else covariances @ weights
+        taken = scaled @ np.swapaxes(covariances, -1, -2)
+        spread = _prediction_spread(covariances, candidates, sd)
+        return np.asarray(np.trace(np.linalg.solve(spread, taken), axis1=-2, axis2=-1))
 
 
-def _told(seen: Floats, rows: Floats, sd: Floats | float) -> tuple[Floats, Floats]:
-    """Return A C and A C A^T + R of rows A (..., d, k), where A C is ``seen``."""
-    spread = seen @ np.swapaxes(rows, -1, -2)
+def _prediction_spread(covariances: Floats, rows: Floats, sd: Floats | float) -> Floats:
+    """Return the spread A C A^T + R of what rows A (..., d, k) predict; ``covariances`` is A C."""
+    spread = covariances @ np.swapaxes(rows, -1, -2)
     each = np.arange(rows.shape[-2])
     spread[..., each, each] += np.square(sd)
-    return seen, spread
+    return spread
 
 
 def inverse_of_positive(matrix: Floats) -> Floats:

@@ -24,6 +24,7 @@ from solver.jobs.fits import (
 from solver.kinds.fit_activations import FitActivations
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
+from solver.rig.report import known_information
 from solver.rig.rig import Rig
 
 
@@ -71,8 +72,11 @@ def run(task: Task[FitActivations]) -> list[Path]:
     kept = [fit for fit in carried if fit.name not in scans]
     settings = {**UNSEEN, **asdict(stop), **given.model_dump(include={"distance", "solver"})}
     # the expressions that S was fitted to share its time
-    together = [fit.seconds for fit in carried if fit.role == "train"]
+    trained = [fit for fit in carried if fit.role == "train"]
+    together = [fit.seconds for fit in trained]
     seconds = {"geometry": sum(together)} if together else {}
     seconds["activations"] = time.perf_counter() - begin
     whole = Rig(subject, face.S, (*kept, *fitted), seconds, told.general)
-    return leave_rig(face, whole, settings, task.out, part_of(progress, 0.5))
+    same = not any(fit.name in scans for fit in trained)
+    information = known_information(parent) if same else None
+    return leave_rig(face, whole, settings, task.out, part_of(progress, 0.5), information)

@@ -13,6 +13,7 @@ import numpy as np
 from solver.errors import Finding, InputError, SolveError
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
+from solver.fitting.geometry_information import MuscleInformation
 from solver.fitting.objective import Target
 from solver.fitting.target_checks import after_fit, before_fit, idle_muscles
 from solver.kinds.kind import Distance
@@ -99,9 +100,17 @@ def describe_fit(
 
 
 def leave_rig(
-    face: Face, rig: Rig, settings: dict[str, Any], out: Path, progress: Progress
+    face: Face,
+    rig: Rig,
+    settings: dict[str, Any],
+    out: Path,
+    progress: Progress,
+    information: MuscleInformation | None = None,
 ) -> list[Path]:
-    """Check what was fitted and write the rig's files; ``progress`` counts from 0 to 1 here."""
+    """Check what was fitted and write the rig's files; ``progress`` counts from 0 to 1 here.
+
+    ``information`` is that of a parent with the same S and training scans, where there is one.
+    """
 
     def listen(name: str, number: int) -> None:
         part = 0.85 * number / len(rig.expressions)
@@ -113,7 +122,7 @@ def leave_rig(
     seconds = {**rig.seconds, "round_trip": time.perf_counter() - start}
     rig = replace(rig, expressions=fits, seconds=seconds)
     progress(Step("export", 0.85, message="certificate, exports and pictures"))
-    files = write_rig(rig, certify(face, rig, settings), out)
+    files = write_rig(rig, certify(face, rig, settings, information), out)
     progress(Step("done", 1.0))
     return files
 

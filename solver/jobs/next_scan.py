@@ -1,4 +1,4 @@
-"""The job that says which expression to scan next."""
+"""The job that proposes which expressions to scan next."""
 
 from __future__ import annotations
 

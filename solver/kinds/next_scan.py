@@ -1,4 +1,4 @@
-"""Say which expression to scan next."""
+"""Propose which expression to scan next."""
 
 from pydantic import Field
 
@@ -13,12 +13,12 @@ class NextScan(JobOptions):
         default=3, ge=1, le=10, description="expressions to propose, each beside those before it"
     )
     noise_mm: float = Field(
-        default=0.5, ge=0.01, le=10, description="what a scan's points are wrong by"
+        default=0.5, ge=0.01, le=10, description="error of a coordinate of a scan's point"
     )
 
 
 KIND = Kind(
-    title="Say what to scan next",
+    title="Propose the next scan",
     description="Which muscles the rig's training scans determine, and which expressions of the "
     "template would add most to them, while the person is still in the chair.",
     queue="short",

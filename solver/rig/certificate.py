@@ -185,7 +185,7 @@ class ExpressionCheck:
 class Certificate:
     """The checks of a rig: expression -> check, and the ``settings`` of the job that made it.
 
-    ``information`` is what the training scans tell of each muscle; None where none is known to.
+    ``information`` is that of the training scans on each muscle; None where no state is known.
     """
 
     expressions: dict[str, ExpressionCheck]
@@ -211,18 +211,23 @@ def with_round_trips(
     return tuple(done)
 
 
-def certify(face: Face, rig: Rig, settings: dict[str, Any]) -> Certificate:
-    """Check every expression of a rig of ``face``; ``settings`` are JSON values."""
+def certify(
+    face: Face, rig: Rig, settings: dict[str, Any], information: MuscleInformation | None = None
+) -> Certificate:
+    """Check every expression of a rig of ``face``; ``settings`` are JSON values.
+
+    ``information`` is that of a rig of the same S and training scans, where there is one.
+    """
     face = face.with_weights(rig.weights)
     mouth = Mouth.of(face.model)
     # the signs of pivots near buckling take double precision, whatever the fit had
     linear = analyse(face.flesh.hessian(face.model.rest, face.flesh.passive()))
     checks = {fit.name: _check(face, fit, mouth, linear) for fit in rig.expressions}
-    return Certificate(checks, settings, muscle_information(face, rig))
+    return Certificate(checks, settings, information or muscle_information(face, rig))
 
 
 def muscle_information(face: Face, rig: Rig) -> MuscleInformation | None:
-    """Return what the training scans of a rig tell of the muscles of ``face``, which has its S."""
+    """Return the information of a rig's training scans on the muscles of ``face``, with its S."""
     linearisation = Linearisation(face)
     scanned = scan_information(linearisation, rig)
     if not scanned:

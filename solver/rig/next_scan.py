@@ -1,4 +1,4 @@
-"""What to scan next: the template's expressions, ranked by what each adds to a person's scans.
+"""Proposals of what to scan next: the template's expressions, ranked by their expected gain.
 
 Every shape of the template that muscles make, both sides of it together, is put on the person's
 neutral, fitted roughly with the S that is known so far, and linearised there
@@ -20,7 +20,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, PosedFace
-from solver.fitting.geometry_information import Linearisation, Proposal, plan, rank
+from solver.fitting.geometry_information import Linearisation, Proposal, rank
 from solver.fitting.information import Posterior
 from solver.fitting.objective import SkinDistance, Target
 from solver.model import SubjectModel
@@ -28,8 +28,8 @@ from solver.surface import Floats
 
 SIDES = ("Left", "Right")
 # shapes as ARKit calls them -> action unit or descriptor of FACS (Ekman, Friesen and Hager 2002),
-# "" where it has none, and words to say to the person in the chair. Looks are missing: a scan of
-# one tells of lids alone; and puffed cheeks, which air makes.
+# "" where it has none, and words to say to the person in the chair. Looks are missing, as a scan of
+# one shows lids alone; and puffed cheeks, which air makes.
 WORDS = {
     "browDown": ("AU 4", "brows down"),
     "browInnerUp": ("AU 1", "inner brows up"),
@@ -137,15 +137,18 @@ class Library:
             raise SolveError("fit.failed", "no expression of the template could be fitted")
 
     def rank(self, posterior: Posterior) -> list[Proposal]:
-        """Return all by what each adds, best first."""
+        """Return all by their expected gain, best first."""
         return rank(self._linearisation, posterior, self.information)
 
     def suggest(self, posterior: Posterior, count: int) -> list[Suggestion]:
-        """Return what to scan next, in turn, up to ``count`` expressions."""
-        found = []
-        for proposal in plan(self._linearisation, posterior, self.information, count):
-            found.append(Suggestion(proposal.name, self._side(posterior, proposal), proposal))
-            posterior = posterior.after(self.information[proposal.name])
+        """Return up to ``count`` expressions to scan in turn, each the best after those before."""
+        found: list[Suggestion] = []
+        done: set[str] = set()
+        while len(found) < min(count, len(self.information)):
+            best = next(each for each in self.rank(posterior) if each.name not in done)
+            found.append(Suggestion(best.name, self._side(posterior, best), best))
+            posterior = posterior.after(self.information[best.name])
+            done.add(best.name)
         return found
 
     def _side(self, posterior: Posterior, proposal: Proposal) -> str:

@@ -164,7 +164,7 @@ def _muscles(model: SubjectModel, found: Muscles) -> dict[str, dict[str, Any]]:
 
 
 def information_figures(model: SubjectModel, found: MuscleInformation) -> dict[str, Any]:
-    """Return what scans tell of muscles: each muscle's information, and pairs not told apart."""
+    """Return each muscle's information, and the pairs that the scans confuse, as JSON values."""
     names = model.muscle_names
     return {
         "scans": found.scans,
@@ -174,6 +174,18 @@ def information_figures(model: SubjectModel, found: MuscleInformation) -> dict[s
             for i, j, correlation in found.confused
         ],
     }
+
+
+def known_information(rig: Rig) -> MuscleInformation | None:
+    """Return the information of :func:`information_figures` that a rig's report has, if any."""
+    found = (rig.figures or {}).get("information")
+    if not found:
+        return None
+    number = rig.model.muscle_names.index
+    pairs = [(*pair["muscles"], pair["correlation"]) for pair in found["confused"]]
+    confused = tuple((number(one), number(other), value) for one, other, value in pairs)
+    each = np.array([found["muscles"][name] for name in rig.model.muscle_names])
+    return MuscleInformation(each, confused, found["scans"])
 
 
 def _role_mean(rig: Rig, role: str) -> float | None:

@@ -284,20 +284,25 @@ def _muscle_cell(muscle: dict[str, Any]) -> str:
 
 
 def _information(found: dict[str, Any] | None) -> str:
-    """Return what the scans tell: muscles little known, the least first, and pairs."""
+    """Return the fold of muscles little known, the least first, and of pairs not separated."""
     if found is None:
         return ""
     known = sorted(found["muscles"].items(), key=lambda item: item[1])
-    little = [f"{name} {100 * told:.0f} %" for name, told in known if told < LITTLE]
+    space = "\N{NO-BREAK SPACE}"
+    little = [f"{name} {100 * part:.0f}{space}%" for name, part in known if part < LITTLE]
     pairs = [
         f"{' and '.join(pair['muscles'])} ({pair['correlation']:+.2f})".replace("-", "−")
         for pair in found["confused"]
     ]
-    told = f"From the training scans ({found['scans']}) more than half of what is to be known of "
-    told += f"their flesh is known of {len(known) - len(little)} of {len(known)} muscles."
-    lists = {"Little known": little, "Not told apart (correlation)": pairs}
+    summary = (
+        f"The training scans ({found['scans']}) determine {len(known) - len(little)} of "
+        f"{len(known)} muscles: of how much flesh each fills, and where, more than half of the "
+        "uncertainty is gone."
+    )
+    lists = {"Less known": little, "Not separated (correlation)": pairs}
     facts = {name: "; ".join(items) for name, items in lists.items() if items}
-    return _fold("What the scans tell", _element("p", told) + _element("dl", _definitions(facts)))
+    inside = _element("p", summary) + _element("dl", _definitions(facts))
+    return _fold("Muscles the scans determine", inside)
 
 
 # One expression: its picture, figures, regions and faults.

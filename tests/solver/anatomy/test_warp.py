@@ -39,6 +39,16 @@ def test_plane_constraint_leaves_the_other_directions_free(points):
     assert np.abs(moved[:, [0, 2]]).max() < 1e-3
 
 
+def test_spread_is_denser_where_it_should_be_and_begins_where_it_should():
+    line = np.linspace(0.0, 100.0, 401)[:, None] * [1.0, 0.0, 0.0]
+    density = np.where(line[:, 0] > 50.0, 3.0, 1.0)
+    chosen = spread(line, 40, 200, density)
+    assert chosen[0] == 200
+    right = (chosen > 200).sum()
+    assert 2.5 < right / (40 - right) < 3.5
+    assert np.array_equal(chosen[:10], spread(line, 10, 200, density))
+
+
 def test_spread_takes_the_corners_of_a_line_first():
     line = np.column_stack([np.arange(11.0), np.zeros(11), np.zeros(11)])
     assert set(spread(line, 3)) == {0, 10, 5}

@@ -3,16 +3,18 @@
 import numpy as np
 import pytest
 
+from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry_information import (
     InformationOptions,
     Linearisation,
     MuscleInformation,
-    plan,
+    pose_precision,
     rank,
 )
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.simplex import replace_values
+from solver.mechanics.jaw_tracks import JawTracks
 from tests.solver.block import block_model
 
 OPTIONS = InformationOptions()
@@ -74,13 +76,20 @@ def test_the_expression_of_the_muscle_that_is_not_known_is_proposed(face):
     first, second = rank(linearisation, posterior, library)
     assert first.name == "right"
     assert first.before_mm == second.before_mm > second.after_mm > first.after_mm > 0.0
-    planned = plan(linearisation, posterior, library, 5)
-    assert [each.name for each in planned] == ["right", "left"]
-    assert planned[0] == first
-    assert planned[1].before_mm == pytest.approx(planned[0].after_mm)
+    again = rank(linearisation, posterior.after(library["right"]), library)
+    assert again[0].before_mm == pytest.approx(first.after_mm)
 
 
-def test_muscles_that_only_act_together_are_told_as_confused():
+def test_the_prior_of_a_pose_takes_the_units_of_whatever_jaw_a_face_has(face):
+    free = np.diag(pose_precision(face))
+    spread = np.array([0.05, 0.05, 5.0, 5.0, 5.0])
+    assert np.allclose(free[face.layout["jaw"]], spread**-2.0)
+    tracks = JawTracks(face.model.jaw, 0.6, 60.0, 2.0, 0.3)
+    on_tracks = face.with_jaw(tracks, track_block(tracks))
+    assert np.allclose(np.diag(pose_precision(on_tracks))[-3:], [0.05**-2, 5.0**-2, 5.0**-2])
+
+
+def test_muscles_that_only_act_together_are_confused():
     model = block_model()
     # both in the same flesh and alike: the scan knows their sum
     S = model.weights.toarray()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,23 @@ def test_an_artifact_is_named_with_region_and_vertex(files: Path, tmp_path: Path
 
 def fail(*_args: object, **_more: object) -> None:
     raise SolveError("solve.no_convergence", "the fitted face does not come to rest")
+
+
+def test_information_is_kept_while_s_and_its_scans_are(files: Path, tmp_path: Path) -> None:
+    activations(files, tmp_path, "narrow")
+    [fit] = Rig.load(tmp_path / "rig.npz").expressions
+    known = {"scans": 1, "muscles": {"left": 0.25, "right": 0.5}, "confused": []}
+    known["confused"] = [{"muscles": ["left", "right"], "correlation": -0.9}]
+    parent = Rig(
+        MODEL, MODEL.weights, (replace(fit, role="train"),), figures={"information": known}
+    )
+    parent.save(tmp_path / "parent.npz")
+    more = {"rig": tmp_path / "parent.npz"}
+    kept, _ = activations(files, tmp_path / "kept", "wide", **more)
+    assert kept["information"] == known
+    # the training scan is no more: its expression was fitted anew
+    replaced, _ = activations(files, tmp_path / "replaced", "narrow", **more)
+    assert replaced["information"] is None
 
 
 def test_what_neither_solver_can_fit_costs_only_itself(

@@ -146,7 +146,7 @@ class SubjectView {
     );
   }
 
-  /** Say what to scan next, as the newest proposal for a rig of this person has it. */
+  /** Show what to scan next, as the newest proposal for a rig of this person has it. */
   async showNext(job) {
     if (this.shownNext === job?.id) return;
     const { result } = job ? await get(`/v1/jobs/${job.id}`, {}, this.signal) : {};
