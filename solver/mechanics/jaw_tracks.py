@@ -20,9 +20,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.optimize import least_squares, nnls
 
-from solver.mechanics.boundary import rotation
+from solver.mechanics.boundary import move_jaw, rotation
 from solver.model import JawFrame
 from solver.similarity import weighted_motion
 from solver.surface import Floats
@@ -162,6 +162,17 @@ def tracks_of_shapes(
     length = max(float(s.max()), options.length_mm)
     opening = max(*hinges, usual.opening)
     return replace(usual, slope=slope, bend=bend, length=length, opening=opening)
+
+
+def nearest_free_jaw(frame: JawFrame, motion: Floats, points: Floats) -> Floats:
+    """Return the b (5,) of a free jaw that moves ``points`` (n, 3) most as ``motion`` (4, 4)."""
+    goal = points @ motion[:3, :3].T + motion[:3, 3]
+    units = np.array([0.01, 0.01, 1.0, 1.0, 1.0])  # about 1 mm of a jaw each
+
+    def off(scaled: Floats) -> Floats:
+        return np.asarray((move_jaw(frame, points, units * scaled) - goal).ravel())
+
+    return np.asarray(units * least_squares(off, np.zeros(5), method="lm").x)
 
 
 def _skew(w: Floats) -> Floats:
