@@ -109,11 +109,13 @@ class Tracker:
         """
         options, lagged = self._options, self._lagged
         found = None
+        # points may be seen otherwise
+        if lagged and (
+            np.abs(weights - lagged.weights).sum() >= options.reseen * np.abs(weights).sum()
+        ):
+            lagged = _LaggedModel.of(lagged.jacobian, data, weights, self.state.x)
+            self._lagged = lagged
         if lagged and not whole:
-            # points may be seen otherwise
-            if np.abs(weights - lagged.weights).sum() >= options.reseen * np.abs(weights).sum():
-                lagged = _LaggedModel.of(lagged.jacobian, data, weights, self.state.x)
-                self._lagged = lagged
             found = self._fit_lagged(lagged, data, prior)
             if found is None and self._age:
                 found = self._fit_lagged(self.relinearise(data, weights), data, prior)
