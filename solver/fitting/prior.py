@@ -41,8 +41,8 @@ class PriorOptions:
     own_strength: float = 0.0  # of a muscle's amount by itself
     floor: Mapping[str, Sequence[float] | float] = field(
         default_factory=lambda: {
-            "jaw": (0.01, 0.01, 0.3, 0.3, 0.3),
-            "tracks": (0.01, 0.3, 0.3),
+            "jaw": (0.03, 0.03, 0.5, 0.5, 0.5),
+            "tracks": (0.03, 0.5, 0.5),
             "fibres": 0.1,
         }
     )

@@ -83,7 +83,7 @@ def _covariances(
     for number, frame in enumerate(frames):
         before = _spread(tracker, found[-1]) if found else spread
         normal = tracker.normal(frame.pose, frame.head, frame.weights, number)
-        covariance, _ = tracker.remember(GaussianPrior(tracker.prior.mean, before), normal)
+        covariance, _ = tracker.spread(GaussianPrior(tracker.prior.mean, before), normal)
         found.append(covariance)
     return found
 

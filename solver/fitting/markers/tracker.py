@@ -183,12 +183,13 @@ class MarkerTracker:
         by_controls = self._by_controls()
         return np.asarray(by_controls.T @ term.inner(term.place(places)) @ by_controls)
 
-    def remember(self, prior: GaussianPrior, normal: Floats) -> tuple[Floats, Posterior]:
-        """Return the covariance (q, q) that a frame leaves, and its posterior by itself.
+    def spread(self, prior: GaussianPrior, normal: Floats) -> tuple[Floats, Posterior]:
+        """Return how surely the controls of a frame are known (q, q), and by it alone.
 
         ``prior`` is that before the frame, ``normal`` (q, q) what its markers tell. What they tell
         of is not known any better by the frames before: markers bound beside where they are err
-        alike in all of them, and many such frames say no more than one.
+        alike in all of them, and many such frames say no more than one. The filter goes on from
+        its own, smaller covariance: it follows a bias as closely, and is less stirred by noise.
         """
         usual = self.prior
         alone = Posterior(inverse_of_positive(usual.precision + normal), usual.variance)
@@ -238,11 +239,12 @@ class MarkerTracker:
         placed = term.place(self.places.at(state.x))
         by_controls = self._by_controls()
         normal = by_controls.T @ term.inner(placed) @ by_controls
-        covariance, alone = self.remember(prior, normal)
-        if ending == "kept":  # the controls are not those that the markers tell of
-            covariance = prior.covariance
+        covariance, alone = self.spread(prior, normal)
+        # kept controls are not those that the markers tell of
+        known = 0.0 if ending == "kept" else 1.0
+        filtered = inverse_of_positive(prior.precision + known * normal)
         head = HeadPrior(placed.head, placed.precision)
-        self.memory = MarkerMemory(state.pose.vector(), covariance, head)
+        self.memory = MarkerMemory(state.pose.vector(), filtered, head)
         layout = state.pose.layout
         muscles = layout.places(layout.blocks[0].name)
         told = alone.information_of(muscles.reshape(len(muscles), -1))
