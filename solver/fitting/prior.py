@@ -146,19 +146,11 @@ def from_shapes(
 ) -> GaussianPrior:
     """Return the prior of a template's expressions, motions (e, v, 3) of the whole skin, mm.
 
-    A shape's change of the controls is the regularised least squares of the face's points, and of
-    what rides on the mandible: skin alone does not tell the jaw from the chin's muscles.
+    A shape's change of the controls is the regularised least squares of the face's points.
     """
     jacobian = Sensitivity(face, face.rest).by_pose()
     hessian = rest_curvature(face) + unseen_regulariser(face).gauss_newton(face.rest.pose)
     moved = np.asarray(shapes[:, face.model.face], np.float64) * (2.0 / len(face.model.face))
     pulls = np.array([jacobian.adjoint(face.face_embedding.T @ shape) for shape in moved])
-    teeth, block = face.model.attached_mandible, face.layout[face.layout.blocks[1].name]
-    if len(teeth):
-        by_jaw = face.jaw.jacobian(face.model.skin.vertices[teeth], face.rest.pose.b)
-        by_jaw = by_jaw.reshape(3 * len(teeth), -1) * np.sqrt(2.0 / len(teeth))
-        hessian[block, block] += by_jaw.T @ by_jaw
-        ridden = np.asarray(shapes[:, teeth], np.float64).reshape(len(shapes), -1)
-        pulls[:, block] += np.sqrt(2.0 / len(teeth)) * ridden @ by_jaw
     changes = scipy.linalg.solve(hessian, pulls.T, assume_a="pos").T
     return from_changes(face.layout, changes, options)
