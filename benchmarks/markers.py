@@ -337,7 +337,9 @@ def _left_out(
         fit = tracker.fit(frames[row])
         assert tracker.memory is not None, "a frame was fitted"
         # from the prior alone: what came before has seen the marker
-        memory = replace(tracker.memory, mean=known.mean, covariance=known.covariance)
+        memory = replace(
+            tracker.memory, mean=known.mean, covariance=known.covariance, spread=known.covariance
+        )
         for marker in np.flatnonzero(np.isfinite(frames[row]).all(axis=1)).tolist():
             seen = frames[row].copy()
             seen[marker] = np.nan

@@ -31,9 +31,9 @@ from solver.fitting.strips import strip_names
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, hash_files
 from solver.kinds.fit_markers import FitMarkers
-from solver.mechanics.boundary import FreeJaw
+from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
 from solver.mechanics.flesh import MOONEY_RIVLIN
-from solver.mechanics.jaw_tracks import nearest_free_jaw
+from solver.mechanics.jaw_tracks import nearest_jaw
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.progress import Step
@@ -234,14 +234,22 @@ def _smoothed(
 
 def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
     """Return the prior that was asked for; raises ``markers.prior`` where there is none."""
-    kind, layout = task.options.prior, face.layout
+    given, layout = task.options, face.layout
+    kind = given.prior
     if kind == "none":
         return prior.from_changes(layout, [], prior.LOOSE)
     if kind == "scans":
-        poses = [Pose(e.activations, e.jaw) for e in rig.expressions if e.status != "failed"]
-        if not poses or face.has_own_drive:
+        good = [each for each in rig.expressions if each.status != "failed"]
+        if not good or face.has_own_drive:
             message = "the rig has no expressions of such muscles to make a prior from"
             raise InputError("markers.prior", message)
+        free, points = FreeJaw(face.model.jaw), face.model.rest[face.model.mandible]
+        poses = [Pose(each.activations, each.jaw) for each in good]
+        if given.jaw == "tracks":
+            size = len(face.rest_pose().b)
+            jaws = [nearest_jaw(face.jaw, size, free.matrix(each.b), points) for each in poses]
+            pairs = zip(poses, jaws, strict=True)
+            poses = [Pose.of(layout, layout.clip(layout.join([p.a, b]))) for p, b in pairs]
         return prior.from_expressions(face, poses)
     shapes = _template(task).shapes
     if shapes is None or shapes.expressions.shape[1] != len(face.model.skin.vertices):
@@ -337,6 +345,7 @@ class _Session:
             "x": state.x,
             "controls": state.pose.vector(),
             "covariance": memory.covariance,
+            "spread": memory.spread,
             "head": rigid,
             "head_precision": memory.head.precision,
         }
@@ -350,7 +359,8 @@ class _Session:
         head = HeadPrior(
             Similarity(1.0, rigid[:3], rigid[3]), unpack(stored["head_precision"], "<f8", 6)
         )
-        memory = MarkerMemory(controls, unpack(stored["covariance"], "<f8", size), head)
+        covariance, spread = (unpack(stored[key], "<f8", size) for key in ("covariance", "spread"))
+        memory = MarkerMemory(controls, covariance, spread, head)
         pose = face.rest_pose().add(controls - face.layout.rest)
         self._tracker.begin(_settled(face, pose, unpack(stored["x"], "<f8")), memory)
 
@@ -395,7 +405,9 @@ def _pose_values(face: Face, pose: Pose) -> dict[str, Any]:
     mandible = face.jaw.matrix(pose.b)
     on_tracks = not isinstance(face.jaw, FreeJaw)
     points = face.model.rest[face.model.mandible]
-    jaw = nearest_free_jaw(face.model.jaw, mandible, points) if on_tracks else pose.b
+    jaw = (
+        nearest_jaw(FreeJaw(face.model.jaw), JAW_FREEDOM, mandible, points) if on_tracks else pose.b
+    )
     return {
         "activations": pose.a.round(DECIMALS),
         "jaw": jaw.round(DECIMALS),

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
-from solver.mechanics.boundary import move_jaw, rotation
+from solver.mechanics.boundary import JawMotion, rotation
 from solver.model import JawFrame
 from solver.similarity import weighted_motion
 from solver.surface import Floats
@@ -164,15 +164,14 @@ def tracks_of_shapes(
     return replace(usual, slope=slope, bend=bend, length=length, opening=opening)
 
 
-def nearest_free_jaw(frame: JawFrame, motion: Floats, points: Floats) -> Floats:
-    """Return the b (5,) of a free jaw that moves ``points`` (n, 3) most as ``motion`` (4, 4)."""
+def nearest_jaw(jaw: JawMotion, size: int, motion: Floats, points: Floats) -> Floats:
+    """Return the numbers (size,) of a jaw that move ``points`` (n, 3) most as ``motion`` (4, 4)."""
     goal = points @ motion[:3, :3].T + motion[:3, 3]
-    units = np.array([0.01, 0.01, 1.0, 1.0, 1.0])  # about 1 mm of a jaw each
 
-    def off(scaled: Floats) -> Floats:
-        return np.asarray((move_jaw(frame, points, units * scaled) - goal).ravel())
+    def off(b: Floats) -> Floats:
+        return np.asarray((jaw.move(points, b) - goal).ravel())
 
-    return np.asarray(units * least_squares(off, np.zeros(5), method="lm").x)
+    return np.asarray(least_squares(off, np.zeros(size), x_scale="jac").x)
 
 
 def _skew(w: Floats) -> Floats:

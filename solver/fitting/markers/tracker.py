@@ -54,7 +54,8 @@ class MarkerMemory:
     """What a frame leaves to the next: the posterior of controls and head."""
 
     mean: Floats  # (k,)
-    covariance: Floats  # (k, k)
+    covariance: Floats  # (k, k) as the filter has it, points of all frames being independent
+    spread: Floats  # (k, k) as surely as they are known: see MarkerTracker.spread
     head: HeadPrior
 
 
@@ -239,12 +240,17 @@ class MarkerTracker:
         placed = term.place(self.places.at(state.x))
         by_controls = self._by_controls()
         normal = by_controls.T @ term.inner(placed) @ by_controls
-        covariance, alone = self.spread(prior, normal)
+        sure = prior
+        if self.memory is not None:
+            memory, time = self.memory, self.options.forgetting
+            sure = self.prior.after(memory.mean, memory.spread, self.seconds, time)
+        spread, alone = self.spread(sure, normal)
         # kept controls are not those that the markers tell of
         known = 0.0 if ending == "kept" else 1.0
-        filtered = inverse_of_positive(prior.precision + known * normal)
+        covariance = inverse_of_positive(prior.precision + known * normal)
+        spread = spread if known else sure.covariance
         head = HeadPrior(placed.head, placed.precision)
-        self.memory = MarkerMemory(state.pose.vector(), filtered, head)
+        self.memory = MarkerMemory(state.pose.vector(), covariance, spread, head)
         layout = state.pose.layout
         muscles = layout.places(layout.blocks[0].name)
         told = alone.information_of(muscles.reshape(len(muscles), -1))
@@ -252,7 +258,7 @@ class MarkerTracker:
             state,
             placed,
             judged,
-            sd=np.sqrt(np.diag(covariance)),
+            sd=np.sqrt(np.diag(spread)),
             information=alone.information,
             held=told < self.options.hold_below,
             predicted=ending == "predicted",
