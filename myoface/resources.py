@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 from myoface.names import Role, is_device, same_file
 from myoface.values import Resource, ValueFaultError, matching
 
-Scope = Literal["read", "write", "delete", "webhooks", "metrics", "admin"]
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
 
 # Roles of what is checked and registered by nobody
@@ -35,11 +34,14 @@ Sha256 = Annotated[str, matching(r"^[0-9a-f]{64}$", "a sha256 of 64 hexadecimal 
 # What a studio notes of a subject, scan or rig; a label that is changed to None is taken away
 Labels = Mapping[str, str]
 LabelChanges = Mapping[str, str | None]
+# Labels that a list is asked for; None stands for any value
+LabelFilter = Mapping[str, str | None]
 
 
-def as_query(labels: Labels | None) -> list[str] | None:
+def as_query(labels: LabelFilter | None) -> list[str] | None:
     """Return labels as a list is asked for them."""
-    return [f"{key}:{value}" for key, value in labels.items()] if labels else None
+    pairs = (labels or {}).items()
+    return [key if value is None else f"{key}:{value}" for key, value in pairs] or None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,7 +209,7 @@ class Result(ResultItem):
 
 @dataclass(frozen=True, kw_only=True)
 class Cancel(Resource):
-    """Who asked for a job to stop, and why."""
+    """The order that stopped a job: by whom, and why."""
 
     by: str
     reason: str
@@ -389,133 +391,5 @@ class Batch(Resource):
     fit: BatchFit | None = None
     error: dict[str, Any] | None = None
     cancel: Cancel | None = None
-    created_at: datetime | None = None
-    finished_at: datetime | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Me(Resource):
-    """Whose key a client has, and what it may be used for."""
-
-    tenant: str
-    key_id: str
-    scopes: list[Scope]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Use(Resource):
-    """Amount in use; a ``limit`` of None is none."""
-
-    used: int
-    limit: int | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limits(Resource):
-    """What a service accepts; ``builtin_vertices`` has a registered scan without a template."""
-
-    max_upload_bytes: int
-    builtin_vertices: int | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Usage(Resource):
-    """The tenant's stored bytes, its jobs that wait and run, and files that were lost."""
-
-    bytes: Use
-    queued: Use
-    running: Use
-    lost_files: int = 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Key(Resource):
-    """An API key, without its text."""
-
-    id: str
-    name: str
-    scopes: list[Scope]
-    created_at: datetime
-    expires_at: datetime | None = None
-    last_used_at: datetime | None = None
-    revoked_at: datetime | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class NewKey(Key):
-    """A key that was just made; its text is told once.
-
-    It is None if the answer that told it was lost on the line: rotate the key then.
-    """
-
-    key: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Deletion(Resource):
-    """The receipt of a deletion: when nothing showed the object, and when its files were gone."""
-
-    id: str
-    kind: str
-    object_id: str
-    reason: Literal["request", "retention"]
-    created_at: datetime
-    rows_at: datetime | None = None
-    files_at: datetime | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class AuditEntry(Resource):
-    """An action with a key, and the object that it was done to."""
-
-    id: str
-    created_at: datetime
-    key_id: str
-    request_id: str
-    action: str
-    object_id: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class Webhook(Resource):
-    """An address that is told what happens; ``disabled_reason`` says why it is off."""
-
-    id: str
-    url: str
-    events: list[str] = field(default_factory=list)
-    kinds: list[str] = field(default_factory=list)
-    active: bool
-    disabled_reason: str | None = None
-    failing_since: datetime | None = None
-    rotated_at: datetime | None = None
-    created_at: datetime | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class NewWebhook(Webhook):
-    """A webhook with the secret that its receiver verifies signatures by: told once.
-
-    It is None if the answer that told it was lost on the line: rotate it then.
-    """
-
-    secret: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Delivery(Resource):
-    """An event on its way, or what became of it; ``error`` is the code of what went wrong."""
-
-    id: str
-    webhook_id: str
-    event_id: str
-    type: str
-    data: dict[str, Any]
-    state: Literal["pending", "delivered", "failed"]
-    attempt: int
-    next_at: datetime | None = None
-    status: int | None = None
-    ms: int | None = None
-    error: str | None = None
-    excerpt: str | None = None
     created_at: datetime | None = None
     finished_at: datetime | None = None

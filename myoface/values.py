@@ -17,7 +17,7 @@ NOT_OF_THE_API = "client.answer"
 
 
 class ValueFaultError(Exception):
-    """What is wrong with a value, and where it stands in its answer."""
+    """A fault of a value, with its place in the answer."""
 
     def __init__(self, message: str) -> None:
         super().__init__(message)

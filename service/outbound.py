@@ -19,6 +19,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 import httpcore
+import structlog
 
 PORTS = frozenset({80, 443, 8443})
 MOST_TRIED = 4
@@ -30,6 +31,8 @@ ALLOWANCE = "MYOFACE_WEBHOOK_ALLOW"
 HTTP_DATE = "%a, %d %b %Y %H:%M:%S GMT"
 DELTA_SECONDS = re.compile(r"[0-9]{1,9}")
 _PRINTABLE = re.compile(r"[!-~]+")
+
+log = structlog.get_logger()
 
 Resolve = Callable[[str, int], Sequence[str]]
 
@@ -149,7 +152,7 @@ class Sender:
         origin = parse(url).origin
         addresses = _written(origin.host.decode())
         if addresses:
-            _refuse(origin.host.decode(), origin.port, addresses, self._allow)
+            _refuse(origin.host.decode(), origin.port, addresses, self._allow, is_typed=True)
         elif origin.port not in PORTS and not self._allow:
             raise _wrong_port(origin.port)
 
@@ -246,7 +249,7 @@ class _CheckedBackend(httpcore.NetworkBackend):
         addresses = [_address(text) for text in found]
         if not addresses:
             raise Unreachable("address.unknown", f"{host} has no address")
-        _refuse(host, port, addresses, self._allow)
+        _refuse(host, port, addresses, self._allow, is_typed=False)
         return addresses[:MOST_TRIED]
 
 
@@ -334,12 +337,20 @@ def _written(host: str) -> list[Address]:
     return [_address(str(entry[4][0])) for entry in found]
 
 
-def _refuse(host: str, port: int, addresses: Sequence[Address], allow: Sequence[Network]) -> None:
-    if not all(is_allowed(address, allow) for address in addresses):
+def _refuse(
+    host: str, port: int, addresses: Sequence[Address], allow: Sequence[Network], *, is_typed: bool
+) -> None:
+    inner = [each for each in map(_embedded_ipv4, addresses) if not is_allowed(each, allow)]
+    if inner:
         detail = (
-            f"{host} is not a public address: the operator can allow its network by "
-            f"{ALLOWANCE}, such as {_example(addresses[0])}"
+            f"{host} is not a public address: the operator can allow its network by {ALLOWANCE}"
         )
+        length = 24 if inner[0].version == 4 else 64
+        network = ipaddress.ip_network((inner[0], length), strict=False)
+        if not is_typed:  # where a name leads is for the operator alone: it maps their network
+            log.warning("webhook.refused", host=host, network=str(network))
+        elif not (inner[0].is_loopback or inner[0].is_link_local):
+            detail += f", such as '[\"{network}\"]'"
         raise Refused("address.private", detail)
     if port not in PORTS and not all(is_named(address, allow) for address in addresses):
         raise _wrong_port(port)
@@ -351,13 +362,6 @@ def _wrong_port(port: int) -> Refused:
         f"allows by {ALLOWANCE}"
     )
     return Refused("address.port", detail)
-
-
-def _example(address: Address) -> str:
-    """Return the value of the setting that allows an address's neighbours."""
-    embedded = _embedded_ipv4(address)
-    length = 24 if embedded.version == 4 else 64
-    return f"'[\"{ipaddress.ip_network((embedded, length), strict=False)}\"]'"
 
 
 def _address(text: str) -> Address:

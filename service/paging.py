@@ -36,7 +36,7 @@ def respond(page: BaseModel) -> Response:
     return Response(page.model_dump_json(), media_type="application/json")
 
 
-def labelled(
+def filter_by_labels(
     query: Select[Row], labels: InstrumentedAttribute[dict[str, Any]], wanted: Sequence[str] | None
 ) -> Select[Row]:
     """Return a query for the rows that have all wanted labels, each ``key:value`` or a key."""

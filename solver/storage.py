@@ -7,36 +7,26 @@ import json
 import math
 import os
 import shutil
-import struct
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
 from tokenize import TokenError
 from typing import IO, Any
-from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
+from zipfile import ZipFile, ZipInfo
 
 import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError, quote
+from solver.kinds import NOT_READABLE, check_directory, is_plainly_packed
 
 # Reading arrays that others packed. A megabyte of NPZ can unpack to a gigabyte, and a header can
 # claim any shape. So, before room is made, a file's list of members is bounded, every member is an
 # array of plain values whose header agrees with its size, and all of them together are no larger
 # than a limit. Pickles are never read.
 
-# Errors of reading a ZIP that is damaged, or packed in a way that is not known.
-NOT_READABLE = (OSError, EOFError, BadZipFile, RuntimeError, struct.error, zlib.error)
 MOST_BYTES = 1 << 30  # that a file may unpack to
-MOST_DIRECTORY_BYTES = 1 << 20  # of a ZIP's list of members; each takes about a hundred
 PLAIN = "biufU"  # kinds of values: booleans, whole numbers, floats and text
-
-# The end of a ZIP's directory, and the locator of the end that large archives have besides.
-END_OF_DIRECTORY = struct.Struct("<4s4H2LH")
-FIRST_MAGIC, END_MAGIC, LARGE_MAGIC = b"PK\3\4", b"PK\5\6", b"PK\6\7"
-LARGE_SIZE, LONGEST_COMMENT = 20, 1 << 16  # bytes
-ENCRYPTED = 1  # the bit of a member's flags
 
 
 def read_arrays(
@@ -88,28 +78,6 @@ def map_array(path: Path) -> np.ndarray:
         raise ValueError(str(error)) from error
 
 
-def check_directory(stream: IO[bytes]) -> None:
-    """Raise :class:`BadZipFile` if a ZIP's list of members is long, and go back to its beginning.
-
-    The list is read at once, and each entry becomes an object, and a file where it is unpacked. A
-    second end of the directory, for archives of many gigabytes, would overrule the first.
-    """
-    length = stream.seek(0, 2)
-    stream.seek(max(0, length - END_OF_DIRECTORY.size - LONGEST_COMMENT - LARGE_SIZE))
-    tail = stream.read()
-    place = tail.rfind(END_MAGIC)
-    if place < 0 or place + END_OF_DIRECTORY.size > len(tail):
-        stream.seek(0)
-        if stream.read(len(FIRST_MAGIC)) == FIRST_MAGIC:
-            raise BadZipFile("it ends too soon: download it again")
-        raise BadZipFile("it is not a ZIP")
-    size = END_OF_DIRECTORY.unpack_from(tail, place)[5]
-    large = tail[max(0, place - LARGE_SIZE) : place].startswith(LARGE_MAGIC)
-    if large or size > MOST_DIRECTORY_BYTES:
-        raise BadZipFile("it lists too many members")
-    stream.seek(0)
-
-
 def _check_members(members: list[ZipInfo]) -> None:
     names = set()
     for member in members:
@@ -123,8 +91,7 @@ def _check_members(members: list[ZipInfo]) -> None:
 
 def _check_packing(members: list[ZipInfo], most_bytes: int) -> None:
     for member in members:
-        packed = member.compress_type in (ZIP_STORED, ZIP_DEFLATED)
-        if not packed or member.flag_bits & ENCRYPTED:
+        if not is_plainly_packed(member):
             name = quote(member.filename)
             raise ValueError(f"'{name}' is encrypted or packed in another way than NumPy does")
     size = sum(member.file_size for member in members)

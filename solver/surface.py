@@ -64,6 +64,15 @@ def unit_rows(vectors: Floats) -> Floats:
     return np.asarray(vectors / (np.linalg.norm(vectors, axis=-1, keepdims=True) + 1e-30))
 
 
+def skew(vectors: Floats) -> Floats:
+    """Return the matrices (..., 3, 3) of v x . for ``vectors`` (..., 3)."""
+    out = np.zeros((*vectors.shape, 3))
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = z, -y, x
+    return out
+
+
 def vertex_areas(vertices: Floats, faces: Ints) -> Floats:
     """Return the area (n,) that belongs to each vertex: a third of its triangles'."""
     area = np.linalg.norm(area_normals(vertices, faces), axis=1) / 6

@@ -64,7 +64,7 @@ def c3d_bytes(
     if said["POINT", "DATA_START"] == 0:
         length = len(_section(said, processor, 0))
         start = 2 + math.ceil(length / BLOCK)
-        said["POINT", "DATA_START"] = np.int16(start)
+        said["POINT", "DATA_START"] = _word(start)
     else:
         start = int(said["POINT", "DATA_START"])
     section = _section(said, processor, start - 2).ljust((start - 2) * BLOCK, b"\0")
@@ -99,7 +99,9 @@ def _data(points: np.ndarray, scale: float, analog: int, processor: int, residua
     table = np.zeros((*points.shape[:2], 4))
     table[..., :3] = np.where(seen[..., None], points, 0.0) / (scale if scale > 0 else 1.0)
     table[..., 3] = np.where(seen, residual, -1.0)
-    rows = np.hstack([table.reshape(len(points), -1), np.full((len(points), analog), 7.0)])
+    rows = np.hstack(
+        [table.reshape(len(points), 4 * points.shape[1]), np.full((len(points), analog), 7.0)]
+    )
     if scale < 0:
         content = _floats(rows.ravel(), processor)
     else:
@@ -122,17 +124,17 @@ def _word(number: int) -> np.int16:
 def _section(said: dict[tuple[str, str], Any], processor: int, blocks: int) -> bytes:
     order = ">" if processor == MIPS else "<"
     groups = list(dict.fromkeys(group for group, _ in said))
-    content = bytes([1, 0x50, min(blocks, 255), processor])
+    parts = [bytes([1, 0x50, min(blocks, 255), processor])]
     for number, group in enumerate(groups, start=1):
-        content += struct.pack("bb", len(group), -number) + group.encode()
-        content += struct.pack(f"{order}h", 3) + b"\0"
+        parts.append(struct.pack("bb", len(group), -number) + group.encode())
+        parts.append(struct.pack(f"{order}h", 3) + b"\0")
     for (group, name), value in said.items():
         if value is None:
             continue
         record = _parameter(value, processor) + b"\0"
-        content += struct.pack("bb", len(name), groups.index(group) + 1) + name.encode()
-        content += struct.pack(f"{order}h", len(record) + 2) + record
-    return content + b"\0\0"
+        parts.append(struct.pack("bb", len(name), groups.index(group) + 1) + name.encode())
+        parts.append(struct.pack(f"{order}h", len(record) + 2) + record)
+    return b"".join(parts) + b"\0\0"
 
 
 def _parameter(value: Any, processor: int) -> bytes:

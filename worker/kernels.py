@@ -22,6 +22,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -51,27 +52,38 @@ def are_compiled() -> bool:
         return False
 
 
-def compile_all(tell: Callable[[str], object] | None = None) -> None:
+def remove_stale() -> None:
+    """Remove kernels that are not of this code, before a job is given them.
+
+    A process that compiles at the moment has removed them; where nothing can be written they stay.
+    """
+    with suppress(OSError), _lock_file().open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not are_compiled():
+            _remove_all()
+
+
+def compile_all(tell: Callable[[str], object] | None = None, *, niceness: int = 10) -> None:
     """Compile the kernels that jobs use, unless they are of this code already.
 
-    Processes that want it at the same time do it once. ``tell`` is called with each step.
+    Processes that want it at the same time do it once. ``tell`` is called with each step. Checks
+    of scans come first, unless ``niceness`` is 0.
 
     Raises
     ------
     subprocess.CalledProcessError
         If one of the jobs that use them failed.
     """
-    stamp = _stamp()
-    stamp.parent.mkdir(parents=True, exist_ok=True)
-    with stamp.with_suffix(".lock").open("w") as lock:
+    with _lock_file().open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not are_compiled():
-            _compile_apart(tell)
+            _compile_apart(tell, niceness)
 
 
-def _compile_apart(tell: Callable[[str], object] | None) -> None:
+def _compile_apart(tell: Callable[[str], object] | None, niceness: int) -> None:
     """Compile in a process of its own, which ends when this one is interrupted."""
-    command = ["nice", sys.executable, "-m", "worker.kernels", "--parent", str(os.getpid())]
+    command = ["nice", "-n", str(niceness), sys.executable]
+    command += ["-m", "worker.kernels", "--parent", str(os.getpid())]
     with subprocess.Popen(command, cwd=SOLVER.parent, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         try:
@@ -140,6 +152,11 @@ def _installed() -> Iterator[Path]:
     return place.glob("*/*.nb[ic]") if place else SOLVER.rglob("__pycache__/*.nb[ic]")
 
 
+def _remove_all() -> None:
+    for kernel in _installed():
+        kernel.unlink(missing_ok=True)
+
+
 def _subfolder(package: Path) -> str:
     """Return numba's name, below its folder of caches, for the kernels of a package."""
     return f"{package.name}_{hashlib.sha1(str(package).encode()).hexdigest()}"
@@ -159,6 +176,12 @@ def _stamp() -> Path:
     return (installed_place() or SOLVER / "__pycache__") / "compiled"
 
 
+def _lock_file() -> Path:
+    file = _stamp().with_suffix(".lock")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    return file
+
+
 def main() -> None:
     """Compile the kernels and note of which code they are."""
     parser = argparse.ArgumentParser(prog="python -m worker.kernels", description=main.__doc__)
@@ -168,8 +191,7 @@ def main() -> None:
         _end_when_told(Path(name))
         if parent:
             die_with_parent(parent, signal.SIGTERM)
-        for kernel in _installed():  # numba does not see that a function elsewhere has changed
-            kernel.unlink(missing_ok=True)
+        _remove_all()  # numba does not see that a function elsewhere has changed
         _run_jobs(Path(name))
     _stamp().parent.mkdir(parents=True, exist_ok=True)
     _stamp().write_text(_hash())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -32,6 +33,10 @@ CPU_MARGIN = 60.0
 LONGEST_LINE = 4000
 MOST_LINES = 500
 MOST_LINES_KEPT = 20_000
+
+# Processes that ended before they got a job, in a row, after which no more are started
+MOST_FAILURES = 3
+LAST_WORDS = 64 * 1024  # bytes, as many as a pipe holds
 
 # The cache folder in an attempt's
 CACHE = "cache"
@@ -70,13 +75,20 @@ class _Interpreter:
             os.close(writing)
         self.steps = os.fdopen(reading, "rb")
 
+    def is_ready(self) -> bool:
+        """Return whether a process that waits has said so, by its first line."""
+        listening = select.poll()
+        listening.register(self.steps, select.POLLIN)
+        return any(event & select.POLLIN for _, event in listening.poll(0))
+
 
 class Standby:
     """Solver processes that have loaded their code and wait, each for one job and no more.
 
     They are started before the job is known, with nothing of any tenant, and confine themselves
-    when they are told its folder, as every solver process does before it reads a file of it. A
-    process that has ended meanwhile is missed by nobody: its job then starts one of its own.
+    when they are told its folder, as every solver process does before it reads a file of it. One
+    that is still loading, or has ended meanwhile, is missed by nobody: the job then starts a
+    process of its own. After `MOST_FAILURES` that ended in a row no more are started.
     """
 
     def __init__(self, settings: Settings, count: int) -> None:
@@ -84,6 +96,7 @@ class Standby:
         self._count = count if is_standby_possible(settings) else 0
         self._lock = threading.Lock()
         self._waiting: deque[_Interpreter] = deque()
+        self._failures = 0
 
     def fill(self) -> None:
         """Start what is missing.
@@ -91,7 +104,9 @@ class Standby:
         The system ends them with the thread that calls this: it lives as long as the worker.
         """
         with self._lock:
-            while len(self._waiting) < self._count:
+            for each in [each for each in self._waiting if each.process.poll() is not None]:
+                self._drop(each)
+            while len(self._waiting) < self._count and self._failures < MOST_FAILURES:
                 words = ["--standby", str(os.getpid())]
                 one_thread = dict.fromkeys(BLAS_THREADS, "1")  # others would not be confined
                 try:
@@ -101,15 +116,26 @@ class Standby:
                     return
                 self._waiting.append(started)
 
-    def take(self) -> _Interpreter | None:
-        """Return a process that waits, if there is one."""
+    def take(self, folder: Path) -> _Interpreter | None:
+        """Give the job in ``folder`` to a process that is ready for it, if there is one."""
         with self._lock:
-            while self._waiting:
-                started = self._waiting.popleft()
-                if started.process.poll() is None:
-                    return started
-                _end(started)
+            for each in list(self._waiting):
+                if each.process.poll() is not None:
+                    self._drop(each)
+                elif each.is_ready():
+                    if _tell(each, folder):
+                        self._waiting.remove(each)
+                        self._failures = 0
+                        return each
+                    self._drop(each)
         return None
+
+    def _drop(self, failed: _Interpreter) -> None:
+        self._waiting.remove(failed)
+        self._failures += 1
+        _end(failed)
+        if self._failures == MOST_FAILURES:
+            log.error("standby.given_up", failures=self._failures)
 
     def stop(self) -> None:
         """End what waits."""
@@ -165,9 +191,9 @@ class SolverProcess:
                 }
             )
         )
-        waiting = standby.take() if standby else None
-        self.was_ready = waiting is not None and _tell(waiting, folder)
-        if waiting is None or not self.was_ready:
+        waiting = standby.take(folder) if standby else None
+        self.was_ready = waiting is not None
+        if waiting is None:
             words, how = [str(folder)], {"cwd": folder, "stdin": subprocess.DEVNULL}
             waiting = _Interpreter(words, settings, environment, **how)
         self._process = waiting.process
@@ -274,22 +300,27 @@ class _Lines:
 
 
 def _tell(waiting: _Interpreter, folder: Path) -> bool:
-    """Tell a process that waits where its job is; False: it has ended."""
+    """Tell a process that is ready where its job is; False: it has ended."""
     stdin = waiting.process.stdin
     assert stdin is not None
+    waiting.steps.readline()  # that it is ready
     try:
         with stdin:
-            stdin.write(f"{folder}\n".encode())
+            stdin.write(os.fsencode(folder) + b"\n")
     except OSError:
-        _end(waiting)
         return False
     return True
 
 
 def _end(started: _Interpreter) -> None:
-    """End a process that has no job."""
+    """End a process that has no job; of one that ended by itself, log what it said last."""
+    code, said = started.process.poll(), started.process.stdout
     _signal_group(started.process.pid, signal.SIGKILL)
     started.process.wait()
+    if code is not None and said is not None:
+        os.set_blocking(said.fileno(), False)
+        words = (said.read(LAST_WORDS) or b"").decode(errors="replace").strip()
+        log.warning("standby.ended", code=code, said=words[-LONGEST_LINE:])
     for pipe in (started.steps, started.process.stdin, started.process.stdout):
         if pipe is not None:
             with suppress(OSError):

@@ -5,7 +5,8 @@ Reads ``job.json``, calls the kind's module of `solver.jobs` and writes ``result
 database and no queue, so whatever happens to it costs an attempt at most.
 
 ``python -m worker.solve --standby <parent> <pipe>`` loads code that most of a job's start goes
-into, and is told the folder of its one job on standard input. What it loads knows no job, has no
+into, says a line on the pipe when it is ready, and is told the folder of its one job on standard
+input. What it loads knows no job, has no
 kernels (they are looked for in the attempt's folder) and starts no threads (they would not be
 confined).
 """
@@ -51,19 +52,20 @@ AHEAD = (
 log = structlog.get_logger()
 
 
-def stand_by(parent: int) -> Path | None:
-    """Load code, then return the folder of the job that comes; None: there is none any more."""
+def stand_by(parent: int, progress_fd: int) -> Path | None:
+    """Load code, say so, and return the folder of the job that comes; None: there is no more."""
     die_with_parent(parent, signal.SIGKILL)
     for name in AHEAD:
         importlib.import_module(name)
     if sandbox.count_threads() > 1:
         sys.exit("what was loaded has started threads, which cannot be confined any more")
-    told = sys.stdin.readline().rstrip("\n")
+    os.write(progress_fd, b"ready\n")
+    told = sys.stdin.buffer.readline().rstrip(b"\n")
     with open(os.devnull) as nothing:
         os.dup2(nothing.fileno(), sys.stdin.fileno())
     if not told:
         return None
-    folder = Path(told)
+    folder = Path(os.fsdecode(told))
     os.chdir(folder)
     tempfile.tempdir = None  # somebody may have asked for it
     os.environ.update(json.loads((folder / "process.json").read_text())["environment"])
@@ -224,9 +226,10 @@ def _plain(value: Any, words: Callable[[str], str] = str) -> Any:
 def start(words: Sequence[str]) -> int:
     """Do the job of a command line, now or when it comes; returns the exit code."""
     *place, pipe = words
+    progress_fd = int(pipe)
     _step_back()
-    folder = stand_by(int(place[1])) if place[0] == STANDBY else Path(place[0])
-    return 0 if folder is None else main(folder, int(pipe))
+    folder = stand_by(int(place[1]), progress_fd) if place[0] == STANDBY else Path(place[0])
+    return 0 if folder is None else main(folder, progress_fd)
 
 
 if __name__ == "__main__":

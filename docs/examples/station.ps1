@@ -54,15 +54,15 @@ $Device = '^(con|prn|aux|nul|(com|lpt)[0-9])(\.|\z)' # no file on Windows can be
 # becomes _, and 64 characters stay.
 function Get-ScanName($File) {
     $name = $File.BaseName
-    if ($name -match $Device) { throw 'this is a device''s name on Windows, and no file''s: rename it' }
+    if ($name -match $Device) { throw [ApplicationException]::new('this is a device''s name on Windows, and no file''s: rename it') }
     if ($name -cnotmatch '^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\z' -or $name.EndsWith('.')) {
         $whole = -join ($name.ToCharArray() | ForEach-Object { if ($Letters.ContainsKey([int]$_)) { $Letters[[int]$_] } else { $_ } })
         $plain = $whole.Normalize([Text.NormalizationForm]::FormKD) -replace '[\u0300-\u036f]', ''
         $name = $plain -creplace '[^A-Za-z0-9_.-]+', '_' -creplace '^[^A-Za-z0-9]+|[^A-Za-z0-9]+\z', ''
         $name = $name.Substring(0, [Math]::Min(64, $name.Length)).TrimEnd('.')
     }
-    if (-not $name) { throw 'no name can be made of it: a letter of a to z or a digit is needed' }
-    if ($name -match $Device) { throw 'this is a device''s name on Windows, and no file''s: rename it' }
+    if (-not $name) { throw [ApplicationException]::new('no name can be made of it: a letter of a to z or a digit is needed') }
+    if ($name -match $Device) { throw [ApplicationException]::new('this is a device''s name on Windows, and no file''s: rename it') }
     $name
 }
 
@@ -70,7 +70,7 @@ function Get-ScanName($File) {
 function Assert-Alone($File, $Name) {
     foreach ($other in Get-ChildItem -LiteralPath $File.DirectoryName -File | Where-Object { $_.Extension -in $Formats -and $_.Name -cne $File.Name }) {
         try { $its = Get-ScanName $other } catch { continue }
-        if ($its -eq $Name) { throw "it and $($other.Name) would both be called ${Name}: rename one" }
+        if ($its -eq $Name) { throw [ApplicationException]::new("it and $($other.Name) would both be called ${Name}: rename one") }
     }
 }
 
@@ -103,11 +103,18 @@ function Submit-Scan($File) {
         Start-Sleep -Milliseconds 500
         $check = Invoke-Api Get $job
     }
-    if ($check.state -ne 'succeeded') { throw "the check has $($check.state)" }
+    if ($check.state -ne 'succeeded') { throw [ApplicationException]::new("the check has $($check.state)") }
     Write-Host "$($File.FullName): $($check.result.summary.verdict)"
     foreach ($finding in $check.result.summary.findings) {
         Write-Host "    $($finding.message): $($finding.advice)"
     }
+}
+
+# True of what asking again does not mend: refusals of ours (ApplicationException) and the service's, but for "later".
+function Test-Refusal($Fault) {
+    if ($Fault.Exception -is [ApplicationException]) { return $true }
+    $isForGood = [int]$Fault.Exception.Response.StatusCode -in 404, 409, 410, 413, 422
+    $isForGood -and $Fault.ErrorDetails.Message -match '"code":\s*"(?!subject\.busy")'
 }
 
 do {
@@ -119,7 +126,10 @@ do {
             Submit-Scan $file
             $Done[$file.FullName] = $saved
         } catch {
-            Write-Host "$($file.FullName): $(if ($_.ErrorDetails) { $_.ErrorDetails.Message } else { $_ })"
+            $isRefused = Test-Refusal $_
+            $words = if ($_.ErrorDetails) { $_.ErrorDetails.Message } else { $_ }
+            Write-Host "$($file.FullName): $(if ($isRefused) { 'refused' } else { 'waits' }): $words"
+            if ($isRefused) { $Done[$file.FullName] = $saved }
         }
     }
     Start-Sleep 1

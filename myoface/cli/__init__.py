@@ -10,12 +10,13 @@ from glob import glob
 from myoface import __version__
 from myoface.cli.batches import batches
 from myoface.cli.captures import add, captures
-from myoface.cli.client import jobs, rigs, subjects, templates
+from myoface.cli.client import jobs, subjects, templates
 from myoface.cli.commands import Group, UsageError
 from myoface.cli.console import complain
 from myoface.cli.export import export
 from myoface.cli.keys import keys
 from myoface.cli.operator import OPERATOR
+from myoface.cli.rigs import rigs
 from myoface.cli.webhooks import webhooks
 from myoface.errors import ApiError, StackError
 

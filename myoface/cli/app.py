@@ -65,7 +65,8 @@ Unlabel = Annotated[
     list[str] | None, Option("--unlabel", metavar="KEY", help="take a label away; repeat for more")
 ]
 WithLabels = Annotated[
-    list[str] | None, Option("--label", metavar="KEY:VALUE", help="only with this label; repeat")
+    list[str] | None,
+    Option("--label", metavar="KEY[:VALUE]", help="only with this label, of any value; repeat"),
 ]
 Url = Annotated[str, Option("--url", envvar="MYOFACE_URL", help="the service")]
 Scan = Annotated[Path, Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL")]
@@ -125,13 +126,24 @@ def require_object(found: Any, name: str) -> dict[str, Any]:
 
 def read_labels(given: list[str] | None) -> dict[str, str] | None:
     """Return labels that were given as ``KEY:VALUE``; None: there are none."""
-    found = {}
+    found = dict(map(_read_label, given or ()))
+    return found or None
+
+
+def read_label_filter(given: list[str] | None) -> dict[str, str | None] | None:
+    """Return labels that were given as ``KEY:VALUE`` or ``KEY``, which has any value (None)."""
+    found: dict[str, str | None] = {}
     for each in given or ():
-        key, colon, value = (part.strip() for part in each.partition(":"))
-        if not (key and colon and value):
-            raise UsageError(f"--label {each}: KEY:VALUE is expected, such as session:Monday")
+        key, value = _read_label(each) if ":" in each else (each.strip(), None)
         found[key] = value
     return found or None
+
+
+def _read_label(given: str) -> tuple[str, str]:
+    key, colon, value = (part.strip() for part in given.partition(":"))
+    if not (key and colon and value):
+        raise UsageError(f"--label {given}: KEY:VALUE is expected, such as session:Monday")
+    return key, value
 
 
 def read_label_changes(

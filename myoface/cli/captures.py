@@ -19,6 +19,7 @@ from myoface.cli.app import (
     Url,
     WithLabels,
     read_label_changes,
+    read_label_filter,
     read_labels,
     require_change,
     scan_frame,
@@ -136,7 +137,7 @@ def add(
 @captures.command("list")
 def list_captures(subject: SubjectId, label: WithLabels = None, url: Url = DEFAULT_URL) -> None:
     """List a subject's scans with their newest verdicts and registrations."""
-    labels = read_labels(label)
+    labels = read_label_filter(label)
     with Client(url) as client:
         show_captures(client.captures(find_subject(client, subject), labels=labels))
 

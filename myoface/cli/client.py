@@ -1,4 +1,4 @@
-"""Commands that talk to a service: subjects, templates, jobs, rigs."""
+"""Commands that talk to a service: subjects, templates, jobs."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from myoface.cli.app import (
     Url,
     WithLabels,
     read_label_changes,
+    read_label_filter,
     read_labels,
     read_object,
     read_scene,
@@ -38,18 +39,16 @@ from myoface.cli.console import (
     transfer_bar,
 )
 from myoface.cli.lookup import find_job, find_rig, find_subject, find_template
+from myoface.cli.rigs import show_rigs
 from myoface.client import DEFAULT_URL, Client
-from myoface.client.archive import RIG_NOTE
 from myoface.errors import describe
-from myoface.resources import FINAL_STATES, Artifact, Job, JobItem, Result, RigItem
+from myoface.resources import FINAL_STATES, Artifact, Job, JobItem, Result
 
 subjects = Group("People.")
 templates = Group("Template anatomies of a service.")
 jobs = Group("Work: submit, follow, cancel.")
-rigs = Group("Fitted faces.")
 
 JobId = Annotated[str, Argument(help="job id, or the start of it")]
-RigId = Annotated[str, Argument(help="rig: its id, the start of it, or the name")]
 
 # JSON Schema's words for the limits of a number.
 LIMITS = {"exclusiveMinimum": ">", "minimum": ">=", "maximum": "<="}
@@ -67,7 +66,7 @@ def list_subjects(label: WithLabels = None, url: Url = DEFAULT_URL) -> None:
                 moment(each.created_at),
                 label_words(each.labels),
             )
-            for each in client.subjects(labels=read_labels(label))
+            for each in client.subjects(labels=read_label_filter(label))
         ]
     show_table(("id", "name", "template", "added", "labels"), rows)
 
@@ -111,7 +110,7 @@ def show_subject(subject: SubjectId, url: Url = DEFAULT_URL) -> None:
         out.print(f"{found.name} ({found.id})")
         show_captures(client.captures(found.id))
         _show_jobs(client.jobs(subject_id=found.id))
-        _show_rigs(client.rigs(subject_id=found.id))
+        show_rigs(client.rigs(subject_id=found.id))
 
 
 @subjects.command("delete")
@@ -342,69 +341,3 @@ def _stand(job: JobItem) -> str:
     elif job.progress and job.state not in FINAL_STATES:
         words.append(f"{job.progress.phase} {job.progress.fraction:.0%}")
     return ", ".join(words)
-
-
-@rigs.command("list")
-def list_rigs(subject: OfSubject = None, label: WithLabels = None, url: Url = DEFAULT_URL) -> None:
-    """List rigs."""
-    labels = read_labels(label)
-    with Client(url) as client:
-        whose = subject and find_subject(client, subject)
-        _show_rigs(client.rigs(subject_id=whose, labels=labels))
-
-
-@rigs.command("edit")
-def edit_rig(
-    rig: RigId,
-    name: Annotated[str | None, Option(help="what it is called from now on")] = None,
-    label: Labels = None,
-    unlabel: Unlabel = None,
-    url: Url = DEFAULT_URL,
-) -> None:
-    """Give a rig a name, or other labels."""
-    changes = read_label_changes(label, unlabel)
-    require_change(name=name, label=changes)
-    with Client(url) as client:
-        client.change_rig(find_rig(client, rig), name=name, labels=changes)
-
-
-@rigs.command("download")
-def download_rig(
-    rig: RigId,
-    output: NewFolder = Path("rig"),
-    packed: Annotated[bool, Option("--zip", help="leave it packed: OUTPUT.zip")] = False,
-    url: Url = DEFAULT_URL,
-) -> None:
-    """Download a rig whole, with its model, into a folder; what it has of this rig stays.
-
-    rig.json, which comes last, says whose rig it is, of which template, and lists the files with
-    their jobs.
-    """
-    with Client(url) as client, transfer_bar("rig") as progress:
-        rig_id = find_rig(client, rig)
-        if packed:
-            archive = output.with_name(f"{output.name}.zip")
-            client.download_archive(rig_id, archive, progress=progress)
-            out.print(f"{archive}")
-            return
-        found = client.download_rig(rig_id, output, progress=progress)
-    for name in [*(each.name for each in found.artifacts), RIG_NOTE]:
-        out.print(f"{output / name}")
-
-
-def _show_rigs(found: list[RigItem]) -> None:
-    rows = [
-        (
-            each.id,
-            each.name,
-            each.subject_name,
-            each.verdict,
-            moment(each.created_at),
-            span(each.seconds),
-            ", ".join(each.expressions),
-            label_words(each.labels),
-        )
-        for each in found
-    ]
-    columns = ("rig", "name", "person", "verdict", "date", "took", "expressions", "labels")
-    show_table(columns, rows)

@@ -75,7 +75,7 @@ class Option(Argument):
 
 
 class Runnable(Protocol):
-    """What the words of a command line can name: a command, or a group of them."""
+    """A command or a group of them, as the words of a command line name it."""
 
     @property
     def help(self) -> str:

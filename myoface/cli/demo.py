@@ -111,12 +111,14 @@ def _service(url: str | None, data: Path) -> Iterator[Client]:
             yield client
         return
     from myoface.stack import Stack
+    from worker.kernels import remove_stale
 
     end_in_order()
+    remove_stale()
     stack = Stack(read_settings(data_dir=data, port=0))
     with stack, Client(stack.url, stack.key) as client:
         out.print(f"service on {stack.url}")
-        compile_kernels()
+        compile_kernels(niceness=0)  # nobody else asks for anything
         yield client
 
 

@@ -12,11 +12,13 @@ from myoface.cli.console import JobView, out, transfer_bar
 from myoface.cli.lookup import find_rig
 from myoface.cli.operator import OPERATOR
 from myoface.client import DEFAULT_URL, Client
+from myoface.errors import ApiError
 from myoface.resources import Artifact, Result, Rig
+from myoface.values import NOT_OF_THE_API
 
 Format = Literal["usd", "glb", "npz"]
 
-# The file that a rig may have already
+# The files as their exporters call them; a rig may have its own already
 FILES: Mapping[Format, str] = {"usd": "rig.usdc", "glb": "rig.glb", "npz": "rig.npz"}
 
 
@@ -46,9 +48,15 @@ def _named(name: str, artifacts: list[Artifact]) -> Artifact | None:
 
 
 def _made(client: Client, rig: Rig, format: Format) -> Artifact:
-    """Have the service write the file, in a job."""
+    """Have the service write the file, in a job.
+
+    Raises :class:`ApiError`: ``client.answer`` if the job has left no such file.
+    """
     job = client.submit("export_rig", rig.subject_id, rig_id=rig.id, options={"format": format})
     with JobView(job.kind) as view:
         result = client.wait(job.id, view.watch).result or Result()
-    [file] = [each for each in result.artifacts if each.name != "export.json"]
-    return file
+    if file := _named(FILES[format], result.artifacts):
+        return file
+    left = ", ".join(each.name for each in result.artifacts) or "nothing"
+    detail = f"the export of rig {rig.id} has left no {FILES[format]}: it has left {left}"
+    raise ApiError({"code": NOT_OF_THE_API, "detail": detail})

@@ -9,7 +9,7 @@ from myoface.cli.app import Url
 from myoface.cli.commands import Argument, Group, Option
 from myoface.cli.console import out, show_table
 from myoface.client import DEFAULT_URL, Client
-from myoface.resources import Key, NewKey, Scope, Use
+from myoface.tenant import Key, NewKey, Scope, Use
 
 keys = Group("API keys: make, rotate, revoke.")
 

@@ -15,7 +15,7 @@ MOST_SHOWN = 5
 
 
 class Identified(Protocol):
-    """What the service knows by an id."""
+    """A value that the service knows by an id."""
 
     @property
     def id(self) -> str:

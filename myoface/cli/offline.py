@@ -95,6 +95,15 @@ OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
             None,
         )
     },
+    "fibre_muscles": {
+        "fibres": (
+            Annotated[
+                Path | None,
+                Option(exists=True, dir_okay=False, help="fibre_muscles.npz of fit-fibres"),
+            ],
+            None,
+        )
+    },
     "role": {
         "role": (
             Annotated[
@@ -218,7 +227,8 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
         name: given.get(name)
         for name in ("scan", "landmarks", "neutral", "template", "model", "performance")
     }
-    inputs |= {"blendshapes": given.get("blendshapes"), "start": given.get("start_rig")}
+    inputs |= {"blendshapes": given.get("blendshapes"), "fibre_muscles": given.get("fibres")}
+    inputs |= {"start": given.get("start_rig")}
     inputs |= {"markers": given.get("take"), "marker_set": given.get("marker_set")}
     rig = given.get("rig") or given.get("any_rig")
     if rig is not None:

@@ -31,11 +31,13 @@ def up(port: Port = None, data: Data = None) -> None:
     """Run the service here: API, broker and worker, until Ctrl-C."""
     from myoface.stack import Stack  # loading the service's parts takes a while
     from service.access.bootstrap import is_loopback
+    from worker.kernels import remove_stale
 
     settings = _settings(port, data)
     configure_logs(settings.log_json)
     end_in_order()
     logging.getLogger("httpx").setLevel(logging.WARNING)  # the stack asks itself for its health
+    remove_stale()
     with Stack(settings) as stack:
         out.print(f"Myoface listens on {stack.url}. Ctrl-C stops it.")
         out.print(f"Its key is in {settings.admin_key}.")
@@ -138,7 +140,7 @@ def end_in_order() -> None:
     signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
 
 
-def compile_kernels() -> None:
+def compile_kernels(niceness: int = 10) -> None:
     """Compile the solver's kernels where they are not of this code; jobs can do without."""
     from worker.kernels import are_compiled, compile_all
 
@@ -149,7 +151,7 @@ def compile_kernels() -> None:
         "scans can be uploaded and checked meanwhile"
     )
     try:
-        compile_all(out.print)
+        compile_all(out.print, niceness=niceness)
     except (subprocess.CalledProcessError, OSError) as error:
         complain(f"the kernels were not compiled, each job compiles its own: {error}")
         return

@@ -9,7 +9,7 @@ from myoface.cli.commands import Argument, Group, Option
 from myoface.cli.console import out, show_table
 from myoface.cli.lookup import find_webhook
 from myoface.client import DEFAULT_URL, Client
-from myoface.resources import Delivery, NewWebhook
+from myoface.tenant import Delivery, NewWebhook
 
 webhooks = Group("Webhooks: addresses that are told what happens.")
 

@@ -15,7 +15,7 @@ import anyio
 import httpx
 
 from myoface.client.aio_captures import AsyncCaptures
-from myoface.client.answers import read_json
+from myoface.client.answers import CHANGED, read_json
 from myoface.client.archive import (
     PACKED,
     async_check_archive,
@@ -49,7 +49,7 @@ from myoface.resources import (
     JobItem,
     JobKind,
     LabelChanges,
-    Labels,
+    LabelFilter,
     LogLine,
     LogPage,
     MotionFrame,
@@ -290,11 +290,11 @@ class AsyncClient(AsyncCaptures):
     # Rigs
 
     async def rigs(
-        self, *, subject_id: str | None = None, labels: Labels | None = None
+        self, *, subject_id: str | None = None, labels: LabelFilter | None = None
     ) -> list[RigItem]:
         """Return rigs in short, newest first, of one subject and with ``labels`` if they are given.
 
-        :meth:`rig` has the files and figures of each.
+        A label of None has any value. :meth:`rig` has the files and figures of each.
         """
         query = {"subject_id": subject_id, "label": as_query(labels)}
         return await self._list("/v1/rigs", RigItem, **query)
@@ -320,9 +320,11 @@ class AsyncClient(AsyncCaptures):
         archive = await self._find_archive(rig_id)
         if not await async_is_unpacked(folder, archive):
             packed = folder / PACKED
-            await self._fetch_archive(rig_id, archive, packed, progress)
-            await async_unpack(packed, folder, archive)
-            packed.unlink()
+            archive = await self._fetch_archive(rig_id, archive, packed, progress)
+            try:
+                await async_unpack(packed, folder, archive)
+            finally:
+                packed.unlink()
         return read_note(folder)
 
     async def download_archive(
@@ -332,23 +334,45 @@ class AsyncClient(AsyncCaptures):
         await self._fetch_archive(rig_id, await self._find_archive(rig_id), path, progress)
 
     async def _find_archive(self, rig_id: str) -> Artifact:
-        """Return size and tag of a rig's archive as it is now."""
-        url, first = f"/v1/rigs/{rig_id}/archive", {"Range": "bytes=0-0"}
-        return read_archive(await self._request("GET", url, headers=first), rig_id)
+        """Return size and tag of a rig's archive as it is now.
+
+        For a HEAD the service reads no file; for the first byte it would read them all.
+        """
+        url = f"/v1/rigs/{rig_id}/archive"
+        try:
+            answer = await self._request("HEAD", url)
+        except ApiError as error:
+            if error.status is not None:  # the answer to a HEAD has no words, that to a GET has
+                await self._request("GET", url, headers={"Range": "bytes=0-0"})
+            raise
+        return read_archive(answer, rig_id)
 
     async def _fetch_archive(
         self, rig_id: str, archive: Artifact, path: Path, progress: Transferred
-    ) -> None:
+    ) -> Artifact:
+        """Fetch an archive; return the one it is, another if the rig has changed meanwhile."""
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_file():
             with suppress(ApiError):
                 await async_check_archive(path, archive)
-                return
+                return archive
         part = part_path(path, archive)
-        await self._fetch(f"/v1/rigs/{rig_id}/archive", part, archive, progress)
+        backoff = Backoff(self._options)
+        while True:
+            try:
+                await self._fetch(f"/v1/rigs/{rig_id}/archive", part, archive, progress)
+                break
+            except ApiError as error:
+                if error.code != CHANGED:
+                    raise
+                part.unlink()
+                await anyio.sleep(backoff.pause_after(error))
+                archive = await self._find_archive(rig_id)
+                part = part_path(path, archive)
         try:
             await async_check_archive(part, archive)
         except ApiError:
             part.unlink()
             raise
         os.replace(part, path)
+        return archive

@@ -7,17 +7,7 @@ from datetime import datetime
 
 from myoface.client.aio_connection import AsyncConnection
 from myoface.client.answers import read_json
-from myoface.resources import (
-    AuditEntry,
-    Delivery,
-    Key,
-    Me,
-    NewKey,
-    NewWebhook,
-    Scope,
-    Usage,
-    Webhook,
-)
+from myoface.tenant import AuditEntry, Delivery, Key, Me, NewKey, NewWebhook, Scope, Usage, Webhook
 
 
 class AsyncAccess(AsyncConnection):

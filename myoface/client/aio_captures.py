@@ -20,15 +20,15 @@ from myoface.names import NamedScan, Role, name_scans, same_file
 from myoface.resources import (
     NO_SCANS,
     Capture,
-    Deletion,
     LabelChanges,
+    LabelFilter,
     Labels,
-    Limits,
     SignedUrl,
     Subject,
     Template,
     as_query,
 )
+from myoface.tenant import Deletion, Limits
 
 
 class AsyncCaptures(AsyncAccess):
@@ -59,8 +59,11 @@ class AsyncCaptures(AsyncAccess):
             "/v1/subjects", Subject, name=name, template_id=template_id, labels=labels
         )
 
-    async def subjects(self, *, labels: Labels | None = None) -> list[Subject]:
-        """Return the subjects, newest first, those with all of ``labels`` if they are given."""
+    async def subjects(self, *, labels: LabelFilter | None = None) -> list[Subject]:
+        """Return the subjects, newest first, those with all of ``labels`` if they are given.
+
+        A label of None has any value.
+        """
         return await self._list("/v1/subjects", Subject, label=as_query(labels))
 
     async def change_subject(
@@ -207,8 +210,13 @@ class AsyncCaptures(AsyncAccess):
             before = await self.change_capture(subject_id, before.id, title=title, labels=labels)
         return before
 
-    async def captures(self, subject_id: str, *, labels: Labels | None = None) -> list[Capture]:
-        """Return a subject's scans, newest first, those with all of ``labels`` if given."""
+    async def captures(
+        self, subject_id: str, *, labels: LabelFilter | None = None
+    ) -> list[Capture]:
+        """Return a subject's scans, newest first, those with all of ``labels`` if given.
+
+        A label of None has any value.
+        """
         url = f"/v1/subjects/{subject_id}/captures"
         return await self._list(url, Capture, label=as_query(labels))
 

@@ -12,7 +12,13 @@ from typing import Any, Self, TypeVar
 import anyio
 import httpx
 
-from myoface.client.answers import read_json, read_location, read_offset, require_success
+from myoface.client.answers import (
+    read_json,
+    read_location,
+    read_offset,
+    require_success,
+    require_tag,
+)
 from myoface.client.credentials import DEFAULT_URL, authority, headers_for, read_address
 from myoface.client.files import (
     GONE,
@@ -171,13 +177,17 @@ class AsyncConnection:
     async def _fetch(
         self, url: str, part: Path, file: Artifact, progress: Transferred = ignore_transfer
     ) -> None:
-        """Fetch what ``part`` does not have yet of a file, whose ``sha256`` is its tag."""
+        """Fetch what ``part`` does not have yet of a file, whose ``sha256`` is its tag.
+
+        Raises :class:`ApiError` (``client.changed``) if it is another file by now.
+        """
         backoff = Backoff(self._options)
         part.touch()
         while (have := part.stat().st_size) < file.size:
             headers = {"Range": f"bytes={have}-", "If-Range": f'"{file.sha256}"'}
             try:
                 async with self._stream(url, headers=headers) as response:
+                    require_tag(response, file)
                     is_part = response.status_code == httpx.codes.PARTIAL_CONTENT
                     with part.open("ab" if is_part else "wb") as stream:
                         async for block in response.aiter_bytes():

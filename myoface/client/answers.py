@@ -8,8 +8,10 @@ from typing import Any, NoReturn
 import httpx
 
 from myoface.errors import ApiError
+from myoface.resources import Artifact
 from myoface.values import NOT_OF_THE_API
 
+CHANGED = "client.changed"
 EXCERPT = 80  # characters of a strange answer that are told
 
 
@@ -63,12 +65,24 @@ def read_offset(response: httpx.Response, size: int) -> int:
     return int(text)
 
 
-def read_range(response: httpx.Response) -> tuple[str, int]:
-    """Return the tag of what a range is of, and the bytes of all of it."""
-    tag = response.headers.get("ETag", "").strip('"')
-    size = response.headers.get("Content-Range", "").rpartition("/")[2]
+def read_tag(response: httpx.Response) -> str:
+    """Return the tag of the file that an answer is of; empty if it has none."""
+    return str(response.headers.get("ETag", "")).removeprefix("W/").strip('"')
+
+
+def require_tag(response: httpx.Response, file: Artifact) -> None:
+    """Refuse the bytes of what has become another file since it was asked about."""
+    tag = read_tag(response)
+    if tag and tag != file.sha256:
+        detail = f"{file.name} has changed while it was fetched"
+        raise ApiError({"code": CHANGED, "detail": detail, "file": file.name})
+
+
+def read_tag_and_size(response: httpx.Response) -> tuple[str, int]:
+    """Return the tag of a file, and its bytes, of the answer to a HEAD."""
+    tag, size = read_tag(response), response.headers.get("Content-Length", "")
     if not (tag and size.isascii() and size.isdigit()):
-        _refuse(response, f"{response.status_code} and no range of a file")
+        _refuse(response, f"{response.status_code} without a file's tag and size")
     return tag, int(size)
 
 

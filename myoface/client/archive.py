@@ -14,7 +14,7 @@ from pathlib import Path
 import anyio
 import httpx
 
-from myoface.client.answers import read_range
+from myoface.client.answers import read_tag_and_size
 from myoface.client.files import sha256_of
 from myoface.errors import ApiError
 from myoface.resources import Artifact, WholeRig
@@ -28,8 +28,8 @@ FAULTS = (zipfile.BadZipFile, LookupError, ValueError, NotImplementedError, Runt
 
 
 def read_archive(response: httpx.Response, rig_id: str) -> Artifact:
-    """Return size and tag, which is the sha256 of ``rig.json``, of the archive a range is of."""
-    tag, size = read_range(response)
+    """Return size and tag, which is the sha256 of ``rig.json``, of an archive asked about."""
+    tag, size = read_tag_and_size(response)
     values = {"id": rig_id, "name": "rig.zip", "media_type": "application/zip"}
     return Artifact.read({**values, "size": size, "sha256": tag})
 
@@ -61,16 +61,22 @@ def is_unpacked(folder: Path, archive: Artifact) -> bool:
             if found
             else f"{note} is of no rig, and would be lost: give another folder"
         )
-        raise ApiError({"code": "client.folder", "detail": detail, "file": str(note)})
+        raise _occupied(note, detail)
     if not (note.is_file() and sha256_of(note) == archive.sha256):
         return False
     return all(_is_there(folder, each) for each in read_note(folder).artifacts)
 
 
 def unpack(path: Path, folder: Path, archive: Artifact) -> None:
-    """Write the files of an archive that a folder does not have, ``rig.json`` the last."""
+    """Write the files of an archive that a folder does not have, ``rig.json`` the last.
+
+    Raises :class:`ApiError`: ``client.folder`` if a folder of no rig has another file of a name.
+    """
     with _opened(path, archive) as (packed, rig):
         missing = [each.name for each in rig.artifacts if not _is_there(folder, each)]
+        if not (folder / RIG_NOTE).exists():
+            for name in missing:
+                _require_free(folder / name)
         for name in (*missing, RIG_NOTE):
             part = folder / f".{name}.part"
             with packed.open(name) as source, part.open("wb") as target:
@@ -120,6 +126,15 @@ def _is_there(folder: Path, file: Artifact) -> bool:
     path = folder / file.name
     is_there = path.is_file() and path.stat().st_size == file.size
     return is_there and sha256_of(path) == file.sha256
+
+
+def _require_free(path: Path) -> None:
+    if path.exists():
+        raise _occupied(path, f"{path} is another file, and would be lost: give another folder")
+
+
+def _occupied(path: Path, detail: str) -> ApiError:
+    return ApiError({"code": "client.folder", "detail": detail, "file": str(path)})
 
 
 def _damaged(archive: Artifact) -> ApiError:

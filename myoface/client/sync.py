@@ -16,7 +16,7 @@ from typing import Any
 
 import httpx
 
-from myoface.client.answers import read_json
+from myoface.client.answers import CHANGED, read_json
 from myoface.client.archive import (
     PACKED,
     check_archive,
@@ -51,7 +51,7 @@ from myoface.resources import (
     JobItem,
     JobKind,
     LabelChanges,
-    Labels,
+    LabelFilter,
     LogLine,
     LogPage,
     MotionFrame,
@@ -289,10 +289,12 @@ class Client(Captures):
 
     # Rigs
 
-    def rigs(self, *, subject_id: str | None = None, labels: Labels | None = None) -> list[RigItem]:
+    def rigs(
+        self, *, subject_id: str | None = None, labels: LabelFilter | None = None
+    ) -> list[RigItem]:
         """Return rigs in short, newest first, of one subject and with ``labels`` if they are given.
 
-        :meth:`rig` has the files and figures of each.
+        A label of None has any value. :meth:`rig` has the files and figures of each.
         """
         query = {"subject_id": subject_id, "label": as_query(labels)}
         return self._list("/v1/rigs", RigItem, **query)
@@ -318,9 +320,11 @@ class Client(Captures):
         archive = self._find_archive(rig_id)
         if not is_unpacked(folder, archive):
             packed = folder / PACKED
-            self._fetch_archive(rig_id, archive, packed, progress)
-            unpack(packed, folder, archive)
-            packed.unlink()
+            archive = self._fetch_archive(rig_id, archive, packed, progress)
+            try:
+                unpack(packed, folder, archive)
+            finally:
+                packed.unlink()
         return read_note(folder)
 
     def download_archive(
@@ -330,23 +334,45 @@ class Client(Captures):
         self._fetch_archive(rig_id, self._find_archive(rig_id), path, progress)
 
     def _find_archive(self, rig_id: str) -> Artifact:
-        """Return size and tag of a rig's archive as it is now."""
-        url, first = f"/v1/rigs/{rig_id}/archive", {"Range": "bytes=0-0"}
-        return read_archive(self._request("GET", url, headers=first), rig_id)
+        """Return size and tag of a rig's archive as it is now.
+
+        For a HEAD the service reads no file; for the first byte it would read them all.
+        """
+        url = f"/v1/rigs/{rig_id}/archive"
+        try:
+            answer = self._request("HEAD", url)
+        except ApiError as error:
+            if error.status is not None:  # the answer to a HEAD has no words, that to a GET has
+                self._request("GET", url, headers={"Range": "bytes=0-0"})
+            raise
+        return read_archive(answer, rig_id)
 
     def _fetch_archive(
         self, rig_id: str, archive: Artifact, path: Path, progress: Transferred
-    ) -> None:
+    ) -> Artifact:
+        """Fetch an archive; return the one it is, another if the rig has changed meanwhile."""
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_file():
             with suppress(ApiError):
                 check_archive(path, archive)
-                return
+                return archive
         part = part_path(path, archive)
-        self._fetch(f"/v1/rigs/{rig_id}/archive", part, archive, progress)
+        backoff = Backoff(self._options)
+        while True:
+            try:
+                self._fetch(f"/v1/rigs/{rig_id}/archive", part, archive, progress)
+                break
+            except ApiError as error:
+                if error.code != CHANGED:
+                    raise
+                part.unlink()
+                time.sleep(backoff.pause_after(error))
+                archive = self._find_archive(rig_id)
+                part = part_path(path, archive)
         try:
             check_archive(part, archive)
         except ApiError:
             part.unlink()
             raise
         os.replace(part, path)
+        return archive

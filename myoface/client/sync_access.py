@@ -9,17 +9,7 @@ from datetime import datetime
 
 from myoface.client.answers import read_json
 from myoface.client.sync_connection import Connection
-from myoface.resources import (
-    AuditEntry,
-    Delivery,
-    Key,
-    Me,
-    NewKey,
-    NewWebhook,
-    Scope,
-    Usage,
-    Webhook,
-)
+from myoface.tenant import AuditEntry, Delivery, Key, Me, NewKey, NewWebhook, Scope, Usage, Webhook
 
 
 class Access(Connection):

@@ -36,7 +36,7 @@ def newest(
 ) -> Slice[Capture]:
     """Return a subject's captures, newest first, those with all of ``labels`` if there are any."""
     query = select(Capture).where(Capture.subject_id == subject_id)
-    query = paging.labelled(query, Capture.labels, labels)
+    query = paging.filter_by_labels(query, Capture.labels, labels)
     return paging.newest(session, query, limit, cursor)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 from functools import partial
 
 from anyio import to_thread
@@ -19,6 +20,7 @@ from service.settings import Settings
 PACKED = frozenset({"application/json", "application/problem+json"})
 # Bytes from which packing is worth it, and from which it would hold other requests up
 LEAST_PACKED, LONG = 1 << 10, 1 << 16
+REFUSAL = re.compile(r"q\s*=\s*0(\.0*)?")  # the weight of a coding that is not taken
 LEVEL = 4  # of gzip's nine: lists say much twice, and shrink by any
 
 
@@ -75,7 +77,11 @@ class Packing:
 
 def takes_gzip(accept_encoding: str) -> bool:
     """Return whether a client says that it can unpack gzip."""
-    return "gzip" in {part.split(";")[0].strip() for part in accept_encoding.split(",")}
+    for part in accept_encoding.lower().split(","):
+        coding, _, weight = part.partition(";")
+        if coding.strip() == "gzip":
+            return REFUSAL.fullmatch(weight.strip()) is None
+    return False
 
 
 def _can_be_packed(start: Message) -> bool:

@@ -154,9 +154,17 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
     elif "assets" in kind.reads:
         files += _assets(session, new)
     files += _template(session, kind, new)
-    if "blendshapes" in kind.reads:
-        files += _blendshapes(session, rig)
+    for name, (leaver, file) in _LEFT_BEFORE.items():
+        if name in kind.reads and (found := rigs.left_by(session, rig, leaver, file)):
+            files.append(_input_of(name, found.name, found.name, found.sha256))
     return Inputs(files, model_job_id=model.id)
+
+
+# What later jobs of a rig read, if there is any: the kind that leaves it, and its file
+_LEFT_BEFORE = {
+    "blendshapes": ("animate", "blendshapes.npz"),
+    "fibre_muscles": ("fit_fibres", "fibre_muscles.npz"),
+}
 
 
 def _files_of_rig(session: Session, rig: Rig) -> list[Input]:
@@ -224,14 +232,6 @@ def _assets(session: Session, new: NewJob) -> list[Input]:
                 capture_id=capture.id,
             )
     return [_input_of("asset", each.name, each.filename, each.sha256) for each in found]
-
-
-def _blendshapes(session: Session, rig: Rig) -> list[Input]:
-    """Return what the newest animation of a rig solved, if there was one."""
-    found = rigs.blendshapes(session, rig)
-    if found is None:
-        return []
-    return [_input_of("blendshapes", found.name, found.name, found.sha256)]
 
 
 def _newest_model(session: Session, new: NewJob) -> Job:

@@ -27,6 +27,7 @@ PATHS = (
     "/jobs/{identifier}",
     "/rigs",
     "/rigs/{identifier}",
+    "/markers/{identifier}",
     "/compare",
     "/health",
     "/webhooks",

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
+from threading import Lock
 from typing import Any
 
 from sqlalchemy import select
@@ -63,9 +64,10 @@ def archive_of(session: Session, rig: Rig, store: Store) -> Archive:
         detail = "the rig is being deleted with its subject: it is not copied any more"
         raise Problem(410, "rig.deleting", detail, rig_id=rig.id, subject_id=rig.subject_id)
     model = session.get(Job, rig.model_job_id)
-    template = _template(session, model)
+    used = _template_sha256(model)
+    template = _template(session, used)
     files = [*_artifacts(session, rig, model), *_as_artifacts(template)]
-    note = json.dumps(_note(session, rig, files, template), indent=1).encode() + b"\n"
+    note = json.dumps(_note(session, rig, files, _about(template, used)), indent=1).encode() + b"\n"
     members = [
         Member(NOTE, len(note), hashlib.sha256(note).hexdigest(), note),
         *(Member(each["name"], each["size"], each["sha256"]) for each in files),
@@ -87,12 +89,22 @@ def _artifacts(session: Session, rig: Rig, model: Job | None) -> Iterator[File]:
             yield {**about, "kind": kinds[each.job_id]}
 
 
-def _template(session: Session, model: Job | None) -> Template | None:
-    """Return the template that a model was made of; None: the built-in anatomy, or it is gone."""
+def _template_sha256(model: Job | None) -> str | None:
+    """Return the file of the template that a model was made of; None: the built-in anatomy."""
     inputs = model.inputs if model else []
-    given = [each["sha256"] for each in inputs if each["role"] == "template"]
-    query = select(Template).where(Template.sha256.in_(given)).order_by(Template.created_at)
+    return next((each["sha256"] for each in inputs if each["role"] == "template"), None)
+
+
+def _template(session: Session, sha256: str | None) -> Template | None:
+    query = select(Template).where(Template.sha256 == sha256).order_by(Template.created_at)
     return session.scalars(query).first()
+
+
+def _about(template: Template | None, sha256: str | None) -> dict[str, Any] | None:
+    """Return what `rig.json` says of a template, also of one that was deleted meanwhile."""
+    if template is not None:
+        return {"id": template.id, "name": template.name}
+    return {"sha256": sha256, "missing": True} if sha256 else None
 
 
 def _as_artifacts(template: Template | None) -> list[File]:
@@ -103,7 +115,7 @@ def _as_artifacts(template: Template | None) -> list[File]:
 
 
 def _note(
-    session: Session, rig: Rig, files: list[File], template: Template | None
+    session: Session, rig: Rig, files: list[File], template: dict[str, Any] | None
 ) -> dict[str, Any]:
     """Return what `rig.json` says."""
     subject = session.get_one(Subject, rig.subject_id)
@@ -120,7 +132,7 @@ def _note(
         "summary": rig.summary,
         "created_at": rig.created_at.isoformat(),
         "subject": {"id": subject.id, "name": subject.name, "template_id": subject.template_id},
-        "template": template and {"id": template.id, "name": template.name},
+        "template": template,
         "artifacts": files,
     }
 
@@ -160,7 +172,7 @@ class Archive(Sendable):
         if member.content is not None:
             return zlib.crc32(member.content)
         try:
-            return _checksum(self.store.files, member.sha256)
+            return _checksum_once(self.store.files, member.sha256)
         except LostFileError as error:
             raise self._lost(member.name, error) from error
 
@@ -196,6 +208,20 @@ class Archive(Sendable):
         except LostFileError as error:
             note_fault(self.store, error.sha256, error.fault)
             raise
+
+
+# Locks of the files that are being read for their checksums
+_reading: dict[str, Lock] = {}
+
+
+def _checksum_once(files: Files, sha256: str) -> int:
+    """Return a file's CRC-32; of the threads that want it at the same time one reads the file."""
+    lock = _reading.setdefault(sha256, Lock())
+    try:
+        with lock:
+            return _checksum(files, sha256)
+    finally:
+        _reading.pop(sha256, None)  # from here on the checksum is remembered
 
 
 @lru_cache(maxsize=MOST_CHECKSUMS)

@@ -43,7 +43,7 @@ def newest(
     cursor: str | None,
 ) -> Slice[Rig]:
     """Return rigs, newest first, of a subject and with all of ``labels`` if they are given."""
-    query = paging.labelled(select(Rig), Rig.labels, labels)
+    query = paging.filter_by_labels(select(Rig), Rig.labels, labels)
     if subject_id is not None:
         query = query.where(Rig.subject_id == subject_id)
     return paging.newest(session, query, limit, cursor)
@@ -82,17 +82,17 @@ def preview(session: Session, rig: Rig) -> Artifact | None:
     ).one_or_none()
 
 
-def blendshapes(session: Session, rig: Rig) -> Artifact | None:
-    """Return the blendshapes of a rig that its newest animation solved."""
+def left_by(session: Session, rig: Rig, kind: str, name: str) -> Artifact | None:
+    """Return the artifact ``name`` that the newest job of a ``kind`` left of a rig."""
     return session.scalars(
         select(Artifact)
         .join(Job, Job.id == Artifact.job_id)
         .where(
             Job.subject_id == rig.subject_id,
             Job.state == State.SUCCEEDED,
-            Job.kind == "animate",
+            Job.kind == kind,
             Job.request["rig_id"].as_string() == rig.id,
-            Artifact.name == "blendshapes.npz",
+            Artifact.name == name,
         )
         .order_by(Job.created_at.desc())
         .limit(1)

@@ -1,4 +1,4 @@
-"""What a tenant has stored, beside what it may store."""
+"""Measure what a tenant has stored, beside what it may store."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def newest(
     session: Session, labels: Sequence[str] | None, limit: int, cursor: str | None
 ) -> Slice[Subject]:
     """Return subjects, newest first, those with all of ``labels`` if there are any."""
-    query = paging.labelled(select(Subject), Subject.labels, labels)
+    query = paging.filter_by_labels(select(Subject), Subject.labels, labels)
     return paging.newest(session, query, limit, cursor)
 
 

@@ -22,7 +22,8 @@ class TemplateView(View):
     id: str
     name: str
     vertices: int | None = Field(
-        description="of its skin, as many as a registered scan has; null: they could not be counted"
+        description="of its skin, as many as a registered scan has; null: they could not be "
+        "counted, or it was uploaded before the service counted them"
     )
     filename: str
     size: int

@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import io
 import re
-import struct
-import zlib
 from typing import Any
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZipFile
 
 from sqlalchemy.orm import Session
 
 from service.errors import Problem
 from service.store.deletion import delete_template
 from service.store.files import Files
+from service.store.integrity import LostFileError
 from service.store.models import Deletion, Template
 from service.templates import repository
 from service.templates.schemas import NewTemplate
 from service.uploads import repository as uploads
+from solver.kinds import NOT_READABLE, check_directory, is_plainly_packed
 
 SKIN = "skin_vertices.npy"
 SHAPE = re.compile(rb"'shape': \((\d{1,9}), 3\)")
-# The end of an archive, its list of members and the header of an array: bytes that are looked at
-MOST_TAIL, MOST_LISTED, MOST_HEADER = 1 << 10, 1 << 20, 256
-END = struct.Struct("<4s4H2LH")
+MOST_HEADER = 256  # bytes of an array's that are looked at
 
 
 def create(session: Session, files: Files, new: NewTemplate) -> Template:
@@ -70,16 +68,15 @@ def count_vertices(files: Files, sha256: str, size: int) -> int | None:
     No array is unpacked: of the file are read its end, its list of members and one header.
     """
     try:
-        stored = _StoredFile(files, sha256, size)
-        stored.seek(max(0, size - MOST_TAIL))
-        tail = stored.read()
-        end = END.unpack_from(tail, tail.rindex(b"PK\5\6"))
-        # a second end, of an archive of many gigabytes, would overrule the first
-        if end[5] > MOST_LISTED or b"PK\6\7" in tail:
-            return None
-        with ZipFile(stored) as archive, archive.open(SKIN) as member:
-            shape = SHAPE.search(member.read(MOST_HEADER))
-    except (OSError, ValueError, KeyError, RuntimeError, BadZipFile, struct.error, zlib.error):
+        stored = io.BufferedReader(_StoredFile(files, sha256, size))
+        check_directory(stored)
+        with ZipFile(stored) as archive:
+            skin = archive.getinfo(SKIN)
+            if not is_plainly_packed(skin):
+                return None
+            with archive.open(skin) as member:
+                shape = SHAPE.search(member.read(MOST_HEADER))
+    except (*NOT_READABLE, LostFileError, LookupError, ValueError):
         return None
     return int(shape[1]) if shape else None
 

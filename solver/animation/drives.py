@@ -25,8 +25,9 @@ from solver.templates.ict_facekit import arkit_source
 class PosedFrame:
     """Activations ``a`` (m, 6), ``jaw`` (5,), ``head`` into the world (scale 1), ``eyes`` (2, 3).
 
-    Eyes, the subject's left one first, are rotation vectors in radians in the head's frame.
-    ``clamped`` counts the muscles that were kept from folding (:func:`unfold`).
+    Activations of fibre muscles are (m,), in [0, 1]. Eyes, the subject's left one first, are
+    rotation vectors in radians in the head's frame. ``clamped`` counts the muscles that were kept
+    from folding (:func:`unfold`).
     """
 
     a: Floats
@@ -125,12 +126,60 @@ class PoseKey:
 
     ``expressions`` are weights from 0 to 1; ``activations`` are those of single muscles (6,), of
     which what differs from rest is added to the expressions'; so is ``jaw`` (5,), rad and mm.
+    ``fibres`` are activations of fibre muscles, which take the place of both.
     """
 
     time: float
     expressions: Mapping[str, float] = field(default_factory=dict)
     activations: Mapping[str, Floats] = field(default_factory=dict)
     jaw: Floats = field(default_factory=lambda: np.zeros(5))
+    fibres: Mapping[str, float] = field(default_factory=dict)
+
+
+class _BlendedKeys:
+    """Expressions and single muscles of six numbers each."""
+
+    def __init__(
+        self, keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: SubjectModel
+    ) -> None:
+        self._used = _names_of(key.expressions for key in keys)
+        self._blend = Blend.of({name: poses[name] for name in self._used}, model.muscle_count)
+        self._moved = _names_of(key.activations for key in keys)
+        self._muscles = [model.muscle_names.index(name) for name in self._moved]
+        self.size = len(self._used) + 6 * len(self._moved)
+
+    def row(self, key: PoseKey) -> Floats:
+        """Return a key's values (c,)."""
+        weights = [key.expressions.get(name, 0.0) for name in self._used]
+        moves = [key.activations.get(name, IDENTITY) - IDENTITY for name in self._moved]
+        return np.concatenate([weights, *moves])
+
+    def pose(self, values: Floats, under: Floats | None) -> tuple[Floats, Floats, int]:
+        """Return activations on top of those ``under`` them, the jaw, and who was unfolded."""
+        weights, moves = np.split(values, [len(self._used)])
+        pose = self._blend.pose(weights)
+        pose.a[self._muscles] += moves.reshape(-1, 6)
+        a, clamped = unfold(pose.a if under is None else under + pose.a - IDENTITY)
+        return a, pose.b, clamped
+
+
+class _FibreKeys:
+    """Fibre muscles, of one activation each."""
+
+    def __init__(self, keys: Sequence[PoseKey], muscles: Sequence[str]) -> None:
+        self._moved, self._count = _names_of(key.fibres for key in keys), len(muscles)
+        self._muscles = [muscles.index(name) for name in self._moved]
+        self.size = len(self._moved)
+
+    def row(self, key: PoseKey) -> Floats:
+        """Return a key's values (c,)."""
+        return np.array([key.fibres.get(name, 0.0) for name in self._moved])
+
+    def pose(self, values: Floats, under: Floats | None) -> tuple[Floats, Floats, int]:
+        """Return activations (m,) on top of those ``under`` them, within [0, 1]."""
+        a = np.zeros(self._count) if under is None else under.copy()
+        a[self._muscles] += values
+        return np.clip(a, 0.0, 1.0), np.zeros(5), 0
 
 
 class KeyedDrives:
@@ -138,9 +187,11 @@ class KeyedDrives:
 
     Weights of the expressions ``poses``, activations and jaw are interpolated, each by itself, at
     rest if there is no key. The ``head`` turns about the neck. What the keys differ from rest by is
-    added to other drives, ``under`` them, if there are any. Raises :class:`InputError` as
-    :func:`track`, and ``scene.expression`` and ``scene.muscle`` for names that are not known, in
-    the list of keys that the scene calls ``what``.
+    added to other drives, ``under`` them, if there are any. ``fibres`` names the fibre muscles of a
+    face that is moved by these; expressions and six numbers are nothing for it. Raises
+    :class:`InputError` as :func:`track`, and ``scene.expression`` and ``scene.muscle`` for names
+    that are not known, ``scene.fibres`` for what the face is not moved by, in the list of keys that
+    the scene calls ``what``.
     """
 
     def __init__(
@@ -154,33 +205,26 @@ class KeyedDrives:
         interpolation: Interpolation = "smooth",
         under: Drives | None = None,
         what: str = "keys",
+        fibres: Sequence[str] | None = None,
     ) -> None:
         self.times, self.under = times, under
         self._head = head_motion(head, neck(model), interpolation)
-        _check_names(keys, poses, model, what)
-        used = _names_of(key.expressions for key in keys)
-        self._blend = Blend.of({name: poses[name] for name in used}, model.muscle_count)
-        moved = _names_of(key.activations for key in keys)
-        self._muscles = [model.muscle_names.index(name) for name in moved]
-        values = np.empty((len(keys), len(used) + 6 * len(moved) + 5))
-        for row, key in zip(values, keys, strict=True):
-            weights = [key.expressions.get(name, 0.0) for name in used]
-            moves = [key.activations.get(name, IDENTITY) - IDENTITY for name in moved]
-            row[:] = np.concatenate([weights, *moves, key.jaw])
+        _check_names(keys, poses, model, what, fibres)
+        self._keys: _BlendedKeys | _FibreKeys = (
+            _BlendedKeys(keys, poses, model) if fibres is None else _FibreKeys(keys, fibres)
+        )
+        rows = [np.concatenate([self._keys.row(key), key.jaw]) for key in keys]
+        values = np.reshape(rows, (len(keys), self._keys.size + 5))
         self._track = track([key.time for key in keys], values, what, interpolation)
 
     def __call__(self, time: float) -> PosedFrame:
         """See :class:`Drives`."""
-        count = len(self._blend.names)
-        weights, moves, jaw = np.split(self._track(time), [count, -5])
-        pose = self._blend.pose(weights)
-        pose.a[self._muscles] += moves.reshape(-1, 6)
-        head, b = self._head(time), pose.b + jaw
-        if self.under is None:
-            a, clamped = unfold(pose.a)
+        values, jaw = np.split(self._track(time), [-5])
+        under = None if self.under is None else self.under(time)
+        a, b, clamped = self._keys.pose(values, None if under is None else under.a)
+        head, b = self._head(time), b + jaw
+        if under is None:
             return PosedFrame(a, b, head, np.zeros((2, 3)), clamped)
-        under = self.under(time)
-        a, clamped = unfold(under.a + pose.a - IDENTITY)
         clamped = max(clamped, under.clamped)
         return PosedFrame(a, under.jaw + b, under.head.then(head), under.eyes, clamped)
 
@@ -191,10 +235,19 @@ def _names_of(mappings: Iterable[Mapping[str, object]]) -> list[str]:
 
 
 def _check_names(
-    keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: SubjectModel, what: str
+    keys: Sequence[PoseKey],
+    poses: Mapping[str, Pose],
+    model: SubjectModel,
+    what: str,
+    fibres: Sequence[str] | None,
 ) -> None:
     for number, key in enumerate(keys):
         where = f"{what}[{number}]"
+        if fibres is not None and (key.expressions or key.activations):
+            reason = "the face is moved by fibre muscles, and these by their activations alone"
+            message = f"{where} has expressions or muscles of six numbers, but {reason}: fibres"
+            raise InputError("scene.fibres", message, key=number)
+        check_known(key.fibres, fibres or [], "scene.muscle", where, key=number)
         check_known(key.expressions, list(poses), "scene.expression", where, key=number)
         check_known(key.activations, model.muscle_names, "scene.muscle", where, key=number)
 

@@ -2,13 +2,15 @@
 
 A muscle's activation is carried as log S(a), in which all that is done to it is linear: a gain k
 makes S(a)^k = exp(k log S(a)), and from frame to frame, or over a gap, log S goes without a jump,
-so that no blend folds a muscle (Arsigny et al. 2006, "Log-Euclidean metrics"). The head turns about
-the neck, by its turn and the neck's place from frame to frame, so that it moves rigidly in between.
+so that no blend folds a muscle (Arsigny et al. 2006, "Log-Euclidean metrics"). That of a fibre
+muscle is carried as it is: a gain k makes min(k a, 1), and beyond that its whole force-length curve
+may be scaled. The head turns about the neck, by its turn and the neck's place from frame to frame,
+so that it moves rigidly in between.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,8 +31,10 @@ from solver.animation.drives import (
 from solver.errors import InputError, quote, quote_names
 from solver.fitting.objective import LEAST_STRETCH
 from solver.fitting.stretches import map_stretches
+from solver.fitting.strips import strip_names
 from solver.kinds.scene import PerformanceEntry
 from solver.mechanics.boundary import JAW_FREEDOM
+from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.storage import read_arrays
@@ -45,8 +49,8 @@ class FittedSequence:
     """What a fit to a performance left, the scene's ``asset``: f frames of m muscles.
 
     ``frames`` (f,) are their numbers and ``times`` (f,) in s; ``fitted`` (f,) is false where there
-    was no data to fit. ``activations`` (f, m, 6), ``jaw`` (f, 5) and ``head`` (f, 6) are as in
-    :class:`solver.rig.frames.SequenceFrame`.
+    was no data to fit. ``activations`` (f, m, 6), or (f, m) of fibre muscles, ``jaw`` (f, 5) and
+    ``head`` (f, 6) are as in :class:`solver.rig.frames.SequenceFrame`.
     """
 
     asset: str
@@ -57,6 +61,11 @@ class FittedSequence:
     activations: Floats
     jaw: Floats
     head: Floats
+
+    @property
+    def of_fibres(self) -> bool:
+        """Tell whether the muscles are fibre muscles, of one activation each."""
+        return self.activations.ndim == 2
 
     @classmethod
     def load(cls, path: Path, asset: str) -> FittedSequence:
@@ -142,7 +151,8 @@ def _sequence(asset: str, data: dict[str, np.ndarray]) -> FittedSequence:
     frames, times = data["frame"].astype(np.int64), data["time"].astype(np.float64)
     count = len(np.atleast_1d(frames))
     shapes = {"frame": (), "time": (), "status": (), "jaw": (JAW_FREEDOM,), "head": (6,)}
-    for name, shape in {**shapes, "activations": (len(muscles), 6)}.items():
+    entries = () if data["activations"].ndim == 2 else (6,)
+    for name, shape in {**shapes, "activations": (len(muscles), *entries)}.items():
         if data[name].shape != (count, *shape):
             raise ValueError(f"its {name} has the shape {data[name].shape}, not {(count, *shape)}")
     if not count:
@@ -172,9 +182,11 @@ class PlayedPerformance:
     """:class:`Drives` of a fitted ``sequence``, played as a scene's ``entry`` says.
 
     Its first frame is at time 0. ``frames`` (f,) are the numbers of those that are played as
-    fitted, with their ``jaw`` (f, 5); the ``bridged`` (b,) between them are blended over. Raises
-    :class:`InputError`: ``scene.frames``, ``scene.muscle``, ``scene.curve``, ``scene.bridges``,
-    ``sequence.muscles`` and ``sequence.values``.
+    fitted, with their ``jaw`` (f, 5); the ``bridged`` (b,) between them are blended over. A
+    sequence of fibre muscles is one of ``fibres``, the person's; ``curve`` (m,) are the factors of
+    their force-length curves. Raises :class:`InputError`: ``scene.frames``, ``scene.muscle``,
+    ``scene.curve``, ``scene.fibres``, ``scene.bridges``, ``sequence.muscles`` and
+    ``sequence.values``.
     """
 
     def __init__(
@@ -183,10 +195,13 @@ class PlayedPerformance:
         entry: PerformanceEntry,
         model: SubjectModel,
         interpolation: Interpolation = "smooth",
+        fibres: FibreMuscles | None = None,
     ) -> None:
-        self.entry = entry
-        gains = _gains(entry, model)
-        played = sequence.of_muscles(model.muscle_names).between(entry.start, entry.end)
+        self.entry, self.of_fibres = entry, sequence.of_fibres
+        self.muscles = _muscles_of(sequence, model, fibres)
+        gains = _factors(entry.muscles, "muscles", entry, self.muscles) * entry.gain
+        self.curve = _curve(entry, self.muscles, of_fibres=self.of_fibres)
+        played = sequence.of_muscles(self.muscles).between(entry.start, entry.end)
         kept = ~_bridged(played, entry)
         if not kept.any():
             reason = f"nothing is left of the performance {entry.asset!r}: every frame is bridged"
@@ -199,31 +214,60 @@ class PlayedPerformance:
         self._neck = neck(model)
         self._start, turns, moves = _head(left.head, self._neck, entry)
         moments = self.times[kept]
-        logarithms = to_logarithms(left.activations.reshape(-1, 6)).reshape(len(moments), -1, 6)
-        strong = (gains[:, None] * logarithms).reshape(len(moments), -1)
+        if self.of_fibres:
+            strong = np.minimum(gains * left.activations, 1.0)
+        else:
+            logarithms = to_logarithms(left.activations.reshape(-1, 6)).reshape(len(moments), -1, 6)
+            strong = (gains[:, None] * logarithms).reshape(len(moments), -1)
         values = np.hstack([strong, left.jaw, turns, moves])
         name = f"performance {entry.asset}"
         self._track = track(moments.tolist(), values, name, interpolation)
 
     def __call__(self, time: float) -> PosedFrame:
         """See :class:`Drives`."""
-        logarithms, jaw, turn, move = np.split(self._track(time), [-JAW_FREEDOM - 6, -6, -3])
-        a, clamped = from_logarithms(logarithms.reshape(-1, 6))
+        carried, jaw, turn, move = np.split(self._track(time), [-JAW_FREEDOM - 6, -6, -3])
+        a, clamped = (carried, 0) if self.of_fibres else from_logarithms(carried.reshape(-1, 6))
         turned = (self._start * Rotation.from_rotvec(turn)).as_rotvec()
         head = turn_about(self._neck, turned, move)
         return PosedFrame(a, jaw, head, np.zeros((2, 3)), clamped)
 
 
-def _gains(entry: PerformanceEntry, model: SubjectModel) -> Floats:
-    """Return every muscle's gain (m,)."""
-    for what, names in (("muscles", entry.muscles), ("curve", entry.curve)):
-        where = f"{what} of the performance {entry.asset!r}"
-        check_known(names, model.muscle_names, "scene.muscle", where)
-    for name in entry.curve:
+def _muscles_of(
+    sequence: FittedSequence, model: SubjectModel, fibres: FibreMuscles | None
+) -> tuple[str, ...]:
+    """Return the names of the muscles that a sequence has to have."""
+    if not sequence.of_fibres:
+        return model.muscle_names
+    if fibres is None:
+        reason = f"the performance {sequence.asset!r} is of fibre muscles, and the rig has none"
+        message = f"{reason} that are calibrated: run fit_fibres, or give its fibre_muscles.npz"
+        raise InputError("scene.fibres", message, asset=sequence.asset)
+    return strip_names(model.muscle_names, fibres)
+
+
+def _factors(
+    given: Mapping[str, float], what: str, entry: PerformanceEntry, muscles: Sequence[str]
+) -> Floats:
+    """Return every muscle's factor (m,): its own, or that of the muscle that it is a strip of."""
+    wholes = [name.rpartition(".")[0] or name for name in muscles]
+    where = f"{what} of the performance {entry.asset!r}"
+    check_known(given, [*muscles, *wholes], "scene.muscle", where)
+    return np.array(
+        [
+            given.get(name, given.get(whole, 1.0))
+            for name, whole in zip(muscles, wholes, strict=True)
+        ]
+    )
+
+
+def _curve(entry: PerformanceEntry, muscles: Sequence[str], *, of_fibres: bool) -> Floats:
+    """Return the factors (m,) of the muscles' force-length curves."""
+    factors = _factors(entry.curve, "curve", entry, muscles)
+    for name in () if of_fibres else entry.curve:
         reason = "has six numbers a muscle, and no force-length curve: use muscles, its gains"
         message = f"curve names {name!r}, but the performance {entry.asset!r} {reason}"
         raise InputError("scene.curve", message, asset=entry.asset, found=name)
-    return entry.gain * np.array([entry.muscles.get(name, 1.0) for name in model.muscle_names])
+    return factors
 
 
 def _bridged(played: FittedSequence, entry: PerformanceEntry) -> np.ndarray:
@@ -259,27 +303,35 @@ class MixedPerformances:
     """:class:`Drives` of several ``performances``: each moves the muscles of its mask.
 
     They move the face by their ``drives``, which add keys to them. Jaw, head and eyes are the
-    first's; a muscle that none moves is at rest. Raises :class:`InputError`: ``scene.muscle`` for a
-    name that is not known, ``scene.mask`` for a muscle that two would move.
+    first's; a muscle that none moves is at rest, ``curve`` (m,) is that of who moves it. Raises
+    :class:`InputError`: ``scene.muscle`` for a name that is not known, ``scene.mask`` for a muscle
+    that two would move, ``scene.fibres`` where only some are of fibre muscles.
     """
 
-    def __init__(
-        self,
-        performances: Sequence[PlayedPerformance],
-        drives: Sequence[Drives],
-        model: SubjectModel,
-    ) -> None:
+    def __init__(self, performances: Sequence[PlayedPerformance], drives: Sequence[Drives]) -> None:
         self.performances = performances
+        first = performances[0]
+        other = next((each for each in performances if each.of_fibres != first.of_fibres), None)
+        if other:
+            names = f"{first.entry.asset!r} and {other.entry.asset!r}"
+            reason = f"of the performances {names} one is of fibre muscles, the other is not"
+            raise InputError("scene.fibres", reason)
+        self.of_fibres = first.of_fibres
         self.times: Floats = max(
             (each.times for each in drives), key=lambda times: float(times[-1])
         )
         self._drives = drives
-        self._movers = _movers([each.entry for each in performances], model)
+        self._movers = _movers([each.entry for each in performances], first.muscles)
+        self.curve: Floats = np.ones(len(self._movers))
+        for number, each in enumerate(performances):
+            self.curve[self._movers == number] = each.curve[self._movers == number]
 
     def __call__(self, time: float) -> PosedFrame:
         """See :class:`Drives`."""
         poses = [drives(time) for drives in self._drives]
-        a = np.tile(IDENTITY, (len(self._movers), 1))
+        a = np.zeros(len(self._movers))
+        if not self.of_fibres:
+            a = np.tile(IDENTITY, (len(self._movers), 1))
         for number, pose in enumerate(poses):
             own = self._movers == number
             a[own] = pose.a[own]
@@ -287,9 +339,9 @@ class MixedPerformances:
         return PosedFrame(a, first.jaw, first.head, first.eyes, max(p.clamped for p in poses))
 
 
-def _movers(entries: Sequence[PerformanceEntry], model: SubjectModel) -> Ints:
+def _movers(entries: Sequence[PerformanceEntry], muscles: Sequence[str]) -> Ints:
     """Return the number of the performance that moves each muscle (m,); -1 is none."""
-    movers = np.full(model.muscle_count, -1)
+    movers = np.full(len(muscles), -1)
     rest = [number for number, entry in enumerate(entries) if entry.mask is None]
     if len(rest) > 1:
         names = " and ".join(repr(entries[number].asset) for number in rest[:2])
@@ -297,9 +349,9 @@ def _movers(entries: Sequence[PerformanceEntry], model: SubjectModel) -> Ints:
         raise InputError("scene.mask", reason, found=len(rest), expected=1)
     for number, entry in enumerate(entries):
         where = f"the mask of performance[{number}], {entry.asset!r},"
-        check_known(entry.mask or [], model.muscle_names, "scene.muscle", where)
+        check_known(entry.mask or [], muscles, "scene.muscle", where)
         for name in entry.mask or []:
-            muscle = model.muscle_names.index(name)
+            muscle = muscles.index(name)
             if movers[muscle] not in (-1, number):
                 other = entries[movers[muscle]].asset
                 reason = f"{where} names {name!r}, which that of {other!r} names too"

@@ -31,7 +31,9 @@ class BarrierOptions:
     # where Newton's step leads metres away, all is in the way of all, and to look for what it meets
     # takes seconds
     furthest_mm: float = 30.0
-    slip_mm_s: float = 1.0  # speed below which friction holds: it then grows with the speed
+    # speed below which friction holds: it then grows with the speed, so that what is held creeps.
+    # At 1 mm/s lips let a rod go by a millimetre in a second.
+    slip_mm_s: float = 0.2
 
 
 @dataclass(frozen=True)

@@ -327,10 +327,11 @@ class DenseModel:
         damped = self.hessian.copy()
         damped[np.diag_indices_from(damped)] += damping * self.layout.damping
         if self.q is not None and self.layout.is_bounded:
-            step = bounded_step(damped, self.gradient, self.layout.limits(self.q, trust))
+            step = bounded_step(damped, self.gradient, self.layout.limits(self.q, np.inf))
         else:
             step = _solve_positive(damped, -self.gradient)
-            step = step / max(self.layout.reach(step) / trust, 1.0)
+        # cut as a whole: with its turn cut alone, a jaw would be shifted in its place
+        step = step / max(self.layout.reach(step) / trust, 1.0)
         slope, quadratic = float(self.gradient @ step), float(step @ self.hessian @ step)
         response = np.zeros(0) if self.motion is None else self.motion @ step
         return LeastSquaresStep(step, slope, quadratic, self.layout.reach(step), response)

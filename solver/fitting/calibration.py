@@ -10,7 +10,7 @@ tets that share a face. The steps are those of :mod:`solver.fitting.joint`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
@@ -24,14 +24,15 @@ from solver.fitting.activation import ActivationOptions
 from solver.fitting.controls import Block, Layout, fibre_block
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
-from solver.fitting.joint import GeometryProblem, Iterate
+from solver.fitting.joint import GeometryProblem, Iterate, Listener
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.strips import StripOptions, neighbours, split_broad, strip_names
 from solver.mechanics.fibre_muscle import CURVE, Curve, FibreMuscles, FibreTerm, driven_by_muscles
 from solver.mechanics.response import SparseControls
+from solver.model import SubjectModel
 from solver.storage import Archive
-from solver.surface import Floats, Ints
+from solver.surface import Floats, Ints, skew
 
 # 90 kPa in flesh of 3 kPa: published activations move the skin as far as faces do
 STRENGTH = 30.0
@@ -61,7 +62,8 @@ def with_fibres(face: Face, muscles: FibreMuscles, curve: Curve = CURVE) -> Face
 class CalibrationOptions:
     """Rounds, weights of the poses, and stiffness of what is calibrated (mm^2 by its square)."""
 
-    rounds: int = 10
+    rounds: int = 16
+    retries: int = 3  # of a round whose step was refused, each shorter
     strips: StripOptions | None = field(default_factory=StripOptions)  # None: muscles are whole
     first: ActivationOptions = field(default_factory=lambda: ActivationOptions(6, tolerance=1e-2))
     last: ActivationOptions = field(default_factory=lambda: ActivationOptions(20, tolerance=1e-3))
@@ -151,10 +153,6 @@ class Calibration:
     endings: dict[str, FallbackFit]
 
 
-# called as a round (from 0) begins, with the states so far
-Listener = Callable[[int, Mapping[str, PosedFace]], None]
-
-
 def calibrate(
     plain: Face,
     data: Mapping[str, Term],
@@ -178,16 +176,10 @@ def calibrate(
     }
     stiffness = shape.stiffness(options)
     problem = GeometryProblem(face, data, priors, 0.0, values, stiffness, shape)
-    now, idle = Iterate(values, states), 0
-    for number in range(options.rounds):
-        if listen:
-            listen(number, now.states)
-        before = problem.value(now.values, now.states)
-        now = joint.step(problem, now)
-        gain = before - problem.value(now.values, now.states)
-        idle = idle + 1 if gain < options.tolerance * before else 0
-        if idle == 2:
-            break
+    rules = joint.RoundOptions(options.retries, options.tolerance)
+    now, _ = joint.minimise_rounds(
+        lambda _number: problem, Iterate(values, states), range(options.rounds), rules, listen
+    )
     face = shape.face(now.values)
     endings = fit_all(face, ends or data, options, now.states)
     return Calibration(shape.muscles(now.values), face, endings)
@@ -230,6 +222,14 @@ def save_muscles(path: Path, face: Face, muscles: FibreMuscles) -> None:
 def load_muscles(path: Path, face: Face) -> FibreMuscles:
     """Read what :func:`save_muscles` wrote, for a face of the same model.
 
+    Raises as :func:`read_muscles`.
+    """
+    return read_muscles(path, face.model).scaled(face.flesh.material.mu)
+
+
+def read_muscles(path: Path, model: SubjectModel) -> FibreMuscles:
+    """Read what :func:`save_muscles` wrote of this model: strengths over the flesh's mu.
+
     Raises :class:`InputError` (``fibres.unreadable``, ``fibres.format``, ``fibres.model``).
     """
     archive = Archive.read(path, "fibres", "a file of fibre muscles", FORMAT)
@@ -237,14 +237,14 @@ def load_muscles(path: Path, face: Face) -> FibreMuscles:
         muscles = FibreMuscles(
             **{each.name: archive.arrays[each.name] for each in fields(FibreMuscles)}
         )
-        of_model = archive.header["model_sha256"] == face.model.sha256
+        of_model = archive.header["model_sha256"] == model.sha256
     except (KeyError, TypeError) as error:
         message = f"{path.name} is not a file of fibre muscles: {error}"
         raise InputError("fibres.unreadable", message, file=path.name) from error
     if not of_model:
         message = f"the fibre muscles in {path.name} are of another model"
         raise InputError("fibres.model", message, file=path.name)
-    return muscles.scaled(face.flesh.material.mu)
+    return muscles
 
 
 def _turn_rates(turns: Floats) -> sp.csr_array:
@@ -255,7 +255,7 @@ def _turn_rates(turns: Floats) -> sp.csr_array:
     angle = np.linalg.norm(turns, axis=1)
     small = np.maximum(angle, 1e-4)
     first, second = (1.0 - np.cos(small)) / small**2, (small - np.sin(small)) / small**3
-    K = np.cross(turns[:, None], np.eye(3)[None]).transpose(0, 2, 1)
+    K = skew(turns)
     blocks = np.eye(3) + first[:, None, None] * K + second[:, None, None] * (K @ K)
     count = np.arange(len(turns))
     return sp.csr_array(sp.bsr_array((blocks, count, np.arange(len(turns) + 1))))

@@ -78,7 +78,7 @@ def check_pose(a: Floats, b: Floats, layout: Layout, names: Sequence[str]) -> No
     if not np.isfinite(b).all():
         raise PoseError("face.pose", f"the jaw is not finite: {b}")
     angles = b[np.broadcast_to(jaw.units, b.shape) == JAW_UNITS[0]]
-    if np.abs(angles).max() > np.pi / 2.0:
-        turns = ", ".join(f"{angle:g}" for angle in angles)
+    if np.abs(angles).max(initial=0.0) > np.pi / 2.0:
+        turns = " and ".join(f"{angle:g}" for angle in angles)
         message = f"the jaw turns by {turns} rad: degrees? (np.radians makes radians)"
         raise PoseError("face.pose", message)

@@ -12,6 +12,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
+from solver.errors import InputError
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.jaw_tracks import TRACK_FREEDOM, JawTracks
@@ -46,6 +47,11 @@ class Layout:
         return {b.name: slice(i - b.rest.size, i) for b, i in zip(self.blocks, ends, strict=True)}
 
     def __getitem__(self, name: str) -> slice:
+        """Return where a block is; raises :class:`InputError` (``face.layout``) without it."""
+        if name not in self._places:
+            words = f"the face is moved by {' and '.join(self._places)}, not by {name}"
+            message = f"{words}: this is for muscles of six numbers and a free jaw"
+            raise InputError("face.layout", message, found=list(self._places), expected=name)
         return self._places[name]
 
     @property

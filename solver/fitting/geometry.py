@@ -7,7 +7,7 @@ start.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from solver.fitting import activation, fallback, joint, reference, simplex
 from solver.fitting.activation import ActivationOptions, rest_curvature
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
-from solver.fitting.joint import GeometryProblem, Iterate
+from solver.fitting.joint import GeometryProblem, Iterate, Listener
 from solver.fitting.least_squares import Listener as StepListener
 from solver.fitting.objective import Regulariser, Target, Term
 from solver.fitting.reference import NotConvergedError
@@ -57,10 +57,6 @@ class GeometryFit:
         return {name: ending.state for name, ending in self.endings.items()}
 
 
-# called as a round (from 0) begins, with the states so far
-Listener = Callable[[int, Mapping[str, PosedFace]], None]
-
-
 def fit(
     face: Face,
     data: Mapping[str, Term],
@@ -89,34 +85,20 @@ def fit(
         ).state
         for name, term in first_terms.items()
     }
-    now = Iterate(face.S.data, states)
-    idle, number, steps = 0, 0, options.first_iterations
+    now, steps = Iterate(face.S.data, states), options.first_iterations
     whole = max(options.rounds - WHOLE_ROUNDS, 0)
-    while number < options.rounds:
-        if listen:
-            listen(number, now.states)
-        terms = data if number >= whole else first_terms
-        problem = _problem(face, terms, options, number, structure)
-        before = problem.value(now.values, now.states)
-        now = _step(problem, now, options.retries)
-        gain = before - problem.value(now.values, now.states)
-        idle = idle + 1 if gain < options.tolerance * before else 0
-        number, steps = number + 1, steps + 1
-        if idle == 2:
-            # what is left of this stage gains nothing: on to the whole rounds, or to the end
-            number, idle = (whole, 0) if number < whole else (options.rounds, 0)
+    rules = joint.RoundOptions(options.retries, options.tolerance)
+    # rounds that gain nothing end a stage: on to the whole rounds, or to the end
+    for terms, rounds in ((first_terms, range(whole)), (data, range(whole, options.rounds))):
+
+        def problem_of(number: int, terms: Mapping[str, Term] = terms) -> GeometryProblem:
+            return _problem(face, terms, options, number, structure)
+
+        now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen)
+        steps += taken
     last = replace(begin, w_a=options.w_a[1])
     found = face.with_unchecked_weights(replace_values(face.S, now.values))
     return _finish(found, data, last, now.states, steps)
-
-
-def _step(problem: GeometryProblem, now: Iterate, retries: int) -> Iterate:
-    """Return the next iterate; a refused step is no sign of convergence, and is tried again."""
-    for _ in range(1 + retries):
-        before, now = now, joint.step(problem, now)
-        if now.values is not before.values:
-            break
-    return now
 
 
 def _problem(

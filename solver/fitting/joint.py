@@ -19,7 +19,7 @@ goes a shorter way with every round.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -130,6 +130,49 @@ class Iterate:
     states: dict[str, PosedFace]
     damping: float = JointOptions().damping.start
     pose_damping: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RoundOptions:
+    """Ends of rounds."""
+
+    retries: int = 3  # of a round whose step was refused, each shorter
+    tolerance: float = 3e-3  # gain, relative to f, below which two rounds in turn are the last
+
+
+# called as a round begins, with the states so far
+Listener = Callable[[int, Mapping[str, PosedFace]], None]
+
+
+def minimise_rounds(
+    problem_of: Callable[[int], GeometryProblem],
+    now: Iterate,
+    rounds: range,
+    options: RoundOptions,
+    listen: Listener | None = None,
+) -> tuple[Iterate, int]:
+    """Return the iterate after ``rounds`` on the problem of each, and how many it took."""
+    idle = taken = 0
+    for number in rounds:
+        if listen:
+            listen(number, now.states)
+        problem = problem_of(number)
+        before = problem.value(now.values, now.states)
+        now, taken = _round(problem, now, options.retries), taken + 1
+        gain = before - problem.value(now.values, now.states)
+        idle = idle + 1 if gain < options.tolerance * before else 0
+        if idle == 2:
+            break
+    return now, taken
+
+
+def _round(problem: GeometryProblem, now: Iterate, retries: int) -> Iterate:
+    """Return the next iterate; a refused step is no sign of convergence, and is tried again."""
+    for _ in range(1 + retries):
+        before, now = now, step(problem, now)
+        if now.values is not before.values:
+            break
+    return now
 
 
 def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOptions()) -> Iterate:

@@ -6,7 +6,7 @@ but for the constant:
     min int (f . grad u)^2 + slip |grad u|^2,    int u^2 = 1, int u = 0
 
 in linear elements of its tets. It grows across a sheet from side to side, and across a ring from
-within to without.
+within to without. A ring counts as broad as its two sides together.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import shape_gradients
-from solver.surface import Floats, Ints
+from solver.surface import Floats, Ints, unit_rows
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,7 @@ class StripOptions:
     least_tets: int = 12  # of a strip
     slip: float = 0.01  # weight of changes in any direction, by that of changes along fibres
     end: float = 0.1  # part of the muscle's tets that are its end by u
+    ring: float = 0.6  # cosine to circles about the middle from which fibres make a ring
 
 
 def split_broad(
@@ -52,7 +53,8 @@ def split_broad(
             own = tets[muscles.tets[mine]]
             whole, across = _across(rest, own, muscles.fibres[mine], options)
             at, fibres = at[whole], muscles.fibres[mine][whole]
-            wanted = round(_breadth(at, fibres, across, options) / options.breadth_mm)
+            sides = 2 if _roundness(at, fibres) > options.ring else 1
+            wanted = round(sides * _breadth(at, fibres, across, options) / options.breadth_mm)
             count = max(1, min(wanted, options.most, len(at) // options.least_tets))
             bounds = np.quantile(across, np.linspace(0.0, 1.0, count + 1)[1:-1])
             strip = np.searchsorted(bounds, across)
@@ -107,6 +109,20 @@ def _across(rest: Floats, tets: Ints, fibres: Floats, options: StripOptions) -> 
     upward = np.abs(rest[used, 0]) + rest[used, 1]
     u = found * np.sign(found @ (mass * (upward - upward.mean())))
     return inside, u[corners].mean(axis=1)
+
+
+def _roundness(centres: Floats, fibres: Floats, sectors: int = 8) -> float:
+    """Return how well fibres follow circles about the middle, as a mean cosine: the worst sector's.
+
+    That of a ring around a mouth is 0.66, around an eye 0.9, of the roundest sheet 0.5.
+    """
+    arms = centres - centres.mean(axis=0)
+    first, second, axis = np.linalg.svd(arms, full_matrices=False)[2]
+    turned = np.arctan2(arms @ second, arms @ first) / (2.0 * np.pi) + 0.5
+    sector = np.minimum((sectors * turned).astype(np.int64), sectors - 1)
+    cosine = np.abs(np.einsum("ei,ei->e", unit_rows(np.cross(axis, arms)), fibres))
+    sums = np.bincount(sector, cosine, sectors)
+    return float((sums / np.maximum(np.bincount(sector, minlength=sectors), 1)).min())
 
 
 def _breadth(centres: Floats, fibres: Floats, across: Floats, options: StripOptions) -> float:

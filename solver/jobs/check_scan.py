@@ -35,17 +35,17 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     progress(Step("check", 0.1))
     frame = task.options.model_dump()
     found = check(scan, anatomy, frame, task.role, task.inputs.get("landmarks"))
-    judged = judge_findings(found.findings)
+    verdict = judge_findings(found.findings)
     progress(Step("pictures", 0.8))
     files = [task.out / "check.json", task.out / "check.png"]
-    check_picture(found, f"{scan.name}: {judged}", files[1])
+    check_picture(found, f"{scan.name}: {verdict}", files[1])
     report = {
         "file": scan.name,
-        "verdict": judged,
+        "verdict": verdict,
         "findings": [finding.to_dict() for finding in found.findings],
-        "judged": [each.to_dict() for each in found.judged],
+        "judged": [each.to_dict() for each in found.parts],
         "figures": found.figures | {"seconds": round(time.perf_counter() - start, 2)},
     }
     write_json(files[0], report)
-    progress(Step("done", 1.0, message=judged))
+    progress(Step("done", 1.0, message=verdict))
     return files

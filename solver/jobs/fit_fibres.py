@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from solver.errors import InputError
+from solver.fitting import geometry
 from solver.fitting.calibration import (
     CalibrationOptions,
     calibrate,
@@ -28,11 +28,46 @@ from solver.fitting.strips import StripOptions, strip_names
 from solver.jobs import Task
 from solver.jobs.fits import Targets
 from solver.kinds.fit_fibres import FitFibres
+from solver.kinds.kind import Distance
+from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.progress import Step
 from solver.rig.rig import Rig
+from solver.storage import write_json
 
 DECIMALS = 4  # of figures in mm
+
+
+@dataclass(frozen=True)
+class _Scans:
+    """Targets of a rig's expressions, their roles, and how near S came to them, mm."""
+
+    targets: dict[str, Target]
+    roles: dict[str, str]
+    blended_mm: dict[str, float]
+
+    @classmethod
+    def of(cls, rig: Rig, distance: Distance) -> _Scans:
+        """Return the scans that a rig was fitted to, or tested by.
+
+        Raises :class:`InputError` (``fibres.no_scans``) if it was fitted to none.
+        """
+        face, make = rig.model.face, Targets(rig.model, distance)
+        seen = [fit for fit in rig.expressions if np.isfinite(fit.error_mm[face]).any()]
+        if not any(fit.role == "train" for fit in seen):
+            message = "the rig has no expression that it was fitted to"
+            raise InputError("fibres.no_scans", f"{message}: fit its muscle geometry first")
+        targets = {}
+        for fit in seen:
+            known = np.isfinite(fit.error_mm[face])
+            points = np.where(known[:, None], fit.target[face], np.nan)
+            targets[fit.name] = make.of_points(points, known.astype(np.float64))
+        blended = {fit.name: float(fit.measured_error(face).mean()) for fit in seen}
+        return cls(targets, {fit.name: fit.role for fit in seen}, blended)
+
+    def of_role(self, role: str) -> dict[str, Target]:
+        """Return the targets of a role."""
+        return {name: target for name, target in self.targets.items() if self.roles[name] == role}
 
 
 def run(task: Task[FitFibres]) -> list[Path]:
@@ -44,64 +79,61 @@ def run(task: Task[FitFibres]) -> list[Path]:
     given, progress = task.options, task.progress
     progress(Step("read", 0.0))
     rig = Rig.load(task.inputs)
-    model = rig.model
-    face = Face(model, material=MOONEY_RIVLIN, linear=given.linear_solver)
-    plain = fibre_muscles(face)
-    roles = {fit.name: fit.role for fit in rig.expressions}
-    make = Targets(model, given.distance)
-    seen = [fit for fit in rig.expressions if np.isfinite(fit.error_mm[model.face]).any()]
-    targets = {}
-    for fit in seen:
-        known = np.isfinite(fit.error_mm[model.face])
-        points = np.where(known[:, None], fit.target[model.face], np.nan)
-        targets[fit.name] = make.of_points(points, known.astype(np.float64))
-    train = {name: target for name, target in targets.items() if roles[name] == "train"}
-    if not train:
-        message = "the rig has no expression that it was fitted to: fit its muscle geometry first"
-        raise InputError("fibres.no_scans", message)
+    face = Face(rig.model, material=MOONEY_RIVLIN, linear=given.linear_solver)
+    plain, scans = fibre_muscles(face), _Scans.of(rig, given.distance)
+    train = scans.of_role("train")
     strips = StripOptions(breadth_mm=given.strips_mm) if given.strips_mm else None
     options = replace(CalibrationOptions(), rounds=given.rounds, strips=strips)
     begin = time.perf_counter()
 
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
-        skins = {name: face.face_points(state.estimate) for name, state in states.items()}
-        error = float(np.mean([np.nanmean(train[name].distances(skins[name])) for name in skins]))
+        error = geometry.mean_error(face, train, states)
         part = 0.1 + 0.7 * number / options.rounds
         progress(Step("calibration", part, number + 1, mean_error_mm=error))
 
-    before = fit_all(with_fibres(face, plain), distances(face, targets), options)
+    before = fit_all(with_fibres(face, plain), distances(face, scans.targets), options)
     found = calibrate(face, distances(face, train), options, listen, ends=terms(face, train))
     progress(Step("unseen", 0.8))
-    others = {name: target for name, target in targets.items() if name not in train}
-    endings = {**found.endings, **fit_all(found.face, terms(face, others), options)}
-    save_muscles(task.out / "fibre_muscles.npz", face, found.muscles)
+    others = terms(face, scans.of_role("test"))
+    endings = {**found.endings, **fit_all(found.face, others, options)}
+    files = [task.out / "fibre_muscles.npz", task.out / "fibre_muscles.json"]
+    save_muscles(files[0], face, found.muscles)
+    seconds = round(time.perf_counter() - begin, 1)
+    write_json(
+        files[1], _report(face, scans, found.muscles, before, endings) | {"seconds": seconds}
+    )
+    progress(Step("done", 1.0))
+    return files
+
+
+def _report(
+    face: Face,
+    scans: _Scans,
+    muscles: FibreMuscles,
+    before: Mapping[str, FallbackFit],
+    endings: Mapping[str, FallbackFit],
+) -> dict[str, Any]:
+    """Return the figures of fits ``before`` and after calibration."""
     expressions = {
         name: {
-            "role": roles[name],
+            "role": scans.roles[name],
             **_figures(face, target, endings[name]),
             "uncalibrated_mm": _error(face, target, before[name]),
+            "blended_mm": round(scans.blended_mm[name], DECIMALS),
         }
-        for name, target in targets.items()
+        for name, target in scans.targets.items()
     }
-    for fit in seen:
-        error = fit.measured_error(model.face)
-        expressions[fit.name]["blended_mm"] = round(float(error.mean()), DECIMALS)
-    names = strip_names(model.muscle_names, found.muscles)
-    strengths = found.muscles.strengths / face.flesh.material.mu
-    report = {
+    names = strip_names(face.model.muscle_names, muscles)
+    strengths = (muscles.strengths / face.flesh.material.mu).round(2).tolist()
+    return {
         "means": {
             f"{role}_{kind}": _mean(expressions, role, kind)
             for role in ("train", "test")
             for kind in ("fibre_mm", "uncalibrated_mm", "blended_mm")
         },
         "expressions": expressions,
-        "strengths": dict(zip(names, strengths.round(2).tolist(), strict=True)),
-        "seconds": round(time.perf_counter() - begin, 1),
+        "strengths": dict(zip(names, strengths, strict=True)),
     }
-    file = task.out / "fibre_muscles.json"
-    file.write_text(json.dumps(report, indent=1), encoding="utf-8")
-    progress(Step("done", 1.0))
-    return [task.out / "fibre_muscles.npz", file]
 
 
 def _error(face: Face, target: Target, ending: FallbackFit) -> float:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -50,6 +50,8 @@ from solver.rig.frames import (
     unpack,
     write_sequence,
 )
+from solver.rig.marker_view import FILE as VIEW_FILE
+from solver.rig.marker_view import MarkerView
 from solver.rig.rig import Rig
 from solver.scans.markers.bind import bind, count_tracks
 from solver.scans.markers.bound_take import BoundTake
@@ -104,12 +106,17 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     }
     session = _Session(tracker, out / FRAMES, about)
     done = session.read(numbers)
-    skin = AnimatedSkin(rig.model.skin)
+    skin, view = AnimatedSkin(rig.model.skin), MarkerView(source.labels, muscles)
+
+    def show(frame: MarkerFrame, x: Floats) -> None:
+        skin.add(frame, face.whole_skin(x, _pose(face, frame).b))
+        view.add(frame, tracker.places.at(x), source.points(frame.frame))
+
     for frame in done:
-        skin.add(frame, session.reached[frame.frame])
+        show(frame, session.reached[frame.frame])
     for number in numbers[len(done) :]:
         done.append(session.fit(number, source))
-        skin.add(done[-1], tracker.skin())
+        show(done[-1], tracker.tracker.state.x)
         part = 0.01 + 0.9 * len(done) / len(numbers)
         words = f"frame {len(done)} of {len(numbers)}"
         progress(Step("frames", part, mean_error_mm=done[-1].mean_mm, message=words))
@@ -119,7 +126,8 @@ def run(task: Task[FitMarkers]) -> list[Path]:
         raise InputError("sequence.nothing", message, file=take.file)
     if given.smooth:
         progress(Step("smooth", 0.93))
-        done, skin = _smoothed(tracker, done, source)
+        skin, view = AnimatedSkin(rig.model.skin), MarkerView(source.labels, muscles)
+        done = _smoothed(tracker, done, source, show)
     progress(Step("export", 0.96))
     report = sequence_report(done, rate, take.file) | _marker_report(done, source.labels)
     report |= {"notices": [notice.as_dict() for notice in notices]}
@@ -127,6 +135,8 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     files += [out / "markers.json"] if given.refine else []
     files.append(out / "sequence.glb")
     skin.write(files[-1], rate)
+    files.append(out / VIEW_FILE)
+    view.write(files[-1], rate)
     progress(Step("done", 1.0))
     return files
 
@@ -196,14 +206,16 @@ def _tracker(
 
 
 def _smoothed(
-    tracker: MarkerTracker, frames: Sequence[MarkerFrame], source: BoundTake
-) -> tuple[list[MarkerFrame], AnimatedSkin]:
-    """Return the frames after a sweep back, and their skin.
+    tracker: MarkerTracker,
+    frames: Sequence[MarkerFrame],
+    source: BoundTake,
+    show: Callable[[MarkerFrame, Floats], None],
+) -> list[MarkerFrame]:
+    """Return the frames after a sweep back; ``show`` gets each with its flesh.
 
     A point that was another label's keeps its distance of before.
     """
-    face, found = tracker.face, []
-    skin, layout = AnimatedSkin(face.model.skin), face.layout
+    face, layout, found = tracker.face, tracker.face.layout, []
     traced = [
         TracedFrame(_pose(face, each), small_motion(each.head), each.marker_weight)
         for each in frames
@@ -228,8 +240,8 @@ def _smoothed(
                 inverted=face.flesh.inverted(tracker.tracker.state.x),
             )
         )
-        skin.add(found[-1], tracker.skin())
-    return found, skin
+        show(found[-1], tracker.tracker.state.x)
+    return found
 
 
 def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
@@ -281,7 +293,7 @@ class _Session:
         self._tracker, self._folder = tracker, folder
         text = json.dumps(about, sort_keys=True)
         self._about = hashlib.sha256(text.encode()).hexdigest()
-        self.reached: dict[int, Floats] = {}  # skins (v, 3) of frames that were read
+        self.reached: dict[int, Floats] = {}  # vertices (p, 3) of frames that were read
         tets = len(tracker.face.model.tets)
         self._length = int(np.clip(OPTIONS.tets // tets, 1, OPTIONS.frames))
         self._writer = self._writer_from(0)
@@ -370,7 +382,7 @@ class _Session:
         for frame in frames:
             with suppress(SolveError):  # out of reach: it is shown as the one before
                 tracker.go_to(_pose(tracker.face, frame))
-            self.reached[frame.frame] = self._tracker.skin()
+            self.reached[frame.frame] = tracker.state.x
 
 
 def _settled(face: Face, pose: Pose, x: Floats) -> PosedFace:

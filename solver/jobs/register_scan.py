@@ -56,7 +56,7 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     files = [task.out / name for name in ("registered.ply", "registration.json", "distance.png")]
     size_from = registered.start.size.taken_from if rest is None else rest.size_from
     write_registered(files[0], registered.skin, registered.trust.confidence, size_from)
-    write_json(files[1], report(registered, known))
+    write_json(files[1], report(registered, known, size_from))
     distance_picture(registered, known, files[2])
     progress(Step("done", 1.0))
     return files

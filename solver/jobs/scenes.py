@@ -137,6 +137,7 @@ def finish(
             title=title,
             report=motion_report(frames, model) | figures,
             vertices=model.face,
+            muscles=stage.muscles,
             objects=stage.objects,
             video=video,
         )

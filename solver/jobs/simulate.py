@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from solver.fitting.calibration import read_muscles
 from solver.fitting.face import Pose
+from solver.fitting.strips import strip_names
 from solver.jobs import Task
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.simulate import Simulate
 from solver.progress import part_of
 from solver.rig.animation import check_video
-from solver.scene.document import drives_of, performances_of
+from solver.scene.document import drives_of, moving_fibres, performances_of
 from solver.scene.stage import Stage
 
 
@@ -27,9 +29,13 @@ def run(task: Task[Simulate]) -> list[Path]:
         check_video()
     rig, places = read_person(task)
     poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in rig.expressions}
-    performances = performances_of(given.scene, poses, places, rig.weights)
-    drives = drives_of(given.scene, poses, rig.model, rig.weights, performances)
-    stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver)
+    file = task.inputs.get("fibre_muscles")
+    known = None if file is None else read_muscles(file, rig.model)
+    performances = performances_of(given.scene, poses, places, rig.weights, known)
+    fibres = moving_fibres(given.scene, performances, known)
+    names = None if fibres is None else strip_names(rig.model.muscle_names, fibres)
+    drives = drives_of(given.scene, poses, rig.model, rig.weights, performances, names)
+    stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver, fibres)
     played = performances.performances if performances else ()
     more = {
         "performances": [

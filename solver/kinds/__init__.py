@@ -12,8 +12,19 @@ from pkgutil import iter_modules
 
 from solver.kinds.document import Fault
 from solver.kinds.kind import BUILTIN_VERTICES, JobOptions, Kind, OptionsError
+from solver.kinds.packing import NOT_READABLE, check_directory, is_plainly_packed
 
-__all__ = ["BUILTIN_VERTICES", "KINDS", "Fault", "JobOptions", "Kind", "OptionsError"]
+__all__ = [
+    "BUILTIN_VERTICES",
+    "KINDS",
+    "NOT_READABLE",
+    "Fault",
+    "JobOptions",
+    "Kind",
+    "OptionsError",
+    "check_directory",
+    "is_plainly_packed",
+]
 
 
 def _find() -> dict[str, Kind]:

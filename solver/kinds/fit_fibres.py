@@ -10,7 +10,7 @@ class FitFibres(FitOptions):
     """Options of a calibration of fibre muscles."""
 
     rounds: Whole = Field(
-        default=12,
+        default=16,
         ge=1,
         le=50,
         description="at most so many rounds of Gauss-Newton on strengths, fractions, directions "

@@ -80,7 +80,7 @@ KIND = Kind(
     description="Activations, jaw and head of every frame of a take of markers, with the spread "
     "of each; wrong points are rejected, swaps mended, and muscles that no marker tells of held.",
     queue="long",
-    reads=("rig", "markers", "template"),
+    reads=("rig", "markers", "template", "fibre_muscles"),
     leaves="sequence",
     report="sequence.json",
     result="sequence.npz",

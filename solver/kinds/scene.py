@@ -112,6 +112,11 @@ class Key(Document):
         "rest, or the six numbers xx, xy, xz, yy, yz, zz of an activation",
     )
     jaw: Jaw = Field(default_factory=Jaw)
+    fibres: dict[str, Annotated[float, Field(ge=-1, le=1)]] = Field(
+        default={},
+        max_length=256,
+        description="activations of fibre muscles by name, on top of what is performed",
+    )
 
 
 class MotionKey(Document):
@@ -170,7 +175,8 @@ class PerformanceEntry(Document):
     gain: Gain = Field(
         default=1.0,
         description="of all activations, S to this power: 0 is rest, 1 as fitted, above it "
-        "exaggerates, with stretches from 0.1 to 10; the jaw and the head stay as they are",
+        "exaggerates, with stretches from 0.1 to 10; those of fibre muscles times it, up to 1; "
+        "the jaw and the head stay as they are",
     )
     muscles: dict[str, Gain] = Field(
         default={}, max_length=256, description="gains of muscles by name, times that of all"
@@ -178,7 +184,8 @@ class PerformanceEntry(Document):
     curve: dict[str, Gain] = Field(
         default={},
         max_length=256,
-        description="factors on the force-length curves of fibre muscles, by name",
+        description="factors on the force-length curves of fibre muscles, by name, beyond what an "
+        "activation of 1 does",
     )
     mask: list[str] | None = Field(
         default=None,

@@ -10,17 +10,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.model import JawFrame
-from solver.surface import Floats
+from solver.surface import Floats, skew
 
 JAW_FREEDOM = 5  # of the mandible: hinge, sideways, and three of translation
 
 
 def rotation(axis: Floats, angle: float) -> tuple[Floats, Floats]:
     """Return the rotation about a unit axis (Rodrigues) and its derivative by the angle."""
-    skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    square = skew @ skew
+    across = skew(axis)
+    square = across @ across
     sine, cosine = np.sin(angle), np.cos(angle)
-    return np.eye(3) + sine * skew + (1 - cosine) * square, cosine * skew + sine * square
+    return np.eye(3) + sine * across + (1 - cosine) * square, cosine * across + sine * square
 
 
 def jaw_rotation(frame: JawFrame, b: Floats) -> Floats:

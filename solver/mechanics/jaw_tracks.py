@@ -25,7 +25,7 @@ from scipy.optimize import least_squares, nnls
 from solver.mechanics.boundary import JawMotion, rotation
 from solver.model import JawFrame
 from solver.similarity import weighted_motion
-from solver.surface import Floats
+from solver.surface import Floats, skew
 
 TRACK_FREEDOM = 3
 
@@ -42,6 +42,8 @@ class TrackOptions:
     least_mm: float = 3.0  # motion of the jaw, at most, of a shape that counts
     least_slide_mm: float = 1.0  # of a condyle from which a shape tells the slope
     rigid: float = 0.05  # rms of what is no rigid motion, as part of it
+    sideways: float = 0.2  # of a slide, as part of it, from which it is none along tracks
+    spread: float = 0.25  # of the slides, as part of the longest, that tells a curve
 
 
 TRACKS = TrackOptions()
@@ -94,11 +96,11 @@ class JawTracks:
         open_, by_angle = rotation(u, b[0])
         d = (left - right) / self.apart
         c = np.sqrt(1.0 - d @ d)
-        K = _skew(np.cross(u, d))
+        K = skew(np.cross(u, d))
         turn = np.eye(3) + K + K @ K / (1.0 + c)
         rates = [turn @ by_angle]
         for rate in (by_left / self.apart, -by_right / self.apart):
-            dK, dc = _skew(np.cross(u, rate)), -(d @ rate) / c
+            dK, dc = skew(np.cross(u, rate)), -(d @ rate) / c
             by_slide = dK + (dK @ K + K @ dK) / (1.0 + c) - K @ K * (dc / (1.0 + c) ** 2)
             rates.append(by_slide @ open_)
         slides = np.stack([np.zeros(3), 0.5 * by_left, 0.5 * by_right])
@@ -140,7 +142,11 @@ def tracks_of_shapes(
         across, up, ahead = (motion(frame.origin[None])[0] - frame.origin) @ frame.axes.T
         turned = frame.axes @ motion.rotation @ frame.axes.T
         length = float(np.hypot(up, ahead))
-        if length >= options.least_slide_mm and ahead > 0.0 and abs(across) < 0.2 * length:
+        if (
+            length >= options.least_slide_mm
+            and ahead > 0.0
+            and abs(across) < options.sideways * length
+        ):
             hinges.append(float(np.arctan2(-turned[1, 2], turned[1, 1])))
             slides.append(length)
             angles.append(float(np.arctan2(-up, ahead)))
@@ -156,7 +162,7 @@ def tracks_of_shapes(
         return usual
     s, angle = np.array(slides), np.array(angles)
     slope, bend = angles[int(np.argmax(hinges[1:]))], 0.0
-    if options.curved and np.ptp(s) > 0.25 * s.max():
+    if options.curved and np.ptp(s) > options.spread * s.max():
         # a chord's angle is that at half its way; tracks begin level or downwards
         slope, bend = map(float, nnls(np.stack([s, 0.5 * s * s], 1), angle * s)[0])
     length = max(float(s.max()), options.length_mm)
@@ -172,7 +178,3 @@ def nearest_jaw(jaw: JawMotion, size: int, motion: Floats, points: Floats) -> Fl
         return np.asarray((jaw.move(points, b) - goal).ravel())
 
     return np.asarray(least_squares(off, np.zeros(size), x_scale="jac").x)
-
-
-def _skew(w: Floats) -> Floats:
-    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])

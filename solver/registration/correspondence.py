@@ -43,7 +43,7 @@ class CorrespondenceOptions:
 
 @dataclass(frozen=True)
 class HeadParts:
-    """What the vertices (n,) of a head belong to; gums, tongue and the like are none of it."""
+    """Masks (n,) of a head's vertices by part; gums, tongue and the like are in none."""
 
     skin: Mask
     eyes: Mask  # the eyeballs

@@ -216,10 +216,17 @@ def _judge_likeness(
     return fitted, again.cost < look.likeness_cost
 
 
-# How far the points of a patch around an eye pair while it is slid into place, round by round.
-EYE_REACHES_MM = (6.0,) * 6 + (4.0,) * 8 + (3.0,) * 8 + (2.0,) * 8
-EYE_MM = 20.0  # radius of the patch
-PUPILS = 1.015  # distance of the pupils by that of the middles between the eyes' corners
+@dataclass(frozen=True)
+class EyeOptions:
+    """The patch around an eye that is slid into place on the scan."""
+
+    # distances up to which its points pair, round by round
+    reaches_mm: tuple[float, ...] = (6.0,) * 6 + (4.0,) * 8 + (3.0,) * 8 + (2.0,) * 8
+    radius_mm: float = 20.0
+    pupils: float = 1.015  # their distance by that of the middles between the eyes' corners
+
+
+EYES = EyeOptions()
 
 
 def _measure_eyes(
@@ -244,7 +251,8 @@ def _measure_eyes(
         gap, near = KDTree(marks[1]).query(rest)
         middles = middles if gap.any() else [*marks[0][near].mean(axis=1)]
     in_scan, in_template = (
-        PUPILS * float(np.linalg.norm(left - right)) for left, right in (middles, rest.mean(axis=1))
+        EYES.pupils * float(np.linalg.norm(left - right))
+        for left, right in (middles, rest.mean(axis=1))
     )
     return in_scan, in_template
 
@@ -253,13 +261,13 @@ def _find_eye(fitted: ShapeFit, samples: Samples, face: Surface, corners: Ints) 
     """Return the middle (3,) between the corners of an eye in a scan, in its own frame."""
     middle = fitted.vertices[corners].mean(axis=0)
     used = np.unique(face.faces)
-    patch = used[np.linalg.norm(fitted.vertices[used] - middle, axis=1) < EYE_MM]
+    patch = used[np.linalg.norm(fitted.vertices[used] - middle, axis=1) < EYES.radius_mm]
     none = np.zeros((0, *fitted.vertices.shape))
     still = ShapeModel(
         fitted.vertices, none, np.zeros((0, 0)), np.zeros(0, bool), face.faces, patch
     )
     match = match_samples(samples, np.ones(len(patch)))
-    options = replace(LIKENESS, reaches_mm=EYE_REACHES_MM)
+    options = replace(LIKENESS, reaches_mm=EYES.reaches_mm)
     slid = fit_shapes(match, fitted.motion, still, options=options, sizes=False)
     return np.asarray(slid.motion.inverse()(middle[None])[0])
 

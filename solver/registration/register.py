@@ -113,7 +113,8 @@ def register(
         pins = _find_pins(scan, start.motion, topology, landmarker)
     if neutral is not None and start.size.is_measured:
         message = f"{raw.file} gets the neutral's size."
-        told = [Finding("scan.unit_unknown", "info", message)]
+        code = "scan.size" if start.size.is_known else "scan.unit_unknown"
+        told = [Finding(code, "info", message)]
     progress(Step("shape", 0.3))
     if neutral is None:
         fit, schedule = _fit_person(scan, start, topology, pins)
@@ -122,14 +123,14 @@ def register(
         fit, schedule = _fit_expression(scan, start, topology, neutral, pins)
         rest = placed = neutral
     progress(Step("free form", 0.6))
-    laid = free_form(scan, fit.motion, fit.vertices, topology, schedule, pins)
-    laid = unfold(rest, laid, topology.flesh)
-    laid = carry_hidden(topology.groups, placed, fit.vertices, laid, topology.outer)
-    skin, motion = topology.template.skin.moved(laid), fit.motion
+    vertices = free_form(scan, fit.motion, fit.vertices, topology, schedule, pins)
+    vertices = unfold(rest, vertices, topology.flesh)
+    vertices = carry_hidden(topology.groups, placed, fit.vertices, vertices, topology.outer)
+    skin, motion = topology.template.skin.moved(vertices), fit.motion
     seen = trust(scan, motion, skin, topology.outer)
     if neutral is not None:
-        back = head_motion(laid, fit.vertices, topology.stable * seen.confidence)
-        skin, motion = skin.moved(back(laid)), motion.then(back)
+        back = head_motion(vertices, fit.vertices, topology.stable * seen.confidence)
+        skin, motion = skin.moved(back(vertices)), motion.then(back)
     _check(raw.file, seen, topology)
     folded = folded_triangles(rest, skin.vertices, topology.flesh)
     return RegisteredFace(scan, start, skin, seen, motion, fit.weights, folded, told)

@@ -13,6 +13,7 @@ from solver.drawing.head import DrawnHead
 from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.drawing.sheet import HEADER, Sheet
 from solver.errors import Finding, Severity
+from solver.model import SizeFrom
 from solver.registration.register import RegisteredFace, Trust
 from solver.registration.scan_surface import ScanSurface
 from solver.registration.topology import Topology
@@ -31,12 +32,16 @@ class ReportLimits:
 
 
 def report(
-    registered: RegisteredFace, topology: Topology, limits: ReportLimits = ReportLimits()
+    registered: RegisteredFace,
+    topology: Topology,
+    size_from: SizeFrom,
+    limits: ReportLimits = ReportLimits(),
 ) -> dict[str, Any]:
     """Return the figures and findings as plain JSON values; lengths in mm.
 
     Distances are from registered vertices to the scan's surface, over the covered outer face;
-    ``coverage`` is the share of the outer face that the scan shows. ``motion`` takes a point p of
+    ``coverage`` is the share of the outer face that the scan shows. An expression has its size from
+    where its neutral has it, ``size_from``. ``motion`` takes a point p of
     the file to scale * rotation p + translation.
     """
     start, trust, face = registered.start, registered.trust, topology.face
@@ -52,7 +57,7 @@ def report(
         "vertices": len(registered.skin.vertices),
         "scan_vertices": len(registered.scan.vertices),
         "regions": regions,
-        **start.size.figures,
+        **(start.size.figures | {"size_from": size_from}),
         "motion": {
             "scale": start.mm_per_unit * motion.scale,
             "rotation": np.round(motion.rotation, 9).tolist(),

@@ -29,7 +29,7 @@ AXES = {  # name -> direction in the file's frame
 }
 # The options of every job that reads a raw scan, with their defaults.
 FRAME = {"unit": "auto", "eye_distance_mm": None, "up": "auto", "forward": "auto"}
-# How a size was come by: by the unit that was given; by how far apart the eyes are; the format says
+# Origin of a size: the unit that was given; how far apart the eyes are; the format says
 # it; mm, as nothing says otherwise; the face speaks for another unit; no unit fits, and the face
 # takes the template's size.
 Source = Literal["given", "eyes", "declared", "assumed", "found", "template"]
@@ -78,7 +78,7 @@ class ScanUnit:
 
 @dataclass(frozen=True)
 class FaceSize:
-    """How large a face is in the unit that was chosen for its scan, and how surely."""
+    """Size of a face in the unit that was chosen for its scan, and how sure it is."""
 
     unit: ScanUnit
     share: float  # by the template's face

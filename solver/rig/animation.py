@@ -39,14 +39,18 @@ FASTEST = 1  # level of compression: skins hardly shrink, however long one tries
 
 
 def write_animation_npz(
-    path: Path, model: SubjectModel, frames: Sequence[MotionRecord], skins: Singles, vertices: Ints
+    path: Path,
+    muscles: Sequence[str],
+    frames: Sequence[MotionRecord],
+    skins: Singles,
+    vertices: Ints,
 ) -> None:
     """Write what drove ``frames``, and ``vertices`` (k,) of their skins in the world, mm.
 
     ``skins`` (f, v, 3), in the head's frame, are read one by one, so that they may be mapped.
     """
     arrays = {name: np.array([getattr(frame, name) for frame in frames]) for name in TRACKS}
-    names = np.array(model.muscle_names, dtype=np.str_)
+    names = np.array(muscles, dtype=np.str_)
     arrays |= {"format": np.array(FORMAT), "muscles": names, "vertices": vertices}
     with ZipFile(path, "w", ZIP_DEFLATED, compresslevel=FASTEST) as archive:
         for name, values in arrays.items():
@@ -174,13 +178,15 @@ def write_animation(
     title: str,
     report: dict[str, Any],
     vertices: Ints,
+    muscles: Sequence[str] | None = None,
     objects: Sequence[SceneObject] = (),
     video: bool = False,
     options: FilmOptions = FilmOptions(),
 ) -> list[Path]:
     """Write ``frames``, whose ``skins`` (f, v, 3) are in the head's frame, mm; return the paths.
 
-    ``animation.npz`` has the ``vertices`` (k,) of the skin. ``objects`` are what the face meets;
+    ``animation.npz`` has the ``vertices`` (k,) of the skin and the names of the ``muscles``, those
+    of the model by default. ``objects`` are what the face meets;
     ``video`` adds ``animation.mp4``, see :func:`check_video`.
     """
     table, glb, arrays, sheet, film = (
@@ -193,7 +199,7 @@ def write_animation(
         for each in objects
     ]
     written = write_animation_glb(glb, model.skin, skins, heads, times - times[0], solids)
-    write_animation_npz(arrays, model, frames, skins, vertices)
+    write_animation_npz(arrays, muscles or model.muscle_names, frames, skins, vertices)
     figures = {**report, "glb": {**asdict(written), "bytes": glb.stat().st_size}}
     write_json(table, figures)
     filming = Filming(model)

@@ -38,7 +38,7 @@ class FrameRecord:
     """One frame of a face over time, as far as all jobs with frames know it."""
 
     frame: int  # its number, from 0
-    activations: Floats  # (m, 6), as of an expression
+    activations: Floats  # (m, 6), as of an expression, or (m,) of fibre muscles
     jaw: Floats  # (5,)
     head: Floats  # (6,) rotation vector (rad), translation (mm): in the world, x -> R x + t
     inverted: int  # number of tets with det F <= 0

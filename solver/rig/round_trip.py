@@ -72,15 +72,29 @@ def round_trip(
         there,
         refit_mean_mm=float(left.mean()),
         refit_max_mm=float(left.max()),
-        activation_error=activation_error(pose.a, again.pose.a, options.excited),
+        activation_error=activation_error(
+            pose.a, again.pose.a, options.excited, pose.layout.blocks[0].rest
+        ),
     )
 
 
-def activation_error(a: Floats, found: Floats, excited_from: float = 0.05) -> float:
-    """Return |found - a| by |a - a_I| over the excited muscles of ``a`` (m, 6); NaN without any."""
-    strength = np.sqrt((a - IDENTITY) ** 2 @ FROBENIUS)
+def activation_error(
+    a: Floats, found: Floats, excited_from: float = 0.05, rest: Floats = IDENTITY
+) -> float:
+    """Return |found - a| by |a - rest| over the excited muscles of ``a``; NaN without any.
+
+    Muscles are of six numbers, (m, 6), or of one, (m,).
+    """
+    strength = _sizes(a - rest)
     excited = strength > excited_from
     if not excited.any():
         return float("nan")
-    missed = np.sqrt((found - a) ** 2 @ FROBENIUS)
+    missed = _sizes(found - a)
     return float(np.linalg.norm(missed[excited]) / np.linalg.norm(strength[excited]))
+
+
+def _sizes(changes: Floats) -> Floats:
+    """Return the size (m,) of every muscle's change, as a matrix' if it is of six numbers."""
+    if changes.ndim == 1:
+        return np.abs(changes)
+    return np.asarray(np.sqrt(changes**2 @ FROBENIUS))

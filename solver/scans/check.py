@@ -34,6 +34,7 @@ from solver.registration.locate import (
 from solver.registration.scan_surface import Samples, estimated_normals
 from solver.registration.search import face_points
 from solver.registration.units import check_frame
+from solver.scans.assessment import Assessment, FaceDetail, assess
 from solver.scans.cover import FAR_MM, Cover, cover, has_second_face, visible_part
 from solver.scans.findings import (
     axis_findings,
@@ -47,7 +48,6 @@ from solver.scans.findings import (
     winding_findings,
     with_advice,
 )
-from solver.scans.judged import Judged, Looked, judged
 from solver.scans.mouth import find_eyes, find_mouth, roughness, spikes
 from solver.surface import Floats, Surface, area_normals, unit_rows
 
@@ -62,7 +62,7 @@ class ScanCheck:
 
     findings: list[Finding] = field(default_factory=list)
     figures: dict[str, Any] = field(default_factory=dict)
-    judged: list[Judged] = field(default_factory=list)  # what was looked at, and what was not
+    parts: list[Assessment] = field(default_factory=list)
     scan: RawScan | None = None  # mended; None if it cannot be read
     location: Location | None = None  # of its face, if there is one
     cover: Cover | None = None  # what is missing of the face
@@ -135,8 +135,8 @@ def _check(
         result.findings.append(make_finding("scan.two_heads", "error", message))
     winding = winding_findings(scan, samples, face, place)
     result.findings += _judge_winding(winding, marking, known=landmarks is not None)
-    looked = _look_closer(result, scan, samples, place, template, surface, role)
-    result.judged = list(judged(scan, place, looked, marked=marks is not None))
+    detail = _look_closer(result, scan, samples, place, template, surface, role)
+    result.parts = list(assess(scan, place, detail, marked=marks is not None))
 
 
 def _judge_winding(winding: list[Finding], marking: list[Finding], *, known: bool) -> list[Finding]:
@@ -162,7 +162,7 @@ def _look_closer(
     template: Template,
     face: Surface,
     role: str,
-) -> Looked:
+) -> FaceDetail:
     """Add what the face lacks, its noise and spikes, its mouth and eyes."""
     fitted = place.likeness
     assert fitted is not None, "a face has a likeness"
@@ -189,7 +189,7 @@ def _look_closer(
         "lip_gap_mm": mouth.lips_mm,
         "spikes": int(marked.sum()),
     }
-    return Looked(seen, noise_mm, spacing_mm, mouth, eyes)
+    return FaceDetail(seen, noise_mm, spacing_mm, mouth, eyes)
 
 
 # The picture of a check: the scan from the front and from both sides, its faults in colour.
@@ -223,7 +223,7 @@ def check_picture(check: ScanCheck, title: str, path: Path) -> None:
     seen: set[str] = set()
     views = [_view(check, yaw, seen) for yaw in YAWS] if check.scan is not None else []
     legend = {words: tuple(colour) for words, colour in LEGEND.items() if words in seen}
-    not_judged = ", ".join(each.about for each in check.judged if not each.judged)
+    not_judged = ", ".join(each.about for each in check.parts if not each.judged)
     detail = f"not judged: {not_judged}" if not_judged else ""
     if views and check.location is None:
         detail = "no face was found: nothing is marked"

@@ -34,20 +34,15 @@ class LipOptions:
 
 @dataclass(frozen=True)
 class Mouth:
-    """How far apart lips and teeth are, in mm; None where the scan does not show it.
+    """Gaps between lips and between teeth, in mm; None where the scan does not show it.
 
     Of ``lips_mm`` 0 says that they are closed, as no scan can of the teeth.
     """
 
     lips_mm: float | None
     teeth_mm: float | None = None
+    is_open: bool = False  # the lips are apart
     why_not: str = ""  # nothing is known of the lips
-    apart: float = LipOptions.apart
-
-    @property
-    def is_open(self) -> bool:
-        """Tell whether the lips are apart."""
-        return self.lips_mm is not None and self.lips_mm >= self.apart
 
 
 def find_mouth(scan: Surface, template: Template, options: LipOptions = LipOptions()) -> Mouth:
@@ -85,8 +80,10 @@ def _find_gap(height: Floats, profile: Floats, options: LipOptions) -> Mouth:
     falls = np.abs(edge[2:] - edge[:-2])
     if falls.max(initial=0) <= options.steep:
         return Mouth(0.0)
+    lips = len(gap) * options.step
     between = options.step * float((depth[gap] > options.throat).sum())
-    return Mouth(len(gap) * options.step, between if between >= options.apart else None)
+    teeth = between if between >= options.apart else None
+    return Mouth(lips, teeth, is_open=lips >= options.apart)
 
 
 # Closed eyes, by where the lids' edge lies in the scan itself.
@@ -122,7 +119,7 @@ class LidOptions:
 
 @dataclass(frozen=True)
 class Eye:
-    """Whether an eye is surely closed; None where the scan does not show it, and why."""
+    """An eye, surely closed or not; None where the scan does not show it, and why."""
 
     closed: bool | None
     why_not: str = ""

@@ -16,6 +16,7 @@ from solver.fitting.face import Pose
 from solver.fitting.stretches import fibre_tensors, shorten
 from solver.kinds.document import Document, find_faults
 from solver.kinds.scene import Jaw, Key, MotionKey, SimulateScene
+from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel
 from solver.scene.places import Places
@@ -62,12 +63,13 @@ def drives_of(
     model: SubjectModel,
     S: sp.csr_array,
     under: Drives | None = None,
+    fibres: Sequence[str] | None = None,
 ) -> KeyedDrives:
     """Return what the keys of a scene make a face do, on top of what its performances do.
 
-    ``poses`` are the rig's expressions, ``under`` is from :func:`performances_of`. Frames come
-    ``fps`` a second, from 0 on. Raises :class:`InputError`: as :class:`KeyedDrives`, and
-    ``scene.jaw`` where no jaw can be.
+    ``poses`` are the rig's expressions, ``under`` is from :func:`performances_of`, ``fibres`` are
+    names of fibre muscles if they move the face. Frames come ``fps`` a second, from 0 on. Raises
+    :class:`InputError`: as :class:`KeyedDrives`, and ``scene.jaw`` where no jaw can be.
     """
     keys = _KeyReader(model, S)(scene.keys)
     ends = [float(under.times[-1])] if under else []
@@ -77,15 +79,46 @@ def drives_of(
     times = np.arange(int(seconds * fps + 1e-6) + 1) / fps
     head, interpolation = head_of(scene.head), scene.interpolation
     drives = KeyedDrives(
-        keys, poses, model, times, head=head, interpolation=interpolation, under=under
+        keys,
+        poses,
+        model,
+        times,
+        head=head,
+        interpolation=interpolation,
+        under=under,
+        fibres=fibres,
     )
     for number, key in enumerate(keys):
         check_jaw(drives(key.time).jaw, f"keys[{number}]")
     return drives
 
 
+def moving_fibres(
+    scene: SimulateScene, performances: MixedPerformances | None, fibres: FibreMuscles | None
+) -> FibreMuscles | None:
+    """Return the fibre muscles that move a scene, their curves scaled; None if others do.
+
+    Raises :class:`InputError` (``scene.fibres``) for keys of fibre muscles that the rig lacks.
+    """
+    keyed = any(key.fibres for key in scene.keys)
+    if performances is None:
+        curve = np.ones(1) if keyed else None
+    else:
+        curve = performances.curve if performances.of_fibres else None
+    if curve is None:
+        return None
+    if fibres is None:
+        reason = "the scene has keys of fibre muscles, and the rig has none that are calibrated"
+        raise InputError("scene.fibres", f"{reason}: run fit_fibres, or give its result")
+    return fibres.scaled(curve)
+
+
 def performances_of(
-    scene: SimulateScene, poses: Mapping[str, Pose], places: Places, S: sp.csr_array
+    scene: SimulateScene,
+    poses: Mapping[str, Pose],
+    places: Places,
+    S: sp.csr_array,
+    fibres: FibreMuscles | None = None,
 ) -> MixedPerformances | None:
     """Return a scene's performances with their own keys, mixed; None if it has none.
 
@@ -104,16 +137,25 @@ def performances_of(
         name, what, keys = entry.asset, f"performance[{number}].keys", read(entry.keys)
         if name not in files:
             files[name] = FittedSequence.load(places.asset(name), name)
-        played.append(PlayedPerformance(files[name], entry, model, smooth))
+        played.append(PlayedPerformance(files[name], entry, model, smooth, fibres))
         for frame, b in zip(played[-1].frames, played[-1].jaw, strict=True):
             check_jaw(b, f"frame {frame} of the performance {name!r}")
         times, under = played[-1].times, played[-1]
         layered.append(
-            KeyedDrives(keys, poses, model, times, interpolation=smooth, under=under, what=what)
+            KeyedDrives(
+                keys,
+                poses,
+                model,
+                times,
+                interpolation=smooth,
+                under=under,
+                what=what,
+                fibres=under.muscles if under.of_fibres else None,
+            )
         )
         for place, key in enumerate(keys):
             check_jaw(layered[-1](key.time).jaw, f"{what}[{place}]")
-    return MixedPerformances(played, layered, model)
+    return MixedPerformances(played, layered)
 
 
 def head_of(entries: Sequence[MotionKey]) -> list[HeadKey]:
@@ -155,6 +197,7 @@ class _KeyReader:
                 entry.expressions,
                 {name: self._activation(name, how) for name, how in entry.muscles.items()},
                 jaw_of(entry.jaw),
+                entry.fibres,
             )
             for entry in entries
         ]

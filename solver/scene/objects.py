@@ -75,14 +75,23 @@ def _object(entry: Object, places: Places, interpolation: Interpolation) -> Scen
     return SceneObject(name, shape, track(times, values, f"{name}'s path", interpolation))
 
 
-def _rod(radius: float, length: float, sides: int = 24, most_rings: int = 60) -> Surface:
+@dataclass(frozen=True)
+class RodOptions:
+    """Mesh of a rod."""
+
+    sides: int = 24
+    rings: int = 60  # along it, at most
+
+
+def _rod(radius: float, length: float, options: RodOptions = RodOptions()) -> Surface:
     """Return a round rod along z; ``length`` is without its round ends."""
+    sides = options.sides
     half = 0.5 * length / radius  # in radii, as what is made of small triangles has holes
     angles = np.linspace(0.0, 0.5 * np.pi, sides // 4 + 1)
     cap = np.column_stack([np.sin(angles), -np.cos(angles)])
     cap[0, 0] = 0.0
     # rings as far apart as the radius, so that few triangles are needles
-    between = np.linspace(-half, half, min(int(np.ceil(2.0 * half)), most_rings) + 1)[1:-1]
+    between = np.linspace(-half, half, min(int(np.ceil(2.0 * half)), options.rings) + 1)[1:-1]
     side = np.column_stack([np.ones_like(between), between])
     end = np.array([0.0, half])
     profile = np.vstack([cap - end, side, cap[::-1] * np.array([1.0, -1.0]) + end])

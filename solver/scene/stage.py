@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,9 +13,12 @@ from solver.contact.potentials import Gauge, Penetration, contact_potentials
 from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling, under_skin
 from solver.edits.edit import Change, Edited, apply
 from solver.errors import InputError
+from solver.fitting.calibration import with_fibres
 from solver.fitting.face import Face
+from solver.fitting.strips import strip_names
 from solver.kinds import scene as scenes
 from solver.mechanics.boundary import Potential
+from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import (
     COROTATED_DET,
     COROTATED_TRACE,
@@ -24,6 +28,7 @@ from solver.mechanics.flesh import (
     Material,
 )
 from solver.mechanics.linear import fastest
+from solver.model import SubjectModel
 from solver.scene.objects import check_objects, objects_of
 from solver.scene.places import Places
 from solver.simulation.fibres import fibre_activations, nearest_fibre
@@ -73,15 +78,22 @@ LAWS: Mapping[str, Material] = {
 
 
 class Physics:
-    """Flesh of a ``scene``, and what it meets, as its document says."""
+    """Flesh of a ``scene``, and what it meets, as its document says.
 
-    def __init__(self, scene: scenes.FleshEntry) -> None:
-        self._scene = scene
-        self._material = LAWS[scene.material.law].in_pascal(scene.material.stiffness_pa)
+    Where ``fibres`` move it, strengths over the flesh's mu, it is of the law that they are
+    calibrated in, unless the document says another.
+    """
+
+    def __init__(self, scene: scenes.FleshEntry, fibres: FibreMuscles | None = None) -> None:
+        self._scene, self._fibres = scene, fibres
+        given = scene.material
+        own = fibres is not None and "law" not in given.model_fields_set
+        law = MOONEY_RIVLIN if own else LAWS[given.law]
+        self._material = law.in_pascal(given.stiffness_pa)
 
     def face(self, edited: Edited) -> Face:
         """Return an edited person's face."""
-        return Face(
+        plain = Face(
             edited.model,
             edited.S,
             material=self._material,
@@ -91,6 +103,9 @@ class Physics:
             growth=edited.growth,
             bones=edited.bones,
         )
+        if self._fibres is None:
+            return plain
+        return with_fibres(plain, _weakened(self._fibres, edited).scaled(self._material.mu))
 
     def contacts(self, edited: Edited, objects: Sequence[Surface] = ()) -> list[Potential]:
         """Return what keeps the skin out of itself, of teeth, eyeballs and ``objects``."""
@@ -107,11 +122,30 @@ class Physics:
         )
 
     def activations(self, edited: Edited, a: Floats) -> Floats:
-        """Return the activations (n, 6) of the tets for those of the muscles, ``a`` (m, 6)."""
+        """Return what drives the flesh for the muscles' ``a``: activations (n, 6) if by S."""
+        if self._fibres is not None:
+            return a
         S = edited.S
         if self._scene.activation_model == "fibre":
             return fibre_activations(edited.model, S, nearest_fibre(edited.model, S, a))
         return np.ascontiguousarray(S @ np.vstack([IDENTITY, a]))
+
+
+def even_weights(model: SubjectModel) -> sp.csr_array:
+    """Return weights of the pattern of S, alike in a tet, by which edits of muscles are told."""
+    S = model.weights
+    each = 1.0 / np.diff(S.indptr)
+    return sp.csr_array((np.repeat(each, np.diff(S.indptr)), S.indices, S.indptr), shape=S.shape)
+
+
+def _weakened(fibres: FibreMuscles, edited: Edited) -> FibreMuscles:
+    """Return fibre muscles with what edits leave of them, by :func:`even_weights`."""
+    even = even_weights(edited.model)
+    left = even.copy()
+    left.data = edited.S.data / even.data
+    columns = fibres.sources[fibres.muscles] + 1
+    kept = np.asarray(left.tocsr()[fibres.tets, columns]).ravel()
+    return replace(fibres, fractions=fibres.fractions * kept)
 
 
 # of a scene: ten minutes at 30 a second, and a few gigabytes while its files are written
@@ -128,11 +162,11 @@ def check_length(frames: float) -> None:
 
 
 class Stage:
-    """A person with the S (n, m + 1) in a scene.
+    """A person with the S (n, m + 1) in a scene, or with ``fibres`` that the ``drives`` are of.
 
     ``drives`` say what the face does; ``linear`` names the linear solver; ``objects`` are what the
-    face meets. Raises :class:`~solver.errors.InputError` (``scene.*``, ``force.point``,
-    ``contact.crossed``) for what the person does not have or cannot be.
+    face meets, ``muscles`` what moves it. Raises :class:`~solver.errors.InputError` (``scene.*``,
+    ``force.point``, ``contact.crossed``) for what the person does not have or cannot be.
     """
 
     def __init__(
@@ -142,12 +176,17 @@ class Stage:
         S: sp.csr_array,
         drives: Drives,
         linear: str | None = None,
+        fibres: FibreMuscles | None = None,
     ) -> None:
         check_length(len(drives.times))
         self.drives = drives
-        self._physics = Physics(scene)
+        self._physics = Physics(scene, fibres)
         edits = [edit_of(entry, places) for entry in scene.edits]
-        self._edited = apply(edits, places.model, S)
+        self._edited = apply(
+            edits, places.model, S if fibres is None else even_weights(places.model)
+        )
+        muscles = places.model.muscle_names
+        self.muscles = muscles if fibres is None else strip_names(muscles, fibres)
         self.model = self._edited.model
         self._face = self._physics.face(self._edited)
         if isinstance(scene, scenes.SimulateScene):

@@ -10,7 +10,7 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 
 from solver.errors import InputError
-from solver.storage import NOT_READABLE
+from solver.kinds import NOT_READABLE
 from solver.surface import Floats, Ints
 from solver.templates.tables import file_fault
 

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from solver.anatomy.muscle_weights import with_axis
 from solver.anatomy.template import Depth, Muscle, ShapeBasis, Template, check_arrays
 from solver.errors import InputError
+from solver.kinds import NOT_READABLE, check_directory
 from solver.meshio.raw import read_raw
 from solver.registration.units import AXES, UNITS
-from solver.storage import NOT_READABLE, check_directory
 from solver.surface import Floats, Surface
 from solver.templates.tables import (
     Row,

@@ -85,31 +85,32 @@ def rebase(
     _check(raw, options)
     mesh = template.mesh or find_or_make_mesh(template, progress=progress).mesh
     template, known = replace(template, mesh=mesh), topology(template)
-    face, findings = _lay(raw, known, frame, landmarks, progress)
-    head, turn = _place(raw, face, known, options)
+    face, findings = _register(raw, known, frame, landmarks, progress)
+    head, own_axes = _place(raw, face, known, options)
+    turn = own_axes or IDENTITY
     progress(Step("anatomy", 0.7))
     person, made_by = _into_shape(template, turn(face.skin.vertices))
     progress(Step("correspondence", 0.9))
     found = correspond(head, person)
     carry = found.carrier(len(person.skin.vertices))
-    based = replace(
+    rebased = replace(
         _bind(_on_head(person, head, found, carry), person),
         name=name or f"{template.name}-{skin.stem}",
         source=f"{template.source}; skin: {raw.file}",
         shapes=_carry_shapes(template.shapes, carry, turn),
     )
-    if turn is IDENTITY:
+    if own_axes is None:
         message = "The head is not upright about x = 0: it was turned into the template's axes."
         findings.append(Finding("rebase.turned", "info", message))
     if made_by != "transport":
         findings.append(Finding("rebase.meshed", "info", f"The tetrahedra are new: {made_by}."))
-    findings += _remarks(based, person, found, options)
-    laid = report(face, known)
-    told = [finding.to_dict() for finding in findings] + laid["findings"]
+    findings += _remarks(rebased, person, found, options)
+    registration = report(face, known, face.start.size.taken_from)
+    told = [finding.to_dict() for finding in findings] + registration["findings"]
     # advice is for who can scan again
-    laid["findings"] = [finding | {"advice": ""} for finding in told]
+    registration["findings"] = [finding | {"advice": ""} for finding in told]
     progress(Step("done", 1.0))
-    return Rebased(based, laid, carry, turn)
+    return Rebased(rebased, registration, carry, turn)
 
 
 def _check(raw: RawScan, options: RebaseOptions) -> None:
@@ -129,7 +130,7 @@ def _check(raw: RawScan, options: RebaseOptions) -> None:
         raise InputError("rebase.doubled", message, file=file, found=doubled)
 
 
-def _lay(
+def _register(
     raw: RawScan,
     known: Topology,
     frame: Mapping[str, Any],
@@ -152,8 +153,11 @@ def _lay(
 
 def _place(
     raw: RawScan, face: RegisteredFace, known: Topology, options: RebaseOptions
-) -> tuple[Surface, Similarity]:
-    """Return the head in mm, and the motion of the registered face to it."""
+) -> tuple[Surface, Similarity | None]:
+    """Return the head in mm, and the motion of the registered face to it.
+
+    It is None where the head is turned into the template's axes.
+    """
     start, motion = face.start, face.motion
     surface = turn_outward(Surface(start.mm_per_unit * raw.vertices, raw.faces))
     up, forward = np.array(AXES[start.up]), np.array(AXES[start.forward])
@@ -164,7 +168,7 @@ def _place(
         middle = float(back(face.skin.vertices[known.face])[:, 0].mean())
         if back.degrees < options.straight_deg and abs(middle) < options.centred_mm:
             return surface.moved(motion.scale * surface.vertices @ axes.T), back
-    return surface.moved(motion(surface.vertices)), IDENTITY
+    return surface.moved(motion(surface.vertices)), None
 
 
 def _into_shape(template: Template, skin: Floats) -> tuple[Template, str]:
@@ -242,7 +246,7 @@ def _on_head(person: Template, head: Surface, found: Correspondence, carry: Carr
     )
 
 
-def _bind(based: Template, person: Template) -> Template:
+def _bind(template: Template, person: Template) -> Template:
     """Return the template with its skin bound to the tets of ``person``, with parted lips."""
     mesh = person.mesh
     assert mesh is not None
@@ -255,12 +259,12 @@ def _bind(based: Template, person: Template) -> Template:
     flesh = MeshedFlesh(
         relax(start, mesh.tets, guides), mesh.tets, facets[outside], owners[outside], {}
     )
-    embedded, tet, shares, on_jaw = bind_skin(based, flesh, mesh.edge_mm)
+    embedded, tet, shares, on_jaw = bind_skin(template, flesh, mesh.edge_mm)
     bound = replace(
         mesh, embedded=embedded, embedded_in=tet, shares=shares, attached_mandible=on_jaw
     )
-    face = np.intersect1d(based.face_vertices, embedded)
-    return replace(based, face_vertices=face, mesh=bound)
+    face = np.intersect1d(template.face_vertices, embedded)
+    return replace(template, face_vertices=face, mesh=bound)
 
 
 # What is worth a look.

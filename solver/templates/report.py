@@ -43,8 +43,7 @@ class AnatomyBounds:
     # Vertices of a muscle further outside the flesh, or deeper in a bone, are counted.
     out_mm: float = 0.5
     few: float = 0.05  # part of a muscle's vertices that is worth a look ...
-    # ... and that makes it useless.
-    most: float = 0.5
+    most: float = 0.5  # ... and that makes it useless
     # Most from the middle of an origin to bone: it is the middle of a broad one.
     origin_mm: float = 15.0
     insertion_mm: float = 20.0  # most from the middle of an insertion to skin or bone

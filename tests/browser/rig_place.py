@@ -20,7 +20,10 @@ from service.settings import Settings
 from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Artifact, Job, Rig, Subject
 from solver.rig.animation_gltf import AnimatedSkin
-from solver.rig.frames import SequenceFrame
+from solver.rig.frames import MarkerFrame, SequenceFrame
+from solver.rig.marker_view import MarkerView
+from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.similarity import IDENTITY
 from solver.surface import Floats
 from tests.browser.sample_rig import Sample, write_sample
 from tests.browser.stage import CHROMIUM
@@ -65,6 +68,9 @@ class Place:
     old: str
     take: str
     frames: Floats
+    markers: MarkerSet
+    check: str  # a job that proposed them
+    marked: str  # a job that fitted a take of them
 
 
 @contextmanager
@@ -88,10 +94,19 @@ def served_rigs(folder: Path) -> Iterator[Place]:
     _, old = put_rig(store, "Cleo", [], {})
     glb, frames = _sequence(folder, sample)
     take = put_job(store, subject, "fit_sequence", [glb], {"performance": "take 7"}, first)
+    markers = _marker_set(sample)
+    markers.save(folder / "markers.json")
+    _marker_view(folder / "markers.bin", markers, frames)
+    report = {"verdict": "usable", "findings": []}
+    check = put_job(store, subject, "check_markers", [folder / "markers.json"], report, first)
+    files = [glb, folder / "markers.bin"]
+    marked = put_job(store, subject, "fit_markers", files, {"performance": "take 8"}, first)
     port = server.servers[0].sockets[0].getsockname()[1]
     url = f"http://127.0.0.1:{port}"
     try:
-        yield Place(url, settings.admin_key.read_text(), sample, first, second, old, take, frames)
+        key = settings.admin_key.read_text()
+        rigs = first, second, old
+        yield Place(url, key, sample, *rigs, take, frames, markers, check, marked)
     finally:
         server.should_exit = True
         thread.join(10)
@@ -137,6 +152,50 @@ def _sequence(folder: Path, sample: Sample) -> tuple[Path, Floats]:
     path = folder / "sequence.glb"
     skin.write(path, fps=30)
     return path, frames
+
+
+def _marker_set(sample: Sample, count: int = 24) -> MarkerSet:
+    """Return markers on triangles over the front of the face, two millimetres off the skin."""
+    surface = sample.neutral
+    centres = surface.vertices[surface.faces].mean(axis=1)
+    front = np.flatnonzero(centres[:, 2] > np.quantile(centres[:, 2], 0.75))
+    chosen = [int(front[0])]
+    while len(chosen) < count:
+        away = np.linalg.norm(centres[front][:, None] - centres[chosen][None], axis=2).min(axis=1)
+        chosen.append(int(front[np.argmax(away)]))
+    markers = tuple(
+        Marker(f"M{number:02d}", tuple(surface.faces[face].tolist()), (0.4, 0.3, 0.3), 2.0)
+        for number, face in enumerate(chosen)
+    )
+    return MarkerSet(markers, IDENTITY, "0" * 64)
+
+
+def _marker_view(path: Path, markers: MarkerSet, frames: Floats) -> None:
+    """Write a fitted take: a gap, an outlier, a swap, and a muscle that is held."""
+    view = MarkerView(markers.labels, ["frontalis_l", "frontalis_r", "risorius_l"])
+    count = len(markers.labels)
+    for number, skin in enumerate(frames):
+        states = ["seen"] * count
+        seen = np.einsum("kc,kcd->kd", markers.weights, skin[markers.vertices])
+        off = np.random.default_rng(number).normal(0.0, 0.5, (count, 3))
+        if 2 <= number < 6:
+            states[3], off[3] = "missing", np.nan
+        if number == 4:
+            states[5], off[5] = "outlier", [0.0, 9.0, 0.0]
+            states[7] = states[8] = "swapped"
+        frame = MarkerFrame(
+            *(number, np.zeros((3, 6)), np.zeros(5), np.zeros(6), 0, 2, 0.05),
+            *("fitted", 0.5, 0.9, 1.2, 0.9),
+            marker_mm=np.linalg.norm(off, axis=1),
+            marker_weight=np.ones(count),
+            marker_state=tuple(states),
+            sd=np.ones(23),
+            information=np.ones(23),
+            held=np.array([0.0, 0.0, float(number > 5)]),
+            mandible=np.eye(4),
+        )
+        view.add(frame, seen, seen + off)
+    view.write(path, 30.0)
 
 
 def put_rig(

@@ -177,6 +177,10 @@ def test_a_registered_scan_is_counted_before_it_is_sent(
     page.get_by_text(f"neutral.obj has {MB // 8} vertices, and a registered scan has").wait_for()
     names = [each["name"] for each in studio.get("/v1/subjects")["items"]]
     assert "Otto, counted" not in names
+    # what is no scan has no template's topology
+    page.get_by_label("Role of neutral.obj").select_option("asset")
+    page.get_by_role("button", name="Upload 1 scan").click()
+    _row(page, "neutral.obj").get_by_text("Scenes can name it.").wait_for()
 
 
 def test_a_subject_and_its_scans_are_called_as_the_studio_likes(show: Show, studio: Studio) -> None:

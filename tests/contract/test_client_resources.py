@@ -7,7 +7,8 @@ from typing import Any, get_args
 
 import pytest
 
-from myoface import resources
+from myoface import resources, tenant
+from myoface.values import Resource
 from service.access.principal import Scope
 from service.app import create_app
 from service.queue.states import FINAL, State
@@ -30,16 +31,16 @@ SHAPES = {
     resources.BatchCheck: "CheckStepView",
     resources.BatchFit: "FitStepView",
     resources.BatchScan: "ScanView",
-    resources.Me: "Me",
-    resources.Use: "Use",
-    resources.Usage: "Usage",
-    resources.Key: "KeyView",
-    resources.NewKey: "KeyWithText",
-    resources.Deletion: "DeletionView",
-    resources.AuditEntry: "AuditEntryView",
-    resources.Webhook: "WebhookView",
-    resources.NewWebhook: "WebhookWithSecret",
-    resources.Delivery: "DeliveryView",
+    tenant.Me: "Me",
+    tenant.Use: "Use",
+    tenant.Usage: "Usage",
+    tenant.Key: "KeyView",
+    tenant.NewKey: "KeyWithText",
+    tenant.Deletion: "DeletionView",
+    tenant.AuditEntry: "AuditEntryView",
+    tenant.Webhook: "WebhookView",
+    tenant.NewWebhook: "WebhookWithSecret",
+    tenant.Delivery: "DeliveryView",
 }
 
 
@@ -51,13 +52,13 @@ def schemas(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("resource", SHAPES, ids=lambda resource: resource.__name__)
-def test_every_field_is_shown(resource: type[resources.Resource], schemas: dict[str, Any]) -> None:
+def test_every_field_is_shown(resource: type[Resource], schemas: dict[str, Any]) -> None:
     assert {field.name for field in dataclasses.fields(resource)} <= set(
         schemas[SHAPES[resource]]["properties"]
     )
 
 
 def test_scopes_and_states_are_the_service_s() -> None:
-    assert set(get_args(resources.Scope)) == {str(scope) for scope in Scope}
+    assert set(get_args(tenant.Scope)) == {str(scope) for scope in Scope}
     assert set(get_args(resources.State)) == {str(state) for state in State}
     assert {str(state) for state in FINAL} == resources.FINAL_STATES

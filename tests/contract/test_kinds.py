@@ -6,17 +6,21 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import get_args
 
 import jsonschema
 import pytest
 
-from myoface.cli.commands import Command
+from myoface.cli.app import UNITS, EyeDistance
+from myoface.cli.commands import Command, Option
 from myoface.cli.offline import solve
 from service.captures import service as captures
 from service.queue.wakeups import QUEUES
 from solver.kinds import KINDS, OptionsError
+from solver.kinds.kind import FrameOptions, UnitName
 from solver.mechanics.linear import DOUBLE, SOLVERS
 from solver.meshio import raw, registered
+from solver.registration import units
 from solver.rig import frames
 from solver.scans import performance
 from worker import attempt
@@ -159,3 +163,12 @@ def test_linear_solvers_are_those_of_the_solver(kind: str) -> None:
     if rules is not None:
         names = DOUBLE if kind in ("fit_geometry", "fit_fibres") else SOLVERS
         assert rules["enum"] == [*names, None]
+
+
+def test_the_units_of_a_scan_are_the_same_for_jobs_solver_and_command_line() -> None:
+    assert UNITS == get_args(UnitName) == ("auto", *units.UNITS)
+    (option,) = (each for each in get_args(EyeDistance) if isinstance(each, Option))
+    rules = FrameOptions.model_json_schema()["properties"]["eye_distance_mm"]
+    assert {(option.min, option.max)} == {
+        (each["minimum"], each["maximum"]) for each in rules["anyOf"] if "minimum" in each
+    }

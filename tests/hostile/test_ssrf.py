@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 import socket
 import ssl
 import time
@@ -10,6 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from service.outbound import MOST_ANSWER, Refused, Sender, Unreachable, is_allowed
 from tests.certificate import self_signed
@@ -132,6 +134,36 @@ def test_one_private_address_among_public_ones_refuses_the_name() -> None:
     sender = Sender(5, (), _names(mixed=[PUBLIC, "10.0.0.1"]))
     with pytest.raises(Refused, match="not a public address"):
         sender.post("https://mixed/", b"{}", {})
+
+
+def test_where_a_name_leads_is_told_to_the_operator_alone() -> None:
+    sender = Sender(5, (), _names(inner=[PUBLIC, "10.7.7.1"]))
+    with capture_logs() as logs, pytest.raises(Refused) as caught:
+        sender.post("https://inner/", b"{}", {})
+    assert "MYOFACE_WEBHOOK_ALLOW" in str(caught.value)
+    assert not re.search("[0-9]", str(caught.value))
+    assert [(each["host"], each["network"]) for each in logs] == [("inner", "10.7.7.0/24")]
+
+
+@pytest.mark.parametrize(
+    ("host", "example"),
+    [
+        ("10.7.7.1", "10.7.7.0/24"),
+        ("[::ffff:10.7.7.1]", "10.7.7.0/24"),
+        ("[fd00:1::1]", "fd00:1::/64"),
+        ("127.0.0.1", None),
+        ("[::1]", None),
+        ("169.254.169.254", None),
+        ("[fe80::1]", None),
+    ],
+)
+def test_an_address_that_was_typed_is_refused_with_an_example(
+    host: str, example: str | None
+) -> None:
+    with pytest.raises(Refused) as caught:
+        Sender(5).check(f"https://{host}/")
+    end = f"""MYOFACE_WEBHOOK_ALLOW, such as '["{example}"]'""" if example else "_ALLOW"
+    assert str(caught.value).endswith(end)
 
 
 def test_a_name_that_changes_after_the_check_is_not_asked_again() -> None:

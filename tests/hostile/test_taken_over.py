@@ -33,10 +33,13 @@ def _tried(folder: Path, *, waits: bool) -> dict[str, str]:
         (cache / "meshed-4-there.npz").write_text("tets")
         subject = studio.subject()
         scan = studio.raw(subject, "smile")
-        done = studio.finished(studio.submit("check_scan", subject, captures=[scan]))
+        log = stack.settings.data_dir / "logs" / "ingest.log"
+        for _ in range(20):  # until the process that waits has loaded its code
+            done = studio.finished(studio.submit("check_scan", subject, captures=[scan]))
+            if was_ready := log.read_text().rpartition("was_ready=")[2].startswith(str(waits)):
+                break
+        assert was_ready
         assert [each.read_text() for each in cache.iterdir()] == ["tets"]
-        told = (stack.settings.data_dir / "logs" / "ingest.log").read_text()
-        assert f"was_ready={waits}" in told
     assert done["state"] == "succeeded", done
     got: dict[str, str] = done["result"]["summary"]["figures"]["got"]
     return got

@@ -285,7 +285,7 @@ def test_a_rig_is_fetched_whole_and_gone_on_with(client: Client, tmp_path: Path)
     asked: list[httpx.Request] = []
     client.http.event_hooks = {"request": [asked.append]}
     client.download_rig(rig.id, folder)
-    assert [each.headers["Range"] for each in asked] == ["bytes=0-0"]
+    assert [each.method for each in asked] == ["HEAD"]  # for a GET all files are read
     damaged, *_ = sorted(folder.glob("*.glb"))
     content = damaged.read_bytes()
     damaged.write_bytes(b"x" * len(content))
@@ -295,11 +295,61 @@ def test_a_rig_is_fetched_whole_and_gone_on_with(client: Client, tmp_path: Path)
     (folder / f".rig.zip.{tag[:12]}.part").write_bytes(packed[:1000])
     asked.clear()
     client.download_rig(rig.id, folder)
-    assert [each.headers["Range"] for each in asked] == ["bytes=0-0", "bytes=1000-"]
+    wanted = [(each.method, each.headers.get("Range")) for each in asked]
+    assert wanted == [("HEAD", None), ("GET", "bytes=1000-")]
     assert damaged.read_bytes() == content
     assert {path.name for path in folder.iterdir()} == {*jobs, "rig.json"}
     with pytest.raises(ApiError, match=r"rig\.unknown"):
         client.download_rig(rig.subject_id, folder)
+
+
+def test_a_rig_that_is_renamed_while_it_is_fetched_is_fetched_as_it_is_then(
+    client: Client, tmp_path: Path
+) -> None:
+    model, smile = subject_with_model(client, tmp_path), scan(tmp_path, "smile")
+    fitted = client.add_capture(model, smile, registered=True).id
+    job = client.wait(client.submit("fit_geometry", model, captures=[fitted]).id)
+    assert job.result is not None
+    assert job.result.rig_id is not None
+    rig_id = job.result.rig_id
+    parts: list[str] = []
+
+    class Breaking(httpx.HTTPTransport):
+        """A line that breaks after 1,000 bytes of the first part; the rig is renamed then."""
+
+        def handle_request(self, request: httpx.Request) -> httpx.Response:
+            response = super().handle_request(request)
+            if "Range" not in request.headers:
+                return response
+            parts.append(request.headers["Range"])
+            if len(parts) > 1:
+                return response
+            content = response.read()[:1000]
+            client.change_rig(rig_id, name="Ada, Tuesday")
+
+            def broken() -> Iterator[bytes]:
+                yield content
+                raise httpx.ReadError("the line broke", request=request)
+
+            return httpx.Response(206, headers=response.headers, stream=Broken(broken()))
+
+    class Broken(httpx.SyncByteStream):
+        def __init__(self, blocks: Iterator[bytes]) -> None:
+            self._blocks = blocks
+
+        def __iter__(self) -> Iterator[bytes]:
+            return self._blocks
+
+    headers = client.http.headers
+    with Client(str(client.http.base_url), options=SMALL) as other:
+        other.http = httpx.Client(
+            base_url=client.http.base_url, headers=headers, transport=Breaking()
+        )
+        rig = other.download_rig(rig_id, tmp_path / "rig")
+    assert parts == ["bytes=0-", "bytes=1000-", "bytes=0-"]
+    assert rig.name == "Ada, Tuesday"
+    left = {path.name for path in (tmp_path / "rig").iterdir()}
+    assert left == {*(each.name for each in rig.artifacts), "rig.json"}
 
 
 def test_a_scan_goes_when_its_successor_is_there(client: Client, tmp_path: Path) -> None:

@@ -353,12 +353,14 @@ def test_things_are_called_and_found_as_the_studio_likes(myoface: Command, tmp_p
     assert row.split()[1:] == ["Ruhe_1", "neutral", "raw", "Ruhe", "camera:left"]
     assert len(myoface("captures", "list", subject, "--label", "take:1").output.splitlines()) == 1
     myoface("subjects", "edit", subject, "--name", "Ada Neumann", "--label", "session:Tuesday")
+    (row,) = myoface("captures", "list", subject, "--label", "camera").output.splitlines()[1:]
+    assert len(myoface("captures", "list", subject, "--label", "take").output.splitlines()) == 1
     listed = myoface("subjects", "list", "--label", "session:Tuesday").output.splitlines()[1:]
     assert [row.split()[1:3] for row in listed] == [["Ada", "Neumann"]]
     edit = ("captures", "edit", subject, "ruhe_1")
     for wrong, words in (
-        ((*edit, "--name", "  "), "a letter of a to z"),
-        ((*edit, "--name", "nul.obj"), "a letter of a to z"),
+        ((*edit, "--name", "  "), "no letter of a to z"),
+        ((*edit, "--name", "nul.obj"), "a device's name on Windows"),
         (edit, "nothing is to be changed"),
         ((*edit, "--label", "camera"), "KEY:VALUE is expected"),
         ((*edit, "--label", ":left"), "KEY:VALUE is expected"),

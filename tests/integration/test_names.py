@@ -14,10 +14,16 @@ import pytest
 
 from myoface.names import DEVICES, as_name
 from service.captures import service
+from service.http import takes_gzip
 from service.settings import Settings
+from service.store.integrity import LostFileError
+from service.templates.service import SKIN, count_vertices
 from solver.kinds import BUILTIN_VERTICES
 from tests.servers.production import Production
 from tests.service_client import Studio, served
+
+# The ways of packing that Python unpacks, by their names in the tests
+PACKED = {"stored": zipfile.ZIP_STORED, "bzip2": zipfile.ZIP_BZIP2, "LZMA": zipfile.ZIP_LZMA}
 
 
 @pytest.fixture(scope="module")
@@ -283,6 +289,22 @@ def test_json_is_packed_for_who_can_unpack_it_and_files_are_not(studio: Studio) 
 
 
 @pytest.mark.parametrize(
+    ("accepted", "takes"),
+    [
+        ("gzip", True),
+        ("br, GZIP ; q=0.8", True),
+        ("gzip;q=0.001", True),
+        ("gzip;q=0", False),
+        ("br;q=1.0, gzip; q=0.000, identity", False),
+        ("x-gzip", False),
+        ("", False),
+    ],
+)
+def test_gzip_is_sent_to_nobody_who_refuses_it(accepted: str, takes: bool) -> None:
+    assert takes_gzip(accepted) is takes
+
+
+@pytest.mark.parametrize(
     ("fault", "expected"),
     [
         (None, 4866),
@@ -291,6 +313,8 @@ def test_json_is_packed_for_who_can_unpack_it_and_files_are_not(studio: Studio) 
         ("cut off", None),
         ("a pickle", None),
         ("many members", None),
+        ("bzip2", None),
+        ("LZMA", None),
     ],
 )
 def test_a_template_s_vertices_are_counted(
@@ -300,6 +324,28 @@ def test_a_template_s_vertices_are_counted(
     template = studio.post("/v1/templates", name="mine", upload_id=studio.upload("t.npz", content))
     assert template["vertices"] == expected
     assert studio.get("/v1/limits")["builtin_vertices"] == BUILTIN_VERTICES
+
+
+class Failing:
+    """A store whose file ends, or fails, after its list of members was read."""
+
+    def __init__(self, content: bytes, error: Exception | None) -> None:
+        self._content, self._error = content, error
+
+    def open(self, _sha256: str, start: int, end: int) -> Iterator[bytes]:
+        name = self._content.index(SKIN.encode())
+        if name < end and start < len(self._content) // 2:
+            if self._error is not None:
+                raise self._error
+            self._content = self._content[: name + len(SKIN)]
+        yield self._content[start:end]
+
+
+@pytest.mark.parametrize("error", [None, LostFileError("ab", "damaged")])
+def test_a_template_whose_file_fails_is_not_counted(error: Exception | None) -> None:
+    content = archive("stored")
+    files: Any = Failing(content, error)
+    assert count_vertices(files, "ab", len(content)) is None
 
 
 def archive(fault: str | None) -> bytes:
@@ -314,6 +360,12 @@ def archive(fault: str | None) -> bytes:
         with zipfile.ZipFile(stream, "a") as large:
             for number in range(20_000):
                 large.writestr(f"{number:060}.npy", b"")
+    if fault in PACKED:
+        with zipfile.ZipFile(stream) as packed:
+            skin = packed.read(SKIN)
+        stream = io.BytesIO()
+        with zipfile.ZipFile(stream, "w", PACKED[fault]) as packed:
+            packed.writestr(SKIN, skin)
     content = stream.getvalue()
     if fault == "no archive":
         return b"PK\5\6" + content[:-40]

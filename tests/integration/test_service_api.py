@@ -104,7 +104,8 @@ def test_captures_that_can_not_be(studio: Studio) -> None:
         ({"name": "smile", "role": "expression", "upload_id": picture}, 422, "capture.format"),
         ({"name": "other", "role": "neutral", "upload_id": scan}, 409, "capture.neutral_exists"),
         ({"name": "neutral", "role": "expression", "upload_id": scan}, 409, "capture.name_taken"),
-        ({"name": "Neutral.", "role": "expression", "upload_id": scan}, 409, "capture.name_taken"),
+        ({"name": "Neutral", "role": "expression", "upload_id": scan}, 409, "capture.name_taken"),
+        ({"name": "smile.", "role": "expression", "upload_id": scan}, 422, "capture.name"),
         ({"name": "a/b", "role": "expression", "upload_id": scan}, 422, "request.invalid"),
     ]
     for body, status, code in cases:

@@ -68,6 +68,11 @@ def test_what_a_scene_leaves_and_what_it_reads(studio: Studio, rigged: tuple[str
     options = {"scene": {**scene, "performance": {"asset": "fitted", "gain": 2}}}
     done = studio.done("simulate", subject, rig_id=rig, captures=[fitted], options=options)
     assert done["result"]["summary"]["assets"] == {"fitted": "sequence.npz"}
+    # a simulation after a calibration of the rig gets its muscles
+    assert done["result"]["summary"]["fibre_muscles"] is None
+    studio.done("fit_fibres", subject, rig_id=rig)
+    done = studio.done("simulate", subject, rig_id=rig, captures=[fitted], options=options)
+    assert done["result"]["summary"]["fibre_muscles"] == "calibrated"
     options = {"scene": {"recording": {"asset": "take"}}}
     found = [
         studio.done("animate", subject, rig_id=rig, captures=[take], options=options)["result"][

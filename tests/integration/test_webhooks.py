@@ -539,7 +539,7 @@ def test_a_name_is_not_looked_up_while_somebody_waits(studio: Studio, settings: 
     with delivering(studio, settings, sender):
         refused = _until(studio, hook, "failed")
         assert refused["error"] == "address.private"
-        assert """MYOFACE_WEBHOOK_ALLOW, such as '["10.0.0.0/24"]'""" in refused["excerpt"]
+        assert refused["excerpt"].endswith("MYOFACE_WEBHOOK_ALLOW")
     assert set(looked_up) == {"other.example"}
 
 

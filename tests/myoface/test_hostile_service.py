@@ -76,13 +76,14 @@ def _archive(rig: dict[str, Any], names: dict[str, bytes] | None = None, method:
     return packed.getvalue()
 
 
-def _range(content: bytes, wanted: str) -> httpx.Response:
+def _part(content: bytes, request: httpx.Request) -> httpx.Response:
     with zipfile.ZipFile(io.BytesIO(content)) as packed:
         tag = hashlib.sha256(packed.read("rig.json")).hexdigest()
-    first, last = wanted.removeprefix("bytes=").split("-")
-    part = content[int(first) : int(last or len(content) - 1) + 1]
-    headers = {"ETag": f'"{tag}"', "Content-Range": f"bytes {first}-x/{len(content)}"}
-    return httpx.Response(206, content=part, headers=headers)
+    headers = {"ETag": f'"{tag}"', "Content-Length": str(len(content))}
+    if request.method == "HEAD":
+        return httpx.Response(200, headers=headers)
+    first = int(request.headers["Range"].removeprefix("bytes=").removesuffix("-"))
+    return httpx.Response(206, content=content[first:], headers={"ETag": headers["ETag"]})
 
 
 @pytest.fixture
@@ -94,7 +95,7 @@ def answer(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
             if "/artifacts/" in request.url.path:
                 return httpx.Response(200, content=CONTENT)
             if request.url.path.endswith("/archive"):
-                return _range(_archive(document), request.headers["Range"])
+                return _part(_archive(document), request)
             return httpx.Response(200, json=document)
 
         whole = httpx.Client.__init__
@@ -173,7 +174,7 @@ def test_an_archive_that_is_not_as_it_says_leaves_nothing(
 ) -> None:
     rig = _rig(_artifact("rig.glb"))
     packed = _archive(rig, names, method)
-    transport = httpx.MockTransport(lambda request: _range(packed, request.headers["Range"]))
+    transport = httpx.MockTransport(lambda request: _part(packed, request))
     with Client("http://127.0.0.1:1", "key") as client:
         client.http = httpx.Client(base_url="http://127.0.0.1:1", transport=transport)
         for fetch in (client.download_rig, client.download_archive):
@@ -203,10 +204,58 @@ def test_a_rig_is_not_put_over_another_one(
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == files
 
 
+def test_a_rig_is_not_put_over_files_of_somebody(
+    answer: Callable[[Any], None], tmp_path: Path
+) -> None:
+    answer(_rig(_artifact("rig.glb"), _artifact("rig.usdc")))
+    (tmp_path / "rig.usdc").write_text("mine")
+    told = invoke(["rigs", "download", str(uuid.uuid4()), "--output", str(tmp_path)])
+    assert told.exit_code == 1
+    assert "client.folder" in told.stderr
+    assert "rig.usdc is another file" in " ".join(told.stderr.split())
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"rig.usdc": "mine"}
+
+
+@pytest.mark.parametrize(
+    ("left", "words"),
+    [
+        (None, "it has left nothing"),
+        (["export.json"], "it has left export.json"),
+        (["export.json", "rig.usdc", "more.txt"], ""),
+    ],
+)
+def test_an_export_takes_the_file_of_its_format(
+    left: list[str] | None, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = _rig()
+    result = None if left is None else {"artifacts": [_artifact(name) for name in left]}
+    job = {"id": rig["job_id"], "subject_id": rig["subject_id"], "kind": "export_rig"}
+    job |= {"state": "succeeded", "attempt": 1, "result": result, "created_at": rig["created_at"]}
+
+    def handle(request: httpx.Request) -> httpx.Response:
+        path = request.url.path
+        if "/artifacts/" in path:
+            return httpx.Response(200, content=CONTENT)
+        if path == "/v1/rigs":
+            return httpx.Response(200, json={"items": [rig]})
+        return httpx.Response(200, json=rig if "/rigs/" in path else job)
+
+    whole = httpx.Client.__init__
+    monkeypatch.setattr(
+        httpx.Client,
+        "__init__",
+        lambda self, **given: whole(self, **given | {"transport": httpx.MockTransport(handle)}),
+    )
+    told = invoke(["export", rig["id"], "--output", str(tmp_path)])
+    assert told.exit_code == (1 if words else 0), told.stderr
+    assert words in " ".join(told.stderr.split())
+    assert [path.name for path in tmp_path.iterdir()] == ([] if words else ["rig.usdc"])
+
+
 def test_what_is_beside_the_listed_files_is_not_unpacked(tmp_path: Path) -> None:
     rig = _rig(_artifact("rig.glb"))
     packed = _archive(rig, {"rig.glb": CONTENT, "../x": CONTENT, "y": CONTENT})
-    transport = httpx.MockTransport(lambda request: _range(packed, request.headers["Range"]))
+    transport = httpx.MockTransport(lambda request: _part(packed, request))
     with Client("http://127.0.0.1:1", "key") as client:
         client.http = httpx.Client(base_url="http://127.0.0.1:1", transport=transport)
         client.download_rig(rig["id"], tmp_path / "rig")

@@ -76,6 +76,24 @@ def test_the_station_in_powershell_takes_no_path_for_a_wildcard() -> None:
     assert [call for call in calls if not call.endswith("-LiteralPath")] == []
 
 
+def test_the_station_in_powershell_is_done_with_what_is_refused() -> None:
+    """For good is what the station in C# takes for it, and all that PowerShell's throws itself."""
+    text = EXAMPLE.with_suffix(".ps1").read_text(encoding="utf-8")
+    throws = re.findall(r"throw \S*", text)
+    assert len(throws) >= 5
+    assert {
+        each for each in throws if not each.startswith("throw [ApplicationException]::new(")
+    } == set()
+    statuses = r"404(?:, \d{3})+"
+    in_c_sharp = re.search(statuses, EXAMPLE.with_suffix(".cs").read_text(encoding="utf-8"))
+    assert in_c_sharp is not None
+    assert re.findall(statuses, text) == [in_c_sharp[0]]
+    loop = text[text.index("\ndo {") :]
+    assert re.search(
+        r"catch \{.*Test-Refusal \$_.*\$Done\[\$file\.FullName\] = \$saved", loop, re.DOTALL
+    )
+
+
 def refusal(status: int | None, code: str) -> ApiError:
     return ApiError({"code": code, "detail": "so", **({"status": status} if status else {})})
 

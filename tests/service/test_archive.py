@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import threading
 import tracemalloc
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,9 @@ from service.rigs.archive import Member, archive_of, lay_out, length
 from service.rigs.download import Span
 from service.settings import Settings
 from service.store.database import Store
+from service.store.files import Files
+from service.store.integrity import open_checked
+from service.store.models import Subject
 from tests.service_client import Studio, eventually, served
 
 OF_RIG = ("rig.npz", "rig.glb", "fit_smile.png")
@@ -94,6 +99,26 @@ def test_it_is_complete_and_says_of_each_file_which_job_left_it(
     assert not any(info.flag_bits & 8 for info in packed.infolist())
 
 
+def test_a_template_that_was_deleted_is_not_the_built_in_one(
+    studio: Studio, tmp_path: Path
+) -> None:
+    def template_of(path: str) -> Any:
+        packed = zipfile.ZipFile(io.BytesIO(studio.http.get(path).content))
+        assert "template.npz" not in packed.namelist()
+        return json.loads(packed.read("rig.json"))["template"]
+
+    assert template_of(rigged(studio, tmp_path)["path"]) is None
+    content = b"an anatomy" * 5000
+    upload = studio.upload("anatomy.npz", content)
+    template = studio.post("/v1/templates", name="House head", upload_id=upload)["id"]
+    made = rigged(studio, tmp_path, template)
+    with store_of(studio).of("default").write() as session:
+        session.query(Subject).filter_by(id=made["subject_id"]).update({"template_id": None})
+    assert studio.http.delete(f"/v1/templates/{template}").status_code == 204
+    found = template_of(made["path"])
+    assert found == {"sha256": hashlib.sha256(content).hexdigest(), "missing": True}
+
+
 def test_every_range_is_that_of_the_whole(studio: Studio, tmp_path: Path) -> None:
     made = rigged(studio, tmp_path)
     head, whole = studio.http.head(made["path"]), studio.http.get(made["path"])
@@ -130,6 +155,29 @@ def test_a_preview_that_was_made_since_is_in_another_archive(
     packed = zipfile.ZipFile(io.BytesIO(answer.content))
     assert packed.read("preview.bin") == Path(__file__).read_bytes()
     assert packed.testzip() is None
+
+
+def test_of_two_who_want_it_at_once_one_reads_its_files(
+    studio: Studio, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = rigged(studio, tmp_path)
+    store, both, read = store_of(studio), threading.Barrier(2), []
+
+    def read_beside(files: Files, sha256: str) -> Iterator[bytes]:
+        read.append(sha256)
+        with suppress(threading.BrokenBarrierError):
+            both.wait(0.5)  # for the other one to read as well
+        return open_checked(files, sha256)
+
+    monkeypatch.setattr(archive, "open_checked", read_beside)
+    with store.read() as session:
+        found = archive_of(session, repository.get(session, made["rig"]), store)
+    threads = [threading.Thread(target=found.blocks, args=(Span(0, 1),)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(read) == sorted(each.sha256 for each in found.members if each.content is None)
 
 
 @pytest.mark.parametrize("fault", ["lost", "damaged"])

@@ -68,10 +68,11 @@ def test_a_compilation_ends_at_once_and_quietly(number, tmp_path):
 
 def test_a_compilation_ends_with_the_command_that_is_interrupted(tmp_path, monkeypatch):
     monkeypatch.setenv(kernels.KERNELS_VARIABLE, str(tmp_path))
+    before = set(psutil.Process().children(recursive=True))  # servers that other tests share
     begun = []
 
     def interrupt(step):
-        begun.append((step, *psutil.Process().children(recursive=True)))
+        begun.append((step, *set(psutil.Process().children(recursive=True)) - before))
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -99,7 +100,7 @@ class Listening:
 
 
 def test_the_service_listens_while_kernels_compile(tmp_path, monkeypatch):
-    def compile_all(tell):
+    def compile_all(tell, **_):
         tell("kernels of register_scan (1 of 5)")
         raise KeyboardInterrupt
 
@@ -115,3 +116,30 @@ def test_the_service_listens_while_kernels_compile(tmp_path, monkeypatch):
     )
     assert listens < compiles
     assert (told.exit_code, told.stderr) == (130, "")
+
+
+@pytest.mark.parametrize("command", ["up", "demo"])
+def test_no_job_is_given_kernels_of_older_code(command, tmp_path, monkeypatch):
+    installed = tmp_path / "installed" / "mechanics_1"
+    installed.mkdir(parents=True)
+    (installed / "laws.energy-1.py311.nbi").touch()
+    (installed.parent / "compiled").write_text("of another release")
+    monkeypatch.setenv(kernels.KERNELS_VARIABLE, str(installed.parent))
+    given = []
+
+    class Stack(Listening):
+        def __enter__(self):
+            kernels.link_kernels(tmp_path / "attempt")
+            given.extend((tmp_path / "attempt").glob("*/*"))
+            return self
+
+    def compile_all(_tell, **_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("myoface.stack.Stack", Stack)
+    monkeypatch.setattr("worker.kernels.compile_all", compile_all)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    monkeypatch.setattr("myoface.cli.service.configure_logs", lambda _json: None)
+    told = invoke([command, "--data" if command == "up" else "--output", str(tmp_path / "data")])
+    assert told.exit_code == 130, told
+    assert given == []

@@ -152,10 +152,6 @@ class MarkerTracker:
             return self._leave(term, judged, prior, "kept")
         return self._leave(term, judged, prior, "fitted", steps)
 
-    def skin(self) -> Floats:
-        """Return the whole skin (v, 3) of the last frame, without the head's motion."""
-        return self.face.whole_skin(self.tracker.state.x, self.tracker.state.pose.b)
-
     def place(self, seen: Floats, weights: Floats, near: Similarity) -> PlacedMarkers:
         """Place the head anew by points ``seen`` (k, 3), the face being as it is."""
         noise = self._sigma**2 + self.options.noise_mm**2

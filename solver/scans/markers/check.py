@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -81,18 +82,20 @@ def check_take(
         "unlabelled": len(take.unlabelled_names),
     }
     tell_dead(check, take, np.flatnonzero(~alive))
-    if is_face.sum() < limits.least:
-        message = f"{take.file} has {is_face.sum()} markers of a face; {limits.least} are needed."
-        add(check, "markers.few", "error", message, found=int(is_face.sum()), expected=limits.least)
+    if _are_few(check, take, int(is_face.sum()), limits):
         return check
     check.markers = np.flatnonzero(is_face)
     faults = find_faults(mm * take.positions[:, is_face], rate)
     check.faults = faults
+    doubles = sum(len(group) - 1 for group in faults.doubles)
+    if doubles and _are_few(check, take, int(is_face.sum()) - doubles, limits):
+        return check
     tell_faults(check, take, rate, limits)
     tell_unlabelled(check, take, mm, limits)
     first, last = neutral or find_neutral(faults.motion, rate)
     check.figures["neutral"] = [take.first + first, take.first + last]
     points = rest_points(faults.motion, (first, last)) / mm
+    _tell_rest(check, take, rate, (first, last), is_given=neutral is not None, limits=limits)
     on_face = [named[number] for number in check.markers.tolist()]
     located = locate(points, on_face, reference.face)
     check.labels = label_rows(check, take)
@@ -123,6 +126,16 @@ def _check_rate(check: MarkerCheck, take: Take, limits: CheckLimits) -> float:
         message = f"{take.file} does not say its frame rate; {USUAL_RATE:g} are assumed."
         add(check, "markers.rate", "warning", message, expected=USUAL_RATE)
     return USUAL_RATE
+
+
+def _are_few(check: MarkerCheck, take: Take, count: int, limits: CheckLimits) -> bool:
+    """Tell whether nothing more can be said of so few markers, or of points in no known unit."""
+    if count < limits.least:
+        seen = count_words(count, "marker", "markers")
+        message = f"{take.file} has {seen} of a face; {limits.least} are needed."
+        add(check, "markers.few", "error", message, found=count, expected=limits.least)
+    stops = "markers.few", "markers.unit"
+    return any(each.code in stops and each.severity == "error" for each in check.findings)
 
 
 def _choose_face(
@@ -161,6 +174,42 @@ def _choose_face(
 
 
 # Where the face is, and whose.
+
+
+def _tell_rest(
+    check: MarkerCheck,
+    take: Take,
+    rate: float,
+    neutral: tuple[int, int],
+    *,
+    is_given: bool,
+    limits: CheckLimits,
+) -> None:
+    """Tell whether the frames at rest show most of the markers, and these lie still."""
+    assert check.faults is not None
+    motion, (first, last) = check.faults.motion, neutral
+    places = motion.places[first : last + 1]
+    seen = np.isfinite(places[..., 0])
+    hidden = np.flatnonzero(~seen.any(axis=0))
+    frames = f"frames {take.first + first} to {take.first + last}"
+    figures: dict[str, Any] = {"frames": [take.first + first, take.first + last]}
+    stillest = ""
+    if is_given:
+        one, other = (take.first + frame for frame in find_neutral(motion, rate))
+        figures["stillest"] = [one, other]
+        stillest = f" The stillest are {one} to {other}."
+    if len(hidden) > (1.0 - limits.at_rest) * seen.shape[1]:
+        names = quote_names([take.labels[check.markers[each]] for each in hidden.tolist()])
+        number = f"{len(hidden)} of {seen.shape[1]} markers"
+        message = f"{number} are not seen in {frames}.{stillest}"
+        add(check, "markers.neutral", "warning", message, labels=names, **figures)
+        return
+    spread = np.sqrt(np.nanvar(places[:, seen.any(axis=0)], axis=0).sum(axis=1))
+    unrest = float(np.median(spread))
+    if unrest > limits.unrest:
+        which = "these" if is_given else "the stillest"
+        message = f"The face moves in {frames}, {which}, by {unrest:.1f} mm.{stillest}"
+        add(check, "markers.neutral", "warning", message, found=round(unrest, 2), **figures)
 
 
 def _tell_person(
@@ -211,6 +260,7 @@ def _off_places(
     known = np.flatnonzero((rows >= 0) & np.isfinite(check.placed[:, 0]))
     known = known[np.isfinite(goal[rows[known], 0])]
     off = np.full(len(labels), np.nan)
+    _tell_unlike_set(check, markers, labels, len(known), limits)
     if len(known) < limits.least:
         return off
     there = goal[rows[known]]
@@ -232,6 +282,30 @@ def _off_places(
         add(check, "markers.moved", "warning", message, **figures)
         off[known[row]] = np.nan
     return off
+
+
+def _tell_unlike_set(
+    check: MarkerCheck, markers: MarkerSet, labels: Sequence[str], known: int, limits: CheckLimits
+) -> None:
+    """Tell which labels only the take has, and which only the marker set."""
+    used = [each.label for each in markers.markers if each.part != "ignore"]
+    new = [label for label in labels if label not in markers.labels]
+    missing = [label for label in used if label not in labels]
+    said = []
+    if new:
+        names = ", ".join(quote_names(new[: limits.named]))
+        said.append(f"{count_words(len(new), 'label is', 'labels are')} not in the set: {names}")
+    if missing:
+        names = ", ".join(quote_names(missing[: limits.named]))
+        said.append(f"{count_words(len(missing), 'label', 'labels')} of it not here: {names}")
+    few = known < limits.least
+    if few:
+        said.insert(0, f"{known} labels of the marker set are seen, {limits.least} are needed")
+    if said:
+        figures = {"new": quote_names(new), "missing": quote_names(missing)}
+        severity: Severity = "error" if few else "warning" if new else "info"
+        message = f"The marker set does not fit: {'; '.join(said)}."
+        add(check, "markers.unlike_set", severity, message, **figures)
 
 
 def _rms(off: Floats) -> float:

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solver.errors import Finding, InputError, Severity, quote, quote_names
+from solver.errors import MOST_NAMES, Finding, InputError, Severity, quote, quote_names
 from solver.kinds.marker_set import LONGEST_LABEL
 from solver.scans.markers.raw_take import RawTake, TakeOptions, tell
 from solver.surface import Floats
 
 # How capture programs call a track that nobody has labelled: *12, U_3, Unlabeled 1004, ?7.
-UNLABELLED = re.compile(r"[*?]+\d*|u_?\*?\d+|(unlabell?ed|uname|noname|unnamed)\W*_?\d*", re.I)
+UNLABELLED = re.compile(r"[*?]+\d*|u_\*?\d+|(unlabell?ed|uname|noname|unnamed)\W*_?\d*", re.I)
 UNITS = {  # in the singular, as Americans write it -> mm
     "mm": 1.0,
     "millimeter": 1.0,
@@ -30,6 +30,7 @@ UNITS = {  # in the singular, as Americans write it -> mm
     "feet": 304.8,
 }
 GUESSES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}  # units of a file that does not say its own
+LONGEST_NUMBER = 6  # characters that tell labels apart which are alike
 LOOKED_AT = 200  # frames of which the size is taken
 
 
@@ -51,7 +52,7 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
     A label that stands there twice gets a number. Where two subjects have the same labels all keep
     their subject's name, as ``Jane:LBRO1``.
     """
-    plain = [_tidied(name) for name in names[:count]] + [""] * (count - len(names))
+    plain = [_tidy(name) for name in names[:count]] + [""] * (count - len(names))
     parts = [tuple(map(str.strip, name.rpartition(":")[::2])) for name in plain]
     labelled = [at for at, (_, label) in enumerate(parts) if label and not _is_unlabelled(label)]
     others = sorted(set(range(count)) - set(labelled))
@@ -66,13 +67,13 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
     pairs = {parts[at] for at in labelled}
     subjects = list(dict.fromkeys(parts[at][0] for at in labelled))
     if len(pairs) > len({label for _, label in pairs}):
-        shown = quote_names(subjects)
+        shown = quote_names([each or "no subject" for each in subjects])
         message = f"{file} has the same labels for {', '.join(shown)}: more than one face."
         findings.append(tell("two_faces", "warning", message, file=file, subjects=shown))
         texts, subject = [":".join(filter(None, parts[at])) for at in labelled], ""
     else:
         texts, subject = [parts[at][1] for at in labelled], ", ".join(filter(None, subjects))
-    labels, more = _numbered(file, texts)
+    labels, more = _number_labels(file, texts)
     names_of_others = [parts[at][1] or f"#{at + 1}" for at in others]
     return Labels(
         tuple(labels),
@@ -80,21 +81,21 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
         tuple(names_of_others),
         others,
         quote(subject),
-        findings + more + _foreign(file, labels),
+        findings + more + _find_foreign(file, labels),
     )
 
 
-def _tidied(name: str) -> str:
+def _tidy(name: str) -> str:
     """Return a name in one form of Unicode, with single blanks and nothing that does not print."""
     text = " ".join(unicodedata.normalize("NFC", name[: 4 * LONGEST_LABEL]).split())
-    return "".join(each for each in text if each.isprintable())[:LONGEST_LABEL].strip()
+    return "".join(each for each in text if each.isprintable())[:LONGEST_LABEL].strip(" :")
 
 
 def _is_unlabelled(label: str) -> bool:
     return UNLABELLED.fullmatch(label) is not None
 
 
-def _numbered(file: str, texts: Sequence[str]) -> tuple[list[str], list[Finding]]:
+def _number_labels(file: str, texts: Sequence[str]) -> tuple[list[str], list[Finding]]:
     """Return labels of which no two are alike; a number tells those that are apart."""
     taken, proposals = set(texts), {}
     seen: Counter[str] = Counter()
@@ -103,7 +104,7 @@ def _numbered(file: str, texts: Sequence[str]) -> tuple[list[str], list[Finding]
         seen[text] += 1
         label = text
         while label != text or seen[text] > 1:
-            label = f"{text}_{seen[text]}"
+            label = f"{text[: LONGEST_LABEL - LONGEST_NUMBER]}_{seen[text]}"
             if label not in taken:
                 break
             seen[text] += 1
@@ -115,17 +116,19 @@ def _numbered(file: str, texts: Sequence[str]) -> tuple[list[str], list[Finding]
         return labels, []
     twice = quote_names(list(dict.fromkeys(proposals.values())))
     message = f"{file} has labels more than once: {', '.join(twice)}; the others get a number."
-    shown = dict(zip(quote_names(list(proposals)), map(quote, proposals.values()), strict=False))
+    shown = dict(list(proposals.items())[:MOST_NAMES])  # labels are short and printable by now
     return labels, [tell("labels", "warning", message, file=file, labels=twice, proposals=shown)]
 
 
-def _foreign(file: str, labels: Sequence[str]) -> list[Finding]:
+def _find_foreign(file: str, labels: Sequence[str]) -> list[Finding]:
     """Tell labels that not every program can read, with ones that it can."""
     foreign = [label for label in labels if not label.isascii()]
     if not foreign:
         return []
-    plain = [unicodedata.normalize("NFKD", each).encode("ascii", "ignore") for each in foreign]
-    shown = dict(zip(quote_names(foreign), (each.decode() for each in plain), strict=False))
+    shown = {
+        each: unicodedata.normalize("NFKD", each).encode("ascii", "ignore").decode()
+        for each in foreign[:MOST_NAMES]
+    }
     message = f"{file} has labels beyond ASCII: {', '.join(quote_names(foreign))}."
     return [tell("labels", "info", message, file=file, labels=list(shown), proposals=shown)]
 
@@ -134,21 +137,22 @@ def _foreign(file: str, labels: Sequence[str]) -> list[Finding]:
 
 
 def settle_unit(
-    file: str, unit: str | float | None, points: Floats, options: TakeOptions
+    file: str, raw: RawTake, columns: Sequence[int], options: TakeOptions
 ) -> tuple[float, list[Finding]]:
-    """Return mm a unit for points (f, n, 3): what the file says, unless no person is that large.
+    """Return mm a unit: what the file says, unless the tracks at ``columns`` are on no person then.
 
     A file that says nothing, or what cannot be, is read in the unit in which its points spread as
     markers of a face do. An ``error`` is one that no unit fits.
     """
+    unit = raw.unit
     said = _mm_of(unit) if isinstance(unit, str) else unit
-    spread = _spread(points)
-    if said is not None and (np.isnan(spread) or _within(spread * said, options.seen_mm)):
+    spread = _spread(raw.points, columns)
+    if said is not None and (np.isnan(spread) or _is_within(spread * said, options.seen_mm)):
         return said, []
     words = f"says '{quote(unit)}'" if unit else "does not say its unit"
     for bounds in (options.face_mm, options.seen_mm):
         for name, mm in GUESSES.items():
-            if not _within(spread * mm, bounds):
+            if not _is_within(spread * mm, bounds):
                 continue
             told = f"{file} {words}; it is read in {name}, in which points spread {spread * mm:.0f}"
             is_plain = not unit and bounds == options.face_mm
@@ -162,20 +166,21 @@ def settle_unit(
     return said or 1.0, [tell("unit", "error", message, file=file, spread=spread)]
 
 
-def drop_far(file: str, labels: Sequence[str], points: Floats, most: float) -> list[Finding]:
-    """Make points (f, n, 3) NaN that are infinite or farther off than ``most``; tell of them."""
-    with np.errstate(invalid="ignore"):
-        is_far = (np.abs(points) > most).any(axis=-1)
-    is_missing = np.isnan(points).any(axis=-1)
-    points[is_far | is_missing] = np.nan
+def drop_far(file: str, raw: RawTake, most: float) -> list[Finding]:
+    """Make points NaN that are infinite or farther off than ``most``, and tell of them."""
+    points = raw.points
+    is_far = (points > most).any(axis=-1) | (points < -most).any(axis=-1)
+    points[is_far | np.isnan(points).any(axis=-1)] = np.nan
     count = int(is_far.sum())
     if not count:
         return []
-    frame, track = np.argwhere(is_far)[0]
-    where = f"the first, {quote(labels[track])}, in frame {frame} of the take"
-    message = f"{file} has {count} points where no studio is, {where}."
-    context = {"file": file, "label": quote(labels[track]), "frame": int(frame), "count": count}
-    return [tell("far", "warning", message, **context)]
+    frame, track = map(int, np.argwhere(is_far)[0])
+    label = quote(raw.names[track] if track < len(raw.names) else f"#{track + 1}")
+    number = raw.first + frame
+    message = (
+        f"{file} has {count} points where no studio is, the first, {label}, in frame {number}."
+    )
+    return [tell("far", "warning", message, file=file, label=label, frame=number, count=count)]
 
 
 def check_seen(file: str, raw: RawTake) -> None:
@@ -190,16 +195,17 @@ def _mm_of(name: str) -> float | None:
     return UNITS.get(word.removesuffix("es") if word == "inches" else word.removesuffix("s"))
 
 
-def _spread(points: Floats) -> float:
-    """Return the usual distance from the middle, root mean square; NaN without three points."""
+def _spread(points: Floats, columns: Sequence[int]) -> float:
+    """Return the median distance from the middle of a frame; NaN if none has three points."""
     step = max(1, len(points) // LOOKED_AT)
     spreads = []
     for frame in points[::step]:
-        seen = frame[np.isfinite(frame).all(axis=1)]
+        seen = frame[columns]
+        seen = seen[np.isfinite(seen).all(axis=1)]
         if len(seen) >= 3:
             spreads.append(np.sqrt(np.median(((seen - np.median(seen, axis=0)) ** 2).sum(axis=1))))
     return float(np.median(spreads)) if spreads else float("nan")
 
 
-def _within(size: float, bounds: tuple[float, float]) -> bool:
+def _is_within(size: float, bounds: tuple[float, float]) -> bool:
     return bounds[0] <= size <= bounds[1]

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from solver.scans.markers.motion import (
     MOTION,
@@ -50,6 +51,10 @@ class FaultOptions:
     bridged: int = 2  # good frames between two bad ones are bad
     double: float = 1.0  # two labels so near each other have one marker
 
+    def jump(self, rate: float) -> float:
+        """Return how far no marker of skin goes off what is expected in one frame."""
+        return max(self.least_jump, self.speed / rate)
+
 
 @dataclass(frozen=True)
 class Span:
@@ -79,7 +84,7 @@ class Faults:
     motion: Motion
     usable: Mask  # (f, k) points that are seen and not wrong
     dead: Ints  # markers that are never seen
-    doubles: list[tuple[int, int]] = field(default_factory=list)  # labels of one marker
+    doubles: list[list[int]] = field(default_factory=list)  # labels that are one marker
     halted: float = 0.0  # share of frames that repeat the one before
     moved: dict[int, Span] = field(default_factory=dict)
 
@@ -120,7 +125,7 @@ def find_faults(
     _find_filled(measured, rate, options, spans)
     motion = take_apart(measured, rate, motion_options)
     residuals = motion.residuals
-    taken = _find_exchanged(motion, residuals, options, spans)
+    taken = _find_exchanged(motion, residuals, rate, options, spans)
     residuals = np.where(taken[..., None], np.nan, residuals)
     moved = _find_moved(residuals, rate, options)
     spans += moved.values()
@@ -194,12 +199,15 @@ def _row_medians(values: Floats) -> Floats:
 def _resolution(positions: Floats) -> float:
     """Return the least step between the coordinates in a file, of its decimals or its floats."""
     some = positions[:: max(1, len(positions) // 200)].ravel()
-    steps = np.diff(np.unique(np.round(some[np.isfinite(some)], 7)))
-    return float(np.quantile(steps, 0.01)) if len(steps) else 0.0
+    known = some[np.isfinite(some)]
+    steps = np.diff(np.unique(np.round(known, 7)))
+    if not len(steps):
+        return 0.0
+    return float(max(steps.min(), np.finfo(np.float32).eps * np.abs(known).max()))
 
 
 def _find_exchanged(
-    motion: Motion, residuals: Floats, options: FaultOptions, spans: list[Span]
+    motion: Motion, residuals: Floats, rate: float, options: FaultOptions, spans: list[Span]
 ) -> Mask:
     """Return which points (f, k) lie where another marker is expected that does not lie there."""
     off = np.linalg.norm(residuals, axis=2)
@@ -232,6 +240,13 @@ def _find_exchanged(
         mask = np.zeros(len(off), bool)
         mask[np.concatenate(lists)] = True
         for first, last in runs(mask, options.bridged):
+            came, went = _jumps(residuals[:, a], first, last)
+            is_sudden = (
+                bool(np.fmax(came, went) > options.jump(rate)) or np.isnan([came, went]).all()
+            )
+            if fault == "relabelled" and not is_sudden:
+                taken[first : last + 1, a] = False
+                continue
             mm = float(np.nanmax(off[first : last + 1, a]))
             spans.append(Span(fault, a, first, last, b, mm))
     return taken
@@ -326,18 +341,16 @@ def _largest_jump(way: Floats) -> int:
 def _find_thrown(residuals: Floats, rate: float, options: FaultOptions, spans: list[Span]) -> Mask:
     """Return which points (f, k) are far off and came or went there at once, or between gaps."""
     off = np.linalg.norm(residuals, axis=2)
-    jump = max(options.least_jump, options.speed / rate)
     thrown = np.zeros(off.shape, bool)
     for marker in np.flatnonzero((np.nan_to_num(off) > options.wrong).any(axis=0)):
         here = off[:, marker]
         usual = float(np.nanmedian(here))
         bad = np.nan_to_num(here) > max(options.wrong, options.spread * usual)
         for first, last in runs(bad, options.bridged):
-            way = residuals[:, marker]
-            came, went = _jump(way, first, -1), _jump(way, last, 1)
+            came, went = _jumps(residuals[:, marker], first, last)
             most = float(np.nanmax(here[first : last + 1]))
-            is_outlier = max(came, went) > jump  # NaN, at a gap, is not
-            is_ghost = np.isnan(came) and np.isnan(went) and most > options.ghost
+            is_outlier = bool(np.fmax(came, went) > options.jump(rate))
+            is_ghost = np.isnan([came, went]).all() and most > options.ghost
             if is_outlier or is_ghost:
                 thrown[first : last + 1, marker] = np.isfinite(here[first : last + 1])
                 fault = "outlier" if is_outlier else "ghost"
@@ -345,19 +358,24 @@ def _find_thrown(residuals: Floats, rate: float, options: FaultOptions, spans: l
     return thrown
 
 
-def _jump(way: Floats, frame: int, step: int) -> float:
-    """Return how far a marker is from its place a frame later or earlier; NaN at a gap."""
-    other = frame + step
-    if not 0 <= other < len(way):
-        return float("nan")
-    return float(np.linalg.norm(way[frame] - way[other]))
+def _jumps(way: Floats, first: int, last: int) -> tuple[float, float]:
+    """Return how far a marker is off its place a frame before and after; NaN at a gap."""
+    around = np.full((2, 3), np.nan)
+    if first > 0:
+        around[0] = way[first - 1]
+    if last + 1 < len(way):
+        around[1] = way[last + 1]
+    came, went = np.linalg.norm(way[[first, last]] - around, axis=1)
+    return float(came), float(went)
 
 
-def _find_doubles(positions: Floats, options: FaultOptions) -> list[tuple[int, int]]:
-    """Return pairs of labels that lie in one place all the time."""
+def _find_doubles(positions: Floats, options: FaultOptions) -> list[list[int]]:
+    """Return groups of labels that lie in one place all the time."""
     some = positions[:: max(1, len(positions) // 50)]
     apart = np.linalg.norm(some[:, :, None] - some[:, None], axis=3)
     known = np.isfinite(apart)
     near = (known & (apart < options.double)).sum(axis=0)
     is_double = (near > 0.9 * known.sum(axis=0)) & (known.sum(axis=0) > 0)
-    return [(int(a), int(b)) for a, b in np.argwhere(np.triu(is_double, 1))]
+    count, group = connected_components(is_double)
+    groups = [np.flatnonzero(group == each).tolist() for each in range(count)]
+    return [each for each in groups if len(each) > 1]

@@ -33,7 +33,8 @@ ADVICE = {
     "markers.few": f"Put more markers on the face: {WHERE}.",
     # single labels
     "markers.dead": "Nothing to do: the label is left out.",
-    "markers.double": "Take one of the two labels out.",
+    "markers.double": "Leave one of these labels, and take the others out.",
+    "markers.unlike_set": "Bind the take a second time if markers were added or renamed.",
     "markers.frozen": "Nothing to do: these frames count as missing.",
     "markers.filled": "Nothing to do, but gaps left open are filled better by the fit.",
     "markers.missing": "Nothing to do if they are short; else look for what hid the marker.",
@@ -60,6 +61,8 @@ class CheckLimits:
     seldom: float = 0.01  # of a label's time: outliers and ghosts are only told
     long_missing: float = 0.2  # of a label's time
     gone: float = 0.5  # s without any marker
+    at_rest: float = 0.8  # of the markers are seen in frames at rest
+    unrest: float = 1.0  # mm that most markers move in them, root mean square
     slow: float = 20.0  # frames a second; with fewer nothing sudden can be told
     repeated: float = 0.05  # of the frames
     linked: float = 100.0  # markers of one head lie no farther apart, one to the next
@@ -71,6 +74,7 @@ class CheckLimits:
     fills: float = 4.0  # an unlabelled track so near to where a missing marker is expected
     share_filled: float = 0.5  # of a track's frames
     spans: int = 20  # of a finding that are listed
+    named: int = 4  # labels in a sentence
     labels: int = 12  # with a finding of their own; the others are counted
 
 
@@ -118,9 +122,11 @@ def tell_faults(check: MarkerCheck, take: Take, rate: float, limits: CheckLimits
     if faults.halted > limits.repeated:
         message = f"{faults.halted:.0%} of the frames repeat the one before."
         add(check, "markers.repeated", "warning", message, found=round(faults.halted, 3))
-    for a, b in faults.doubles:
-        message = f"{quote(labels[a])} and {quote(labels[b])} are one marker."
-        add(check, "markers.double", "warning", message, label=labels[a], other=labels[b])
+    for group in faults.doubles:
+        names = quote_names([labels[each] for each in group])
+        *others, last = names if len(group) <= limits.named else [*names[: limits.named], "others"]
+        message = f"{', '.join(others)} and {last} are one marker."
+        add(check, "markers.double", "warning", message, label=labels[group[0]], labels=names)
     gone = faults.gone(round(limits.gone * rate))
     if gone:
         spans = [[take.first + first, take.first + last] for first, last in gone]
@@ -294,8 +300,12 @@ def tell_location(check: MarkerCheck, take: Take, located: Located) -> None:
         message = f"The face looks along {forward}, its top is at {up}."
         add(check, "markers.axes", "info", message, up=up, forward=forward)
     labels = [take.labels[number] for number in check.markers.tolist()]
+    assert check.faults is not None
+    rest = sum(check.figures["neutral"]) // 2 - take.first
+    swaps = [each for each in check.faults.of("swapped") if each.first <= rest <= each.last]
     for a, b in located.exchanged:
-        tell_exchanged(check, labels[a], labels[b])
+        if not any((each.marker, each.other) == (a, b) for each in swaps):  # told already
+            tell_exchanged(check, labels[a], labels[b])
 
 
 def tell_exchanged(check: MarkerCheck, first: str, second: str) -> None:

@@ -10,7 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from solver.errors import quote
-from solver.scans.markers.raw_take import RawTake, TakeOptions, check_room, choose_rate, unreadable
+from solver.scans.markers.raw_take import (
+    RawTake,
+    TakeOptions,
+    check_room,
+    choose_rate,
+    unreadable_error,
+)
 from solver.storage import Arrays
 from solver.surface import Floats
 
@@ -24,12 +30,14 @@ def arrange_landmarks(file: str, arrays: Arrays, options: TakeOptions) -> RawTak
     """
     missing = [name for name in ("names", "points") if name not in arrays]
     if missing:
-        raise unreadable(file, f"it has no array '{missing[0]}'")
+        raise unreadable_error(file, f"it has no array '{missing[0]}'")
     names, points = arrays["names"], arrays["points"]
     is_right = names.dtype.kind == "U" and names.ndim == 1 and points.dtype.kind in "fiu"
     if not is_right or points.ndim != 3 or points.shape[1:] != (len(names), 3):
         shapes = f"names {quote(names.shape)} and points {quote(points.shape)}"
-        raise unreadable(file, f"it has {shapes}; names (k,) and points (f, k, 3) are expected")
+        raise unreadable_error(
+            file, f"it has {shapes}; names (k,) and points (f, k, 3) are expected"
+        )
     check_room(file, len(points), len(names), options)
     points = points.astype(float)
     points[~points.any(axis=-1)] = np.nan  # exactly 0, 0, 0
@@ -39,7 +47,7 @@ def arrange_landmarks(file: str, arrays: Arrays, options: TakeOptions) -> RawTak
     rate, findings = choose_rate(file, [] if said is None else [("rate", said)], options)
     first = _number(file, arrays, "first")
     if first is not None and not abs(first) <= MOST_FIRST:
-        raise unreadable(file, f"'first' is {first:g}, not the number of a frame")
+        raise unreadable_error(file, f"'first' is {first:g}, not the number of a frame")
     unit = _unit(file, arrays)
     number = 1 if first is None else int(first)
     return RawTake(labels, points, rate, number, unit, sigma=sigma, findings=findings)
@@ -52,9 +60,9 @@ def _sigma(file: str, given: np.ndarray, points: Floats, labels: list[str]) -> F
         spread = np.broadcast_to(by_point, points.shape)
     except ValueError:
         reason = f"sigma {quote(given.shape)} does not spread to points {quote(points.shape)}"
-        raise unreadable(file, reason) from None
+        raise unreadable_error(file, reason) from None
     if spread.dtype.kind not in "fiu":
-        raise unreadable(file, f"sigma holds {quote(spread.dtype)}, not numbers")
+        raise unreadable_error(file, f"sigma holds {quote(spread.dtype)}, not numbers")
     sigma = spread.astype(float)
     points[~np.isfinite(sigma).all(axis=-1)] = np.nan
     is_bad = (~(sigma > 0)).any(axis=-1) & np.isfinite(points).all(axis=-1)
@@ -62,7 +70,7 @@ def _sigma(file: str, given: np.ndarray, points: Floats, labels: list[str]) -> F
         frame, track = map(int, np.argwhere(is_bad)[0])
         label = quote(labels[track])
         reason = f"sigma of {label} in frame {frame} is not above 0"
-        raise unreadable(file, reason, label=label, frame=frame)
+        raise unreadable_error(file, reason, label=label, frame=frame)
     return sigma
 
 
@@ -71,7 +79,7 @@ def _number(file: str, arrays: Arrays, name: str) -> float | None:
     if value is None:
         return None
     if value.size != 1 or value.dtype.kind not in "fiu":
-        raise unreadable(file, f"'{name}' is not a number")
+        raise unreadable_error(file, f"'{name}' is not a number")
     return float(value.reshape(-1)[0])
 
 
@@ -80,6 +88,6 @@ def _unit(file: str, arrays: Arrays) -> str | float | None:
     if value is None or value.dtype.kind != "U":
         mm = _number(file, arrays, "unit")
         if mm is not None and not 0 < mm < np.inf:
-            raise unreadable(file, f"'unit' is {mm:g}, not mm above 0")
+            raise unreadable_error(file, f"'unit' is {mm:g}, not mm above 0")
         return mm
     return str(value.reshape(-1)[0]) if value.size == 1 else None

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from solver.errors import InputError
+from solver.errors import InputError, quote
 from solver.kinds.document import find_faults
 from solver.kinds.marker_set import MarkerEntry, MarkerSetDocument, Part, SkinPoint
 from solver.similarity import Similarity
@@ -109,15 +109,13 @@ class MarkerSet:
                 content = stream.read(MOST_BYTES + 1)
             if len(content) > MOST_BYTES:
                 raise ValueError(f"it has more than {MOST_BYTES} bytes")
-            document = json.loads(content)
-        except (OSError, RecursionError, ValueError) as error:
-            message = f"{file} is not a marker set: {error}"
-            raise InputError("markers.set_unreadable", message, file=file) from error
-        try:
-            return cls.from_document(document)
+            return cls.from_document(json.loads(content))
         except InputError as error:
             error.context["file"] = file
             raise
+        except (OSError, RecursionError, ValueError) as error:
+            message = f"{file} is not a marker set: {quote(error)}"
+            raise InputError("markers.set_unreadable", message, file=file) from error
 
     def to_document(self) -> dict[str, Any]:
         """Return the set as JSON values."""
@@ -142,17 +140,16 @@ class MarkerSet:
         """
         try:
             read = MarkerSetDocument.model_validate(document)
-        except (ValidationError, RecursionError) as error:
-            if isinstance(error, RecursionError):
-                raise _schema_error("markers", "is nested too deeply") from error
+        except ValidationError as error:
             fault = find_faults(error, document, "markers")[0]
             raise _schema_error(fault.where, fault.message) from error
         markers = tuple(_marker(entry, number) for number, entry in enumerate(read.markers))
         seen: set[str] = set()
         for marker in markers:
             if marker.label in seen:
-                message = f"the marker set has the label {marker.label!r} twice"
-                raise InputError("markers.set_labels", message, label=marker.label)
+                label = quote(marker.label)
+                message = f"the marker set has the label '{label}' twice"
+                raise InputError("markers.set_labels", message, label=label)
             seen.add(marker.label)
         rotation, shift = np.array(read.session.rotation), np.array(read.session.shift_mm)
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUNDING:

@@ -13,7 +13,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from solver.scans.markers.raw_take import RawTake, TakeOptions, tell, truncated, unreadable
+from solver.scans.markers.raw_take import (
+    RawTake,
+    TakeOptions,
+    tell,
+    truncated_error,
+    unreadable_error,
+)
 from solver.scans.markers.table import (
     Line,
     finish_table,
@@ -52,21 +58,19 @@ def read_motive(path: Path, options: TakeOptions) -> RawTake:
                 break
         if not rows or not _is_last(rows[-1]):
             reason = "no row 'Frame, Time' in its first lines: export markers with their headings"
-            raise unreadable(file, reason)
+            raise unreadable_error(file, reason)
         said = {
             name.lower(): value for name, value in zip(rows[0][::2], rows[0][1::2], strict=False)
         }
-        tracks = _seen(_tracks(file, rows))
+        tracks = _choose_tracks(_tracks(file, rows))
         columns = [track.column + axis for track in tracks for axis in range(3)]
-        if not columns:
-            raise unreadable(file, "it has no positions of markers", line=len(rows))
-        table = read_table(file, lines, ",", columns, _width(rows[-1]), options)
+        table = read_table(file, lines, ",", columns, max(map(_width, rows[1:])), options)
     findings = []
     frames = parse_count(said.get("total exported frames"))
     found = table.numbers[-1] - table.numbers[0] + 1
     if frames is not None and found < frames:
         reason = f"its heading says {frames} frames, found {found}"
-        raise truncated(file, reason, expected=frames, found=found)
+        raise truncated_error(file, reason, expected=frames, found=found)
     if frames is not None and frames != found:
         message = f"{file} says {frames} frames and has {found}, which are read."
         findings.append(tell("header", "warning", message, file=file, found=found))
@@ -79,7 +83,9 @@ def _fields(file: str, line: Line) -> list[str]:
     try:
         return [field.strip() for field in next(csv.reader([line.text]), [])]
     except csv.Error as error:
-        raise unreadable(file, f"it is not a row of CSV: {error}", line=line.number) from error
+        raise unreadable_error(
+            file, f"it is not a row of CSV: {error}", line=line.number
+        ) from error
 
 
 def _is_last(row: Sequence[str]) -> bool:
@@ -98,20 +104,23 @@ def _tracks(file: str, rows: list[list[str]]) -> list[_Track]:
     above = [row for row in rows[1:-1] if any(row)]
     if len(above) < 3:
         reason = "rows of types, names and kinds are expected above 'Frame, Time'"
-        raise unreadable(file, reason, line=len(rows))
+        raise unreadable_error(file, reason, line=len(rows))
     kinds, names, places = above[0], above[1], above[-1]
     tracks, column = [], 2
     while column < len(axes):
-        is_place = _at(places, column).lower() == "position"
-        if is_place and axes[column : column + 3] == ["x", "y", "z"]:
-            tracks.append(_Track(_at(names, column), _at(kinds, column).lower(), column))
-            column += 3
-        else:
+        if _at(places, column).lower() != "position":
             column += 1
+            continue
+        of_one = all(len({_at(row, column + axis) for axis in range(3)}) == 1 for row in above)
+        if not of_one or axes[column : column + 3] != ["x", "y", "z"]:
+            reason = f"columns {column + 1} to {column + 3} are not x, y, z of one marker"
+            raise unreadable_error(file, reason, line=len(rows))
+        tracks.append(_Track(_at(names, column), _at(kinds, column).lower(), column))
+        column += 3
     return tracks
 
 
-def _seen(tracks: list[_Track]) -> list[_Track]:
+def _choose_tracks(tracks: list[_Track]) -> list[_Track]:
     """Return tracks of markers: as they were seen, or else as a solver has them."""
     seen = [track for track in tracks if track.kind == SEEN]
     names = {track.name for track in seen}

@@ -80,13 +80,13 @@ def tell(code: str, severity: Severity, message: str, **context: Any) -> Finding
     return Finding(f"markers.{code}", severity, message, ADVICE[f"markers.{code}"], context)
 
 
-def unreadable(file: str, reason: str, **context: Any) -> InputError:
+def unreadable_error(file: str, reason: str, **context: Any) -> InputError:
     """Return the error of a file that is broken, at a ``line`` if it is about one."""
     place = f"{file}, line {context['line']}" if "line" in context else file
     return InputError("markers.unreadable", f"{place}: {reason}", file=file, **context)
 
 
-def truncated(file: str, reason: str, **context: Any) -> InputError:
+def truncated_error(file: str, reason: str, **context: Any) -> InputError:
     """Return the error of a file that ends too early."""
     message = f"{file} ends too early: {reason}"
     return InputError("markers.truncated", message, file=file, **context)
@@ -124,7 +124,7 @@ def spread_frames(
     if missing > options.most_gaps * len(numbers):
         step = int(np.argmax(np.diff(np.array(numbers, np.int64))))
         before, after = numbers[step], numbers[step + 1]
-        raise unreadable(file, f"frame {after} follows frame {before}", frame=after)
+        raise unreadable_error(file, f"frame {after} follows frame {before}", frame=after)
     check_room(file, len(numbers) + missing, points.shape[1], options)
     spread = np.full((len(numbers) + missing, *points.shape[1:]), np.nan)
     spread[np.array(numbers, np.int64) - numbers[0]] = points

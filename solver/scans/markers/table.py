@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import IO
 
@@ -18,12 +18,15 @@ from solver.scans.markers.raw_take import (
     choose_rate,
     decode,
     spread_frames,
-    truncated,
-    unreadable,
+    tell,
+    truncated_error,
+    unreadable_error,
 )
 from solver.surface import Floats
 
 MOST_FRAME = 10**9  # a frame's number
+DROPPED = (2, 4)  # numbers that a timecode leaves out at once
+SAME_STEP = 0.1  # of the time between frames: it passed as between any two
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Table:
     numbers: list[int]
     times: list[float]
     points: Floats
+    findings: tuple[Finding, ...] = ()
 
     def timed_rate(self) -> list[tuple[str, float]]:
         """Return what the times say of the rate in Hz, as :func:`choose_rate` takes it."""
@@ -56,7 +60,9 @@ def read_lines(file: str, stream: IO[bytes], options: TakeOptions) -> Iterator[L
     while line := stream.readline(options.longest_line + 1):
         number += 1
         if len(line) > options.longest_line:
-            raise unreadable(file, f"it has more than {options.longest_line} bytes", line=number)
+            raise unreadable_error(
+                file, f"it has more than {options.longest_line} bytes", line=number
+            )
         text = decode(line.removeprefix(b"\xef\xbb\xbf").rstrip(b"\r\n"))
         yield Line(number, text, line.endswith((b"\n", b"\r")))
 
@@ -79,6 +85,7 @@ def read_table(
     x, y, z of n points are at ``columns`` (3 n). Numbers of frames increase; those that are left
     out are missing from the table.
     """
+    check_room(file, 1, len(columns) // 3, options)
     pick = itemgetter(*columns)
     numbers: list[int] = []
     times: list[float] = []
@@ -90,19 +97,21 @@ def read_table(
         if len(fields) < width:
             reason = f"{width} columns expected, {len(fields)} found"
             if not line.is_whole:
-                raise truncated(file, f"line {line.number}, the last: {reason}", line=line.number)
-            raise unreadable(file, reason, line=line.number)
+                raise truncated_error(
+                    file, f"line {line.number}, the last: {reason}", line=line.number
+                )
+            raise unreadable_error(file, reason, line=line.number)
         if any(fields[width:]):
             reason = f"{width} columns expected, {len(fields)} found"
-            raise unreadable(file, reason, line=line.number)
+            raise unreadable_error(file, reason, line=line.number)
         numbers.append(_frame(file, line.number, fields[0], numbers))
         times.append(*_numbers(file, line.number, fields[1:2]))
         values.extend(_numbers(file, line.number, pick(fields)))
         check_room(file, len(numbers), len(columns) // 3, options)
     check_room(file, len(numbers), len(columns) // 3, options)
-    points = np.frombuffer(values).reshape(len(numbers), -1, 3).copy()
+    points = np.frombuffer(values).reshape(len(numbers), -1, 3)
     points[~points.any(axis=-1)] = np.nan  # exactly 0, 0, 0
-    return Table(numbers, times, points)
+    return _count_on(file, Table(numbers, times, points))
 
 
 def finish_table(
@@ -117,8 +126,30 @@ def finish_table(
     """Return a table as a take, each frame in its place; ``said`` is what tells its rate in Hz."""
     points, gaps = spread_frames(file, table.numbers, table.points, options)
     rate, rates = choose_rate(file, [*said, *table.timed_rate()], options)
-    every = [*findings, *gaps, *rates]
+    every = [*findings, *table.findings, *gaps, *rates]
     return RawTake(names, points, rate, table.numbers[0], unit, findings=every)
+
+
+def _count_on(file: str, table: Table) -> Table:
+    """Return a table whose frames are counted without what a drop-frame timecode leaves out.
+
+    It leaves out the first two numbers (four beyond 30 Hz) of most minutes, and no time passes.
+    """
+    steps, numbers = np.diff(np.array(table.times)), np.array(table.numbers)
+    left_out = np.diff(numbers) - 1
+    dropped = np.isin(left_out, DROPPED)
+    if not dropped.any() or not np.isfinite(steps).all():
+        return table
+    usual = float(np.median(steps))
+    dropped &= np.abs(steps - usual) < SAME_STEP * usual
+    count = int(dropped.sum())
+    if not count:
+        return table
+    numbers[1:] -= np.cumsum(np.where(dropped, left_out, 0))
+    places = f"{count} places" if count > 1 else "one place"
+    message = f"{file} counts frames by drop-frame timecode, which leaves out numbers at {places}."
+    told = tell("frames", "info", message, file=file, places=count)
+    return replace(table, numbers=numbers.tolist(), findings=(told,))
 
 
 def parse_count(text: str | None) -> int | None:
@@ -138,12 +169,12 @@ def parse_rate(text: str | None) -> list[tuple[str, float]]:
 def _frame(file: str, line: int, text: str, before: Sequence[int]) -> int:
     """Return a frame's number, which is above those before."""
     if not (text.isascii() and text.removeprefix("-").isdigit() and len(text) < 12):
-        raise unreadable(file, f"'{quote(text)}' is not the number of a frame", line=line)
+        raise unreadable_error(file, f"'{quote(text)}' is not the number of a frame", line=line)
     number = int(text)
     if abs(number) > MOST_FRAME:
-        raise unreadable(file, f"'{quote(text)}' is not the number of a frame", line=line)
+        raise unreadable_error(file, f"'{quote(text)}' is not the number of a frame", line=line)
     if before and number <= before[-1]:
-        raise unreadable(file, f"frame {number} follows frame {before[-1]}", line=line)
+        raise unreadable_error(file, f"frame {number} follows frame {before[-1]}", line=line)
     return number
 
 
@@ -153,7 +184,7 @@ def _numbers(file: str, line: int, fields: Sequence[str]) -> list[float]:
         return [float(field) if field else np.nan for field in fields]
     except ValueError:
         bad = next(field for field in fields if field and not _is_number(field))
-        raise unreadable(file, f"'{quote(bad)}' is not a number", line=line) from None
+        raise unreadable_error(file, f"'{quote(bad)}' is not a number", line=line) from None
 
 
 def _is_number(text: str) -> bool:

@@ -13,13 +13,18 @@ from solver.scans.markers.c3d import KEY, read_c3d
 from solver.scans.markers.cleaning import check_seen, drop_far, read_labels, settle_unit
 from solver.scans.markers.landmarks import arrange_landmarks
 from solver.scans.markers.motive import read_motive
-from solver.scans.markers.raw_take import TAKE_OPTIONS, Event, RawTake, TakeOptions, unreadable
+from solver.scans.markers.raw_take import (
+    TAKE_OPTIONS,
+    Event,
+    RawTake,
+    TakeOptions,
+    unreadable_error,
+)
 from solver.scans.markers.trc import read_trc
 from solver.storage import Archive, read_arrays
 from solver.surface import Floats
 
 FORMAT = 1
-MOST_ARRAYS = 3  # of an NPZ, as large as the positions: they, sigma, and what is not read
 BEGIN = 4096  # bytes that tell which reader a file needs
 
 
@@ -108,14 +113,14 @@ class Take:
                 tuple(Finding.from_dict(finding) for finding in header["findings"]),
             )
         except (AttributeError, LookupError, OverflowError, TypeError, ValueError) as error:
-            raise unreadable(path.name, f"it is not a take: {error}") from error
+            raise unreadable_error(path.name, f"it is not a take: {error}") from error
         shape, others = take.positions.shape, take.unlabelled.shape
-        is_right = shape == (len(take), len(take.labels), 3)
-        is_right &= others == (len(take), len(take.unlabelled_names), 3)
+        is_right = shape == (*shape[:1], len(take.labels), 3)
+        is_right &= others == (*shape[:1], len(take.unlabelled_names), 3)
         is_right &= take.sigma is None or take.sigma.shape == shape
         is_right &= take.residual is None or take.residual.shape == shape[:2]
         if not is_right or any(array.dtype != float for array in arrays.values()):
-            raise unreadable(path.name, "its arrays do not fit its labels")
+            raise unreadable_error(path.name, "its arrays do not fit its labels")
         return take
 
 
@@ -140,9 +145,9 @@ def read_take(path: Path, options: TakeOptions = TAKE_OPTIONS) -> Take:
         if begin.startswith(b"PK"):
             return _read_npz(path, options)
         read = _reader(file, begin)
-        return _settled(file, read(path, options), options)
+        return _settle(file, read(path, options), options)
     except OSError as error:
-        raise unreadable(file, f"it cannot be read: {error.strerror}") from error
+        raise unreadable_error(file, f"it cannot be read: {error.strerror}") from error
 
 
 def _reader(file: str, begin: bytes) -> Callable[[Path, TakeOptions], RawTake]:
@@ -154,45 +159,49 @@ def _reader(file: str, begin: bytes) -> Callable[[Path, TakeOptions], RawTake]:
     if text.startswith(b"format version"):
         return read_motive
     if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise unreadable(file, "it is text in UTF-16; save it as UTF-8")
-    raise unreadable(file, "it is not C3D, TRC, a CSV of Motive, or NPZ")
+        raise unreadable_error(file, "it is text in UTF-16; save it as UTF-8")
+    raise unreadable_error(file, "it is not C3D, TRC, a CSV of Motive, or NPZ")
 
 
 def _read_npz(path: Path, options: TakeOptions) -> Take:
     try:
-        arrays = read_arrays(path, MOST_ARRAYS * np.dtype(float).itemsize * options.most_values)
+        arrays = read_arrays(path)
     except ValueError as error:
-        raise unreadable(path.name, f"it is not a whole NPZ: {error}") from error
+        raise unreadable_error(path.name, f"it is not a whole NPZ: {error}") from error
     if "header" in arrays:
         return Take.load(path)
-    return _settled(path.name, arrange_landmarks(path.name, arrays, options), options)
+    return _settle(path.name, arrange_landmarks(path.name, arrays, options), options)
 
 
-def _settled(file: str, raw: RawTake, options: TakeOptions) -> Take:
+def _settle(file: str, raw: RawTake, options: TakeOptions) -> Take:
     """Return the take of what a file has: labels tidied, in mm."""
     check_seen(file, raw)
     count = raw.points.shape[1]
     read = read_labels(file, raw.names, count)
-    points = raw.points
-    unit, told = settle_unit(file, raw.unit, points[:, read.labelled or read.unlabelled], options)
-    points *= unit
-    names = [*raw.names, *[""] * (count - len(raw.names))]
-    far = drop_far(file, names, points, options.farthest_mm)
+    unit, told = settle_unit(file, raw, read.labelled or read.unlabelled, options)
+    for lengths in (raw.points, raw.sigma, raw.residual):
+        if lengths is not None:
+            lengths *= unit
+    far = drop_far(file, raw, options.farthest_mm)
     check_seen(file, raw)
-    sigma, residual = raw.sigma, raw.residual
     return Take(
         file,
         read.labels,
-        points[:, read.labelled],
+        _pick(raw.points, read.labelled),
         raw.rate,
         raw.first,
         unit,
-        None if sigma is None else sigma[:, read.labelled] * unit,
-        None if residual is None else residual[:, read.labelled] * unit,
-        points[:, read.unlabelled],
+        None if raw.sigma is None else _pick(raw.sigma, read.labelled),
+        None if raw.residual is None else _pick(raw.residual, read.labelled),
+        _pick(raw.points, read.unlabelled),
         read.unlabelled_names,
         read.subject,
         raw.up,
         raw.events,
         (*raw.findings, *read.findings, *told, *far),
     )
+
+
+def _pick(values: Floats, columns: list[int]) -> Floats:
+    """Return the columns of ``values`` (f, n, ...); those of all are not copied."""
+    return values if len(columns) == values.shape[1] else values[:, columns]

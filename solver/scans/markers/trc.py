@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 
 from solver.errors import Finding
-from solver.scans.markers.raw_take import RawTake, TakeOptions, tell, truncated, unreadable
+from solver.scans.markers.raw_take import (
+    RawTake,
+    TakeOptions,
+    tell,
+    truncated_error,
+    unreadable_error,
+)
 from solver.scans.markers.table import (
     Line,
     finish_table,
@@ -30,9 +36,9 @@ def read_trc(path: Path, options: TakeOptions) -> RawTake:
     file = path.name
     with path.open("rb") as stream:
         lines = read_lines(file, stream, options)
-        heading = [line for line, _ in zip(lines, range(HEADING), strict=False)]
+        heading = list(islice(lines, HEADING))
         if len(heading) < HEADING:
-            raise truncated(file, f"its heading has {HEADING} lines, found {len(heading)}")
+            raise truncated_error(file, f"its heading has {HEADING} lines, found {len(heading)}")
         separator = "\t" if "\t" in heading[3].text else None
         said = dict(
             zip(
@@ -45,13 +51,13 @@ def read_trc(path: Path, options: TakeOptions) -> RawTake:
         names = _names(file, heading[3], separator, count)
         columns = range(2, 2 + 3 * count)
         table = read_table(file, lines, separator, columns, 2 + 3 * count, options)
-    findings = _differences(file, said, count)
+    findings = _compare_heading(file, said, count)
     frames, found = parse_count(said.get("numframes")), table.numbers[-1] - table.numbers[0] + 1
     if frames is not None and found < frames:
         reason = f"its heading says {frames} frames, found {found}"
-        raise truncated(file, reason, expected=frames, found=found)
-    if frames != found:
-        message = f"{file} says {said.get('numframes')!r} frames and has {found}, which are read."
+        raise truncated_error(file, reason, expected=frames, found=found)
+    if frames is not None and frames != found:
+        message = f"{file} says {frames} frames and has {found}, which are read."
         findings.append(tell("header", "warning", message, file=file, found=found))
     rate = parse_rate(said.get("datarate"))
     return finish_table(file, names, table, rate, said.get("units"), findings, options)
@@ -63,7 +69,7 @@ def _coordinates(file: str, line: Line, separator: str | None) -> int:
     count = len(axes) // 3
     if not axes or axes != ["x", "y", "z"] * count:
         reason = "X1, Y1, Z1, X2 and so on are expected here"
-        raise unreadable(file, reason, line=line.number)
+        raise unreadable_error(file, reason, line=line.number)
     return count
 
 
@@ -71,21 +77,23 @@ def _names(file: str, line: Line, separator: str | None, count: int) -> Sequence
     """Return labels, each over its x; where tabs are too few, one after the other."""
     fields = split_row(line.text, separator)
     if not fields[0].lower().startswith("frame"):
-        raise unreadable(file, "'Frame#', 'Time' and labels are expected here", line=line.number)
+        raise unreadable_error(
+            file, "'Frame#', 'Time' and labels are expected here", line=line.number
+        )
     over_x, others = fields[2 : 2 + 3 * count : 3], chain(fields[3::3], fields[4::3])
     if not any(others) and not any(fields[2 + 3 * count :]):
         return over_x
     labels = [field for field in fields[2:] if field]
     if len(labels) != count:
         reason = f"{len(labels)} labels over the coordinates of {count} points"
-        raise unreadable(file, reason, line=line.number)
+        raise unreadable_error(file, reason, line=line.number)
     return labels
 
 
-def _differences(file: str, said: dict[str, str], count: int) -> list[Finding]:
+def _compare_heading(file: str, said: dict[str, str], count: int) -> list[Finding]:
     """Return what the heading says otherwise than the columns."""
-    markers = said.get("nummarkers")
-    if parse_count(markers) == count:
+    markers = parse_count(said.get("nummarkers"))
+    if markers is None or markers == count:
         return []
-    message = f"{file} says {markers!r} markers and has {count}, which are read."
+    message = f"{file} says {markers} markers and has {count}, which are read."
     return [tell("header", "warning", message, file=file, found=count)]

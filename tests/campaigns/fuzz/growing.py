@@ -12,6 +12,9 @@ from zipfile import ZIP_STORED, ZipFile
 import numpy as np
 
 from solver.scans.live_link import ARKIT_NAMES
+from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.similarity import IDENTITY
+from tests import take_files
 
 Make = Callable[[int], bytes]
 
@@ -74,6 +77,29 @@ def _arrays(**named: np.ndarray) -> bytes:
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, **named)
     return stream.getvalue()
+
+
+def _tracks(count: int) -> np.ndarray:
+    return np.arange(6.0 * count).reshape(2, -1, 3)
+
+
+def _records(count: int) -> bytes:
+    """Return a C3D with many parameters, which go on to where the data begin."""
+    head = take_files.c3d_bytes(_tracks(2))[: take_files.BLOCK]
+    section = bytes([1, 0x50, 1, take_files.INTEL]) + b"\1\1A\7\0\2\0\0\0\0" * count
+    blocks = -(-len(section) // take_files.BLOCK)
+    head = head[:16] + min(2 + blocks, 65535).to_bytes(2, "little") + head[18:]
+    return head + section.ljust(blocks * take_files.BLOCK, b"\0")
+
+
+def _alike(count: int) -> list[str]:
+    """Return labels of which many would be called the same."""
+    return ["a", *(f"a_{number}" for number in range(2, count // 2 + 2)), *["a"] * count][:count]
+
+
+def _set(count: int) -> bytes:
+    markers = tuple(Marker(f"a{number}") for number in range(count))
+    return json.dumps(MarkerSet(markers, IDENTITY, "0" * 64).to_document()).encode()
 
 
 def _scene(members: int) -> bytes:
@@ -147,6 +173,34 @@ OTHERS: dict[str, dict[str, Make]] = {
         ),
         "array": lambda n: _arrays(x=np.zeros((n, 3))),
         "text": lambda n: _arrays(x=np.array(["a" * n])),
+    },
+    "markers c3d": {
+        "frames": lambda n: take_files.c3d_bytes(take_files.face_points(n, 3)),
+        "records": _records,
+        "cut": lambda n: take_files.c3d_bytes(take_files.face_points(n, 3))[:-512],
+    },
+    "markers trc": {
+        "frames": lambda n: take_files.trc_bytes(take_files.face_points(n, 3)),
+        "labels": lambda n: take_files.trc_bytes(_tracks(n), _alike(n)),
+        "blanks": lambda n: take_files.trc_bytes(_tracks(2)) + b" " * n + b"\n" * n,
+        "columns": lambda n: take_files.trc_bytes(_tracks(2)) + b"3\t0" + b"\t1" * n,
+        "digits": lambda n: take_files.trc_bytes(_tracks(2)) + b"3\t0." + b"1" * n,
+        "values": lambda n: take_files.trc_bytes(_tracks(2)).replace(b"\n", b"\ta" * n + b"\n", 2),
+    },
+    "markers motive": {
+        "frames": lambda n: take_files.motive_bytes(take_files.face_points(n, 3)),
+        "labels": lambda n: take_files.motive_bytes(_tracks(n), _alike(n)),
+        "quotes": lambda n: b"Format Version," + b'"' * n,
+        "names": lambda n: b"Format Version" + b",a" * n + b"\n" * n,
+    },
+    "markers npz": {
+        "frames": lambda n: take_files.npz_bytes(take_files.face_points(n, 3)),
+        "labels": lambda n: take_files.npz_bytes(_tracks(n), _alike(n)),
+    },
+    "marker set": {
+        "markers": _set,
+        "deep": lambda n: b"[" * n,
+        "members": lambda n: b"{" + b",".join(b'"%d":1' % k for k in range(n)) + b"}",
     },
     "template": {
         "members": lambda n: _packed({f"{k}.obj": b"" for k in range(n)}),

@@ -15,6 +15,10 @@ import numpy as np
 import trimesh
 
 from solver.scans.live_link import ARKIT_NAMES
+from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.scans.markers.take import Take
+from solver.similarity import IDENTITY
+from tests import take_files
 from tests.ball_head import ball_head
 
 
@@ -108,6 +112,46 @@ def live_link() -> list[bytes]:
     angles = ["HeadYaw", "HeadPitch", "HeadRoll"], ["0.1", "-0.2", "0.3"], ["0", "1e-9", "-0.0"]
     turned = [row + more for row, more in zip(rows, angles, strict=True)]
     return ["\r\n".join(",".join(row) for row in table).encode() for table in (rows, turned)]
+
+
+def markers_c3d() -> list[bytes]:
+    """Return C3D files of all processors, of floats and integers, with analog data."""
+    points = take_files.face_points(6, 4)
+    processors = (take_files.INTEL, take_files.DEC, take_files.MIPS)
+    return [
+        take_files.c3d_bytes(points, processor=processor, scale=scale, analog=(2, 3))
+        for processor in processors
+        for scale in (-1.0, 0.05)
+    ]
+
+
+def markers_trc() -> list[bytes]:
+    """Return TRC files, with tabs and with blanks."""
+    content = take_files.trc_bytes(take_files.face_points(6, 4))
+    return [content, content.replace(b"\t", b" ")]
+
+
+def markers_motive() -> list[bytes]:
+    """Return CSV files of older and newer releases."""
+    points = take_files.face_points(6, 4)
+    return [take_files.motive_bytes(points, newer=newer) for newer in (False, True)]
+
+
+def markers_npz() -> list[bytes]:
+    """Return landmarks, and a take as the project keeps it."""
+    points = take_files.face_points(6, 4)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "take.npz"
+        Take("a", ("b", "c", "d", "e"), points, 60.0).save(path)
+        kept = path.read_bytes()
+    return [take_files.npz_bytes(points, sigma=np.ones(3), rate=30.0, unit="mm", first=3), kept]
+
+
+def marker_set() -> list[bytes]:
+    """Return a marker set with a marker of the skin and one of a bone."""
+    skin = Marker("LBRO1", (1, 2, 3), (0.2, 0.3, 0.5), 2.0)
+    bone = Marker("HEAD1", part="head", place_mm=(1.0, 2.0, 3.0))
+    return [json.dumps(MarkerSet((skin, bone), IDENTITY, "0" * 64).to_document()).encode()]
 
 
 def npy() -> list[bytes]:

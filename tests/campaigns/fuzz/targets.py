@@ -18,6 +18,8 @@ from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
 from solver.registration.landmarks import read_landmarks
 from solver.scans.live_link import read_live_link
+from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.take import read_take
 from solver.scans.performance import open_performance
 from solver.storage import Archive
 from solver.surface import Surface
@@ -91,12 +93,24 @@ def _meshes() -> list[Target]:
     ]
 
 
+def _markers() -> list[Target]:
+    takes = {
+        "c3d": seeds.markers_c3d(),
+        "trc": seeds.markers_trc(),
+        "motive": seeds.markers_motive(),
+        "npz": seeds.markers_npz(),
+    }
+    readers = (_file(f"markers {kind}", known, kind, read_take) for kind, known in takes.items())
+    return [*readers, _file("marker set", seeds.marker_set(), "json", MarkerSet.load)]
+
+
 def targets() -> list[Target]:
     """Return all targets."""
     return [
         *_meshes(),
         _file("landmarks json", seeds.landmarks_json(), "json", read_landmarks),
         _file("landmarks csv", seeds.landmarks_csv(), "csv", read_landmarks),
+        *_markers(),
         _file("live link", seeds.live_link(), "csv", read_live_link),
         _file("npy", seeds.npy() + seeds.npz(), "npy", _performance),
         _file("npz", seeds.npz() + seeds.npy(), "npz", _archive),

@@ -168,6 +168,10 @@ def test_friction_holds_back_and_obeys_coulomb():
     fast = (still.gradient(moved) - smooth.gradient(moved))[:upper, 0].sum()
     assert 0.0 < slow < fast
     assert fast == pytest.approx(coefficient * normal, rel=0.05)
+    # what is held does not creep by millimetres: at a quarter of one a second friction is all there
+    place(still, x, seconds=0.04)
+    creeping = (still.gradient(moved) - smooth.gradient(moved))[:upper, 0].sum()
+    assert creeping == pytest.approx(fast, rel=0.05)
     place(still, x, seconds=0.1)
     step = np.zeros_like(x)
     step[:upper] = [1.0, 0.0, 0.3]

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from solver.errors import InputError
 from solver.fitting import activation, reference
-from solver.fitting.activation import ActivationOptions
+from solver.fitting.activation import ActivationOptions, DenseModel
 from solver.fitting.calibration import fibre_muscles, with_fibres
 from solver.fitting.face import Face, Pose
 from solver.fitting.least_squares import bounded_step
@@ -84,6 +85,20 @@ def test_bounds_hold_exactly_and_ipopt_finds_the_same(plain, face):
     np.testing.assert_allclose(full.pose.a, found.state.pose.a, atol=2e-3)
 
 
+def test_a_step_within_bounds_is_cut_as_a_whole(face):
+    """With its turn cut alone, a jaw that opens wide would be shifted in its place."""
+    layout, rng = face.layout, np.random.default_rng(5)
+    root = rng.standard_normal((layout.size, layout.size))
+    gradient = rng.standard_normal(layout.size)
+    gradient[layout["jaw"]][0] = -30.0
+    model = DenseModel(layout, root @ root.T + np.eye(layout.size), gradient, layout.rest)
+    whole = model.step(0.0, np.inf).change
+    assert layout.reach(whole) > 1.0
+    part = model.step(0.0, 0.5).change
+    np.testing.assert_allclose(part, 0.5 / layout.reach(whole) * whole, rtol=1e-12)
+    assert (part[layout["fibres"]] >= 0.0).all()
+
+
 def test_frames_are_followed(face):
     tracker = Tracker(face, light(face), face.rest)
     for number in range(1, 5):
@@ -112,3 +127,9 @@ def test_bounded_steps_are_the_least_of_all_within_bounds():
     np.testing.assert_allclose(slope[inside], 0.0, atol=1e-10)
     assert (slope[(step == limits[0]) & ~(step == limits[1])] > 0.0).all()
     assert (slope[(step == limits[1]) & ~(step == limits[0])] < 0.0).all()
+
+
+def test_what_is_for_other_controls_is_refused_in_words(face):
+    with pytest.raises(InputError, match="moved by fibres and jaw, not by activations") as caught:
+        _ = face.layout["activations"]
+    assert caught.value.code == "face.layout"

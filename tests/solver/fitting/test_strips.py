@@ -46,7 +46,7 @@ def test_a_ring_is_split_into_an_inner_and_an_outer_one():
     fibres = np.stack([-at[ring, 1], at[ring, 0], 0.0 * radius[ring]], axis=1)
     fibres /= np.linalg.norm(fibres, axis=1, keepdims=True)
     parts = np.zeros(len(ring), int), np.ones(len(ring)), fibres, np.ones(1), np.zeros(1, int)
-    found = split_broad(vertices, tets, FibreMuscles(ring, *parts), StripOptions(breadth_mm=14.0))
+    found = split_broad(vertices, tets, FibreMuscles(ring, *parts), StripOptions(breadth_mm=28.0))
     assert len(found.sources) == 2
     apart = [radius[ring][found.muscles == k] for k in (0, 1)]
     inner, outer = sorted(apart, key=np.median)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from solver.fitting.markers.term import MarkerPlaces
 from solver.jobs import fit_markers, run_job
 from solver.mechanics.boundary import move_jaw
 from solver.progress import Step
+from solver.rig.container import read_container
 from solver.rig.frames import MarkerFrame, read_chunks
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.markers.marker_set import Marker, MarkerSet
@@ -112,6 +114,14 @@ def test_a_take_is_fitted(whole: tuple[Path, dict], files: Path) -> None:
     assert report["predicted"] == list(GONE)
     assert report["markers"]["M3"]["outlier"] == pytest.approx(1 / FRAMES)
     assert (out / "sequence.glb").stat().st_size > 1000
+    view = read_container(out / "markers.bin")
+    off = np.linalg.norm(view.arrays["off"].astype(float), axis=2)
+    np.testing.assert_allclose(off, found["marker_mm"], atol=0.02)
+    assert [view.header["states"][each] for each in view.arrays["state"][7]] == states[7].tolist()
+    with (out / "activations.csv").open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    spread = [float(rows[5][f"jaw.{number}.sd"]) for number in range(1, 6)]
+    np.testing.assert_allclose(spread, found["sd"][5][-5:], atol=1e-6)
 
 
 def test_killed_three_times_it_comes_to_the_same(

@@ -58,7 +58,7 @@ def test_a_decimal_slip_of_the_unit_keeps_the_persons_size(known, person):
     found = register(mend(raw)[0], known)
     assert found.start.mm_per_unit == pytest.approx(0.001)
     assert errors(found.skin.vertices, person[0].vertices, known).mean() < 0.8
-    codes = [finding["code"] for finding in report(found, known)["findings"]]
+    codes = [finding["code"] for finding in report(found, known, "scan")["findings"]]
     assert "scan.unit_unknown" not in codes
 
 
@@ -69,7 +69,7 @@ def test_holes_have_no_confidence_and_the_rest_lies_on_the_scan(known, neutral):
     assert not trust.confidence[~trust.covered].any()
     covered = trust.covered[known.face].mean()
     assert 0.6 < covered < 0.95  # a fifth was cut out
-    figures = report(neutral, known)
+    figures = report(neutral, known, "scan")
     assert figures["mean_mm"] < 0.3
     assert figures["coverage"] == pytest.approx(covered, abs=1e-3)
     assert "registration.holes" in [finding["code"] for finding in figures["findings"]]
@@ -78,6 +78,7 @@ def test_holes_have_no_confidence_and_the_rest_lies_on_the_scan(known, neutral):
 def test_expression_keeps_the_head_where_the_neutral_has_it(known, person, neutral):
     raw = corrupted(person[1], 5, Corruption(unit_mm=1000.0))
     found = register(mend(raw)[0], known, neutral.skin.vertices)
+    assert report(found, known, "guess")["size_from"] == "guess"
     moved = found.skin.vertices - neutral.skin.vertices
     assert errors(moved, person[1].vertices - person[0].vertices, known).mean() < 0.6
     assert found.start.size.unit.name == "m"

@@ -116,6 +116,9 @@ def test_only_excited_muscles_count() -> None:
     found = a + np.array([[0.02, 0.0, 0.0, 0.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0, 0.0, 0.0]])
     assert activation_error(a, found) == pytest.approx(0.1)
     assert np.isnan(activation_error(np.tile(IDENTITY, (2, 1)), found))
+    fibres, rest = np.array([0.5, 0.01]), np.zeros(2)
+    again = np.array([0.45, 0.3])
+    assert activation_error(fibres, again, rest=rest) == pytest.approx(0.1)
 
 
 def test_the_worst_expression_decides(face: Face, state: PosedFace) -> None:

@@ -126,7 +126,7 @@ def test_eyes_lips_and_teeth_are_judged_at_the_densities_of_scanners(
         found = checked(written(tmp_path, scanned(builtin_expression(weights), cell_mm)), "neutral")
         codes = {finding.code for finding in found.findings}
         assert codes & {"scan.eyes_closed", "scan.mouth_open"} == expected, look
-        judged = {each.about: each for each in found.judged}
+        judged = {each.about: each for each in found.parts}
         assert judged["eyes"].judged
         assert judged["lips"].judged
         assert judged["teeth"].judged == (look == "wide")
@@ -136,7 +136,7 @@ def test_what_is_too_coarse_to_judge_is_said_to_be(tmp_path: Path) -> None:
     found = checked(written(tmp_path, scanned(builtin_expression(BLINK), 5.5)), "neutral")
     assert "scan.coarse" in [finding.code for finding in found.findings]
     assert judge_findings(found.findings) == "usable"
-    eyes = next(each for each in found.judged if each.about == "eyes")
+    eyes = next(each for each in found.parts if each.about == "eyes")
     assert not eyes.judged
     assert "a vertex only every" in eyes.words
     check_picture(found, "coarse", tmp_path / "check.png")

@@ -40,8 +40,10 @@ def run(task: Task) -> None:
         partial.rename(folder / f"{first:06d}-{first + 1:06d}.json")
         words = f"frame {first + 1} of {total}"
         task.progress(Step("simulate", first / total, first + 2, message=words))
+    fibres = task.inputs.get("fibre_muscles")
     figures = {
         "frames": total,
+        "fibre_muscles": fibres and fibres.read_text(),
         "assets": {name: path.name for name, path in task.captures.items()},
         "penetration_max_mm": 0.12,
         "frame_ms": 410.0,

@@ -1,4 +1,4 @@
-// What several views do with jobs.
+// Helpers for the views that show jobs.
 
 import { post, put, serverNow } from "./api.js";
 import { count } from "./words.js";

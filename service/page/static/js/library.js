@@ -1,4 +1,4 @@
-// What changes rarely and many views need: names of subjects and scans, the kinds of job.
+// A cache of what changes rarely and many views need: names of subjects and scans, the kinds of job.
 
 import { all, get } from "./api.js";
 import * as auth from "./auth.js";

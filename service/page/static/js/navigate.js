@@ -1,4 +1,4 @@
-// Where the page is: going to a path, the address's query, the window's title. The router shows
+// The address of the page: going to a path, the address's query, the window's title. The router shows
 // what is asked for here; views and parts know this module and not the router.
 
 let open = () => {};

@@ -1,4 +1,4 @@
-// Which view shows at which path. `service/page/routes.py` serves the document at the same paths.
+// The views by path. `service/page/routes.py` serves the document at the same paths.
 //
 // A view module exports
 //
@@ -23,6 +23,7 @@ const ROUTES = [
   { path: "/jobs/:id", title: "Job", load: () => import("./views/job.js") },
   { path: "/rigs", title: "Rigs", load: () => import("./views/rigs.js") },
   { path: "/rigs/:id", title: "Rig", style: RIG_STYLE, load: () => import("./views/rig.js") },
+  { path: "/markers/:id", title: "Markers", style: RIG_STYLE, load: () => import("./views/markers.js") },
   { path: "/compare", title: "Compare", style: RIG_STYLE, load: () => import("./views/compare.js") },
   { path: "/health", title: "Health", load: () => import("./views/health.js") },
   { path: "/webhooks", title: "Webhooks", load: () => import("./views/webhooks.js") },

@@ -1,4 +1,4 @@
-// What a dropped set of files is: which are scans, what they are called, which is the neutral.
+// Sort a dropped set of files: which are scans, what they are called, which is the neutral.
 
 const NEUTRAL = ["neutral", "neutre", "rest", "relaxed"];
 // letters that are none with an accent
@@ -11,6 +11,9 @@ const LONGEST_NAME = 64;
 const LONGEST_HEADER = 1 << 14;
 const [NEW_LINE, V, BLANK, TAB] = [..."\nv \t"].map((letter) => letter.charCodeAt(0));
 const LEGAL = /^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/;
+
+/** Roles of what is checked and registered by nobody. */
+export const NO_SCANS = ["performance", "markers", "asset"];
 
 /** What the API takes as a name. */
 export const NAME = "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}";

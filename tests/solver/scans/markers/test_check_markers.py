@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
+from benchmarks.bad_takes import BAD_TAKES
 from solver.errors import Finding, judge_findings
 from solver.scans.markers.bind import bind, model_face, rest_places
 from solver.scans.markers.check import Reference, check_take
@@ -58,129 +58,13 @@ def test_a_clean_take_is_good(person: Reference, clean: Floats) -> None:
     assert check.bound.labels == LABELS
 
 
-# Faults of single labels: the finding's code, its label, and the frame (from 1) where it begins.
-
-
-def dead(points: Floats) -> None:
-    points[:, AT["RCheek"]] = np.nan
-
-
-def frozen(points: Floats) -> None:
-    points[400:430, AT["LCheek"]] = points[400, AT["LCheek"]]
-
-
-def spline(points: Floats) -> None:
-    marker, known = AT["Chin_L1"], [498, 499, 530, 531]
-    curve = CubicSpline(known, points[known, marker])
-    points[500:530, marker] = curve(np.arange(500, 530))
-
-
-def line(points: Floats) -> None:
-    marker, share = AT["Chin_L1"], np.linspace(0, 1, 32)[1:-1, None]
-    points[500:530, marker] = points[499, marker] * (1 - share) + points[530, marker] * share
-
-
-def long_gap(points: Floats) -> None:
-    points[200:600, AT["Chin"]] = np.nan
-
-
-def exchange(points: Floats, first: int, last: int, *labels: str) -> None:
-    numbers = [AT[label] for label in labels]
-    others = numbers[1:] + numbers[:1]
-    points[first:last, numbers] = points[first:last, others]
-
-
-def swap_in_brief(points: Floats) -> None:
-    exchange(points, 700, 712, "UpperLip", "UpperLip_L")
-
-
-def swap_for_a_second(points: Floats) -> None:
-    exchange(points, 500, 560, "LBrow_In", "LBrow_M")
-
-
-def swap_in_a_gap(points: Floats) -> None:
-    exchange(points, 900, len(points), "LCheek", "LCheek_Up")
-    points[890:900, [AT["LCheek"], AT["LCheek_Up"]]] = np.nan
-
-
-def cycle(points: Floats) -> None:
-    exchange(points, 600, 640, "LowerLip", "LowerLip_L", "LowerLip_R")
-
-
-def spikes(points: Floats) -> None:
-    points[[300, 500, 777], AT["LBrow_M"]] += [0.0, 5.0, 3.0]
-
-
-def burst(points: Floats) -> None:
-    points[650:670, AT["RCheek_Out"]] += [0.0, 14.0, -14.0]
-
-
-def ghost(points: Floats) -> None:
-    there = points[540:552, AT["LEye_Out"]] + [25.0, 5.0, 0.0]
-    points[500:600, AT["Forehead_L"]] = np.nan
-    points[540:552, AT["Forehead_L"]] = there
-
-
-def relabelled(points: Floats) -> None:
-    points[500:600, AT["UpperLip_R"]] = np.nan
-    points[530:600, AT["UpperLip_R"]] = points[530:600, AT["UpperLip"]]
-    points[530:600, AT["UpperLip"]] = np.nan
-
-
-def moved(points: Floats) -> None:
-    way = points[700:, AT["LCheek_Down"]] - points[700:, AT["LCheek"]]
-    points[700:, AT["LCheek"]] += 5.0 * way / np.linalg.norm(way, axis=1, keepdims=True)
-
-
-def double(points: Floats) -> None:
-    points[:, AT["LBrow_In"]] = points[:, AT["LBrow_M"]]
-
-
-def sides(points: Floats) -> None:
-    exchange(points, 0, len(points), "LBrow_M", "RBrow_M")
-
-
-def gone(points: Floats) -> None:
-    points[300:480] = np.nan
-
-
-@pytest.mark.parametrize(
-    ("plant", "code", "label", "first"),
-    [
-        (dead, "dead", None, None),
-        (frozen, "frozen", "LCheek", 402),
-        (spline, "filled", "Chin_L1", 501),
-        (line, "filled", "Chin_L1", 501),
-        (long_gap, "missing", "Chin", 201),
-        (swap_in_brief, "swapped", "UpperLip", 701),
-        (swap_for_a_second, "swapped", "LBrow_In", 501),
-        (swap_in_a_gap, "swapped", "LCheek", 901),
-        (cycle, "relabelled", "LowerLip", 601),
-        (spikes, "outlier", "LBrow_M", 301),
-        (burst, "outlier", "RCheek_Out", 651),
-        (ghost, "ghost", "Forehead_L", 541),
-        (relabelled, "relabelled", "UpperLip_R", 531),
-        (moved, "moved", "LCheek", 701),
-        (double, "double", "LBrow_In", None),
-        (sides, "exchanged", "LBrow_M", None),
-        (gone, "gone", None, 301),
-    ],
-)
-def test_a_planted_fault_is_found_where_it_is(
-    person: Reference, clean: Floats, plant: Plant, code: str, label: str | None, first: int | None
-) -> None:
-    points = clean.copy()
-    plant(points)
-    check = check_take(made_take(points), person)
-    found = [each for each in check.findings if each.code == f"markers.{code}"]
-    mine = [each for each in found if label is None or each.context["label"] == label]
-    assert len(mine) == 1, [each.message for each in check.findings]
-    if first is not None:
-        began = mine[0].context.get("frame") or mine[0].context["frames"][0][0]
-        assert abs(began - first) <= 2
-    others = {each.code for each in told(check)} - {f"markers.{code}"}
-    assert not others, [each.message for each in check.findings]
-    assert all(each.advice == ADVICE[each.code] for each in check.findings)
+@pytest.mark.parametrize("fault", sorted(BAD_TAKES))
+def test_a_planted_fault_is_found_where_it_is(person: Reference, clean: Floats, fault: str) -> None:
+    bad, take = BAD_TAKES[fault], made_take(clean)
+    findings = check_take(bad.spoil(take), person).findings
+    assert bad.is_found(take, findings), [each.message for each in findings]
+    assert not bad.others(findings), [each.message for each in findings]
+    assert all(each.advice == ADVICE[each.code] for each in findings)
 
 
 # Faults of a whole take.
@@ -211,6 +95,38 @@ def test_three_markers_are_too_few(person: Reference, clean: Floats) -> None:
     check = check_take(made_take(clean[:, :3], LABELS[:3]), person)
     assert [each.code for each in told(check)] == ["markers.few"]
     assert judge_findings(check.findings) == "bad"
+
+
+def test_labels_of_one_point_are_one_finding(person: Reference, clean: Floats) -> None:
+    points = clean.copy()
+    points[:, 3:] = points[:, :1]
+    check = check_take(made_take(points), person)
+    assert [each.code for each in told(check)] == ["markers.few"]
+    assert told(check)[0].message == "made.c3d has 3 markers of a face; 4 are needed."
+    points[:, 8:] = clean[:, 8:]
+    found = check_take(made_take(points), person).findings
+    (double,) = (each for each in found if each.code == "markers.double")
+    assert double.message.endswith("and others are one marker.")
+    assert len(double.context["labels"]) == 6
+
+
+def test_rest_that_shows_too_little_or_moves_is_told(person: Reference, clean: Floats) -> None:
+    points = clean.copy()
+    points[:150, 20:] = np.nan
+    check = check_take(made_take(points), person, (40, 80))
+    (found,) = told(check)
+    assert found.code == "markers.neutral"
+    assert found.context["stillest"][0] > 100
+    assert len(check.bound.markers) == 20
+    found, *_ = told(check_take(made_take(clean), person, (300, 420)))
+    assert found.code == "markers.neutral"
+    assert "moves" in found.message
+
+
+def test_points_without_any_unit_are_refused_at_once(person: Reference, clean: Floats) -> None:
+    why = Finding("markers.unit", "error", "no unit", "")
+    check = check_take(made_take(1e-9 * clean, findings=(why,)), person)
+    assert check.findings == [why]
 
 
 def test_two_faces_are_told_apart_and_a_body_is_left_out(person: Reference, clean: Floats) -> None:
@@ -301,6 +217,21 @@ def test_a_marker_set_tells_what_moved_between_takes(person: Reference, clean: F
     assert [(each.code, each.context["label"]) for each in told(check)] == [
         ("markers.moved", "LCheek")
     ]
+
+
+def test_labels_that_a_marker_set_does_not_have_are_told(person: Reference, clean: Floats) -> None:
+    bound = bind(made_take(clean), small_model()).markers
+    known = replace(person, markers=bound)
+
+    def said(labels: tuple[str, ...]) -> Finding:
+        check = check_take(made_take(clean[:, -len(labels) :], labels), known)
+        (found,) = (each for each in check.findings if each.code == "markers.unlike_set")
+        return found
+
+    assert said(LABELS[5:]).severity == "info"
+    renamed = said(("New", *LABELS[1:]))
+    assert (renamed.severity, renamed.context["new"]) == ("warning", ["New"])
+    assert said(tuple(f"M{number}" for number in range(len(LABELS)))).severity == "error"
 
 
 def test_bound_markers_lie_where_they_were_made(clean: Floats) -> None:

@@ -1,4 +1,4 @@
-// What a person may change of a subject, a scan or a rig: names, role, labels.
+// Dialogs that change a subject, a scan or a rig: names, role, labels.
 
 import { ApiProblem, patch } from "../api.js";
 import { h } from "../dom.js";

@@ -1,4 +1,4 @@
-// What a check found, in words.
+// The findings of a check, in words.
 
 import { h } from "../dom.js";
 import { state } from "./state.js";

@@ -1,4 +1,4 @@
-// What a solver printed: the last lines, following the end until somebody scrolls up.
+// The log of a solver: the last lines, following the end until somebody scrolls up.
 
 import { get } from "../api.js";
 import { h } from "../dom.js";

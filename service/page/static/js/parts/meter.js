@@ -1,4 +1,4 @@
-// How far a job is: its phase, a bar, and about how long it will take.
+// The progress of a job: its phase, a bar, and about how long it will take.
 
 import { serverNow } from "../api.js";
 import { h, setText } from "../dom.js";

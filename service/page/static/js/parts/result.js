@@ -1,4 +1,4 @@
-// What a finished job left, for people: a verdict with its findings, a picture, figures, a rig.
+// The result of a job, for people: a verdict with its findings, a picture, figures, a rig.
 
 import { h } from "../dom.js";
 import { figure, plain } from "../words.js";
@@ -9,7 +9,7 @@ import { state } from "./state.js";
 
 /** What the pictures of each kind show. */
 const PICTURES = {
-  "check.png": "The scan as the check saw it",
+  "check.png": "What the check saw",
   "distance.png": "How far the registered face lies from the scan",
   "anatomy.png": "Skull and muscles inside the scan",
   "certificate.png": "The certificate of the fit",
@@ -21,6 +21,7 @@ const PICTURES = {
 export function resultPanel(job, signal) {
   if (!job.result) return null;
   const { summary, artifacts, rig_id: rigId } = job.result;
+  const isPlaced = job.kind === "check_markers" && job.rig_id && artifacts.some(({ name }) => name === "markers.json");
   const films = artifacts.filter(({ media_type: type }) => type.startsWith("video/"));
   const pictures = artifacts.filter(({ media_type: type }) => type === "image/png");
   const figures = Object.entries(summary?.figures ?? summary ?? {}).filter(
@@ -32,7 +33,8 @@ export function resultPanel(job, signal) {
     summary && judgedLines(summary),
     rigId && summary?.checks && findingList(rigFindings(summary)),
     rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),
-    job.kind === "fit_sequence" &&
+    isPlaced && h("p", {}, h("a", { class: "button", href: `/markers/${job.id}` }, "Place the markers")),
+    ["fit_sequence", "fit_markers"].includes(job.kind) &&
       h(
         "p",
         {},

@@ -4,7 +4,7 @@ import { ApiProblem, get } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import * as interrupted from "../interrupted.js";
 import { inLine } from "../jobs.js";
-import { NAME } from "../scan_files.js";
+import { NAME, NO_SCANS } from "../scan_files.js";
 import { forget, upload } from "../tus.js";
 import { bytes } from "../words.js";
 import { ask } from "./dialog.js";
@@ -22,7 +22,7 @@ const ROLES = [
   ["asset", "File for scenes"],
 ];
 
-/** What is no scan, and what becomes of it. */
+/** What becomes of files that are no scans, by role. */
 const UNCHECKED = {
   performance: "A performance is not checked; fit it with a rig.",
   markers: "Markers are checked on the subject's page.",
@@ -136,7 +136,7 @@ export class ScanRow {
       name: this.name.value,
       role,
       upload_id: this.uploadId,
-      registered: this.order.registered || role in UNCHECKED,
+      registered: this.order.registered || NO_SCANS.includes(role),
       landmarks_upload_id: this.landmarksId ?? null,
       replaces: this.replaces,
     };

@@ -1,4 +1,4 @@
-// What was dropped together: sent file by file, then added as one batch, which is followed to its end.
+// A set of files dropped together: sent file by file, then added as one batch, which is followed to its end.
 
 import { get, request } from "../api.js";
 import { h, show } from "../dom.js";

@@ -1,4 +1,4 @@
-// What went wrong, in the service's own sentence, and a way on.
+// An error in the service's own sentence, and a way on.
 
 import { h } from "../dom.js";
 

@@ -1,4 +1,4 @@
-// What the views of webhooks share: the form, the state in words, the secret that is shown once.
+// Parts of the views of webhooks: the form, the state in words, the secret that is shown once.
 
 import { post, request } from "../api.js";
 import { h } from "../dom.js";

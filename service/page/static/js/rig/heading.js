@@ -1,4 +1,4 @@
-// What a rig is, above its picture.
+// The heading of a rig, above its picture.
 
 import { h } from "../dom.js";
 import { rigFindings, verdictOf } from "../parts/certificate.js";

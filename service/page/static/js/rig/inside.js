@@ -1,4 +1,4 @@
-// What lies under the skin: flesh that moves with the expressions, muscles in it, and bones.
+// The tissue under the skin: flesh that moves with the expressions, muscles in it, and bones.
 
 import {
   DoubleSide, FrontSide, Group, Matrix4, Mesh, MeshPhongMaterial,

@@ -1,4 +1,4 @@
-// What the rig view shows, as the query of its address and back.
+// The state of the rig view as the query of its address, and back.
 //
 //   e=smile:0.4     an expression and its weight; once for each
 //   m=frontalis_l:1 a muscle slider and its value; once for each, instead of `e`

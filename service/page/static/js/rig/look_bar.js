@@ -1,4 +1,4 @@
-// How the face is shown: heat map, scan, inside, section, camera.
+// Controls of how the face is shown: heat map, scan, inside, section, camera.
 
 import { h } from "../dom.js";
 import { CUT_VIEWS, VIEWS } from "./stage.js";

@@ -1,4 +1,4 @@
-// How much of the light about a face reaches each vertex: dark nostrils, corners and folds.
+// Ambient occlusion of each vertex of a face: dark nostrils, corners and folds.
 //
 // One small depth map per direction tells which vertices it reaches, as in the solver's pictures.
 

@@ -11,6 +11,7 @@ import { onClick, onKeys } from "./hands.js";
 import { Legend } from "./heat.js";
 import { Inside } from "./inside.js";
 import { LookBar } from "./look_bar.js";
+import { MarkerSolids, STATES } from "./marker_solids.js";
 import { missingPreview } from "./missing_preview.js";
 import { MusclePanel } from "./muscle_panel.js";
 import { ExpressionPanel, pose } from "./pose_panel.js";
@@ -22,6 +23,7 @@ import { TakePanel } from "./take_panel.js";
 
 const SETTLED_MS = 250;
 const SAID_MS = 4000;
+const ARROWS = 5; // how much longer than the distances they show
 const INSIDE = "inside.bin";
 const PREVIEW = "preview.bin";
 const DISTANCE = ["distance", "Distance to the scan", 2];
@@ -42,6 +44,7 @@ export class RigPage extends EventTarget {
   #preview = null;
   #inside = null;
   #take = null;
+  #solids = null;
   #heat = null;
   #isStale = true;
   #settling = 0;
@@ -149,6 +152,7 @@ export class RigPage extends EventTarget {
       const values = this.#preview.controls.map(({ name }) => state.controls.get(name) ?? 0);
       blend(places, neutral, this.#preview.weights(values), (r) => this.#preview.shape(r));
     } else blend(places, neutral, weights, (k) => this.#face.skin(k));
+    this.#showMarkers(this.#shownTake?.markers);
     this.#showScan(weights);
     if (this.#inside) {
       this.#inside.setWeights(weights);
@@ -160,6 +164,21 @@ export class RigPage extends EventTarget {
     this.#box.name(state.inside && state.muscle ? plain(state.muscle) : "");
     // for scripts of the person's own, and for tests
     this.element.dispatchEvent(new CustomEvent("posed", { detail: { places } }));
+  }
+
+  /** Show the markers of a take (`MarkerTake`), and by arrows how far off the fit they were seen. */
+  #showMarkers(markers) {
+    if (this.#solids) this.#solids.group.visible = Boolean(markers);
+    if (!markers) return;
+    if (this.#solids?.of !== markers) {
+      this.#solids?.group.removeFromParent();
+      this.#solids = new MarkerSolids(markers.labels.length);
+      this.#solids.of = markers;
+      this.#box.stage.panes[0].add(this.#solids.group);
+    }
+    const { frame } = this.state.take;
+    const colours = markers.labels.map((_, k) => STATES[markers.state(frame, k)].colour);
+    this.#solids.set(markers.places(frame), markers.off(frame), colours, { times: ARROWS });
   }
 
   /** Show the scan of the same blend of expressions; there is none of muscles and frames. */

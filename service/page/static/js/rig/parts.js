@@ -1,4 +1,4 @@
-// Which vertices of a face are skin, eyes, teeth, the rest of the mouth, lashes.
+// Parts of a face by vertex: skin, eyes, teeth, the rest of the mouth, lashes.
 //
 // The files do not name them, so they are told apart by shape, as the solver's pictures do: they are
 // separate components; eyeballs are round, and what is small lies at an eye or is a tooth.

@@ -1,4 +1,4 @@
-// What muscles do to the skin, by the reduced basis that the solver made and measured.
+// A preview of what muscles do to the skin, by the reduced basis that the solver made and measured.
 
 import { Container } from "./container.js";
 import { millimetres } from "./face.js";

@@ -3,6 +3,7 @@
 import { h, setText, show } from "../dom.js";
 import { Stage } from "./stage.js";
 
+const TURNS = "Arrow keys turn the face, plus and minus zoom.";
 const KEYS = "Arrow keys turn the face, plus and minus zoom, 1 to 9 show an expression, 0 the neutral.";
 
 /** An element with a stage in it. */
@@ -14,14 +15,14 @@ export class StageBox {
   #repaint = () => this.stage.setBackground(getComputedStyle(this.#room).backgroundColor);
   #room;
 
-  /** `label` says in a few words what the picture is of. */
-  constructor(label) {
+  /** `label` says in a few words what the picture is of; without `expressions` digits show none. */
+  constructor(label, { expressions = true } = {}) {
     const canvas = h("canvas", {
       class: "stage", tabindex: 0, role: "img", "aria-label": label, "aria-describedby": "stage-caption stage-keys",
     });
     this.#room = h("div", { class: "stage-room" }, canvas, this.#names, this.#message, this.#picked);
     this.element = h("figure", { class: "stage-box" }, this.#room,
-      h("figcaption", {}, this.#caption, h("p", { class: "fine", id: "stage-keys" }, KEYS)));
+      h("figcaption", {}, this.#caption, h("p", { class: "fine", id: "stage-keys" }, expressions ? KEYS : TURNS)));
     this.stage = new Stage(canvas);
     document.addEventListener("themechange", this.#repaint);
   }

@@ -1,4 +1,4 @@
-// What the canvas shows, in words: for screen readers, and as the picture's caption.
+// A description of the canvas in words: for screen readers, and as the picture's caption.
 
 import { plain } from "../words.js";
 import { figures } from "./face.js";

@@ -7,8 +7,10 @@ import { Glb } from "./glb.js";
 export class Take {
   #glb;
 
-  constructor(buffer) {
+  /** `markers` are its `MarkerTake`, of a take of markers. */
+  constructor(buffer, markers = null) {
     this.#glb = new Glb(buffer);
+    this.markers = markers ?? null;
     this.times = this.#glb.tracks.times;
     this.frames = this.times.length;
   }

@@ -4,10 +4,14 @@ import * as api from "../api.js";
 import { h, setText, show } from "../dom.js";
 import { sentence } from "../parts/trouble.js";
 import { when } from "../words.js";
+import { Lanes } from "./lanes.js";
+import { MarkerTake } from "./marker_take.js";
 import { artifactsOfJobs } from "./read.js";
 import { Take } from "./take.js";
 
+const KINDS = ["fit_sequence", "fit_markers"];
 const FILE = "sequence.glb";
+const MARKERS = "markers.bin";
 
 /** Sequences of a rig; `change(patch)` takes a part of a state, which names job and frame. */
 export class TakePanel {
@@ -25,6 +29,7 @@ export class TakePanel {
     oninput: () => this.#go(this.#shown, Number(this.#scrub.value)),
   });
   #place = h("output", {}, "");
+  #lanes = new Lanes((frame) => this.#go(this.#shown, frame));
 
   constructor(count, change, signal) {
     this.#count = count;
@@ -37,7 +42,8 @@ export class TakePanel {
   /** Look for the sequences of a rig. */
   async find(rig) {
     try {
-      for (const found of await artifactsOfJobs(rig, "fit_sequence", FILE, this.#signal)) this.#jobs.set(found.job.id, found);
+      const found = await Promise.all(KINDS.map((kind) => artifactsOfJobs(rig, kind, FILE, this.#signal)));
+      for (const each of found.flat()) this.#jobs.set(each.job.id, each);
     } catch (error) {
       if (!this.#signal.aborted) this.#fail(sentence(error));
       return;
@@ -52,7 +58,8 @@ export class TakePanel {
     show(this.element,
       h("div", { class: "row" }, this.#pick, this.#play),
       h("div", { class: "scrubber" }, this.#scrub, this.#place),
-      h("p", { class: "fine" }, "The skin of the fit within 0.2 mm, in the head's own frame. Muscles and bones stay at rest."));
+      this.#lanes.element,
+      h("p", { class: "fine" }, "The skin of the fit within 0.2 mm, in the head's own frame. Muscles and bones stay at rest. Arrows go from the fit to where markers were seen, five times as long."));
   }
 
   /** Return the take of a job, read when it is first asked for; null if there is none. */
@@ -60,8 +67,11 @@ export class TakePanel {
     const known = this.#jobs.get(job);
     if (!known) return null;
     if (!this.#takes.has(job)) {
-      this.#takes.set(job, api.bytes(`/v1/artifacts/${known.artifact.id}`, { signal: this.#signal })
-        .then((buffer) => new Take(buffer)));
+      const read = ({ id }) => api.bytes(`/v1/artifacts/${id}`, { signal: this.#signal });
+      const markers = known.job.result.artifacts.find(({ name }) => name === MARKERS);
+      const [skin, seen] = [read(known.artifact), markers && read(markers)];
+      this.#takes.set(job, Promise.all([skin, seen])
+        .then((found) => new Take(found[0], found[1] && new MarkerTake(found[1]))));
     }
     try {
       const take = await this.#takes.get(job);
@@ -83,6 +93,8 @@ export class TakePanel {
     this.#shown = state.take.job;
     this.#pick.value = state.take.job;
     this.#scrub.max = take.frames - 1;
+    this.#lanes.element.hidden = !take.markers;
+    if (take.markers) this.#lanes.show(take.markers, state.take.frame);
     if (Number(this.#scrub.value) !== state.take.frame) this.#scrub.value = state.take.frame;
     setText(this.#place, `${state.take.frame + 1} of ${take.frames}, ${take.times[state.take.frame].toFixed(2)} s`);
   }

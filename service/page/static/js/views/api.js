@@ -26,14 +26,14 @@ export async function mount(root) {
       url: DESCRIPTION,
       docExpansion: "list",
       defaultModelsExpandDepth: 0,
-      requestInterceptor: signed,
+      requestInterceptor: authorise,
       onComplete,
     });
   });
 }
 
 /** Give a request to this service the tab's key. */
-function signed(request) {
+function authorise(request) {
   if (new URL(request.url, location.href).origin === location.origin) Object.assign(request.headers, auth.headers());
   return request;
 }

@@ -224,6 +224,7 @@ function cells(job, kinds) {
   const badge = state(job.state);
   const subject = h("a", { href: `/subjects/${job.subject_id}` }, job.subject_name);
   const scans = h("span", { class: "fine" });
+  // who shares a name has more words, which the list of jobs does not have
   subjectName(job.subject_id).then(
     (name) => setText(subject, name),
     () => {},

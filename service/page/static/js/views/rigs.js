@@ -24,6 +24,7 @@ export async function mount(root) {
 
 function row(rig) {
   const subject = h("a", { href: `/subjects/${rig.subject_id}` }, rig.subject_name);
+  // who shares a name has more words, which the list of rigs does not have
   subjectName(rig.subject_id).then(
     (name) => subject.replaceChildren(name),
     () => {},

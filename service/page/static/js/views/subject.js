@@ -15,6 +15,7 @@ import { state } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
+import { NO_SCANS } from "../scan_files.js";
 import { navigate, title as nameWindow } from "../navigate.js";
 import { bytes, count, figure, labelWords, plain, short, when } from "../words.js";
 
@@ -50,6 +51,7 @@ class SubjectView {
     this.kindsOfRigs = kindsOfRigs;
     this.signal = signal;
     this.chosen = new Set();
+    this.verdicts = new Map(); // of checks of markers, by the job's id
     this.captureBody = h("tbody");
     this.showCaptures = keyed(this.captureBody, ({ capture }) => this.captureRow(capture));
     this.rigBody = h("tbody");
@@ -93,15 +95,20 @@ class SubjectView {
 
   async refresh() {
     const of = { subject_id: this.subject.id };
-    const [captures, rigs, models, checks, proposals] = await Promise.all([
+    const [captures, rigs, models, checks, proposals, markerChecks] = await Promise.all([
       all(`/v1/subjects/${this.subject.id}/captures`, {}, this.signal),
       all("/v1/rigs", of, this.signal),
       get("/v1/jobs", { ...of, kind: "build_model", limit: 1 }, this.signal),
       get("/v1/jobs", { ...of, kind: "check_scan", limit: 200 }, this.signal),
       get("/v1/jobs", { ...of, kind: "next_scan", state: "succeeded", limit: 1 }, this.signal),
+      get("/v1/jobs", { ...of, kind: "check_markers", limit: 200 }, this.signal),
     ]);
     // newest first, so the last one written is the newest
     this.checks = new Map(checks.items.reverse().map((job) => [job.captures[0], job]));
+    for (const job of markerChecks.items.reverse()) for (const id of job.captures) this.checks.set(id, job);
+    this.sets = captures.filter(isMarkerSet).sort((a, b) => b.created_at.localeCompare(a.created_at));
+    const takes = captures.filter((each) => each.role === "markers" && !isMarkerSet(each));
+    await Promise.all(takes.map(({ id }) => this.judge(this.checks.get(id))));
     captures.sort((a, b) => (b.role === "neutral") - (a.role === "neutral") || a.name.localeCompare(b.name));
     this.rigs = rigs;
     this.assets = captures.filter(({ role }) => role === "asset").map(({ id }) => id);
@@ -118,6 +125,13 @@ class SubjectView {
     this.showModel(models.items[0]);
     this.mark();
     await this.showNext(proposals.items[0]);
+  }
+
+  /** Know the verdict of a check of markers, which lists of jobs do not have. */
+  async judge(job) {
+    if (job?.state !== "succeeded" || this.verdicts.has(job.id)) return;
+    const { result } = await get(`/v1/jobs/${job.id}`, {}, this.signal);
+    this.verdicts.set(job.id, result.summary.verdict);
   }
 
   showModel(job) {
@@ -168,14 +182,16 @@ class SubjectView {
     });
     const act = (words, action, kind = null) =>
       button([words, h("span", { class: "unseen" }, ` ${name}`)], action, kind);
-    const isScan = role === "neutral" || role === "expression";
+    const isScan = !NO_SCANS.includes(role);
+    const isTake = role === "markers" && !isMarkerSet(capture);
     const actions = h(
       "div",
       { class: "row end" },
       isScan && act("Check", () => this.order("check_scan", { captures: [id] })),
       isScan && !capture.registered && act("Register", () => this.order("register_scan", { captures: [id] })),
-      role === "markers" && act("Check", () => this.order("check_markers", { captures: [id] })),
-      role === "performance" && act("Fit", () => this.fitPerformance(id)),
+      isTake && act("Check", () => this.checkMarkers(id)),
+      isTake && act("Fit", () => this.fitTake("fit_markers", [id, ...this.sets.slice(0, 1).map((each) => each.id)])),
+      role === "performance" && act("Fit", () => this.fitTake("fit_sequence", [id])),
       act("Edit", () => this.edit(askToEditCapture(this.captures.get(id)))),
       act("Delete", () => this.deleteCapture(capture), "plain danger"),
     );
@@ -187,7 +203,7 @@ class SubjectView {
         h("td", { class: "tight" }, role === "expression" ? box : null),
         h("th", { scope: "row" }, name, about),
         h("td", {}, plain(role)),
-        h("td", {}, isScan && (capture.registered ? "Registered" : "Raw")),
+        h("td", {}, isScan && (capture.registered ? "Registered" : "Raw"), isTake && "Take", isMarkerSet(capture) && "Marker set"),
         check,
         registration,
         h("td", { class: "tight" }, when(capture.created_at)),
@@ -197,10 +213,11 @@ class SubjectView {
         const title = filename.startsWith(`${next.title}.`) ? filename : `${next.title}, ${filename}`;
         setText(about, `${title}, ${bytes(size)}${labelWords(next.labels)}`);
         const job = this.checks.get(id);
-        const key = JSON.stringify([next.check, next.registration, job?.state]);
+        const verdict = isTake && this.verdicts.get(job?.id);
+        const key = JSON.stringify([next.check, next.registration, job?.state, verdict]);
         if (shown === key) return;
         shown = key;
-        show(check, isScan && checkOf(next, job));
+        show(check, isScan && checkOf(next, job), isTake && checkOf({ check: verdict && { job_id: job.id, verdict } }, job));
         show(registration, !capture.registered && registrationOf(next));
       },
     };
@@ -214,14 +231,14 @@ class SubjectView {
       element: h(
         "tr",
         {},
-        h("th", { scope: "row" }, name, about),
+        h("th", { scope: "row", class: "tight" }, name, about),
         h("td", { class: "tight" }, verdictOf(rig) ?? "not judged"),
         h("td", {}, rig.expressions.join(", ")),
         h("td", { class: "tight" }, error === null ? "" : `${figure(error)} mm`),
         h("td", { class: "tight" }, when(rig.created_at)),
         h(
           "td",
-          { class: "tight" },
+          {},
           h(
             "div",
             { class: "row end" },
@@ -274,16 +291,22 @@ class SubjectView {
   async order(kind, more = {}) {
     const job = await askForJob({ kind, subject_id: this.subject.id, ...more });
     if (!job) return;
-    if (kind === "check_scan" || kind === "register_scan") await this.refresh();
+    if (["check_scan", "register_scan", "check_markers"].includes(kind)) await this.refresh();
     else navigate(`/jobs/${job.id}`);
   }
 
-  async fitPerformance(captureId) {
+  /** Check a take against the newest rig; without one, alone. */
+  async checkMarkers(captureId) {
+    const rig = this.rigs[0] ? { rig_id: this.rigs[0].id } : {};
+    await this.order("check_markers", { ...rig, captures: [captureId] });
+  }
+
+  async fitTake(kind, captures) {
     if (!this.rigs.length) {
       toast("There is no rig yet to fit it with: build the model and fit expressions first.", "bad");
       return;
     }
-    await this.order("fit_sequence", { rig_id: this.rigs[0].id, captures: [captureId] });
+    await this.order(kind, { rig_id: this.rigs[0].id, captures });
   }
 
   async deleteCapture({ id, name }) {
@@ -312,6 +335,11 @@ class SubjectView {
     toast(`${this.subject.name} is deleted. Files go within minutes.`);
     navigate("/subjects");
   }
+}
+
+/** Whether a capture says where markers sit, and is no take of them. */
+function isMarkerSet({ role, filename }) {
+  return role === "markers" && filename.toLowerCase().endsWith(".json");
 }
 
 /** The verdict of the newest check, or where it stands. */

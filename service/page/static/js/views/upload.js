@@ -13,7 +13,7 @@ import { ScanRow } from "../parts/scan_row.js";
 import { Session } from "../parts/session.js";
 import { toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
-import { countVertices, dropped, sorted } from "../scan_files.js";
+import { NO_SCANS, countVertices, dropped, sorted } from "../scan_files.js";
 import { CAN_CHECK } from "../tus.js";
 import { count } from "../words.js";
 
@@ -294,7 +294,8 @@ class Tray {
   async requireVertices(rows) {
     const template = (await subjectsById()).get(this.subject.value)?.template_id;
     const { vertices } = template ? await get(`/v1/templates/${template}`) : { vertices: this.limits.builtin_vertices };
-    for (const { file } of vertices ? rows : []) {
+    const scans = rows.filter(({ role }) => !NO_SCANS.includes(role.value));
+    for (const { file } of vertices ? scans : []) {
       const found = await countVertices(file);
       if (found === null || found === vertices) continue;
       const detail = `${file.name} has ${found} vertices, and a registered scan has the template's ${vertices}. Send it as the scanner made it`;

@@ -1,0 +1,434 @@
+"""Fibre muscles: calibrated to a person's scans, back from what they make, exaggerated, followed.
+
+Figures by key: ``fibre`` has the mean distance to training and unseen scans of calibrated muscles,
+of the template's (``uncalibrated``) and of six numbers a muscle (``blended``), and expressions with
+the whole curves ``exaggerated`` 2 and 4 times: flesh in contact, the worst expression, and
+``motion_ratio``, the least over the expressions of the skin's motion by muscles (the jaw's own
+apart) over that at 1. ``round_trip.fibre`` are random activations that the skin alone tells again,
+as it is and with 0.3 mm of noise on every point. ``speed`` is of frames of a take of markers; with
+``--large`` also that of S in 370,000 tets.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import markers, report, subject_fits, subjects
+from benchmarks.documents import Figures, Section, Table
+from benchmarks.speed.clock import Stopwatch
+from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
+from solver.anatomy.build import build_subject_model
+from solver.anatomy.meshing import find_or_make_mesh
+from solver.contact.potentials import Gauge, contact_potentials
+from solver.drawing.head import both_sides
+from solver.errors import SolveError
+from solver.fitting import activation, prior
+from solver.fitting.activation import ActivationOptions, unseen_regulariser
+from solver.fitting.calibration import (
+    CalibrationOptions,
+    calibrate,
+    fibre_muscles,
+    fit_all,
+    load_muscles,
+    save_muscles,
+    with_fibres,
+)
+from solver.fitting.contact import terms
+from solver.fitting.face import Face, Pose, PosedFace
+from solver.fitting.geometry import GeometryOptions
+from solver.fitting.objective import Regulariser, SkinDistance, Target, distances
+from solver.fitting.sequence import Tracker
+from solver.fitting.strips import strip_names
+from solver.mechanics.fibre_muscle import FibreMuscles
+from solver.mechanics.flesh import MOONEY_RIVLIN
+from solver.mechanics.linear import fastest
+from solver.model import SubjectModel
+from solver.rig.rig import Rig
+from solver.scans.live_link import read_live_link
+from solver.similarity import IDENTITY as STILL
+from solver.simulation.forces import Drive
+from solver.simulation.simulator import Simulator
+from solver.surface import Floats, Surface
+from solver.templates.builtin.build import builtin_capture_set, builtin_template
+from solver.templates.ict_facekit import drive, ict_capture_set, ict_neutral, read_facekit
+
+log = logging.getLogger(__name__)
+
+PARTS = ("fibre", "round_trip", "exaggerated", "speed")
+FACTORS = (1, 2, 4)
+ROUNDS, QUICK_ROUNDS = 16, 6
+FRAMES, LARGE_FRAMES = 60, 6
+LARGE_EDGE_MM = 3.6  # of some 370,000 tets
+
+
+@dataclass(frozen=True)
+class TripOptions:
+    """Random poses of the round trip, and the second fit's light regulariser by the noise."""
+
+    sets: int = 4
+    excited: int = 8  # kinds of muscles of a set, both sides counting as one
+    activation: tuple[float, float] = (0.2, 0.8)
+    asymmetry: float = 0.1
+    opening: tuple[float, float] = (0.0, 0.2)
+    noise_mm: tuple[float, float] = (0.0, 0.3)
+    w_a: tuple[float, float] = (1e-7, 1e-4)
+    w_b: float = 1e-9
+
+
+@dataclass(frozen=True)
+class Person:
+    """A subject with scans, and with S if a rig was given."""
+
+    model: SubjectModel
+    train: Mapping[str, Surface]
+    test: Mapping[str, Surface]
+    rig: Rig | None
+
+
+def main() -> None:
+    """Run from the command line."""
+    data = Path(os.environ.get("MYOFACE_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    parser = report.parser(__doc__ or "")
+    subjects.add_options(parser)
+    parser.add_argument("--rig", type=Path, help="the subject's rig; else S is fitted first")
+    parser.add_argument("--muscles", type=Path, help="calibrated muscles: read if there, else left")
+    parser.add_argument("--only", nargs="*", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--rounds", type=int, help="of the calibration")
+    parser.add_argument("--exaggerated", default="smile", help="expressions, with commas between")
+    parser.add_argument("--recording", type=Path, help="Live Link Face recording")
+    parser.add_argument("--large", action="store_true", help="frames of 370,000 tets too")
+    if data.is_dir():
+        parser.set_defaults(
+            anatomy=data / "bodyparts3d",
+            faces=data / "ict_facekit",
+            recording=data / "performance" / "alex_rom_3.csv",
+        )
+    options = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    report.finish(run(options), options, section)
+
+
+def run(options: argparse.Namespace) -> Figures:
+    """Measure what was asked for."""
+    person = _person(options)
+    plain = Face(person.model, material=MOONEY_RIVLIN, linear=fastest())
+    rounds = options.rounds or (QUICK_ROUNDS if options.quick else ROUNDS)
+    muscles, seconds = _calibrated(plain, person, rounds, options.muscles)
+    face = with_fibres(plain, muscles)
+    found: Figures = {
+        "tets": len(person.model.tets),
+        "muscles": len(muscles.strengths),
+        "calibration_s": seconds,
+    }
+    scans = {**person.train, **person.test}
+    if "fibre" in options.only:
+        fits = _fits(face, scans)
+        found["fibre"] = _quality(plain, person, fits)
+        log.info("fibre: %s", found["fibre"])
+    if "exaggerated" in options.only:
+        fits = _fits(face, {name: scans[name] for name in options.exaggerated.split(",")})
+        poses = {name: state.pose for name, state in fits.items()}
+        found.setdefault("fibre", {})["exaggerated"] = exaggerated(person.model, muscles, poses)
+    if "speed" in options.only:
+        found["speed"] = _speed(face, options)
+        log.info("speed: %s", found["speed"])
+    if "round_trip" in options.only:
+        found["round_trip"] = {
+            "fibre": round_trip(face, strip_names(person.model.muscle_names, muscles))
+        }
+        log.info("round trip: %s", found["round_trip"])
+    if options.large:
+        found.setdefault("speed", {}).update(_large())
+    return found
+
+
+def _person(options: argparse.Namespace) -> Person:
+    if options.rig is None:
+        edge = COARSE_EDGE_MM if options.quick else EDGE_MM
+        model, captures = subjects.load(options, edge)
+        return Person(model, captures.train, captures.test, None)
+    rig = Rig.load({"rig": options.rig})
+    captures = ict_capture_set(options.faces, options.subject, options.capture_sets)
+    return Person(rig.model, captures.train, captures.test, rig)
+
+
+def _targets(model: SubjectModel, scans: Mapping[str, Surface]) -> dict[str, Target]:
+    return {name: Target.from_points(scan.vertices[model.face]) for name, scan in scans.items()}
+
+
+def _calibrated(
+    plain: Face, person: Person, rounds: int, path: Path | None
+) -> tuple[FibreMuscles, float | None]:
+    """Return muscles calibrated to the training scans, and the seconds it took."""
+    if path is not None and path.is_file():
+        return load_muscles(path, plain), None
+    targets = _targets(plain.model, person.train)
+
+    def listen(number: int, states: Mapping[str, PosedFace]) -> None:
+        off = [
+            targets[name].distances(plain.face_points(state.estimate)).mean()
+            for name, state in states.items()
+        ]
+        log.info("round %d: %.3f mm", number, np.mean(off))
+
+    with Stopwatch() as clock:
+        found = calibrate(
+            plain,
+            distances(plain, targets),
+            CalibrationOptions(rounds=rounds),
+            listen,
+            ends=terms(plain, targets),
+        )
+    if path is not None:
+        save_muscles(path, plain, found.muscles)
+    return found.muscles, clock.seconds
+
+
+def _fits(face: Face, scans: Mapping[str, Surface]) -> dict[str, PosedFace]:
+    """Fit activations and jaw to every scan."""
+    endings = fit_all(face, terms(face, _targets(face.model, scans)))
+    return {name: ending.state for name, ending in endings.items()}
+
+
+def _quality(plain: Face, person: Person, fits: Mapping[str, PosedFace]) -> Figures:
+    """Return the distances to all scans by calibrated, the template's and blended muscles."""
+    targets = _targets(plain.model, {**person.train, **person.test})
+    template = _fits(with_fibres(plain, fibre_muscles(plain)), {**person.train, **person.test})
+    blended = _blended(person)
+    by_kind = {
+        "calibrated": {name: plain.face_points(state.x) for name, state in fits.items()},
+        "uncalibrated": {name: plain.face_points(state.x) for name, state in template.items()},
+        "blended": blended,
+    }
+    expressions: Figures = {}
+    for name, target in targets.items():
+        role = "train" if name in person.train else "test"
+        errors = {
+            f"{kind}_mm": float(np.nanmean(target.distances(found[name])))
+            for kind, found in by_kind.items()
+            if name in found
+        }
+        inverted = plain.flesh.inverted(fits[name].x)
+        expressions[name] = {"role": role, **errors, "inverted": inverted}
+
+    def mean(names: Mapping[str, Surface], kind: str) -> float | None:
+        each = [expressions[name].get(f"{kind}_mm") for name in names]
+        return float(np.mean(each)) if each and None not in each else None
+
+    means = {
+        kind: {"train_mm": mean(person.train, kind), "unseen_mm": mean(person.test, kind)}
+        for kind in by_kind
+    }
+    rest = plain.face_points(plain.rest.x)
+    moved = {name: float(np.nanmean(target.distances(rest))) for name, target in targets.items()}
+    return {
+        **means.pop("calibrated"),
+        **means,
+        "neutral": {
+            "train_mm": float(np.mean([moved[name] for name in person.train])),
+            "unseen_mm": float(np.mean([moved[name] for name in person.test])),
+        },
+        "expressions": expressions,
+    }
+
+
+def _blended(person: Person) -> dict[str, Floats]:
+    """Return the face's points (k, 3) of all scans as S fits them."""
+    face = Face(person.model, linear=fastest())
+    if person.rig is None:
+        S, train = subject_fits.by_geometry(face, person.train, GeometryOptions())
+        trained = {name: face.face_points(state.x) for name, state in train.states.items()}
+    else:
+        S, ids = person.rig.weights, person.model.face
+        trained = {fit.name: fit.skin[ids] for fit in person.rig.expressions}
+    test = subject_fits.by_activations(face.with_weights(S), person.test)
+    return trained | {name: face.face_points(state.x) for name, state in test.states.items()}
+
+
+def exaggerated(
+    model: SubjectModel, muscles: FibreMuscles, poses: Mapping[str, Pose], steps: int = 5
+) -> Figures:
+    """Return what whole curves times 2 and 4 make of expressions, in contact."""
+    plain = Face(model, material=MOONEY_RIVLIN.in_pascal(3000.0), linear=fastest())
+    own = muscles.scaled(plain.flesh.material.mu / MOONEY_RIVLIN.mu)
+    gauge = Gauge(model)
+    neutral = gauge.neutral().most
+    found: dict[str, dict[str, Figures]] = {str(factor): {} for factor in FACTORS}
+    for factor in FACTORS:
+        face = with_fibres(plain, own.scaled(float(factor)))
+        for name, pose in poses.items():
+            potentials = contact_potentials(model, plain.flesh.material.mu)
+            density = np.full(len(model.tets), 1e-3)
+            simulator = Simulator(face, potentials, [], dynamic=False, density=density)
+            found[str(factor)][name] = _played(face, simulator, gauge, pose, steps)
+            log.info("x %d %s: %s", factor, name, found[str(factor)][name])
+    out: Figures = {"neutral_penetration_mm": neutral, "expressions": found}
+    for factor in FACTORS[1:]:
+        each = found[str(factor)]
+        ratios = {
+            name: row["motion_mm"] / found["1"][name]["motion_mm"]
+            for name, row in each.items()
+            if row["motion_mm"] is not None and found["1"][name]["motion_mm"]
+        }
+        out[str(factor)] = {
+            "inverted": sum(row["inverted"] for row in each.values()),
+            "penetration_mm": max(row["penetration_mm"] for row in each.values()),
+            "motion_ratio": min(ratios.values()),
+            "motion_ratios": ratios,
+            "failed": sum(row["failed"] for row in each.values()),
+        }
+    return out
+
+
+def _played(face: Face, simulator: Simulator, gauge: Gauge, pose: Pose, steps: int) -> Figures:
+    """Return what flesh does on its way to a pose, and where it ends."""
+    drives = [
+        Drive(float(number), pose.a * (number / steps), pose.b * (number / steps), STILL, ())
+        for number in range(steps + 1)
+    ]
+    inverted, deepest, failed = 0, 0.0, 0
+    motion = simulator.rest(drives[0])
+    y = motion.head.inverse()(motion.x)
+    with Stopwatch() as clock:
+        for before, goal in pairwise(drives):
+            try:
+                stepped = simulator.step(motion, before, goal)
+            except SolveError as error:
+                log.info("step %g: %s", goal.time, error.message)
+                failed = 1
+                break
+            motion, y = stepped.motion, stepped.y
+            inverted += stepped.inverted
+            deepest = max(deepest, gauge.at(y, goal.jaw).most)
+    rest, points = face.face_points(face.model.rest), face.face_points(y)
+    return {
+        "inverted": inverted,
+        "penetration_mm": deepest,
+        "motion_mm": float(np.linalg.norm(points - rest, axis=1).mean()),
+        "failed": failed,
+        "frame_ms": 1e3 * clock.seconds / steps,
+    }
+
+
+def round_trip(face: Face, names: tuple[str, ...], trip: TripOptions = TripOptions()) -> Figures:
+    """Return what comes back of random activations."""
+    found: dict[float, list[float]] = {noise: [] for noise in trip.noise_mm}
+    skin, outside, sets = [], 0, []
+    for seed in range(trip.sets):
+        rng = np.random.default_rng(seed)
+        pose = _random_pose(face, names, rng, trip)
+        truth = face.continuation(face.rest, pose)
+        points = face.face_points(truth.x)
+        row: Figures = {"seed": seed}
+        for noise, w_a in zip(trip.noise_mm, trip.w_a, strict=True):
+            seen = points + noise * rng.standard_normal(points.shape)
+            data = SkinDistance(face, Target.from_points(seen))
+            light = Regulariser(w_a, 0.0, trip.w_b, face.rest_pose())
+            stop = ActivationOptions(40, tolerance=1e-6)
+            state = activation.fit(face, data, light, options=stop).state
+            a = state.pose.a
+            error = float(np.sqrt(np.mean((a - pose.a) ** 2)))
+            found[noise].append(error)
+            off = float(np.linalg.norm(face.face_points(state.x) - points, axis=1).mean())
+            outside += int(((a < 0.0) | (a > 1.0)).sum())
+            row[f"noise_{noise:g}"] = {"activation_rms": error, "skin_mm": off}
+            if noise == 0.0:
+                skin.append(off)
+                worst = np.argsort(-np.abs(a - pose.a))[:3]
+                row["worst"] = {names[k]: [float(pose.a[k]), float(a[k])] for k in worst}
+        log.info("%s", row)
+        sets.append(row)
+    without, noisy = (max(found[noise]) for noise in trip.noise_mm)
+    return {
+        "activation_rms": without,
+        "noisy_activation_rms": noisy,
+        "skin_mm": max(skin),
+        "out_of_bounds": outside,
+        "sets": sets,
+    }
+
+
+def _speed(face: Face, options: argparse.Namespace) -> Figures:
+    """Follow a take of 79 markers as :mod:`benchmarks.markers` does, by fibre muscles."""
+    kit = read_facekit(options.faces)
+    neutral = ict_neutral(kit, options.faces, options.subject, options.capture_sets).vertices
+    take = drive(kit, neutral, read_live_link(options.recording))
+    bench = markers._Bench(face, markers._truth(take, FRAMES), markers.SETS[0])
+    followed = bench.fit(prior.from_shapes(face, np.stack([*kit.deltas.values()])), bench.clean())
+    return {
+        "fibre_frame_ms": followed["frame_ms"],
+        "fibre_face_mean_mm": followed["face_mean_mm"],
+        "frames": FRAMES,
+    }
+
+
+def _large() -> Figures:
+    """Follow the built-in person's smile in a mesh as large as that of 2005."""
+    captures = builtin_capture_set()
+    template = find_or_make_mesh(builtin_template(), LARGE_EDGE_MM)
+    model = build_subject_model(template, captures.neutral.vertices, edge_mm=LARGE_EDGE_MM)
+    log.info("large: %d tets", len(model.tets))
+    face = Face(model, linear=fastest())
+    tracker = Tracker(face, unseen_regulariser(face), face.rest)
+    rest = face.face_points(face.rest.x)
+    away = captures.train["smile"].vertices[model.face] - rest
+    seconds, errors = [], []
+    for number in range(LARGE_FRAMES):
+        target = Target.from_points(rest + 0.05 * (number + 1) * away)
+        with Stopwatch() as clock:
+            tracker.fit(target)
+        seconds.append(clock.seconds)
+        errors.append(float(target.distances(face.face_points(tracker.state.x)).mean()))
+        log.info("large: frame %d, %.1f s, %.3f mm", number, seconds[-1], errors[-1])
+    return {
+        "large_tets": len(model.tets),
+        "tets_370k_frame_s": float(np.median(seconds[1:])),
+        "tets_370k_first_frame_s": seconds[0],
+        "tets_370k_mean_mm": float(np.mean(errors)),
+    }
+
+
+def _random_pose(
+    face: Face, names: tuple[str, ...], rng: np.random.Generator, trip: TripOptions
+) -> Pose:
+    """Return a pose of some muscles, both sides alike but for a little, with the jaw open."""
+    kinds = list(dict.fromkeys(both_sides(name) for name in names))
+    chosen = rng.choice(kinds, trip.excited, replace=False)
+    depth = {str(kind): rng.uniform(*trip.activation) for kind in chosen}
+    a = np.zeros(len(names))
+    for muscle, name in enumerate(names):
+        if (kind := both_sides(name)) in depth:
+            a[muscle] = depth[kind] + rng.uniform(-trip.asymmetry, trip.asymmetry)
+    b = np.zeros(5)
+    b[0] = rng.uniform(*trip.opening)
+    return Pose(a, b, face.layout)
+
+
+def section(figures: Figures) -> Section:
+    """Return the section of docs/science/benchmarks.md."""
+    parts = []
+    if fibre := figures.get("fibre"):
+        kinds = {"neutral face": "neutral", "template's": "uncalibrated", "six numbers": "blended"}
+        rows = [
+            [word, *(fibre[key][k] for k in ("train_mm", "unseen_mm"))]
+            for word, key in kinds.items()
+        ]
+        rows.append(["calibrated", fibre["train_mm"], fibre["unseen_mm"]])
+        parts.append(Table(["muscles", "training scans, mm", "unseen scans, mm"], rows))
+    return Section(
+        title="Fibre muscles",
+        compared=f"One activation in [0, 1] a muscle, {figures['tets']:,} tets.",
+        parts=parts,
+    )
+
+
+if __name__ == "__main__":
+    main()

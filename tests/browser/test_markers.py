@@ -1,0 +1,152 @@
+"""Markers in Chromium: placed on a person, saved as a set, and a fitted take of them played."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from solver.scans.markers.marker_set import MarkerSet
+from solver.surface import Floats
+from tests.browser.rig_place import SECONDS, Place, drawing_browser, served_rigs, until
+
+pytestmark = pytest.mark.slow
+
+Page = Any
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    with served_rigs(tmp_path_factory.mktemp("rigs")) as place:
+        yield place
+
+
+@pytest.fixture
+def look(place: Place) -> Iterator[Callable[[str], Page]]:
+    """Open a path of the page; an error in its console fails the test."""
+    faults: list[str] = []
+    with drawing_browser() as chromium:
+        context = chromium.new_context(viewport={"width": 1280, "height": 800})
+        context.set_default_timeout(SECONDS * 1000)
+
+        def open_page(path: str) -> Page:
+            page = context.new_page()
+            page.on("pageerror", lambda error: faults.append(str(error)))
+            page.on("console", lambda each: each.type == "error" and faults.append(each.text))
+            page.goto(f"{place.url}{path}#key={place.key}")
+            return page
+
+        yield open_page
+        context.close()
+    assert faults == []
+
+
+def test_a_marker_is_dragged_renamed_and_the_set_saved(
+    place: Place, look: Callable[[str], Page]
+) -> None:
+    page = look(f"/markers/{place.check}")
+    page.get_by_label("Label M00").wait_for()
+    page.evaluate(
+        "document.querySelector('.rig').addEventListener('placed', (event) => {"
+        "  window.placed = event.detail; })"
+    )
+    page.get_by_label("Label M05").focus()
+    page.keyboard.press("Alt+ArrowRight")
+    until(lambda: page.evaluate("window.placed?.chosen") == 5)
+    by_keys = np.array(page.evaluate("Array.from(window.placed.places)")).reshape(-1, 3)
+    places = _places(place)
+    assert 0.3 < np.linalg.norm(by_keys[5] - places[5]) < 2.0
+    np.testing.assert_allclose(
+        np.delete(by_keys, 5, axis=0), np.delete(places, 5, axis=0), atol=1e-3
+    )
+
+    page.screenshot(path="/tmp/n-page/binding-before.png")
+    x, y = _on_canvas(page, place.sample.neutral.vertices, by_keys[2])
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for step in range(1, 6):
+        page.mouse.move(x + 4 * step, y + 2 * step)
+    page.mouse.up()
+    assert page.evaluate("window.placed.chosen") == 2
+    dragged = np.array(page.evaluate("Array.from(window.placed.places)")).reshape(-1, 3)
+    assert 3.0 < np.linalg.norm(dragged[2] - places[2]) < 40.0
+
+    page.get_by_label("Label M07").fill("Chin")
+    page.get_by_label("Label M08").fill("M07")  # free now
+    page.get_by_label("Label M09").fill("Chin")
+    page.get_by_label("Label M10").focus()
+    page.get_by_text("Another marker is called Chin.").wait_for()
+    page.get_by_label("Label M09").fill("M09")
+    page.get_by_label("What M11 rides on").select_option("head")
+    page.screenshot(path="/tmp/n-page/binding.png")
+    sent: list[bytes] = []
+    page.on("request", lambda each: each.method == "PATCH" and sent.append(each.post_data_buffer))
+    page.get_by_role("button", name="Save the marker set").click()
+    page.get_by_text("The marker set is saved as").wait_for()
+    page.get_by_text("Marker set", exact=True).wait_for()
+    page.screenshot(path="/tmp/n-page/subject.png")
+    found = json.loads(sent[0])
+    assert MarkerSet.from_document(found).labels[7] == "Chin"
+    entries = {each["label"]: each for each in found["markers"]}
+    assert {"Chin", "M07", "M09"} < set(entries)
+    assert entries["M11"]["part"] == "head"
+    np.testing.assert_allclose(entries["M11"]["at"], places[11], atol=1e-3)
+    skin = place.sample.neutral.vertices
+    at = entries["M02"]["at"]
+    foot = np.array(at["weights"]) @ skin[at["vertices"]]
+    assert np.linalg.norm(foot - dragged[2]) == pytest.approx(2.0, abs=1e-2)
+    assert found["session"] == place.markers.to_document()["session"]
+
+
+def test_a_take_of_markers_plays_with_its_lanes(place: Place, look: Callable[[str], Page]) -> None:
+    page = look(f"/rigs/{place.first}?take={place.marked}:4")
+    lanes = page.get_by_role("list", name="Labels")
+    rows = lanes.get_by_role("listitem")
+    rows.nth(23).wait_for()
+    assert rows.nth(0).inner_text().split()[0] == "M03"  # the worst first
+    assert "gap in 4 frames" in rows.nth(0).inner_text()
+    page.get_by_text("20 of 24 markers count; gap: M03; outlier: M05; swap: M07, M08.").wait_for()
+    held = page.get_by_role("list", name="Held muscles").get_by_role("listitem")
+    assert "Risorius l" in held.nth(0).inner_text()
+    page.get_by_text("2 muscles are never held.").wait_for()
+    page.wait_for_timeout(500)
+    page.screenshot(path="/tmp/n-page/player.png")
+    box = rows.nth(0).locator("canvas").bounding_box()
+    page.mouse.click(box["x"] + 0.8 * box["width"], box["y"] + box["height"] / 2)
+    until(lambda: f"{place.marked}:7" in page.evaluate("location.search"))
+    page.get_by_text("24 of 24 markers count; 1 muscle held.").wait_for()
+
+
+def test_a_check_leads_to_the_places_of_its_markers(
+    place: Place, look: Callable[[str], Page]
+) -> None:
+    page = look(f"/jobs/{place.check}")
+    page.get_by_role("link", name="Place the markers").click()
+    page.get_by_text("24 markers").wait_for()
+
+
+def _places(place: Place) -> Floats:
+    markers, skin = place.markers, place.sample.neutral.vertices
+    corners = skin[markers.vertices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.einsum("kc,kcd->kd", markers.weights, corners) + 2.0 * normals
+
+
+def _on_canvas(page: Page, neutral: Floats, point: Floats) -> tuple[float, float]:
+    """Return where a point of the face is on the screen, seen from the front."""
+    low, high = neutral.min(axis=0), neutral.max(axis=0)
+    canvas = page.locator("canvas.stage").bounding_box()
+    centre = (low + high) / 2
+    half = max(high[1] - low[1], 0.6 * (high[0] - low[0])) / 2
+    tangent = np.tan(np.radians(13.0))
+    distance = 1.04 * half / tangent + (high[2] - low[2]) / 2
+    off = point - centre
+    scale = canvas["height"] / 2 / tangent / (distance - off[2])
+    wide = max(high[0] - low[0], 0.8 * (high[2] - low[2])) / (2 * half)
+    scale *= min(1.0, canvas["width"] / canvas["height"] / wide)
+    x = canvas["x"] + canvas["width"] / 2 + scale * off[0]
+    return x, canvas["y"] + canvas["height"] / 2 - scale * off[1]
