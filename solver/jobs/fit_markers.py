@@ -434,7 +434,7 @@ def _pose(face: Face, frame: MarkerFrame) -> Pose:
     return replace(face.rest_pose(), a=frame.activations, b=b)
 
 
-def _distances(off: Floats, weights: Floats) -> dict[str, float | None]:
+def _distances(off: Floats, weights: Floats) -> dict[str, Any]:
     """Return figures of distances ``off`` (k,) of markers that count."""
     used = off[weights > 0.0]
     if not len(used):

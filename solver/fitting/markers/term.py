@@ -284,7 +284,7 @@ class MarkerTerm:
     @cached_property
     def _centre(self) -> Floats:
         """The point (3,) that the head turns about, in the take."""
-        return self.head.motion(self.places.centre[None])[0]
+        return np.asarray(self.head.motion(self.places.centre[None])[0])
 
     def _placed(self, places: Floats, xi: Floats) -> PlacedMarkers:
         centre = self._centre
