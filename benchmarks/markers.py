@@ -204,7 +204,7 @@ def _held(bench: Bench, known: GaussianPrior) -> Figures:
     patch = np.linalg.norm(rest[:, None] - places[cheek], axis=2).min(axis=1) < 8.0
 
     def skin(fit: MarkerFit) -> Floats:
-        return face.face_points(fit.state.x)[patch]
+        return np.asarray(face.face_points(fit.state.x)[patch])
 
     def off(found: list[MarkerFit]) -> float:
         true = [truth.skin(row)[face.model.face][patch] for row in rows]
