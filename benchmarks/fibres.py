@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import markers, report, subject_fits, subjects
+from benchmarks import made_takes, report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.speed.clock import Stopwatch
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
@@ -358,11 +358,11 @@ def round_trip(face: Face, names: tuple[str, ...], trip: TripOptions = TripOptio
 
 
 def _speed(face: Face, options: argparse.Namespace) -> Figures:
-    """Follow a take of 79 markers as :mod:`benchmarks.markers` does, by fibre muscles."""
+    """Follow a take of 79 markers as :mod:`benchmarks.markers` has it, by fibre muscles."""
     kit = read_facekit(options.faces)
     neutral = ict_neutral(kit, options.faces, options.subject, options.capture_sets).vertices
     take = drive(kit, neutral, read_live_link(options.recording))
-    bench = markers._Bench(face, markers._truth(take, FRAMES), markers.SETS[0])
+    bench = made_takes.Bench(face, made_takes.make_truth(take, FRAMES), 79)
     followed = bench.fit(prior.from_shapes(face, np.stack([*kit.deltas.values()])), bench.clean())
     return {
         "fibre_frame_ms": followed["frame_ms"],

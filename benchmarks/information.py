@@ -27,7 +27,7 @@ import scipy.stats
 
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
-from benchmarks.markers import SHARES, marker_triangles
+from benchmarks.made_takes import SHARES, marker_triangles
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.fitting import activation, fallback, geometry
 from solver.fitting.activation import ActivationOptions

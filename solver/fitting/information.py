@@ -152,9 +152,10 @@ def inverse_of_positive(matrix: Floats) -> Floats:
         scale = 1.0 / np.sqrt(np.diag(matrix))
         scaled = matrix * np.outer(scale, scale)
     try:
-        factor = scipy.linalg.cho_factor(scaled)
+        factor = scipy.linalg.cholesky(scaled)
     except (np.linalg.LinAlgError, ValueError) as error:
         message = f"no posterior: the precision is not positive definite ({error})"
         raise SolveError("solve.not_finite", message) from error
-    inverse = scipy.linalg.cho_solve(factor, np.diag(scale)) * scale[:, None]
-    return np.asarray(0.5 * (inverse + inverse.T))
+    inverse, _ = scipy.linalg.lapack.dpotri(factor)
+    upper = np.triu(inverse) * np.outer(scale, scale)
+    return np.asarray(upper + np.triu(upper, 1).T)

@@ -1,11 +1,14 @@
 """Say how probable a pose is: normal distributions over the controls, from known expressions.
 
-    N(rest, C),    C = sum_e sd^2 dq_e dq_e^T + diag(floor^2)
+    N(rest, C),    C = sum_e (sd^2 dq_e dq_e^T + sum_j s^2 dq_ej dq_ej^T) + diag(floor^2)
 
 with dq_e the change of the controls that makes expression e: of a template's shapes by the flesh's
-linear response at rest, of a rig's scans as fitted. Over time a control forgets: its correlation
-after dt is exp(-dt / time), so that with nothing seen it goes back to the rest (Ornstein and
-Uhlenbeck 1930), and the spread of the frame before grows by (1 - exp(-2 dt / time)) C.
+linear response at rest, of a rig's scans as fitted. dq_ej is the part of muscle j alone (or of the
+jaw): a few scans span few poses, but a muscle may do by itself what it does in one of them.
+
+Over time a control forgets: its correlation after dt is exp(-dt / time), so that with nothing seen
+it goes back to the rest (Ornstein and Uhlenbeck 1930), and the spread of the frame before grows by
+(1 - exp(-2 dt / time)) C.
 """
 
 from __future__ import annotations
@@ -35,15 +38,28 @@ class PriorOptions:
     """
 
     strength: float = 0.5  # standard deviation of an expression's amount
+    own_strength: float = 0.0  # of a muscle's amount by itself
     floor: Mapping[str, Sequence[float] | float] = field(
-        default_factory=lambda: {"jaw": (0.03, 0.03, 0.5, 0.5, 0.5)}
+        default_factory=lambda: {
+            "jaw": (0.03, 0.03, 0.5, 0.5, 0.5),
+            "tracks": (0.03, 0.5, 0.5),
+            "fibres": 0.1,
+        }
     )
     other_floor: float = 0.03  # of a block that is not named
 
 
-# A person's few scans span few poses, and what they leave out may vary as much: of 79 markers a
-# floor of 0.06 left 2.5 mm, one of 0.3 1.8 mm and this one 1.5 mm.
-LOOSE = PriorOptions(floor={"jaw": (0.2, 0.1, 3.0, 3.0, 3.0)}, other_floor=0.6)
+# Of a person's few scans. Without muscles that act by themselves no floor does as well: by the
+# flesh's linear response 79 markers left 0.88 mm (0.3) and 1.03 mm (0.6), these leave 0.83 mm.
+OF_SCANS = PriorOptions(
+    own_strength=0.5,
+    floor={"jaw": (0.06, 0.03, 1.0, 1.0, 1.0), "tracks": (0.06, 1.0, 1.0), "fibres": 0.1},
+)
+# where no expression is known
+LOOSE = PriorOptions(
+    floor={"jaw": (0.2, 0.1, 3.0, 3.0, 3.0), "tracks": (0.2, 3.0, 3.0), "fibres": 0.3},
+    other_floor=0.6,
+)
 
 
 @dataclass(frozen=True)
@@ -106,12 +122,23 @@ def from_changes(
     layout: Layout, changes: Iterable[Floats], options: PriorOptions = PriorOptions()
 ) -> GaussianPrior:
     """Return the prior of expressions, changes (k,) of the controls off the rest."""
-    known = options.strength * np.reshape([*changes], (-1, layout.size))
+    known = np.reshape([*changes], (-1, layout.size))
+    own = np.zeros((layout.size, layout.size))
+    muscles, jaw = (layout.places(block.name) for block in layout.blocks)
+    for part in (*muscles.reshape(len(muscles), -1), jaw):
+        own[np.ix_(part, part)] = known[:, part].T @ known[:, part]
     floor = [
         np.broadcast_to(options.floor.get(block.name, options.other_floor), block.rest.shape)
         for block in layout.blocks
     ]
-    return GaussianPrior(layout.rest, known.T @ known + np.diag(layout.join(floor) ** 2))
+    spread = options.strength**2 * known.T @ known + options.own_strength**2 * own
+    return GaussianPrior(layout.rest, spread + np.diag(layout.join(floor) ** 2))
+
+
+def from_expressions(face: Face, poses: Iterable[Pose]) -> GaussianPrior:
+    """Return the prior of a person's fitted expressions alone."""
+    rest = face.layout.rest
+    return from_changes(face.layout, [pose.vector() - rest for pose in poses], OF_SCANS)
 
 
 def from_shapes(
@@ -124,6 +151,6 @@ def from_shapes(
     jacobian = Sensitivity(face, face.rest).by_pose()
     hessian = rest_curvature(face) + unseen_regulariser(face).gauss_newton(face.rest.pose)
     moved = np.asarray(shapes[:, face.model.face], np.float64) * (2.0 / len(face.model.face))
-    pulls = [jacobian.adjoint(face.face_embedding.T @ shape) for shape in moved]
-    changes = scipy.linalg.solve(hessian, np.transpose(pulls), assume_a="pos").T
+    pulls = np.array([jacobian.adjoint(face.face_embedding.T @ shape) for shape in moved])
+    changes = scipy.linalg.solve(hessian, pulls.T, assume_a="pos").T
     return from_changes(face.layout, changes, options)

@@ -7,7 +7,7 @@ serving the dense Jacobian by (a, b) and the products with the Jacobian by S.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numba as nb
@@ -32,18 +32,32 @@ class Jacobian:
     flesh: Floats  # (size, k)
     held: sp.csr_array  # (3 p, k)
     free: Ints  # (size,) places of the free coordinates among all
+    # rows of flesh that were asked for last: a few dozen markers ask for the same in every step
+    _few: list[tuple[Ints, Floats]] = field(default_factory=list, compare=False)
 
     def adjoint(self, gradient: Floats) -> Floats:
         """Return (dx/dq)^T g (k,) for g by x, (p, 3)."""
         flat = gradient.ravel()
-        return np.asarray(self.flesh.T @ flat[self.free] + self.held.T @ flat)
+        pull, held = flat[self.free], self.held.T @ flat
+        for used, rows in self._few:
+            if np.count_nonzero(pull[used]) == np.count_nonzero(pull):
+                return np.asarray(rows.T @ pull[used] + held)
+        return np.asarray(self.flesh.T @ pull + held)
 
     def motion(self, rows: sp.csr_array) -> Floats:
         """Return A dx/dq (r, k) for sparse ``rows`` A (r, 3 p)."""
         # the derivatives lie column by column: only the few rows that are needed are gathered
         used = np.flatnonzero(np.isin(self.free, rows.indices))
-        moved = rows[:, self.free[used]] @ self.flesh[used]
+        moved = rows[:, self.free[used]] @ self._rows_of_flesh(used)
         return np.asarray(moved + (rows @ self.held).toarray())
+
+    def _rows_of_flesh(self, used: Ints) -> Floats:
+        if self._few and np.array_equal(self._few[0][0], used):
+            return self._few[0][1]
+        rows = self.flesh[used]
+        if 4 * len(used) < len(self.free):
+            self._few[:] = [(used, rows)]
+        return rows
 
     def contract(self, curvature: Curvature) -> Floats:
         """Return (dx/dq)^T C dx/dq (k, k) for C (3 p, 3 p)."""

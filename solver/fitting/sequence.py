@@ -99,30 +99,33 @@ class Tracker:
         prior = self._regulariser.with_proximal_term(before or self.state.pose, self._temporal)
         return self.fit_term(SkinDistance(self.face, target), target.weights, prior)
 
-    def fit_term(self, data: Term, weights: Floats, prior: Prior) -> int:
+    def fit_term(self, data: Term, weights: Floats, prior: Prior, *, whole: bool = False) -> int:
         """Fit a frame by any term and return the steps it took.
 
         ``weights`` (k,) are what its curvature depends on, all of it in the same measure: where
-        they change by much, the lagged matrix is made anew. Raises :class:`SolveError` if the frame
+        they change by much, the lagged matrix is made anew. A ``whole`` fit is that of any
+        expression, for a frame far from the state. Raises :class:`SolveError` if the frame
         cannot be fitted; the state stays that of the frame before.
         """
         options, lagged = self._options, self._lagged
         found = None
-        if lagged:
-            # points may be seen otherwise
-            if np.abs(weights - lagged.weights).sum() >= options.reseen * np.abs(weights).sum():
-                lagged = _LaggedModel.of(lagged.jacobian, data, weights, self.state.x)
-                self._lagged = lagged
+        # points may be seen otherwise
+        if lagged and (
+            np.abs(weights - lagged.weights).sum() >= options.reseen * np.abs(weights).sum()
+        ):
+            lagged = _LaggedModel.of(lagged.jacobian, data, weights, self.state.x)
+            self._lagged = lagged
+        if lagged and not whole:
             found = self._fit_lagged(lagged, data, prior)
             if found is None and self._age:
                 found = self._fit_lagged(self.relinearise(data, weights), data, prior)
             value = activation.objective(data, prior, self.state)
-            if found is None and value < options.stuck * self._value:
+            if found is None and np.isfinite(self._value) and value < options.stuck * self._value:
                 return 0
         if found is None:
             known = None if self._lagged is None else self._lagged.hessian
-            whole, stop = self._whole_fit, Termination.ITERATIONS
-            fitted = activation.fit(self.face, data, prior, self.state, whole, matrix=known)
+            effort, stop = self._whole_fit, Termination.ITERATIONS
+            fitted = activation.fit(self.face, data, prior, self.state, effort, matrix=known)
             found = LeastSquaresSolution(fitted.state, fitted.objective, fitted.iterations, stop)
             self._age = options.lagged_frames
         self.state, self._value = found.point, found.value

@@ -6,6 +6,7 @@ process of its own, the offline command line directly.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -61,6 +62,15 @@ def run_job(
     out.mkdir(parents=True, exist_ok=True)
     task = Task(out, given, files, captures or {}, role, resume, progress)
     return cast(list[Path], import_module(f"{jobs}.{kind}").run(task))
+
+
+def hash_files(files: Mapping[str, Path]) -> dict[str, str]:
+    """Return the hash of each file by its name."""
+    hashes = {}
+    for name, path in files.items():
+        with path.open("rb") as stream:
+            hashes[name] = hashlib.file_digest(stream, "sha256").hexdigest()
+    return hashes
 
 
 def _read_options(kind: Kind, given: Mapping[str, Any]) -> JobOptions:

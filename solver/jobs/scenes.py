@@ -19,7 +19,7 @@ from PIL import Image
 
 from solver.animation.drives import PosedFrame
 from solver.errors import SolveError
-from solver.jobs import Task
+from solver.jobs import Task, hash_files
 from solver.progress import Progress, Step, silent
 from solver.rig.animation import Filming, write_animation
 from solver.rig.frames import (
@@ -50,11 +50,7 @@ def read_person(task: Task[Any]) -> tuple[Rig, Places]:
 def fingerprint(task: Task[Any]) -> str:
     """Return the hash of a task's scene and of all files that it is played with."""
     files = {**task.inputs, **{f"asset {name}": path for name, path in task.captures.items()}}
-    hashes = {}
-    for name, path in files.items():
-        with path.open("rb") as stream:
-            hashes[name] = hashlib.file_digest(stream, "sha256").hexdigest()
-    content = [document_of(task.options.scene), hashes]
+    content = [document_of(task.options.scene), hash_files(files)]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -22,6 +22,15 @@ class FitMarkers(JobOptions):
         le=10_000,
         description="frames of the take per second; null: what the file says, else 60",
     )
+    muscles: Literal["blended", "fibre"] = Field(
+        default="blended",
+        description="blended, six numbers a muscle with the rig's weights; fibre, one activation "
+        "in [0, 1] a muscle or strip",
+    )
+    jaw: Literal["free", "tracks"] = Field(
+        default="free",
+        description="free, five numbers; tracks, an angle and both condyles' slides along tracks",
+    )
     prior: Literal["shapes", "scans", "none"] = Field(
         default="shapes",
         description="what makes a pose probable: shapes, the template's expressions; scans, the "
@@ -54,7 +63,7 @@ class FitMarkers(JobOptions):
         "it too: smoother, and gaps are bridged from both sides",
     )
     refine: Whole = Field(
-        default=0,
+        default=20,
         ge=0,
         le=1000,
         description="frames, evenly over the take, by which the markers' places are mended first, "

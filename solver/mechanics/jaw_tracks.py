@@ -20,9 +20,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.optimize import least_squares, nnls
 
-from solver.mechanics.boundary import rotation
+from solver.mechanics.boundary import JawMotion, rotation
 from solver.model import JawFrame
 from solver.similarity import weighted_motion
 from solver.surface import Floats, skew
@@ -168,3 +168,13 @@ def tracks_of_shapes(
     length = max(float(s.max()), options.length_mm)
     opening = max(*hinges, usual.opening)
     return replace(usual, slope=slope, bend=bend, length=length, opening=opening)
+
+
+def nearest_jaw(jaw: JawMotion, size: int, motion: Floats, points: Floats) -> Floats:
+    """Return the numbers (size,) of a jaw that move ``points`` (n, 3) most as ``motion`` (4, 4)."""
+    goal = points @ motion[:3, :3].T + motion[:3, 3]
+
+    def off(b: Floats) -> Floats:
+        return np.asarray((jaw.move(points, b) - goal).ravel())
+
+    return np.asarray(least_squares(off, np.zeros(size), x_scale="jac").x)

@@ -110,12 +110,14 @@ class ChunkWriter(Generic[Record]):
         self._frames: list[Record] = []
         self._since = time.monotonic()
 
-    def add(self, frame: Record) -> None:
-        """Take a frame; write a file if it is full or long due."""
+    def add(self, frame: Record) -> bool:
+        """Take a frame; write a file if it is full or long due, and tell whether it was."""
         self._frames.append(frame)
         overdue = time.monotonic() - self._since > self._options.seconds
-        if overdue or len(self._frames) >= self._options.frames:
+        due = overdue or len(self._frames) >= self._options.frames
+        if due:
             self.flush()
+        return due
 
     def flush(self) -> None:
         """Write the frames that wait, if there are any."""
@@ -282,7 +284,8 @@ class SequenceFrame(FrameRecord):
 class MarkerFrame(SequenceFrame):
     """One frame of a take of k markers, fitted; distances are those of the markers that count.
 
-    What is of the q controls is in the order of activations and jaw.
+    What is of the q controls is in the order of activations and jaw, or tracks. Activations of
+    fibre muscles are (m,); ``jaw`` is the free jaw that comes nearest to one on its tracks.
     """
 
     marker_mm: Floats  # (k,) off the fitted face, NaN where nothing was seen
@@ -291,12 +294,13 @@ class MarkerFrame(SequenceFrame):
     sd: Floats  # (q,) standard deviations
     information: Floats  # (q,) in [0, 1]: part of the variance that this frame takes away
     held: Floats  # (m,) 1 where the frame tells too little of a muscle
+    tracks: Floats  # (3,) of a jaw on its tracks, (0,) of a free one
     mandible: Floats  # (4, 4) its motion in the head's frame: x -> R x + t, mm
 
     FORMAT: ClassVar[int] = 2
     ARRAYS: ClassVar[tuple[str, ...]] = (
         *FrameRecord.ARRAYS,
-        *("marker_mm", "marker_weight", "sd", "information", "held", "mandible"),
+        *("marker_mm", "marker_weight", "sd", "information", "held", "tracks", "mandible"),
     )
 
     def as_dict(self) -> dict[str, Any]:
@@ -381,18 +385,18 @@ def _write_table(
     entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
     if frames[0].activations.ndim == 1:
         entries = list(muscles)
+    spread = []
+    if isinstance(frames[0], MarkerFrame):
+        on_tracks = [f"tracks.{name}" for name in ("opening", "left", "right")]
+        names = [*entries, *(on_tracks if frames[0].tracks.size else jaw)]
+        spread = [f"{name}.sd" for name in names]
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
-        spread = (
-            [f"{name}.sd" for name in (*entries, *jaw)]
-            if isinstance(frames[0], MarkerFrame)
-            else []
-        )
         rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries, *spread])
         for frame in frames:
             values = [*frame.jaw, *frame.head, *frame.activations.ravel()]
             if isinstance(frame, MarkerFrame):
-                values += [*frame.sd]
+                values += frame.sd.tolist()
             error = "" if frame.mean_mm is None else f"{frame.mean_mm:.4f}"
             rows.writerow(
                 [frame.frame, f"{frame.frame / fps:.4f}", frame.status, error]

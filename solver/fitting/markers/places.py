@@ -13,15 +13,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from solver.errors import SolveError
+from solver.anatomy.embedding import barycentric
 from solver.fitting.face import Face
 from solver.fitting.least_squares import StopOptions
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerOptions, MarkerTracker
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.sequence import TrackingOptions
+from solver.scans.markers.bind import model_face
 from solver.scans.markers.marker_set import Marker
-from solver.surface import Floats, unit_rows
+from solver.surface import Floats, Surface, unit_rows
 
 
 @dataclass(frozen=True)
@@ -32,9 +33,10 @@ class RefineOptions:
     most_mm: float = 5.0  # from where a marker was bound
     least_frames: int = 5  # in which a marker counts, or it stays
     left: float = 0.6  # of the binding's spread that a moved place is left with
-    # frames lie far apart: each may take more steps
-    tracking: MarkerOptions = field(
-        default_factory=lambda: MarkerOptions(tracking=TrackingOptions(StopOptions(10, 2e-3)))
+    tracking: MarkerOptions = field(default_factory=MarkerOptions)  # of the take
+    # of a frame, in place of the take's: the next lies far away
+    steps: TrackingOptions = field(
+        default_factory=lambda: TrackingOptions(StopOptions(10, promised=2e-3))
     )
 
 
@@ -50,12 +52,13 @@ def refine(
 
     The frames are ``seconds`` apart, of all that the face does. Markers on bones stay.
     """
-    rest, now = face.model.rest, list(markers)
+    tracking = replace(options.tracking, tracking=options.steps)
+    rest, now, skin = face.model.rest, list(markers), model_face(face.model)
     bound = MarkerPlaces(face.model, markers).at(rest)
     for _ in range(options.rounds):
         places = MarkerPlaces(face.model, now)
         sigma = np.array([marker.sigma_mm for marker in now])
-        tracker = MarkerTracker(face, places, sigma, prior, seconds, options.tracking)
+        tracker = MarkerTracker(face, places, sigma, prior, seconds, tracking)
         offsets = _offsets(tracker, frames)
         counts = np.isfinite(offsets[..., 0]).sum(axis=0)
         axes, at = triangle_axes(places.corners(rest)), places.at(rest)
@@ -68,8 +71,7 @@ def refine(
             goal = at[number] + axes[number] @ (trusted * np.median(mine, axis=0))
             away = goal - bound[number]
             away *= min(1.0, options.most_mm / max(float(np.linalg.norm(away)), 1e-9))
-            corners = face.model.skin.vertices[list(marker.vertices)]
-            now[number] = place_on(marker, bound[number] + away, corners)
+            now[number] = place_on(marker, bound[number] + away, skin)
     return tuple(
         marker if marker is before else replace(marker, sigma_mm=options.left * before.sigma_mm)
         for marker, before in zip(now, markers, strict=True)
@@ -80,9 +82,8 @@ def _offsets(tracker: MarkerTracker, frames: Sequence[Floats]) -> Floats:
     """Return what is left of frames (f, k, 3) in the axes of triangles, NaN where nothing is."""
     found = []
     for seen in frames:
-        try:
-            fit = tracker.fit(seen)
-        except SolveError:
+        fit = tracker.fit(seen)
+        if fit.kept:
             continue
         off = (fit.judged.points - fit.placed.points) @ fit.placed.head.rotation
         axes = triangle_axes(tracker.places.corners(fit.state.x))
@@ -98,11 +99,15 @@ def triangle_axes(corners: Floats) -> Floats:
     return np.stack([along, np.cross(normal, along), normal], axis=2)
 
 
-def place_on(marker: Marker, point: Floats, corners: Floats) -> Marker:
-    """Return a marker moved to ``point`` (3,), given by its triangle's ``corners`` (3, 3)."""
+def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:
+    """Return a marker moved to ``point`` (3,), on the nearest triangle of the ``skin``."""
+    triangle, shares, _ = barycentric(point[None], skin)
+    vertices = skin.faces[triangle[0]]
+    corners, shares = skin.vertices[vertices], np.clip(shares[0], 0.0, 1.0)
+    one, two, three = (shares / shares.sum()).tolist()
     normal = triangle_axes(corners[None])[0, :, 2]
-    height = float((point - corners[0]) @ normal)
-    edges = (corners[1:] - corners[0]).T
-    shares = np.linalg.lstsq(edges, point - corners[0] - height * normal)[0]
-    one, two = (float(share) for share in shares)
-    return replace(marker, weights=(1.0 - one - two, one, two), height_mm=height)
+    height = float((point - shares @ corners) @ normal)
+    first, second, third = vertices.tolist()
+    return replace(
+        marker, vertices=(first, second, third), weights=(one, two, three), height_mm=height
+    )

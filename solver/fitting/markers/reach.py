@@ -82,7 +82,8 @@ def reach(
     noise = float(np.hypot(options.place_mm, options.noise_mm))
     further = []
     for number, gain in now.greedy(candidates, options.count, noise):
-        after = now.given(candidates[number], noise)
+        seen = candidates[number] / noise
+        after = now.after(seen.T @ seen)
         most = np.argsort(now.information_of(muscles) - after.information_of(muscles))
         named = tuple(most[: options.named].tolist())
         further.append(FurtherMarker(points[chosen[number]], gain, named))

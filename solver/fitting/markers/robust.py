@@ -19,6 +19,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from solver.fitting.markers.term import HeadPrior, head_rates
 from solver.surface import Floats, Ints
 
 MarkerState = Literal["seen", "missing", "outlier", "swapped", "relabelled"]
@@ -43,6 +44,25 @@ class Prediction:
 
     points: Floats
     covariance: Floats  # (3 k, 3 k)
+
+    @classmethod
+    def of(
+        cls, head: HeadPrior, centre: Floats, places: Floats, jacobian: Floats, spread: Floats
+    ) -> Prediction:
+        """Return where markers at ``places`` (k, 3) in the head's frame are seen.
+
+        ``jacobian`` (3 k, q) is their derivative by controls of the covariance ``spread`` (q, q),
+        ``centre`` (3,) what the head's motion is counted about.
+        """
+        points = head.motion(places)
+        turned = np.einsum(
+            "ij,kjq->kiq", head.motion.rotation, jacobian.reshape(len(places), 3, -1)
+        )
+        turned = turned.reshape(jacobian.shape)
+        by_head = head_rates(points - head.motion(centre[None]))
+        covariance = turned @ spread @ turned.T
+        covariance += by_head @ np.linalg.solve(head.precision, by_head.T)
+        return cls(points, covariance)
 
     def given(self, seen: Floats, precision: Floats) -> Prediction:
         """Return the places after points ``seen`` (k, 3) of ``precision`` (k, 3), 0 for none."""

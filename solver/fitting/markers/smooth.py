@@ -6,24 +6,26 @@ c a frame (:meth:`GaussianPrior.after`). With Q the spread before the next frame
     G = c P Q^-1,    m' = m + G (m'_next - rest - c (m - rest)),    P' = P + G (P'_next - Q) G^T
 
 (Rauch, Tung and Striebel 1965). P is made again from the poses, heads and weights of the frames
-alone, so that a job that was resumed comes to the same.
+alone, so that a job that was resumed comes to the same; in blocks, as a long take's do not fit into
+memory: forward for what each block begins with, then block by block from the last.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryFile
+from math import isqrt
 
 import numpy as np
 import scipy.linalg
 
 from solver.fitting.face import Pose
-from solver.fitting.information import inverse_of_positive
 from solver.fitting.markers.tracker import MarkerTracker
+from solver.fitting.prior import GaussianPrior
 from solver.similarity import Similarity
 from solver.surface import Floats
+
+SHORTEST_BLOCK = 240  # frames: takes of so many are gone over once
 
 
 @dataclass(frozen=True)
@@ -44,28 +46,49 @@ class SmoothFrame:
 
 
 def smooth(
-    tracker: MarkerTracker, frames: Sequence[TracedFrame], folder: Path | None = None
+    tracker: MarkerTracker, frames: Sequence[TracedFrame], shortest: int = SHORTEST_BLOCK
 ) -> list[SmoothFrame]:
-    """Return the frames of a take after a sweep back; ``folder`` is where covariances wait."""
-    prior, size = tracker.prior, tracker.face.layout.size
-    tracker.begin(tracker.face.rest, None)
-    kept = np.exp(-tracker.seconds / tracker.options.forgetting)
+    """Return the frames of a take after a sweep back, in blocks of ``shortest`` frames or more."""
+    prior, kept = tracker.prior, np.exp(-tracker.seconds / tracker.options.forgetting)
+    length = max(shortest, isqrt(len(frames)))
+    blocks = [frames[first : first + length] for first in range(0, len(frames), length)]
+    begins, covariances = [prior.covariance], []
+    for block in blocks:
+        covariances = _covariances(tracker, block, begins[-1])
+        begins.append(_spread(tracker, covariances[-1]))
     found: list[SmoothFrame] = []
-    with TemporaryFile(dir=folder) as file:
-        stored = np.memmap(file, np.float32, "w+", shape=(len(frames), size, size))
-        spread = prior.covariance
-        for number, frame in enumerate(frames):
-            normal = tracker.normal(frame.pose, frame.head, frame.weights, number)
-            covariance = inverse_of_positive(inverse_of_positive(spread) + normal)
-            stored[number] = covariance
-            spread = kept**2 * covariance + (1.0 - kept**2) * prior.covariance
-        mean, after = frames[-1].pose.vector(), np.asarray(stored[-1], np.float64)
-        found.append(SmoothFrame(mean, np.sqrt(np.diag(after))))
-        for number in range(len(frames) - 2, -1, -1):
-            own, here = frames[number].pose.vector(), np.asarray(stored[number], np.float64)
-            spread = kept**2 * here + (1.0 - kept**2) * prior.covariance
-            gain = kept * scipy.linalg.solve(spread, here, assume_a="pos").T
-            mean = own + gain @ (mean - prior.mean - kept * (own - prior.mean))
-            after = here + gain @ (after - spread) @ gain.T
+    mean, after = prior.mean, prior.covariance
+    for number, block in reversed(list(enumerate(blocks))):
+        if number < len(blocks) - 1:
+            covariances = _covariances(tracker, block, begins[number])
+        for frame, here in zip(reversed(block), reversed(covariances), strict=True):
+            own = frame.pose.vector()
+            if found:
+                spread = _spread(tracker, here)
+                gain = kept * scipy.linalg.solve(spread, here, assume_a="pos").T
+                mean = own + gain @ (mean - prior.mean - kept * (own - prior.mean))
+                after = here + gain @ (after - spread) @ gain.T
+            else:
+                mean, after = own, here
             found.append(SmoothFrame(mean, np.sqrt(np.maximum(np.diag(after), 0.0))))
     return found[::-1]
+
+
+def _covariances(
+    tracker: MarkerTracker, frames: Sequence[TracedFrame], spread: Floats
+) -> list[Floats]:
+    """Return what the filter knows after each of some frames, and ``spread`` before the first."""
+    tracker.begin(tracker.face.rest, None)
+    found: list[Floats] = []
+    for number, frame in enumerate(frames):
+        before = _spread(tracker, found[-1]) if found else spread
+        normal = tracker.normal(frame.pose, frame.head, frame.weights, number)
+        covariance, _ = tracker.spread(GaussianPrior(tracker.prior.mean, before), normal)
+        found.append(covariance)
+    return found
+
+
+def _spread(tracker: MarkerTracker, covariance: Floats) -> Floats:
+    """Return the covariance before the frame that follows on one with this."""
+    prior, seconds = tracker.prior, tracker.seconds
+    return prior.after(prior.mean, covariance, seconds, tracker.options.forgetting).covariance

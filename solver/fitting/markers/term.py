@@ -5,7 +5,7 @@
 
 Corners c of a marker's triangle move with flesh, mandible or skull; n is the triangle's normal. The
 head (R, t) is the predicted one followed by a small motion xi = (omega, tau) about the markers'
-middle, with the precision Pi; it is eliminated: as xi is at a minimum, f's gradient needs no
+middle at rest, with the precision Pi. It is eliminated: with xi at a minimum f's gradient needs no
 derivative of it (envelope theorem), and the Gauss-Newton matrix is a Schur complement. f is half a
 squared Mahalanobis distance, without unit; robust weights are within Lambda.
 """
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,10 +22,11 @@ from scipy.spatial.transform import Rotation
 
 from solver.anatomy.embedding import rows_of
 from solver.contact.mouth import Mandible
+from solver.fitting.information import inverse_of_positive
 from solver.fitting.objective import GramCurvature
 from solver.model import SubjectModel
 from solver.scans.markers.marker_set import BONY, Marker
-from solver.similarity import IDENTITY, Similarity, weighted_motion
+from solver.similarity import IDENTITY, Similarity, robust_motion, weighted_motion
 from solver.surface import Floats
 
 # corners of a marker's triangle on a bone, mm from it
@@ -39,6 +41,9 @@ class MarkerPlaces:
         self.heights = np.array([marker.height_mm for marker in markers])
         self._corners, self._fixed = _corner_rows(model, markers)
         self._rows = sp.csr_array(sp.kron(self._corners, sp.eye_array(3), format="csr"))
+        at_rest = np.asarray(self._corners @ model.rest + self._fixed).reshape(-1, 3, 3)
+        # what a head's motion is counted about: it must not change with what is seen
+        self.centre = np.einsum("ki,kix->kx", self.weights, at_rest).mean(axis=0)
 
     def __len__(self) -> int:
         return len(self.heights)
@@ -120,14 +125,28 @@ def _cross(vectors: Floats) -> Floats:
     return out
 
 
+def head_rates(arms: Floats) -> Floats:
+    """Return the derivative (3 k, 6) by a small motion about a point of what is ``arms`` off it."""
+    shifts = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
+    return np.concatenate([-_cross(arms), shifts], axis=2).reshape(-1, 6)
+
+
 @dataclass(frozen=True)
 class HeadOptions:
-    """The head's elimination, and what is known of it before a frame."""
+    """The head's elimination, and what is known of it before a frame; lengths in mm."""
 
     steps: int = 30  # of Newton's method, at most
     accuracy: float = 1e-10  # of a step, rad and mm, that is the last
     unknown_rad: float = 3.0  # standard deviations of a head that nothing is known of
     unknown_mm: float = 1e3
+    # spread that a head's motion gains in a second
+    turn_rad: float = 0.3
+    shift_mm: float = 60.0
+    # spread about where most markers of a frame say; of one that is less sure they are asked again
+    first_turn_rad: float = 0.3
+    first_shift_mm: float = 30.0
+    placed_within_mm: float = 8.0  # of where the face has it a marker tells of the head
+    placings: int = 20  # rounds of that
 
 
 @dataclass(frozen=True)
@@ -142,6 +161,35 @@ class HeadPrior:
         """Return the prior of a head that may be anywhere."""
         sd = np.repeat([options.unknown_rad, options.unknown_mm], 3)
         return cls(IDENTITY, np.diag(sd**-2))
+
+    @classmethod
+    def of_most(
+        cls, places: Floats, seen: Floats, weights: Floats, options: HeadOptions = HeadOptions()
+    ) -> HeadPrior:
+        """Return where most markers say that the head is; unknown of fewer than three.
+
+        They are at ``places`` (k, 3) in its frame, ``seen`` (k, 3) in the take, NaN for missing.
+        """
+        known = np.isfinite(seen).all(axis=1)
+        if known.sum() < 3:
+            return cls.unknown(options)
+        sd = np.repeat([options.first_turn_rad, options.first_shift_mm], 3)
+        at, there, weights = places[known], seen[known], weights[known]
+        motion = robust_motion(at, there, weights, 1e6, 1)
+        slack = options.placed_within_mm
+        motion = robust_motion(at, there, weights, slack, options.placings, motion)
+        return cls(motion, np.diag(sd**-2))
+
+    def after(self, seconds: float, options: HeadOptions = HeadOptions()) -> HeadPrior:
+        """Return what is known of the head so long after."""
+        gained = np.repeat([options.turn_rad**2, options.shift_mm**2], 3) * seconds
+        spread = inverse_of_positive(self.precision) + np.diag(gained)
+        return HeadPrior(self.motion, inverse_of_positive(spread))
+
+    def is_lost(self, options: HeadOptions = HeadOptions()) -> bool:
+        """Tell whether a frame's markers know more of the head's rotation than this."""
+        spread = np.diag(inverse_of_positive(self.precision))
+        return bool(spread[:3].max() > options.first_turn_rad**2)
 
 
 @dataclass(frozen=True)
@@ -168,12 +216,15 @@ class MarkerTerm:
     precision: Floats
     head: HeadPrior = field(default_factory=HeadPrior.unknown)
     options: HeadOptions = HeadOptions()
-    # the last places with what they gave: value, gradient and curvature ask for the same
-    _known: list[tuple[Floats, Floats, float]] = field(default_factory=list, compare=False)
+    # the last places with what they gave, xi and f: value, gradient and curvature ask for the same
+    _known: list[tuple[Floats, PlacedMarkers, Floats, float]] = field(
+        default_factory=list, compare=False
+    )
 
     def value(self, x: Floats) -> float:
         """See :class:`~solver.fitting.objective.Term`."""
-        return self._solve(self.places.at(x))[1]
+        self.place(self.places.at(x))
+        return self._known[-1][-1]
 
     def gradient(self, x: Floats) -> Floats:
         """See :class:`~solver.fitting.objective.Term`."""
@@ -200,58 +251,49 @@ class MarkerTerm:
 
     def place(self, places: Floats) -> PlacedMarkers:
         """Place markers that are at ``places`` (k, 3) in the head's frame by what was seen."""
-        xi, _ = self._solve(places)
-        return self._placed(places, xi)
-
-    def _solve(self, places: Floats) -> tuple[Floats, float]:
-        """Return the small motion xi (6,) of the head, and f."""
-        if self._known and np.array_equal(self._known[-1][0], places):
-            return self._known[-1][1:]
-        xi = self._start(places)
+        known = self._known
+        if known and np.array_equal(known[-1][0], places):
+            return known[-1][1]
+        # places that were asked for before are near by
+        xi = known[-1][2] if known else self._start(places)
+        placed = self._placed(places, xi)
         for _ in range(self.options.steps):
-            placed = self._placed(places, xi)
             weighted = (self.precision * placed.offsets).ravel()
             slope = placed.by_head.T @ weighted + self.head.precision @ xi
             step = -np.linalg.solve(placed.precision, slope)
+            if np.abs(step).max() < self.options.accuracy:
+                break
             # a further rotation, composed; it is small
             turned = Rotation.from_rotvec(step[:3]) * Rotation.from_rotvec(xi[:3])
             xi = np.concatenate([turned.as_rotvec(), xi[3:] + step[3:]])
-            if np.abs(step).max() < self.options.accuracy:
-                break
-        value = self._value(places, xi)
-        self._known[:] = [(places, xi, value)]
-        return xi, value
+            placed = self._placed(places, xi)
+        own = np.sum(self.precision * placed.offsets**2)
+        value = 0.5 * float(own + xi @ self.head.precision @ xi)
+        known[:] = [(places, placed, xi, value)]
+        return placed
 
     def _start(self, places: Floats) -> Floats:
         """Return xi (6,) that least squares give, as if all axes counted alike."""
         weights = self.precision.mean(axis=1)
-        predicted = self.head.motion(places) - self._middle
+        predicted = self.head.motion(places) - self._centre
         if np.count_nonzero(weights) < 3:
             return np.zeros(6)
-        seen = np.where(weights[:, None] > 0.0, self.seen, 0.0) - self._middle
+        seen = np.where(weights[:, None] > 0.0, self.seen, 0.0) - self._centre
         return weighted_motion(predicted, seen, weights).twist
 
-    @property
-    def _middle(self) -> Floats:
-        """The point (3,) that the head turns about: the middle of what was seen."""
-        counted = self.precision.any(axis=1)
-        return self.seen[counted].mean(axis=0) if counted.any() else self.head.motion.shift
+    @cached_property
+    def _centre(self) -> Floats:
+        """The point (3,) that the head turns about, in the take."""
+        return np.asarray(self.head.motion(self.places.centre[None])[0])
 
     def _placed(self, places: Floats, xi: Floats) -> PlacedMarkers:
-        middle = self._middle
+        centre = self._centre
         small = Similarity(1.0, Rotation.from_rotvec(xi[:3]).as_matrix(), xi[3:])
-        arms = small.turn(self.head.motion(places) - middle)
-        points = arms + xi[3:] + middle
+        arms = small.turn(self.head.motion(places) - centre)
+        points = arms + xi[3:] + centre
         offsets = np.where(self.precision > 0.0, points - self.seen, 0.0)
-        by_head = np.concatenate([-_cross(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], 2)
-        by_head = by_head.reshape(-1, 6)
+        by_head = head_rates(arms)
         matrix = by_head.T @ (self.precision.ravel()[:, None] * by_head) + self.head.precision
-        about = Similarity(1.0, np.eye(3), -middle)
+        about = Similarity(1.0, np.eye(3), -centre)
         head = self.head.motion.then(about).then(small).then(about.inverse())
         return PlacedMarkers(head, points, offsets, by_head, matrix)
-
-    def _value(self, places: Floats, xi: Floats) -> float:
-        offsets = self._placed(places, xi).offsets
-        return float(
-            0.5 * np.sum(self.precision * offsets**2) + 0.5 * xi @ self.head.precision @ xi
-        )

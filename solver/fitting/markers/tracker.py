@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from solver.fitting.objective import Regulariser
 from solver.fitting.prior import GaussianPrior, PriorSum
 from solver.fitting.sensitivity import Jacobian
 from solver.fitting.sequence import Tracker, TrackingOptions
-from solver.similarity import Similarity, robust_motion
+from solver.similarity import Similarity
 from solver.surface import Floats
 
 
@@ -42,15 +43,8 @@ class MarkerOptions:
     noise_mm: float = 0.2  # standard deviation of a point, beside that of its marker's place
     w_v: float = 0.3  # of volume, beside half a squared Mahalanobis distance
     w_e: float = 3.0  # of least eigenvalues
-    # spread that a head's motion gains in a second
-    turn_rad: float = 0.3
-    shift_mm: float = 60.0
-    # spread of the first frame's head about where most markers say
-    first_turn_rad: float = 0.3
-    first_shift_mm: float = 30.0
-    placed_within_mm: float = 8.0  # of where the resting face has it a marker tells of the head
-    placings: int = 20  # rounds of that
     max_iterations: int = 15  # of a frame that is fitted as any expression is
+    head: HeadOptions = field(default_factory=HeadOptions)
     robust: RobustOptions = field(default_factory=RobustOptions)
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
 
@@ -60,13 +54,17 @@ class MarkerMemory:
     """What a frame leaves to the next: the posterior of controls and head."""
 
     mean: Floats  # (k,)
-    covariance: Floats  # (k, k)
+    covariance: Floats  # (k, k) as the filter has it, points of all frames being independent
+    spread: Floats  # (k, k) as surely as they are known: see MarkerTracker.spread
     head: HeadPrior
 
 
 @dataclass(frozen=True)
 class MarkerFit:
-    """One frame of a take, fitted; ``predicted`` where nothing was seen that counts."""
+    """One frame of a take, fitted; ``predicted`` where nothing was seen that counts.
+
+    One that is ``kept`` could not be fitted: the face is as in the frame before.
+    """
 
     state: PosedFace
     placed: PlacedMarkers
@@ -75,6 +73,7 @@ class MarkerFit:
     information: Floats  # (k,) of this frame alone
     held: np.ndarray  # (m,) muscles
     predicted: bool
+    kept: bool
     steps: int
 
     @property
@@ -128,26 +127,39 @@ class MarkerTracker:
         """Fit a frame: points ``seen`` (k, 3), NaN where missing, of the take's axes in mm.
 
         ``unlabelled`` (u, 3) are points that may be any marker's; ``sigma`` (k, 3) the system's own
-        standard deviations. Raises :class:`SolveError` if the face cannot be brought there.
+        standard deviations, as in the options where they are not finite.
         """
-        options = self.options
+        options, first = self.options, self.memory is None
         noise = np.full((1, 3), options.noise_mm) if sigma is None else sigma
+        noise = np.where(np.isfinite(noise), noise, options.noise_mm)
         precision = 1.0 / (self._sigma[:, None] ** 2 + noise**2)
         prior, head = self._before(seen)
         state = self.tracker.state
-        prediction, _ = self._predict(prior, head, precision)
+        prediction = self._predict(prior, head)
         free = np.zeros((0, 3)) if unlabelled is None else unlabelled
         judged = judge(prediction, seen, precision, free, options.robust)
         used = precision * judged.weights[:, None]
-        term = MarkerTerm(self.places, np.where(used > 0.0, judged.points, np.nan), used, head)
-        predicted = not used.any()
-        steps = 0
-        if predicted:
+        target = np.where(used > 0.0, judged.points, np.nan)
+        term = MarkerTerm(self.places, target, used, head, options.head)
+        if not used.any():
             with suppress(SolveError):  # out of reach: it stays where it is
                 self.tracker.go_to(state.pose.add(prior.mean - state.pose.vector()))
-        else:
-            steps = self.tracker.fit_term(term, used, PriorSum((prior, self._penalties)))
-        return self._leave(term, judged, prior, predicted, steps)
+            return self._leave(term, judged, prior, "predicted")
+        try:
+            both = PriorSum((prior, self._penalties))
+            steps = self.tracker.fit_term(term, used, both, whole=first)
+        except SolveError:
+            return self._leave(term, judged, prior, "kept")
+        return self._leave(term, judged, prior, "fitted", steps)
+
+    def place(self, seen: Floats, weights: Floats, near: Similarity) -> PlacedMarkers:
+        """Place the head anew by points ``seen`` (k, 3), the face being as it is."""
+        noise = self._sigma**2 + self.options.noise_mm**2
+        used = np.tile((weights / noise)[:, None], (1, 3))
+        head = HeadPrior(near, HeadPrior.unknown(self.options.head).precision)
+        target = np.where(used > 0.0, seen, np.nan)
+        term = MarkerTerm(self.places, target, used, head, self.options.head)
+        return term.place(self.places.at(self.tracker.state.x))
 
     def normal(self, pose: Pose, head: Similarity, weights: Floats, number: int) -> Floats:
         """Return what markers with ``weights`` (k,) tell of the controls of a pose, (q, q).
@@ -160,52 +172,46 @@ class MarkerTracker:
         places = self.places.at(state.x)
         noise = self._sigma**2 + self.options.noise_mm**2
         used = np.tile((weights / noise)[:, None], (1, 3))
-        unknown = HeadPrior(head, HeadPrior.unknown().precision)
-        term = MarkerTerm(self.places, head(places), used, unknown)
+        options = self.options.head
+        unknown = HeadPrior(head, HeadPrior.unknown(options).precision)
+        term = MarkerTerm(self.places, head(places), used, unknown, options)
         if number % self.options.tracking.lagged_frames == 0:
             self.tracker.relinearise(term, used)
         by_controls = self._by_controls()
         return np.asarray(by_controls.T @ term.inner(term.place(places)) @ by_controls)
 
+    def spread(self, prior: GaussianPrior, normal: Floats) -> tuple[Floats, Posterior]:
+        """Return how surely the controls of a frame are known (q, q), and by it alone.
+
+        ``prior`` is that before the frame, ``normal`` (q, q) what its markers tell. What they tell
+        of is not known any better by the frames before: markers bound beside where they are err
+        alike in all of them, and many such frames say no more than one. The filter goes on from
+        its own, smaller covariance: it follows a bias as closely, and is less stirred by noise.
+        """
+        usual = self.prior
+        alone = Posterior(inverse_of_positive(usual.precision + normal), usual.variance)
+        unseen = 1.0 - alone.information
+        before = unseen[:, None] * (prior.precision - usual.precision) * unseen
+        return inverse_of_positive(usual.precision + before + normal), alone
+
     def _before(self, seen: Floats) -> tuple[GaussianPrior, HeadPrior]:
         """Return what is probable of controls and head before a frame is looked at."""
         options, memory = self.options, self.memory
+        at, weights = self.places.at(self.tracker.state.x), self._sigma**-2.0
         if memory is None:
-            return self.prior, self._first_head(seen)
-        seconds = self.seconds
-        prior = self.prior.after(memory.mean, memory.covariance, seconds, options.forgetting)
-        gained = np.repeat([options.turn_rad**2, options.shift_mm**2], 3) * seconds
-        spread = inverse_of_positive(memory.head.precision) + np.diag(gained)
-        return prior, HeadPrior(memory.head.motion, inverse_of_positive(spread))
+            return self.prior, HeadPrior.of_most(at, seen, weights, options.head)
+        prior = self.prior.after(memory.mean, memory.covariance, self.seconds, options.forgetting)
+        head = memory.head.after(self.seconds, options.head)
+        if head.is_lost(options.head) and np.isfinite(seen).all(axis=1).sum() >= 3:
+            head = HeadPrior.of_most(at, seen, weights, options.head)
+        return prior, head
 
-    def _first_head(self, seen: Floats) -> HeadPrior:
-        """Return where most of a frame's markers say that the head is."""
-        options, known = self.options, np.isfinite(seen).all(axis=1)
-        sd = np.repeat([options.first_turn_rad, options.first_shift_mm], 3)
-        if known.sum() < 3:
-            return HeadPrior.unknown(HeadOptions())
-        at = self.places.at(self.tracker.state.x)[known]
-        weights, slack = 1.0 / self._sigma[known] ** 2, options.placed_within_mm
-        motion = robust_motion(at, seen[known], weights, 1e6, 1)
-        motion = robust_motion(at, seen[known], weights, slack, options.placings, motion)
-        return HeadPrior(motion, np.diag(sd**-2))
-
-    def _predict(
-        self, prior: GaussianPrior, head: HeadPrior, precision: Floats
-    ) -> tuple[Prediction, Floats]:
-        """Return the markers' places in the take, and their derivative (3 k, q) by the controls."""
-        state, motion = self.tracker.state, head.motion
-        by_controls = self._by_controls()
+    def _predict(self, prior: GaussianPrior, head: HeadPrior) -> Prediction:
+        """Return the markers' places in the take."""
+        state, by_controls = self.tracker.state, self._by_controls()
         change = prior.mean - state.pose.vector()
         places = self.places.at(state.x) + (by_controls @ change).reshape(-1, 3)
-        term = MarkerTerm(self.places, motion(places), precision, head)
-        placed = term.place(places)
-        turned = np.einsum("ij,kjq->kiq", motion.rotation, by_controls.reshape(-1, 3, len(change)))
-        turned = turned.reshape(by_controls.shape)
-        by_head = placed.by_head
-        spread = turned @ prior.covariance @ turned.T
-        spread += by_head @ np.linalg.solve(head.precision, by_head.T)
-        return Prediction(motion(places), spread), by_controls
+        return Prediction.of(head, self.places.centre, places, by_controls, prior.covariance)
 
     def _by_controls(self) -> Floats:
         """Return the derivative (3 k, q) of the markers' places in the head's frame."""
@@ -222,22 +228,36 @@ class MarkerTracker:
         term: MarkerTerm,
         judged: JudgedFrame,
         prior: GaussianPrior,
-        predicted: bool,
-        steps: int,
+        ending: Literal["fitted", "predicted", "kept"],
+        steps: int = 0,
     ) -> MarkerFit:
         """Return the frame and remember its posterior."""
         state = self.tracker.state
         placed = term.place(self.places.at(state.x))
         by_controls = self._by_controls()
         normal = by_controls.T @ term.inner(placed) @ by_controls
-        posterior = Posterior(inverse_of_positive(prior.precision + normal), prior.variance)
-        spread = inverse_of_positive(self.prior.precision + normal)
-        alone = Posterior(spread, self.prior.variance)
+        sure = prior
+        if self.memory is not None:
+            memory, time = self.memory, self.options.forgetting
+            sure = self.prior.after(memory.mean, memory.spread, self.seconds, time)
+        spread, alone = self.spread(sure, normal)
+        # kept controls are not those that the markers tell of
+        known = 0.0 if ending == "kept" else 1.0
+        covariance = inverse_of_positive(prior.precision + known * normal)
+        spread = spread if known else sure.covariance
         head = HeadPrior(placed.head, placed.precision)
-        self.memory = MarkerMemory(state.pose.vector(), posterior.covariance, head)
+        self.memory = MarkerMemory(state.pose.vector(), covariance, spread, head)
         layout = state.pose.layout
-        muscles = layout.places("activations").reshape(self.face.model.muscle_count, -1)
-        held = alone.information_of(muscles) < self.options.hold_below
+        muscles = layout.places(layout.blocks[0].name)
+        told = alone.information_of(muscles.reshape(len(muscles), -1))
         return MarkerFit(
-            state, placed, judged, posterior.sd, alone.information, held, predicted, steps
+            state,
+            placed,
+            judged,
+            sd=np.sqrt(np.diag(spread)),
+            information=alone.information,
+            held=told < self.options.hold_below,
+            predicted=ending == "predicted",
+            kept=ending == "kept",
+            steps=steps,
         )

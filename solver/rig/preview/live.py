@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from solver.fitting.information import inverse_of_positive
 from solver.fitting.markers.robust import Prediction, RobustOptions, judge
 from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces, MarkerTerm
+from solver.fitting.prior import GaussianPrior
 from solver.mechanics.boundary import jaw_jacobian, move_jaw
 from solver.model import SubjectModel
 from solver.rig.preview.sliders import Sliders
 from solver.rig.skin_basis import ReducedSkin, feature_slopes
 from solver.scans.markers.marker_set import Marker, MarkerSet
-from solver.similarity import Similarity, robust_motion
+from solver.similarity import Similarity
 from solver.surface import Floats
 
 
@@ -42,7 +43,8 @@ class ReducedPlaces(MarkerPlaces):
         self._basis = np.where(on_bone[:, None], 0.0, skin.basis[:, ids].astype(np.float64))
         self._rest = super().corners(model.rest).reshape(-1, 3)
         self._on_jaw = np.repeat([marker.part == "lower_teeth" for marker in markers], 3)
-        self._jaw_rates = sliders.directions[sliders.rest.layout["jaw"]]
+        layout = sliders.rest.layout
+        self._jaw_rates = sliders.directions[layout[layout.blocks[1].name]]
 
     def corners(self, x: Floats) -> Floats:
         """Return the corners (k, 3, 3) of the markers' triangles for slider values x (s,)."""
@@ -75,8 +77,6 @@ class LiveOptions:
     upper: float = 1.2
     forgetting: float = 1.0  # s in which a slider that nothing tells of fades to 1/e
     noise_mm: float = 0.5  # of a point, with the preview's own error
-    turn_rad: float = 0.3  # spread that a head's motion gains in a second
-    shift_mm: float = 60.0
     robust: RobustOptions = field(default_factory=RobustOptions)
     head: HeadOptions = field(default_factory=lambda: HeadOptions(steps=8, accuracy=1e-7))
 
@@ -114,34 +114,25 @@ class LiveTracker:
         self._session, self._seconds, self._options = markers.session, seconds, options
         variance = np.array([each.sigma_mm for each in used]) ** 2 + options.noise_mm**2
         self._precision = np.tile((1.0 / variance)[:, None], (1, 3))
-        self._spread = options.spread**2 * np.eye(len(sliders))
         self._values = np.zeros(len(sliders))
-        self._covariance = self._spread
+        self._covariance = options.spread**2 * np.eye(len(sliders))
+        self._prior = GaussianPrior(self._values, self._covariance)
         self._head: HeadPrior | None = None
 
     def step(self, points: Floats) -> LiveFrame:
         """Follow a frame: points (k, 3) in the take's axes, mm, in the order of ``labels``."""
         options = self._options
         seen = self._session(points)
-        kept = np.exp(-self._seconds / options.forgetting)
-        mean = kept * self._values
-        spread = kept**2 * self._covariance + (1.0 - kept**2) * self._spread
-        head = self._head_before(seen)
+        prior = self._prior.after(self._values, self._covariance, self._seconds, options.forgetting)
+        mean, head = prior.mean, self._head_before(seen)
         values = np.clip(mean, options.lower, options.upper)
-        jacobian = self.places.jacobian(values)
-        places = self.places.at(values)
-        expected = MarkerTerm(self.places, head.motion(places), self._precision, head, options.head)
-        by_head = expected.place(places).by_head
-        turned = np.einsum("ij,kjs->kis", head.motion.rotation, jacobian.reshape(len(seen), 3, -1))
-        turned = turned.reshape(jacobian.shape)
-        covariance = turned @ spread @ turned.T
-        covariance += by_head @ np.linalg.solve(head.precision, by_head.T)
-        prediction = Prediction(head.motion(places), covariance)
+        jacobian, places = self.places.jacobian(values), self.places.at(values)
+        prediction = Prediction.of(head, self.places.centre, places, jacobian, prior.covariance)
         judged = judge(prediction, seen, self._precision, np.zeros((0, 3)), options.robust)
         used = self._precision * judged.weights[:, None]
         target = np.where(used > 0.0, judged.points, np.nan)
         term = MarkerTerm(self.places, target, used, head, options.head)
-        precision = inverse_of_positive(spread)
+        precision = prior.precision
         for _ in range(options.steps):
             placed = term.place(self.places.at(values))
             pull = (used * placed.offsets) @ placed.head.rotation
@@ -157,13 +148,9 @@ class LiveTracker:
         return LiveFrame(values, placed.head, residuals, judged.states)
 
     def _head_before(self, seen: Floats) -> HeadPrior:
-        options, known = self._options, np.isfinite(seen).all(axis=1)
-        if self._head is not None:
-            gained = np.repeat([options.turn_rad**2, options.shift_mm**2], 3) * self._seconds
-            spread = inverse_of_positive(self._head.precision) + np.diag(gained)
-            return HeadPrior(self._head.motion, inverse_of_positive(spread))
-        if known.sum() < 3:
-            return HeadPrior.unknown(options.head)
-        at = self.places.at(self._values)[known]
-        motion = robust_motion(at, seen[known], np.ones(len(at)), 8.0, 20)
-        return HeadPrior(motion, np.diag(np.repeat([0.3, 30.0], 3) ** -2.0))
+        options, counted = self._options.head, np.isfinite(seen).all(axis=1).sum()
+        head = None if self._head is None else self._head.after(self._seconds, options)
+        if head is None or (head.is_lost(options) and counted >= 3):
+            weights = self._precision.mean(axis=1)
+            return HeadPrior.of_most(self.places.at(self._values), seen, weights, options)
+        return head

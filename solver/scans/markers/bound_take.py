@@ -41,6 +41,11 @@ class BoundTake:
         replace(self._set, markers=(*used, *others)).save(path)
 
     @property
+    def frames(self) -> int:
+        """Return the number of the take's frames."""
+        return len(self._take)
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """Return the markers' labels."""
         return tuple(marker.label for marker in self.markers)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.face import Face
 from solver.fitting.markers.places import place_on, refine, triangle_axes
@@ -12,6 +13,7 @@ from solver.fitting.markers.robust import Prediction, judge
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerTracker
+from solver.scans.markers.bind import model_face
 from solver.scans.markers.marker_set import Marker
 from solver.similarity import small_motion
 from tests.fixtures import small_capture, small_model
@@ -167,13 +169,13 @@ def test_places_that_are_bound_wrong_are_mended(face, markers, places, known, ta
     """Each marker is bound 1.5 mm beside its place; the take says where it is."""
     points = take[2]
     rest = face.model.rest
-    true, corners = places.at(rest), face.model.skin.vertices
+    true, skin = places.at(rest), model_face(face.model)
     rng = np.random.default_rng(8)
     axes = triangle_axes(places.corners(rest))
     turn = rng.uniform(0.0, 2.0 * np.pi, MARKERS)
     aside = 1.5 * np.stack([np.cos(turn), np.sin(turn), np.zeros(MARKERS)], axis=1)
     wrong = [
-        replace(place_on(marker, at, corners[list(marker.vertices)]), sigma_mm=1.0)
+        replace(place_on(marker, at, skin), sigma_mm=1.0)
         for marker, at in zip(markers, true + np.einsum("kij,kj->ki", axes, aside), strict=True)
     ]
     mended = refine(face, wrong, known, list(points[::2]), 2.0 / RATE)
@@ -181,9 +183,73 @@ def test_places_that_are_bound_wrong_are_mended(face, markers, places, known, ta
         np.linalg.norm(MarkerPlaces(face.model, each).at(rest) - true, axis=1).mean()
         for each in (wrong, mended)
     )
-    assert before == pytest.approx(1.5, rel=1e-3)
+    assert before == pytest.approx(1.5, rel=0.1)
     assert after < 0.7 * before
     assert all(marker.sigma_mm < 1.0 for marker in mended)
+    # as the file of a set wants them
+    assert all(min(marker.weights) >= 0.0 for marker in mended)
+
+
+def test_a_frame_that_cannot_be_fitted_keeps_the_face(face, places, known, take, monkeypatch):
+    _, heads, points = take
+    tracker = tracker_of(face, places, known)
+    before = tracker.fit(points[0])
+    with monkeypatch.context() as patch:
+
+        def fail(*_args, **_kwargs):
+            raise SolveError("solve.no_convergence", "")
+
+        patch.setattr(tracker.tracker, "fit_term", fail)
+        kept = tracker.fit(points[1])
+    assert kept.kept
+    assert not kept.predicted
+    np.testing.assert_array_equal(kept.state.x, before.state.x)
+    # it tells what it saw, and follows the head
+    assert np.isfinite(kept.residual_mm).all()
+    assert kept.placed.head.then(heads[1].inverse()).degrees < 0.5
+    assert not tracker.fit(points[2]).kept
+
+
+def test_points_without_a_finite_sigma(face, places, known, take):
+    seen, sigma = take[2][0].copy(), np.full((MARKERS, 3), 0.2)
+    seen[3], sigma[3] = np.nan, np.inf
+    sigma[4] = np.nan
+    fit = tracker_of(face, places, known).fit(seen, None, sigma)
+    assert fit.judged.states[[3, 4]].tolist() == ["missing", "seen"]
+    assert off(face, fit.state, take[0][0]) < 0.3
+
+
+def test_markers_that_err_alike_in_every_frame_are_not_believed_more(face, places, known, take):
+    """A hundred frames of one still face say no more than the first."""
+    tracker = tracker_of(face, places, known)
+    fits = [tracker.fit(take[2][0]) for _ in range(12)]
+    assert (
+        fits[-1].sd[face.layout["activations"]].mean()
+        > 0.9 * fits[0].sd[face.layout["activations"]].mean()
+    )
+
+
+def test_a_head_that_was_lost_is_found_again(face, places, known, take):
+    """Two markers in the first frames; then all, with the head turned away."""
+    tracker = tracker_of(face, places, known)
+    few = np.full_like(take[2][0], np.nan)
+    few[:2] = take[2][0][:2]
+    for _ in range(3):
+        tracker.fit(few)
+    head = small_motion(np.array([0.0, 0.9, 0.0, 80.0, 0.0, 0.0]))
+    fit = tracker.fit(head(places.at(face.rest.x)))
+    assert fit.placed.head.then(head.inverse()).degrees < 0.5
+    assert (fit.judged.states == "seen").all()
+
+
+def test_a_sweep_in_blocks_is_that_in_one(face, places, known, take):
+    tracker = tracker_of(face, places, known)
+    fits = [tracker.fit(seen) for seen in take[2][:7]]
+    traced = [TracedFrame(fit.state.pose, fit.placed.head, fit.judged.weights) for fit in fits]
+    whole, parts = smooth(tracker, traced), smooth(tracker, traced, 3)
+    for one, other in zip(whole, parts, strict=True):
+        np.testing.assert_allclose(one.controls, other.controls, atol=5e-3)
+        np.testing.assert_allclose(one.sd, other.sd, rtol=0.05)
 
 
 def test_a_sweep_back_bridges_a_gap(face, places, known, take):

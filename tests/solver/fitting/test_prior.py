@@ -42,6 +42,21 @@ def test_what_an_expression_does_is_probable(face):
     assert likely < 0.1 * unlikely
 
 
+def test_a_muscle_may_do_by_itself_what_it_does_in_an_expression(face):
+    rest = face.rest_pose()
+    change = 5.0 * (poses(1)[0].vector() - rest.vector())
+    known = prior.from_expressions(face, [rest.add(change)])
+    alone = np.zeros_like(change)
+    first = face.layout.places("activations")[0]
+    alone[first] = change[first]
+    other = np.zeros_like(change)
+    # as much of the same muscle, another way
+    other[first] = np.roll(change[first], 1) * [1, -1, 1, -1, 1, -1]
+    other *= np.linalg.norm(alone) / np.linalg.norm(other)
+    likely, unlikely = (known.value(rest.add(each)) for each in (alone, other))
+    assert likely < 0.3 * unlikely
+
+
 def test_with_nothing_seen_a_pose_goes_back_to_rest(face):
     known = prior.from_changes(face.layout, [])
     mean = known.mean + 1.0
