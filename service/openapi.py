@@ -78,9 +78,10 @@ def _complete(document: JsonObject) -> JsonObject:
                 content["schema"] = _without_null(content.get("schema", {}))
                 asked |= _referred(content["schema"], schemas)
         for content in _contents(operation):
-            # FastAPI describes each event of a stream, in a word of 3.2; to 3.1 all is text
+            # FastAPI describes each event of a stream, in a word of 3.2. Before it some tools take
+            # a schema for the whole text's and some for each event's: any will do for both.
             if content.pop("itemSchema", None) is not None:
-                content["schema"] = {"type": "string"}
+                content["schema"] = {}
         if "security" in operation:
             operation["responses"] = of_keys | operation["responses"]
         for parameter in operation.get("parameters", ()):
