@@ -28,6 +28,7 @@ USUAL_RATE = 60.0  # frames a second, where a take does not say
 class BindOptions:
     """What a marker is bound to; lengths in mm."""
 
+    most: int = 400  # markers: pairs of them are compared
     least: int = 4  # labels; with fewer, tracks without one count as such
     spacing: tuple[float, float] = (6.0, 90.0)  # of neighbours on a face
     off_skin: float = 15.0  # farther from the skin it is no marker of the face ...
@@ -58,6 +59,8 @@ def bind(
     enough of them are seen in these frames.
     """
     take = count_tracks(take)
+    if len(take.labels) > options.most:
+        raise crowded_error(take.file, len(take.labels), options.most)
     mm = rough_unit(take.positions)
     motion = take_apart(mm * take.positions, take.rate if take.rate > 0 else USUAL_RATE)
     first, last = neutral or find_neutral(motion, take.rate)
@@ -83,6 +86,12 @@ def count_tracks(take: Take, options: BindOptions = BindOptions()) -> Take:
     return replace(take, positions=positions, labels=labels, unlabelled_names=())
 
 
+def crowded_error(file: str, count: int, most: int) -> InputError:
+    """Return the error of a take with more markers than a face has."""
+    message = f"{file} has {count} markers, {most} can be bound"
+    return InputError("markers.too_large", message, file=file, found=count, expected=most)
+
+
 def rough_unit(positions: Floats, options: BindOptions = BindOptions()) -> float:
     """Return the mm a unit that puts neighbours as far apart as on a face; 1 if that does."""
     if positions.shape[1] < options.least:
@@ -97,7 +106,7 @@ def rough_unit(positions: Floats, options: BindOptions = BindOptions()) -> float
 def usual_distances(positions: Floats, frames: int = 40) -> Floats:
     """Return the median distances (k, k) of markers, NaN for those never seen together."""
     some = positions[np.unique(np.linspace(0, len(positions) - 1, frames).astype(int))]
-    apart = np.linalg.norm(some[:, :, None] - some[:, None], axis=3)
+    apart = np.array([np.linalg.norm(each[:, None] - each[None], axis=2) for each in some])
     found = np.full(apart.shape[1:], np.nan)
     known = np.isfinite(apart).any(axis=0)
     found[known] = np.nanmedian(apart[:, known], axis=0)

@@ -19,7 +19,9 @@ from solver.mechanics.boundary import jaw_rotation
 from solver.model import JawFrame
 from solver.scans.markers.bind import (
     USUAL_RATE,
+    BindOptions,
     count_tracks,
+    crowded_error,
     find_neutral,
     place_markers,
     rest_places,
@@ -74,6 +76,10 @@ def check_take(
     named = read_names(take.labels)
     rate = _check_rate(check, take, limits)
     alive = np.asarray(np.isfinite(take.positions[..., 0]).any(axis=0))
+    if alive.sum() > BindOptions.most:
+        error = crowded_error(take.file, int(alive.sum()), BindOptions.most)
+        add(check, error.code, "error", error.message, **error.context)
+        return check
     mm = rough_unit(take.positions[:, alive])
     is_face = _choose_face(check, take, named, alive, mm, limits)
     check.figures |= {

@@ -375,7 +375,7 @@ def _jumps(way: Floats, first: int, last: int) -> tuple[float, float]:
 def _find_doubles(positions: Floats, options: FaultOptions) -> list[list[int]]:
     """Return groups of labels that lie in one place all the time."""
     some = positions[:: max(1, len(positions) // 50)]
-    apart = np.linalg.norm(some[:, :, None] - some[:, None], axis=3)
+    apart = np.array([np.linalg.norm(each[:, None] - each[None], axis=2) for each in some])
     known = np.isfinite(apart)
     near = (known & (apart < options.double)).sum(axis=0)
     is_double = (near > 0.9 * known.sum(axis=0)) & (known.sum(axis=0) > 0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.bad_takes import BAD_TAKES
-from solver.errors import Finding, judge_findings
+from solver.errors import Finding, InputError, judge_findings
 from solver.scans.markers.bind import bind, model_face, rest_places
 from solver.scans.markers.check import Reference, check_take
 from solver.scans.markers.findings import ADVICE, MarkerCheck
@@ -95,6 +95,17 @@ def test_three_markers_are_too_few(person: Reference, clean: Floats) -> None:
     check = check_take(made_take(clean[:, :3], LABELS[:3]), person)
     assert [each.code for each in told(check)] == ["markers.few"]
     assert judge_findings(check.findings) == "bad"
+
+
+def test_more_markers_than_a_face_has_are_refused_before_pairs_are_made(
+    person: Reference,
+) -> None:
+    labels = tuple(f"M{number}" for number in range(10_000))
+    take = made_take(np.random.default_rng(0).normal(0.0, 60.0, (3, 10_000, 3)), labels)
+    (found,) = check_take(take, person).findings
+    assert (found.code, found.severity) == ("markers.too_large", "error")
+    with pytest.raises(InputError, match="10000 markers, 400 can be bound"):
+        bind(take, small_model())
 
 
 def test_labels_of_one_point_are_one_finding(person: Reference, clean: Floats) -> None:
