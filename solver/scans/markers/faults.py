@@ -216,21 +216,14 @@ def _find_exchanged(
     bad = np.nan_to_num(off) > options.wrong
     taken = np.zeros(bad.shape, bool)
     found: dict[tuple[int, int, str], list[Ints]] = {}
-    for a, b in _neighbours(motion.middle, options):
-        frames = np.flatnonzero(bad[:, a] & bad[:, b])
-        expected, places = motion.expected[frames], motion.places[frames]
-        crossed = [
-            np.linalg.norm(places[:, here] - expected[:, there], axis=1)
-            for here, there in ((a, b), (b, a))
-        ]
-        apart = np.linalg.norm(expected[:, a] - expected[:, b], axis=1)
-        gain = off[frames, a] ** 2 + off[frames, b] ** 2 - crossed[0] ** 2 - crossed[1] ** 2
-        worse = np.maximum(*crossed)
-        close = worse < np.maximum(options.near * apart, options.wrong)
-        close |= (worse < options.less_near * apart) & (gain > 2.0 * apart**2)
-        swapped = frames[(gain > apart**2) & close & (apart > options.apart[0])]
-        taken[swapped, a] = taken[swapped, b] = True
-        found[a, b, "swapped"] = found[b, a, "swapped"] = [swapped]
+
+    def add_swaps(*, is_near: bool) -> None:
+        for a, b, swapped in _swaps(motion, off, bad & ~taken, options, is_near=is_near):
+            taken[swapped, a] = taken[swapped, b] = True
+            found.setdefault((a, b, "swapped"), []).append(swapped)
+            found.setdefault((b, a, "swapped"), []).append(swapped)
+
+    add_swaps(is_near=True)
     frames, markers = np.nonzero(bad & ~taken)
     free = (missing | bad) & ~taken
     others, near = _nearest_expected(motion, frames, markers, free)
@@ -239,6 +232,7 @@ def _find_exchanged(
         here = frames[there & (markers == a) & (others == b)]
         taken[here, a] = True
         found.setdefault((a, b, "relabelled"), []).append(here)
+    add_swaps(is_near=False)  # of three in a circle two look swapped, too
     for (a, b, fault), lists in found.items():
         mask = np.zeros(len(off), bool)
         mask[np.concatenate(lists)] = True
@@ -253,6 +247,30 @@ def _find_exchanged(
             mm = float(np.nanmax(off[first : last + 1, a]))
             spans.append(Span(fault, a, first, last, b, mm))
     return taken
+
+
+def _swaps(
+    motion: Motion, off: Floats, bad: Mask, options: FaultOptions, *, is_near: bool
+) -> Iterator[tuple[int, int, Ints]]:
+    """Yield pairs of markers with the frames in which each lies where the other is expected.
+
+    Without ``is_near`` they may lie off there, if exchanging them gains what it does of exact
+    places.
+    """
+    for a, b in _neighbours(motion.middle, options):
+        frames = np.flatnonzero(bad[:, a] & bad[:, b])
+        expected, places = motion.expected[frames], motion.places[frames]
+        crossed = [
+            np.linalg.norm(places[:, here] - expected[:, there], axis=1)
+            for here, there in ((a, b), (b, a))
+        ]
+        apart = np.linalg.norm(expected[:, a] - expected[:, b], axis=1)
+        gain = off[frames, a] ** 2 + off[frames, b] ** 2 - crossed[0] ** 2 - crossed[1] ** 2
+        worse = np.maximum(*crossed)
+        close = worse < np.maximum(options.near * apart, options.wrong)
+        if not is_near:
+            close = (worse < options.less_near * apart) & (gain > 2.0 * apart**2)
+        yield a, b, frames[(gain > apart**2) & close & (apart > options.apart[0])]
 
 
 def _neighbours(middle: Floats, options: FaultOptions) -> Iterator[tuple[int, int]]:

@@ -97,9 +97,7 @@ def test_three_markers_are_too_few(person: Reference, clean: Floats) -> None:
     assert judge_findings(check.findings) == "bad"
 
 
-def test_more_markers_than_a_face_has_are_refused_before_pairs_are_made(
-    person: Reference,
-) -> None:
+def test_more_markers_than_a_face_has_are_refused_before_pairs_are_made(person: Reference) -> None:
     labels = tuple(f"M{number}" for number in range(10_000))
     take = made_take(np.random.default_rng(0).normal(0.0, 60.0, (3, 10_000, 3)), labels)
     (found,) = check_take(take, person).findings
