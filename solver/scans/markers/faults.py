@@ -217,22 +217,24 @@ def _find_exchanged(
     taken = np.zeros(bad.shape, bool)
     found: dict[tuple[int, int, str], list[Ints]] = {}
 
-    def add_swaps(*, is_near: bool) -> None:
-        for a, b, swapped in _swaps(motion, off, bad & ~taken, options, is_near=is_near):
+    def add_swaps(where: Mask, lies_at: Ints | None = None) -> None:
+        for a, b, swapped in _swaps(motion, off, where, options, lies_at):
             taken[swapped, a] = taken[swapped, b] = True
             found.setdefault((a, b, "swapped"), []).append(swapped)
             found.setdefault((b, a, "swapped"), []).append(swapped)
 
-    add_swaps(is_near=True)
+    add_swaps(bad)
     frames, markers = np.nonzero(bad & ~taken)
     free = (missing | bad) & ~taken
     others, near = _nearest_expected(motion, frames, markers, free)
     there = near < np.minimum(options.near * off[frames, markers], options.reach)
+    lies_at = np.full(bad.shape, -1)
+    lies_at[frames[there], markers[there]] = others[there]
+    add_swaps(bad & ~taken, lies_at)
     for a, b in {*zip(markers[there].tolist(), others[there].tolist(), strict=True)}:
-        here = frames[there & (markers == a) & (others == b)]
+        here = np.flatnonzero((lies_at[:, a] == b) & ~taken[:, a])
         taken[here, a] = True
         found.setdefault((a, b, "relabelled"), []).append(here)
-    add_swaps(is_near=False)  # of three in a circle two look swapped, too
     for (a, b, fault), lists in found.items():
         mask = np.zeros(len(off), bool)
         mask[np.concatenate(lists)] = True
@@ -250,12 +252,13 @@ def _find_exchanged(
 
 
 def _swaps(
-    motion: Motion, off: Floats, bad: Mask, options: FaultOptions, *, is_near: bool
+    motion: Motion, off: Floats, bad: Mask, options: FaultOptions, lies_at: Ints | None
 ) -> Iterator[tuple[int, int, Ints]]:
     """Yield pairs of markers with the frames in which each lies where the other is expected.
 
-    Without ``is_near`` they may lie off there, if exchanging them gains what it does of exact
-    places.
+    With ``lies_at`` (f, k), the marker at whose place one lies or -1, they may lie off there, if
+    exchanging them gains what it does of exact places and neither lies at a third one's: of three
+    in a circle two look swapped as well.
     """
     for a, b in _neighbours(motion.middle, options):
         frames = np.flatnonzero(bad[:, a] & bad[:, b])
@@ -268,8 +271,10 @@ def _swaps(
         gain = off[frames, a] ** 2 + off[frames, b] ** 2 - crossed[0] ** 2 - crossed[1] ** 2
         worse = np.maximum(*crossed)
         close = worse < np.maximum(options.near * apart, options.wrong)
-        if not is_near:
+        if lies_at is not None:
             close = (worse < options.less_near * apart) & (gain > 2.0 * apart**2)
+            for here, there in ((a, b), (b, a)):
+                close &= np.isin(lies_at[frames, here], (-1, there))
         yield a, b, frames[(gain > apart**2) & close & (apart > options.apart[0])]
 
 
