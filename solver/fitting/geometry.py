@@ -97,7 +97,7 @@ def fit(
         now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen)
         steps += taken
     last = replace(begin, w_a=options.w_a[1])
-    found = face.with_unchecked_weights(replace_values(face.S, now.values))
+    found = face.with_weights(replace_values(face.S, now.values))
     return _finish(found, data, last, now.states, steps)
 
 
