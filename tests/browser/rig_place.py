@@ -192,6 +192,7 @@ def _marker_view(path: Path, markers: MarkerSet, frames: Floats) -> None:
             sd=np.ones(23),
             information=np.ones(23),
             held=np.array([0.0, 0.0, float(number > 5)]),
+            tracks=np.zeros(0),
             mandible=np.eye(4),
         )
         view.add(frame, seen, seen + off)
