@@ -104,8 +104,7 @@ class Standby:
         The system ends them with the thread that calls this: it lives as long as the worker.
         """
         with self._lock:
-            for each in [each for each in self._waiting if each.process.poll() is not None]:
-                self._drop(each)
+            self._drop_ended()
             while len(self._waiting) < self._count and self._failures < MOST_FAILURES:
                 words = ["--standby", str(os.getpid())]
                 one_thread = dict.fromkeys(BLAS_THREADS, "1")  # others would not be confined
@@ -119,16 +118,18 @@ class Standby:
     def take(self, folder: Path) -> _Interpreter | None:
         """Give the job in ``folder`` to a process that is ready for it, if there is one."""
         with self._lock:
-            for each in list(self._waiting):
-                if each.process.poll() is not None:
-                    self._drop(each)
-                elif each.is_ready():
-                    if _tell(each, folder):
-                        self._waiting.remove(each)
-                        self._failures = 0
-                        return each
-                    self._drop(each)
+            self._drop_ended()
+            for each in [each for each in self._waiting if each.is_ready()]:
+                if _tell(each, folder):
+                    self._waiting.remove(each)
+                    self._failures = 0
+                    return each
+                self._drop(each)
         return None
+
+    def _drop_ended(self) -> None:
+        for each in [each for each in self._waiting if each.process.poll() is not None]:
+            self._drop(each)
 
     def _drop(self, failed: _Interpreter) -> None:
         self._waiting.remove(failed)

@@ -250,7 +250,7 @@ class Face:
 
     def settle(self, pose: Pose, x: Floats, near: Factorization | None = None) -> PosedFace | None:
         """Do as :meth:`solve_equilibrium`; return None where there is none near by."""
-        if not (np.isfinite(x).all() and np.isfinite(pose.a).all()):
+        if not np.isfinite(x).all():
             return None
         try:
             return self.solve_equilibrium(pose, x, near)
