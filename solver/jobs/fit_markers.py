@@ -21,7 +21,7 @@ from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, load_muscles, with_fibres
 from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose, PosedFace
-from solver.fitting.markers.places import RefineOptions, refine
+from solver.fitting.markers.places import RefineOptions, frames_near_neutral, refine
 from solver.fitting.markers.robust import RobustOptions
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior, MarkerPlaces
@@ -195,9 +195,10 @@ def _tracker(
     if given.refine:
         task.progress(Step("places", 0.01))
         # of the whole take: places must not depend on where the fit ends
-        chosen = np.unique(np.linspace(0, source.frames - 1, given.refine).round().astype(int))
-        frames = [source.points(number) for number in chosen.tolist()]
-        apart = source.frames / rate / len(chosen)
+        at = MarkerPlaces(face.model, used).at(face.model.rest)
+        chosen = frames_near_neutral(at, source.points, source.frames, given.refine)
+        frames = [source.points(number) for number in chosen]
+        apart = source.frames / rate / max(len(chosen), 1)
         used = refine(face, used, known, frames, apart, RefineOptions(tracking=options))
         source.save(used, task.out / "markers.json")
     sigma = np.array([marker.sigma_mm for marker in used])

@@ -66,8 +66,8 @@ class FitMarkers(JobOptions):
         default=20,
         ge=0,
         le=1000,
-        description="frames, evenly over the take, by which the markers' places are mended first, "
-        "left in markers.json for all takes of the session; 0: none",
+        description="frames, the nearest to the neutral face, by which the markers' places are "
+        "mended first, left in markers.json for all takes of the session; 0: none",
     )
     max_iterations: Whole = Field(
         default=15, ge=1, le=500, description="Gauss-Newton iterations per frame at most"

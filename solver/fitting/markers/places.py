@@ -4,11 +4,14 @@ A marker that is bound beside where it is leaves the same offset in every frame,
 triangle; what the face does differs from frame to frame. So its place moves by the median offset,
 shrunk by how well that is known: b s^2 / (s^2 + v / n), for the offset b with the spread v over n
 frames and the binding's own spread s. It never moves far from where it was bound.
+
+The frames are those nearest the neutral face: there the model errs least, and what it errs in an
+expression would be taken for an offset of the markers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,22 +25,62 @@ from solver.fitting.prior import GaussianPrior
 from solver.fitting.sequence import TrackingOptions
 from solver.scans.markers.bind import model_face
 from solver.scans.markers.marker_set import Marker
+from solver.similarity import robust_motion
 from solver.surface import Floats, Surface, unit_rows
 
 
 @dataclass(frozen=True)
 class RefineOptions:
-    """Rounds, and how far a place may move."""
+    """Choice of frames, rounds, and how far a place may move."""
 
-    rounds: int = 2
+    candidates: int = 1000  # frames of the take, evenly, among which the nearest to neutral are ...
+    apart: int = 5  # ... chosen, so many candidates or more between them
+    head_slack_mm: float = 4.0  # off the neutral face by more: little say in the head's motion
+    head_rounds: int = 10
+    least_seen: float = 0.5  # of the markers, in a frame that is chosen
+    rounds: int = 4
     most_mm: float = 5.0  # from where a marker was bound
     least_frames: int = 5  # in which a marker counts, or it stays
-    left: float = 0.6  # of the binding's spread that a moved place is left with
     tracking: MarkerOptions = field(default_factory=MarkerOptions)  # of the take
     # of a frame, in place of the take's: the next lies far away
     steps: TrackingOptions = field(
         default_factory=lambda: TrackingOptions(StopOptions(10, promised=2e-3))
     )
+
+
+def frames_near_neutral(
+    places: Floats,
+    frame: Callable[[int], Floats],
+    frames: int,
+    count: int,
+    options: RefineOptions = RefineOptions(),
+) -> list[int]:
+    """Choose ``count`` of a take's frames whose markers are nearest those of the neutral face.
+
+    ``places`` (k, 3) are the markers' at rest, ``frame`` gives the points (k, 3) of one of the
+    take's frames. Fewer are chosen of a short take, in their order.
+    """
+    numbers = np.unique(np.linspace(0, frames - 1, options.candidates).round().astype(int))
+    away = [_off_neutral(places, frame(number), options) for number in numbers.tolist()]
+    apart = min(options.apart, len(numbers) // (2 * count))
+    chosen: list[int] = []
+    for candidate in np.argsort(away, kind="stable").tolist():
+        if len(chosen) == count or not np.isfinite(away[candidate]):
+            break
+        if all(abs(candidate - other) > apart for other in chosen):
+            chosen.append(candidate)
+    return sorted(numbers[chosen].tolist())
+
+
+def _off_neutral(places: Floats, seen: Floats, options: RefineOptions) -> float:
+    """Return the rms distance from the neutral face, mm; infinite where few markers are seen."""
+    known = np.isfinite(seen).all(axis=1)
+    if known.sum() < max(options.least_seen * len(places), 3.0):
+        return np.inf
+    at, there = places[known], seen[known]
+    slack, rounds = options.head_slack_mm, options.head_rounds
+    motion = robust_motion(at, there, np.ones(len(at)), slack, rounds)
+    return float(np.sqrt(np.mean(np.sum((motion(at) - there) ** 2, axis=1))))
 
 
 def refine(
@@ -48,9 +91,9 @@ def refine(
     seconds: float,
     options: RefineOptions = RefineOptions(),
 ) -> tuple[Marker, ...]:
-    """Return the markers moved by what ``frames`` (k, 3) in the model's axes say of them.
+    """Return the markers moved by what ``frames`` (k, 3) in mm say of them.
 
-    The frames are ``seconds`` apart, of all that the face does. Markers on bones stay.
+    The frames are ``seconds`` apart (:func:`frames_near_neutral`). Markers on bones stay.
     """
     tracking = replace(options.tracking, tracking=options.steps)
     rest, now, skin = face.model.rest, list(markers), model_face(face.model)
@@ -72,10 +115,7 @@ def refine(
             away = goal - bound[number]
             away *= min(1.0, options.most_mm / max(float(np.linalg.norm(away)), 1e-9))
             now[number] = place_on(marker, bound[number] + away, skin)
-    return tuple(
-        marker if marker is before else replace(marker, sigma_mm=options.left * before.sigma_mm)
-        for marker, before in zip(now, markers, strict=True)
-    )
+    return tuple(now)
 
 
 def _offsets(tracker: MarkerTracker, frames: Sequence[Floats]) -> Floats:

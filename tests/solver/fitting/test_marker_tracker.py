@@ -8,7 +8,13 @@ import pytest
 from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.face import Face
-from solver.fitting.markers.places import place_on, refine, triangle_axes
+from solver.fitting.markers.places import (
+    RefineOptions,
+    frames_near_neutral,
+    place_on,
+    refine,
+    triangle_axes,
+)
 from solver.fitting.markers.robust import Prediction, judge
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import MarkerPlaces
@@ -185,9 +191,18 @@ def test_places_that_are_bound_wrong_are_mended(face, markers, places, known, ta
     )
     assert before == pytest.approx(1.5, rel=0.1)
     assert after < 0.7 * before
-    assert all(marker.sigma_mm < 1.0 for marker in mended)
     # as the file of a set wants them
     assert all(min(marker.weights) >= 0.0 for marker in mended)
+
+
+def test_places_are_mended_by_the_frames_nearest_the_neutral_face(face, places, take):
+    points = take[2].copy()
+    points[1, : MARKERS // 2 + 1] = np.nan  # too little is seen
+    chosen = frames_near_neutral(
+        places.at(face.model.rest), points.__getitem__, len(points), 3, RefineOptions(apart=1)
+    )
+    # the face goes from rest and comes back half way
+    assert chosen == [0, 2, 4]
 
 
 def test_a_frame_that_cannot_be_fitted_keeps_the_face(face, places, known, take, monkeypatch):
