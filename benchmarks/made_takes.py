@@ -285,8 +285,8 @@ def _judged(states: np.ndarray, take: MadeTake) -> Figures:
 
 
 def incisors_of(model: SubjectModel) -> Ints:
-    """Return the foremost skin vertices (n,) that ride on the mandible: the lower incisors."""
-    ids = model.attached_mandible
+    """Return the foremost vertices (n,) of the lower teeth."""
+    ids = model.lower_teeth
     ahead = model.skin.vertices[ids, 2]
     return np.asarray(ids[ahead >= np.quantile(ahead, 0.97)])
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError, quote
@@ -81,6 +82,12 @@ class SubjectModel:
     mesh_source: str = "mesher"
     fibres: Floats | None = None  # (nnz, 3) unit directions, one for each entry of ``weights``
     size_from: SizeFrom = "scan"
+
+    @property
+    def lower_teeth(self) -> Ints:
+        """Return the skin vertices of the lower teeth; all on the mandible if none are named."""
+        teeth = np.intersect1d(self.regions.get("lower_teeth", []), self.attached_mandible)
+        return np.asarray(teeth, np.int64) if len(teeth) else self.attached_mandible
 
     @property
     def muscle_count(self) -> int:

@@ -27,6 +27,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.information import inverse_of_positive
 from solver.fitting.objective import Prior
 from solver.fitting.sensitivity import Sensitivity
+from solver.mechanics.boundary import FreeJaw
 from solver.surface import Floats
 
 
@@ -146,11 +147,27 @@ def from_shapes(
 ) -> GaussianPrior:
     """Return the prior of a template's expressions, motions (e, v, 3) of the whole skin, mm.
 
-    A shape's change of the controls is the regularised least squares of the face's points.
+    A shape's change of the controls is the regularised least squares of the face's points; and,
+    of a jaw on tracks, of the lower teeth. A free jaw follows the skin alone: it has the freedom
+    to make up for flesh that moves otherwise than the shapes.
     """
     jacobian = Sensitivity(face, face.rest).by_pose()
     hessian = rest_curvature(face) + unseen_regulariser(face).gauss_newton(face.rest.pose)
     moved = np.asarray(shapes[:, face.model.face], np.float64) * (2.0 / len(face.model.face))
     pulls = np.array([jacobian.adjoint(face.face_embedding.T @ shape) for shape in moved])
+    teeth = face.model.lower_teeth
+    if len(teeth) and not isinstance(face.jaw, FreeJaw):
+        rows, part = _teeth_by_controls(face), 2.0 / len(teeth)
+        hessian += part * (rows.T @ rows)
+        pulls += part * (shapes[:, teeth].reshape(len(shapes), -1) @ rows)
     changes = scipy.linalg.solve(hessian, pulls.T, assume_a="pos").T
     return from_changes(face.layout, changes, options)
+
+
+def _teeth_by_controls(face: Face) -> Floats:
+    """Return the derivative (3 n, k) of the lower teeth at rest by the controls."""
+    layout, teeth = face.layout, face.model.lower_teeth
+    rows = np.zeros((3 * len(teeth), layout.size))
+    by_jaw = face.jaw.jacobian(face.model.skin.vertices[teeth], face.rest_pose().b)
+    rows[:, layout.places(layout.blocks[1].name)] = by_jaw.reshape(len(rows), -1)
+    return rows

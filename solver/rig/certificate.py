@@ -141,8 +141,8 @@ class JawMotion:
 def jaw_motion(model: SubjectModel, mandible: Floats) -> JawMotion:
     """Return what a rigid motion (4, 4) of the mandible comes to."""
     b = five_numbers(model.jaw, mandible)
-    teeth = np.intersect1d(model.regions.get("lower_teeth", []), model.attached_mandible)
-    bone = model.skin.vertices[teeth.astype(np.int64)] if len(teeth) else model.rest[model.mandible]
+    teeth = model.lower_teeth
+    bone = model.skin.vertices[teeth] if len(teeth) else model.rest[model.mandible]
     front = bone[(bone @ model.jaw.axes[2]).argmax()][None]
     moved = front @ mandible[:3, :3].T + mandible[:3, 3]
     motion = (moved - front)[0] @ model.jaw.axes.T

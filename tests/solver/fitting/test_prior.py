@@ -1,12 +1,17 @@
 """Priors over controls: derivatives, expressions, and what time does to them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from solver.fitting import prior
+from solver.fitting.controls import track_block
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser
 from solver.fitting.prior import PriorSum
+from solver.mechanics.jaw_tracks import JawTracks
+from tests.fixtures import small_model
 from tests.solver.block import head_block, poses
 
 
@@ -40,6 +45,22 @@ def test_what_an_expression_does_is_probable(face):
     other *= np.linalg.norm(change) / np.linalg.norm(other)
     likely, unlikely = (known.value(face.rest_pose().add(each)) for each in (change, other))
     assert likely < 0.1 * unlikely
+
+
+def test_the_teeth_of_a_shape_move_a_jaw_on_tracks():
+    """Of a shape whose skin goes half as far as its teeth the jaw goes with the teeth."""
+    plain = Face(small_model())
+    tracks = JawTracks(plain.model.jaw, 0.6, 60.0, 2.0, 0.3)
+    face = plain.with_jaw(tracks, track_block(tracks))
+    model, opening = face.model, 0.1
+    open_ = replace(face.rest_pose(), b=np.array([opening, 0.0, 0.0]))
+    moved = face.whole_skin(face.continuation(face.rest, open_).x, open_.b) - model.skin.vertices
+    shape = 0.5 * moved
+    shape[model.lower_teeth] = moved[model.lower_teeth]
+    options = prior.PriorOptions(floor={"tracks": 0.0, "activations": 1e-3}, strength=1.0)
+    known = prior.from_shapes(face, shape[None], options)
+    angle = face.layout.places("tracks")[0]
+    assert np.sqrt(known.variance[angle]) == pytest.approx(opening, rel=0.2)
 
 
 def test_a_muscle_may_do_by_itself_what_it_does_in_an_expression(face):
