@@ -162,9 +162,8 @@ def _sequence(asset: str, data: dict[str, np.ndarray]) -> FittedSequence:
     if not ((np.abs(times) < 1e9).all() and all((step > 0).all() for step in steps)):
         raise ValueError("its frames are not one after the other in number and time")
     values = [data[name].astype(np.float64) for name in ("activations", "jaw", "head")]
-    return FittedSequence(
-        asset, muscles, frames, times, data["status"].astype(np.str_) == "fitted", *values
-    )
+    fitted = np.isin(data["status"].astype(np.str_), ("fitted", "smoothed"))
+    return FittedSequence(asset, muscles, frames, times, fitted, *values)
 
 
 def to_logarithms(a: Floats) -> Floats:

@@ -187,37 +187,51 @@ def smooth_frames(
     source: BoundTake,
     show: Callable[[MarkerFrame, Floats], None],
 ) -> list[MarkerFrame]:
-    """Return the frames after a sweep back; ``show`` gets each with its flesh.
-
-    A point that was another label's keeps its distance of before.
-    """
+    """Return the frames after a sweep back; ``show`` gets each with its flesh."""
     face, layout, found = tracker.face, tracker.face.layout, []
     traced = [
-        TracedFrame(pose_of(face, each), small_motion(each.head), each.marker_weight)
+        TracedFrame(
+            pose_of(face, each),
+            small_motion(each.head),
+            each.marker_weight,
+            source.sigma(each.frame),
+        )
         for each in frames
     ]
     for frame, after in zip(frames, smooth(tracker, traced), strict=True):
         pose = face.rest_pose().add(after.controls - layout.rest)
         with suppress(SolveError):  # out of reach: as the frame beside it
             tracker.tracker.go_to(pose)
-        seen = source.points(frame.frame)
-        own = (np.array(frame.marker_state) == "seen") & np.isfinite(seen).all(axis=1)
-        placed = tracker.place(seen, frame.marker_weight * own, small_motion(frame.head))
-        away = np.linalg.norm(placed.points - seen, axis=1)
-        off = np.where(own, away, frame.marker_mm)
-        found.append(
-            replace(
-                frame,
-                **_pose_values(face, tracker.tracker.state.pose),
-                **distance_figures(off[frame.marker_weight > 0.0]),
-                head=placed.head.twist.round(DECIMALS),
-                marker_mm=off.round(DECIMALS),
-                sd=after.sd.round(DECIMALS),
-                inverted=face.flesh.inverted(tracker.tracker.state.x),
-            )
-        )
+        found.append(_smooth_frame(tracker, frame, source, after.sd))
         show(found[-1], tracker.tracker.state.x)
     return found
+
+
+def _smooth_frame(
+    tracker: MarkerTracker, frame: MarkerFrame, source: BoundTake, sd: Floats
+) -> MarkerFrame:
+    """Return a frame with the tracker's pose, and the head and distances that come of it."""
+    state, seen = tracker.tracker.state, source.points(frame.frame)
+    states = np.array(frame.marker_state)
+    own = (states == "seen") & np.isfinite(seen).all(axis=1)
+    weights, head = frame.marker_weight * own, small_motion(frame.head)
+    placed = tracker.place(seen, weights, head, source.sigma(frame.frame))
+    off = np.linalg.norm(placed.points - seen, axis=1)
+    # a label that was given another's point has the one next to its marker
+    others = np.concatenate([seen, source.unlabelled(frame.frame)])
+    others = others[np.isfinite(others).all(axis=1)]
+    for label in np.flatnonzero(np.isin(states, ("swapped", "relabelled"))):
+        off[label] = np.linalg.norm(others - placed.points[label], axis=1).min()
+    return replace(
+        frame,
+        **_pose_values(tracker.face, state.pose),
+        **distance_figures(off[frame.marker_weight > 0.0]),
+        status="fitted" if frame.status == "fitted" else "smoothed",
+        head=placed.head.twist.round(DECIMALS),
+        marker_mm=off.round(DECIMALS),
+        sd=sd.round(DECIMALS),
+        inverted=tracker.face.flesh.inverted(state.x),
+    )
 
 
 def marker_report(frames: Sequence[MarkerFrame], labels: Sequence[str]) -> dict[str, Any]:

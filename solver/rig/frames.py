@@ -262,7 +262,8 @@ def motion_report(frames: Sequence[MotionRecord], model: SubjectModel) -> dict[s
 
 # kept: the fit failed, the pose is the frame before's; unseen: so it is as too little was seen;
 # predicted: no marker was seen that counts, the pose fades to the rest
-Status = Literal["fitted", "kept", "unseen", "predicted"]
+# smoothed: kept or predicted, then bridged by a sweep back
+Status = Literal["fitted", "kept", "unseen", "predicted", "smoothed"]
 
 
 @dataclass(frozen=True)
@@ -360,6 +361,7 @@ def sequence_report(frames: Sequence[SequenceFrame], fps: float, name: str) -> d
         "kept": [frame.frame for frame in frames if frame.status == "kept"],
         "unseen": [frame.frame for frame in frames if frame.status == "unseen"],
         "predicted": [frame.frame for frame in frames if frame.status == "predicted"],
+        "smoothed": [frame.frame for frame in frames if frame.status == "smoothed"],
         "fps": fps,
         "mean_mm": _round(np.mean, errors),
         "median_mm": _round(np.median, errors),

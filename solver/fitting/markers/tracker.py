@@ -130,9 +130,7 @@ class MarkerTracker:
         standard deviations, as in the options where they are not finite.
         """
         options, first = self.options, self.memory is None
-        noise = np.full((1, 3), options.noise_mm) if sigma is None else sigma
-        noise = np.where(np.isfinite(noise), noise, options.noise_mm)
-        precision = 1.0 / (self._sigma[:, None] ** 2 + noise**2)
+        precision = self._precision(sigma)
         prior, head = self._before(seen)
         state = self.tracker.state
         prediction = self._predict(prior, head)
@@ -148,21 +146,29 @@ class MarkerTracker:
         try:
             both = PriorSum((prior, self._penalties))
             steps = self.tracker.fit_term(term, used, both, whole=first)
-        except SolveError:
+        except (SolveError, np.linalg.LinAlgError):
             return self._leave(term, judged, prior, "kept")
         return self._leave(term, judged, prior, "fitted", steps)
 
-    def place(self, seen: Floats, weights: Floats, near: Similarity) -> PlacedMarkers:
+    def place(
+        self, seen: Floats, weights: Floats, near: Similarity, sigma: Floats | None = None
+    ) -> PlacedMarkers:
         """Place the head anew by points ``seen`` (k, 3), the face being as it is."""
-        noise = self._sigma**2 + self.options.noise_mm**2
-        used = np.tile((weights / noise)[:, None], (1, 3))
+        used = weights[:, None] * self._precision(sigma)
         head = HeadPrior(near, HeadPrior.unknown(self.options.head).precision)
         target = np.where(used > 0.0, seen, np.nan)
         term = MarkerTerm(self.places, target, used, head, self.options.head)
         return term.place(self.places.at(self.tracker.state.x))
 
-    def normal(self, pose: Pose, head: Similarity, weights: Floats, number: int) -> Floats:
-        """Return what markers with ``weights`` (k,) tell of the controls of a pose, (q, q).
+    def normal(
+        self,
+        pose: Pose,
+        head: Similarity,
+        weights: Floats,
+        number: int,
+        sigma: Floats | None = None,
+    ) -> Floats:
+        """Return the normal matrix (q, q) of a pose's controls by markers with ``weights`` (k,).
 
         The poses come in their order; sensitivities are made anew after as many as frames take.
         """
@@ -170,8 +176,7 @@ class MarkerTracker:
             self.tracker.go_to(pose)
         state = self.tracker.state
         places = self.places.at(state.x)
-        noise = self._sigma**2 + self.options.noise_mm**2
-        used = np.tile((weights / noise)[:, None], (1, 3))
+        used = weights[:, None] * self._precision(sigma)
         options = self.options.head
         unknown = HeadPrior(head, HeadPrior.unknown(options).precision)
         term = MarkerTerm(self.places, head(places), used, unknown, options)
@@ -193,6 +198,12 @@ class MarkerTracker:
         unseen = 1.0 - alone.information
         before = unseen[:, None] * (prior.precision - usual.precision) * unseen
         return inverse_of_positive(usual.precision + before + normal), alone
+
+    def _precision(self, sigma: Floats | None) -> Floats:
+        """Return the precision (k, 3) of right points; ``sigma`` is that of :meth:`fit`."""
+        noise = np.full((1, 3), self.options.noise_mm) if sigma is None else sigma
+        noise = np.where(np.isfinite(noise), noise, self.options.noise_mm)
+        return np.asarray(1.0 / (self._sigma[:, None] ** 2 + noise**2))
 
     def _before(self, seen: Floats) -> tuple[GaussianPrior, HeadPrior]:
         """Return what is probable of controls and head before a frame is looked at."""
@@ -234,17 +245,17 @@ class MarkerTracker:
         """Return the frame and remember its posterior."""
         state = self.tracker.state
         placed = term.place(self.places.at(state.x))
-        by_controls = self._by_controls()
-        normal = by_controls.T @ term.inner(placed) @ by_controls
+        by_controls, size = self._by_controls(), state.pose.layout.size
+        # markers determine no control of a frame that keeps those of another
+        kept = ending == "kept"
+        inner = term.inner(placed)
+        normal = np.zeros((size, size)) if kept else by_controls.T @ inner @ by_controls
         sure = prior
         if self.memory is not None:
             memory, time = self.memory, self.options.forgetting
             sure = self.prior.after(memory.mean, memory.spread, self.seconds, time)
         spread, alone = self.spread(sure, normal)
-        # kept controls are not those that the markers tell of
-        known = 0.0 if ending == "kept" else 1.0
-        covariance = inverse_of_positive(prior.precision + known * normal)
-        spread = spread if known else sure.covariance
+        covariance = inverse_of_positive(prior.precision + normal)
         head = HeadPrior(placed.head, placed.precision)
         self.memory = MarkerMemory(state.pose.vector(), covariance, spread, head)
         layout = state.pose.layout
@@ -258,6 +269,6 @@ class MarkerTracker:
             information=alone.information,
             held=told < self.options.hold_below,
             predicted=ending == "predicted",
-            kept=ending == "kept",
+            kept=kept,
             steps=steps,
         )

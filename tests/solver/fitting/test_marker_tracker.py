@@ -190,23 +190,39 @@ def test_places_that_are_bound_wrong_are_mended(face, markers, places, known, ta
     assert all(min(marker.weights) >= 0.0 for marker in mended)
 
 
-def test_a_frame_that_cannot_be_fitted_keeps_the_face(face, places, known, take, monkeypatch):
+@pytest.mark.parametrize(
+    "fault", [SolveError("solve.no_convergence", ""), np.linalg.LinAlgError("singular")]
+)
+def test_a_frame_that_cannot_be_fitted_keeps_the_face(
+    fault, face, places, known, take, monkeypatch
+):
     _, heads, points = take
     tracker = tracker_of(face, places, known)
     before = tracker.fit(points[0])
+    seen = points[1].copy()
+    seen[2] += 25.0
+    seen[5] = np.nan
     with monkeypatch.context() as patch:
 
         def fail(*_args, **_kwargs):
-            raise SolveError("solve.no_convergence", "")
+            raise fault
 
         patch.setattr(tracker.tracker, "fit_term", fail)
-        kept = tracker.fit(points[1])
+        kept = tracker.fit(seen)
     assert kept.kept
     assert not kept.predicted
     np.testing.assert_array_equal(kept.state.x, before.state.x)
     # it tells what it saw, and follows the head
-    assert np.isfinite(kept.residual_mm).all()
+    states = np.full(MARKERS, "seen", "<U10")
+    states[[2, 5]] = "outlier", "missing"
+    np.testing.assert_array_equal(kept.judged.states, states)
+    off_points = np.linalg.norm(kept.placed.head(places.at(before.state.x)) - seen, axis=1)
+    np.testing.assert_allclose(kept.residual_mm, off_points, atol=1e-9)
     assert kept.placed.head.then(heads[1].inverse()).degrees < 0.5
+    # and determines no control
+    assert kept.held.all()
+    np.testing.assert_allclose(kept.information, 0.0, atol=1e-9)
+    assert (kept.sd >= before.sd).all()
     assert not tracker.fit(points[2]).kept
 
 
