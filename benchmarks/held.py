@@ -30,8 +30,7 @@ def measure_held(bench: Bench, known: GaussianPrior) -> Figures:
     points[rows.start : rows.stop, cheek] = np.nan
     clean = _fit(bench, known, take)
     gone = _fit(bench, known, MadeTake(points, take.wrong, take.swapped))
-    muscles = face.layout.places("activations")
-    by_marker = _pull_on_markers(bench)[:, muscles].sum(axis=2)
+    by_marker = _pull_on_markers(bench)[:, face.layout.muscles].sum(axis=2)
     lost = by_marker[cheek].sum(axis=0) > LOST * by_marker.sum(axis=0)
     before, last = gone[first - 1].state.pose.a, gone[rows.stop - 1].state.pose.a
     held = gone[rows.stop - 1].held

@@ -64,7 +64,7 @@ def reach(
     options: ReachOptions = ReachOptions(),
 ) -> Reach:
     """Return what ``markers`` tell of a face's muscles."""
-    x, layout = face.rest.x, face.layout
+    x = face.rest.x
     jacobian = Sensitivity(face, face.rest).by_pose()
     places = MarkerPlaces(face.model, markers)
     sigma = np.array([marker.sigma_mm for marker in markers])
@@ -73,7 +73,7 @@ def reach(
     rows = jacobian.motion(places.jacobian(x))
     normal = rows.T @ term.inner(term.place(places.at(x))) @ rows
     now = Posterior.of_normal(normal, prior.precision)
-    muscles = np.arange(layout.size)[layout["activations"]].reshape(face.model.muscle_count, -1)
+    muscles = face.layout.muscles
     information = now.information_of(muscles)
     points = face.face_points(x)
     chosen = np.unique(np.linspace(0, len(points) - 1, options.candidates).astype(int))

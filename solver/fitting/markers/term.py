@@ -27,7 +27,7 @@ from solver.fitting.objective import GramCurvature
 from solver.model import SubjectModel
 from solver.scans.markers.marker_set import BONY, Marker
 from solver.similarity import IDENTITY, Similarity, robust_motion, weighted_motion
-from solver.surface import Floats
+from solver.surface import Floats, skew
 
 # corners of a marker's triangle on a bone, mm from it
 _TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -75,7 +75,7 @@ class MarkerPlaces:
         across = np.eye(3) - normals[:, :, None] * normals[:, None, :]
         across *= (self.heights / lengths)[:, None, None]
         first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        by_first, by_second = -across @ _cross(second), across @ _cross(first)
+        by_first, by_second = -across @ skew(second), across @ skew(first)
         by_normal = np.stack([-by_first - by_second, by_first, by_second], axis=2)
         local = by_normal + self.weights[:, None, :, None] * np.eye(3)[None, :, None, :]
         return np.asarray(local.reshape(-1, 3, 9))
@@ -116,19 +116,10 @@ def _normals(corners: Floats) -> tuple[Floats, Floats]:
     return cross / lengths[:, None], lengths
 
 
-def _cross(vectors: Floats) -> Floats:
-    """Return the matrices (k, 3, 3) of v x . for ``vectors`` (k, 3)."""
-    out = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
-    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
-    return out
-
-
 def head_rates(arms: Floats) -> Floats:
     """Return the derivative (3 k, 6) by a small motion about a point of what is ``arms`` off it."""
     shifts = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
-    return np.concatenate([-_cross(arms), shifts], axis=2).reshape(-1, 6)
+    return np.concatenate([-skew(arms), shifts], axis=2).reshape(-1, 6)
 
 
 @dataclass(frozen=True)
@@ -157,10 +148,32 @@ class HeadPrior:
     precision: Floats  # (6, 6) of a rotation vector, rad, and a shift, mm
 
     @classmethod
-    def unknown(cls, options: HeadOptions = HeadOptions()) -> HeadPrior:
-        """Return the prior of a head that may be anywhere."""
+    def diffuse(
+        cls, options: HeadOptions = HeadOptions(), motion: Similarity = IDENTITY
+    ) -> HeadPrior:
+        """Return the prior of a head that may be anywhere, about a motion."""
         sd = np.repeat([options.unknown_rad, options.unknown_mm], 3)
-        return cls(IDENTITY, np.diag(sd**-2))
+        return cls(motion, np.diag(sd**-2))
+
+    @classmethod
+    def before_frame(
+        cls,
+        known: HeadPrior | None,
+        seconds: float,
+        places: Floats,
+        seen: Floats,
+        weights: Floats,
+        options: HeadOptions = HeadOptions(),
+    ) -> HeadPrior:
+        """Return what is known of the head before a frame is fitted.
+
+        That is what the frame before left, so long ago; before the first, or where that is lost,
+        what most of the markers agree on: see :meth:`of_most`.
+        """
+        head = None if known is None else known.after(seconds, options)
+        if head is None or (head.is_lost(options) and np.isfinite(seen).all(axis=1).sum() >= 3):
+            return cls.of_most(places, seen, weights, options)
+        return head
 
     @classmethod
     def of_most(
@@ -172,7 +185,7 @@ class HeadPrior:
         """
         known = np.isfinite(seen).all(axis=1)
         if known.sum() < 3:
-            return cls.unknown(options)
+            return cls.diffuse(options)
         sd = np.repeat([options.first_turn_rad, options.first_shift_mm], 3)
         at, there, weights = places[known], seen[known], weights[known]
         motion = robust_motion(at, there, weights, 1e6, 1)
@@ -214,7 +227,7 @@ class MarkerTerm:
     places: MarkerPlaces
     seen: Floats
     precision: Floats
-    head: HeadPrior = field(default_factory=HeadPrior.unknown)
+    head: HeadPrior = field(default_factory=HeadPrior.diffuse)
     options: HeadOptions = HeadOptions()
     # the last places with what they gave, xi and f: value, gradient and curvature ask for the same
     _known: list[tuple[Floats, PlacedMarkers, Floats, float]] = field(

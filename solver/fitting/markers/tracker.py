@@ -155,7 +155,7 @@ class MarkerTracker:
     ) -> PlacedMarkers:
         """Place the head anew by points ``seen`` (k, 3), the face being as it is."""
         used = weights[:, None] * self._precision(sigma)
-        head = HeadPrior(near, HeadPrior.unknown(self.options.head).precision)
+        head = HeadPrior.diffuse(self.options.head, near)
         target = np.where(used > 0.0, seen, np.nan)
         term = MarkerTerm(self.places, target, used, head, self.options.head)
         return term.place(self.places.at(self.tracker.state.x))
@@ -178,8 +178,8 @@ class MarkerTracker:
         places = self.places.at(state.x)
         used = weights[:, None] * self._precision(sigma)
         options = self.options.head
-        unknown = HeadPrior(head, HeadPrior.unknown(options).precision)
-        term = MarkerTerm(self.places, head(places), used, unknown, options)
+        near = HeadPrior.diffuse(options, head)
+        term = MarkerTerm(self.places, head(places), used, near, options)
         if number % self.options.tracking.lagged_frames == 0:
             self.tracker.relinearise(term, used)
         by_controls = self._by_controls()
@@ -209,13 +209,12 @@ class MarkerTracker:
         """Return what is probable of controls and head before a frame is looked at."""
         options, memory = self.options, self.memory
         at, weights = self.places.at(self.tracker.state.x), self._sigma**-2.0
+        known = None if memory is None else memory.head
+        head = HeadPrior.before_frame(known, self.seconds, at, seen, weights, options.head)
         if memory is None:
-            return self.prior, HeadPrior.of_most(at, seen, weights, options.head)
-        prior = self.prior.after(memory.mean, memory.covariance, self.seconds, options.forgetting)
-        head = memory.head.after(self.seconds, options.head)
-        if head.is_lost(options.head) and np.isfinite(seen).all(axis=1).sum() >= 3:
-            head = HeadPrior.of_most(at, seen, weights, options.head)
-        return prior, head
+            return self.prior, head
+        time = options.forgetting
+        return self.prior.after(memory.mean, memory.covariance, self.seconds, time), head
 
     def _predict(self, prior: GaussianPrior, head: HeadPrior) -> Prediction:
         """Return the markers' places in the take."""
@@ -258,16 +257,14 @@ class MarkerTracker:
         covariance = inverse_of_positive(prior.precision + normal)
         head = HeadPrior(placed.head, placed.precision)
         self.memory = MarkerMemory(state.pose.vector(), covariance, spread, head)
-        layout = state.pose.layout
-        muscles = layout.places(layout.blocks[0].name)
-        told = alone.information_of(muscles.reshape(len(muscles), -1))
+        known = alone.information_of(state.pose.layout.muscles)
         return MarkerFit(
             state,
             placed,
             judged,
             sd=np.sqrt(np.diag(spread)),
             information=alone.information,
-            held=told < self.options.hold_below,
+            held=known < self.options.hold_below,
             predicted=ending == "predicted",
             kept=kept,
             steps=steps,

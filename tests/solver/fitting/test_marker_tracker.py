@@ -5,14 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from solver.anatomy.warp import spread
 from solver.errors import SolveError
 from solver.fitting import prior
+from solver.fitting.calibration import fibre_muscles, with_fibres
 from solver.fitting.face import Face
 from solver.fitting.markers.places import place_on, refine, triangle_axes
+from solver.fitting.markers.reach import reach
 from solver.fitting.markers.robust import Prediction, judge
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerTracker
+from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.scans.markers.bind import model_face
 from solver.scans.markers.marker_set import Marker
 from solver.similarity import small_motion
@@ -32,11 +36,8 @@ def markers(face):
     model = face.model
     triangles = model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)]
     middles = model.skin.vertices[triangles].mean(axis=1)
-    chosen, away = [0], np.full(len(middles), np.inf)
-    for _ in range(MARKERS - 1):
-        away = np.minimum(away, np.linalg.norm(middles - middles[chosen[-1]], axis=1))
-        chosen.append(int(away.argmax()))
-    corners = [tuple(map(int, triangles[number])) for number in chosen]
+    chosen = triangles[spread(middles, MARKERS)]
+    corners = [tuple(map(int, each)) for each in chosen]
     return [Marker("", each, (0.3, 0.3, 0.4), 2.0) for each in corners]
 
 
@@ -288,3 +289,15 @@ def test_a_sweep_back_bridges_a_gap(face, places, known, take):
             assert abs(after - true) < 0.6 * abs(before - true)
         assert swept[number].sd.mean() < fits[number].sd.mean()
     np.testing.assert_allclose(swept[-1].controls, fits[-1].state.pose.vector(), atol=1e-9)
+
+
+def test_markers_reach_fibre_muscles_too(markers):
+    plain = Face(small_model(), material=MOONEY_RIVLIN)
+    fibred = with_fibres(plain, fibre_muscles(plain))
+    known = prior.from_changes(fibred.layout, [], prior.LOOSE)
+    few, many = (reach(fibred, each, known) for each in (markers[:5], markers))
+    assert many.information.shape == (plain.model.muscle_count,)
+    assert (many.information >= few.information - 1e-9).all()
+    assert many.information.max() > 0.5
+    gains = [each.gain for each in few.further]
+    assert gains == sorted(gains, reverse=True)
