@@ -108,8 +108,8 @@ def _tell_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
     found = reach(face, markers, _prior(task, rig, face))
     names = rig.model.muscle_names
     known = rest_places(replace(check.bound, markers=tuple(markers)), rig.model.skin)
-    check.figures |= {"muscles": len(names), "muscles_told": found.told}
-    words = f"{len(markers)} markers tell of {found.told} of {len(names)} muscles"
+    check.figures |= {"muscles": len(names), "muscles_told": found.known_muscles}
+    words = f"{len(markers)} markers tell of {found.known_muscles} of {len(names)} muscles"
     told = {
         name: round(float(each), 3) for name, each in zip(names, found.information, strict=True)
     }

@@ -54,7 +54,7 @@ class FollowOptions:
 
     coverage: float = 0.1  # share of the face's points below which a frame says nothing
     still_points: int = 10  # that must be seen to tell the head's motion from the face's
-    still: float = 0.05  # stillness times confidence from which a point has a say in that
+    still: float = 0.05  # stillness times confidence from which a point counts for that
     restless_mm: float = 0.03  # a head that moves by more is placed, and the face fitted, again
     placings: int = 3  # of the head in a frame
 

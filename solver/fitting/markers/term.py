@@ -133,10 +133,10 @@ class HeadOptions:
     # spread that a head's motion gains in a second
     turn_rad: float = 0.3
     shift_mm: float = 60.0
-    # spread about where most markers of a frame say; of one that is less sure they are asked again
+    # spread about where most markers of a frame have it; one that is less sure is placed again
     first_turn_rad: float = 0.3
     first_shift_mm: float = 30.0
-    placed_within_mm: float = 8.0  # of where the face has it a marker tells of the head
+    placed_within_mm: float = 8.0  # of its place on the face, a marker counts for the head
     placings: int = 20  # rounds of that
 
 
@@ -179,7 +179,7 @@ class HeadPrior:
     def of_most(
         cls, places: Floats, seen: Floats, weights: Floats, options: HeadOptions = HeadOptions()
     ) -> HeadPrior:
-        """Return where most markers say that the head is; unknown of fewer than three.
+        """Return the head as most markers place it; anywhere by fewer than three.
 
         They are at ``places`` (k, 3) in its frame, ``seen`` (k, 3) in the take, NaN for missing.
         """
@@ -200,14 +200,14 @@ class HeadPrior:
         return HeadPrior(self.motion, inverse_of_positive(spread))
 
     def is_lost(self, options: HeadOptions = HeadOptions()) -> bool:
-        """Tell whether a frame's markers know more of the head's rotation than this."""
+        """Return whether a frame's markers determine the head's rotation better than this."""
         spread = np.diag(inverse_of_positive(self.precision))
         return bool(spread[:3].max() > options.first_turn_rad**2)
 
 
 @dataclass(frozen=True)
 class PlacedMarkers:
-    """Markers in the take, the head being where they say."""
+    """Markers in the take, with the head that they determine."""
 
     head: Similarity
     points: Floats  # (k, 3) predicted, mm
@@ -269,7 +269,7 @@ class MarkerTerm:
             return known[-1][1]
         # places that were asked for before are near by
         xi = known[-1][2] if known else self._start(places)
-        placed = self._placed(places, xi)
+        placed = self._place_at(places, xi)
         for _ in range(self.options.steps):
             weighted = (self.precision * placed.offsets).ravel()
             slope = placed.by_head.T @ weighted + self.head.precision @ xi
@@ -279,7 +279,7 @@ class MarkerTerm:
             # a further rotation, composed; it is small
             turned = Rotation.from_rotvec(step[:3]) * Rotation.from_rotvec(xi[:3])
             xi = np.concatenate([turned.as_rotvec(), xi[3:] + step[3:]])
-            placed = self._placed(places, xi)
+            placed = self._place_at(places, xi)
         own = np.sum(self.precision * placed.offsets**2)
         value = 0.5 * float(own + xi @ self.head.precision @ xi)
         known[:] = [(places, placed, xi, value)]
@@ -299,7 +299,7 @@ class MarkerTerm:
         """The point (3,) that the head turns about, in the take."""
         return np.asarray(self.head.motion(self.places.centre[None])[0])
 
-    def _placed(self, places: Floats, xi: Floats) -> PlacedMarkers:
+    def _place_at(self, places: Floats, xi: Floats) -> PlacedMarkers:
         centre = self._centre
         small = Similarity(1.0, Rotation.from_rotvec(xi[:3]).as_matrix(), xi[3:])
         arms = small.turn(self.head.motion(places) - centre)

@@ -3,8 +3,8 @@
 A frame begins with what is probable after the one before it (:meth:`GaussianPrior.after`), which
 predicts every marker's place with a spread. By that points are weighed and labels mended
 (:mod:`.robust`), then the face is fitted (:class:`~solver.fitting.sequence.Tracker`). The posterior
-that comes of it is the next frame's memory; of controls that nothing tells of any more it keeps
-the last value, which fades to the rest with the prior's time.
+that comes of it is the next frame's memory; controls that no marker determines any more keep their
+last value, which fades to the rest with the prior's time.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from solver.surface import Floats
 class MarkerOptions:
     """Numbers of tracking markers; lengths in mm."""
 
-    forgetting: float = 1.0  # s in which a control that nothing tells of fades to 1/e
+    forgetting: float = 1.0  # s in which a control that no marker determines fades to 1/e
     hold_below: float = 0.2  # information of a muscle under which it is held
     noise_mm: float = 0.2  # standard deviation of a point, beside that of its marker's place
     w_v: float = 0.3  # of volume, beside half a squared Mahalanobis distance
@@ -51,7 +51,7 @@ class MarkerOptions:
 
 @dataclass(frozen=True)
 class MarkerMemory:
-    """What a frame leaves to the next: the posterior of controls and head."""
+    """Posterior of controls and head, which a frame leaves to the next."""
 
     mean: Floats  # (k,)
     covariance: Floats  # (k, k) as the filter has it, points of all frames being independent
@@ -110,7 +110,7 @@ class MarkerTracker:
         """Go on from a frame: its state and what it left, None before the first."""
         options = self.options
         self.memory = memory
-        self._moved: tuple[PosedFace, Jacobian, Floats] | None = None
+        self._rates: tuple[PosedFace, Jacobian, Floats] | None = None
         self.tracker = Tracker(
             self.face,
             self._penalties,
@@ -186,12 +186,13 @@ class MarkerTracker:
         return np.asarray(by_controls.T @ term.inner(term.place(places)) @ by_controls)
 
     def spread(self, prior: GaussianPrior, normal: Floats) -> tuple[Floats, Posterior]:
-        """Return how surely the controls of a frame are known (q, q), and by it alone.
+        """Return the covariance (q, q) of a frame's controls, and the posterior by it alone.
 
-        ``prior`` is that before the frame, ``normal`` (q, q) what its markers tell. What they tell
-        of is not known any better by the frames before: markers bound beside where they are err
-        alike in all of them, and many such frames say no more than one. The filter goes on from
-        its own, smaller covariance: it follows a bias as closely, and is less stirred by noise.
+        ``prior`` is that before the frame, ``normal`` (q, q) the matrix of its markers. Frames
+        before make nothing surer that this one determines: markers bound beside where they are err
+        alike in all of them, and many such frames are worth no more than one. The filter goes on
+        from its own, smaller covariance: it follows a bias as closely, and is less stirred by
+        noise.
         """
         usual = self.prior
         alone = Posterior(inverse_of_positive(usual.precision + normal), usual.variance)
@@ -228,10 +229,10 @@ class MarkerTracker:
         jacobian, state = self.tracker.jacobian, self.tracker.state
         assert jacobian is not None, "made when tracking began"
         # a frame ends with what the next begins with
-        if self._moved is None or self._moved[0] is not state or self._moved[1] is not jacobian:
+        if self._rates is None or self._rates[0] is not state or self._rates[1] is not jacobian:
             found = jacobian.motion(self.places.jacobian(state.x))
-            self._moved = state, jacobian, found
-        return self._moved[2]
+            self._rates = state, jacobian, found
+        return self._rates[2]
 
     def _leave(
         self,
