@@ -36,7 +36,7 @@ def bind(
     read = read_take(take)
     found = bind(read, SubjectModel.load(model), frames_about(read, frame))
     found.markers.save(output)
-    first, last = (read.first + each for each in found.neutral)
+    first, last = (read.numbers[row] for row in found.neutral)
     parts = [each.part for each in found.markers.markers]
     counted = ", ".join(f"{parts.count(part)} {part}" for part in dict.fromkeys(parts))
     out.print(f"at rest in frames {first} to {last}: {counted}")

@@ -131,10 +131,10 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     progress(Step("export", 0.96))
     report = sequence_report(done, rate, take.file) | _marker_report(done, source.labels)
     report |= {"notices": [notice.as_dict() for notice in notices]}
-    files = write_sequence(out, done, muscles, rate, report)
+    files = write_sequence(out, done, muscles, rate, report, take.first)
     files += [out / "markers.json"] if given.refine else []
     files.append(out / "sequence.glb")
-    skin.write(files[-1], rate)
+    skin.write(files[-1], rate, take.first)
     files.append(out / VIEW_FILE)
     view.write(files[-1], rate)
     progress(Step("done", 1.0))
@@ -195,9 +195,10 @@ def _tracker(
     if given.refine:
         task.progress(Step("places", 0.01))
         # of the whole take: places must not depend on where the fit ends
-        chosen = np.unique(np.linspace(0, source.frames - 1, given.refine).round().astype(int))
+        first, last = source.frames[0], source.frames[-1]
+        chosen = np.unique(np.linspace(first, last, given.refine).round().astype(int))
         frames = [source.points(number) for number in chosen.tolist()]
-        apart = source.frames / rate / len(chosen)
+        apart = len(source.frames) / rate / len(chosen)
         used = refine(face, used, known, frames, apart, RefineOptions(tracking=options))
         source.save(used, task.out / "markers.json")
     sigma = np.array([marker.sigma_mm for marker in used])
@@ -271,14 +272,17 @@ def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
 
 
 def _frame_numbers(take: Take, given: FitMarkers) -> range:
-    end = len(take) if given.end is None else given.end
-    numbers = range(given.start, end, given.step)
-    if end > len(take) or not numbers:
+    """Return the numbers of the frames to be fitted, as the file counts them."""
+    first, end = take.numbers.start, take.numbers.stop
+    start = first if given.start is None else given.start
+    stop = end if given.end is None else given.end
+    numbers = range(start, stop, given.step)
+    if start < first or stop > end or not numbers:
         message = (
-            f"{take.file} has the frames 0 to {len(take) - 1}: start {given.start} and end {end} "
-            "are not within it"
+            f"{take.file} has the frames {first} to {end - 1}: start {start} and end {stop} are "
+            "not within it"
         )
-        expected = {"expected": len(take), "start": given.start, "end": end}
+        expected = {"expected": len(take), "start": start, "end": stop}
         raise InputError("options.frames", message, **expected)
     return numbers
 

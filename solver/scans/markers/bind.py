@@ -120,12 +120,12 @@ def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[i
     """
     if frame is None:
         return None
-    number, last = frame - take.first, len(take) - 1
-    if not 0 <= number <= last:
-        message = f"{take.file} has frames {take.first} to {take.first + last}, not {frame}"
+    numbers = take.numbers
+    if frame not in numbers:
+        message = f"{take.file} has frames {numbers[0]} to {numbers[-1]}, not {frame}"
         raise InputError("markers.neutral", message, file=take.file, frame=frame)
-    reach = round(seconds / 2 * take.rate) if take.rate > 0 else 0
-    return max(number - reach, 0), min(number + reach, last)
+    row, reach = numbers.index(frame), round(seconds / 2 * take.rate) if take.rate > 0 else 0
+    return max(row - reach, 0), min(row + reach, len(take) - 1)
 
 
 def model_face(model: SubjectModel) -> Surface:

@@ -102,14 +102,14 @@ def check_take(
     tell_faults(check, take, rate, limits)
     tell_unlabelled(check, take, mm, limits)
     first, last = neutral or find_neutral(faults.motion, rate)
-    check.figures["neutral"] = [take.first + first, take.first + last]
+    check.figures["neutral"] = [take.numbers[first], take.numbers[last]]
     points = rest_points(faults.motion, (first, last)) / mm
     _tell_rest(check, take, rate, (first, last), is_given=neutral is not None, limits=limits)
     on_face = [named[number] for number in check.markers.tolist()]
     located = locate(points, on_face, reference.face)
     check.labels = label_rows(check, take)
     if located is None:
-        message = f"Frames {take.first + first} to {take.first + last} show too few markers."
+        message = f"Frames {take.numbers[first]} to {take.numbers[last]} show too few markers."
         add(check, "markers.neutral", "warning", message)
         return check
     check.located, check.placed = located, located.session(points)
@@ -202,11 +202,11 @@ def _tell_rest(
     places = motion.places[first : last + 1]
     seen = np.isfinite(places[..., 0])
     hidden = np.flatnonzero(~seen.any(axis=0))
-    frames = f"frames {take.first + first} to {take.first + last}"
-    figures: dict[str, Any] = {"frames": [take.first + first, take.first + last]}
+    frames = f"frames {take.numbers[first]} to {take.numbers[last]}"
+    figures: dict[str, Any] = {"frames": [take.numbers[first], take.numbers[last]]}
     stillest = ""
     if is_given:
-        one, other = (take.first + frame for frame in find_neutral(motion, rate))
+        one, other = (take.numbers[row] for row in find_neutral(motion, rate))
         figures["stillest"] = [one, other]
         stillest = f" The stillest are {one} to {other}."
     if len(hidden) > (1.0 - limits.at_rest) * seen.shape[1]:

@@ -130,13 +130,13 @@ def tell_faults(check: MarkerCheck, take: Take, rate: float, limits: CheckLimits
         add(check, "markers.double", "warning", message, label=labels[group[0]], labels=names)
     gone = faults.gone(round(limits.gone * rate))
     if gone:
-        spans = [[take.first + first, take.first + last] for first, last in gone]
+        spans = [[take.numbers[first], take.numbers[last]] for first, last in gone]
         longest = max(last - first + 1 for first, last in gone) / rate
         number = count_words(len(gone), "span", "spans")
         message = f"No marker is seen in {number}, up to {longest:.1f} s."
         add(check, "markers.gone", "warning", message, frames=spans[: limits.spans])
     for marker, span in sorted(faults.moved.items()):
-        frame = take.first + span.first
+        frame = take.numbers[span.first]
         message = f"{quote(labels[marker])} sits {span.mm:.1f} mm elsewhere from frame {frame} on."
         figures = {"label": labels[marker], "frame": frame, "found": round(span.mm, 1)}
         add(check, "markers.moved", "warning", message, **figures)
@@ -203,7 +203,7 @@ def _tell_spans(
     severity: Severity = "info" if fault == "filled" else "warning"
     if fault in ("outlier", "ghost", "frozen") and share < limits.seldom:
         severity = "info"
-    listed = [[take.first + span.first, take.first + span.last] for span in spans]
+    listed = [[take.numbers[span.first], take.numbers[span.last]] for span in spans]
     what = SAID[fault] if other is None else f"{SAID[fault]} {quote(labels[other])}"
     where = f"frames {listed[0][0]} to {listed[0][1]}" if count > 1 else f"frame {listed[0][0]}"
     if len(spans) > 1:
@@ -259,7 +259,7 @@ def tell_unlabelled(check: MarkerCheck, take: Take, mm: float, limits: CheckLimi
         best = int(np.argmax(near))
         if near[best] > limits.share_filled:
             label = take.labels[int(check.markers[best])]
-            spans = [[take.first + int(frames[0]), take.first + int(frames[-1])]]
+            spans = [[take.numbers[frames[0]], take.numbers[frames[-1]]]]
             fits.append({"track": quote(name), "label": quote(label), "frames": spans})
     message = f"{count_words(len(take.unlabelled_names), 'track has', 'tracks have')} no label"
     if fits:
@@ -302,7 +302,7 @@ def tell_location(check: MarkerCheck, take: Take, located: Located) -> None:
         add(check, "markers.axes", "info", message, up=up, forward=forward)
     labels = [take.labels[number] for number in check.markers.tolist()]
     assert check.faults is not None
-    rest = sum(check.figures["neutral"]) // 2 - take.first
+    rest = take.numbers.index(sum(check.figures["neutral"]) // 2)
     swaps = [each for each in check.faults.of("swapped") if each.first <= rest <= each.last]
     for a, b in located.exchanged:
         if not any((each.marker, each.other) == (a, b) for each in swaps):  # told already
