@@ -16,7 +16,7 @@ from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.scans.markers.locate import Located, heights_over, locate, nose_tip
 from solver.scans.markers.marker_set import Marker, MarkerSet, Triple
-from solver.scans.markers.motion import Motion, take_apart
+from solver.scans.markers.motion import Motion, median_of_seen, take_apart
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
 from solver.surface import Floats, Surface, unit_rows, vertex_normals
@@ -107,10 +107,7 @@ def usual_distances(positions: Floats, frames: int = 40) -> Floats:
     """Return the median distances (k, k) of markers, NaN for those never seen together."""
     some = positions[np.unique(np.linspace(0, len(positions) - 1, frames).astype(int))]
     apart = np.array([np.linalg.norm(each[:, None] - each[None], axis=2) for each in some])
-    found = np.full(apart.shape[1:], np.nan)
-    known = np.isfinite(apart).any(axis=0)
-    found[known] = np.nanmedian(apart[:, known], axis=0)
-    return found
+    return median_of_seen(apart)
 
 
 def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[int, int] | None:
@@ -139,10 +136,7 @@ def rest_points(motion: Motion, neutral: tuple[int, int]) -> Floats:
     """Return markers (k, 3) at rest, in the axes of the take, as the head is amid ``neutral``."""
     first, last = neutral
     middle = (first + last) // 2
-    there = motion.places[first : last + 1]
-    points = np.full(there.shape[1:], np.nan)
-    seen = np.isfinite(there[..., 0]).any(axis=0)
-    points[seen] = np.nanmedian(there[:, seen], axis=0)
+    points = median_of_seen(motion.places[first : last + 1])
     return np.asarray((points - motion.shifts[middle]) @ motion.rotations[middle])
 
 
