@@ -40,5 +40,5 @@ def bind(
     parts = [each.part for each in found.markers.markers]
     counted = ", ".join(f"{parts.count(part)} {part}" for part in dict.fromkeys(parts))
     out.print(f"at rest in frames {first} to {last}: {counted}")
-    out.print(f"{found.located.miss():.1f} mm off the skin")
+    out.print(f"{found.pose.miss():.1f} mm off the skin")
     out.print(f"{output}")

@@ -78,6 +78,12 @@ def median_of_seen(values: Floats) -> Floats:
     return found
 
 
+def rms_of_seen(distances: Floats) -> float:
+    """Return the root mean square of what is not NaN, 0 if nothing is."""
+    seen = distances[np.isfinite(distances)]
+    return float(np.sqrt((seen**2).mean())) if len(seen) else 0.0
+
+
 def _hold_head(positions: Floats, options: MotionOptions) -> tuple[Floats, Floats, Floats]:
     """Return rotations and shifts into the head's frame, and the median face there."""
     seen = np.isfinite(positions[..., 0])
