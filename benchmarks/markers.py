@@ -234,7 +234,7 @@ def _real(options: argparse.Namespace, kit: FaceKit, rig: Rig, shapes: Floats) -
     for name in REAL_TAKES:
         take = read_take(options.takes / f"{name}.c3d")
         source = BoundTake(take, bind(take, model).markers, 4)
-        numbers = range(0, len(take), REAL_STEP)[: options.frames]
+        numbers = source.frames[::REAL_STEP][: options.frames]
         frames = [source.points(number) for number in numbers]
         some = [frames[row] for row in np.linspace(0, len(frames) - 1, 20).round().astype(int)]
         used = refine(face, source.markers, known, some, len(take) / take.rate / len(some))

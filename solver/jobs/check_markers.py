@@ -42,11 +42,9 @@ def run(task: Task[CheckMarkers]) -> list[Path]:
     progress(Step("read", 0.0, message=path.name))
     start = time.perf_counter()
     reference = _reference(task)
-    labels: tuple[str, ...] = ()
     progress(Step("check", 0.2))
     try:
         take = read_take(path)
-        labels = take.labels
         neutral = frames_about(take, task.options.neutral)
         found = check_take(take, reference, neutral, actor=task.options.actor)
     except InputError as error:
@@ -58,7 +56,7 @@ def run(task: Task[CheckMarkers]) -> list[Path]:
     judged = judge_findings(found.findings)
     progress(Step("pictures", 0.8))
     files = [task.out / "check.json", task.out / "check.png"]
-    check_picture(found, labels, reference.face, f"{path.name}: {judged}", files[1])
+    check_picture(found, reference.face, f"{path.name}: {judged}", files[1])
     report = {
         "file": path.name,
         "verdict": judged,

@@ -68,7 +68,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     given, out, progress = task.options, task.out, task.progress
     progress(Step("read", 0.0, message=task.inputs["markers"].name))
     rig, take = Rig.load(task.inputs), count_tracks(read_take(task.inputs["markers"]))
-    numbers = frame_numbers(take.file, range(len(take)), given)
+    numbers = frame_numbers(take.file, take.numbers, given)
     rate = given.rate or (take.rate if take.rate > 0 else OPTIONS.rate)
     source = _bound(task, take, rig.model, rate)
     face, muscles, notices = _face(task, rig)
@@ -85,10 +85,10 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     progress(Step("export", 0.96))
     report = sequence_report(done, rate, take.file) | marker_report(done, source.labels)
     report |= {"notices": [notice.as_dict() for notice in notices]}
-    files = write_sequence(out, done, muscles, rate, report)
+    files = write_sequence(out, done, muscles, rate, report, take.first)
     files += [out / "markers.json"] if given.refine else []
     files.append(out / "sequence.glb")
-    drawing.skin.write(files[-1], rate)
+    drawing.skin.write(files[-1], rate, take.first)
     files.append(out / VIEW_FILE)
     drawing.view.write(files[-1], rate)
     progress(Step("done", 1.0))
@@ -149,9 +149,10 @@ def _tracker(
     if given.refine:
         task.progress(Step("places", 0.01))
         # of the whole take: places must not depend on where the fit ends
-        chosen = np.unique(np.linspace(0, source.frames - 1, given.refine).round().astype(int))
+        first, last = source.frames[0], source.frames[-1]
+        chosen = np.unique(np.linspace(first, last, given.refine).round().astype(int))
         frames = [source.points(number) for number in chosen.tolist()]
-        apart = source.frames / rate / len(chosen)
+        apart = len(source.frames) / rate / len(chosen)
         used = refine(face, used, known, frames, apart, RefineOptions(tracking=options))
         source.save(used, task.out / "markers.json")
     sigma = np.array([marker.sigma_mm for marker in used])

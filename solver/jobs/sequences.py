@@ -92,14 +92,15 @@ def frame_numbers(name: str, frames: range, given: FitMarkers | FitSequence) -> 
 
     ``name`` is the file's, ``frames`` are the numbers that it has.
     """
+    start = frames.start if given.start is None else given.start
     end = frames.stop if given.end is None else given.end
-    numbers = range(given.start, end, given.step)
-    if given.start < frames.start or end > frames.stop or not numbers:
+    numbers = range(start, end, given.step)
+    if start < frames.start or end > frames.stop or not numbers:
         message = (
-            f"{name} has the frames {frames.start} to {frames.stop - 1}: start {given.start} and "
-            f"end {end} are not within it"
+            f"{name} has the frames {frames.start} to {frames.stop - 1}: start {start} and end "
+            f"{end} are not within it"
         )
-        expected = {"expected": len(frames), "start": given.start, "end": end}
+        expected = {"expected": len(frames), "start": start, "end": end}
         raise InputError("options.frames", message, **expected)
     return numbers
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from solver.fitting.markers.term import HeadPrior, head_rates
+from solver.similarity import robust_weights
 from solver.surface import Floats, Ints
 
 MarkerState = Literal["seen", "missing", "outlier", "swapped", "relabelled"]
@@ -151,7 +152,7 @@ def weigh(
     places = prediction.points
     for number, scale in enumerate([*scales, scales[-1]]):
         off = np.linalg.norm(points - places, axis=1) / (scale * options.scale_mm)
-        weights = np.where(known, 1.0 / (1.0 + off**2) ** 2, 0.0)
+        weights = np.where(known, robust_weights(off**2), 0.0)
         if number < len(scales):
             places = prediction.conditional_mean(points, exact * np.maximum(weights, 1e-9)[:, None])
     return weights

@@ -27,7 +27,8 @@ from tests.fixtures import small_model
 pytestmark = pytest.mark.long
 
 FRAMES, MARKERS = 10, 30
-GONE = (4, 5)  # frames in which no marker is seen
+GONE = (4, 5)  # rows in which no marker is seen
+FIRST = 101  # number of the first frame
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     positions[list(GONE)] = np.nan
     positions[7, 3] += 20.0
     labels = tuple(marker.label for marker in markers)
-    Take("take.c3d", labels, positions, 60.0).save(folder / "take.npz")
+    Take("take.c3d", labels, positions, 60.0, FIRST).save(folder / "take.npz")
     return folder
 
 
@@ -111,7 +112,7 @@ def test_a_take_is_fitted(whole: tuple[Path, dict], files: Path) -> None:
     moved = points @ found["mandible"][-1, :3, :3].T + found["mandible"][-1, :3, 3]
     np.testing.assert_allclose(moved, move_jaw(model.jaw, points, found["jaw"][-1]), atol=1e-5)
     report = json.loads((out / "sequence.json").read_text())
-    assert report["predicted"] == list(GONE)
+    assert report["predicted"] == [FIRST + row for row in GONE]
     assert report["markers"]["M3"]["outlier"] == pytest.approx(1 / FRAMES)
     assert (out / "sequence.glb").stat().st_size > 1000
     view = read_container(out / "markers.bin")
@@ -155,7 +156,7 @@ def test_places_are_mended_first_and_the_take_is_smoothed_last(
     expected = ["smoothed" if number in GONE else "fitted" for number in range(FRAMES)]
     assert found["status"].tolist() == expected
     report = json.loads((tmp_path / "sequence.json").read_text())
-    assert (report["predicted"], report["smoothed"]) == ([], list(GONE))
+    assert (report["predicted"], report["smoothed"]) == ([], [FIRST + row for row in GONE])
     given, mended = (MarkerSet.load(each / "markers.json") for each in (files, tmp_path))
     assert mended.labels == given.labels
     assert 0.0 < np.abs(mended.heights - given.heights).max() < 1.0
@@ -180,7 +181,7 @@ def test_a_smoothed_frame_has_the_distances_of_its_own_pose(files: Path, tmp_pat
     options = {"step": 2, "temporal": 0.05}
     before = fit(tmp_path, tmp_path / "before", options=options)
     found = fit(tmp_path, tmp_path / "after", options=options | {"smooth": True})
-    row = found["frame"].tolist().index(6)
+    row = found["frame"].tolist().index(FIRST + 6)
     assert found["marker_state"][row, swapped].tolist() == ["swapped", "swapped"]
     model = small_model()
     markers = MarkerSet.load(files / "markers.json")
@@ -225,6 +226,14 @@ def test_every_second_frame_keeps_its_time(files: Path, tmp_path: Path) -> None:
     assert sum(name.endswith(".sd") for name in header) == found["sd"].shape[1]
 
 
+def test_frames_are_chosen_by_the_numbers_that_the_file_has(files: Path, tmp_path: Path) -> None:
+    found = fit(files, tmp_path, options={"start": 102, "end": 106, "step": 2})
+    assert found["frame"].tolist() == [102, 104]
+    np.testing.assert_allclose(found["time"], np.array([1, 3]) / 60.0)
+    (row,) = csv.DictReader((tmp_path / "activations.csv").read_text().splitlines()[:2])
+    assert (row["frame"], row["time"]) == ("102", "0.0167")
+
+
 def test_a_jaw_on_its_tracks(files: Path, tmp_path: Path) -> None:
     found = fit(files, tmp_path, options={"jaw": "tracks"})
     model = small_model()
@@ -243,6 +252,7 @@ def test_a_jaw_on_its_tracks(files: Path, tmp_path: Path) -> None:
         ("markers.few", {"markers": [0, 1, 2]}),
         ("markers.other_model", {"model_sha256": "0" * 64}),
         ("options.frames", {"options": {"start": 100}}),
+        ("options.frames", {"options": {"end": 112}}),
     ],
 )
 def test_what_cannot_be_used(code: str, change: dict, files: Path, tmp_path: Path) -> None:
