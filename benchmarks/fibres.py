@@ -23,15 +23,15 @@ import numpy as np
 
 from benchmarks import made_takes, report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
+from benchmarks.round_trip import fibre_round_trip
 from benchmarks.speed.clock import Stopwatch
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.build import build_subject_model
 from solver.anatomy.meshing import find_or_make_mesh
 from solver.contact.potentials import Gauge, contact_potentials
-from solver.drawing.head import both_sides
 from solver.errors import SolveError
-from solver.fitting import activation, prior
-from solver.fitting.activation import ActivationOptions, unseen_regulariser
+from solver.fitting import prior
+from solver.fitting.activation import unseen_regulariser
 from solver.fitting.calibration import (
     CalibrationOptions,
     calibrate,
@@ -44,7 +44,7 @@ from solver.fitting.calibration import (
 from solver.fitting.contact import terms
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.geometry import GeometryOptions
-from solver.fitting.objective import Regulariser, SkinDistance, Target, distances
+from solver.fitting.objective import Target, distances
 from solver.fitting.sequence import Tracker
 from solver.fitting.strips import strip_names
 from solver.mechanics.fibre_muscle import FibreMuscles
@@ -67,20 +67,6 @@ FACTORS = (1, 2, 4)
 ROUNDS, QUICK_ROUNDS = 16, 6
 FRAMES, LARGE_FRAMES = 60, 6
 LARGE_EDGE_MM = 3.6  # of some 370,000 tets
-
-
-@dataclass(frozen=True)
-class TripOptions:
-    """Random poses of the round trip, and the second fit's light regulariser by the noise."""
-
-    sets: int = 4
-    excited: int = 8  # kinds of muscles of a set, both sides counting as one
-    activation: tuple[float, float] = (0.2, 0.8)
-    asymmetry: float = 0.1
-    opening: tuple[float, float] = (0.0, 0.2)
-    noise_mm: tuple[float, float] = (0.0, 0.3)
-    w_a: tuple[float, float] = (1e-7, 1e-4)
-    w_b: float = 1e-9
 
 
 @dataclass(frozen=True)
@@ -142,7 +128,7 @@ def run(options: argparse.Namespace) -> Figures:
         log.info("speed: %s", found["speed"])
     if "round_trip" in options.only:
         found["round_trip"] = {
-            "fibre": round_trip(face, strip_names(person.model.muscle_names, muscles))
+            "fibre": fibre_round_trip(face, strip_names(person.model.muscle_names, muscles))
         }
         log.info("round trip: %s", found["round_trip"])
     if options.large:
@@ -319,44 +305,6 @@ def _played(face: Face, simulator: Simulator, gauge: Gauge, pose: Pose, steps: i
     }
 
 
-def round_trip(face: Face, names: tuple[str, ...], trip: TripOptions = TripOptions()) -> Figures:
-    """Return what comes back of random activations."""
-    found: dict[float, list[float]] = {noise: [] for noise in trip.noise_mm}
-    skin, outside, sets = [], 0, []
-    for seed in range(trip.sets):
-        rng = np.random.default_rng(seed)
-        pose = _random_pose(face, names, rng, trip)
-        truth = face.continuation(face.rest, pose)
-        points = face.face_points(truth.x)
-        row: Figures = {"seed": seed}
-        for noise, w_a in zip(trip.noise_mm, trip.w_a, strict=True):
-            seen = points + noise * rng.standard_normal(points.shape)
-            data = SkinDistance(face, Target.from_points(seen))
-            light = Regulariser(w_a, 0.0, trip.w_b, face.rest_pose())
-            stop = ActivationOptions(40, tolerance=1e-6)
-            state = activation.fit(face, data, light, options=stop).state
-            a = state.pose.a
-            error = float(np.sqrt(np.mean((a - pose.a) ** 2)))
-            found[noise].append(error)
-            off = float(np.linalg.norm(face.face_points(state.x) - points, axis=1).mean())
-            outside += int(((a < 0.0) | (a > 1.0)).sum())
-            row[f"noise_{noise:g}"] = {"activation_rms": error, "skin_mm": off}
-            if noise == 0.0:
-                skin.append(off)
-                worst = np.argsort(-np.abs(a - pose.a))[:3]
-                row["worst"] = {names[k]: [float(pose.a[k]), float(a[k])] for k in worst}
-        log.info("%s", row)
-        sets.append(row)
-    without, noisy = (max(found[noise]) for noise in trip.noise_mm)
-    return {
-        "activation_rms": without,
-        "noisy_activation_rms": noisy,
-        "skin_mm": max(skin),
-        "out_of_bounds": outside,
-        "sets": sets,
-    }
-
-
 def _speed(face: Face, options: argparse.Namespace) -> Figures:
     """Follow a take of 79 markers as :mod:`benchmarks.markers` has it, by fibre muscles."""
     kit = read_facekit(options.faces)
@@ -395,22 +343,6 @@ def _large() -> Figures:
         "tets_370k_first_frame_s": seconds[0],
         "tets_370k_mean_mm": float(np.mean(errors)),
     }
-
-
-def _random_pose(
-    face: Face, names: tuple[str, ...], rng: np.random.Generator, trip: TripOptions
-) -> Pose:
-    """Return a pose of some muscles, both sides alike but for a little, with the jaw open."""
-    kinds = list(dict.fromkeys(both_sides(name) for name in names))
-    chosen = rng.choice(kinds, trip.excited, replace=False)
-    depth = {str(kind): rng.uniform(*trip.activation) for kind in chosen}
-    a = np.zeros(len(names))
-    for muscle, name in enumerate(names):
-        if (kind := both_sides(name)) in depth:
-            a[muscle] = depth[kind] + rng.uniform(-trip.asymmetry, trip.asymmetry)
-    b = np.zeros(5)
-    b[0] = rng.uniform(*trip.opening)
-    return Pose(a, b, face.layout)
 
 
 def section(figures: Figures) -> Section:

@@ -203,7 +203,7 @@ def muscle_shares(face: Face) -> Figures:
     placed = np.einsum("c,kcdq->kdq", SHARES, corners)
     nothing = Posterior.of_normal(0.0, precision := pose_precision(face))
     best = [point for point, _ in nothing.greedy(points, max(MARKERS), NOISE_MM)]
-    muscles = face.layout.places(face.layout.blocks[0].name)
+    muscles = face.layout.muscles
 
     def known(rows: Floats) -> float:
         found = Posterior.of(rows.reshape(-1, len(precision)), NOISE_MM, precision)

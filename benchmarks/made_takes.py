@@ -144,7 +144,7 @@ class Bench:
     def refined(self, known: GaussianPrior, take: MadeTake) -> Bench:
         """Return the bench with places mended by frames of a take, as jobs do."""
         at, points = self.places.at(self.face.model.rest), take.points
-        rows = frames_near_neutral(at, points.__getitem__, len(points), REFINING)
+        rows = frames_near_neutral(at, points.__getitem__, range(len(points)), REFINING)
         apart = len(points) / len(rows) * self.truth.seconds
         other = copy.copy(self)
         other.markers = list(refine(self.face, self.markers, known, list(points[rows]), apart))

@@ -23,6 +23,7 @@ from benchmarks.bad_takes import BAD_TAKES
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.speed.clock import Stopwatch
 from solver.anatomy.template import Template
+from solver.anatomy.warp import spread
 from solver.jobs import run_job
 from solver.registration.locate import face_surface
 from solver.scans.markers.check import Reference, check_take
@@ -107,7 +108,8 @@ def _made_positions(template: Template, frames: int) -> Floats:
     assert template.shapes is not None
     rng, time_ = np.random.default_rng(0), np.arange(frames) / RATE
     skin = template.skin
-    sites = _spread(skin.vertices, np.unique(face_surface(template).faces), MARKERS)
+    candidates = np.unique(face_surface(template).faces)
+    sites = candidates[spread(skin.vertices[candidates], MARKERS)]
     rest = (skin.vertices + HEIGHT_MM * vertex_normals(skin))[sites]
     shapes = template.shapes.expressions[:SHAPES, sites].astype(float)
     moving = np.clip(time_ - 2.0, 0.0, 1.0)  # at rest for two seconds
@@ -118,17 +120,6 @@ def _made_positions(template: Template, frames: int) -> Floats:
     turns = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
     moved = np.einsum("fij,fkj->fki", turns, face) + np.array([120.0, 900.0, 60.0])
     return np.asarray(moved + NOISE_MM * rng.standard_normal(moved.shape))
-
-
-def _spread(points: Floats, candidates: np.ndarray, count: int) -> np.ndarray:
-    """Return vertices, each farthest from those before it."""
-    chosen = [int(candidates[0])]
-    away = np.full(len(candidates), np.inf)
-    while len(chosen) < count:
-        last = points[chosen[-1]]
-        away = np.minimum(away, np.linalg.norm(points[candidates] - last, axis=1))
-        chosen.append(int(candidates[np.argmax(away)]))
-    return np.array(chosen)
 
 
 def _write_trc(path: Path, points: Floats) -> None:

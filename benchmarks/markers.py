@@ -22,7 +22,8 @@ import numpy as np
 
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
-from benchmarks.made_takes import FRAMES, QUICK_FRAMES, Bench, MadeTake, Truth, make_truth, rms
+from benchmarks.held import measure_held
+from benchmarks.made_takes import FRAMES, QUICK_FRAMES, Bench, Truth, make_truth, rms
 from benchmarks.speed.clock import Stopwatch
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.build import build_subject_model, jaw_tracks
@@ -35,7 +36,7 @@ from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose
 from solver.fitting.markers.places import refine
 from solver.fitting.markers.term import MarkerPlaces
-from solver.fitting.markers.tracker import MarkerFit, MarkerTracker
+from solver.fitting.markers.tracker import MarkerTracker
 from solver.fitting.objective import Target, distances
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.sequence import Tracker
@@ -56,8 +57,6 @@ from solver.templates.ict_template import build_ict_template
 SETS = (79, 40, 17)
 PARTS = ("sets", "head", "jaw", "held", "calibration", "live", "real")
 HEAD_MARKERS = 4
-HELD_S = 1.0
-OF_GONE = 0.8  # part of a muscle's say in all markers that those gone had: no other tells of it
 DRAWS, DRAWN = 12, 0.7  # poses of the prior that are drawn, and their size
 LIVE_SECONDS = 600.0
 REAL_TAKES, REAL_STEP, LEFT_OUT_FRAMES = ("jaw", "nose"), 6, 10
@@ -129,7 +128,7 @@ def run(options: argparse.Namespace) -> Figures:
     if "jaw" in parts:
         add("jaw", _jaw(face, truth, shapes, options))
     if "held" in parts:
-        add("held", _held(Bench(face, truth, SETS[0]), known))
+        add("held", measure_held(Bench(face, truth, SETS[0]), known))
     if "calibration" in parts:
         add("calibration", _calibration(Bench(face, truth, SETS[0]), known))
     if "live" in parts:
@@ -169,73 +168,6 @@ def _jaw(face: Face, truth: Truth, shapes: Floats, options: argparse.Namespace) 
         keys = ("incisor_mm", "out_of_tracks", "face_mean_mm", "frame_ms")
         found[name] = {key: fitted[key] for key in keys}
     return {**found, **found["tracks"]}
-
-
-def _held(bench: Bench, known: GaussianPrior) -> Figures:
-    """Return what becomes of the left cheek without its markers for a second."""
-    face, truth, take = bench.face, bench.truth, bench.clean()
-    bench = bench.refined(known, take)
-    places = bench.places.at(face.rest.x)
-    left, height = (places[:, axis] - np.median(places[:, axis]) for axis in (0, 1))
-    cheek = (left > 15.0) & (np.abs(height) < 30.0)
-    first, length = len(truth.numbers) // 3, max(round(HELD_S / truth.seconds), 1)
-    rows = range(first, min(first + length, len(truth.numbers) - 1))
-    points = take.points.copy()
-    points[rows.start : rows.stop, cheek] = np.nan
-    fits: dict[str, list[MarkerFit]] = {"clean": [], "held": []}
-    for name, each in (("clean", take.points), ("held", points)):
-
-        def watch(_row: int, fit: MarkerFit, name: str = name) -> None:
-            # without the factorised Hessian of its state
-            slim = replace(fit.state.equilibrium, factor=None)  # type: ignore[arg-type]
-            fits[name].append(replace(fit, state=replace(fit.state, equilibrium=slim)))
-
-        bench.fit(known, MadeTake(each, take.wrong, take.swapped), watch)
-    layout = face.layout
-    muscles = layout.places("activations")
-    by_marker = _say_of_markers(bench)[:, muscles].sum(axis=2)
-    lost = by_marker[cheek].sum(axis=0) > OF_GONE * by_marker.sum(axis=0)
-    gone, clean = fits["held"], fits["clean"]
-    before, last = gone[first - 1].state.pose.a, gone[rows.stop - 1].state.pose.a
-    held = gone[rows.stop - 1].held
-    faded = np.exp(-len(rows) * truth.seconds) * (before - face.rest_pose().a)
-    drift = np.abs(last - face.rest_pose().a - faded)[held & lost]
-    rest = face.model.skin.vertices[face.model.face]
-    patch = np.linalg.norm(rest[:, None] - places[cheek], axis=2).min(axis=1) < 8.0
-
-    def skin(fit: MarkerFit) -> Floats:
-        return np.asarray(face.face_points(fit.state.x)[patch])
-
-    def off(found: list[MarkerFit]) -> float:
-        true = [truth.skin(row)[face.model.face][patch] for row in rows]
-        pairs = zip(rows, true, strict=True)
-        return float(np.mean([np.linalg.norm(skin(found[r]) - t, axis=1).mean() for r, t in pairs]))
-
-    jumps = [
-        np.linalg.norm(skin(found[rows.stop]) - skin(found[rows.stop - 1]), axis=1).mean()
-        for found in (gone, clean)
-    ]
-    return {
-        "markers_gone": int(cheek.sum()),
-        "muscles_gone": int(lost.sum()),
-        "recall": float(np.mean([gone[row].held[lost].mean() for row in rows])),
-        "drift": float(drift.mean()) if drift.size else 0.0,
-        "return_jump_mm": float(jumps[0] - jumps[1]),
-        "face_over_clean": off(gone) / off(clean),
-        "clean_mm": off(clean),
-    }
-
-
-def _say_of_markers(bench: Bench) -> Floats:
-    """Return the squares (k, q) of how far a usual change of each control moves each marker."""
-    unseen = np.ones(len(bench.markers))
-    tracker = MarkerTracker(
-        bench.face, bench.places, unseen, prior.from_changes(bench.face.layout, []), 1.0
-    )
-    jacobian = tracker.tracker.jacobian
-    assert jacobian is not None, "made when tracking began"
-    moved = jacobian.motion(bench.places.jacobian(bench.face.rest.x))
-    return np.asarray((moved.reshape(len(bench.places), 3, -1) ** 2).sum(axis=1))
 
 
 def _calibration(bench: Bench, known: GaussianPrior) -> Figures:
@@ -302,7 +234,7 @@ def _real(options: argparse.Namespace, kit: FaceKit, rig: Rig, shapes: Floats) -
     for name in REAL_TAKES:
         take = read_take(options.takes / f"{name}.c3d")
         source = BoundTake(take, bind(take, model).markers, 4)
-        numbers = range(0, len(take), REAL_STEP)[: options.frames]
+        numbers = source.frames[::REAL_STEP][: options.frames]
         frames = [source.points(number) for number in numbers]
         some = [frames[row] for row in np.linspace(0, len(frames) - 1, 20).round().astype(int)]
         used = refine(face, source.markers, known, some, len(take) / take.rate / len(some))

@@ -63,7 +63,7 @@ def fit_similarity(source: Floats, target: Floats) -> Similarity:
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     a, b = source - source_mean, target - target_mean
     rotation, trace = _nearest_rotation(b.T @ a)
-    scale = trace / float(np.sum(a**2))
+    scale = float(trace / np.sum(a**2))
     return Similarity(scale, rotation, target_mean - scale * rotation @ source_mean)
 
 
@@ -72,10 +72,28 @@ def weighted_motion(source: Floats, target: Floats, weights: Floats) -> Similari
 
     Weighted by ``weights`` (n,) (Kabsch 1976).
     """
-    share = weights / weights.sum()
-    centre, goal = share @ source, share @ target
-    rotation, _ = _nearest_rotation((target - goal).T @ ((source - centre) * share[:, None]))
-    return Similarity(1.0, rotation, goal - rotation @ centre)
+    rotations, shifts = weighted_motions(source[None], target, weights[None])
+    return Similarity(1.0, rotations[0], shifts[0])
+
+
+def weighted_motions(source: Floats, target: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Return rotations (f, 3, 3) and shifts (f, 3) of ``source`` (f, n, 3) onto ``target`` (n, 3).
+
+    Rigid, least squares by ``weights`` (f, n), of every frame at once (Kabsch 1976).
+    """
+    share = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
+    centre, goal = np.einsum("fn,fni->fi", share, source), share @ target
+    spread = (source - centre[:, None]) * share[..., None]  # sums to 0: the target need not
+    rotations, _ = _nearest_rotation(np.matmul((target - target.mean(axis=0)).T, spread))
+    return rotations, goal - np.einsum("fij,fj->fi", rotations, centre)
+
+
+def robust_weights(squares: Floats) -> Floats:
+    """Return weights (1 + r^2)^-2 of the squares r^2 of residuals by their scale.
+
+    A quarter at the scale, next to none far beyond it (Geman & McClure 1987).
+    """
+    return np.asarray(1.0 / (1.0 + squares) ** 2)
 
 
 def robust_motion(
@@ -88,18 +106,18 @@ def robust_motion(
 ) -> Similarity:
     """Return the rigid motion that most of ``source`` (n, 3) takes to ``target`` (n, 3).
 
-    From ``start`` points farther from the motion than about ``slack`` lose their say, step by step
-    (Geman & McClure 1987).
+    From ``start`` points farther from the motion than about ``slack`` lose weight, step by step.
     """
     motion = start
     for _ in range(steps):
         away = np.linalg.norm(motion(source) - target, axis=1)
-        motion = weighted_motion(source, target, weights / (1 + (away / slack) ** 2) ** 2)
+        motion = weighted_motion(source, target, weights * robust_weights((away / slack) ** 2))
     return motion
 
 
-def _nearest_rotation(moments: Floats) -> tuple[Floats, float]:
-    """Return the rotation R with the greatest tr(R^T moments), and that trace."""
+def _nearest_rotation(moments: Floats) -> tuple[Floats, Floats]:
+    """Return rotations R (..., 3, 3) with the greatest tr(R^T moments), and these traces."""
     u, sigma, vt = np.linalg.svd(moments)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    return (u * signs) @ vt, float(np.sum(sigma * signs))
+    signs = np.ones_like(sigma)
+    signs[..., 2] = np.sign(np.linalg.det(u @ vt))
+    return (u * signs[..., None, :]) @ vt, np.sum(sigma * signs, axis=-1)

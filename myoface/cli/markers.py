@@ -36,9 +36,9 @@ def bind(
     read = read_take(take)
     found = bind(read, SubjectModel.load(model), frames_about(read, frame))
     found.markers.save(output)
-    first, last = (read.first + each for each in found.neutral)
+    first, last = (read.numbers[row] for row in found.neutral)
     parts = [each.part for each in found.markers.markers]
     counted = ", ".join(f"{parts.count(part)} {part}" for part in dict.fromkeys(parts))
     out.print(f"at rest in frames {first} to {last}: {counted}")
-    out.print(f"{found.located.miss():.1f} mm off the skin")
+    out.print(f"{found.pose.miss():.1f} mm off the skin")
     out.print(f"{output}")

@@ -46,7 +46,7 @@ MOST_STRETCH = 1.0 / LEAST_STRETCH  # of a muscle, however great its gain
 
 @dataclass(frozen=True)
 class FittedSequence:
-    """What a fit to a performance left, the scene's ``asset``: f frames of m muscles.
+    """A fitted performance, the scene's ``asset``: f frames of m muscles.
 
     ``frames`` (f,) are their numbers and ``times`` (f,) in s; ``fitted`` (f,) is false where there
     was no data to fit. ``activations`` (f, m, 6), or (f, m) of fibre muscles, ``jaw`` (f, 5) and
@@ -162,9 +162,8 @@ def _sequence(asset: str, data: dict[str, np.ndarray]) -> FittedSequence:
     if not ((np.abs(times) < 1e9).all() and all((step > 0).all() for step in steps)):
         raise ValueError("its frames are not one after the other in number and time")
     values = [data[name].astype(np.float64) for name in ("activations", "jaw", "head")]
-    return FittedSequence(
-        asset, muscles, frames, times, data["status"].astype(np.str_) == "fitted", *values
-    )
+    fitted = np.isin(data["status"].astype(np.str_), ("fitted", "smoothed"))
+    return FittedSequence(asset, muscles, frames, times, fitted, *values)
 
 
 def to_logarithms(a: Floats) -> Floats:
@@ -179,7 +178,7 @@ def from_logarithms(logarithms: Floats) -> tuple[Floats, int]:
 
 
 class PlayedPerformance:
-    """:class:`Drives` of a fitted ``sequence``, played as a scene's ``entry`` says.
+    """:class:`Drives` of a fitted ``sequence``, played by a scene's ``entry``.
 
     Its first frame is at time 0. ``frames`` (f,) are the numbers of those that are played as
     fitted, with their ``jaw`` (f, 5); the ``bridged`` (b,) between them are blended over. A
@@ -202,7 +201,7 @@ class PlayedPerformance:
         gains = _factors(entry.muscles, "muscles", entry, self.muscles) * entry.gain
         self.curve = _curve(entry, self.muscles, of_fibres=self.of_fibres)
         played = sequence.of_muscles(self.muscles).between(entry.start, entry.end)
-        kept = ~_bridged(played, entry)
+        kept = ~_find_bridges(played, entry)
         if not kept.any():
             reason = f"nothing is left of the performance {entry.asset!r}: every frame is bridged"
             raise InputError("scene.bridges", reason, asset=entry.asset)
@@ -270,7 +269,7 @@ def _curve(entry: PerformanceEntry, muscles: Sequence[str], *, of_fibres: bool) 
     return factors
 
 
-def _bridged(played: FittedSequence, entry: PerformanceEntry) -> np.ndarray:
+def _find_bridges(played: FittedSequence, entry: PerformanceEntry) -> np.ndarray:
     """Return which frames (f,) are blended over."""
     frames = played.frames
     bridged = ~played.fitted if entry.bridges.missing else np.zeros(len(frames), bool)

@@ -9,7 +9,7 @@ settled. The model of f at a state is
 The gradient g takes one adjoint solve, a product with J^T C J two, and the matrix itself as many as
 p has entries. So a matrix K from a state nearby, or from the same face fitted to other data, stands
 in for it: it gives a direction, an exact product says how far to go in it, and a BFGS update keeps
-in K what the product told.
+in K what the product showed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from solver.surface import Floats
 
 @dataclass(frozen=True)
 class ActivationOptions:
-    """When to stop: after ``max_iterations``, or when a step gains less than ``tolerance`` f."""
+    """End of a fit: after ``max_iterations``, or when a step gains less than ``tolerance`` f."""
 
     max_iterations: int = 20
     tolerance: float = 1e-4

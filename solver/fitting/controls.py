@@ -109,6 +109,12 @@ class Layout:
         """Return where a block's entries are in q, in its shape."""
         return np.arange(self.size)[self[name]].reshape(self._shape(name))
 
+    @property
+    def muscles(self) -> Ints:
+        """Return where the controls of each muscle are in q, (m, entries of one)."""
+        places = self.places(self.blocks[0].name)
+        return places.reshape(len(places), -1)
+
     def _shape(self, name: str) -> tuple[int, ...]:
         return next(block.rest.shape for block in self.blocks if block.name == name)
 

@@ -44,7 +44,7 @@ class ContinuationOptions:
 
 @dataclass(frozen=True)
 class Pose:
-    """What drives the face: its muscles by ``a``, its jaw by ``b``.
+    """Controls of the face: its muscles by ``a``, its jaw by ``b``.
 
     They are a vector in a layout of two blocks, theirs: ``activations`` (m, 6) of S and ``jaw``
     (5,) unless ``form`` is another one.
@@ -190,7 +190,7 @@ class Face:
 
     @cached_property
     def layout(self) -> Layout:
-        """Where the controls of the muscles and the jaw are in one vector."""
+        """Places of the controls of the muscles and the jaw in one vector."""
         usual = pose_layout(self.S.shape[1] - 1)
         if self._muscle_block is None and isinstance(self.jaw, FreeJaw):
             return usual

@@ -51,7 +51,7 @@ class JointOptions:
 
 
 class Shape(Protocol):
-    """What makes a face, by values (k,): rows of them are on the simplex, the last ones free."""
+    """A face as a function of values (k,): rows of them are on the simplex, the last ones free."""
 
     @property
     def indptr(self) -> Ints:

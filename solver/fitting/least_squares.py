@@ -122,7 +122,7 @@ class LeastSquaresProblem(Protocol[Point]):
 
 
 class Termination(StrEnum):
-    """Why a search leads no further."""
+    """Reasons for a search to end."""
 
     CONVERGED = "converged"
     STUCK = "stuck"

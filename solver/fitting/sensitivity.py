@@ -94,7 +94,7 @@ class TetForces:
 
     @cached_property
     def columns(self) -> Floats:
-        """What the columns of S stand for, (m + 1, 6)."""
+        """Matrices that the columns of S stand for, (m + 1, 6)."""
         return np.vstack([IDENTITY, self.pose.a])
 
     @cached_property

@@ -29,6 +29,7 @@ from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, T
 from solver.fitting.sensitivity import Jacobian, Sensitivity
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization
+from solver.similarity import robust_weights
 from solver.surface import Floats
 
 
@@ -229,4 +230,4 @@ def stillness(face: Face, usual: UsualMotion = UsualMotion()) -> Floats:
     columns = (by_pose * change).reshape(len(by_pose), -1)
     motion = np.asarray(face.face_embedding @ columns)
     squares = np.sum(motion.reshape(len(motion), -1) ** 2, axis=1)
-    return np.asarray(1.0 / (1.0 + squares / usual.mobile_mm**2) ** 2)
+    return robust_weights(squares / usual.mobile_mm**2)

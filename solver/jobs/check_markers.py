@@ -42,11 +42,9 @@ def run(task: Task[CheckMarkers]) -> list[Path]:
     progress(Step("read", 0.0, message=path.name))
     start = time.perf_counter()
     reference = _reference(task)
-    labels: tuple[str, ...] = ()
     progress(Step("check", 0.2))
     try:
         take = read_take(path)
-        labels = take.labels
         neutral = frames_about(take, task.options.neutral)
         found = check_take(take, reference, neutral, actor=task.options.actor)
     except InputError as error:
@@ -58,7 +56,7 @@ def run(task: Task[CheckMarkers]) -> list[Path]:
     judged = judge_findings(found.findings)
     progress(Step("pictures", 0.8))
     files = [task.out / "check.json", task.out / "check.png"]
-    check_picture(found, labels, reference.face, f"{path.name}: {judged}", files[1])
+    check_picture(found, reference.face, f"{path.name}: {judged}", files[1])
     report = {
         "file": path.name,
         "verdict": judged,
@@ -108,8 +106,8 @@ def _tell_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
     found = reach(face, markers, _prior(task, rig, face))
     names = rig.model.muscle_names
     known = rest_places(replace(check.bound, markers=tuple(markers)), rig.model.skin)
-    check.figures |= {"muscles": len(names), "muscles_told": found.told}
-    words = f"{len(markers)} markers tell of {found.told} of {len(names)} muscles"
+    check.figures |= {"muscles": len(names), "muscles_told": found.known_muscles}
+    words = f"{len(markers)} markers tell of {found.known_muscles} of {len(names)} muscles"
     told = {
         name: round(float(each), 3) for name, each in zip(names, found.information, strict=True)
     }

@@ -31,8 +31,12 @@ from solver.kinds.fit_fibres import FitFibres
 from solver.kinds.kind import Distance
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import MOONEY_RIVLIN
+from solver.mechanics.linear import fastest
 from solver.progress import Step
+from solver.rig.certificate import certify
+from solver.rig.report import known_information, report
 from solver.rig.rig import Rig
+from solver.rig.web_page import write_page
 from solver.storage import write_json
 
 DECIMALS = 4  # of figures in mm
@@ -73,6 +77,7 @@ class _Scans:
 def run(task: Task[FitFibres]) -> list[Path]:
     """Calibrate the muscles of ``rig``; write ``fibre_muscles.npz`` and the figures of it.
 
+    The rig's certificate is left once more, with the figures of these muscles beside those of S.
     The fractions to begin with are those of the model, by volume: a fitted S is of other muscles.
     Raises :class:`InputError` (``fibres.no_scans``, ``model.fibres``).
     """
@@ -98,15 +103,28 @@ def run(task: Task[FitFibres]) -> list[Path]:
     endings = {**found.endings, **fit_all(found.face, others, options)}
     files = [task.out / "fibre_muscles.npz", task.out / "fibre_muscles.json"]
     save_muscles(files[0], face, found.muscles)
+    figures = _figures(face, scans, found.muscles, before, endings)
     seconds = round(time.perf_counter() - begin, 1)
-    write_json(
-        files[1], _report(face, scans, found.muscles, before, endings) | {"seconds": seconds}
-    )
+    write_json(files[1], figures | {"seconds": seconds})
+    progress(Step("export", 0.95))
+    files += _write_certificate(rig, figures, task.out)
     progress(Step("done", 1.0))
     return files
 
 
-def _report(
+def _write_certificate(rig: Rig, fibres: dict[str, Any], out: Path) -> list[Path]:
+    """Write ``report.json`` and ``report.html`` of a rig with the ``fibres`` of its person."""
+    settings = (rig.figures or {}).get("settings", {})
+    face = Face(rig.model, rig.weights, linear=fastest())
+    certificate = certify(face, rig, settings, known_information(rig))
+    figures = report(rig, certificate) | {"fibres": fibres}
+    files = [out / "report.json", out / "report.html"]
+    write_json(files[0], figures)
+    write_page(files[1], figures)
+    return files
+
+
+def _figures(
     face: Face,
     scans: _Scans,
     muscles: FibreMuscles,
@@ -117,7 +135,7 @@ def _report(
     expressions = {
         name: {
             "role": scans.roles[name],
-            **_figures(face, target, endings[name]),
+            **_fit_figures(face, target, endings[name]),
             "uncalibrated_mm": _error(face, target, before[name]),
             "blended_mm": round(scans.blended_mm[name], DECIMALS),
         }
@@ -142,7 +160,7 @@ def _error(face: Face, target: Target, ending: FallbackFit) -> float:
     return round(float(np.nanmean(target.distances(points))), DECIMALS)
 
 
-def _figures(face: Face, target: Target, ending: FallbackFit) -> dict[str, Any]:
+def _fit_figures(face: Face, target: Target, ending: FallbackFit) -> dict[str, Any]:
     state = ending.state
     return {
         "fibre_mm": _error(face, target, ending),

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,17 +18,23 @@ from solver.fitting.sequence import Tracker, stillness
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
 from solver.jobs.fits import Targets
+from solver.jobs.sequences import (
+    DECIMALS,
+    UNLIKE_MM,
+    distance_figures,
+    fit_frames,
+    frame_numbers,
+    refuse_unfitted,
+)
 from solver.kinds.fit_sequence import FitSequence
 from solver.mechanics.linear import fastest
 from solver.meshio.registered import PLAUSIBLE, RegisteredScan
 from solver.model import SubjectModel
-from solver.progress import Progress, Step
+from solver.progress import Step
 from solver.registration.register import head_motion
 from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.frames import (
-    FRAMES,
     ChunkOptions,
-    ChunkWriter,
     SequenceFrame,
     Status,
     read_frames,
@@ -41,8 +47,6 @@ from solver.scans.performance import Performance, open_performance
 from solver.similarity import IDENTITY, Similarity, small_motion, weighted_motion
 from solver.surface import Floats
 
-DECIMALS = 9  # frames are stored as text: digits beyond say nothing
-
 
 @dataclass(frozen=True)
 class FollowOptions:
@@ -50,7 +54,7 @@ class FollowOptions:
 
     coverage: float = 0.1  # share of the face's points below which a frame says nothing
     still_points: int = 10  # that must be seen to tell the head's motion from the face's
-    still: float = 0.05  # stillness times confidence from which a point has a say in that
+    still: float = 0.05  # stillness times confidence from which a point counts for that
     restless_mm: float = 0.03  # a head that moves by more is placed, and the face fitted, again
     placings: int = 3  # of the head in a frame
 
@@ -74,7 +78,7 @@ class Follower:
         still: Floats | None = None,
         options: FollowOptions = FOLLOW,
     ) -> None:
-        self._tracker, self._face = tracker, tracker.face
+        self._tracker, self.face = tracker, tracker.face
         self._targets, self._still, self._options = targets, still, options
         if still is not None and np.sum(still > options.still) < options.still_points:
             message = (
@@ -114,12 +118,12 @@ class Follower:
 
     def skin(self) -> Floats:
         """Return the whole skin (v, 3) as it is now, without the head's motion."""
-        return self._face.whole_skin(self._tracker.state.x, self._tracker.state.pose.b)
+        return self.face.whole_skin(self._tracker.state.x, self._tracker.state.pose.b)
 
     def shot(self, frame: SequenceFrame) -> SequenceShot:
         """Return the frame that was fitted or taken up last, to be drawn."""
         assert self._target is not None, "a frame was fitted"
-        skin, vertices = self.skin(), self._face.model.face
+        skin, vertices = self.skin(), self.face.model.face
         seen, error = skin.copy(), np.full(len(skin), np.nan)
         error[vertices] = self._target.distances(skin[vertices])
         visible = np.isfinite(error[vertices])
@@ -151,7 +155,7 @@ class Follower:
         """Return the motion of the fitted face's still points to where they were seen."""
         weights = still * scan.confidence
         used = weights > self._options.still
-        fitted = self._face.face_points(self._tracker.state.x)[used]
+        fitted = self.face.face_points(self._tracker.state.x)[used]
         seen, weights = scan.vertices[used], weights[used]
         roughly = weighted_motion(fitted, seen, weights)
         return roughly.then(head_motion(roughly(fitted), seen, weights))
@@ -163,47 +167,72 @@ class Follower:
     def _frame(
         self, number: int, status: Status, seen: float, iterations: int, seconds: float
     ) -> SequenceFrame:
-        state = self._tracker.state
-        mean = p95 = greatest = None
+        state, error = self._tracker.state, np.zeros(0)
         if status == "fitted" and self._target is not None:
-            error = self._target.distances(self._face.face_points(state.x))
-            error = error[np.isfinite(error)]
-            figures = error.mean(), np.percentile(error, 95), error.max()
-            mean, p95, greatest = (round(float(each), 4) for each in figures)
+            error = self._target.distances(self.face.face_points(state.x))
         return SequenceFrame(
             frame=number,
             status=status,
             activations=state.pose.a.round(DECIMALS),
             jaw=state.pose.b.round(DECIMALS),
             head=self._head.twist.round(DECIMALS),
-            mean_mm=mean,
-            p95_mm=p95,
-            max_mm=greatest,
+            **distance_figures(error[np.isfinite(error)]),
             coverage=round(seen, 4),
-            inverted=self._face.flesh.inverted(state.x),
+            inverted=self.face.flesh.inverted(state.x),
             iterations=iterations,
             seconds=round(seconds, 4),
         )
 
 
-class Drawn:
-    """What is drawn of a sequence of ``count`` frames: all as a skin, ``shown`` ones as a shot."""
+CHUNKS = ChunkOptions(frames=30)
+MOST_SHOTS = 6  # frames in the picture
 
-    def __init__(self, model: SubjectModel, count: int) -> None:
-        self.skin = AnimatedSkin(model.skin)
-        self.shown = set(np.linspace(0, count - 1, MOST_SHOTS).round().astype(int).tolist())
+
+class PerformanceFitter:
+    """Fits and draws frames ``numbers``: a :class:`~.sequences.FrameFitter`.
+
+    All are drawn as a skin, a few as a shot.
+    """
+
+    whole_files = False
+
+    def __init__(self, source: Performance, follower: Follower, numbers: range) -> None:
+        self.chunks = CHUNKS
+        self._source, self._follower, self._numbers = source, follower, numbers
+        self._model = follower.face.model
+        self.skin = AnimatedSkin(self._model.skin)
+        last = len(numbers) - 1
+        self._shown = set(np.linspace(0, last, MOST_SHOTS).round().astype(int).tolist())
         self.shots: list[SequenceShot] = []
 
-    def add(self, position: int, frame: SequenceFrame, follower: Follower) -> None:
-        """Take the frame at a position in the sequence, which ``follower`` is at."""
-        self.skin.add(frame, follower.skin())
-        if position in self.shown and frame.status == "fitted":
-            self.shots.append(follower.shot(frame))
+    def read(self, folder: Path) -> list[SequenceFrame]:
+        """See :class:`~.sequences.FrameFitter`."""
+        return read_frames(folder, self._model.muscle_count)
 
+    def take_up(self, frame: SequenceFrame, position: int) -> None:
+        """See :class:`~.sequences.FrameFitter`."""
+        scan = self._source.frame(frame.frame) if position in self._shown else None
+        self._follower.take_up(frame, scan)
 
-CHUNKS = ChunkOptions(frames=30)
-UNLIKE_MM = 5.0  # mean distance that says it is not this person's: a fit leaves less than 2
-MOST_SHOTS = 6  # frames in the picture
+    def fit(self, number: int) -> SequenceFrame:
+        """See :class:`~.sequences.FrameFitter`; raises ``performance.unlike`` at the first."""
+        frame = self._follower.fit(number, self._source.frame(number))
+        if number == self._numbers[0]:
+            _check_likeness(self._source, frame)
+        return frame
+
+    def show(self, frame: SequenceFrame, position: int) -> None:
+        """See :class:`~.sequences.FrameFitter`."""
+        self.skin.add(frame, self._follower.skin())
+        if position in self._shown and frame.status == "fitted":
+            self.shots.append(self._follower.shot(frame))
+
+    def beside(self, _last: SequenceFrame) -> dict[str, Any]:
+        """See :class:`~.sequences.FrameFitter`."""
+        return {}
+
+    def begin_file(self) -> None:
+        """See :class:`~.sequences.FrameFitter`; frames go on from each other."""
 
 
 def run(task: Task[FitSequence]) -> list[Path]:
@@ -220,52 +249,25 @@ def run(task: Task[FitSequence]) -> list[Path]:
     rig = Rig.load(task.inputs)
     subject = rig.model
     source = open_performance(performance, subject.skin, subject.face)
-    numbers = _frame_numbers(source, given)
+    numbers = frame_numbers(source.name, range(len(source)), given)
     if not given.head_motion:
         _check_place(source, numbers[0], subject)
     face = Face(subject, rig.weights, linear=given.linear_solver or fastest())
     check_held(face)
-    if not task.resume:
-        shutil.rmtree(out / FRAMES, ignore_errors=True)
-    done = read_frames(out / FRAMES, subject.muscle_count)
-    if [frame.frame for frame in done] != list(numbers[: len(done)]):
-        raise InputError(
-            "sequence.resume",
-            f"the {len(done)} frames that are ready were chosen with another start, end or step",
-        )
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
-    follower = _follower(face, given)
-    drawn = Drawn(subject, len(numbers))
-    for position, frame in enumerate(done):
-        follower.take_up(frame, source.frame(frame.frame) if position in drawn.shown else None)
-        drawn.add(position, frame, follower)
-        words = f"frame {position + 1} of {len(numbers)} was fitted before"
-        progress(Step("frames", _part(position + 1, len(numbers)), message=words))
-    chunks = ChunkWriter[SequenceFrame](out / FRAMES, len(done), CHUNKS)
-    try:
-        for position in range(len(done), len(numbers)):
-            frame = follower.fit(numbers[position], source.frame(numbers[position]))
-            if not done:
-                _check_likeness(source, frame)
-            chunks.add(frame)
-            done.append(frame)
-            drawn.add(position, frame, follower)
-            _tell(progress, frame, position + 1, len(numbers))
-    finally:
-        chunks.flush()
-    if all(frame.status != "fitted" for frame in done):
-        message = f"none of the {len(done)} frames of {source.name} could be fitted"
-        raise InputError("sequence.nothing", message, file=source.name)
+    fitter = PerformanceFitter(source, _follower(face, given), numbers)
+    done = fit_frames(task, numbers, fitter)
+    refuse_unfitted(done, source.name)
     progress(Step("export", 0.96))
     report = sequence_report(done, given.fps, source.name)
     files = write_sequence(out, done, subject.muscle_names, given.fps, report)
     files.append(out / "sequence.glb")
-    drawn.skin.write(files[-1], given.fps)
-    if drawn.shots:
+    fitter.skin.write(files[-1], given.fps)
+    if fitter.shots:
         files.append(out / "sequence.png")
         words = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average"
         detail = words.format(**report)
-        sequence_picture(subject, drawn.shots, source.name, detail, files[-1])
+        sequence_picture(subject, fitter.shots, source.name, detail, files[-1])
     progress(Step("done", 1.0))
     return files
 
@@ -281,19 +283,6 @@ def _follower(face: Face, given: FitSequence) -> Follower:
     )
     targets = Targets(face.model, given.distance)
     return Follower(tracker, targets, stillness(face) if given.head_motion else None)
-
-
-def _frame_numbers(source: Performance, given: FitSequence) -> range:
-    end = len(source) if given.end is None else given.end
-    numbers = range(given.start, end, given.step)
-    if end > len(source) or not numbers:
-        message = (
-            f"{source.name} has the frames 0 to {len(source) - 1}: start {given.start} and end "
-            f"{end} are not within it"
-        )
-        expected = {"expected": len(source), "start": given.start, "end": end}
-        raise InputError("options.frames", message, **expected)
-    return numbers
 
 
 def _check_place(source: Performance, number: int, model: SubjectModel) -> None:
@@ -322,21 +311,3 @@ def _check_likeness(source: Performance, frame: SequenceFrame) -> None:
             found_mm=frame.mean_mm,
             expected_mm=UNLIKE_MM,
         )
-
-
-def _part(count: int, total: int) -> float:
-    """Return the part of the job that is done with so many frames."""
-    return 0.01 + 0.95 * count / total
-
-
-def _tell(progress: Progress, frame: SequenceFrame, count: int, total: int) -> None:
-    done, warning = _part(count, total), None
-    if frame.status != "fitted":
-        why = "hardly any of the face is seen" if frame.status == "unseen" else "it does not settle"
-        warning = f"frame {frame.frame} keeps the pose of the frame before: {why}"
-    elif frame.mean_mm is not None and frame.mean_mm > UNLIKE_MM:
-        warning = f"the fitted face is {frame.mean_mm:.0f} mm off frame {frame.frame}"
-    if warning:
-        progress(Step("warning", done, message=warning))
-    words = f"frame {count} of {total}"
-    progress(Step("frames", done, mean_error_mm=frame.mean_mm, message=words))

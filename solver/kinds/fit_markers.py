@@ -7,13 +7,18 @@ from pydantic import Field
 from solver.kinds.document import Integral, Whole
 from solver.kinds.kind import JobOptions, Kind, LinearSolver
 
+FrameNumber = Annotated[int, Field(ge=-(2**31), le=2**31), Integral]
+
 
 class FitMarkers(JobOptions):
     """Options of a fit of markers."""
 
-    start: Whole = Field(default=0, ge=0, description="first frame to fit, from 0")
-    end: Annotated[int, Field(ge=1), Integral] | None = Field(
-        default=None, description="the frame after the last to fit; null: all to the end"
+    start: FrameNumber | None = Field(
+        default=None, description="first frame to fit, as the file counts; null: its first"
+    )
+    end: FrameNumber | None = Field(
+        default=None,
+        description="the frame after the last to fit, as the file counts; null: all to the end",
     )
     step: Whole = Field(default=1, ge=1, description="fit every frame, every second ...")
     rate: float | None = Field(

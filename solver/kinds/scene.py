@@ -157,7 +157,7 @@ class Bridges(Document):
         "these are played as they are",
     )
     spans: list[FrameSpan] = Field(
-        default=[], max_length=1000, description="others, by their numbers"
+        default=[], max_length=1000, description="others, by their numbers in the sequence"
     )
 
 
@@ -166,7 +166,7 @@ class PerformanceEntry(Document):
 
     asset: str = Field(description="the sequence.npz of a fit to a performance")
     start: Frame | None = Field(
-        default=None, description="the first frame, by its number in the take; null: its first"
+        default=None, description="the first frame, by its number in the sequence; null: its first"
     )
     end: Annotated[int, Field(ge=1), Integral] | None = Field(
         default=None, description="the frame after the last; null: to the end"

@@ -22,7 +22,7 @@ from scipy.spatial import KDTree
 from solver.anatomy.template import ShapeBasis
 from solver.registration.scan_surface import Samples, ScanSurface
 from solver.registration.topology import Topology
-from solver.similarity import Similarity, small_motion
+from solver.similarity import Similarity, robust_weights, small_motion
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 # Normals further apart are not of the same place: of a scan's surface, of its samples; those
@@ -75,7 +75,7 @@ def find_correspondences(
     targets, directions = motion(found.points), motion.turn(found.normals)
     distance = found.distance * motion.scale
     cosine = np.einsum("nd,nd->n", normals, directions)
-    weights = 1 / (1 + (distance / reach) ** 2) ** 2
+    weights = robust_weights((distance / reach) ** 2)
     weights *= facing_weights(cosine, SURFACE_COSINE)
     weights[found.at_edge | (distance > 3 * reach)] = 0.0
     offset = np.einsum("nd,nd->n", targets - points, directions)

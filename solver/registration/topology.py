@@ -13,7 +13,7 @@ from solver.anatomy.template import Template
 from solver.anatomy.warp import interpolate, spread
 from solver.drawing.head import skin_parts
 from solver.drawing.render import Camera, look
-from solver.similarity import weighted_motion
+from solver.similarity import robust_weights, weighted_motion
 from solver.surface import Floats, Ints
 
 # Parts that no scan shows: eyeballs, teeth, gums and tongue go where the skin takes them.
@@ -138,7 +138,7 @@ def _stable(template: Template, outer: Ints, face: Ints, options: RestOptions) -
     weights = np.zeros(len(template.skin.vertices))
     if template.shapes is not None and len(template.shapes.expressions):
         squares = np.sum(template.shapes.expressions[:, outer].astype(float) ** 2, axis=2)
-        weights[outer] = 1 / (1 + squares.mean(axis=0) / options.mobile**2) ** 2
+        weights[outer] = robust_weights(squares.mean(axis=0) / options.mobile**2)
     else:
         points = template.skin.vertices[face]
         tip = points[np.argmax(points[:, 2])]

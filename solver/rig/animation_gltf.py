@@ -191,9 +191,10 @@ class AnimatedSkin:
         self._basis.add(skin)
         self._frames.append(frame)
 
-    def write(self, path: Path, fps: float) -> None:
+    def write(self, path: Path, fps: float, first: int = 0) -> None:
         """Write the animation, in metres; a node carries the motion of the head.
 
+        The frame with the number ``first`` is at 0 s.
         A shape that is needed both ways is two morph targets: animation tools hold weights between
         0 and 1. If neither face nor head moves, it is the neutral.
         """
@@ -206,7 +207,7 @@ class AnimatedSkin:
                     shapes[name] = self._neutral.vertices + (way * most * shape).reshape(-1, 3)
                     tracks.append(one_way[:, None] / most)
 
-        times = np.array([frame.frame / fps for frame in self._frames])
+        times = np.array([(frame.frame - first) / fps for frame in self._frames])
         heads = np.array([frame.head for frame in self._frames])
         table = np.hstack(tracks)
 

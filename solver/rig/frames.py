@@ -37,7 +37,7 @@ FRAMES = "frames"  # name of the folder
 class FrameRecord:
     """One frame of a face over time, as far as all jobs with frames know it."""
 
-    frame: int  # its number, from 0
+    frame: int  # its number, in a take of markers as the file counts
     activations: Floats  # (m, 6), as of an expression, or (m,) of fibre muscles
     jaw: Floats  # (5,)
     head: Floats  # (6,) rotation vector (rad), translation (mm): in the world, x -> R x + t
@@ -262,7 +262,8 @@ def motion_report(frames: Sequence[MotionRecord], model: SubjectModel) -> dict[s
 
 # kept: the fit failed, the pose is the frame before's; unseen: so it is as too little was seen;
 # predicted: no marker was seen that counts, the pose fades to the rest
-Status = Literal["fitted", "kept", "unseen", "predicted"]
+# smoothed: kept or predicted, then bridged by a sweep back
+Status = Literal["fitted", "kept", "unseen", "predicted", "smoothed"]
 
 
 @dataclass(frozen=True)
@@ -323,8 +324,12 @@ def write_sequence(
     muscles: Sequence[str],
     fps: float,
     report: dict[str, Any],
+    first: int = 0,
 ) -> list[Path]:
-    """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths."""
+    """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths.
+
+    The frame with the number ``first`` is at 0 s.
+    """
     files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
     kinds: dict[str, Any] = dict.fromkeys(("frame", "inverted", "iterations"), np.int64)
     kinds |= {"status": np.str_, "marker_state": np.str_, "held": np.bool_}
@@ -339,10 +344,10 @@ def write_sequence(
         "format": record.FORMAT,
         "muscles": muscles,
         "fps": fps,
-        "time": arrays["frame"] / fps,
+        "time": (arrays["frame"] - first) / fps,
     }
     np.savez_compressed(files[0], allow_pickle=False, **arrays)
-    _write_table(files[1], frames, muscles, fps)
+    _write_table(files[1], frames, muscles, arrays["time"])
     write_json(files[2], report)
     return files
 
@@ -360,6 +365,7 @@ def sequence_report(frames: Sequence[SequenceFrame], fps: float, name: str) -> d
         "kept": [frame.frame for frame in frames if frame.status == "kept"],
         "unseen": [frame.frame for frame in frames if frame.status == "unseen"],
         "predicted": [frame.frame for frame in frames if frame.status == "predicted"],
+        "smoothed": [frame.frame for frame in frames if frame.status == "smoothed"],
         "fps": fps,
         "mean_mm": _round(np.mean, errors),
         "median_mm": _round(np.median, errors),
@@ -378,7 +384,7 @@ def _round(statistic: Any, values: Sequence[float]) -> float | None:
 
 
 def _write_table(
-    path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], fps: float
+    path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], times: Floats
 ) -> None:
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
     head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]
@@ -393,12 +399,12 @@ def _write_table(
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
         rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries, *spread])
-        for frame in frames:
+        for frame, time in zip(frames, times, strict=True):
             values = [*frame.jaw, *frame.head, *frame.activations.ravel()]
             if isinstance(frame, MarkerFrame):
                 values += frame.sd.tolist()
             error = "" if frame.mean_mm is None else f"{frame.mean_mm:.4f}"
             rows.writerow(
-                [frame.frame, f"{frame.frame / fps:.4f}", frame.status, error]
+                [frame.frame, f"{time:.4f}", frame.status, error]
                 + [f"{value:.6f}" for value in values]
             )

@@ -64,7 +64,7 @@ WORDS = {
 
 @dataclass(frozen=True)
 class NextScanOptions:
-    """How roughly a library is fitted, and when a side alone is enough."""
+    """Effort of a library's fits, and the gain from which a side alone is enough."""
 
     iterations: int = 4  # of a fit
     one_side: float = 0.9  # of the gain of both
@@ -80,7 +80,7 @@ class Suggestion:
 
     @property
     def words(self) -> str:
-        """Return it as one says it to the person."""
+        """Return the instruction to the person."""
         _, words = WORDS[self.shape]
         return f"{words} on the {self.side}" if self.side else words
 

@@ -101,6 +101,7 @@ def _markup(figures: dict[str, Any], anchors: dict[str, str], folder: Path) -> d
         "muscle_columns": "".join(_element("th", escape(each), scope="col") for each in anchors),
         "muscles": _muscles(expressions),
         "information": _information(figures["information"]),
+        "fibres": _fibres(figures.get("fibres")),
         "files": _definitions({_element("a", name, href=name): there[name] for name in there}),
     }
 
@@ -303,6 +304,27 @@ def _information(found: dict[str, Any] | None) -> str:
     facts = {name: "; ".join(items) for name, items in lists.items() if items}
     inside = _element("p", summary) + _element("dl", _definitions(facts))
     return _fold("Muscles the scans determine", inside)
+
+
+def _fibres(found: dict[str, Any] | None) -> str:
+    """Return the fold of fibre muscles calibrated to the scans, beside S; "" without any."""
+    if found is None:
+        return ""
+    heads = ("Expression", "S mm", "Calibrated mm", "Not calibrated mm")
+    keys = ("blended_mm", "fibre_mm", "uncalibrated_mm")
+    rows = [
+        _row(escape(name), *(("", figure(fit[key], 2)) for key in keys))
+        for name, fit in found["expressions"].items()
+    ]
+    columns = [_element("th", words, scope="col") for words in heads]
+    head = _element("thead", _element("tr", *columns))
+    means = [
+        f"{words} {figure(found['means'][f'{role}_fibre_mm'], 2)} mm"
+        for role, words in (("train", "training scans"), ("test", "unseen scans"))
+        if found["means"][f"{role}_fibre_mm"] is not None
+    ]
+    summary = f"Fibre muscles, one activation each: {', '.join(means)} on average"
+    return _fold(summary, _element("table", head, _element("tbody", *rows)))
 
 
 # One expression: its picture, figures, regions and faults.

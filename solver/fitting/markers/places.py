@@ -51,16 +51,17 @@ class RefineOptions:
 def frames_near_neutral(
     places: Floats,
     frame: Callable[[int], Floats],
-    frames: int,
+    frames: range,
     count: int,
     options: RefineOptions = RefineOptions(),
 ) -> list[int]:
     """Choose ``count`` of a take's frames whose markers are nearest those of the neutral face.
 
     ``places`` (k, 3) are the markers' at rest, ``frame`` gives the points (k, 3) of one of the
-    take's frames. Fewer are chosen of a short take, in their order.
+    take's ``frames``. Fewer are chosen of a short take, in their order.
     """
-    numbers = np.unique(np.linspace(0, frames - 1, options.candidates).round().astype(int))
+    rows = np.unique(np.linspace(0, len(frames) - 1, options.candidates).round().astype(int))
+    numbers = np.array(frames)[rows]
     away = [_off_neutral(places, frame(number), options) for number in numbers.tolist()]
     apart = min(options.apart, len(numbers) // (2 * count))
     chosen: list[int] = []

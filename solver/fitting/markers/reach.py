@@ -1,8 +1,8 @@
-"""What a marker set tells of a person's muscles at rest, and where one more marker would help most.
+"""Find the muscles that a marker set determines at rest, and places for further markers.
 
 The posterior of the controls after a frame of all markers, the head unknown, by the face's linear
 response (:mod:`solver.fitting.information`). Candidates are points of the face; for these the head
-counts as known, so that what one of them adds is a little less than said.
+counts as known, which overestimates their gain a little.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from solver.surface import Floats
 
 @dataclass(frozen=True)
 class ReachOptions:
-    """When a muscle counts as told, and where one more marker may be."""
+    """Noise of markers, the information of a known muscle, and candidates for further markers."""
 
-    noise_mm: float = 0.2  # of a seen point, beside what its place is unsure
-    known: float = 0.5  # information of a muscle that is told
+    noise_mm: float = 0.2  # of a seen point, beside the spread of its place
+    known: float = 0.5  # information from which a muscle counts as known
     candidates: int = 200  # points of the face, evenly by their numbers
-    place_mm: float = 1.0  # how sure the place of a further marker is
+    place_mm: float = 1.0  # standard deviation of a further marker's place
     count: int = 3  # further markers that are proposed
-    named: int = 2  # muscles that a further marker is said to tell of
+    named: int = 2  # muscles that are named with a further marker
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class FurtherMarker:
 
     place: Floats  # (3,) on the face at rest, mm
     gain: float  # sum of the information that it adds over the controls
-    muscles: tuple[int, ...]  # those that it tells most of, the first most
+    muscles: tuple[int, ...]  # those whose information it raises most, the first most
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Reach:
     options: ReachOptions
 
     @property
-    def told(self) -> int:
-        """Return how many muscles the markers tell."""
+    def known_muscles(self) -> int:
+        """Return the number of muscles that the markers determine."""
         return int((self.information > self.options.known).sum())
 
 
@@ -63,8 +63,8 @@ def reach(
     prior: GaussianPrior,
     options: ReachOptions = ReachOptions(),
 ) -> Reach:
-    """Return what ``markers`` tell of a face's muscles."""
-    x, layout = face.rest.x, face.layout
+    """Return the information of ``markers`` on a face's muscles."""
+    x = face.rest.x
     jacobian = Sensitivity(face, face.rest).by_pose()
     places = MarkerPlaces(face.model, markers)
     sigma = np.array([marker.sigma_mm for marker in markers])
@@ -73,7 +73,7 @@ def reach(
     rows = jacobian.motion(places.jacobian(x))
     normal = rows.T @ term.inner(term.place(places.at(x))) @ rows
     now = Posterior.of_normal(normal, prior.precision)
-    muscles = np.arange(layout.size)[layout["activations"]].reshape(face.model.muscle_count, -1)
+    muscles = face.layout.muscles
     information = now.information_of(muscles)
     points = face.face_points(x)
     chosen = np.unique(np.linspace(0, len(points) - 1, options.candidates).astype(int))

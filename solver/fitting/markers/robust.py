@@ -1,10 +1,10 @@
-"""Tell right markers from wrong ones in one frame, before the face is fitted to them.
+"""Separate right markers from wrong ones in one frame, before the face is fitted to them.
 
     p ~ N(predicted, S),    o_k = p_k + e_k,    e_k ~ N(0, Lambda_k^-1 / w_k)
 
 p (3 k,) are the markers' places in the take: the spread S comes from the controls and the head as
 they are before the frame. Weights w are Geman and McClure's (1987), graduated: their scale falls
-round by round, so that a wrong marker loses its say before it has bent the face (Blake and
+round by round, so that a wrong marker loses its weight before it has bent the face (Blake and
 Zisserman 1987). What a label lost is looked for among points of other labels and of tracks without
 one, by assignment to the predicted places: swaps and ghosts.
 """
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from solver.fitting.markers.term import HeadPrior, head_rates
+from solver.similarity import robust_weights
 from solver.surface import Floats, Ints
 
 MarkerState = Literal["seen", "missing", "outlier", "swapped", "relabelled"]
@@ -64,16 +65,16 @@ class Prediction:
         covariance += by_head @ np.linalg.solve(head.precision, by_head.T)
         return cls(points, covariance)
 
-    def given(self, seen: Floats, precision: Floats) -> Prediction:
-        """Return the places after points ``seen`` (k, 3) of ``precision`` (k, 3), 0 for none."""
+    def condition(self, seen: Floats, precision: Floats) -> Prediction:
+        """Return the places given points ``seen`` (k, 3) of ``precision`` (k, 3), 0 for none."""
         rows = np.flatnonzero(precision.ravel() > 0.0)
         gain, spread = self._gain(rows, precision)
-        told = scipy.linalg.solve(spread, gain.T, assume_a="pos") if len(rows) else gain.T
-        moved = (seen - self.points).ravel()[rows] @ told
-        return Prediction(self.points + moved.reshape(-1, 3), self.covariance - gain @ told)
+        scaled = scipy.linalg.solve(spread, gain.T, assume_a="pos") if len(rows) else gain.T
+        step = (seen - self.points).ravel()[rows] @ scaled
+        return Prediction(self.points + step.reshape(-1, 3), self.covariance - gain @ scaled)
 
-    def moved(self, seen: Floats, precision: Floats) -> Floats:
-        """Return the places (k, 3) of :meth:`given`, without their covariance."""
+    def conditional_mean(self, seen: Floats, precision: Floats) -> Floats:
+        """Return the places (k, 3) of :meth:`condition`, without their covariance."""
         rows = np.flatnonzero(precision.ravel() > 0.0)
         if not len(rows):
             return self.points
@@ -125,14 +126,14 @@ def judge(
     points = seen.copy()
     if wrong.any() or (len(unlabelled) and not present.all()):
         right = (present & ~wrong)[:, None]
-        told = np.where(right, precision * weights[:, None], 0.0)
-        after = prediction.given(np.where(right, seen, 0.0), told)
+        counted = np.where(right, precision * weights[:, None], 0.0)
+        after = prediction.condition(np.where(right, seen, 0.0), counted)
         for label, point, state in _assign(after, seen, states, unlabelled, options):
             points[label], states[label] = point, state
     used = (states != "outlier") & (states != "missing")
     kept = np.where(used[:, None], precision, 0.0)
     weights = weigh(prediction, points, kept, options.scales[-1:] * 2, options)
-    # a label that was given a point does not keep one that the others speak against
+    # a label that was given a point does not keep one that the others contradict
     again = used & (weights < options.least_weight)
     states[again] = "outlier"
     return JudgedFrame(points, np.where(used & ~again, weights, 0.0), states)
@@ -151,9 +152,9 @@ def weigh(
     places = prediction.points
     for number, scale in enumerate([*scales, scales[-1]]):
         off = np.linalg.norm(points - places, axis=1) / (scale * options.scale_mm)
-        weights = np.where(known, 1.0 / (1.0 + off**2) ** 2, 0.0)
+        weights = np.where(known, robust_weights(off**2), 0.0)
         if number < len(scales):
-            places = prediction.moved(points, exact * np.maximum(weights, 1e-9)[:, None])
+            places = prediction.conditional_mean(points, exact * np.maximum(weights, 1e-9)[:, None])
     return weights
 
 

@@ -30,11 +30,15 @@ SHORTEST_BLOCK = 240  # frames: takes of so many are gone over once
 
 @dataclass(frozen=True)
 class TracedFrame:
-    """What a fitted frame tells: its pose, head, and the say (k,) that each marker had."""
+    """A fitted frame: its pose, head, and each marker's robust weight (k,).
+
+    ``sigma`` (k, 3) are the take's own standard deviations, where it has them.
+    """
 
     pose: Pose
     head: Similarity
     weights: Floats
+    sigma: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ def _covariances(
     found: list[Floats] = []
     for number, frame in enumerate(frames):
         before = _spread(tracker, found[-1]) if found else spread
-        normal = tracker.normal(frame.pose, frame.head, frame.weights, number)
+        normal = tracker.normal(frame.pose, frame.head, frame.weights, number, frame.sigma)
         covariance, _ = tracker.spread(GaussianPrior(tracker.prior.mean, before), normal)
         found.append(covariance)
     return found

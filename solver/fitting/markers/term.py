@@ -27,7 +27,7 @@ from solver.fitting.objective import GramCurvature
 from solver.model import SubjectModel
 from solver.scans.markers.marker_set import BONY, Marker
 from solver.similarity import IDENTITY, Similarity, robust_motion, weighted_motion
-from solver.surface import Floats
+from solver.surface import Floats, skew
 
 # corners of a marker's triangle on a bone, mm from it
 _TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -75,7 +75,7 @@ class MarkerPlaces:
         across = np.eye(3) - normals[:, :, None] * normals[:, None, :]
         across *= (self.heights / lengths)[:, None, None]
         first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        by_first, by_second = -across @ _cross(second), across @ _cross(first)
+        by_first, by_second = -across @ skew(second), across @ skew(first)
         by_normal = np.stack([-by_first - by_second, by_first, by_second], axis=2)
         local = by_normal + self.weights[:, None, :, None] * np.eye(3)[None, :, None, :]
         return np.asarray(local.reshape(-1, 3, 9))
@@ -116,19 +116,10 @@ def _normals(corners: Floats) -> tuple[Floats, Floats]:
     return cross / lengths[:, None], lengths
 
 
-def _cross(vectors: Floats) -> Floats:
-    """Return the matrices (k, 3, 3) of v x . for ``vectors`` (k, 3)."""
-    out = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
-    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
-    return out
-
-
 def head_rates(arms: Floats) -> Floats:
     """Return the derivative (3 k, 6) by a small motion about a point of what is ``arms`` off it."""
     shifts = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
-    return np.concatenate([-_cross(arms), shifts], axis=2).reshape(-1, 6)
+    return np.concatenate([-skew(arms), shifts], axis=2).reshape(-1, 6)
 
 
 @dataclass(frozen=True)
@@ -142,10 +133,10 @@ class HeadOptions:
     # spread that a head's motion gains in a second
     turn_rad: float = 0.3
     shift_mm: float = 60.0
-    # spread about where most markers of a frame say; of one that is less sure they are asked again
+    # spread about where most markers of a frame have it; one that is less sure is placed again
     first_turn_rad: float = 0.3
     first_shift_mm: float = 30.0
-    placed_within_mm: float = 8.0  # of where the face has it a marker tells of the head
+    placed_within_mm: float = 8.0  # of its place on the face, a marker counts for the head
     placings: int = 20  # rounds of that
 
 
@@ -157,22 +148,44 @@ class HeadPrior:
     precision: Floats  # (6, 6) of a rotation vector, rad, and a shift, mm
 
     @classmethod
-    def unknown(cls, options: HeadOptions = HeadOptions()) -> HeadPrior:
-        """Return the prior of a head that may be anywhere."""
+    def diffuse(
+        cls, options: HeadOptions = HeadOptions(), motion: Similarity = IDENTITY
+    ) -> HeadPrior:
+        """Return the prior of a head that may be anywhere, about a motion."""
         sd = np.repeat([options.unknown_rad, options.unknown_mm], 3)
-        return cls(IDENTITY, np.diag(sd**-2))
+        return cls(motion, np.diag(sd**-2))
+
+    @classmethod
+    def before_frame(
+        cls,
+        known: HeadPrior | None,
+        seconds: float,
+        places: Floats,
+        seen: Floats,
+        weights: Floats,
+        options: HeadOptions = HeadOptions(),
+    ) -> HeadPrior:
+        """Return what is known of the head before a frame is fitted.
+
+        That is what the frame before left, so long ago; before the first, or where that is lost,
+        what most of the markers agree on: see :meth:`of_most`.
+        """
+        head = None if known is None else known.after(seconds, options)
+        if head is None or (head.is_lost(options) and np.isfinite(seen).all(axis=1).sum() >= 3):
+            return cls.of_most(places, seen, weights, options)
+        return head
 
     @classmethod
     def of_most(
         cls, places: Floats, seen: Floats, weights: Floats, options: HeadOptions = HeadOptions()
     ) -> HeadPrior:
-        """Return where most markers say that the head is; unknown of fewer than three.
+        """Return the head as most markers place it; anywhere by fewer than three.
 
         They are at ``places`` (k, 3) in its frame, ``seen`` (k, 3) in the take, NaN for missing.
         """
         known = np.isfinite(seen).all(axis=1)
         if known.sum() < 3:
-            return cls.unknown(options)
+            return cls.diffuse(options)
         sd = np.repeat([options.first_turn_rad, options.first_shift_mm], 3)
         at, there, weights = places[known], seen[known], weights[known]
         motion = robust_motion(at, there, weights, 1e6, 1)
@@ -187,14 +200,14 @@ class HeadPrior:
         return HeadPrior(self.motion, inverse_of_positive(spread))
 
     def is_lost(self, options: HeadOptions = HeadOptions()) -> bool:
-        """Tell whether a frame's markers know more of the head's rotation than this."""
+        """Return whether a frame's markers determine the head's rotation better than this."""
         spread = np.diag(inverse_of_positive(self.precision))
         return bool(spread[:3].max() > options.first_turn_rad**2)
 
 
 @dataclass(frozen=True)
 class PlacedMarkers:
-    """Markers in the take, the head being where they say."""
+    """Markers in the take, with the head that they determine."""
 
     head: Similarity
     points: Floats  # (k, 3) predicted, mm
@@ -214,7 +227,7 @@ class MarkerTerm:
     places: MarkerPlaces
     seen: Floats
     precision: Floats
-    head: HeadPrior = field(default_factory=HeadPrior.unknown)
+    head: HeadPrior = field(default_factory=HeadPrior.diffuse)
     options: HeadOptions = HeadOptions()
     # the last places with what they gave, xi and f: value, gradient and curvature ask for the same
     _known: list[tuple[Floats, PlacedMarkers, Floats, float]] = field(
@@ -256,7 +269,7 @@ class MarkerTerm:
             return known[-1][1]
         # places that were asked for before are near by
         xi = known[-1][2] if known else self._start(places)
-        placed = self._placed(places, xi)
+        placed = self._place_at(places, xi)
         for _ in range(self.options.steps):
             weighted = (self.precision * placed.offsets).ravel()
             slope = placed.by_head.T @ weighted + self.head.precision @ xi
@@ -266,7 +279,7 @@ class MarkerTerm:
             # a further rotation, composed; it is small
             turned = Rotation.from_rotvec(step[:3]) * Rotation.from_rotvec(xi[:3])
             xi = np.concatenate([turned.as_rotvec(), xi[3:] + step[3:]])
-            placed = self._placed(places, xi)
+            placed = self._place_at(places, xi)
         own = np.sum(self.precision * placed.offsets**2)
         value = 0.5 * float(own + xi @ self.head.precision @ xi)
         known[:] = [(places, placed, xi, value)]
@@ -286,7 +299,7 @@ class MarkerTerm:
         """The point (3,) that the head turns about, in the take."""
         return np.asarray(self.head.motion(self.places.centre[None])[0])
 
-    def _placed(self, places: Floats, xi: Floats) -> PlacedMarkers:
+    def _place_at(self, places: Floats, xi: Floats) -> PlacedMarkers:
         centre = self._centre
         small = Similarity(1.0, Rotation.from_rotvec(xi[:3]).as_matrix(), xi[3:])
         arms = small.turn(self.head.motion(places) - centre)

@@ -3,8 +3,8 @@
 A frame begins with what is probable after the one before it (:meth:`GaussianPrior.after`), which
 predicts every marker's place with a spread. By that points are weighed and labels mended
 (:mod:`.robust`), then the face is fitted (:class:`~solver.fitting.sequence.Tracker`). The posterior
-that comes of it is the next frame's memory; of controls that nothing tells of any more it keeps
-the last value, which fades to the rest with the prior's time.
+that comes of it is the next frame's memory; controls that no marker determines any more keep their
+last value, which fades to the rest with the prior's time.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from solver.surface import Floats
 class MarkerOptions:
     """Numbers of tracking markers; lengths in mm."""
 
-    forgetting: float = 1.0  # s in which a control that nothing tells of fades to 1/e
+    forgetting: float = 1.0  # s in which a control that no marker determines fades to 1/e
     hold_below: float = 0.2  # information of a muscle under which it is held
     noise_mm: float = 0.2  # standard deviation of a point, beside that of its marker's place
     w_v: float = 0.3  # of volume, beside half a squared Mahalanobis distance
@@ -51,7 +51,7 @@ class MarkerOptions:
 
 @dataclass(frozen=True)
 class MarkerMemory:
-    """What a frame leaves to the next: the posterior of controls and head."""
+    """Posterior of controls and head, which a frame leaves to the next."""
 
     mean: Floats  # (k,)
     covariance: Floats  # (k, k) as the filter has it, points of all frames being independent
@@ -110,7 +110,7 @@ class MarkerTracker:
         """Go on from a frame: its state and what it left, None before the first."""
         options = self.options
         self.memory = memory
-        self._moved: tuple[PosedFace, Jacobian, Floats] | None = None
+        self._rates: tuple[PosedFace, Jacobian, Floats] | None = None
         self.tracker = Tracker(
             self.face,
             self._penalties,
@@ -130,9 +130,7 @@ class MarkerTracker:
         standard deviations, as in the options where they are not finite.
         """
         options, first = self.options, self.memory is None
-        noise = np.full((1, 3), options.noise_mm) if sigma is None else sigma
-        noise = np.where(np.isfinite(noise), noise, options.noise_mm)
-        precision = 1.0 / (self._sigma[:, None] ** 2 + noise**2)
+        precision = self._precision(sigma)
         prior, head = self._before(seen)
         state = self.tracker.state
         prediction = self._predict(prior, head)
@@ -148,21 +146,29 @@ class MarkerTracker:
         try:
             both = PriorSum((prior, self._penalties))
             steps = self.tracker.fit_term(term, used, both, whole=first)
-        except SolveError:
+        except (SolveError, np.linalg.LinAlgError):
             return self._leave(term, judged, prior, "kept")
         return self._leave(term, judged, prior, "fitted", steps)
 
-    def place(self, seen: Floats, weights: Floats, near: Similarity) -> PlacedMarkers:
+    def place(
+        self, seen: Floats, weights: Floats, near: Similarity, sigma: Floats | None = None
+    ) -> PlacedMarkers:
         """Place the head anew by points ``seen`` (k, 3), the face being as it is."""
-        noise = self._sigma**2 + self.options.noise_mm**2
-        used = np.tile((weights / noise)[:, None], (1, 3))
-        head = HeadPrior(near, HeadPrior.unknown(self.options.head).precision)
+        used = weights[:, None] * self._precision(sigma)
+        head = HeadPrior.diffuse(self.options.head, near)
         target = np.where(used > 0.0, seen, np.nan)
         term = MarkerTerm(self.places, target, used, head, self.options.head)
         return term.place(self.places.at(self.tracker.state.x))
 
-    def normal(self, pose: Pose, head: Similarity, weights: Floats, number: int) -> Floats:
-        """Return what markers with ``weights`` (k,) tell of the controls of a pose, (q, q).
+    def normal(
+        self,
+        pose: Pose,
+        head: Similarity,
+        weights: Floats,
+        number: int,
+        sigma: Floats | None = None,
+    ) -> Floats:
+        """Return the normal matrix (q, q) of a pose's controls by markers with ``weights`` (k,).
 
         The poses come in their order; sensitivities are made anew after as many as frames take.
         """
@@ -170,23 +176,23 @@ class MarkerTracker:
             self.tracker.go_to(pose)
         state = self.tracker.state
         places = self.places.at(state.x)
-        noise = self._sigma**2 + self.options.noise_mm**2
-        used = np.tile((weights / noise)[:, None], (1, 3))
+        used = weights[:, None] * self._precision(sigma)
         options = self.options.head
-        unknown = HeadPrior(head, HeadPrior.unknown(options).precision)
-        term = MarkerTerm(self.places, head(places), used, unknown, options)
+        near = HeadPrior.diffuse(options, head)
+        term = MarkerTerm(self.places, head(places), used, near, options)
         if number % self.options.tracking.lagged_frames == 0:
             self.tracker.relinearise(term, used)
         by_controls = self._by_controls()
         return np.asarray(by_controls.T @ term.inner(term.place(places)) @ by_controls)
 
     def spread(self, prior: GaussianPrior, normal: Floats) -> tuple[Floats, Posterior]:
-        """Return how surely the controls of a frame are known (q, q), and by it alone.
+        """Return the covariance (q, q) of a frame's controls, and the posterior by it alone.
 
-        ``prior`` is that before the frame, ``normal`` (q, q) what its markers tell. What they tell
-        of is not known any better by the frames before: markers bound beside where they are err
-        alike in all of them, and many such frames say no more than one. The filter goes on from
-        its own, smaller covariance: it follows a bias as closely, and is less stirred by noise.
+        ``prior`` is that before the frame, ``normal`` (q, q) the matrix of its markers. Frames
+        before make nothing surer that this one determines: markers bound beside where they are err
+        alike in all of them, and many such frames are worth no more than one. The filter goes on
+        from its own, smaller covariance: it follows a bias as closely, and is less stirred by
+        noise.
         """
         usual = self.prior
         alone = Posterior(inverse_of_positive(usual.precision + normal), usual.variance)
@@ -194,17 +200,22 @@ class MarkerTracker:
         before = unseen[:, None] * (prior.precision - usual.precision) * unseen
         return inverse_of_positive(usual.precision + before + normal), alone
 
+    def _precision(self, sigma: Floats | None) -> Floats:
+        """Return the precision (k, 3) of right points; ``sigma`` is that of :meth:`fit`."""
+        noise = np.full((1, 3), self.options.noise_mm) if sigma is None else sigma
+        noise = np.where(np.isfinite(noise), noise, self.options.noise_mm)
+        return np.asarray(1.0 / (self._sigma[:, None] ** 2 + noise**2))
+
     def _before(self, seen: Floats) -> tuple[GaussianPrior, HeadPrior]:
         """Return what is probable of controls and head before a frame is looked at."""
         options, memory = self.options, self.memory
         at, weights = self.places.at(self.tracker.state.x), self._sigma**-2.0
+        known = None if memory is None else memory.head
+        head = HeadPrior.before_frame(known, self.seconds, at, seen, weights, options.head)
         if memory is None:
-            return self.prior, HeadPrior.of_most(at, seen, weights, options.head)
-        prior = self.prior.after(memory.mean, memory.covariance, self.seconds, options.forgetting)
-        head = memory.head.after(self.seconds, options.head)
-        if head.is_lost(options.head) and np.isfinite(seen).all(axis=1).sum() >= 3:
-            head = HeadPrior.of_most(at, seen, weights, options.head)
-        return prior, head
+            return self.prior, head
+        time = options.forgetting
+        return self.prior.after(memory.mean, memory.covariance, self.seconds, time), head
 
     def _predict(self, prior: GaussianPrior, head: HeadPrior) -> Prediction:
         """Return the markers' places in the take."""
@@ -218,10 +229,10 @@ class MarkerTracker:
         jacobian, state = self.tracker.jacobian, self.tracker.state
         assert jacobian is not None, "made when tracking began"
         # a frame ends with what the next begins with
-        if self._moved is None or self._moved[0] is not state or self._moved[1] is not jacobian:
+        if self._rates is None or self._rates[0] is not state or self._rates[1] is not jacobian:
             found = jacobian.motion(self.places.jacobian(state.x))
-            self._moved = state, jacobian, found
-        return self._moved[2]
+            self._rates = state, jacobian, found
+        return self._rates[2]
 
     def _leave(
         self,
@@ -234,30 +245,28 @@ class MarkerTracker:
         """Return the frame and remember its posterior."""
         state = self.tracker.state
         placed = term.place(self.places.at(state.x))
-        by_controls = self._by_controls()
-        normal = by_controls.T @ term.inner(placed) @ by_controls
+        by_controls, size = self._by_controls(), state.pose.layout.size
+        # markers determine no control of a frame that keeps those of another
+        kept = ending == "kept"
+        inner = term.inner(placed)
+        normal = np.zeros((size, size)) if kept else by_controls.T @ inner @ by_controls
         sure = prior
         if self.memory is not None:
             memory, time = self.memory, self.options.forgetting
             sure = self.prior.after(memory.mean, memory.spread, self.seconds, time)
         spread, alone = self.spread(sure, normal)
-        # kept controls are not those that the markers tell of
-        known = 0.0 if ending == "kept" else 1.0
-        covariance = inverse_of_positive(prior.precision + known * normal)
-        spread = spread if known else sure.covariance
+        covariance = inverse_of_positive(prior.precision + normal)
         head = HeadPrior(placed.head, placed.precision)
         self.memory = MarkerMemory(state.pose.vector(), covariance, spread, head)
-        layout = state.pose.layout
-        muscles = layout.places(layout.blocks[0].name)
-        told = alone.information_of(muscles.reshape(len(muscles), -1))
+        known = alone.information_of(state.pose.layout.muscles)
         return MarkerFit(
             state,
             placed,
             judged,
             sd=np.sqrt(np.diag(spread)),
             information=alone.information,
-            held=told < self.options.hold_below,
+            held=known < self.options.hold_below,
             predicted=ending == "predicted",
-            kept=ending == "kept",
+            kept=kept,
             steps=steps,
         )

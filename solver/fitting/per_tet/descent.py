@@ -154,7 +154,7 @@ class TetStep:
 
 
 class Status(StrEnum):
-    """Why a fit ended."""
+    """Reasons for a fit to end."""
 
     CONVERGED = "converged"
     NO_DESCENT = "no descent"

@@ -148,9 +148,6 @@ class LiveTracker:
         return LiveFrame(values, placed.head, residuals, judged.states)
 
     def _head_before(self, seen: Floats) -> HeadPrior:
-        options, counted = self._options.head, np.isfinite(seen).all(axis=1).sum()
-        head = None if self._head is None else self._head.after(self._seconds, options)
-        if head is None or (head.is_lost(options) and counted >= 3):
-            weights = self._precision.mean(axis=1)
-            return HeadPrior.of_most(self.places.at(self._values), seen, weights, options)
-        return head
+        at, weights = self.places.at(self._values), self._precision.mean(axis=1)
+        options = self._options.head
+        return HeadPrior.before_frame(self._head, self._seconds, at, seen, weights, options)

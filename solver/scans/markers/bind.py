@@ -1,36 +1,41 @@
 """Where the markers of a take sit on a person: the marker set of a session.
 
-The take's face at rest is found on the person (``locate.py``); each marker is then bound where it
-lies: to the skin with a height over it, or to the bone that it rides on.
+The labels of one face are chosen (``choose_face``), and that face at rest is found on the person
+(``locate_take``, ``locate.py``). Each marker is then bound where it lies: to the skin with a height
+over it, or to the bone that it rides on. A check goes the same way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from solver.anatomy.embedding import barycentric
 from solver.errors import InputError
 from solver.model import SubjectModel
+from solver.scans.markers.faults import Faults, find_faults
 from solver.scans.markers.locate import Located, heights_over, locate, nose_tip
 from solver.scans.markers.marker_set import Marker, MarkerSet, Triple
-from solver.scans.markers.motion import Motion, take_apart
+from solver.scans.markers.motion import Mask, Motion, median_of_seen
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
-from solver.surface import Floats, Surface, unit_rows, vertex_normals
+from solver.surface import Floats, Ints, Surface, unit_rows, vertex_normals
 
 USUAL_RATE = 60.0  # frames a second, where a take does not say
 
 
 @dataclass(frozen=True)
 class BindOptions:
-    """What a marker is bound to; lengths in mm."""
+    """Which labels are of one face, and what a marker is bound to; lengths in mm."""
 
     most: int = 400  # markers: pairs of them are compared
-    least: int = 4  # labels; with fewer, tracks without one count as such
+    least: int = 4  # labels on a face; with fewer, tracks without one count as such
     spacing: tuple[float, float] = (6.0, 90.0)  # of neighbours on a face
+    linked: float = 100.0  # markers of one head lie no farther apart, one to the next
+    second: float = 0.4  # of the first face's markers make another face ...
+    least_second: int = 6  # ... if they are so many
     off_skin: float = 15.0  # farther from the skin it is no marker of the face ...
     above: float = 45.0  # ... but of the head, if it is so far above the nose's tip ...
     of_head: float = 260.0  # ... and no farther from it than this
@@ -38,46 +43,112 @@ class BindOptions:
     bony_sigma: float = 0.5
 
 
+BIND = BindOptions()
+
+
+@dataclass(frozen=True)
+class FaceTake:
+    """A take of k labels, n of which are on one face."""
+
+    take: Take  # tracks count as labels where it has none
+    numbers: Ints  # (n,) labels of the face
+    outside: Ints  # labels that are seen and not on it
+    another: Ints  # those of them on a second face; none if there is no such face
+    dead: Ints  # labels that are never seen
+    names: tuple[Named | None, ...]  # (n,) places by the face's labels
+    mm: float  # a unit of the take, by how far neighbours lie apart
+    rate: float  # frames a second; the usual where the take does not say
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the labels of the face."""
+        return tuple(self.take.labels[number] for number in self.numbers.tolist())
+
+
+@dataclass(frozen=True)
+class LocatedTake:
+    """The n markers of a face: what is wrong with them, and where they lie at rest."""
+
+    face: FaceTake
+    faults: Faults
+    neutral: tuple[int, int]  # first and last row of the take at rest
+    points: Floats  # (n, 3) at rest, in the axes and the unit of the take
+    pose: Located | None  # where the face is under them; None if they are too few
+
+    @property
+    def distinct(self) -> int:
+        """Return how many markers there are, those with two labels once."""
+        return len(self.points) - sum(len(group) - 1 for group in self.faults.doubles)
+
+    @property
+    def placed(self) -> Floats | None:
+        """Return the markers at rest (n, 3) in the person's frame."""
+        return None if self.pose is None else self.pose.session(self.points)
+
+
 @dataclass(frozen=True)
 class Binding:
-    """A marker set for a take, and how it was come by."""
+    """A marker set for a take, and where the take's face lies."""
 
     markers: MarkerSet
-    located: Located
-    neutral: tuple[int, int]  # first and last frame, from 0
+    pose: Located
+    neutral: tuple[int, int]  # first and last row of the take at rest
 
 
 def bind(
     take: Take,
     model: SubjectModel,
     neutral: tuple[int, int] | None = None,
-    options: BindOptions = BindOptions(),
+    options: BindOptions = BIND,
 ) -> Binding:
-    """Return where the markers of a take sit on ``model``, at rest in the ``neutral`` frames.
+    """Return where the markers of a take sit on ``model``, at rest in the ``neutral`` rows.
 
-    Without these the stillest second is taken. Raises :class:`InputError` ``markers.few``: not
-    enough of them are seen in these frames.
+    Without these the stillest second is taken. Raises :class:`InputError`: ``markers.few``, not
+    enough of them are seen in these frames, or ``markers.too_large``.
     """
-    take = count_tracks(take)
-    if len(take.labels) > options.most:
-        raise crowded_error(take.file, len(take.labels), options.most)
-    mm = rough_unit(take.positions)
-    motion = take_apart(mm * take.positions, take.rate if take.rate > 0 else USUAL_RATE)
-    first, last = neutral or find_neutral(motion, take.rate)
-    points = rest_points(motion, (first, last)) / mm
-    named = tuple(read_names(take.labels))
-    located = locate(points, named, model_face(model))
-    if located is None:
-        seen = int(np.isfinite(points[:, 0]).sum())
+    skin = model_face(model)
+    located = locate_take(choose_face(take, options), skin, neutral, options)
+    if located.pose is None:
+        seen = int(np.isfinite(located.points[:, 0]).sum())
         message = f"{take.file}: {seen} markers are seen at rest, {options.least} are needed"
         raise InputError("markers.few", message, file=take.file, found=seen)
-    placed = located.session(points)
-    markers = place_markers(take.labels, named, placed, model_face(model), options)
-    bound = MarkerSet(markers, located.session, model.sha256)
-    return Binding(bound, located, (first, last))
+    markers = place_markers(located.face, located.pose.session(located.points), skin, options)
+    bound = MarkerSet(markers, located.pose.session, model.sha256)
+    return Binding(bound, located.pose, located.neutral)
 
 
-def count_tracks(take: Take, options: BindOptions = BindOptions()) -> Take:
+# The labels of one face.
+
+
+def choose_face(take: Take, options: BindOptions = BIND) -> FaceTake:
+    """Return a take with the labels that are on the face with the most of them.
+
+    Raises :class:`InputError` ``markers.too_large`` for more markers than a face has.
+    """
+    take = count_tracks(take, options)
+    named = read_names(take.labels)
+    alive = np.asarray(np.isfinite(take.positions[..., 0]).any(axis=0))
+    if alive.sum() > options.most:
+        message = f"{take.file} has {alive.sum()} markers, {options.most} can be bound"
+        figures = {"found": int(alive.sum()), "expected": options.most}
+        raise InputError("markers.too_large", message, file=take.file, **figures)
+    mm = _neighbours_unit(take.positions[:, alive], options)
+    is_body = np.array([each is not None and each.part == "ignore" for each in named], bool)
+    on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
+    numbers = np.flatnonzero(on_face)
+    return FaceTake(
+        take,
+        numbers,
+        np.flatnonzero(alive & ~on_face),
+        another,
+        np.flatnonzero(~alive),
+        tuple(named[number] for number in numbers.tolist()),
+        mm,
+        take.rate if take.rate > 0 else USUAL_RATE,
+    )
+
+
+def count_tracks(take: Take, options: BindOptions = BIND) -> Take:
     """Return a take without labels with its tracks as such; others as they are."""
     if len(take.labels) >= options.least or not take.unlabelled_names:
         return take
@@ -86,64 +157,76 @@ def count_tracks(take: Take, options: BindOptions = BindOptions()) -> Take:
     return replace(take, positions=positions, labels=labels, unlabelled_names=())
 
 
-def crowded_error(file: str, count: int, most: int) -> InputError:
-    """Return the error of a take with more markers than a face has."""
-    message = f"{file} has {count} markers, {most} can be bound"
-    return InputError("markers.too_large", message, file=file, found=count, expected=most)
+def _largest_face(positions: Floats, chosen: Mask, options: BindOptions) -> tuple[Mask, Ints]:
+    """Return which of the ``chosen`` markers (f, k, 3) are on one face, and those of a second."""
+    numbers = np.flatnonzero(chosen)
+    if len(numbers) < options.least:
+        return chosen, numbers[:0]
+    apart = np.nan_to_num(_usual_distances(positions[:, numbers]), nan=np.inf)
+    _, group = connected_components(apart < options.linked)
+    sizes = np.bincount(group)
+    order = np.argsort(-sizes, kind="stable")
+    on_face = np.zeros(len(chosen), bool)
+    on_face[numbers[group == order[0]]] = True
+    least = max(options.second * sizes[order[0]], options.least_second)
+    is_another = len(order) > 1 and sizes[order[1]] >= least
+    return on_face, numbers[group == order[1]] if is_another else numbers[:0]
 
 
-def rough_unit(positions: Floats, options: BindOptions = BindOptions()) -> float:
+def _neighbours_unit(positions: Floats, options: BindOptions) -> float:
     """Return the mm a unit that puts neighbours as far apart as on a face; 1 if that does."""
     if positions.shape[1] < options.least:
         return 1.0
-    apart = np.nan_to_num(usual_distances(positions), nan=np.inf)
+    apart = np.nan_to_num(_usual_distances(positions), nan=np.inf)
     np.fill_diagonal(apart, np.inf)
     spacing = float(np.median(np.sort(apart, axis=1)[:, 1]))  # the second: labels may be double
     low, high = options.spacing
     return next((mm for mm in (1.0, 1000.0, 10.0, 0.1, 0.001) if low <= mm * spacing <= high), 1.0)
 
 
-def usual_distances(positions: Floats, frames: int = 40) -> Floats:
+def _usual_distances(positions: Floats, frames: int = 40) -> Floats:
     """Return the median distances (k, k) of markers, NaN for those never seen together."""
     some = positions[np.unique(np.linspace(0, len(positions) - 1, frames).astype(int))]
-    apart = np.array([np.linalg.norm(each[:, None] - each[None], axis=2) for each in some])
-    found = np.full(apart.shape[1:], np.nan)
-    known = np.isfinite(apart).any(axis=0)
-    found[known] = np.nanmedian(apart[:, known], axis=0)
-    return found
+    return median_of_seen(
+        np.array([np.linalg.norm(each[:, None] - each[None], axis=2) for each in some])
+    )
+
+
+# The face at rest.
+
+
+def locate_take(
+    face: FaceTake,
+    skin: Surface,
+    neutral: tuple[int, int] | None = None,
+    options: BindOptions = BIND,
+) -> LocatedTake:
+    """Return where a face's markers lie on a ``skin``, at rest in the ``neutral`` rows.
+
+    Without these the stillest second is taken.
+    """
+    faults = find_faults(face.mm * face.take.positions[:, face.numbers], face.rate)
+    rest = neutral or find_neutral(faults.motion, face.rate)
+    points = _rest_points(faults.motion, rest) / face.mm
+    located = LocatedTake(face, faults, rest, points, None)
+    if located.distinct < options.least:
+        return located
+    return replace(located, pose=locate(points, face.names, skin))
 
 
 def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[int, int] | None:
-    """Return the frames, from 0, of half a second about ``frame``, as the file counts.
+    """Return first and last row of half a second about the frame with a number; None for None.
 
     Raises :class:`InputError` ``markers.neutral`` if the take does not have it.
     """
     if frame is None:
         return None
-    number, last = frame - take.first, len(take) - 1
-    if not 0 <= number <= last:
-        message = f"{take.file} has frames {take.first} to {take.first + last}, not {frame}"
+    numbers = take.numbers
+    if frame not in numbers:
+        message = f"{take.file} has frames {numbers[0]} to {numbers[-1]}, not {frame}"
         raise InputError("markers.neutral", message, file=take.file, frame=frame)
-    reach = round(seconds / 2 * take.rate) if take.rate > 0 else 0
-    return max(number - reach, 0), min(number + reach, last)
-
-
-def model_face(model: SubjectModel) -> Surface:
-    """Return the part of a person's skin that markers sit on, in the numbers of the whole skin."""
-    is_face = np.zeros(len(model.skin.vertices), bool)
-    is_face[model.face] = True
-    return Surface(model.skin.vertices, model.skin.faces[is_face[model.skin.faces].all(axis=1)])
-
-
-def rest_points(motion: Motion, neutral: tuple[int, int]) -> Floats:
-    """Return markers (k, 3) at rest, in the axes of the take, as the head is amid ``neutral``."""
-    first, last = neutral
-    middle = (first + last) // 2
-    there = motion.places[first : last + 1]
-    points = np.full(there.shape[1:], np.nan)
-    seen = np.isfinite(there[..., 0]).any(axis=0)
-    points[seen] = np.nanmedian(there[:, seen], axis=0)
-    return np.asarray((points - motion.shifts[middle]) @ motion.rotations[middle])
+    row, reach = numbers.index(frame), round(seconds / 2 * take.rate) if take.rate > 0 else 0
+    return max(row - reach, 0), min(row + reach, len(take) - 1)
 
 
 @dataclass(frozen=True)
@@ -158,7 +241,7 @@ class NeutralOptions:
 def find_neutral(
     motion: Motion, rate: float, options: NeutralOptions = NeutralOptions()
 ) -> tuple[int, int]:
-    """Return first and last frame of the second in which the face is stillest.
+    """Return first and last row of the second in which the face is stillest.
 
     Of two that are equally still it is the one nearer to the median face.
     """
@@ -184,40 +267,50 @@ def _sums(values: Floats, window: int) -> Floats:
     return np.asarray(total[window:] - total[:-window])
 
 
+def _rest_points(motion: Motion, neutral: tuple[int, int]) -> Floats:
+    """Return markers (k, 3) at rest, in the axes of the take, as the head is amid ``neutral``."""
+    first, last = neutral
+    middle = (first + last) // 2
+    points = median_of_seen(motion.places[first : last + 1])
+    return np.asarray((points - motion.shifts[middle]) @ motion.rotations[middle])
+
+
+# Places on a person.
+
+
+def model_face(model: SubjectModel) -> Surface:
+    """Return the part of a person's skin that markers sit on, in the numbers of the whole skin."""
+    is_face = np.zeros(len(model.skin.vertices), bool)
+    is_face[model.face] = True
+    return Surface(model.skin.vertices, model.skin.faces[is_face[model.skin.faces].all(axis=1)])
+
+
 def place_markers(
-    labels: Sequence[str],
-    named: Sequence[Named | None],
-    placed: Floats,
-    face: Surface,
-    options: BindOptions = BindOptions(),
+    face: FaceTake, placed: Floats, skin: Surface, options: BindOptions = BIND
 ) -> tuple[Marker, ...]:
-    """Return a marker for every label that is seen, on the skin, on a bone, or to be ignored."""
+    """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored."""
     seen = np.flatnonzero(np.isfinite(placed[:, 0]))
-    triangles, shares, _ = barycentric(placed[seen], face)
-    heights, corners = heights_over(placed[seen], face), face.faces[triangles]
+    triangles, shares, _ = barycentric(placed[seen], skin)
+    heights, corners = heights_over(placed[seen], skin), skin.faces[triangles]
     shares = np.clip(shares, 0.0, 1.0)
     shares /= shares.sum(axis=1, keepdims=True)
-    tip = nose_tip(face)
+    tip = nose_tip(skin)
     found = []
     for row, number in enumerate(seen.tolist()):
-        said, at = named[number], placed[number]
-        part = "face" if said is None else said.part
+        name, at, label = face.names[number], placed[number], face.labels[number]
+        part = "face" if name is None else name.part
         if part == "face" and abs(heights[row]) > options.off_skin:
             near = np.linalg.norm(at - tip) < options.of_head and at[1] - tip[1] > options.above
             part = "head" if near else "ignore"
         if part == "face":
             vertices = tuple(corners[row].tolist())
             weights = tuple(shares[row].tolist())
-            found.append(
-                Marker(
-                    labels[number], vertices, weights, float(heights[row]), sigma_mm=options.sigma
-                )
-            )
+            height = float(heights[row])
+            found.append(Marker(label, vertices, weights, height, sigma_mm=options.sigma))
         else:
             at_bone: Triple = (float(at[0]), float(at[1]), float(at[2]))
-            found.append(
-                Marker(labels[number], part=part, sigma_mm=options.bony_sigma, place_mm=at_bone)
-            )
+            sigma = options.bony_sigma
+            found.append(Marker(label, part=part, sigma_mm=sigma, place_mm=at_bone))
     return tuple(found)
 
 

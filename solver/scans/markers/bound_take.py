@@ -41,9 +41,9 @@ class BoundTake:
         replace(self._set, markers=(*used, *others)).save(path)
 
     @property
-    def frames(self) -> int:
-        """Return the number of the take's frames."""
-        return len(self._take)
+    def frames(self) -> range:
+        """Return the numbers of the take's frames, as its file counts them."""
+        return self._take.numbers
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -51,17 +51,17 @@ class BoundTake:
         return tuple(marker.label for marker in self.markers)
 
     def points(self, frame: int) -> Floats:
-        """Return a frame's points (k, 3), NaN where one is missing."""
-        found = self._session(self._take.positions[frame][self._columns])
+        """Return the points (k, 3) of the frame with a number, NaN where one is missing."""
+        found = self._session(self._take.positions[self.frames.index(frame)][self._columns])
         return np.where(self._columns[:, None] < 0, np.nan, found)
 
     def unlabelled(self, frame: int) -> Floats:
         """Return a frame's points (u, 3) without a label."""
-        return self._session(self._take.unlabelled[frame])
+        return self._session(self._take.unlabelled[self.frames.index(frame)])
 
     def sigma(self, frame: int) -> Floats | None:
         """Return the standard deviations (k, 3) that the take has of them, None if it has none."""
         if self._take.sigma is None:
             return None
-        given = self._take.sigma[frame][self._columns] ** 2 @ self._session.rotation.T**2
-        return np.asarray(self._session.scale * np.sqrt(given))
+        variance = self._take.sigma[self.frames.index(frame)][self._columns] ** 2
+        return np.asarray(self._session.scale * np.sqrt(variance @ self._session.rotation.T**2))

@@ -176,7 +176,7 @@ def _find_filled(positions: Floats, rate: float, options: FaultOptions, spans: l
     if len(positions) < 2 * least + 4 or positions.shape[1] < 4:
         return
     bend = np.abs(np.diff(positions, n=4, axis=0)).max(axis=2)
-    usual = _row_medians(bend)
+    usual = np.nan_to_num(median_of_seen(bend.T))
     floor = 10 * _resolution(positions)  # 16 halves of a step, which rarely meet
     ratio = np.where((usual > 2 * floor)[:, None], bend / (usual[:, None] + 1e-12), np.nan)
     by_marker = median_of_seen(ratio)
@@ -186,15 +186,6 @@ def _find_filled(positions: Floats, rate: float, options: FaultOptions, spans: l
         for first, last in runs(smooth[:, marker]):
             if last - first + 1 >= least:
                 spans.append(Span("filled", int(marker), first + 1, last + 3))
-
-
-def _row_medians(values: Floats) -> Floats:
-    """Return medians (f,) of what is known in each row, 0 where nothing is."""
-    found = np.zeros(len(values))
-    known = np.isfinite(values).any(axis=1)
-    if known.any():
-        found[known] = np.nanmedian(values[known], axis=1)
-    return found
 
 
 def _resolution(positions: Floats) -> float:
@@ -319,10 +310,8 @@ def _find_moved(residuals: Floats, rate: float, options: FaultOptions) -> dict[i
     if blocks < 2 * least:
         return found
     cut = residuals[: blocks * size].reshape(blocks, size, *residuals.shape[1:])
-    medians = np.full((blocks, *residuals.shape[1:]), np.nan)
-    known = np.asarray(np.isfinite(cut[..., 0]).any(axis=1))
-    by_block = cut.transpose(0, 2, 1, 3)
-    medians[known] = np.nanmedian(by_block[known], axis=1)
+    medians = median_of_seen(cut.swapaxes(0, 1))
+    known = np.isfinite(medians[..., 0])
     for marker in range(residuals.shape[1]):
         there = np.flatnonzero(known[:, marker])
         if len(there) < 2 * least:

@@ -13,12 +13,11 @@ import numpy as np
 
 from solver.errors import MOST_NAMES, Finding, Severity, quote, quote_names
 from solver.registration.locate import nearest_axis
-from solver.scans.markers.faults import WRONG, Faults, Span
+from solver.scans.markers.bind import LocatedTake
+from solver.scans.markers.faults import WRONG, Span
 from solver.scans.markers.locate import Located
 from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.raw_take import ADVICE as READING
-from solver.scans.markers.take import Take
-from solver.surface import Floats, Ints
 
 WHERE = "on the brows, the cheeks, the lips' rims, the chin, and four on a headband"
 ADVICE = {
@@ -57,18 +56,14 @@ ADVICE = {
 class CheckLimits:
     """Beyond these a take has a finding; lengths in mm."""
 
-    least: int = 4  # markers on a face
     wrong: float = 0.3  # of the markers' time: the take is bad
-    seldom: float = 0.01  # of a label's time: outliers and ghosts are only told
+    seldom: float = 0.01  # of a label's time: outliers and ghosts are notes
     long_missing: float = 0.2  # of a label's time
     gone: float = 0.5  # s without any marker
     at_rest: float = 0.8  # of the markers are seen in frames at rest
     unrest: float = 1.0  # mm that most markers move in them, root mean square
     slow: float = 20.0  # frames a second; with fewer nothing sudden can be told
     repeated: float = 0.05  # of the frames
-    linked: float = 100.0  # markers of one head lie no farther apart, one to the next
-    second: float = 0.4  # of the first face's markers make another face ...
-    least_second: int = 6  # ... if they are so many
     person: float = 3.0  # rms off the rig's skin, or off the places of a marker set
     open_mouth: float = 5.0  # rms of the jaw's markers, when the others fit
     misplaced: float = 4.0  # off the place in the set, when the others fit
@@ -89,10 +84,7 @@ class MarkerCheck:
     findings: list[Finding] = field(default_factory=list)
     figures: dict[str, Any] = field(default_factory=dict)
     labels: list[dict[str, Any]] = field(default_factory=list)  # a row for each
-    markers: Ints = field(default_factory=lambda: np.zeros(0, np.int64))  # labels of the face
-    faults: Faults | None = None  # of these
-    located: Located | None = None
-    placed: Floats | None = None  # (k, 3) these at rest, in the face's frame
+    located: LocatedTake | None = None  # the face's markers
     bound: MarkerSet | None = None  # proposed, if there is a rig
 
 
@@ -104,7 +96,7 @@ def add(check: MarkerCheck, code: str, severity: Severity, message: str, **figur
 # Single labels.
 
 
-SAID = {
+FAULT_WORDS = {
     "frozen": "repeats its last place",
     "filled": "runs along a curve that a program has drawn",
     "missing": "is missing",
@@ -115,11 +107,10 @@ SAID = {
 }
 
 
-def tell_faults(check: MarkerCheck, take: Take, rate: float, limits: CheckLimits) -> None:
+def report_faults(check: MarkerCheck, located: LocatedTake, limits: CheckLimits) -> None:
     """Add a finding for every label and fault, and what holds for all."""
-    faults = check.faults
-    assert faults is not None
-    labels = [take.labels[number] for number in check.markers.tolist()]
+    faults, labels = located.faults, located.face.labels
+    take, rate = located.face.take, located.face.rate
     if faults.halted > limits.repeated:
         message = f"{faults.halted:.0%} of the frames repeat the one before."
         add(check, "markers.repeated", "warning", message, found=round(faults.halted, 3))
@@ -130,18 +121,18 @@ def tell_faults(check: MarkerCheck, take: Take, rate: float, limits: CheckLimits
         add(check, "markers.double", "warning", message, label=labels[group[0]], labels=names)
     gone = faults.gone(round(limits.gone * rate))
     if gone:
-        spans = [[take.first + first, take.first + last] for first, last in gone]
+        spans = [[take.numbers[first], take.numbers[last]] for first, last in gone]
         longest = max(last - first + 1 for first, last in gone) / rate
         number = count_words(len(gone), "span", "spans")
         message = f"No marker is seen in {number}, up to {longest:.1f} s."
         add(check, "markers.gone", "warning", message, frames=spans[: limits.spans])
     for marker, span in sorted(faults.moved.items()):
-        frame = take.first + span.first
+        frame = take.numbers[span.first]
         message = f"{quote(labels[marker])} sits {span.mm:.1f} mm elsewhere from frame {frame} on."
         figures = {"label": labels[marker], "frame": frame, "found": round(span.mm, 1)}
         add(check, "markers.moved", "warning", message, **figures)
-    for fault in SAID:
-        _tell_fault(check, take, labels, fault, gone, limits)
+    for fault in FAULT_WORDS:
+        _report_fault(check, located, fault, gone, limits)
     frames = len(take)
     wrong, missing = faults.share(*WRONG), faults.share("missing")
     check.figures |= {"wrong": round(wrong, 4), "missing": round(missing, 4)}
@@ -150,36 +141,34 @@ def tell_faults(check: MarkerCheck, take: Take, rate: float, limits: CheckLimits
         add(check, "markers.wrong", "error", message, found=round(wrong, 3), expected=limits.wrong)
 
 
-def _tell_fault(
+def _report_fault(
     check: MarkerCheck,
-    take: Take,
-    labels: Sequence[str],
+    located: LocatedTake,
     fault: str,
     gone: Sequence[tuple[int, int]],
     limits: CheckLimits,
 ) -> None:
     """Add a finding for each label with a fault, the worst first; the last counts the others."""
-    assert check.faults is not None
-    told = []
-    for marker, others in check.faults.by_marker(fault).items():
+    found, labels, frames = [], located.face.labels, len(located.face.take)
+    for marker, others in located.faults.by_marker(fault).items():
         for other, spans in others.items():
             own = [span for span in spans if (span.first, span.last) not in gone]
             twice = fault == "swapped" and other is not None and other < marker
             if own and not twice:
-                told.append((sum(span.frames for span in own) / len(take), marker, other, own))
-    told.sort(key=lambda each: -each[0])
-    shown = [each for each in told[: limits.labels] if not _is_short_gap(fault, each[0], limits)]
+                found.append((sum(span.frames for span in own) / frames, marker, other, own))
+    found.sort(key=lambda each: -each[0])
+    shown = [each for each in found[: limits.labels] if not _is_short_gap(fault, each[0], limits)]
     for share, marker, other, spans in shown:
-        _tell_spans(check, take, labels, fault, (marker, other), spans, share, limits)
-    others_ = told[len(shown) :]
-    if others_:
-        names = quote_names([labels[each[1]] for each in others_])
+        _report_spans(check, located, fault, (marker, other), spans, share, limits)
+    rest = found[len(shown) :]
+    if rest:
+        names = quote_names([labels[each[1]] for each in rest])
         which = "label has gaps", "labels have gaps"
         if fault != "missing":
-            which = f"more label {SAID[fault]}", f"more labels: {SAID[fault]}"
-        worst = f"at most {others_[0][0]:.1%} of the time, {names[0]}"
+            which = f"more label {FAULT_WORDS[fault]}", f"more labels: {FAULT_WORDS[fault]}"
+        worst = f"at most {rest[0][0]:.1%} of the time, {names[0]}"
         severity: Severity = "warning" if fault in ("swapped", "relabelled") else "info"
-        message = f"{count_words(len(others_), *which)}, {worst}."
+        message = f"{count_words(len(rest), *which)}, {worst}."
         add(check, f"markers.{fault}", severity, message, labels=names)
 
 
@@ -187,10 +176,9 @@ def _is_short_gap(fault: str, share: float, limits: CheckLimits) -> bool:
     return fault == "missing" and share < limits.long_missing
 
 
-def _tell_spans(
+def _report_spans(
     check: MarkerCheck,
-    take: Take,
-    labels: Sequence[str],
+    located: LocatedTake,
     fault: str,
     pair: tuple[int, int | None],
     spans: list[Span],
@@ -198,13 +186,13 @@ def _tell_spans(
     limits: CheckLimits,
 ) -> None:
     """Add the finding of one label, and of the ``pair``'s other where it takes that one's place."""
-    marker, other = pair
+    (marker, other), labels, numbers = pair, located.face.labels, located.face.take.numbers
     count = sum(span.frames for span in spans)
     severity: Severity = "info" if fault == "filled" else "warning"
     if fault in ("outlier", "ghost", "frozen") and share < limits.seldom:
         severity = "info"
-    listed = [[take.first + span.first, take.first + span.last] for span in spans]
-    what = SAID[fault] if other is None else f"{SAID[fault]} {quote(labels[other])}"
+    listed = [[numbers[span.first], numbers[span.last]] for span in spans]
+    what = FAULT_WORDS[fault] if other is None else f"{FAULT_WORDS[fault]} {quote(labels[other])}"
     where = f"frames {listed[0][0]} to {listed[0][1]}" if count > 1 else f"frame {listed[0][0]}"
     if len(spans) > 1:
         where = f"{len(spans)} spans, {count} frames, the first {listed[0][0]} to {listed[0][1]}"
@@ -217,33 +205,22 @@ def _tell_spans(
     add(check, f"markers.{fault}", severity, message, share=round(share, 4), **figures)
 
 
-def tell_dead(check: MarkerCheck, take: Take, dead: Ints) -> None:
-    """Add which labels are never seen."""
-    if len(dead):
-        names = quote_names([take.labels[number] for number in dead.tolist()])
-        number = count_words(len(dead), "label is", "labels are")
-        message = f"{number} never seen: {', '.join(names[:4])}."
-        add(check, "markers.dead", "info", message, labels=names)
-
-
-def label_rows(check: MarkerCheck, take: Take) -> list[dict[str, Any]]:
-    """Return what a table of labels shows."""
-    faults = check.faults
-    assert faults is not None
+def label_rows(located: LocatedTake) -> list[dict[str, Any]]:
+    """Return a table's row for each label: in how many frames it is seen, and has which fault."""
     rows = []
-    for number, label in enumerate(check.markers.tolist()):
+    for number, label in enumerate(located.face.labels):
         frames = {
-            fault: sum(span.frames for span in faults.of(fault) if span.marker == number)
-            for fault in (*SAID, "moved")
+            fault: sum(span.frames for span in located.faults.of(fault) if span.marker == number)
+            for fault in (*FAULT_WORDS, "moved")
         }
-        rows.append({"label": take.labels[label], "seen": len(take) - frames["missing"], **frames})
+        seen = len(located.face.take) - frames["missing"]
+        rows.append({"label": label, "seen": seen, **frames})
     return rows
 
 
-def tell_unlabelled(check: MarkerCheck, take: Take, mm: float, limits: CheckLimits) -> None:
-    """Tell which unlabelled tracks lie where a missing marker is expected."""
-    faults = check.faults
-    assert faults is not None
+def report_unlabelled(check: MarkerCheck, located: LocatedTake, limits: CheckLimits) -> None:
+    """Add which unlabelled tracks lie where a missing marker is expected."""
+    faults, take = located.faults, located.face.take
     if not take.unlabelled_names:
         return
     motion, missing = faults.motion, ~np.isfinite(faults.motion.places[..., 0])
@@ -252,14 +229,14 @@ def tell_unlabelled(check: MarkerCheck, take: Take, mm: float, limits: CheckLimi
         frames = np.flatnonzero(np.isfinite(take.unlabelled[:, track, 0]))
         if not len(frames):
             continue
-        points = mm * take.unlabelled[frames, track]
+        points = located.face.mm * take.unlabelled[frames, track]
         placed = np.einsum("fij,fj->fi", motion.rotations[frames], points) + motion.shifts[frames]
         away = np.linalg.norm(motion.expected[frames] - placed[:, None], axis=2)
         near = (missing[frames] & (away < limits.fills)).mean(axis=0)
         best = int(np.argmax(near))
         if near[best] > limits.share_filled:
-            label = take.labels[int(check.markers[best])]
-            spans = [[take.first + int(frames[0]), take.first + int(frames[-1])]]
+            label = located.face.labels[best]
+            spans = [[take.numbers[frames[0]], take.numbers[frames[-1]]]]
             fits.append({"track": quote(name), "label": quote(label), "frames": spans})
     message = f"{count_words(len(take.unlabelled_names), 'track has', 'tracks have')} no label"
     if fits:
@@ -271,45 +248,44 @@ def tell_unlabelled(check: MarkerCheck, take: Take, mm: float, limits: CheckLimi
 # Where the face is.
 
 
-def tell_location(check: MarkerCheck, take: Take, located: Located) -> None:
+def report_location(check: MarkerCheck, located: LocatedTake, pose: Located) -> None:
     """Add unit and axes, and what is mirrored or exchanged."""
-    rotation = located.session.rotation
+    take, labels = located.face.take, located.face.labels
+    rotation = pose.session.rotation
     up, forward = nearest_axis(rotation[1]), nearest_axis(rotation[2])
     check.figures |= {
-        "unit": located.unit.name,
-        "mm_per_unit": located.unit.mm_per_unit,
+        "unit": pose.unit.name,
+        "mm_per_unit": pose.unit.mm_per_unit,
         "up": up,
         "forward": forward,
-        "left_handed": located.mirrored,
-        "by_names": located.by_names,
-        "height_mm": round(located.height_mm, 1),
-        "off_skin_mm": round(located.miss(), 2),
+        "left_handed": pose.mirrored,
+        "by_names": pose.by_names,
+        "height_mm": round(pose.height_mm, 1),
+        "off_skin_mm": round(pose.miss(), 2),
     }
-    if located.unit.source != "assumed":
-        times = located.unit.mm_per_unit
+    if pose.unit.source != "assumed":
+        times = pose.unit.mm_per_unit
         message = f"Read as the file says, the face would be {times:.3g} times too small."
         if times < 1:
             message = f"Read as the file says, the face would be {1 / times:.3g} times too large."
         add(check, "markers.unit", "warning", message, found=times)
-    if located.mirrored:
+    if pose.mirrored:
         message = f"{take.file} is mirrored: its axes are left-handed."
         add(check, "markers.mirrored", "warning", message)
-    if located.sides_exchanged:
+    if pose.sides_exchanged:
         message = "Labels of the left lie on the right, and those of the right on the left."
         add(check, "markers.sides", "warning", message)
     if (up, forward) != ("y", "z"):
         message = f"The face looks along {forward}, its top is at {up}."
         add(check, "markers.axes", "info", message, up=up, forward=forward)
-    labels = [take.labels[number] for number in check.markers.tolist()]
-    assert check.faults is not None
-    rest = sum(check.figures["neutral"]) // 2 - take.first
-    swaps = [each for each in check.faults.of("swapped") if each.first <= rest <= each.last]
-    for a, b in located.exchanged:
-        if not any((each.marker, each.other) == (a, b) for each in swaps):  # told already
-            tell_exchanged(check, labels[a], labels[b])
+    row = sum(located.neutral) // 2
+    swaps = [each for each in located.faults.of("swapped") if each.first <= row <= each.last]
+    for a, b in pose.exchanged:
+        if not any((each.marker, each.other) == (a, b) for each in swaps):  # reported already
+            report_exchanged(check, labels[a], labels[b])
 
 
-def tell_exchanged(check: MarkerCheck, first: str, second: str) -> None:
+def report_exchanged(check: MarkerCheck, first: str, second: str) -> None:
     """Add that two labels have each other's marker all the time."""
     message = f"{quote(first)} and {quote(second)} lie in each other's place in the whole take."
     add(check, "markers.exchanged", "warning", message, label=first, other=second)

@@ -18,6 +18,7 @@ from solver.anatomy.embedding import barycentric
 from solver.registration.scan_surface import Samples, sample
 from solver.registration.search import FacePoints, RefinementOptions, find_pose, refine_pose
 from solver.registration.units import UNITS, ScanUnit, UnitOptions, choose_unit
+from solver.scans.markers.motion import rms_of_seen
 from solver.scans.markers.names import Named
 from solver.similarity import IDENTITY, Similarity, fit_similarity, robust_motion
 from solver.surface import Floats, Ints, Surface, nearest_sphere, unit_rows
@@ -62,8 +63,7 @@ class Located:
 
     def miss(self) -> float:
         """Return the rms of how far markers miss the skin at that height, in mm."""
-        known = self.off_skin[np.isfinite(self.off_skin)]
-        return float(np.sqrt((known**2).mean())) if len(known) else 0.0
+        return rms_of_seen(self.off_skin)
 
 
 def locate(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from solver.similarity import robust_weights, weighted_motions
 from solver.surface import Floats
 
 Mask = NDArray[np.bool_]
@@ -23,7 +24,7 @@ class MotionOptions:
     """How a take's motion is taken apart; lengths in mm, times in s."""
 
     head_rounds: int = 4  # of head motion and middle face in turns
-    head_slack: float = 3.0  # off the middle face by more: little say in the head's motion
+    head_slack: float = 3.0  # off the middle face by more: little weight in the head's motion
     least_markers: int = 3  # that give a head's motion
     lags: tuple[float, ...] = (0.1, 0.4)  # over which shapes are learnt
     pairs: int = 1500  # of frames at most that teach, for each lag
@@ -68,22 +69,6 @@ def take_apart(positions: Floats, rate: float, options: MotionOptions = MOTION) 
     return Motion(rotations, shifts, middle, places, expected)
 
 
-def rigid_motions(points: Floats, reference: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Return rotations (f, 3, 3) and shifts (f, 3) that take points (f, k, 3) to a reference.
-
-    Least squares by ``weights`` (f, k), for every frame at once (Kabsch 1976).
-    """
-    share = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-    centre = np.einsum("fk,fki->fi", share, points)
-    goal = share @ reference
-    spread = points - centre[:, None]
-    moments = np.matmul(reference.T, spread * share[..., None])  # (f, 3, 3): goal by place
-    u, _, vt = np.linalg.svd(moments)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    rotations = u @ vt
-    return rotations, goal - np.einsum("fij,fj->fi", rotations, centre)
-
-
 def median_of_seen(values: Floats) -> Floats:
     """Return the median over frames, NaN where nothing is seen in any."""
     seen = np.isfinite(values).any(axis=0)
@@ -93,22 +78,28 @@ def median_of_seen(values: Floats) -> Floats:
     return found
 
 
+def rms_of_seen(distances: Floats) -> float:
+    """Return the root mean square of what is not NaN, 0 if nothing is."""
+    seen = distances[np.isfinite(distances)]
+    return float(np.sqrt((seen**2).mean())) if len(seen) else 0.0
+
+
 def _hold_head(positions: Floats, options: MotionOptions) -> tuple[Floats, Floats, Floats]:
     """Return rotations and shifts into the head's frame, and the median face there."""
     seen = np.isfinite(positions[..., 0])
     points = np.nan_to_num(positions)
     middle = positions[int(np.argmax(seen.sum(axis=1)))].copy()
-    say = seen.astype(float)
+    weights = seen.astype(float)
     for _ in range(options.head_rounds):
         known = np.isfinite(middle[:, 0])
-        rotations, shifts = rigid_motions(points, np.nan_to_num(middle), say * known)
+        rotations, shifts = weighted_motions(points, np.nan_to_num(middle), weights * known)
         _go_on(rotations, shifts, (seen & known).sum(axis=1) >= options.least_markers)
         placed = np.einsum("fij,fkj->fki", rotations, positions, optimize=True) + shifts[:, None]
         middle = median_of_seen(placed)
         off = np.nan_to_num(np.linalg.norm(placed - middle, axis=2))
-        usual = np.sqrt((off**2 * say).sum(axis=0) / np.maximum(say.sum(axis=0), 1e-12))
-        say = 1 / (1 + (off / options.head_slack) ** 2) ** 2
-        say *= seen / (1 + (usual / options.head_slack) ** 2)
+        usual = np.sqrt((off**2 * weights).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-12))
+        weights = robust_weights((off / options.head_slack) ** 2)
+        weights *= seen / (1 + (usual / options.head_slack) ** 2)
     return rotations, shifts, middle
 
 
@@ -160,14 +151,14 @@ def _explain(moved: Floats, shapes: Floats, spread: Floats, options: MotionOptio
     goal = np.nan_to_num(moved)
     products = np.einsum("rki,ski->krs", shapes, shapes).reshape(shapes.shape[1], -1)
     keep = np.diag(options.noise**2 / (4 * spread))
-    say = seen.astype(float)
+    weights = seen.astype(float)
     found = np.zeros_like(goal)
     flat = shapes.reshape(len(shapes), -1)
     for slack in options.slacks:
-        left = (say @ products).reshape(-1, len(shapes), len(shapes)) + keep
-        right = (goal * say[..., None]).reshape(len(goal), -1) @ flat.T
-        weights = np.linalg.solve(left, right[..., None])[..., 0]
-        found = (weights @ flat).reshape(goal.shape)
+        left = (weights @ products).reshape(-1, len(shapes), len(shapes)) + keep
+        right = (goal * weights[..., None]).reshape(len(goal), -1) @ flat.T
+        shares = np.linalg.solve(left, right[..., None])[..., 0]
+        found = (shares @ flat).reshape(goal.shape)
         off = ((goal - found) ** 2).sum(axis=2)
-        say = seen / (1 + off / slack**2) ** 2
+        weights = seen * robust_weights(off / slack**2)
     return found

@@ -9,6 +9,7 @@ import numpy as np
 from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.errors import quote
+from solver.scans.markers.bind import LocatedTake
 from solver.scans.markers.faults import Faults
 from solver.scans.markers.findings import MarkerCheck
 from solver.surface import Floats, Surface, vertex_normals
@@ -36,21 +37,20 @@ FAULTS: dict[str, tuple[str, Colour]] = {  # later ones are drawn over earlier o
 }
 
 
-def check_picture(
-    check: MarkerCheck, labels: tuple[str, ...], face: Surface, title: str, path: Path
-) -> None:
+def check_picture(check: MarkerCheck, face: Surface, title: str, path: Path) -> None:
     """Write the picture of a check as PNG; without a face in the take it holds only the title."""
-    names = [labels[number] for number in check.markers.tolist()]
+    located = check.located
+    names = [] if located is None else list(located.face.labels)
     rows = max(HEIGHT, LANE * len(names))
     legend = {"seen": SEEN, **dict(FAULTS.values())}
     width = WIDTH * len(YAWS) + NAMES + LANES + 2 * MARGIN
     page = Sheet.with_legend(title, _detail(check), legend, width, HEADER + rows + 36)
-    if check.faults is not None:
-        colours = _colours(check.faults)
-        if check.placed is not None:
+    if located is not None:
+        colours = _colours(located.faults)
+        if located.placed is not None:
             for number, yaw in enumerate(YAWS):
-                _draw_face(page, face, check.placed, names, colours, yaw, WIDTH * number)
-        _draw_lanes(page, check, names, WIDTH * len(YAWS) + NAMES)
+                _draw_face(page, face, located.placed, names, colours, yaw, WIDTH * number)
+        _draw_lanes(page, located, WIDTH * len(YAWS) + NAMES)
     page.save(path)
 
 
@@ -119,10 +119,9 @@ def _squares(points: Floats, vertices: Floats) -> Floats:
     )
 
 
-def _draw_lanes(page: Sheet, check: MarkerCheck, names: list[str], left: int) -> None:
+def _draw_lanes(page: Sheet, located: LocatedTake, left: int) -> None:
     """Draw when each label is seen and what is wrong with it, the take from left to right."""
-    faults = check.faults
-    assert faults is not None
+    faults, names = located.faults, located.face.labels
     frames = len(faults.usable)
     tall = LANE - 3
 
@@ -138,10 +137,8 @@ def _draw_lanes(page: Sheet, check: MarkerCheck, names: list[str], left: int) ->
     for fault, (_, colour) in FAULTS.items():
         for span in faults.of(fault):
             bar(span.marker, span.first, span.last, colour)
-    first, last = check.figures.get("neutral", (0, -1))
-    start = check.figures["first"]
-    if last >= first:
-        x, end = (left + LANES * (each - start) // frames for each in (first, last + 1))
-        y = HEADER + LANE * len(names) + 3
-        page.draw.rectangle([x, y, end, y + 4], fill=(40, 40, 40))
-        page.text(((x + end) // 2, y + 8), "neutral", 10, anchor="ma")
+    first, last = located.neutral
+    x, end = (left + LANES * row // frames for row in (first, last + 1))
+    y = HEADER + LANE * len(names) + 3
+    page.draw.rectangle([x, y, end, y + 4], fill=(40, 40, 40))
+    page.text(((x + end) // 2, y + 8), "neutral", 10, anchor="ma")

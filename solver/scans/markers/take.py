@@ -58,6 +58,14 @@ class Take:
         return len(self.positions)
 
     @property
+    def numbers(self) -> range:
+        """Return the numbers of the frames as the file counts them.
+
+        Options, findings and sequences have these; a number's place in the range is its row here.
+        """
+        return range(self.first, self.first + len(self))
+
+    @property
     def missing(self) -> np.ndarray:
         """Return which points of which frames are missing (f, k)."""
         return np.asarray(np.isnan(self.positions[..., 0]))

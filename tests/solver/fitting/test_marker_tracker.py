@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from solver.anatomy.warp import spread
 from solver.errors import SolveError
 from solver.fitting import prior
+from solver.fitting.calibration import fibre_muscles, with_fibres
 from solver.fitting.face import Face
 from solver.fitting.markers.places import (
     RefineOptions,
@@ -15,10 +17,12 @@ from solver.fitting.markers.places import (
     refine,
     triangle_axes,
 )
+from solver.fitting.markers.reach import reach
 from solver.fitting.markers.robust import Prediction, judge
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerTracker
+from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.scans.markers.bind import model_face
 from solver.scans.markers.marker_set import Marker
 from solver.similarity import small_motion
@@ -38,11 +42,8 @@ def markers(face):
     model = face.model
     triangles = model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)]
     middles = model.skin.vertices[triangles].mean(axis=1)
-    chosen, away = [0], np.full(len(middles), np.inf)
-    for _ in range(MARKERS - 1):
-        away = np.minimum(away, np.linalg.norm(middles - middles[chosen[-1]], axis=1))
-        chosen.append(int(away.argmax()))
-    corners = [tuple(map(int, triangles[number])) for number in chosen]
+    chosen = triangles[spread(middles, MARKERS)]
+    corners = [tuple(map(int, each)) for each in chosen]
     return [Marker("", each, (0.3, 0.3, 0.4), 2.0) for each in corners]
 
 
@@ -199,29 +200,45 @@ def test_places_are_mended_by_the_frames_nearest_the_neutral_face(face, places, 
     points = take[2].copy()
     points[1, : MARKERS // 2 + 1] = np.nan  # too little is seen
     chosen = frames_near_neutral(
-        places.at(face.model.rest), points.__getitem__, len(points), 3, RefineOptions(apart=1)
+        places.at(face.model.rest), points.__getitem__, range(len(points)), 3, RefineOptions(apart=1)
     )
     # the face goes from rest and comes back half way
     assert chosen == [0, 2, 4]
 
 
-def test_a_frame_that_cannot_be_fitted_keeps_the_face(face, places, known, take, monkeypatch):
+@pytest.mark.parametrize(
+    "fault", [SolveError("solve.no_convergence", ""), np.linalg.LinAlgError("singular")]
+)
+def test_a_frame_that_cannot_be_fitted_keeps_the_face(
+    fault, face, places, known, take, monkeypatch
+):
     _, heads, points = take
     tracker = tracker_of(face, places, known)
     before = tracker.fit(points[0])
+    seen = points[1].copy()
+    seen[2] += 25.0
+    seen[5] = np.nan
     with monkeypatch.context() as patch:
 
         def fail(*_args, **_kwargs):
-            raise SolveError("solve.no_convergence", "")
+            raise fault
 
         patch.setattr(tracker.tracker, "fit_term", fail)
-        kept = tracker.fit(points[1])
+        kept = tracker.fit(seen)
     assert kept.kept
     assert not kept.predicted
     np.testing.assert_array_equal(kept.state.x, before.state.x)
     # it tells what it saw, and follows the head
-    assert np.isfinite(kept.residual_mm).all()
+    states = np.full(MARKERS, "seen", "<U10")
+    states[[2, 5]] = "outlier", "missing"
+    np.testing.assert_array_equal(kept.judged.states, states)
+    off_points = np.linalg.norm(kept.placed.head(places.at(before.state.x)) - seen, axis=1)
+    np.testing.assert_allclose(kept.residual_mm, off_points, atol=1e-9)
     assert kept.placed.head.then(heads[1].inverse()).degrees < 0.5
+    # and determines no control
+    assert kept.held.all()
+    np.testing.assert_allclose(kept.information, 0.0, atol=1e-9)
+    assert (kept.sd >= before.sd).all()
     assert not tracker.fit(points[2]).kept
 
 
@@ -287,3 +304,15 @@ def test_a_sweep_back_bridges_a_gap(face, places, known, take):
             assert abs(after - true) < 0.6 * abs(before - true)
         assert swept[number].sd.mean() < fits[number].sd.mean()
     np.testing.assert_allclose(swept[-1].controls, fits[-1].state.pose.vector(), atol=1e-9)
+
+
+def test_markers_reach_fibre_muscles_too(markers):
+    plain = Face(small_model(), material=MOONEY_RIVLIN)
+    fibred = with_fibres(plain, fibre_muscles(plain))
+    known = prior.from_changes(fibred.layout, [], prior.LOOSE)
+    few, many = (reach(fibred, each, known) for each in (markers[:5], markers))
+    assert many.information.shape == (plain.model.muscle_count,)
+    assert (many.information >= few.information - 1e-9).all()
+    assert many.information.max() > 0.5
+    gains = [each.gain for each in few.further]
+    assert gains == sorted(gains, reverse=True)

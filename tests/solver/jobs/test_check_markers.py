@@ -45,6 +45,17 @@ def test_a_take_is_checked_against_a_person_and_against_nobody(tmp_path: Path, t
     assert json.loads(report.read_text())["verdict"] == "good"
 
 
+def test_a_take_without_labels_is_checked_by_its_tracks(tmp_path: Path) -> None:
+    take, model = tmp_path / "take.npz", tmp_path / "model.npz"
+    points, names = made_positions(300), tuple(f"*{number}" for number in range(len(LABELS)))
+    made_take(points[:, :0], (), unlabelled=points, unlabelled_names=names).save(take)
+    small_model().save(model)
+    report, *_ = run_job("check_markers", tmp_path / "out", markers=take, model=model)
+    found = json.loads(report.read_text())
+    assert found["verdict"] == "good"
+    assert [each["label"] for each in found["labels"]] == list(names)
+
+
 def test_a_take_without_rest_is_bound_in_an_expression(tmp_path: Path) -> None:
     model, face = small_model(), small_capture("ah")
     at_rest, none = Face(model).rest_pose(), np.zeros(len(face.vertices))

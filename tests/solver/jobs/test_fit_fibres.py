@@ -50,7 +50,8 @@ def test_muscles_are_calibrated_and_unseen_expressions_gain(real, tmp_path):
         rig=tmp_path / "rig.npz",
         progress=steps.append,
     )
-    assert [file.name for file in files] == ["fibre_muscles.npz", "fibre_muscles.json"]
+    names = ["fibre_muscles.npz", "fibre_muscles.json", "report.json", "report.html"]
+    assert [file.name for file in files] == names
     report = json.loads(files[1].read_text())
     means = report["means"]
     assert means["train_uncalibrated_mm"] > 0.05
@@ -60,6 +61,12 @@ def test_muscles_are_calibrated_and_unseen_expressions_gain(real, tmp_path):
     for fit in report["expressions"].values():
         assert fit["inverted"] == 0
         assert all(0.0 <= a <= 1.0 for a in fit["activations"])
+    # the rig's certificate has them beside S
+    certificate = json.loads(files[2].read_text())
+    fibres = {key: report[key] for key in ("means", "expressions", "strengths")}
+    assert certificate["fibres"] == fibres
+    assert certificate["train_mean_mm"] == pytest.approx(0.5)
+    assert "<summary>Fibre muscles, one activation each: training scans" in files[3].read_text()
     # the left muscle is broad
     assert set(report["strengths"]) == {"left.1", "left.2", "right"}
     fractions = [step.fraction for step in steps]

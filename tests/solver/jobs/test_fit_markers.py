@@ -27,7 +27,8 @@ from tests.fixtures import small_model
 pytestmark = pytest.mark.long
 
 FRAMES, MARKERS = 10, 30
-GONE = (4, 5)  # frames in which no marker is seen
+GONE = (4, 5)  # rows in which no marker is seen
+FIRST = 101  # number of the first frame
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     positions[list(GONE)] = np.nan
     positions[7, 3] += 20.0
     labels = tuple(marker.label for marker in markers)
-    Take("take.c3d", labels, positions, 60.0).save(folder / "take.npz")
+    Take("take.c3d", labels, positions, 60.0, FIRST).save(folder / "take.npz")
     return folder
 
 
@@ -111,7 +112,7 @@ def test_a_take_is_fitted(whole: tuple[Path, dict], files: Path) -> None:
     moved = points @ found["mandible"][-1, :3, :3].T + found["mandible"][-1, :3, 3]
     np.testing.assert_allclose(moved, move_jaw(model.jaw, points, found["jaw"][-1]), atol=1e-5)
     report = json.loads((out / "sequence.json").read_text())
-    assert report["predicted"] == list(GONE)
+    assert report["predicted"] == [FIRST + row for row in GONE]
     assert report["markers"]["M3"]["outlier"] == pytest.approx(1 / FRAMES)
     assert (out / "sequence.glb").stat().st_size > 1000
     view = read_container(out / "markers.bin")
@@ -152,7 +153,10 @@ def test_places_are_mended_first_and_the_take_is_smoothed_last(
     whole: tuple[Path, dict], files: Path, tmp_path: Path
 ) -> None:
     found = fit(files, tmp_path, options={"refine": 10, "smooth": True})
-    assert found["status"].tolist() == whole[1]["status"].tolist()
+    expected = ["smoothed" if number in GONE else "fitted" for number in range(FRAMES)]
+    assert found["status"].tolist() == expected
+    report = json.loads((tmp_path / "sequence.json").read_text())
+    assert (report["predicted"], report["smoothed"]) == ([], [FIRST + row for row in GONE])
     given, mended = (MarkerSet.load(each / "markers.json") for each in (files, tmp_path))
     assert mended.labels == given.labels
     assert 0.0 < np.abs(mended.heights - given.heights).max() < 1.0
@@ -160,6 +164,38 @@ def test_places_are_mended_first_and_the_take_is_smoothed_last(
     assert (found["sd"][list(GONE)] < whole[1]["sd"][list(GONE)]).mean() > 0.9
     jitter = [np.abs(np.diff(each["jaw"][:, 0], 2)).mean() for each in (found, whole[1])]
     assert jitter[0] < jitter[1]
+
+
+def test_a_smoothed_frame_has_the_distances_of_its_own_pose(files: Path, tmp_path: Path) -> None:
+    """Two labels have each other's point, and the take says itself how surely it was seen."""
+    for name in ("markers.json", "rig.npz"):
+        (tmp_path / name).write_bytes((files / name).read_bytes())
+    with np.load(files / "take.npz") as data:
+        arrays = dict(data)
+    positions = arrays["positions"]
+    gaps = np.linalg.norm(positions[0] - positions[0, :1], axis=1)
+    swapped = [0, int(np.argsort(gaps)[2])]
+    positions[6, swapped] = positions[6, swapped[::-1]]
+    sigma = np.full_like(positions, 1.5)
+    np.savez(tmp_path / "take.npz", **arrays | {"sigma": sigma})
+    options = {"step": 2, "temporal": 0.05}
+    before = fit(tmp_path, tmp_path / "before", options=options)
+    found = fit(tmp_path, tmp_path / "after", options=options | {"smooth": True})
+    row = found["frame"].tolist().index(FIRST + 6)
+    assert found["marker_state"][row, swapped].tolist() == ["swapped", "swapped"]
+    model = small_model()
+    markers = MarkerSet.load(files / "markers.json")
+    face, places = Face(model), MarkerPlaces(model, markers.markers)
+    pose = replace(face.rest_pose(), a=found["activations"][row], b=found["jaw"][row])
+    x = face.continuation(face.rest, pose).x
+    at = small_motion(found["head"][row])(places.at(x))
+    seen = markers.session(positions[6])
+    seen[swapped] = seen[swapped[::-1]]
+    expected = np.linalg.norm(at - seen, axis=1)
+    np.testing.assert_allclose(found["marker_mm"][row], expected, atol=0.03)
+    assert np.abs(found["marker_mm"] - before["marker_mm"])[row, swapped].min() > 0.005
+    # the last frame knows of none after it
+    np.testing.assert_allclose(found["sd"][-1], before["sd"][-1], rtol=0.05)
 
 
 def test_other_options_do_not_go_on(whole: tuple[Path, dict], files: Path) -> None:
@@ -190,6 +226,14 @@ def test_every_second_frame_keeps_its_time(files: Path, tmp_path: Path) -> None:
     assert sum(name.endswith(".sd") for name in header) == found["sd"].shape[1]
 
 
+def test_frames_are_chosen_by_the_numbers_that_the_file_has(files: Path, tmp_path: Path) -> None:
+    found = fit(files, tmp_path, options={"start": 102, "end": 106, "step": 2})
+    assert found["frame"].tolist() == [102, 104]
+    np.testing.assert_allclose(found["time"], np.array([1, 3]) / 60.0)
+    (row,) = csv.DictReader((tmp_path / "activations.csv").read_text().splitlines()[:2])
+    assert (row["frame"], row["time"]) == ("102", "0.0167")
+
+
 def test_a_jaw_on_its_tracks(files: Path, tmp_path: Path) -> None:
     found = fit(files, tmp_path, options={"jaw": "tracks"})
     model = small_model()
@@ -208,6 +252,7 @@ def test_a_jaw_on_its_tracks(files: Path, tmp_path: Path) -> None:
         ("markers.few", {"markers": [0, 1, 2]}),
         ("markers.other_model", {"model_sha256": "0" * 64}),
         ("options.frames", {"options": {"start": 100}}),
+        ("options.frames", {"options": {"end": 112}}),
     ],
 )
 def test_what_cannot_be_used(code: str, change: dict, files: Path, tmp_path: Path) -> None:

@@ -85,9 +85,9 @@ def test_axes_units_and_rates_are_found_and_told(
 ) -> None:
     check = check_take(made_take(change(clean)), person)
     assert {each.code for each in check.findings} == codes
-    assert check.placed is not None
+    assert check.located is not None
     places = rest_places(check.bound, person.face)
-    assert np.linalg.norm(check.placed - places, axis=1).max() < 0.4
+    assert np.linalg.norm(check.located.placed - places, axis=1).max() < 0.4
     assert check.figures["off_skin_mm"] < 0.5
 
 
@@ -145,9 +145,11 @@ def test_two_faces_are_told_apart_and_a_body_is_left_out(person: Reference, clea
     )
     assert [each.code for each in told(check_take(both, person))] == ["markers.two_faces"]
     body = np.concatenate([clean, clean[:, :3] - [0.0, 500.0, 0.0]], axis=1)
-    check = check_take(made_take(body, (*LABELS, "C7", "STRN", "LSHO")), person)
+    take = made_take(body, (*LABELS, "C7", "STRN", "LSHO"))
+    check = check_take(take, person)
     assert [each.code for each in check.findings] == ["markers.outside"]
     assert check.figures["markers"] == len(LABELS)
+    assert bind(take, small_model()).markers.markers == check.bound.markers
 
 
 def test_another_person_is_told_and_an_actor_is_meant(person: Reference, clean: Floats) -> None:

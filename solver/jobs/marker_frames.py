@@ -1,0 +1,252 @@
+"""Frames of a take of markers in a job: fitted, resumed to the same result, smoothed, counted."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.errors import InputError, SolveError
+from solver.fitting.face import Face, Pose
+from solver.fitting.markers.smooth import TracedFrame, smooth
+from solver.fitting.markers.term import HeadPrior
+from solver.fitting.markers.tracker import MarkerFit, MarkerMemory, MarkerTracker
+from solver.jobs.sequences import DECIMALS, distance_figures
+from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
+from solver.mechanics.jaw_tracks import nearest_jaw
+from solver.rig.animation_gltf import AnimatedSkin
+from solver.rig.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
+from solver.rig.marker_view import MarkerView
+from solver.scans.markers.bound_take import BoundTake
+from solver.similarity import Similarity, small_motion
+from solver.surface import Floats
+
+
+class TakeDrawing:
+    """Collects frames for the animation and for the page."""
+
+    def __init__(self, tracker: MarkerTracker, source: BoundTake, muscles: Sequence[str]) -> None:
+        self._tracker, self._source = tracker, source
+        self.skin = AnimatedSkin(tracker.face.model.skin)
+        self.view = MarkerView(source.labels, muscles)
+
+    def add(self, frame: MarkerFrame, x: Floats) -> None:
+        """Take a frame whose flesh is at ``x`` (p, 3)."""
+        face, places = self._tracker.face, self._tracker.places
+        self.skin.add(frame, face.whole_skin(x, pose_of(face, frame).b))
+        self.view.add(frame, places.at(x), self._source.points(frame.frame))
+
+
+class TakeFitter:
+    """Fits frames of a take: a :class:`~.sequences.FrameFitter`.
+
+    Each file of frames holds what the next begins with, so that a job that was killed comes to the
+    same. ``about`` describes what the frames are of, which a later attempt has to agree with.
+    """
+
+    whole_files = True
+
+    def __init__(
+        self,
+        tracker: MarkerTracker,
+        source: BoundTake,
+        drawing: TakeDrawing,
+        about: Mapping[str, Any],
+        frames: int,
+    ) -> None:
+        self.chunks = ChunkOptions(frames, np.inf)
+        self._tracker, self._source, self._drawing = tracker, source, drawing
+        text = json.dumps(about, sort_keys=True)
+        self._about = hashlib.sha256(text.encode()).hexdigest()
+        self._stored: Mapping[str, str] = {}
+
+    def read(self, folder: Path) -> list[MarkerFrame]:
+        """See :class:`~.sequences.FrameFitter`."""
+        shape = self._tracker.face.rest_pose().a.shape
+
+        def take(values: Mapping[str, Any], _frames: Sequence[MarkerFrame]) -> None:
+            self._stored = values["state"]
+            if values["about"] != self._about:
+                message = "the frames that are ready are of other options, markers or another rig"
+                raise InputError("sequence.resume", message)
+
+        return read_chunks(
+            folder,
+            MarkerFrame,
+            "sequence.frames",
+            lambda frame: frame.activations.shape == shape,
+            take,
+        )
+
+    def take_up(self, frame: MarkerFrame, position: int) -> None:  # noqa: ARG002
+        """See :class:`~.sequences.FrameFitter`."""
+        tracker = self._tracker.tracker
+        with suppress(SolveError):  # out of reach: it is shown as the one before
+            tracker.go_to(pose_of(tracker.face, frame))
+
+    def fit(self, number: int) -> MarkerFrame:
+        """See :class:`~.sequences.FrameFitter`."""
+        start, source = time.perf_counter(), self._source
+        points, free = source.points(number), source.unlabelled(number)
+        fit = self._tracker.fit(points, free, source.sigma(number))
+        status: Status = "kept" if fit.kept else "predicted" if fit.predicted else "fitted"
+        return _frame(number, status, fit, self._tracker.face, time.perf_counter() - start)
+
+    def show(self, frame: MarkerFrame, position: int) -> None:  # noqa: ARG002
+        """See :class:`~.sequences.FrameFitter`."""
+        self._drawing.add(frame, self._tracker.tracker.state.x)
+
+    def beside(self, _last: MarkerFrame) -> dict[str, Any]:
+        """See :class:`~.sequences.FrameFitter`: all that the next frame begins with, exactly."""
+        state, memory = self._tracker.tracker.state, self._tracker.memory
+        assert memory is not None, "a frame was fitted"
+        rigid = np.vstack([memory.head.motion.rotation, memory.head.motion.shift[None]])
+        parts = {
+            "x": state.x,
+            "controls": state.pose.vector(),
+            "covariance": memory.covariance,
+            "spread": memory.spread,
+            "head": rigid,
+            "head_precision": memory.head.precision,
+        }
+        self._stored = {name: pack(values, "<f8") for name, values in parts.items()}
+        return {"about": self._about, "state": self._stored}
+
+    def begin_file(self) -> None:
+        """See :class:`~.sequences.FrameFitter`: the same whether it was read or written."""
+        stored, face = self._stored, self._tracker.face
+        controls = unpack(stored["controls"], "<f8", 1).ravel()
+        rigid = unpack(stored["head"], "<f8")
+        head = HeadPrior(
+            Similarity(1.0, rigid[:3], rigid[3]), unpack(stored["head_precision"], "<f8", 6)
+        )
+        size = face.layout.size
+        covariance, spread = (unpack(stored[key], "<f8", size) for key in ("covariance", "spread"))
+        memory = MarkerMemory(controls, covariance, spread, head)
+        pose = face.rest_pose().add(controls - face.layout.rest)
+        x = unpack(stored["x"], "<f8")
+        state = face.settle(pose, x) or face.continuation(face.rest, pose)
+        self._tracker.begin(state, memory)
+
+
+def _frame(number: int, status: Status, fit: MarkerFit, face: Face, seconds: float) -> MarkerFrame:
+    """Return the record of a fitted frame."""
+    pose, judged = fit.state.pose, fit.judged
+    off = fit.residual_mm
+    return MarkerFrame(
+        frame=number,
+        status=status,
+        **_pose_values(face, pose),
+        **distance_figures(off[judged.weights > 0.0]),
+        head=fit.placed.head.twist.round(DECIMALS),
+        coverage=round(float(np.mean(judged.weights > 0.0)), 4),
+        inverted=face.flesh.inverted(fit.state.x),
+        iterations=fit.steps,
+        seconds=round(seconds, 4),
+        marker_mm=off.round(DECIMALS),
+        marker_weight=judged.weights.round(DECIMALS),
+        marker_state=tuple(judged.states.tolist()),
+        sd=fit.sd.round(DECIMALS),
+        information=fit.information.round(DECIMALS),
+        held=fit.held.astype(np.float64),
+    )
+
+
+def _pose_values(face: Face, pose: Pose) -> dict[str, Any]:
+    """Return what a frame holds of a pose."""
+    mandible = face.jaw.matrix(pose.b)
+    on_tracks = not isinstance(face.jaw, FreeJaw)
+    points = face.model.rest[face.model.mandible]
+    jaw = (
+        nearest_jaw(FreeJaw(face.model.jaw), JAW_FREEDOM, mandible, points) if on_tracks else pose.b
+    )
+    return {
+        "activations": pose.a.round(DECIMALS),
+        "jaw": jaw.round(DECIMALS),
+        "tracks": pose.b.round(DECIMALS) if on_tracks else np.zeros(0),
+        "mandible": mandible.round(DECIMALS),
+    }
+
+
+def pose_of(face: Face, frame: MarkerFrame) -> Pose:
+    """Return the pose that a frame holds."""
+    b = frame.tracks if frame.tracks.size else frame.jaw
+    return replace(face.rest_pose(), a=frame.activations, b=b)
+
+
+def smooth_frames(
+    tracker: MarkerTracker,
+    frames: Sequence[MarkerFrame],
+    source: BoundTake,
+    show: Callable[[MarkerFrame, Floats], None],
+) -> list[MarkerFrame]:
+    """Return the frames after a sweep back; ``show`` gets each with its flesh."""
+    face, layout, found = tracker.face, tracker.face.layout, []
+    traced = [
+        TracedFrame(
+            pose_of(face, each),
+            small_motion(each.head),
+            each.marker_weight,
+            source.sigma(each.frame),
+        )
+        for each in frames
+    ]
+    for frame, after in zip(frames, smooth(tracker, traced), strict=True):
+        pose = face.rest_pose().add(after.controls - layout.rest)
+        with suppress(SolveError):  # out of reach: as the frame beside it
+            tracker.tracker.go_to(pose)
+        found.append(_smooth_frame(tracker, frame, source, after.sd))
+        show(found[-1], tracker.tracker.state.x)
+    return found
+
+
+def _smooth_frame(
+    tracker: MarkerTracker, frame: MarkerFrame, source: BoundTake, sd: Floats
+) -> MarkerFrame:
+    """Return a frame with the tracker's pose, and the head and distances that come of it."""
+    state, seen = tracker.tracker.state, source.points(frame.frame)
+    states = np.array(frame.marker_state)
+    own = (states == "seen") & np.isfinite(seen).all(axis=1)
+    weights, head = frame.marker_weight * own, small_motion(frame.head)
+    placed = tracker.place(seen, weights, head, source.sigma(frame.frame))
+    off = np.linalg.norm(placed.points - seen, axis=1)
+    # a label that was given another's point has the one next to its marker
+    others = np.concatenate([seen, source.unlabelled(frame.frame)])
+    others = others[np.isfinite(others).all(axis=1)]
+    for label in np.flatnonzero(np.isin(states, ("swapped", "relabelled"))):
+        off[label] = np.linalg.norm(others - placed.points[label], axis=1).min()
+    return replace(
+        frame,
+        **_pose_values(tracker.face, state.pose),
+        **distance_figures(off[frame.marker_weight > 0.0]),
+        status="fitted" if frame.status == "fitted" else "smoothed",
+        head=placed.head.twist.round(DECIMALS),
+        marker_mm=off.round(DECIMALS),
+        sd=sd.round(DECIMALS),
+        inverted=tracker.face.flesh.inverted(state.x),
+    )
+
+
+def marker_report(frames: Sequence[MarkerFrame], labels: Sequence[str]) -> dict[str, Any]:
+    """Return what became of every label, and how many muscles were held; shares of frames."""
+    states = np.array([frame.marker_state for frame in frames])
+    off = np.array([frame.marker_mm for frame in frames])
+    counted = np.array([frame.marker_weight for frame in frames]) > 0.0
+    found = {}
+    for column, label in enumerate(labels):
+        mine = off[counted[:, column], column]
+        shares = {
+            state: round(float(np.mean(states[:, column] == state)), 4)
+            for state in ("missing", "outlier", "swapped", "relabelled")
+        }
+        rms = round(float(np.sqrt(np.mean(mine**2))), 4) if len(mine) else None
+        found[label] = {**shares, "rms_mm": rms}
+    held = np.array([frame.held for frame in frames])
+    return {"markers": found, "held": round(float(held.mean()), 4)}

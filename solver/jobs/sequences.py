@@ -1,0 +1,139 @@
+"""Shared by jobs that fit a face frame after frame: frame numbers, resuming, the loop, figures."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from solver.errors import InputError
+from solver.jobs import Task
+from solver.kinds.fit_markers import FitMarkers
+from solver.kinds.fit_sequence import FitSequence
+from solver.progress import Step
+from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter, SequenceFrame
+from solver.surface import Floats
+
+DECIMALS = 9  # frames are stored as text: digits beyond say nothing
+UNLIKE_MM = 5.0  # mean distance of another person's face: a fit leaves less than 2
+
+Fitted = TypeVar("Fitted", bound=SequenceFrame)
+
+
+class FrameFitter(Protocol[Fitted]):
+    """Fits frames in their order, each from the one before; its face is as in the last."""
+
+    chunks: ChunkOptions
+    # a file of frames ends where it is full, not where a job breaks off: the next begins with it
+    whole_files: bool
+
+    def read(self, folder: Path) -> list[Fitted]:
+        """Return the frames that an earlier attempt left."""
+
+    def take_up(self, frame: Fitted, position: int) -> None:
+        """Go to a frame that was fitted before, at a position in the sequence."""
+
+    def fit(self, number: int) -> Fitted:
+        """Fit the frame with a number; one that cannot be keeps the pose before it."""
+
+    def show(self, frame: Fitted, position: int) -> None:
+        """Draw a frame, the face being there."""
+
+    def beside(self, last: Fitted) -> Mapping[str, Any]:
+        """Return what a file holds beside its frames, of which ``last`` is the last."""
+
+    def begin_file(self) -> None:
+        """Go on from what the last file of frames holds."""
+
+
+def fit_frames(task: Task[Any], numbers: range, fitter: FrameFitter[Fitted]) -> list[Fitted]:
+    """Fit frames and return them; they are in ``out/frames`` as they come.
+
+    With ``task.resume`` those that are there already are kept, and the fit goes on after them.
+    Raises :class:`InputError` ``sequence.resume`` where these are others.
+    """
+    folder, progress = task.out / FRAMES, task.progress
+    if not task.resume:
+        shutil.rmtree(folder, ignore_errors=True)
+    done = fitter.read(folder)
+    if [frame.frame for frame in done] != list(numbers[: len(done)]):
+        message = (
+            f"the {len(done)} frames that are ready were chosen with another start, end or step"
+        )
+        raise InputError("sequence.resume", message)
+    for position, frame in enumerate(done):
+        fitter.take_up(frame, position)
+        fitter.show(frame, position)
+        words = f"frame {position + 1} of {len(numbers)} was fitted before"
+        progress(Step("frames", _part(position + 1, len(numbers)), message=words))
+    if done:
+        fitter.begin_file()
+    writer = ChunkWriter[Fitted](folder, len(done), fitter.chunks, fitter.beside)
+    try:
+        for position in range(len(done), len(numbers)):
+            frame = fitter.fit(numbers[position])
+            if writer.add(frame):
+                fitter.begin_file()
+            done.append(frame)
+            fitter.show(frame, position)
+            for step in _steps(frame, position + 1, len(numbers)):
+                progress(step)
+    finally:
+        if not fitter.whole_files or len(done) == len(numbers):
+            writer.flush()
+    return done
+
+
+def frame_numbers(name: str, frames: range, given: FitMarkers | FitSequence) -> range:
+    """Return the numbers of the frames that options choose; ``options.frames`` if there is none.
+
+    ``name`` is the file's, ``frames`` are the numbers that it has.
+    """
+    start = frames.start if given.start is None else given.start
+    end = frames.stop if given.end is None else given.end
+    numbers = range(start, end, given.step)
+    if start < frames.start or end > frames.stop or not numbers:
+        message = (
+            f"{name} has the frames {frames.start} to {frames.stop - 1}: start {start} and end "
+            f"{end} are not within it"
+        )
+        expected = {"expected": len(frames), "start": start, "end": end}
+        raise InputError("options.frames", message, **expected)
+    return numbers
+
+
+def refuse_unfitted(frames: Sequence[SequenceFrame], name: str) -> None:
+    """Raise ``sequence.nothing`` if no frame of the file ``name`` could be fitted."""
+    if all(frame.status != "fitted" for frame in frames):
+        message = f"none of the {len(frames)} frames of {name} could be fitted"
+        raise InputError("sequence.nothing", message, file=name)
+
+
+def distance_figures(distances: Floats) -> dict[str, Any]:
+    """Return what a frame holds of distances, mm; None where there are none."""
+    if not len(distances):
+        return dict.fromkeys(("mean_mm", "p95_mm", "max_mm"))
+    p95 = np.percentile(distances, 95)
+    figures = {"mean_mm": distances.mean(), "p95_mm": p95, "max_mm": distances.max()}
+    return {name: round(float(value), 4) for name, value in figures.items()}
+
+
+def _part(count: int, total: int) -> float:
+    """Return the part of the job that is done with so many frames."""
+    return 0.01 + 0.9 * count / total
+
+
+def _steps(frame: SequenceFrame, count: int, total: int) -> list[Step]:
+    """Return the progress that a fitted frame is, after a warning where there is something odd."""
+    done, warnings = _part(count, total), []
+    if frame.status in ("kept", "unseen"):
+        why = "hardly any of the face is seen" if frame.status == "unseen" else "it does not settle"
+        warnings.append(f"frame {frame.frame} keeps the pose of the frame before: {why}")
+    elif frame.mean_mm is not None and frame.mean_mm > UNLIKE_MM:
+        warnings.append(f"the fitted face is {frame.mean_mm:.0f} mm off frame {frame.frame}")
+    steps = [Step("warning", done, message=words) for words in warnings]
+    words = f"frame {count} of {total}"
+    return [*steps, Step("frames", done, mean_error_mm=frame.mean_mm, message=words)]
