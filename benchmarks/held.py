@@ -17,9 +17,13 @@ HELD_S = 1.0
 LOST = 0.8  # part of what a muscle does to all markers, of those gone: no other sees it
 
 
-def measure_held(bench: Bench, known: GaussianPrior) -> Figures:
-    """Return what becomes of the left cheek without its markers for a second."""
+def measure_held(bench: Bench) -> Figures:
+    """Return what becomes of the left cheek without its markers for a second.
+
+    The prior knows no expressions: by those markers elsewhere determine a cheek's muscles too.
+    """
     face, truth, take = bench.face, bench.truth, bench.clean()
+    known = prior.from_changes(face.layout, [], prior.LOOSE)
     bench = bench.refined(known, take)
     places = bench.places.at(face.rest.x)
     left, height = (places[:, axis] - np.median(places[:, axis]) for axis in (0, 1))

@@ -128,7 +128,7 @@ def run(options: argparse.Namespace) -> Figures:
     if "jaw" in parts:
         add("jaw", _jaw(face, truth, shapes, options))
     if "held" in parts:
-        add("held", measure_held(Bench(face, truth, SETS[0]), known))
+        add("held", measure_held(Bench(face, truth, SETS[0])))
     if "calibration" in parts:
         add("calibration", _calibration(Bench(face, truth, SETS[0]), known))
     if "live" in parts:

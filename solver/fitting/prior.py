@@ -101,6 +101,26 @@ class GaussianPrior:
 
 
 @dataclass(frozen=True)
+class Hold:
+    """w/2 |q - mean|^2 with weights w (k,), 0 for controls that are free."""
+
+    mean: Floats  # (k,)
+    weights: Floats
+
+    def value(self, pose: Pose) -> float:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        return float(0.5 * self.weights @ (pose.vector() - self.mean) ** 2)
+
+    def gradient(self, pose: Pose) -> Floats:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        return np.asarray(self.weights * (pose.vector() - self.mean))
+
+    def gauss_newton(self, pose: Pose) -> Floats:  # noqa: ARG002 - it is the same everywhere
+        """See :class:`~solver.fitting.objective.Prior`."""
+        return np.diag(self.weights)
+
+
+@dataclass(frozen=True)
 class PriorSum:
     """The sum of priors."""
 

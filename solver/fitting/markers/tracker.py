@@ -27,7 +27,7 @@ from solver.fitting.markers.term import (
     PlacedMarkers,
 )
 from solver.fitting.objective import Regulariser
-from solver.fitting.prior import GaussianPrior, PriorSum
+from solver.fitting.prior import GaussianPrior, Hold, PriorSum
 from solver.fitting.sensitivity import Jacobian
 from solver.fitting.sequence import Tracker, TrackingOptions
 from solver.similarity import Similarity
@@ -39,7 +39,8 @@ class MarkerOptions:
     """Numbers of tracking markers; lengths in mm."""
 
     forgetting: float = 1.0  # s in which a control that no marker determines fades to 1/e
-    hold_below: float = 0.2  # information of a muscle under which it is held
+    hold_below: float = 0.2  # information of a muscle under which it is held ...
+    hold_sd: float = 0.01  # ... so closely, in a control's units
     noise_mm: float = 0.2  # standard deviation of a point, beside that of its marker's place
     w_v: float = 0.3  # of volume, beside half a squared Mahalanobis distance
     w_e: float = 3.0  # of least eigenvalues
@@ -144,8 +145,9 @@ class MarkerTracker:
                 self.tracker.go_to(state.pose.add(prior.mean - state.pose.vector()))
             return self._leave(term, judged, prior, "predicted")
         try:
-            both = PriorSum((prior, self._penalties))
-            steps = self.tracker.fit_term(term, used, both, whole=first)
+            held = self._held(self._alone(self._normal(term)))
+            priors = PriorSum((prior, self._penalties, self._hold(held, prior.mean)))
+            steps = self.tracker.fit_term(term, used, priors, whole=first)
         except (SolveError, np.linalg.LinAlgError):
             return self._leave(term, judged, prior, "kept")
         return self._leave(term, judged, prior, "fitted", steps)
@@ -182,8 +184,7 @@ class MarkerTracker:
         term = MarkerTerm(self.places, head(places), used, near, options)
         if number % self.options.tracking.lagged_frames == 0:
             self.tracker.relinearise(term, used)
-        by_controls = self._by_controls()
-        return np.asarray(by_controls.T @ term.inner(term.place(places)) @ by_controls)
+        return self._normal(term)
 
     def spread(self, prior: GaussianPrior, normal: Floats) -> tuple[Floats, Posterior]:
         """Return the covariance (q, q) of a frame's controls, and the posterior by it alone.
@@ -194,8 +195,7 @@ class MarkerTracker:
         from its own, smaller covariance: it follows a bias as closely, and is less stirred by
         noise.
         """
-        usual = self.prior
-        alone = Posterior(inverse_of_positive(usual.precision + normal), usual.variance)
+        usual, alone = self.prior, self._alone(normal)
         unseen = 1.0 - alone.information
         before = unseen[:, None] * (prior.precision - usual.precision) * unseen
         return inverse_of_positive(usual.precision + before + normal), alone
@@ -216,6 +216,28 @@ class MarkerTracker:
             return self.prior, head
         time = options.forgetting
         return self.prior.after(memory.mean, memory.covariance, self.seconds, time), head
+
+    def _normal(self, term: MarkerTerm) -> Floats:
+        """Return the normal matrix (q, q) of the controls where the face is."""
+        by_controls = self._by_controls()
+        inner = term.inner(term.place(self.places.at(self.tracker.state.x)))
+        return np.asarray(by_controls.T @ inner @ by_controls)
+
+    def _alone(self, normal: Floats) -> Posterior:
+        """Return the posterior by a frame alone, nothing being known of those before."""
+        covariance = inverse_of_positive(self.prior.precision + normal)
+        return Posterior(covariance, self.prior.variance)
+
+    def _held(self, alone: Posterior) -> np.ndarray:
+        """Return which muscles (m,) a frame does not determine."""
+        known = alone.information_of(self.tracker.state.pose.layout.muscles)
+        return np.asarray(known < self.options.hold_below)
+
+    def _hold(self, held: np.ndarray, mean: Floats) -> Hold:
+        """Return what keeps muscles at the ``mean`` (q,) that is probable before a frame."""
+        weights = np.zeros(len(mean))
+        weights[self.tracker.state.pose.layout.muscles[held]] = self.options.hold_sd**-2
+        return Hold(mean, weights)
 
     def _predict(self, prior: GaussianPrior, head: HeadPrior) -> Prediction:
         """Return the markers' places in the take."""
@@ -245,11 +267,9 @@ class MarkerTracker:
         """Return the frame and remember its posterior."""
         state = self.tracker.state
         placed = term.place(self.places.at(state.x))
-        by_controls, size = self._by_controls(), state.pose.layout.size
         # markers determine no control of a frame that keeps those of another
-        kept = ending == "kept"
-        inner = term.inner(placed)
-        normal = np.zeros((size, size)) if kept else by_controls.T @ inner @ by_controls
+        kept, size = ending == "kept", state.pose.layout.size
+        normal = np.zeros((size, size)) if kept else self._normal(term)
         sure = prior
         if self.memory is not None:
             memory, time = self.memory, self.options.forgetting
@@ -258,14 +278,13 @@ class MarkerTracker:
         covariance = inverse_of_positive(prior.precision + normal)
         head = HeadPrior(placed.head, placed.precision)
         self.memory = MarkerMemory(state.pose.vector(), covariance, spread, head)
-        known = alone.information_of(state.pose.layout.muscles)
         return MarkerFit(
             state,
             placed,
             judged,
             sd=np.sqrt(np.diag(spread)),
             information=alone.information,
-            held=known < self.options.hold_below,
+            held=self._held(alone),
             predicted=ending == "predicted",
             kept=kept,
             steps=steps,

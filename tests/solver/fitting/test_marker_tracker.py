@@ -200,7 +200,11 @@ def test_places_are_mended_by_the_frames_nearest_the_neutral_face(face, places, 
     points = take[2].copy()
     points[1, : MARKERS // 2 + 1] = np.nan  # too little is seen
     chosen = frames_near_neutral(
-        places.at(face.model.rest), points.__getitem__, range(len(points)), 3, RefineOptions(apart=1)
+        places.at(face.model.rest),
+        points.__getitem__,
+        range(len(points)),
+        3,
+        RefineOptions(apart=1),
     )
     # the face goes from rest and comes back half way
     assert chosen == [0, 2, 4]
@@ -316,3 +320,19 @@ def test_markers_reach_fibre_muscles_too(markers):
     assert many.information.max() > 0.5
     gains = [each.gain for each in few.further]
     assert gains == sorted(gains, reverse=True)
+
+
+def test_held_muscles_keep_still_while_others_move(face, places, take):
+    """Of a face whose left markers are gone the muscles there fade to rest, and do no more."""
+    points = take[2].copy()
+    loose = prior.from_changes(face.layout, [], prior.LOOSE)
+    tracker = tracker_of(face, places, loose)
+    left = places.at(face.model.rest)[:, 0] > 5.0
+    before = [tracker.fit(seen) for seen in points[:10]][-1]
+    points[:, left] = np.nan
+    gone = [tracker.fit(seen) for seen in points[10:18]]
+    held = gone[-1].held & ~before.held
+    assert held.any()
+    rest = face.rest_pose().a
+    faded = np.exp(-8 / RATE) * (before.state.pose.a - rest)
+    assert np.abs(gone[-1].state.pose.a - rest - faded)[held].max() < 0.02
