@@ -8,7 +8,7 @@ estimates.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -187,6 +187,14 @@ def candidate_scales(
     return [scales for scales in rounds if scales]
 
 
+def likely_unit(
+    size: float, bounds: tuple[float, float], units: Iterable[float] = (1.0, *UNITS.values())
+) -> float | None:
+    """Return the first of ``units``, in mm, by which a size is within ``bounds``; None if none."""
+    low, high = bounds
+    return next((mm for mm in units if low <= mm * size <= high), None)
+
+
 def choose_unit(
     scale: float, given: float | None, declared: float | None, options: UnitOptions = UNIT_OPTIONS
 ) -> ScanUnit:
@@ -203,8 +211,8 @@ def choose_unit(
     others = [*UNITS.values(), *(factor * first for factor in options.slips)]
     if not given:  # what contradicts a given unit may be a child's face, what is guessed may not
         low, high = 1.0 - options.unusual, 1.0 + options.unusual
-    fitting = [mm for mm in others if low <= mm / scale <= high]
-    return ScanUnit(fitting[0], "found") if fitting else ScanUnit(scale, "template")
+    unit = likely_unit(1.0 / scale, (low, high), others)
+    return ScanUnit(scale, "template") if unit is None else ScanUnit(unit, "found")
 
 
 def unit_findings(

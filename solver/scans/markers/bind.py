@@ -9,19 +9,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import igl
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from solver.anatomy.embedding import barycentric
 from solver.errors import InputError
 from solver.model import SubjectModel
+from solver.registration.units import likely_unit
 from solver.scans.markers.faults import Faults, find_faults
 from solver.scans.markers.locate import Located, heights_over, locate, nose_tip
-from solver.scans.markers.marker_set import Marker, MarkerSet, Triple
+from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, raised
 from solver.scans.markers.motion import Mask, Motion, median_of_seen
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
-from solver.surface import Floats, Ints, Surface, unit_rows, vertex_normals
+from solver.surface import Floats, Ints, Surface, area_normals, unit_rows
 
 USUAL_RATE = 60.0  # frames a second, where a take does not say
 
@@ -180,8 +182,7 @@ def _neighbours_unit(positions: Floats, options: BindOptions) -> float:
     apart = np.nan_to_num(_usual_distances(positions), nan=np.inf)
     np.fill_diagonal(apart, np.inf)
     spacing = float(np.median(np.sort(apart, axis=1)[:, 1]))  # the second: labels may be double
-    low, high = options.spacing
-    return next((mm for mm in (1.0, 1000.0, 10.0, 0.1, 0.001) if low <= mm * spacing <= high), 1.0)
+    return likely_unit(spacing, options.spacing, (1.0, 1000.0, 10.0, 0.1, 0.001)) or 1.0
 
 
 def _usual_distances(positions: Floats, frames: int = 40) -> Floats:
@@ -290,11 +291,7 @@ def place_markers(
 ) -> tuple[Marker, ...]:
     """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored."""
     seen = np.flatnonzero(np.isfinite(placed[:, 0]))
-    triangles, shares, _ = barycentric(placed[seen], skin)
-    heights, corners = heights_over(placed[seen], skin), skin.faces[triangles]
-    shares = np.clip(shares, 0.0, 1.0)
-    shares /= shares.sum(axis=1, keepdims=True)
-    tip = nose_tip(skin)
+    heights, tip = heights_over(placed[seen], skin), nose_tip(skin)
     found = []
     for row, number in enumerate(seen.tolist()):
         name, at, label = face.names[number], placed[number], face.labels[number]
@@ -303,10 +300,7 @@ def place_markers(
             near = np.linalg.norm(at - tip) < options.of_head and at[1] - tip[1] > options.above
             part = "head" if near else "ignore"
         if part == "face":
-            vertices = tuple(corners[row].tolist())
-            weights = tuple(shares[row].tolist())
-            height = float(heights[row])
-            found.append(Marker(label, vertices, weights, height, sigma_mm=options.sigma))
+            found.append(place_on(Marker(label, sigma_mm=options.sigma), at, skin))
         else:
             at_bone: Triple = (float(at[0]), float(at[1]), float(at[2]))
             sigma = options.bony_sigma
@@ -314,14 +308,34 @@ def place_markers(
     return tuple(found)
 
 
+def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:
+    """Return a marker moved to ``point`` (3,): on the triangle of a ``skin`` that gives it best.
+
+    Over an edge no triangle's normal goes through the point. So those about the nearest one are
+    tried; a foot that is farther off costs as much as missing the point.
+    """
+    nearest = skin.faces[barycentric(point[None], skin)[0][0]]
+    faces = skin.faces[np.isin(skin.faces, nearest).any(axis=1)]
+    corners = skin.vertices[faces]
+    normals = unit_rows(area_normals(skin.vertices, faces))
+    arms = point - corners[:, 0]
+    feet = point - np.einsum("ti,ti,tj->tj", arms, normals, normals)
+    weights = np.clip(igl.barycentric_coordinates(feet, *corners.swapaxes(0, 1)), 0.0, 1.0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    over = point - np.einsum("tc,tci->ti", weights, corners)
+    heights = np.einsum("ti,ti->t", over, normals)
+    missed = raised(corners, weights, heights) - point
+    best = int(np.argmin(np.linalg.norm(missed, axis=1) + np.linalg.norm(over, axis=1)))
+    (first, second, third), (one, two, three) = faces[best].tolist(), weights[best].tolist()
+    vertices, height = (first, second, third), float(heights[best])
+    return replace(marker, vertices=vertices, weights=(one, two, three), height_mm=height)
+
+
 def rest_places(markers: MarkerSet, skin: Surface) -> Floats:
     """Return where markers (k, 3) lie on a person at rest, in the model's frame.
 
     Those that are to be ignored, and have no place, are NaN.
     """
-    normals = vertex_normals(skin)[markers.vertices]
-    outward = unit_rows(np.einsum("kc,kcd->kd", markers.weights, normals))
-    on_skin = np.einsum("kc,kcd->kd", markers.weights, skin.vertices[markers.vertices])
+    on_skin = raised(skin.vertices[markers.vertices], markers.weights, markers.heights)
     is_face = np.array([each.part == "face" for each in markers.markers], bool)
-    raised = on_skin + markers.heights[:, None] * outward
-    return np.where(is_face[:, None], raised, markers.places)
+    return np.where(is_face[:, None], on_skin, markers.places)

@@ -12,12 +12,13 @@ import numpy as np
 
 from solver.errors import MOST_NAMES, Finding, InputError, Severity, quote, quote_names
 from solver.kinds.marker_set import LONGEST_LABEL
+from solver.registration.units import COMMON, UNITS, ScanUnit, likely_unit
 from solver.scans.markers.raw_take import RawTake, TakeOptions, tell
 from solver.surface import Floats
 
 # How capture programs call a track that nobody has labelled: *12, U_3, Unlabeled 1004, ?7.
 UNLABELLED = re.compile(r"[*?]+\d*|u_\*?\d+|(unlabell?ed|uname|noname|unnamed)\W*_?\d*", re.I)
-UNITS = {  # in the singular, as Americans write it -> mm
+NAMES = {  # of units, in the singular, as Americans write them -> mm
     "mm": 1.0,
     "millimeter": 1.0,
     "cm": 10.0,
@@ -29,7 +30,6 @@ UNITS = {  # in the singular, as Americans write it -> mm
     "ft": 304.8,
     "feet": 304.8,
 }
-GUESSES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}  # units of a file that does not say its own
 LONGEST_NUMBER = 6  # characters that tell labels apart which are alike
 LOOKED_AT = 200  # frames of which the size is taken
 
@@ -145,25 +145,27 @@ def settle_unit(
     markers of a face do. An ``error`` is one that no unit fits.
     """
     unit = raw.unit
-    said = _mm_of(unit) if isinstance(unit, str) else unit
+    named = _mm_of(unit) if isinstance(unit, str) else unit
     spread = _spread(raw.points, columns)
-    if said is not None and (np.isnan(spread) or _is_within(spread * said, options.seen_mm)):
-        return said, []
+    if named and (np.isnan(spread) or likely_unit(spread, options.seen_mm, [named])):
+        return named, []
     words = f"says '{quote(unit)}'" if unit else "does not say its unit"
     for bounds in (options.face_mm, options.seen_mm):
-        for name, mm in GUESSES.items():
-            if not _is_within(spread * mm, bounds):
-                continue
-            told = f"{file} {words}; it is read in {name}, in which points spread {spread * mm:.0f}"
-            is_plain = not unit and bounds == options.face_mm
-            found = {"file": file, "unit": name, "spread_mm": round(spread * mm, 1)}
-            severity: Severity = "info" if is_plain else "warning"
-            return mm, [tell("unit", severity, f"{told} mm about their middle.", **found)]
+        mm = likely_unit(spread, bounds, [UNITS[name] for name in COMMON])
+        if mm is None:
+            continue
+        name = ScanUnit(mm, "found").name
+        size = f"in which points spread {spread * mm:.0f} mm about their middle"
+        is_plain = not unit and bounds == options.face_mm
+        figures = {"file": file, "unit": name, "spread_mm": round(spread * mm, 1)}
+        severity: Severity = "info" if is_plain else "warning"
+        message = f"{file} {words}; it is read in {name}, {size}."
+        return mm, [tell("unit", severity, message, **figures)]
     if np.isnan(spread):
         message = f"{file} {words}, and too few points are seen at once to tell: it is read in mm."
         return 1.0, [tell("unit", "warning", message, file=file)]
     message = f"{file} {words}, and in no unit its points, {spread:.3g} apart, are on a person."
-    return said or 1.0, [tell("unit", "error", message, file=file, spread=spread)]
+    return named or 1.0, [tell("unit", "error", message, file=file, spread=spread)]
 
 
 def drop_far(file: str, raw: RawTake, most: float) -> list[Finding]:
@@ -192,7 +194,7 @@ def check_seen(file: str, raw: RawTake) -> None:
 
 def _mm_of(name: str) -> float | None:
     word = name.strip().lower().replace("metre", "meter")
-    return UNITS.get(word.removesuffix("es") if word == "inches" else word.removesuffix("s"))
+    return NAMES.get(word.removesuffix("es") if word == "inches" else word.removesuffix("s"))
 
 
 def _spread(points: Floats, columns: Sequence[int]) -> float:
@@ -205,7 +207,3 @@ def _spread(points: Floats, columns: Sequence[int]) -> float:
         if len(seen) >= 3:
             spreads.append(np.sqrt(np.median(((seen - np.median(seen, axis=0)) ** 2).sum(axis=1))))
     return float(np.median(spreads)) if spreads else float("nan")
-
-
-def _is_within(size: float, bounds: tuple[float, float]) -> bool:
-    return bounds[0] <= size <= bounds[1]

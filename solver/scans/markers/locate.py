@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from solver.anatomy.embedding import barycentric
 from solver.registration.scan_surface import Samples, sample
 from solver.registration.search import FacePoints, RefinementOptions, find_pose, refine_pose
-from solver.registration.units import UNITS, ScanUnit, UnitOptions, choose_unit
+from solver.registration.units import ScanUnit, UnitOptions, choose_unit, likely_unit
 from solver.scans.markers.motion import rms_of_seen
 from solver.scans.markers.names import Named
 from solver.similarity import IDENTITY, Similarity, fit_similarity, robust_motion
@@ -45,6 +45,7 @@ class LocateOptions:
     usual_height: float = 2.0
     rounds: int = 3  # of normals and motion
     extents: tuple[float, float] = (60.0, 420.0)  # of the markers of one head
+    usual_extent: float = 180.0  # where no unit gives any of these
     off_skin: float = 15.0  # farther from the skin it is no marker of the face
 
 
@@ -152,11 +153,10 @@ def _trimmed(points: Floats, goal: Floats, options: LocateOptions) -> tuple[Simi
 def _unit_of(points: Floats, options: LocateOptions) -> ScanUnit:
     """Return the unit that makes markers as large as those of a head; mm if it does."""
     extent = float(np.ptp(points, axis=0).max())
-    low, high = options.extents
-    fitting = [mm for mm in (1.0, *UNITS.values()) if low <= mm * extent <= high]
-    if fitting:
-        return ScanUnit(fitting[0], "assumed" if fitting[0] == 1.0 else "found")
-    return ScanUnit(180.0 / max(extent, 1e-9), "template")
+    mm = likely_unit(extent, options.extents)
+    if mm is None:
+        return ScanUnit(options.usual_extent / max(extent, 1e-9), "template")
+    return ScanUnit(mm, "assumed" if mm == 1.0 else "found")
 
 
 def _by_shape(points: Floats, skin: Samples, mm_per_unit: float) -> list[Similarity]:

@@ -16,7 +16,7 @@ from solver.kinds.document import find_faults
 from solver.kinds.marker_set import MarkerEntry, MarkerSetDocument, Part, SkinPoint
 from solver.similarity import Similarity
 from solver.storage import write_json
-from solver.surface import Floats, Ints
+from solver.surface import Floats, Ints, unit_rows
 
 Triple = tuple[float, float, float]
 
@@ -155,6 +155,13 @@ class MarkerSet:
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUNDING:
             raise _schema_error("markers.session.rotation", "is not orthogonal")
         return cls(markers, Similarity(read.session.scale, rotation, shift), read.model_sha256)
+
+
+def raised(corners: Floats, weights: Floats, heights: Floats) -> Floats:
+    """Return places (k, 3) at ``heights`` (k,) over triangles (k, 3, 3), along their normals."""
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    on_skin = np.einsum("ki,kix->kx", weights, corners)
+    return np.asarray(on_skin + heights[:, None] * unit_rows(outward))
 
 
 def _entry(marker: Marker) -> dict[str, Any]:

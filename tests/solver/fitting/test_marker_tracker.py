@@ -10,14 +10,14 @@ from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, with_fibres
 from solver.fitting.face import Face
-from solver.fitting.markers.places import place_on, refine, triangle_axes
+from solver.fitting.markers.places import refine, triangle_axes
 from solver.fitting.markers.reach import reach
 from solver.fitting.markers.robust import Prediction, judge
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerTracker
 from solver.mechanics.flesh import MOONEY_RIVLIN
-from solver.scans.markers.bind import model_face
+from solver.scans.markers.bind import model_face, place_on
 from solver.scans.markers.marker_set import Marker
 from solver.similarity import small_motion
 from tests.fixtures import small_capture, small_model

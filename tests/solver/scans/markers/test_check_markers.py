@@ -10,7 +10,8 @@ import pytest
 
 from benchmarks.bad_takes import BAD_TAKES
 from solver.errors import Finding, InputError, judge_findings
-from solver.scans.markers.bind import bind, model_face, rest_places
+from solver.fitting.markers.term import MarkerPlaces
+from solver.scans.markers.bind import bind, choose_face, locate_take, model_face, rest_places
 from solver.scans.markers.check import Reference, check_take
 from solver.scans.markers.findings import ADVICE, MarkerCheck
 from solver.scans.markers.locate import FLIP
@@ -87,7 +88,7 @@ def test_axes_units_and_rates_are_found_and_told(
     assert {each.code for each in check.findings} == codes
     assert check.located is not None
     places = rest_places(check.bound, person.face)
-    assert np.linalg.norm(check.located.placed - places, axis=1).max() < 0.4
+    assert np.linalg.norm(check.located.placed - places, axis=1).max() < 0.6
     assert check.figures["off_skin_mm"] < 0.5
 
 
@@ -256,6 +257,15 @@ def test_bound_markers_lie_where_they_were_made(clean: Floats) -> None:
     assert off.max() < 2.0
     assert off.mean() < 0.5
     assert found.markers.model_sha256 == model.sha256
+
+
+def test_a_fit_has_bound_markers_where_they_were_seen(clean: Floats) -> None:
+    model = small_model()
+    located = locate_take(choose_face(made_take(clean)), model_face(model))
+    markers = bind(made_take(clean), model).markers
+    off = MarkerPlaces(model, markers.markers).at(model.rest) - located.placed
+    assert np.linalg.norm(off, axis=1).mean() < 0.2  # over an edge a normal misses the point
+    np.testing.assert_allclose(rest_places(markers, model.skin), off + located.placed, atol=1e-6)
 
 
 # Real takes: nothing is told of them, whoever checks.
