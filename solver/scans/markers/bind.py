@@ -16,9 +16,10 @@ from scipy.sparse.csgraph import connected_components
 from solver.anatomy.embedding import barycentric
 from solver.errors import InputError
 from solver.model import SubjectModel
+from solver.registration.search import nose_tip
 from solver.registration.units import likely_unit
 from solver.scans.markers.faults import Faults, find_faults
-from solver.scans.markers.locate import Located, heights_over, locate, nose_tip
+from solver.scans.markers.locate import Located, heights_over, locate
 from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, raised
 from solver.scans.markers.motion import Mask, Motion, median_of_seen
 from solver.scans.markers.names import Named, read_names

@@ -38,7 +38,7 @@ from solver.scans.markers.raw_take import (
     check_room,
     choose_rate,
     decode,
-    tell,
+    make_finding,
     truncated_error,
     unreadable_error,
 )
@@ -201,7 +201,9 @@ def _accept_longer(
         longer = replace(each, frames=count)
         if count >= FULL and longer.fills(size):
             message = f"{file} says {each.frames} frames and holds {count}, which are read."
-            return longer, [tell("header", "warning", message, file=file, found=count)]
+            return longer, [
+                make_finding("markers.header", "warning", message, file=file, found=count)
+            ]
     first = layouts[0]
     if first.end > size:
         reason = f"{first.frames} frames of {first.points} points end at byte {first.end} of {size}"
@@ -214,7 +216,11 @@ def _accept_longer(
         reason = f"its data end at byte {first.end}, and it does after {size}, which ends no block"
         raise unreadable_error(file, reason, expected=first.end, found=size)
     message = f"{file} has {size - first.end} bytes after its last frame, which are not read."
-    return first, [tell("header", "warning", message, file=file, found=size, expected=first.end)]
+    return first, [
+        make_finding(
+            "markers.header", "warning", message, file=file, found=size, expected=first.end
+        )
+    ]
 
 
 def _drop_repeats(*values: Any) -> list[Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from solver.errors import MOST_NAMES, Finding, InputError, Severity, quote, quote_names
 from solver.kinds.marker_set import LONGEST_LABEL
 from solver.registration.units import COMMON, UNITS, ScanUnit, likely_unit
-from solver.scans.markers.raw_take import RawTake, TakeOptions, tell
+from solver.scans.markers.raw_take import RawTake, TakeOptions, make_finding
 from solver.surface import Floats
 
 # How capture programs call a track that nobody has labelled: *12, U_3, Unlabeled 1004, ?7.
@@ -60,16 +60,20 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
     findings = []
     if unnamed:
         message = f"{file}: {len(unnamed)} of {count} tracks have no label; they count as any."
-        findings.append(tell("labels", "warning", message, file=file, tracks=unnamed[:20]))
+        findings.append(
+            make_finding("markers.labels", "warning", message, file=file, tracks=unnamed[:20])
+        )
     elif not labelled:
         message = f"{file} has {count} tracks and no label; binding goes by their places."
-        findings.append(tell("labels", "warning", message, file=file))
+        findings.append(make_finding("markers.labels", "warning", message, file=file))
     pairs = {parts[at] for at in labelled}
     subjects = list(dict.fromkeys(parts[at][0] for at in labelled))
     if len(pairs) > len({label for _, label in pairs}):
         shown = quote_names([each or "no subject" for each in subjects])
         message = f"{file} has the same labels for {', '.join(shown)}: more than one face."
-        findings.append(tell("two_faces", "warning", message, file=file, subjects=shown))
+        findings.append(
+            make_finding("markers.two_faces", "warning", message, file=file, subjects=shown)
+        )
         texts, subject = [":".join(filter(None, parts[at])) for at in labelled], ""
     else:
         texts, subject = [parts[at][1] for at in labelled], ", ".join(filter(None, subjects))
@@ -117,7 +121,9 @@ def _number_labels(file: str, texts: Sequence[str]) -> tuple[list[str], list[Fin
     twice = quote_names(list(dict.fromkeys(proposals.values())))
     message = f"{file} has labels more than once: {', '.join(twice)}; the others get a number."
     shown = dict(list(proposals.items())[:MOST_NAMES])  # labels are short and printable by now
-    return labels, [tell("labels", "warning", message, file=file, labels=twice, proposals=shown)]
+    return labels, [
+        make_finding("markers.labels", "warning", message, file=file, labels=twice, proposals=shown)
+    ]
 
 
 def _find_foreign(file: str, labels: Sequence[str]) -> list[Finding]:
@@ -130,7 +136,11 @@ def _find_foreign(file: str, labels: Sequence[str]) -> list[Finding]:
         for each in foreign[:MOST_NAMES]
     }
     message = f"{file} has labels beyond ASCII: {', '.join(quote_names(foreign))}."
-    return [tell("labels", "info", message, file=file, labels=list(shown), proposals=shown)]
+    return [
+        make_finding(
+            "markers.labels", "info", message, file=file, labels=list(shown), proposals=shown
+        )
+    ]
 
 
 # Units, and points that are none.
@@ -160,12 +170,12 @@ def settle_unit(
         figures = {"file": file, "unit": name, "spread_mm": round(spread * mm, 1)}
         severity: Severity = "info" if is_plain else "warning"
         message = f"{file} {words}; it is read in {name}, {size}."
-        return mm, [tell("unit", severity, message, **figures)]
+        return mm, [make_finding("markers.unit", severity, message, **figures)]
     if np.isnan(spread):
         message = f"{file} {words}, and too few points are seen at once to tell: it is read in mm."
-        return 1.0, [tell("unit", "warning", message, file=file)]
+        return 1.0, [make_finding("markers.unit", "warning", message, file=file)]
     message = f"{file} {words}, and in no unit its points, {spread:.3g} apart, are on a person."
-    return named or 1.0, [tell("unit", "error", message, file=file, spread=spread)]
+    return named or 1.0, [make_finding("markers.unit", "error", message, file=file, spread=spread)]
 
 
 def drop_far(file: str, raw: RawTake, most: float) -> list[Finding]:
@@ -182,7 +192,11 @@ def drop_far(file: str, raw: RawTake, most: float) -> list[Finding]:
     message = (
         f"{file} has {count} points where no studio is, the first, {label}, in frame {number}."
     )
-    return [tell("far", "warning", message, file=file, label=label, frame=number, count=count)]
+    return [
+        make_finding(
+            "markers.far", "warning", message, file=file, label=label, frame=number, count=count
+        )
+    ]
 
 
 def check_seen(file: str, raw: RawTake) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.errors import MOST_NAMES, Finding, Severity, quote, quote_names
+from solver.errors import MOST_NAMES, Finding, Severity, advise, quote, quote_names
 from solver.registration.locate import nearest_axis
 from solver.scans.markers.bind import LocatedTake
 from solver.scans.markers.faults import WRONG, Span
@@ -90,7 +90,7 @@ class MarkerCheck:
 
 def add(check: MarkerCheck, code: str, severity: Severity, message: str, **figures: Any) -> None:
     """Add a finding with the advice that belongs to its code."""
-    check.findings.append(Finding(code, severity, message, ADVICE[code], figures))
+    check.findings.append(advise(ADVICE, code, severity, message, **figures))
 
 
 # Single labels.

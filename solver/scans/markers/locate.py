@@ -16,7 +16,13 @@ from scipy.spatial import KDTree
 
 from solver.anatomy.embedding import barycentric
 from solver.registration.scan_surface import Samples, sample
-from solver.registration.search import FacePoints, RefinementOptions, find_pose, refine_pose
+from solver.registration.search import (
+    FacePoints,
+    RefinementOptions,
+    find_pose,
+    nose_tip,
+    refine_pose,
+)
 from solver.registration.units import ScanUnit, UnitOptions, choose_unit, likely_unit
 from solver.scans.markers.motion import rms_of_seen
 from solver.scans.markers.names import Named
@@ -123,12 +129,6 @@ def _by_names(
         return [plain], False
     across = (goal - nose_tip(face)) @ FLIP + nose_tip(face)
     return [_flipped(other), _trimmed(points[told], across, options)[0]], True
-
-
-def nose_tip(face: Surface) -> Floats:
-    """Return the foremost point (3,) of a face."""
-    used = face.vertices[np.unique(face.faces)]
-    return np.asarray(used[np.argmax(used[:, 2])])
 
 
 def _flipped(motion: Similarity) -> Similarity:

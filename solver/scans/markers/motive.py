@@ -13,21 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from solver.scans.markers.raw_take import (
-    RawTake,
-    TakeOptions,
-    tell,
-    truncated_error,
-    unreadable_error,
-)
-from solver.scans.markers.table import (
-    Line,
-    finish_table,
-    parse_count,
-    parse_rate,
-    read_lines,
-    read_table,
-)
+from solver.scans.markers.raw_take import RawTake, TakeOptions, unreadable_error
+from solver.scans.markers.table import Heading, Line, finish_table, read_lines, read_table
 
 MOST_HEADING = 20  # lines
 SEEN = "marker"  # the type of a marker's columns
@@ -65,18 +52,9 @@ def read_motive(path: Path, options: TakeOptions) -> RawTake:
         tracks = _choose_tracks(_tracks(file, rows))
         columns = [track.column + axis for track in tracks for axis in range(3)]
         table = read_table(file, lines, ",", columns, max(map(_width, rows[1:])), options)
-    findings = []
-    frames = parse_count(said.get("total exported frames"))
-    found = table.numbers[-1] - table.numbers[0] + 1
-    if frames is not None and found < frames:
-        reason = f"its heading says {frames} frames, found {found}"
-        raise truncated_error(file, reason, expected=frames, found=found)
-    if frames is not None and frames != found:
-        message = f"{file} says {frames} frames and has {found}, which are read."
-        findings.append(tell("header", "warning", message, file=file, found=found))
-    rate = parse_rate(said.get("export frame rate") or said.get("capture frame rate"))
-    names = [track.name for track in tracks]
-    return finish_table(file, names, table, rate, said.get("length units"), findings, options)
+    rate = said.get("export frame rate") or said.get("capture frame rate")
+    about = Heading(said.get("total exported frames"), rate, said.get("length units"))
+    return finish_table(file, [track.name for track in tracks], table, about, options)
 
 
 def _fields(file: str, line: Line) -> list[str]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from solver.errors import Finding, InputError, Severity
+from solver.errors import Finding, InputError, advise
 from solver.surface import Floats
 
 ADVICE = {
@@ -24,6 +25,8 @@ ADVICE = {
     "markers.far": "Nothing to do: such points count as missing.",
     "markers.header": "Export the take again if the number of its frames is not right.",
 }
+
+make_finding = partial(advise, ADVICE)
 
 
 @dataclass(frozen=True)
@@ -75,11 +78,6 @@ class RawTake:
     findings: list[Finding] = field(default_factory=list)
 
 
-def tell(code: str, severity: Severity, message: str, **context: Any) -> Finding:
-    """Return a finding of reading a take, with the advice that belongs to its code."""
-    return Finding(f"markers.{code}", severity, message, ADVICE[f"markers.{code}"], context)
-
-
 def unreadable_error(file: str, reason: str, **context: Any) -> InputError:
     """Return the error of a file that is broken, at a ``line`` if it is about one."""
     place = f"{file}, line {context['line']}" if "line" in context else file
@@ -129,7 +127,7 @@ def spread_frames(
     spread = np.full((len(numbers) + missing, *points.shape[1:]), np.nan)
     spread[np.array(numbers, np.int64) - numbers[0]] = points
     message = f"{file} leaves out {missing} of {len(spread)} frames."
-    return spread, [tell("frames", "warning", message, file=file, frames=missing)]
+    return spread, [make_finding("markers.frames", "warning", message, file=file, frames=missing)]
 
 
 def choose_rate(
@@ -144,11 +142,11 @@ def choose_rate(
     if not usable:
         words = ", ".join(f"{place} {rate:g}" for place, rate in given) or "nothing"
         message = f"{file} does not say how many frames a second has ({words})."
-        return float("nan"), [tell("rate", "warning", message, file=file)]
+        return float("nan"), [make_finding("markers.rate", "warning", message, file=file)]
     place, rate = usable[0]
     others = [each for each in usable[1:] if abs(each[1] / rate - 1.0) > options.rate_slack]
     if len(usable) == len(given) and not others:
         return rate, []
     words = ", ".join(f"{where} {value:g} Hz" for where, value in given)
     message = f"{file} says different rates: {words}; it is read at {rate:g} Hz, by {place}."
-    return rate, [tell("rate", "warning", message, file=file, found=rate)]
+    return rate, [make_finding("markers.rate", "warning", message, file=file, found=rate)]
