@@ -54,9 +54,8 @@ from solver.rig.marker_view import FILE as VIEW_FILE
 from solver.rig.marker_view import MarkerView
 from solver.rig.rig import Rig
 from solver.scans.markers.bind import bind, count_tracks
-from solver.scans.markers.bound_take import BoundTake
 from solver.scans.markers.faults import find_faults
-from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.take import Take, read_take
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats

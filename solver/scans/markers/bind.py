@@ -20,7 +20,7 @@ from solver.registration.search import nose_tip
 from solver.registration.units import likely_unit
 from solver.scans.markers.faults import Faults, find_faults
 from solver.scans.markers.locate import Located, heights_over, locate
-from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, raised
+from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, places_over
 from solver.scans.markers.motion import Mask, Motion, median_of_seen
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
@@ -325,7 +325,7 @@ def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:
     weights /= weights.sum(axis=1, keepdims=True)
     over = point - np.einsum("tc,tci->ti", weights, corners)
     heights = np.einsum("ti,ti->t", over, normals)
-    missed = raised(corners, weights, heights) - point
+    missed = places_over(corners, weights, heights) - point
     best = int(np.argmin(np.linalg.norm(missed, axis=1) + np.linalg.norm(over, axis=1)))
     (first, second, third), (one, two, three) = faces[best].tolist(), weights[best].tolist()
     vertices, height = (first, second, third), float(heights[best])
@@ -337,6 +337,6 @@ def rest_places(markers: MarkerSet, skin: Surface) -> Floats:
 
     Those that are to be ignored, and have no place, are NaN.
     """
-    on_skin = raised(skin.vertices[markers.vertices], markers.weights, markers.heights)
+    on_skin = places_over(skin.vertices[markers.vertices], markers.weights, markers.heights)
     is_face = np.array([each.part == "face" for each in markers.markers], bool)
     return np.where(is_face[:, None], on_skin, markers.places)
