@@ -1,4 +1,4 @@
-"""Where the markers of a take sit on a person: the marker set of a session.
+"""Binding: a session's marker set by the places of a take's markers on a person.
 
 The labels of one face are chosen (``choose_face``), and that face at rest is found on the person
 (``locate_take``, ``locate.py``). Each marker is then bound where it lies: to the skin with a height
@@ -26,12 +26,12 @@ from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
 from solver.surface import Floats, Ints, Surface, area_normals, unit_rows
 
-USUAL_RATE = 60.0  # frames a second, where a take does not say
+USUAL_RATE = 60.0  # frames a second, where a take has none
 
 
 @dataclass(frozen=True)
 class BindOptions:
-    """Which labels are of one face, and what a marker is bound to; lengths in mm."""
+    """Limits of one face, and of what a marker is bound to; lengths in mm."""
 
     most: int = 400  # markers: pairs of them are compared
     least: int = 4  # labels on a face; with fewer, tracks without one count as such
@@ -60,7 +60,7 @@ class FaceTake:
     dead: Ints  # labels that are never seen
     names: tuple[Named | None, ...]  # (n,) places by the face's labels
     mm: float  # a unit of the take, by how far neighbours lie apart
-    rate: float  # frames a second; the usual where the take does not say
+    rate: float  # frames a second; the usual where the take has none
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -84,7 +84,7 @@ class LocatedTake:
         return len(self.points) - sum(len(group) - 1 for group in self.faults.doubles)
 
     @property
-    def placed(self) -> Floats | None:
+    def places(self) -> Floats | None:
         """Return the markers at rest (n, 3) in the person's frame."""
         return None if self.pose is None else self.pose.session(self.points)
 
@@ -233,7 +233,7 @@ def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[i
 
 @dataclass(frozen=True)
 class NeutralOptions:
-    """What makes frames a neutral; lengths in mm."""
+    """How a neutral is judged; lengths in mm."""
 
     seconds: float = 1.0
     away: float = 0.05  # of unrest that a mm away from the median face counts as
@@ -250,10 +250,10 @@ def find_neutral(
     frames = len(motion.places)
     window = int(np.clip(round(options.seconds * rate) if rate > 0 else 1, 1, frames))
     seen = np.isfinite(motion.places[..., 0])
-    moved = np.nan_to_num(motion.places - motion.middle)
+    change = np.nan_to_num(motion.places - motion.middle)
     count = np.maximum(_sums(seen.astype(float), window), 1.0)
-    mean = _sums(moved, window) / count[..., None]
-    unrest = np.maximum(_sums((moved**2).sum(axis=2), window) / count - (mean**2).sum(axis=2), 0.0)
+    mean = _sums(change, window) / count[..., None]
+    unrest = np.maximum(_sums((change**2).sum(axis=2), window) / count - (mean**2).sum(axis=2), 0.0)
     away = np.linalg.norm(mean, axis=2)
     known = np.maximum((count > window / 2).sum(axis=1), 1)
     cost = np.sqrt((unrest * (count > window / 2)).sum(axis=1) / known)

@@ -30,13 +30,13 @@ NAMES = {  # of units, in the singular, as Americans write them -> mm
     "ft": 304.8,
     "feet": 304.8,
 }
-LONGEST_NUMBER = 6  # characters that tell labels apart which are alike
+LONGEST_NUMBER = 6  # characters of a number behind labels that are alike
 LOOKED_AT = 200  # frames of which the size is taken
 
 
 @dataclass(frozen=True)
 class Labels:
-    """Which columns of a file are labelled tracks, and which are not."""
+    """Columns of a file that are labelled tracks, and those that are not."""
 
     labels: tuple[str, ...]
     labelled: list[int]  # columns
@@ -100,7 +100,7 @@ def _is_unlabelled(label: str) -> bool:
 
 
 def _number_labels(file: str, texts: Sequence[str]) -> tuple[list[str], list[Finding]]:
-    """Return labels of which no two are alike; a number tells those that are apart."""
+    """Return labels of which no two are alike; those that are get a number."""
     taken, proposals = set(texts), {}
     seen: Counter[str] = Counter()
     labels = []
@@ -127,7 +127,7 @@ def _number_labels(file: str, texts: Sequence[str]) -> tuple[list[str], list[Fin
 
 
 def _find_foreign(file: str, labels: Sequence[str]) -> list[Finding]:
-    """Tell labels that not every program can read, with ones that it can."""
+    """Find labels that not every program can read, with ones that it can."""
     foreign = [label for label in labels if not label.isascii()]
     if not foreign:
         return []
@@ -149,10 +149,10 @@ def _find_foreign(file: str, labels: Sequence[str]) -> list[Finding]:
 def settle_unit(
     file: str, raw: RawTake, columns: Sequence[int], options: TakeOptions
 ) -> tuple[float, list[Finding]]:
-    """Return mm a unit: what the file says, unless the tracks at ``columns`` are on no person then.
+    """Return mm a unit: the file's own, unless the tracks at ``columns`` are on no person then.
 
-    A file that says nothing, or what cannot be, is read in the unit in which its points spread as
-    markers of a face do. An ``error`` is one that no unit fits.
+    Without a unit, or with one that cannot be, a file is read in the one in which its points spread
+    as markers of a face do. An ``error`` is one that no unit fits.
     """
     unit = raw.unit
     named = _mm_of(unit) if isinstance(unit, str) else unit
@@ -172,14 +172,16 @@ def settle_unit(
         message = f"{file} {words}; it is read in {name}, {size}."
         return mm, [make_finding("markers.unit", severity, message, **figures)]
     if np.isnan(spread):
-        message = f"{file} {words}, and too few points are seen at once to tell: it is read in mm."
+        message = (
+            f"{file} {words}, and too few points are seen at once to guess it: it is read in mm."
+        )
         return 1.0, [make_finding("markers.unit", "warning", message, file=file)]
     message = f"{file} {words}, and in no unit its points, {spread:.3g} apart, are on a person."
     return named or 1.0, [make_finding("markers.unit", "error", message, file=file, spread=spread)]
 
 
 def drop_far(file: str, raw: RawTake, most: float) -> list[Finding]:
-    """Make points NaN that are infinite or farther off than ``most``, and tell of them."""
+    """Make points NaN that are infinite or farther off than ``most``; a finding if any are."""
     points = raw.points
     is_far = (points > most).any(axis=-1) | (points < -most).any(axis=-1)
     points[is_far | np.isnan(points).any(axis=-1)] = np.nan

@@ -1,6 +1,6 @@
 """Reading CSV as Motive exports it: a heading of names and values, then a frame a row.
 
-Above the row ``Frame, Time`` others say of each column what it is of: its type (``Marker``,
+Above the row ``Frame, Time`` others describe each column: its type (``Marker``,
 ``Rigid Body``, ``Rigid Body Marker``), its name, whether it is a position or a rotation. A marker
 that was seen has the type ``Marker``; those of other types are where a solver thinks that they are,
 and are read only where none of the name was seen.
@@ -33,7 +33,7 @@ def read_motive(path: Path, options: TakeOptions) -> RawTake:
     """Return the markers of a CSV of Motive.
 
     Raises :class:`InputError`: ``markers.unreadable`` with ``line``, ``markers.truncated`` (also
-    with fewer frames than the heading says), ``markers.none`` or ``markers.too_large``.
+    with fewer frames than the heading has), ``markers.none`` or ``markers.too_large``.
     """
     file = path.name
     with path.open("rb") as stream:
@@ -46,14 +46,14 @@ def read_motive(path: Path, options: TakeOptions) -> RawTake:
         if not rows or not _is_last(rows[-1]):
             reason = "no row 'Frame, Time' in its first lines: export markers with their headings"
             raise unreadable_error(file, reason)
-        said = {
+        fields = {
             name.lower(): value for name, value in zip(rows[0][::2], rows[0][1::2], strict=False)
         }
         tracks = _choose_tracks(_tracks(file, rows))
         columns = [track.column + axis for track in tracks for axis in range(3)]
         table = read_table(file, lines, ",", columns, max(map(_width, rows[1:])), options)
-    rate = said.get("export frame rate") or said.get("capture frame rate")
-    about = Heading(said.get("total exported frames"), rate, said.get("length units"))
+    rate = fields.get("export frame rate") or fields.get("capture frame rate")
+    about = Heading(fields.get("total exported frames"), rate, fields.get("length units"))
     return finish_table(file, [track.name for track in tracks], table, about, options)
 
 

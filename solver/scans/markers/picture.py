@@ -47,9 +47,9 @@ def check_picture(check: MarkerCheck, face: Surface, title: str, path: Path) -> 
     page = Sheet.with_legend(title, _detail(check), legend, width, HEADER + rows + 36)
     if located is not None:
         colours = _colours(located.faults)
-        if located.placed is not None:
+        if located.places is not None:
             for number, yaw in enumerate(YAWS):
-                _draw_face(page, face, located.placed, names, colours, yaw, WIDTH * number)
+                _draw_face(page, face, located.places, names, colours, yaw, WIDTH * number)
         _draw_lanes(page, located, WIDTH * len(YAWS) + NAMES)
     page.save(path)
 

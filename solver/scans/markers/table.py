@@ -48,7 +48,7 @@ class Table:
     findings: tuple[Finding, ...] = ()
 
     def timed_rate(self) -> list[tuple[str, float]]:
-        """Return what the times say of the rate in Hz, as :func:`choose_rate` takes it."""
+        """Return the rate in Hz by the times, as :func:`choose_rate` takes it."""
         span = self.times[-1] - self.times[0]
         steps = self.numbers[-1] - self.numbers[0]
         return [("its times", steps / span)] if span > 0 and steps else []
@@ -181,7 +181,7 @@ def _count(text: str | None) -> int | None:
 
 
 def _rate(text: str | None) -> list[tuple[str, float]]:
-    """Return what a heading says of the rate, as :func:`choose_rate` takes it."""
+    """Return the rate of a heading, as :func:`choose_rate` takes it."""
     try:
         return [] if not text else [("its heading", float(text))]
     except ValueError:

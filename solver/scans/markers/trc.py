@@ -23,7 +23,7 @@ def read_trc(path: Path, options: TakeOptions) -> RawTake:
     """Return the points of a TRC file.
 
     Raises :class:`InputError`: ``markers.unreadable`` with ``line``, ``markers.truncated`` (also
-    with fewer frames than the heading says), ``markers.none`` or ``markers.too_large``.
+    with fewer frames than the heading has), ``markers.none`` or ``markers.too_large``.
     """
     file = path.name
     with path.open("rb") as stream:
@@ -32,7 +32,7 @@ def read_trc(path: Path, options: TakeOptions) -> RawTake:
         if len(heading) < HEADING:
             raise truncated_error(file, f"its heading has {HEADING} lines, found {len(heading)}")
         separator = "\t" if "\t" in heading[3].text else None
-        said = dict(
+        fields = dict(
             zip(
                 (name.lower() for name in split_row(heading[1].text, separator)),
                 split_row(heading[2].text, separator),
@@ -43,7 +43,7 @@ def read_trc(path: Path, options: TakeOptions) -> RawTake:
         names = _names(file, heading[3], separator, count)
         columns = range(2, 2 + 3 * count)
         table = read_table(file, lines, separator, columns, 2 + 3 * count, options)
-    about = Heading(*map(said.get, ("numframes", "datarate", "units", "nummarkers")))
+    about = Heading(*map(fields.get, ("numframes", "datarate", "units", "nummarkers")))
     return finish_table(file, names, table, about, options)
 
 
