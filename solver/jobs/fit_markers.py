@@ -35,9 +35,8 @@ from solver.rig.frames import sequence_report, write_sequence
 from solver.rig.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
 from solver.scans.markers.bind import bind, count_tracks
-from solver.scans.markers.bound_take import BoundTake
 from solver.scans.markers.faults import find_faults
-from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.take import Take, read_take
 from solver.templates.builtin.build import builtin_template
 

@@ -24,7 +24,7 @@ from solver.mechanics.jaw_tracks import nearest_jaw
 from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
 from solver.rig.marker_view import MarkerView
-from solver.scans.markers.bound_take import BoundTake
+from solver.scans.markers.marker_set import BoundTake
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats
 

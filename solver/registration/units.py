@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from solver.errors import Finding, InputError, Severity
+from solver.errors import Finding, InputError, advise
 from solver.model import SIZE_WORDS, SizeFrom
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}  # name -> mm
@@ -241,12 +241,12 @@ def unit_findings(
                 f"Read {source}, the face in {file} would be {off}; a person's face has its size "
                 f"at about {unit.mm_per_unit:.3g} mm a unit."
             )
-            return [_finding("scan.scale", "error", message, figures)]
+            return [advise(ADVICE, "scan.scale", "error", message, **figures)]
         message = (
             f"{file}: {SIZE_WORDS['template']}. "
             f"Read {source}, the face would be {off}, and no other unit fits."
         )
-        return [_finding("scan.unit_unknown", "warning", message, figures)]
+        return [advise(ADVICE, "scan.unit_unknown", "warning", message, **figures)]
     if unit.source == "found" and given:
         said = frame["unit"] if isinstance(frame["unit"], str) else f"{given:g} mm a unit"
         message = f"You gave {said}: the face would be {off}; it fits {unit.words}: {size.words}."
@@ -255,14 +255,10 @@ def unit_findings(
         return [Finding("scan.scale", "error", message, advice, figures)]
     if unit.source == "found":
         message = f"Read {source}, the face would be {off}; it fits {unit.words}: {size.words}."
-        return [_finding("scan.scale", "warning", message, figures)]
+        return [advise(ADVICE, "scan.scale", "warning", message, **figures)]
     if size.is_unusual():
         message = f"{file}, read {unit.words}, has a face of an unusual size: {size.words}."
         # a distance that was measured wrongly says as little as no unit
         is_sure = unit.source not in ("assumed", "eyes") and size.is_a_persons()
-        return [_finding("scan.size", "info" if is_sure else "warning", message, figures)]
+        return [advise(ADVICE, "scan.size", "info" if is_sure else "warning", message, **figures)]
     return []
-
-
-def _finding(code: str, severity: Severity, message: str, figures: dict[str, Any]) -> Finding:
-    return Finding(code, severity, message, ADVICE[code], figures)

@@ -1,4 +1,4 @@
-"""Where the markers of a take sit on a person: the marker set of a session.
+"""Binding: a session's marker set by the places of a take's markers on a person.
 
 The labels of one face are chosen (``choose_face``), and that face at rest is found on the person
 (``locate_take``, ``locate.py``). Each marker is then bound where it lies: to the skin with a height
@@ -16,21 +16,22 @@ from scipy.sparse.csgraph import connected_components
 from solver.anatomy.embedding import barycentric
 from solver.errors import InputError
 from solver.model import SubjectModel
+from solver.registration.search import nose_tip
 from solver.registration.units import likely_unit
 from solver.scans.markers.faults import Faults, find_faults
-from solver.scans.markers.locate import Located, heights_over, locate, nose_tip
-from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, raised
+from solver.scans.markers.locate import Located, heights_over, locate
+from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, places_over
 from solver.scans.markers.motion import Mask, Motion, median_of_seen
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
 from solver.surface import Floats, Ints, Surface, area_normals, unit_rows
 
-USUAL_RATE = 60.0  # frames a second, where a take does not say
+USUAL_RATE = 60.0  # frames a second, where a take has none
 
 
 @dataclass(frozen=True)
 class BindOptions:
-    """Which labels are of one face, and what a marker is bound to; lengths in mm."""
+    """Limits of one face, and of what a marker is bound to; lengths in mm."""
 
     most: int = 400  # markers: pairs of them are compared
     least: int = 4  # labels on a face; with fewer, tracks without one count as such
@@ -59,7 +60,7 @@ class FaceTake:
     dead: Ints  # labels that are never seen
     names: tuple[Named | None, ...]  # (n,) places by the face's labels
     mm: float  # a unit of the take, by how far neighbours lie apart
-    rate: float  # frames a second; the usual where the take does not say
+    rate: float  # frames a second; the usual where the take has none
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -83,7 +84,7 @@ class LocatedTake:
         return len(self.points) - sum(len(group) - 1 for group in self.faults.doubles)
 
     @property
-    def placed(self) -> Floats | None:
+    def places(self) -> Floats | None:
         """Return the markers at rest (n, 3) in the person's frame."""
         return None if self.pose is None else self.pose.session(self.points)
 
@@ -232,7 +233,7 @@ def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[i
 
 @dataclass(frozen=True)
 class NeutralOptions:
-    """What makes frames a neutral; lengths in mm."""
+    """How a neutral is judged; lengths in mm."""
 
     seconds: float = 1.0
     away: float = 0.05  # of unrest that a mm away from the median face counts as
@@ -249,10 +250,10 @@ def find_neutral(
     frames = len(motion.places)
     window = int(np.clip(round(options.seconds * rate) if rate > 0 else 1, 1, frames))
     seen = np.isfinite(motion.places[..., 0])
-    moved = np.nan_to_num(motion.places - motion.middle)
+    change = np.nan_to_num(motion.places - motion.middle)
     count = np.maximum(_sums(seen.astype(float), window), 1.0)
-    mean = _sums(moved, window) / count[..., None]
-    unrest = np.maximum(_sums((moved**2).sum(axis=2), window) / count - (mean**2).sum(axis=2), 0.0)
+    mean = _sums(change, window) / count[..., None]
+    unrest = np.maximum(_sums((change**2).sum(axis=2), window) / count - (mean**2).sum(axis=2), 0.0)
     away = np.linalg.norm(mean, axis=2)
     known = np.maximum((count > window / 2).sum(axis=1), 1)
     cost = np.sqrt((unrest * (count > window / 2)).sum(axis=1) / known)
@@ -324,7 +325,7 @@ def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:
     weights /= weights.sum(axis=1, keepdims=True)
     over = point - np.einsum("tc,tci->ti", weights, corners)
     heights = np.einsum("ti,ti->t", over, normals)
-    missed = raised(corners, weights, heights) - point
+    missed = places_over(corners, weights, heights) - point
     best = int(np.argmin(np.linalg.norm(missed, axis=1) + np.linalg.norm(over, axis=1)))
     (first, second, third), (one, two, three) = faces[best].tolist(), weights[best].tolist()
     vertices, height = (first, second, third), float(heights[best])
@@ -336,6 +337,6 @@ def rest_places(markers: MarkerSet, skin: Surface) -> Floats:
 
     Those that are to be ignored, and have no place, are NaN.
     """
-    on_skin = raised(skin.vertices[markers.vertices], markers.weights, markers.heights)
+    on_skin = places_over(skin.vertices[markers.vertices], markers.weights, markers.heights)
     is_face = np.array([each.part == "face" for each in markers.markers], bool)
     return np.where(is_face[:, None], on_skin, markers.places)

@@ -88,7 +88,7 @@ def test_axes_units_and_rates_are_found_and_told(
     assert {each.code for each in check.findings} == codes
     assert check.located is not None
     places = rest_places(check.bound, person.face)
-    assert np.linalg.norm(check.located.placed - places, axis=1).max() < 0.6
+    assert np.linalg.norm(check.located.places - places, axis=1).max() < 0.6
     assert check.figures["off_skin_mm"] < 0.5
 
 
@@ -263,9 +263,9 @@ def test_a_fit_has_bound_markers_where_they_were_seen(clean: Floats) -> None:
     model = small_model()
     located = locate_take(choose_face(made_take(clean)), model_face(model))
     markers = bind(made_take(clean), model).markers
-    off = MarkerPlaces(model, markers.markers).at(model.rest) - located.placed
+    off = MarkerPlaces(model, markers.markers).at(model.rest) - located.places
     assert np.linalg.norm(off, axis=1).mean() < 0.2  # over an edge a normal misses the point
-    np.testing.assert_allclose(rest_places(markers, model.skin), off + located.placed, atol=1e-6)
+    np.testing.assert_allclose(rest_places(markers, model.skin), off + located.places, atol=1e-6)
 
 
 # Real takes: nothing is told of them, whoever checks.
