@@ -100,6 +100,13 @@ def test_three_markers_are_too_few(person: Reference, clean: Floats) -> None:
     assert judge_findings(check.findings) == "bad"
 
 
+@pytest.mark.parametrize("labels", [LABELS[:3], ("C7", "LSHO", "RSHO", "STRN", "LELB")])
+def test_no_set_is_made_of_too_few_markers(clean: Floats, labels: tuple[str, ...]) -> None:
+    with pytest.raises(InputError) as caught:
+        bind(made_take(clean[:100, : len(labels)], labels), small_model())
+    assert caught.value.code == "markers.few"
+
+
 def test_more_markers_than_a_face_has_are_refused_before_pairs_are_made(person: Reference) -> None:
     labels = tuple(f"M{number}" for number in range(10_000))
     take = made_take(np.random.default_rng(0).normal(0.0, 60.0, (3, 10_000, 3)), labels)
