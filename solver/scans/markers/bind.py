@@ -109,15 +109,21 @@ def bind(
     Without these the stillest second is taken. Raises :class:`InputError`: ``markers.few``, not
     enough of them are seen in these frames, or ``markers.too_large``.
     """
-    skin = model_face(model)
-    located = locate_take(choose_face(take, options), skin, neutral, options)
+    skin, face = model_face(model), choose_face(take, options)
+    if len(face.numbers) < options.least:
+        raise _few_error(take.file, len(face.numbers), "on the face", options)
+    located = locate_take(face, skin, neutral, options)
     if located.pose is None:
         seen = int(np.isfinite(located.points[:, 0]).sum())
-        message = f"{take.file}: {seen} markers are seen at rest, {options.least} are needed"
-        raise InputError("markers.few", message, file=take.file, found=seen)
-    markers = place_markers(located.face, located.pose.session(located.points), skin, options)
+        raise _few_error(take.file, seen, "seen at rest", options)
+    markers = place_markers(face, located.pose.session(located.points), skin, options)
     bound = MarkerSet(markers, located.pose.session, model.sha256)
     return Binding(bound, located.pose, located.neutral)
+
+
+def _few_error(file: str, found: int, where: str, options: BindOptions) -> InputError:
+    message = f"{file}: {found} markers are {where}, {options.least} are needed"
+    return InputError("markers.few", message, file=file, found=found)
 
 
 # The labels of one face.

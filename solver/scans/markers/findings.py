@@ -42,7 +42,7 @@ ADVICE = {
     "markers.swapped": "Exchange the two labels in these frames, or go on: the fit does.",
     "markers.relabelled": "Give the track the other label in these frames, or go on: the fit does.",
     "markers.exchanged": "Exchange the two labels in the whole take.",
-    "markers.moved": "Bind the take a second time from this frame on: the marker sits elsewhere.",
+    "markers.moved": "Nothing to do: the fit places it anew from then on. Bind later takes again.",
     "markers.outlier": "Nothing to do: the fit leaves these frames of the label out.",
     "markers.ghost": "Nothing to do: a reflection took the label, and is left out.",
     "markers.wrong": "Clean the take, or take it again: too much of it is wrong.",
