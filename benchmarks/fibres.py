@@ -4,7 +4,7 @@ Figures by key: ``fibre`` has the mean distance to training and unseen scans of 
 of the template's (``uncalibrated``) and of six numbers a muscle (``blended``), and expressions with
 the whole curves ``exaggerated`` 2 and 4 times: flesh in contact, the worst expression, and
 ``motion_ratio``, the least over the expressions of the skin's motion by muscles (the jaw's own
-apart) over that at 1. ``round_trip.fibre`` are random activations that the skin alone tells again,
+apart) over that at 1. ``round_trip.fibre`` are random activations, fitted again to the skin alone,
 as it is and with 0.3 mm of noise on every point. ``speed`` is of frames of a take of markers; with
 ``--large`` also that of S in 370,000 tets.
 """
@@ -107,7 +107,7 @@ def run(options: argparse.Namespace) -> Figures:
     person = _person(options)
     plain = Face(person.model, material=MOONEY_RIVLIN, linear=fastest())
     rounds = options.rounds or (QUICK_ROUNDS if options.quick else ROUNDS)
-    muscles, seconds = _calibrated(plain, person, rounds, options.muscles)
+    muscles, seconds = _calibrate(plain, person, rounds, options.muscles)
     face = with_fibres(plain, muscles)
     found: Figures = {
         "tets": len(person.model.tets),
@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> Figures:
     if "exaggerated" in options.only:
         fits = _fits(face, {name: scans[name] for name in options.exaggerated.split(",")})
         poses = {name: state.pose for name, state in fits.items()}
-        found.setdefault("fibre", {})["exaggerated"] = exaggerated(person.model, muscles, poses)
+        found.setdefault("fibre", {})["exaggerated"] = exaggerate(person.model, muscles, poses)
     if "speed" in options.only:
         found["speed"] = _speed(face, options)
         log.info("speed: %s", found["speed"])
@@ -150,7 +150,7 @@ def _targets(model: SubjectModel, scans: Mapping[str, Surface]) -> dict[str, Tar
     return {name: Target.from_points(scan.vertices[model.face]) for name, scan in scans.items()}
 
 
-def _calibrated(
+def _calibrate(
     plain: Face, person: Person, rounds: int, path: Path | None
 ) -> tuple[FibreMuscles, float | None]:
     """Return muscles calibrated to the training scans, and the seconds it took."""
@@ -188,7 +188,7 @@ def _quality(plain: Face, person: Person, fits: Mapping[str, PosedFace]) -> Figu
     """Return the distances to all scans by calibrated, the template's and blended muscles."""
     targets = _targets(plain.model, {**person.train, **person.test})
     template = _fits(with_fibres(plain, fibre_muscles(plain)), {**person.train, **person.test})
-    blended = _blended(person)
+    blended = _fit_blended(person)
     by_kind = {
         "calibrated": {name: plain.face_points(state.x) for name, state in fits.items()},
         "uncalibrated": {name: plain.face_points(state.x) for name, state in template.items()},
@@ -226,7 +226,7 @@ def _quality(plain: Face, person: Person, fits: Mapping[str, PosedFace]) -> Figu
     }
 
 
-def _blended(person: Person) -> dict[str, Floats]:
+def _fit_blended(person: Person) -> dict[str, Floats]:
     """Return the face's points (k, 3) of all scans as S fits them."""
     face = Face(person.model, linear=fastest())
     if person.rig is None:
@@ -239,7 +239,7 @@ def _blended(person: Person) -> dict[str, Floats]:
     return trained | {name: face.face_points(state.x) for name, state in test.states.items()}
 
 
-def exaggerated(
+def exaggerate(
     model: SubjectModel, muscles: FibreMuscles, poses: Mapping[str, Pose], steps: int = 5
 ) -> Figures:
     """Return what whole curves times 2 and 4 make of expressions, in contact."""
@@ -255,7 +255,7 @@ def exaggerated(
             potentials = contact_potentials(model, factor * plain.flesh.material.mu)
             density = np.full(len(model.tets), 1e-3)
             simulator = Simulator(face, potentials, [], dynamic=False, density=density)
-            found[str(factor)][name] = _played(face, simulator, gauge, pose, steps)
+            found[str(factor)][name] = _play(face, simulator, gauge, pose, steps)
             log.info("x %d %s: %s", factor, name, found[str(factor)][name])
     out: Figures = {"neutral_penetration_mm": neutral, "expressions": found}
     for factor in FACTORS[1:]:
@@ -275,7 +275,7 @@ def exaggerated(
     return out
 
 
-def _played(face: Face, simulator: Simulator, gauge: Gauge, pose: Pose, steps: int) -> Figures:
+def _play(face: Face, simulator: Simulator, gauge: Gauge, pose: Pose, steps: int) -> Figures:
     """Return what flesh does on its way to a pose, and where it ends."""
     drives = [
         Drive(float(number), pose.a * (number / steps), pose.b * (number / steps), STILL, ())

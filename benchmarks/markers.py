@@ -46,8 +46,7 @@ from solver.rig.preview.live import LiveTracker
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.live_link import read_live_link
 from solver.scans.markers.bind import bind
-from solver.scans.markers.bound_take import BoundTake
-from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.take import read_take
 from solver.similarity import IDENTITY
 from solver.surface import Floats

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -81,6 +81,13 @@ class Finding:
         given = {"severity": "warning", "advice": "", **values}
         named = {key: given.pop(key) for key in ("code", "severity", "message", "advice")}
         return cls(**named, context=given)
+
+
+def advise(
+    advice: Mapping[str, str], code: str, severity: Severity, message: str, **context: Any
+) -> Finding:
+    """Return a finding with the ``advice`` that belongs to its code."""
+    return Finding(code, severity, message, advice[code], context)
 
 
 def judge_findings(findings: Iterable[Finding]) -> Verdict:

@@ -140,6 +140,9 @@ def _axes(direction: Floats) -> Floats:
 Pixels = NDArray[np.float32]
 
 
+LAMP = np.array([0.35, 0.45, 0.82])  # where it is: right of the camera, above, behind it
+
+
 @dataclass(frozen=True)
 class Camera:
     """A camera that looks at ``centre`` (3,) from ``distance`` mm.
@@ -159,6 +162,10 @@ class Camera:
         """Return rows right, up and backward (3, 3), unit vectors."""
         sy, cy, sp, cp = np.sin(self.yaw), np.cos(self.yaw), np.sin(self.pitch), np.cos(self.pitch)
         return np.array([[cy, 0.0, -sy], [-sy * sp, cp, -cy * sp], [sy * cp, sp, cy * cp]])
+
+    def brightness(self, normals: Floats) -> Floats:
+        """Return how much light (n,), 0 to 1, falls on unit normals from a lamp by the camera."""
+        return np.asarray(np.abs(normals @ (self.axes.T @ LAMP)))
 
     def project(self, points: Floats, width: int, height: int) -> Floats:
         """Return pixel column, pixel row and depth in mm of points (n, 3)."""

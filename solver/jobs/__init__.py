@@ -80,9 +80,9 @@ def _read_options(kind: Kind, given: Mapping[str, Any]) -> JobOptions:
         first, known = error.faults[0], sorted(kind.options.model_fields)
         option = str(first.path[0]) if first.path else ""
         where = first.where.removeprefix("options.")
-        told = f"{where}: {first.message}"
+        words = f"{where}: {first.message}"
         if option == "scene":
-            raise InputError("scene.schema", told, where=where) from error
+            raise InputError("scene.schema", words, where=where) from error
         if option not in known:
-            raise InputError("options.unknown", told, expected=known) from error
-        raise InputError(f"options.{option}", told) from error
+            raise InputError("options.unknown", words, expected=known) from error
+        raise InputError(f"options.{option}", words) from error

@@ -52,7 +52,7 @@ def run(task: Task[CheckMarkers]) -> list[Path]:
         found = MarkerCheck([Finding(error.code, "error", error.message, advice, error.context)])
     if "rig" in task.inputs and found.bound is not None:
         progress(Step("muscles", 0.5))
-        _tell_reach(task, found)
+        _report_reach(task, found)
     judged = judge_findings(found.findings)
     progress(Step("pictures", 0.8))
     files = [task.out / "check.json", task.out / "check.png"]
@@ -97,8 +97,8 @@ def _expression(task: Task[CheckMarkers], name: str) -> ExpressionFit:
     return known[name]
 
 
-def _tell_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
-    """Add what the markers tell of the rig's muscles, and where one more would help most."""
+def _report_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
+    """Add the rig's muscles that the markers determine, and where one more would help most."""
     assert check.bound is not None
     rig = Rig.load(task.inputs)
     face = Face(rig.model, rig.weights, linear=fastest())
@@ -106,9 +106,9 @@ def _tell_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
     found = reach(face, markers, _prior(task, rig, face))
     names = rig.model.muscle_names
     known = rest_places(replace(check.bound, markers=tuple(markers)), rig.model.skin)
-    check.figures |= {"muscles": len(names), "muscles_told": found.known_muscles}
-    words = f"{len(markers)} markers tell of {found.known_muscles} of {len(names)} muscles"
-    told = {
+    check.figures |= {"muscles": len(names), "muscles_determined": found.known_muscles}
+    words = f"{len(markers)} markers determine {found.known_muscles} of {len(names)} muscles"
+    information = {
         name: round(float(each), 3) for name, each in zip(names, found.information, strict=True)
     }
     further = []
@@ -127,7 +127,7 @@ def _tell_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
     first = further[0]
     where = f"{first['beside_mm']:.0f} mm beside {first['beside']}"
     message = f"{words}; one more would help most {where}: {' and '.join(first['muscles'])}."
-    add(check, "markers.reach", "info", message, information=told, further=further)
+    add(check, "markers.reach", "info", message, information=information, further=further)
 
 
 def _prior(task: Task[CheckMarkers], rig: Rig, face: Face) -> GaussianPrior:

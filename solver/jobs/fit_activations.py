@@ -42,14 +42,14 @@ def run(task: Task[FitActivations]) -> list[Path]:
     scans = read_scans(subject, task.captures)
     face = Face(subject, parent.weights, linear=given.linear_solver or fastest())
     check_held(face)
-    told = WarningLog(subject, progress)
+    log = WarningLog(subject, progress)
     oddities = find_oddities(face, scans)
     for fit in carried:
         if fit.name in scans:
             oddities += check_replaced(subject, fit.name, fit.target, scans[fit.name])
     if given.solver == "ipopt":
         oddities += fallback.warn_of_slowness(face)
-    told.tell(0.02, oddities)
+    log.warn(0.02, oddities)
     regulariser = unseen_regulariser(face)
     stop = replace(UNSEEN_STOP, max_iterations=given.max_iterations)
     targets = Targets(subject, given.distance).of_scans(scans)
@@ -67,7 +67,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
         spent = time.perf_counter() - start
         expression = describe_fit(face, name, "test", scan, targets[name], found, spent)
         done = 0.02 + 0.48 * (number + 1) / len(scans)
-        fitted.append(told.about(expression, done, found.notices))
+        fitted.append(log.about(expression, done, found.notices))
     refuse_failures(fitted)
     kept = [fit for fit in carried if fit.name not in scans]
     settings = {**UNSEEN, **asdict(stop), **given.model_dump(include={"distance", "solver"})}
@@ -76,7 +76,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     together = [fit.seconds for fit in trained]
     seconds = {"geometry": sum(together)} if together else {}
     seconds["activations"] = time.perf_counter() - begin
-    whole = Rig(subject, face.S, (*kept, *fitted), seconds, told.general)
+    whole = Rig(subject, face.S, (*kept, *fitted), seconds, log.general)
     same = not any(fit.name in scans for fit in trained)
     information = known_information(parent) if same else None
     return leave_rig(face, whole, settings, task.out, part_of(progress, 0.5), information)

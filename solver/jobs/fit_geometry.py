@@ -54,7 +54,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
         priors["start"] = transfer(start.weights, start.model, subject)
     if given.symmetry > 0.0:
         priors["structure"] = mirror_structure(subject, given.symmetry)
-    told = WarningLog(subject, progress)
+    log = WarningLog(subject, progress)
     oddities = find_oddities(face, scans)
     if len(scans) == 1:
         message = (
@@ -62,12 +62,12 @@ def run(task: Task[FitGeometry]) -> list[Path]:
             "little of others; use three or more that differ"
         )
         oddities.append(make_warning("fit.one_target", message))
-    told.tell(0.02, oddities)
+    log.warn(0.02, oddities)
     targets = Targets(subject, given.distance).of_scans(scans)
     begin = time.perf_counter()
     if given.solver == "ipopt":
         fitted, notices = _geometry_by_ipopt(face, targets, schedule, priors, progress)
-        told.tell(0.8, notices)
+        log.warn(0.8, notices)
     else:
         fitted = _geometry(face, targets, schedule, priors, progress)
     seconds = time.perf_counter() - begin
@@ -75,10 +75,10 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     for name, ending in fitted.endings.items():
         spent, scan = seconds / len(targets), scans[name]
         expression = describe_fit(face, name, "train", scan, targets[name], ending, spent)
-        expressions.append(told.about(expression, 0.8, ending.notices))
+        expressions.append(log.about(expression, 0.8, ending.notices))
     refuse_failures(expressions)
     settings = asdict(schedule) | given.model_dump(include={"symmetry", "distance", "solver"})
-    rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, told.general)
+    rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, log.general)
     return leave_rig(face, rig, settings, task.out, part_of(progress, 0.8))
 
 

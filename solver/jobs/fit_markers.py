@@ -34,10 +34,10 @@ from solver.progress import Step
 from solver.rig.frames import sequence_report, write_sequence
 from solver.rig.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
-from solver.scans.markers.bind import bind, count_tracks
-from solver.scans.markers.bound_take import BoundTake
+from solver.scans.markers.bind import bind, count_tracks, model_face
 from solver.scans.markers.faults import find_faults
-from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.marker_set import BoundTake, MarkerSet
+from solver.scans.markers.moved import split_moved
 from solver.scans.markers.take import Take, read_take
 from solver.templates.builtin.build import builtin_template
 
@@ -96,7 +96,10 @@ def run(task: Task[FitMarkers]) -> list[Path]:
 
 
 def _bound(task: Task[FitMarkers], take: Take, model: SubjectModel, rate: float) -> BoundTake:
-    """Return the take read by its marker set; what stands still or was drawn is missing."""
+    """Return the take read by its marker set; what stands still or was drawn is missing.
+
+    A marker that moved is another one from then on.
+    """
     given_set = task.inputs.get("marker_set")
     markers = bind(take, model).markers if given_set is None else MarkerSet.load(given_set)
     if markers.model_sha256 != model.sha256:
@@ -106,7 +109,10 @@ def _bound(task: Task[FitMarkers], take: Take, model: SubjectModel, rate: float)
     positions = take.positions.copy()
     for span in faults.of("frozen", "filled"):
         positions[span.first : span.last + 1, span.marker] = np.nan
-    return BoundTake(replace(take, positions=positions), markers, OPTIONS.least)
+    take, markers = split_moved(
+        replace(take, positions=positions), markers, faults, model_face(model)
+    )
+    return BoundTake(take, markers, OPTIONS.least)
 
 
 def _face(task: Task[FitMarkers], rig: Rig) -> tuple[Face, tuple[str, ...], list[Finding]]:

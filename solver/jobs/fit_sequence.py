@@ -6,7 +6,6 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from solver.jobs.fits import Targets
 from solver.jobs.sequences import (
     DECIMALS,
     UNLIKE_MM,
+    FrameFitter,
     distance_figures,
     fit_frames,
     frame_numbers,
@@ -188,13 +188,8 @@ CHUNKS = ChunkOptions(frames=30)
 MOST_SHOTS = 6  # frames in the picture
 
 
-class PerformanceFitter:
-    """Fits and draws frames ``numbers``: a :class:`~.sequences.FrameFitter`.
-
-    All are drawn as a skin, a few as a shot.
-    """
-
-    whole_files = False
+class PerformanceFitter(FrameFitter[SequenceFrame]):
+    """Fits and draws frames ``numbers``: all as a skin, a few as a shot."""
 
     def __init__(self, source: Performance, follower: Follower, numbers: range) -> None:
         self.chunks = CHUNKS
@@ -226,13 +221,6 @@ class PerformanceFitter:
         self.skin.add(frame, self._follower.skin())
         if position in self._shown and frame.status == "fitted":
             self.shots.append(self._follower.shot(frame))
-
-    def beside(self, _last: SequenceFrame) -> dict[str, Any]:
-        """See :class:`~.sequences.FrameFitter`."""
-        return {}
-
-    def begin_file(self) -> None:
-        """See :class:`~.sequences.FrameFitter`; frames go on from each other."""
 
 
 def run(task: Task[FitSequence]) -> list[Path]:

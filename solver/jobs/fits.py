@@ -28,7 +28,7 @@ from solver.surface import Floats, Ints, Surface, vertex_normals
 
 
 def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str, RegisteredScan]:
-    """Read registered scans; what is wrong with any is told at once, so that all can be mended."""
+    """Read registered scans; faults of all are raised at once, so that all can be mended."""
     if not captures:
         raise InputError("fit.no_captures", "a fit needs at least one expression scan")
     skin = subject.skin
@@ -168,7 +168,7 @@ def _normals(points: Floats, triangles: Ints) -> Floats:
     return normals
 
 
-# The warnings of a job: told while it runs, and kept for its report.
+# The warnings of a job: sent while it runs, and kept for its report.
 
 
 class WarningLog:
@@ -179,17 +179,17 @@ class WarningLog:
         self._progress = progress
         self._notices: list[Finding] = []
 
-    def tell(self, fraction: float, notices: Iterable[Finding]) -> None:
-        """Tell notices when ``fraction`` of the job is done."""
+    def warn(self, fraction: float, notices: Iterable[Finding]) -> None:
+        """Send notices as warnings when ``fraction`` of the job is done."""
         for notice in notices:
             self._notices.append(notice)
             self._progress(Step("warning", fraction, message=notice.message))
 
     def about(self, fit: ExpressionFit, fraction: float, solve: Iterable[Finding]) -> ExpressionFit:
-        """Return a fit with all that was told of it, what its solve says and what it leaves."""
+        """Return a fit with the notices of it, of its ``solve`` and of what it leaves."""
         own = {"expression": fit.name}
-        self.tell(fraction, [replace(each, context={**own, **each.context}) for each in solve])
-        self.tell(fraction, after_fit(self._model, fit.name, fit.error_mm))
+        self.warn(fraction, [replace(each, context={**own, **each.context}) for each in solve])
+        self.warn(fraction, after_fit(self._model, fit.name, fit.error_mm))
         mine = [each for each in self._notices if each.context.get("expression") == fit.name]
         return replace(fit, notices=tuple(mine))
 

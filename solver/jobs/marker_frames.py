@@ -18,13 +18,13 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior
 from solver.fitting.markers.tracker import MarkerFit, MarkerMemory, MarkerTracker
-from solver.jobs.sequences import DECIMALS, distance_figures
+from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
 from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
 from solver.mechanics.jaw_tracks import nearest_jaw
 from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
 from solver.rig.marker_view import MarkerView
-from solver.scans.markers.bound_take import BoundTake
+from solver.scans.markers.marker_set import BoundTake
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats
 
@@ -44,8 +44,8 @@ class TakeDrawing:
         self.view.add(frame, places.at(x), self._source.points(frame.frame))
 
 
-class TakeFitter:
-    """Fits frames of a take: a :class:`~.sequences.FrameFitter`.
+class TakeFitter(FrameFitter[MarkerFrame]):
+    """Fits frames of a take.
 
     Each file of frames holds what the next begins with, so that a job that was killed comes to the
     same. ``about`` describes what the frames are of, which a later attempt has to agree with.
@@ -103,7 +103,7 @@ class TakeFitter:
         """See :class:`~.sequences.FrameFitter`."""
         self._drawing.add(frame, self._tracker.tracker.state.x)
 
-    def beside(self, _last: MarkerFrame) -> dict[str, Any]:
+    def beside(self) -> dict[str, Any]:
         """See :class:`~.sequences.FrameFitter`: all that the next frame begins with, exactly."""
         state, memory = self._tracker.tracker.state, self._tracker.memory
         assert memory is not None, "a frame was fitted"

@@ -27,8 +27,8 @@ class FrameFitter(Protocol[Fitted]):
     """Fits frames in their order, each from the one before; its face is as in the last."""
 
     chunks: ChunkOptions
-    # a file of frames ends where it is full, not where a job breaks off: the next begins with it
-    whole_files: bool
+    # whether a file of frames ends only where it is full, and not where a job breaks off
+    whole_files: bool = False
 
     def read(self, folder: Path) -> list[Fitted]:
         """Return the frames that an earlier attempt left."""
@@ -42,11 +42,13 @@ class FrameFitter(Protocol[Fitted]):
     def show(self, frame: Fitted, position: int) -> None:
         """Draw a frame, the face being there."""
 
-    def beside(self, last: Fitted) -> Mapping[str, Any]:
-        """Return what a file holds beside its frames, of which ``last`` is the last."""
+    def beside(self) -> Mapping[str, Any]:
+        """Return what a file holds beside its frames, the face being in the last."""
+        return {}
 
     def begin_file(self) -> None:
-        """Go on from what the last file of frames holds."""
+        """Go on from what the last file of frames holds, where that is more than frames."""
+        return
 
 
 def fit_frames(task: Task[Any], numbers: range, fitter: FrameFitter[Fitted]) -> list[Fitted]:
@@ -71,7 +73,7 @@ def fit_frames(task: Task[Any], numbers: range, fitter: FrameFitter[Fitted]) -> 
         progress(Step("frames", _part(position + 1, len(numbers)), message=words))
     if done:
         fitter.begin_file()
-    writer = ChunkWriter[Fitted](folder, len(done), fitter.chunks, fitter.beside)
+    writer = ChunkWriter[Fitted](folder, len(done), fitter.chunks, lambda _last: fitter.beside())
     try:
         for position in range(len(done), len(numbers)):
             frame = fitter.fit(numbers[position])

@@ -93,11 +93,16 @@ class FacePoints:
         return FacePoints(self.points[chosen], self.normals[chosen], self.tip, self.forward)
 
 
-def face_points(face: Surface, options: SearchOptions = SEARCH) -> FacePoints:
-    """Return points spread over ``face``, whose foremost point is taken for the nose tip."""
-    samples = sample(face.vertices, face.faces, None, FACE_SAMPLES)
+def nose_tip(face: Surface) -> Floats:
+    """Return the foremost point (3,) of a face, which is taken for the tip of its nose."""
     used = face.vertices[np.unique(face.faces)]
-    tip = used[np.argmax(used[:, 2])]
+    return np.asarray(used[np.argmax(used[:, 2])])
+
+
+def face_points(face: Surface, options: SearchOptions = SEARCH) -> FacePoints:
+    """Return points spread over ``face``."""
+    samples = sample(face.vertices, face.faces, None, FACE_SAMPLES)
+    tip = nose_tip(face)
     near = np.linalg.norm(samples.points - tip, axis=1) < options.tip_radius
     forward = unit_rows(samples.normals[near].mean(axis=0))
     return FacePoints(samples.points, samples.normals, tip, forward)

@@ -8,13 +8,13 @@ estimates.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from solver.errors import Finding, InputError, Severity
+from solver.errors import Finding, InputError, advise
 from solver.model import SIZE_WORDS, SizeFrom
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}  # name -> mm
@@ -187,6 +187,14 @@ def candidate_scales(
     return [scales for scales in rounds if scales]
 
 
+def likely_unit(
+    size: float, bounds: tuple[float, float], units: Iterable[float] = (1.0, *UNITS.values())
+) -> float | None:
+    """Return the first of ``units``, in mm, by which a size is within ``bounds``; None if none."""
+    low, high = bounds
+    return next((mm for mm in units if low <= mm * size <= high), None)
+
+
 def choose_unit(
     scale: float, given: float | None, declared: float | None, options: UnitOptions = UNIT_OPTIONS
 ) -> ScanUnit:
@@ -203,8 +211,8 @@ def choose_unit(
     others = [*UNITS.values(), *(factor * first for factor in options.slips)]
     if not given:  # what contradicts a given unit may be a child's face, what is guessed may not
         low, high = 1.0 - options.unusual, 1.0 + options.unusual
-    fitting = [mm for mm in others if low <= mm / scale <= high]
-    return ScanUnit(fitting[0], "found") if fitting else ScanUnit(scale, "template")
+    unit = likely_unit(1.0 / scale, (low, high), others)
+    return ScanUnit(scale, "template") if unit is None else ScanUnit(unit, "found")
 
 
 def unit_findings(
@@ -233,12 +241,12 @@ def unit_findings(
                 f"Read {source}, the face in {file} would be {off}; a person's face has its size "
                 f"at about {unit.mm_per_unit:.3g} mm a unit."
             )
-            return [_finding("scan.scale", "error", message, figures)]
+            return [advise(ADVICE, "scan.scale", "error", message, **figures)]
         message = (
             f"{file}: {SIZE_WORDS['template']}. "
             f"Read {source}, the face would be {off}, and no other unit fits."
         )
-        return [_finding("scan.unit_unknown", "warning", message, figures)]
+        return [advise(ADVICE, "scan.unit_unknown", "warning", message, **figures)]
     if unit.source == "found" and given:
         said = frame["unit"] if isinstance(frame["unit"], str) else f"{given:g} mm a unit"
         message = f"You gave {said}: the face would be {off}; it fits {unit.words}: {size.words}."
@@ -247,14 +255,10 @@ def unit_findings(
         return [Finding("scan.scale", "error", message, advice, figures)]
     if unit.source == "found":
         message = f"Read {source}, the face would be {off}; it fits {unit.words}: {size.words}."
-        return [_finding("scan.scale", "warning", message, figures)]
+        return [advise(ADVICE, "scan.scale", "warning", message, **figures)]
     if size.is_unusual():
         message = f"{file}, read {unit.words}, has a face of an unusual size: {size.words}."
         # a distance that was measured wrongly says as little as no unit
         is_sure = unit.source not in ("assumed", "eyes") and size.is_a_persons()
-        return [_finding("scan.size", "info" if is_sure else "warning", message, figures)]
+        return [advise(ADVICE, "scan.size", "info" if is_sure else "warning", message, **figures)]
     return []
-
-
-def _finding(code: str, severity: Severity, message: str, figures: dict[str, Any]) -> Finding:
-    return Finding(code, severity, message, ADVICE[code], figures)

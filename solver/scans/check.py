@@ -199,7 +199,6 @@ WIDTH, HEIGHT = 420, 520  # pixels of a view
 SUPERSAMPLING = 2  # pixels drawn for one that is kept, along each axis
 YAWS = (0.0, np.radians(42), np.radians(-42))  # of the views
 SPAN_MM = 330.0  # height of a view
-LIGHT = np.array([0.35, 0.45, 0.82])  # where it comes from
 GREY = np.array([0.80, 0.78, 0.76])  # skin
 INWARD = np.array([0.45, 0.52, 0.66])  # triangles that face inwards
 FAULT = np.array([0.93, 0.55, 0.10])  # spikes
@@ -284,7 +283,7 @@ def _draw_mesh(
     np.add.at(smooth, surface.faces.T, normals)
     normal = unit_rows(seen.interpolate(smooth).astype(np.float64))
     facing = normals[seen.triangle[mask]] @ camera.axes[2]
-    light = np.abs(normal @ (camera.axes.T @ LIGHT))
+    light = camera.brightness(normal)
     inward = facing < 0
     colour = np.where(inward[:, None], INWARD, GREY)
     shown = {SCANNED, INNER_SIDE} if inward.any() else {SCANNED}
@@ -305,7 +304,7 @@ def _draw_cloud(image: Floats, depth: Floats, camera: Camera, points: Floats) ->
     gap = float(np.median(KDTree(shown).query(shown[::7], k=2)[0][:, 1]))
     pixels = camera.project(shown, image.shape[1], image.shape[0])
     radius = round(2.0 * gap * image.shape[0] / camera.span)
-    light = np.abs(estimated_normals(shown, shown) @ (camera.axes.T @ LIGHT))
+    light = camera.brightness(estimated_normals(shown, shown))
     _draw_discs(image, depth, pixels, GREY * (0.25 + 0.75 * light[:, None]), radius)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
-from solver.errors import MOST_NAMES, Finding, InputError, Severity, quote
+from solver.errors import MOST_NAMES, Finding, InputError, Severity, advise, quote
 from solver.meshio.raw import WELDED_SHARE, Mending, RawScan
 from solver.registration.landmarks import match, read_landmarks
 from solver.registration.locate import Location
@@ -76,9 +77,7 @@ ADVICE = {
 }
 
 
-def make_finding(code: str, severity: Severity, message: str, **figures: Any) -> Finding:
-    """Return a finding about a scan with the advice that belongs to its code."""
-    return with_advice(Finding(code, severity, message, context=figures))
+make_finding = partial(advise, ADVICE)
 
 
 def with_advice(finding: Finding) -> Finding:

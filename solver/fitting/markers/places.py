@@ -16,17 +16,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from solver.anatomy.embedding import barycentric
 from solver.fitting.face import Face
 from solver.fitting.least_squares import StopOptions
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerOptions, MarkerTracker
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.sequence import TrackingOptions
-from solver.scans.markers.bind import model_face
+from solver.scans.markers.bind import model_face, place_on
 from solver.scans.markers.marker_set import Marker
 from solver.similarity import robust_motion
-from solver.surface import Floats, Surface, unit_rows
+from solver.surface import Floats, unit_rows
 
 
 @dataclass(frozen=True)
@@ -138,17 +137,3 @@ def triangle_axes(corners: Floats) -> Floats:
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal, along = unit_rows(np.cross(first, second)), unit_rows(first)
     return np.stack([along, np.cross(normal, along), normal], axis=2)
-
-
-def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:
-    """Return a marker moved to ``point`` (3,), on the nearest triangle of the ``skin``."""
-    triangle, shares, _ = barycentric(point[None], skin)
-    vertices = skin.faces[triangle[0]]
-    corners, shares = skin.vertices[vertices], np.clip(shares[0], 0.0, 1.0)
-    one, two, three = (shares / shares.sum()).tolist()
-    normal = triangle_axes(corners[None])[0, :, 2]
-    height = float((point - shares @ corners) @ normal)
-    first, second, third = vertices.tolist()
-    return replace(
-        marker, vertices=(first, second, third), weights=(one, two, three), height_mm=height
-    )

@@ -25,7 +25,7 @@ from solver.contact.mouth import Mandible
 from solver.fitting.information import inverse_of_positive
 from solver.fitting.objective import GramCurvature
 from solver.model import SubjectModel
-from solver.scans.markers.marker_set import BONY, Marker
+from solver.scans.markers.marker_set import BONY, Marker, places_over
 from solver.similarity import IDENTITY, Similarity, robust_motion, weighted_motion
 from solver.surface import Floats, skew
 
@@ -50,9 +50,7 @@ class MarkerPlaces:
 
     def at(self, x: Floats) -> Floats:
         """Return the markers' places (k, 3), mm."""
-        corners = self.corners(x)
-        places = np.einsum("ki,kix->kx", self.weights, corners)
-        return np.asarray(places + self.heights[:, None] * _normals(corners)[0])
+        return places_over(self.corners(x), self.weights, self.heights)
 
     def corners(self, x: Floats) -> Floats:
         """Return the corners of the markers' triangles (k, 3, 3)."""

@@ -1,4 +1,4 @@
-"""Where the markers of a take sit on a person: the marker set of a session.
+"""Binding: a session's marker set by the places of a take's markers on a person.
 
 The labels of one face are chosen (``choose_face``), and that face at rest is found on the person
 (``locate_take``, ``locate.py``). Each marker is then bound where it lies: to the skin with a height
@@ -9,26 +9,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import igl
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from solver.anatomy.embedding import barycentric
 from solver.errors import InputError
 from solver.model import SubjectModel
+from solver.registration.search import nose_tip
+from solver.registration.units import likely_unit
 from solver.scans.markers.faults import Faults, find_faults
-from solver.scans.markers.locate import Located, heights_over, locate, nose_tip
-from solver.scans.markers.marker_set import Marker, MarkerSet, Triple
+from solver.scans.markers.locate import Located, heights_over, locate
+from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, places_over
 from solver.scans.markers.motion import Mask, Motion, median_of_seen
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
-from solver.surface import Floats, Ints, Surface, unit_rows, vertex_normals
+from solver.surface import Floats, Ints, Surface, area_normals, unit_rows
 
-USUAL_RATE = 60.0  # frames a second, where a take does not say
+USUAL_RATE = 60.0  # frames a second, where a take has none
 
 
 @dataclass(frozen=True)
 class BindOptions:
-    """Which labels are of one face, and what a marker is bound to; lengths in mm."""
+    """Limits of one face, and of what a marker is bound to; lengths in mm."""
 
     most: int = 400  # markers: pairs of them are compared
     least: int = 4  # labels on a face; with fewer, tracks without one count as such
@@ -57,7 +60,7 @@ class FaceTake:
     dead: Ints  # labels that are never seen
     names: tuple[Named | None, ...]  # (n,) places by the face's labels
     mm: float  # a unit of the take, by how far neighbours lie apart
-    rate: float  # frames a second; the usual where the take does not say
+    rate: float  # frames a second; the usual where the take has none
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -81,7 +84,7 @@ class LocatedTake:
         return len(self.points) - sum(len(group) - 1 for group in self.faults.doubles)
 
     @property
-    def placed(self) -> Floats | None:
+    def places(self) -> Floats | None:
         """Return the markers at rest (n, 3) in the person's frame."""
         return None if self.pose is None else self.pose.session(self.points)
 
@@ -106,15 +109,21 @@ def bind(
     Without these the stillest second is taken. Raises :class:`InputError`: ``markers.few``, not
     enough of them are seen in these frames, or ``markers.too_large``.
     """
-    skin = model_face(model)
-    located = locate_take(choose_face(take, options), skin, neutral, options)
+    skin, face = model_face(model), choose_face(take, options)
+    if len(face.numbers) < options.least:
+        raise _few_error(take.file, len(face.numbers), "on the face", options)
+    located = locate_take(face, skin, neutral, options)
     if located.pose is None:
         seen = int(np.isfinite(located.points[:, 0]).sum())
-        message = f"{take.file}: {seen} markers are seen at rest, {options.least} are needed"
-        raise InputError("markers.few", message, file=take.file, found=seen)
-    markers = place_markers(located.face, located.pose.session(located.points), skin, options)
+        raise _few_error(take.file, seen, "seen at rest", options)
+    markers = place_markers(face, located.pose.session(located.points), skin, options)
     bound = MarkerSet(markers, located.pose.session, model.sha256)
     return Binding(bound, located.pose, located.neutral)
+
+
+def _few_error(file: str, found: int, where: str, options: BindOptions) -> InputError:
+    message = f"{file}: {found} markers are {where}, {options.least} are needed"
+    return InputError("markers.few", message, file=file, found=found)
 
 
 # The labels of one face.
@@ -180,8 +189,7 @@ def _neighbours_unit(positions: Floats, options: BindOptions) -> float:
     apart = np.nan_to_num(_usual_distances(positions), nan=np.inf)
     np.fill_diagonal(apart, np.inf)
     spacing = float(np.median(np.sort(apart, axis=1)[:, 1]))  # the second: labels may be double
-    low, high = options.spacing
-    return next((mm for mm in (1.0, 1000.0, 10.0, 0.1, 0.001) if low <= mm * spacing <= high), 1.0)
+    return likely_unit(spacing, options.spacing, (1.0, 1000.0, 10.0, 0.1, 0.001)) or 1.0
 
 
 def _usual_distances(positions: Floats, frames: int = 40) -> Floats:
@@ -231,7 +239,7 @@ def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[i
 
 @dataclass(frozen=True)
 class NeutralOptions:
-    """What makes frames a neutral; lengths in mm."""
+    """How a neutral is judged; lengths in mm."""
 
     seconds: float = 1.0
     away: float = 0.05  # of unrest that a mm away from the median face counts as
@@ -248,10 +256,10 @@ def find_neutral(
     frames = len(motion.places)
     window = int(np.clip(round(options.seconds * rate) if rate > 0 else 1, 1, frames))
     seen = np.isfinite(motion.places[..., 0])
-    moved = np.nan_to_num(motion.places - motion.middle)
+    change = np.nan_to_num(motion.places - motion.middle)
     count = np.maximum(_sums(seen.astype(float), window), 1.0)
-    mean = _sums(moved, window) / count[..., None]
-    unrest = np.maximum(_sums((moved**2).sum(axis=2), window) / count - (mean**2).sum(axis=2), 0.0)
+    mean = _sums(change, window) / count[..., None]
+    unrest = np.maximum(_sums((change**2).sum(axis=2), window) / count - (mean**2).sum(axis=2), 0.0)
     away = np.linalg.norm(mean, axis=2)
     known = np.maximum((count > window / 2).sum(axis=1), 1)
     cost = np.sqrt((unrest * (count > window / 2)).sum(axis=1) / known)
@@ -290,11 +298,7 @@ def place_markers(
 ) -> tuple[Marker, ...]:
     """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored."""
     seen = np.flatnonzero(np.isfinite(placed[:, 0]))
-    triangles, shares, _ = barycentric(placed[seen], skin)
-    heights, corners = heights_over(placed[seen], skin), skin.faces[triangles]
-    shares = np.clip(shares, 0.0, 1.0)
-    shares /= shares.sum(axis=1, keepdims=True)
-    tip = nose_tip(skin)
+    heights, tip = heights_over(placed[seen], skin), nose_tip(skin)
     found = []
     for row, number in enumerate(seen.tolist()):
         name, at, label = face.names[number], placed[number], face.labels[number]
@@ -303,10 +307,7 @@ def place_markers(
             near = np.linalg.norm(at - tip) < options.of_head and at[1] - tip[1] > options.above
             part = "head" if near else "ignore"
         if part == "face":
-            vertices = tuple(corners[row].tolist())
-            weights = tuple(shares[row].tolist())
-            height = float(heights[row])
-            found.append(Marker(label, vertices, weights, height, sigma_mm=options.sigma))
+            found.append(place_on(Marker(label, sigma_mm=options.sigma), at, skin))
         else:
             at_bone: Triple = (float(at[0]), float(at[1]), float(at[2]))
             sigma = options.bony_sigma
@@ -314,14 +315,34 @@ def place_markers(
     return tuple(found)
 
 
+def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:
+    """Return a marker moved to ``point`` (3,): on the triangle of a ``skin`` that gives it best.
+
+    Over an edge no triangle's normal goes through the point. So those about the nearest one are
+    tried; a foot that is farther off costs as much as missing the point.
+    """
+    nearest = skin.faces[barycentric(point[None], skin)[0][0]]
+    faces = skin.faces[np.isin(skin.faces, nearest).any(axis=1)]
+    corners = skin.vertices[faces]
+    normals = unit_rows(area_normals(skin.vertices, faces))
+    arms = point - corners[:, 0]
+    feet = point - np.einsum("ti,ti,tj->tj", arms, normals, normals)
+    weights = np.clip(igl.barycentric_coordinates(feet, *corners.swapaxes(0, 1)), 0.0, 1.0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    over = point - np.einsum("tc,tci->ti", weights, corners)
+    heights = np.einsum("ti,ti->t", over, normals)
+    missed = places_over(corners, weights, heights) - point
+    best = int(np.argmin(np.linalg.norm(missed, axis=1) + np.linalg.norm(over, axis=1)))
+    (first, second, third), (one, two, three) = faces[best].tolist(), weights[best].tolist()
+    vertices, height = (first, second, third), float(heights[best])
+    return replace(marker, vertices=vertices, weights=(one, two, three), height_mm=height)
+
+
 def rest_places(markers: MarkerSet, skin: Surface) -> Floats:
     """Return where markers (k, 3) lie on a person at rest, in the model's frame.
 
     Those that are to be ignored, and have no place, are NaN.
     """
-    normals = vertex_normals(skin)[markers.vertices]
-    outward = unit_rows(np.einsum("kc,kcd->kd", markers.weights, normals))
-    on_skin = np.einsum("kc,kcd->kd", markers.weights, skin.vertices[markers.vertices])
+    on_skin = places_over(skin.vertices[markers.vertices], markers.weights, markers.heights)
     is_face = np.array([each.part == "face" for each in markers.markers], bool)
-    raised = on_skin + markers.heights[:, None] * outward
-    return np.where(is_face[:, None], raised, markers.places)
+    return np.where(is_face[:, None], on_skin, markers.places)

@@ -1,9 +1,9 @@
 """Reading C3D: points of Intel, DEC and MIPS files, as floats or scaled integers.
 
-A file of C3D says the same things twice, in its header and in its parameters, and both have fields
+A file of C3D has the same fields twice, in its header and in its parameters, and both have fields
 too narrow for long takes: frames are counted in 16 bits, or by a float, or by two words. No part of
-a damaged file gives itself away. So all that the two say is tried, and only a layout that fills the
-file to its last block is believed; what claims more than the file has is truncated.
+a damaged file gives itself away. So all that the two hold is tried, and only a layout that fills
+the file to its last block is believed; what claims more than the file has is truncated.
 
 The format: www.c3d.org. A block has 512 bytes; the header is the first, parameters and data begin
 at blocks that the header names. A frame has x, y, z and a word of residual and cameras for each
@@ -38,7 +38,7 @@ from solver.scans.markers.raw_take import (
     check_room,
     choose_rate,
     decode,
-    tell,
+    make_finding,
     truncated_error,
     unreadable_error,
 )
@@ -58,7 +58,7 @@ EVENT_COUNT, EVENT_TIMES, EVENT_LABELS, MOST_HEADER_EVENTS = 300, 304, 396, 18
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the data are and what a frame has: of what a file says, one that may be true."""
+    """A place of the data and the content of a frame, of those that a file may mean."""
 
     start: int  # byte of the first frame
     points: int
@@ -89,24 +89,24 @@ def read_c3d(path: Path, options: TakeOptions) -> RawTake:
     with path.open("rb") as stream:
         size = stream.seek(0, 2)
         header, section, numbers = _read_head(file, stream, size)
-        said = read_parameters(file, section, numbers)
-        layout, findings = _find_layout(file, header, said, numbers, size)
+        parameters = read_parameters(file, section, numbers)
+        layout, findings = _find_layout(file, header, parameters, numbers, size)
         check_room(file, layout.frames, layout.points, options)
         points, words = _read_points(file, stream, layout, numbers)
-    places = {"its parameters": said.number("POINT", "RATE")}
+    places = {"its parameters": parameters.number("POINT", "RATE")}
     places["its header"] = numbers.number(header, RATE)
     rates = [(place, rate) for place, rate in places.items() if rate is not None]
     rate, more = choose_rate(file, rates, options)
-    start = said.long_count("TRIAL", "ACTUAL_START_FIELD")
+    start = parameters.long_count("TRIAL", "ACTUAL_START_FIELD")
     return RawTake(
-        _labels(said)[: layout.points],
+        _labels(parameters)[: layout.points],
         points,
         rate,
         numbers.word(header, FIRST) if start is None else start,
-        next(iter(said.texts("POINT", "UNITS")), None),
-        words * abs(said.number("POINT", "SCALE") or layout.scale),
-        up=_up(said),
-        events=_events(header, said, numbers),
+        next(iter(parameters.texts("POINT", "UNITS")), None),
+        words * abs(parameters.number("POINT", "SCALE") or layout.scale),
+        up=_up(parameters),
+        events=_events(header, parameters, numbers),
         findings=findings + more,
     )
 
@@ -133,25 +133,25 @@ def _read_head(file: str, stream: IO[bytes], size: int) -> tuple[bytes, bytes, N
         reason = f"its parameters take {blocks} blocks from byte {start} on, of {size}"
         raise truncated_error(file, reason, expected=start + blocks * BLOCK, found=size)
     numbers = Numbers(processor)
-    # more than 255 blocks of parameters cannot be said: they go on to the data
+    # more than 255 blocks of parameters cannot be written: they go on to the data
     end = max(start + blocks * BLOCK, (numbers.word(header, DATA) - 1) * BLOCK)
     return header, stream.read(min(end - start - 4, MOST_PARAMETER_BYTES)), numbers
 
 
-def _labels(said: Parameters) -> list[str]:
+def _labels(parameters: Parameters) -> list[str]:
     """Return labels of points: no parameter holds more than 255, LABELS2 and so on go on."""
-    labels = list(said.texts("POINT", "LABELS"))
+    labels = list(parameters.texts("POINT", "LABELS"))
     for number in range(2, 2 + FULL // 255):
-        more = said.texts("POINT", f"LABELS{number}")
+        more = parameters.texts("POINT", f"LABELS{number}")
         if not more:
             break
         labels += more
     return labels
 
 
-def _up(said: Parameters) -> str | None:
+def _up(parameters: Parameters) -> str | None:
     """Return the axis that points up the screen, as x, -x and so on."""
-    axis = next(iter(said.texts("POINT", "Y_SCREEN")), "").lower().removeprefix("+")
+    axis = next(iter(parameters.texts("POINT", "Y_SCREEN")), "").lower().removeprefix("+")
     return axis if axis.removeprefix("-") in ("x", "y", "z") else None
 
 
@@ -159,16 +159,16 @@ def _up(said: Parameters) -> str | None:
 
 
 def _find_layout(
-    file: str, header: bytes, said: Parameters, numbers: Numbers, size: int
+    file: str, header: bytes, parameters: Parameters, numbers: Numbers, size: int
 ) -> tuple[_Layout, list[Finding]]:
-    """Return the one layout that the file's size agrees with, and what is to be told of it."""
-    scales = said.number("POINT", "SCALE"), numbers.number(header, SCALE)
+    """Return the one layout that the file's size agrees with, and findings about it."""
+    scales = parameters.number("POINT", "SCALE"), numbers.number(header, SCALE)
     choices: list[list[Any]] = [
-        _drop_repeats(said.count("POINT", "DATA_START"), numbers.word(header, DATA)),
-        _drop_repeats(said.count("POINT", "USED"), numbers.word(header, POINTS)),
-        _drop_repeats(_analog(said), numbers.word(header, ANALOG)),
+        _drop_repeats(parameters.count("POINT", "DATA_START"), numbers.word(header, DATA)),
+        _drop_repeats(parameters.count("POINT", "USED"), numbers.word(header, POINTS)),
+        _drop_repeats(_analog(parameters), numbers.word(header, ANALOG)),
         _drop_repeats(*map(_scale, scales)),
-        _frame_counts(header, said, numbers),
+        _frame_counts(header, parameters, numbers),
     ]
     layouts = [
         _Layout((block - 1) * BLOCK, *rest)
@@ -176,7 +176,7 @@ def _find_layout(
         if block > header[0]
     ]
     if not layouts:
-        raise unreadable_error(file, "it does not say where points are, or of which kind")
+        raise unreadable_error(file, "it lacks the fields of where points are, or of which kind")
     layouts = [layout for layout in layouts if layout.points and layout.frames]
     if not layouts:
         what = "frames" if any(choices[1]) else "points"
@@ -192,7 +192,7 @@ def _find_layout(
 def _accept_longer(
     file: str, layouts: Sequence[_Layout], size: int
 ) -> tuple[_Layout, list[Finding]]:
-    """Return the layout of a file that has more than it says; raise if it has less."""
+    """Return the layout of a file that has more than its fields say; raise if it has less."""
     for each in layouts:
         # a count of 16 bits that has overflowed, or that stands at its end: what is behind the last
         # frame in its block then looks like frames without points
@@ -201,7 +201,9 @@ def _accept_longer(
         longer = replace(each, frames=count)
         if count >= FULL and longer.fills(size):
             message = f"{file} says {each.frames} frames and holds {count}, which are read."
-            return longer, [tell("header", "warning", message, file=file, found=count)]
+            return longer, [
+                make_finding("markers.header", "warning", message, file=file, found=count)
+            ]
     first = layouts[0]
     if first.end > size:
         reason = f"{first.frames} frames of {first.points} points end at byte {first.end} of {size}"
@@ -214,7 +216,11 @@ def _accept_longer(
         reason = f"its data end at byte {first.end}, and it does after {size}, which ends no block"
         raise unreadable_error(file, reason, expected=first.end, found=size)
     message = f"{file} has {size - first.end} bytes after its last frame, which are not read."
-    return first, [tell("header", "warning", message, file=file, found=size, expected=first.end)]
+    return first, [
+        make_finding(
+            "markers.header", "warning", message, file=file, found=size, expected=first.end
+        )
+    ]
 
 
 def _drop_repeats(*values: Any) -> list[Any]:
@@ -222,16 +228,16 @@ def _drop_repeats(*values: Any) -> list[Any]:
 
 
 def _scale(scale: float | None) -> float | None:
-    """Return a scale that can be; all negative ones only say that numbers are floats."""
+    """Return a scale that can be; all negative ones alike mean that numbers are floats."""
     if scale is None or not math.isfinite(scale) or scale == 0:
         return None
     return -1.0 if scale < 0 else scale
 
 
-def _analog(said: Parameters) -> int | None:
+def _analog(parameters: Parameters) -> int | None:
     """Return analog numbers of a frame by the parameters."""
-    channels = said.count("ANALOG", "USED")
-    rate, points = said.number("ANALOG", "RATE"), said.number("POINT", "RATE")
+    channels = parameters.count("ANALOG", "USED")
+    rate, points = parameters.number("ANALOG", "RATE"), parameters.number("POINT", "RATE")
     if not channels:
         return channels
     if not rate or not points or not math.isfinite(rate / points):
@@ -239,14 +245,14 @@ def _analog(said: Parameters) -> int | None:
     return channels * max(round(rate / points), 0)
 
 
-def _frame_counts(header: bytes, said: Parameters, numbers: Numbers) -> list[int]:
-    """Return the numbers of frames that places of the file say, the surest first."""
-    fields = [said.long_count("TRIAL", f"ACTUAL_{end}_FIELD") for end in ("START", "END")]
+def _frame_counts(header: bytes, parameters: Parameters, numbers: Numbers) -> list[int]:
+    """Return the numbers of frames in the file's fields, the surest first."""
+    fields = [parameters.long_count("TRIAL", f"ACTUAL_{end}_FIELD") for end in ("START", "END")]
     start, end = fields
     counts = _drop_repeats(
         None if start is None or end is None else end - start + 1,
-        said.count("POINT", "LONG_FRAMES"),
-        said.count("POINT", "FRAMES"),
+        parameters.count("POINT", "LONG_FRAMES"),
+        parameters.count("POINT", "FRAMES"),
         numbers.word(header, LAST) - numbers.word(header, FIRST) + 1,
     )
     return [count for count in counts if count >= 0]
@@ -283,10 +289,10 @@ def _read_points(
     return points, residual
 
 
-def _events(header: bytes, said: Parameters, numbers: Numbers) -> tuple[Event, ...]:
+def _events(header: bytes, parameters: Parameters, numbers: Numbers) -> tuple[Event, ...]:
     """Return the events of the group EVENT, or else those of the header."""
-    labels, contexts = said.texts("EVENT", "LABELS"), said.texts("EVENT", "CONTEXTS")
-    times = said.numbers("EVENT", "TIMES")
+    labels, contexts = parameters.texts("EVENT", "LABELS"), parameters.texts("EVENT", "CONTEXTS")
+    times = parameters.numbers("EVENT", "TIMES")
     seconds = [60 * minutes + rest for minutes, rest in zip(times[::2], times[1::2], strict=False)]
     if not seconds and numbers.word(header, LONG_LABELS) == LONG_LABELS_KEY:
         count = min(numbers.word(header, EVENT_COUNT), MOST_HEADER_EVENTS)

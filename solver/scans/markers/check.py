@@ -49,7 +49,7 @@ from solver.surface import Floats, Ints, Surface
 
 @dataclass(frozen=True)
 class Reference:
-    """What a take is held against: the built-in face, or a person with or without a marker set."""
+    """The face that a take is checked against: nobody's, or a person's, perhaps with markers."""
 
     face: Surface
     model_sha256: str = ""  # of the person's model; empty for a face that is nobody's
@@ -95,14 +95,14 @@ def check_take(
     check.figures["neutral"] = [take.numbers[first], take.numbers[last]]
     _check_rest(check, located, is_given=neutral is not None, limits=limits)
     check.labels = label_rows(located)
-    if located.pose is None or located.placed is None:
+    if located.pose is None or located.places is None:
         message = f"Frames {take.numbers[first]} to {take.numbers[last]} show too few markers."
         add(check, "markers.neutral", "warning", message)
         return check
     report_location(check, located, located.pose)
     if reference.model_sha256:
         _check_person(check, located, reference, actor=actor, limits=limits)
-        markers = place_markers(face, located.placed, reference.face)
+        markers = place_markers(face, located.places, reference.face)
         if reference.jaw is not None:
             markers = tuple(_close_jaw(each, *reference.jaw) for each in markers)
         check.bound = MarkerSet(markers, located.pose.session, reference.model_sha256)
@@ -115,10 +115,10 @@ def check_take(
 def _check_rate(check: MarkerCheck, take: Take, limits: CheckLimits) -> None:
     if take.rate > 0:
         if take.rate < limits.slow:
-            message = f"{take.rate:g} frames a second are few: what is sudden cannot be told."
+            message = f"{take.rate:g} frames a second are few: what is sudden cannot be seen."
             add(check, "markers.rate", "warning", message, found=take.rate)
     elif not any(found.code == "markers.rate" for found in take.findings):
-        message = f"{take.file} does not say its frame rate; {USUAL_RATE:g} are assumed."
+        message = f"{take.file} has no frame rate; {USUAL_RATE:g} a second are assumed."
         add(check, "markers.rate", "warning", message, expected=USUAL_RATE)
 
 
@@ -235,7 +235,7 @@ def _off_places(
     check: MarkerCheck, located: LocatedTake, markers: MarkerSet, skin: Surface, limits: CheckLimits
 ) -> Floats:
     """Return how far (n,) labels are from their places in a marker set; reports the odd ones."""
-    placed, labels = located.placed, located.face.labels
+    placed, labels = located.places, located.face.labels
     assert placed is not None
     goal = rest_places(markers, skin)
     number = {label: row for row, label in enumerate(markers.labels)}

@@ -12,12 +12,13 @@ import numpy as np
 
 from solver.errors import MOST_NAMES, Finding, InputError, Severity, quote, quote_names
 from solver.kinds.marker_set import LONGEST_LABEL
-from solver.scans.markers.raw_take import RawTake, TakeOptions, tell
+from solver.registration.units import COMMON, UNITS, ScanUnit, likely_unit
+from solver.scans.markers.raw_take import RawTake, TakeOptions, make_finding
 from solver.surface import Floats
 
 # How capture programs call a track that nobody has labelled: *12, U_3, Unlabeled 1004, ?7.
 UNLABELLED = re.compile(r"[*?]+\d*|u_\*?\d+|(unlabell?ed|uname|noname|unnamed)\W*_?\d*", re.I)
-UNITS = {  # in the singular, as Americans write it -> mm
+NAMES = {  # of units, in the singular, as Americans write them -> mm
     "mm": 1.0,
     "millimeter": 1.0,
     "cm": 10.0,
@@ -29,14 +30,13 @@ UNITS = {  # in the singular, as Americans write it -> mm
     "ft": 304.8,
     "feet": 304.8,
 }
-GUESSES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}  # units of a file that does not say its own
-LONGEST_NUMBER = 6  # characters that tell labels apart which are alike
+LONGEST_NUMBER = 6  # characters of a number behind labels that are alike
 LOOKED_AT = 200  # frames of which the size is taken
 
 
 @dataclass(frozen=True)
 class Labels:
-    """Which columns of a file are labelled tracks, and which are not."""
+    """Columns of a file that are labelled tracks, and those that are not."""
 
     labels: tuple[str, ...]
     labelled: list[int]  # columns
@@ -60,16 +60,20 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
     findings = []
     if unnamed:
         message = f"{file}: {len(unnamed)} of {count} tracks have no label; they count as any."
-        findings.append(tell("labels", "warning", message, file=file, tracks=unnamed[:20]))
+        findings.append(
+            make_finding("markers.labels", "warning", message, file=file, tracks=unnamed[:20])
+        )
     elif not labelled:
         message = f"{file} has {count} tracks and no label; binding goes by their places."
-        findings.append(tell("labels", "warning", message, file=file))
+        findings.append(make_finding("markers.labels", "warning", message, file=file))
     pairs = {parts[at] for at in labelled}
     subjects = list(dict.fromkeys(parts[at][0] for at in labelled))
     if len(pairs) > len({label for _, label in pairs}):
         shown = quote_names([each or "no subject" for each in subjects])
         message = f"{file} has the same labels for {', '.join(shown)}: more than one face."
-        findings.append(tell("two_faces", "warning", message, file=file, subjects=shown))
+        findings.append(
+            make_finding("markers.two_faces", "warning", message, file=file, subjects=shown)
+        )
         texts, subject = [":".join(filter(None, parts[at])) for at in labelled], ""
     else:
         texts, subject = [parts[at][1] for at in labelled], ", ".join(filter(None, subjects))
@@ -96,7 +100,7 @@ def _is_unlabelled(label: str) -> bool:
 
 
 def _number_labels(file: str, texts: Sequence[str]) -> tuple[list[str], list[Finding]]:
-    """Return labels of which no two are alike; a number tells those that are apart."""
+    """Return labels of which no two are alike; those that are get a number."""
     taken, proposals = set(texts), {}
     seen: Counter[str] = Counter()
     labels = []
@@ -117,11 +121,13 @@ def _number_labels(file: str, texts: Sequence[str]) -> tuple[list[str], list[Fin
     twice = quote_names(list(dict.fromkeys(proposals.values())))
     message = f"{file} has labels more than once: {', '.join(twice)}; the others get a number."
     shown = dict(list(proposals.items())[:MOST_NAMES])  # labels are short and printable by now
-    return labels, [tell("labels", "warning", message, file=file, labels=twice, proposals=shown)]
+    return labels, [
+        make_finding("markers.labels", "warning", message, file=file, labels=twice, proposals=shown)
+    ]
 
 
 def _find_foreign(file: str, labels: Sequence[str]) -> list[Finding]:
-    """Tell labels that not every program can read, with ones that it can."""
+    """Find labels that not every program can read, with ones that it can."""
     foreign = [label for label in labels if not label.isascii()]
     if not foreign:
         return []
@@ -130,7 +136,11 @@ def _find_foreign(file: str, labels: Sequence[str]) -> list[Finding]:
         for each in foreign[:MOST_NAMES]
     }
     message = f"{file} has labels beyond ASCII: {', '.join(quote_names(foreign))}."
-    return [tell("labels", "info", message, file=file, labels=list(shown), proposals=shown)]
+    return [
+        make_finding(
+            "markers.labels", "info", message, file=file, labels=list(shown), proposals=shown
+        )
+    ]
 
 
 # Units, and points that are none.
@@ -139,35 +149,39 @@ def _find_foreign(file: str, labels: Sequence[str]) -> list[Finding]:
 def settle_unit(
     file: str, raw: RawTake, columns: Sequence[int], options: TakeOptions
 ) -> tuple[float, list[Finding]]:
-    """Return mm a unit: what the file says, unless the tracks at ``columns`` are on no person then.
+    """Return mm a unit: the file's own, unless the tracks at ``columns`` are on no person then.
 
-    A file that says nothing, or what cannot be, is read in the unit in which its points spread as
-    markers of a face do. An ``error`` is one that no unit fits.
+    Without a unit, or with one that cannot be, a file is read in the one in which its points spread
+    as markers of a face do. An ``error`` is one that no unit fits.
     """
     unit = raw.unit
-    said = _mm_of(unit) if isinstance(unit, str) else unit
+    named = _mm_of(unit) if isinstance(unit, str) else unit
     spread = _spread(raw.points, columns)
-    if said is not None and (np.isnan(spread) or _is_within(spread * said, options.seen_mm)):
-        return said, []
+    if named and (np.isnan(spread) or likely_unit(spread, options.seen_mm, [named])):
+        return named, []
     words = f"says '{quote(unit)}'" if unit else "does not say its unit"
     for bounds in (options.face_mm, options.seen_mm):
-        for name, mm in GUESSES.items():
-            if not _is_within(spread * mm, bounds):
-                continue
-            told = f"{file} {words}; it is read in {name}, in which points spread {spread * mm:.0f}"
-            is_plain = not unit and bounds == options.face_mm
-            found = {"file": file, "unit": name, "spread_mm": round(spread * mm, 1)}
-            severity: Severity = "info" if is_plain else "warning"
-            return mm, [tell("unit", severity, f"{told} mm about their middle.", **found)]
+        mm = likely_unit(spread, bounds, [UNITS[name] for name in COMMON])
+        if mm is None:
+            continue
+        name = ScanUnit(mm, "found").name
+        size = f"in which points spread {spread * mm:.0f} mm about their middle"
+        is_plain = not unit and bounds == options.face_mm
+        figures = {"file": file, "unit": name, "spread_mm": round(spread * mm, 1)}
+        severity: Severity = "info" if is_plain else "warning"
+        message = f"{file} {words}; it is read in {name}, {size}."
+        return mm, [make_finding("markers.unit", severity, message, **figures)]
     if np.isnan(spread):
-        message = f"{file} {words}, and too few points are seen at once to tell: it is read in mm."
-        return 1.0, [tell("unit", "warning", message, file=file)]
+        message = (
+            f"{file} {words}, and too few points are seen at once to guess it: it is read in mm."
+        )
+        return 1.0, [make_finding("markers.unit", "warning", message, file=file)]
     message = f"{file} {words}, and in no unit its points, {spread:.3g} apart, are on a person."
-    return said or 1.0, [tell("unit", "error", message, file=file, spread=spread)]
+    return named or 1.0, [make_finding("markers.unit", "error", message, file=file, spread=spread)]
 
 
 def drop_far(file: str, raw: RawTake, most: float) -> list[Finding]:
-    """Make points NaN that are infinite or farther off than ``most``, and tell of them."""
+    """Make points NaN that are infinite or farther off than ``most``; a finding if any are."""
     points = raw.points
     is_far = (points > most).any(axis=-1) | (points < -most).any(axis=-1)
     points[is_far | np.isnan(points).any(axis=-1)] = np.nan
@@ -180,7 +194,11 @@ def drop_far(file: str, raw: RawTake, most: float) -> list[Finding]:
     message = (
         f"{file} has {count} points where no studio is, the first, {label}, in frame {number}."
     )
-    return [tell("far", "warning", message, file=file, label=label, frame=number, count=count)]
+    return [
+        make_finding(
+            "markers.far", "warning", message, file=file, label=label, frame=number, count=count
+        )
+    ]
 
 
 def check_seen(file: str, raw: RawTake) -> None:
@@ -192,7 +210,7 @@ def check_seen(file: str, raw: RawTake) -> None:
 
 def _mm_of(name: str) -> float | None:
     word = name.strip().lower().replace("metre", "meter")
-    return UNITS.get(word.removesuffix("es") if word == "inches" else word.removesuffix("s"))
+    return NAMES.get(word.removesuffix("es") if word == "inches" else word.removesuffix("s"))
 
 
 def _spread(points: Floats, columns: Sequence[int]) -> float:
@@ -205,7 +223,3 @@ def _spread(points: Floats, columns: Sequence[int]) -> float:
         if len(seen) >= 3:
             spreads.append(np.sqrt(np.median(((seen - np.median(seen, axis=0)) ** 2).sum(axis=1))))
     return float(np.median(spreads)) if spreads else float("nan")
-
-
-def _is_within(size: float, bounds: tuple[float, float]) -> bool:
-    return bounds[0] <= size <= bounds[1]

@@ -1,6 +1,6 @@
-"""What is wrong with single markers of a take: frozen, filled, swapped, moved, thrown, missing.
+"""Faults of single markers of a take: frozen, filled, swapped, moved, thrown, missing.
 
-A marker is wrong where it is far from what most others say of it (``motion.py``) and came or went
+A marker is wrong where it is far from where most others put it (``motion.py``) and came or went
 there at once, as no skin does; two are swapped where each lies where the other is expected.
 """
 
@@ -25,7 +25,7 @@ from solver.surface import Floats, Ints
 
 @dataclass(frozen=True)
 class FaultOptions:
-    """When a marker is at fault; lengths in mm, times in s."""
+    """Limits of faults; lengths in mm, times in s."""
 
     frozen: float = 0.08  # a place repeated for so long ...
     least_frozen: int = 4  # ... and in so many frames is no measurement
@@ -79,7 +79,7 @@ WRONG = ("frozen", "swapped", "relabelled", "outlier", "ghost")  # to be left ou
 
 @dataclass
 class Faults:
-    """What is wrong with the markers of a take of f frames and k labels."""
+    """Faults of the markers of a take of f frames and k labels."""
 
     spans: list[Span]
     motion: Motion
@@ -106,7 +106,7 @@ class Faults:
             found.setdefault(span.marker, {}).setdefault(span.other, []).append(span)
         return found
 
-    def gone(self, least: int) -> list[tuple[int, int]]:
+    def blanks(self, least: int) -> list[tuple[int, int]]:
         """Return first and last frames of spans of ``least`` frames in which nothing is seen."""
         seen = np.asarray(np.isfinite(self.motion.places[..., 0]).any(axis=1))
         return [run for run in runs(~seen) if run[1] - run[0] + 1 >= least]

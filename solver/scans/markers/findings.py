@@ -1,6 +1,6 @@
 """Findings about a take of markers, each with a stable code, a plain sentence and advice.
 
-Every code has one advice, here; frames are told as the file counts them.
+Every code has one advice, here; frames are named as the file counts them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.errors import MOST_NAMES, Finding, Severity, quote, quote_names
+from solver.errors import MOST_NAMES, Finding, Severity, advise, quote, quote_names
 from solver.registration.locate import nearest_axis
 from solver.scans.markers.bind import LocatedTake
 from solver.scans.markers.faults import WRONG, Span
@@ -42,7 +42,7 @@ ADVICE = {
     "markers.swapped": "Exchange the two labels in these frames, or go on: the fit does.",
     "markers.relabelled": "Give the track the other label in these frames, or go on: the fit does.",
     "markers.exchanged": "Exchange the two labels in the whole take.",
-    "markers.moved": "Bind the take a second time from this frame on: the marker sits elsewhere.",
+    "markers.moved": "Nothing to do: the fit places it anew from then on. Bind later takes again.",
     "markers.outlier": "Nothing to do: the fit leaves these frames of the label out.",
     "markers.ghost": "Nothing to do: a reflection took the label, and is left out.",
     "markers.wrong": "Clean the take, or take it again: too much of it is wrong.",
@@ -62,7 +62,7 @@ class CheckLimits:
     gone: float = 0.5  # s without any marker
     at_rest: float = 0.8  # of the markers are seen in frames at rest
     unrest: float = 1.0  # mm that most markers move in them, root mean square
-    slow: float = 20.0  # frames a second; with fewer nothing sudden can be told
+    slow: float = 20.0  # frames a second; with fewer nothing sudden can be seen
     repeated: float = 0.05  # of the frames
     person: float = 3.0  # rms off the rig's skin, or off the places of a marker set
     open_mouth: float = 5.0  # rms of the jaw's markers, when the others fit
@@ -90,7 +90,7 @@ class MarkerCheck:
 
 def add(check: MarkerCheck, code: str, severity: Severity, message: str, **figures: Any) -> None:
     """Add a finding with the advice that belongs to its code."""
-    check.findings.append(Finding(code, severity, message, ADVICE[code], figures))
+    check.findings.append(advise(ADVICE, code, severity, message, **figures))
 
 
 # Single labels.
@@ -119,7 +119,7 @@ def report_faults(check: MarkerCheck, located: LocatedTake, limits: CheckLimits)
         *others, last = names if len(group) <= limits.named else [*names[: limits.named], "others"]
         message = f"{', '.join(others)} and {last} are one marker."
         add(check, "markers.double", "warning", message, label=labels[group[0]], labels=names)
-    gone = faults.gone(round(limits.gone * rate))
+    gone = faults.blanks(round(limits.gone * rate))
     if gone:
         spans = [[take.numbers[first], take.numbers[last]] for first, last in gone]
         longest = max(last - first + 1 for first, last in gone) / rate

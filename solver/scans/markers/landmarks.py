@@ -43,8 +43,8 @@ def arrange_landmarks(file: str, arrays: Arrays, options: TakeOptions) -> RawTak
     points[~points.any(axis=-1)] = np.nan  # exactly 0, 0, 0
     labels = names.tolist()
     sigma = _sigma(file, arrays["sigma"], points, labels) if "sigma" in arrays else None
-    said = _number(file, arrays, "rate")
-    rate, findings = choose_rate(file, [] if said is None else [("rate", said)], options)
+    number = _number(file, arrays, "rate")
+    rate, findings = choose_rate(file, [] if number is None else [("rate", number)], options)
     first = _number(file, arrays, "first")
     if first is not None and not abs(first) <= MOST_FIRST:
         raise unreadable_error(file, f"'first' is {first:g}, not the number of a frame")

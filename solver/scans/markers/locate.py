@@ -1,6 +1,6 @@
-"""Where the face is under markers, in which unit and which way round.
+"""Location of the face under markers: its pose, their unit, and which way round they are.
 
-Names say it roughly, and whether left and right are where they should be; without them the
+Names give it roughly, and whether left and right are where they should be; without them the
 markers' own shape is looked for on the face, as a face is in a scan. Either way they slide onto the
 skin then, all at one height over it.
 """
@@ -16,8 +16,14 @@ from scipy.spatial import KDTree
 
 from solver.anatomy.embedding import barycentric
 from solver.registration.scan_surface import Samples, sample
-from solver.registration.search import FacePoints, RefinementOptions, find_pose, refine_pose
-from solver.registration.units import UNITS, ScanUnit, UnitOptions, choose_unit
+from solver.registration.search import (
+    FacePoints,
+    RefinementOptions,
+    find_pose,
+    nose_tip,
+    refine_pose,
+)
+from solver.registration.units import ScanUnit, UnitOptions, choose_unit, likely_unit
 from solver.scans.markers.motion import rms_of_seen
 from solver.scans.markers.names import Named
 from solver.similarity import IDENTITY, Similarity, fit_similarity, robust_motion
@@ -30,10 +36,10 @@ NAMES_UNIT = UnitOptions(face_sizes=(0.65, 1.5), unusual=0.35)
 
 @dataclass(frozen=True)
 class LocateOptions:
-    """How a face is found under markers; lengths in mm."""
+    """Limits and rounds of locating; lengths in mm."""
 
-    least: int = 4  # markers that say where a face is
-    trims: int = 5  # rounds in which names that fit badly lose their say
+    least: int = 4  # markers that locate a face
+    trims: int = 5  # rounds in which names that fit badly lose their weight
     kept: float = 2.0  # times the median misfit of names: what counts
     name_misfit: float = 22.0  # of most names; with more the shape is looked for
     mirrored: float = 0.6  # of the misfit: sides the other way round fit that much better
@@ -41,10 +47,11 @@ class LocateOptions:
     exchanged: float = 800.0  # mm2 that two names gain by changing places
     samples: int = 20_000  # points of the skin
     heights: tuple[float, ...] = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0)  # of markers over the skin
-    flat: float = 0.1  # heights whose misfits differ by less cannot be told: the usual is taken
+    flat: float = 0.1  # heights whose misfits differ by less are alike: the usual is taken
     usual_height: float = 2.0
     rounds: int = 3  # of normals and motion
     extents: tuple[float, float] = (60.0, 420.0)  # of the markers of one head
+    usual_extent: float = 180.0  # where no unit gives any of these
     off_skin: float = 15.0  # farther from the skin it is no marker of the face
 
 
@@ -96,7 +103,7 @@ def locate(
     )
     if by_names is None or turned:
         return chosen
-    return replace(chosen, exchanged=_exchanged(chosen, points, named, face, options))
+    return replace(chosen, exchanged=_find_exchanges(chosen, points, named, face, options))
 
 
 def _by_names(
@@ -104,38 +111,39 @@ def _by_names(
 ) -> tuple[list[Similarity], bool] | None:
     """Return motions onto the face by names, and whether sides are the wrong way round.
 
-    None if names do not say it. Either the markers are mirrored then, or the labels are: the
+    None if names do not agree. Either the markers are mirrored then, or the labels are: the
     motions of both come back.
     """
-    told = [n for n, each in enumerate(named) if each is not None and each.part == "face"]
-    told = [number for number in told if np.isfinite(points[number, 0])]
-    places = {number: each.place for number, each in enumerate(named) if each is not None}
-    if len(told) < options.least or len({places[number] for number in told}) < options.least:
+    known, goal = _goals(points, named, face)
+    if len(known) < options.least or len(np.unique(goal, axis=0)) < options.least:
         return None
-    goal = np.array([places[number] for number in told], float) + nose_tip(face)
-    plain, misfit = _trimmed(points[told], goal, options)
-    other, other_misfit = _trimmed(points[told] @ FLIP, goal, options)
+    plain, misfit = _fit_most(points[known], goal, options)
+    other, other_misfit = _fit_most(points[known] @ FLIP, goal, options)
     turned = other_misfit < options.mirrored * misfit
     if min(misfit, other_misfit) > options.name_misfit:
         return None
     if not turned:
         return [plain], False
     across = (goal - nose_tip(face)) @ FLIP + nose_tip(face)
-    return [_flipped(other), _trimmed(points[told], across, options)[0]], True
+    return [_flip(other), _fit_most(points[known], across, options)[0]], True
 
 
-def nose_tip(face: Surface) -> Floats:
-    """Return the foremost point (3,) of a face."""
-    used = face.vertices[np.unique(face.faces)]
-    return np.asarray(used[np.argmax(used[:, 2])])
+def _goals(
+    points: Floats, named: Sequence[Named | None], face: Surface
+) -> tuple[list[int], Floats]:
+    """Return the markers that are seen and have a place on the face by their names, and these."""
+    places = {n: each.place for n, each in enumerate(named) if each and each.part == "face"}
+    known = [number for number in places if np.isfinite(points[number, 0])]
+    goal = np.array([places[number] for number in known], float).reshape(-1, 3)
+    return known, goal + nose_tip(face)
 
 
-def _flipped(motion: Similarity) -> Similarity:
+def _flip(motion: Similarity) -> Similarity:
     """Return a motion of mirrored points as one of the points."""
     return Similarity(motion.scale, motion.rotation @ FLIP, motion.shift)
 
 
-def _trimmed(points: Floats, goal: Floats, options: LocateOptions) -> tuple[Similarity, float]:
+def _fit_most(points: Floats, goal: Floats, options: LocateOptions) -> tuple[Similarity, float]:
     """Return the motion that most points agree with, and the median misfit in mm."""
     kept = np.ones(len(points), bool)
     motion, off = fit_similarity(points, goal), np.zeros(len(points))
@@ -152,11 +160,10 @@ def _trimmed(points: Floats, goal: Floats, options: LocateOptions) -> tuple[Simi
 def _unit_of(points: Floats, options: LocateOptions) -> ScanUnit:
     """Return the unit that makes markers as large as those of a head; mm if it does."""
     extent = float(np.ptp(points, axis=0).max())
-    low, high = options.extents
-    fitting = [mm for mm in (1.0, *UNITS.values()) if low <= mm * extent <= high]
-    if fitting:
-        return ScanUnit(fitting[0], "assumed" if fitting[0] == 1.0 else "found")
-    return ScanUnit(180.0 / max(extent, 1e-9), "template")
+    mm = likely_unit(extent, options.extents)
+    if mm is None:
+        return ScanUnit(options.usual_extent / max(extent, 1e-9), "template")
+    return ScanUnit(mm, "assumed" if mm == 1.0 else "found")
 
 
 def _by_shape(points: Floats, skin: Samples, mm_per_unit: float) -> list[Similarity]:
@@ -233,7 +240,7 @@ def heights_over(placed: Floats, face: Surface) -> Floats:
     return np.asarray(distance * np.sign(outward + 1e-30))
 
 
-def _exchanged(
+def _find_exchanges(
     located: Located,
     points: Floats,
     named: Sequence[Named | None],
@@ -241,11 +248,8 @@ def _exchanged(
     options: LocateOptions,
 ) -> tuple[tuple[int, int], ...]:
     """Return pairs of markers that lie where the other should by its name."""
-    told = [n for n, each in enumerate(named) if each is not None and each.part == "face"]
-    told = [number for number in told if np.isfinite(points[number, 0])]
-    places = {number: each.place for number, each in enumerate(named) if each is not None}
-    placed = located.session(points[told])
-    goal = np.array([places[number] for number in told], float) + nose_tip(face)
+    known, goal = _goals(points, named, face)
+    placed = located.session(points[known])
     cost = ((placed[:, None] - goal[None]) ** 2).sum(axis=2)
     _, chosen = linear_sum_assignment(cost)
     pairs = []
@@ -253,5 +257,5 @@ def _exchanged(
         if row < column and chosen[column] == row:
             gain = cost[row, row] + cost[column, column] - cost[row, column] - cost[column, row]
             if gain > options.exchanged:
-                pairs.append((told[row], told[column]))
+                pairs.append((known[row], known[column]))
     return tuple(pairs)

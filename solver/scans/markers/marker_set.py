@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,9 +15,10 @@ from pydantic import ValidationError
 from solver.errors import InputError, quote
 from solver.kinds.document import find_faults
 from solver.kinds.marker_set import MarkerEntry, MarkerSetDocument, Part, SkinPoint
+from solver.scans.markers.take import Take
 from solver.similarity import Similarity
 from solver.storage import write_json
-from solver.surface import Floats, Ints
+from solver.surface import Floats, Ints, unit_rows
 
 Triple = tuple[float, float, float]
 
@@ -155,6 +157,66 @@ class MarkerSet:
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUNDING:
             raise _schema_error("markers.session.rotation", "is not orthogonal")
         return cls(markers, Similarity(read.session.scale, rotation, shift), read.model_sha256)
+
+
+class BoundTake:
+    """A take read by a marker set: points of its markers, in the model's axes and mm.
+
+    Raises :class:`InputError` ``markers.few`` where the take has fewer than ``least`` of them.
+    """
+
+    def __init__(self, take: Take, markers: MarkerSet, least: int) -> None:
+        self.markers: tuple[Marker, ...] = tuple(
+            marker for marker in markers.markers if marker.part != "ignore"
+        )
+        self._take, self._set, self._session = take, markers, markers.session
+        number = {label: column for column, label in enumerate(take.labels)}
+        self._columns = np.array([number.get(each.label, -1) for each in self.markers], np.int64)
+        known = int(np.sum(self._columns >= 0))
+        if known < least:
+            message = (
+                f"{take.file} has {known} of the marker set's {len(self.markers)} labels: "
+                f"{least} are needed"
+            )
+            raise InputError("markers.few", message, file=take.file, found=known)
+
+    def save(self, used: Sequence[Marker], path: Path) -> None:
+        """Write the set with the markers that are ``used`` as they are now."""
+        others = (marker for marker in self._set.markers if marker.part == "ignore")
+        replace(self._set, markers=(*used, *others)).save(path)
+
+    @property
+    def frames(self) -> range:
+        """Return the numbers of the take's frames, as its file counts them."""
+        return self._take.numbers
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the markers' labels."""
+        return tuple(marker.label for marker in self.markers)
+
+    def points(self, frame: int) -> Floats:
+        """Return the points (k, 3) of the frame with a number, NaN where one is missing."""
+        found = self._session(self._take.positions[self.frames.index(frame)][self._columns])
+        return np.where(self._columns[:, None] < 0, np.nan, found)
+
+    def unlabelled(self, frame: int) -> Floats:
+        """Return a frame's points (u, 3) without a label."""
+        return self._session(self._take.unlabelled[self.frames.index(frame)])
+
+    def sigma(self, frame: int) -> Floats | None:
+        """Return the standard deviations (k, 3) that the take has of them, None if it has none."""
+        if self._take.sigma is None:
+            return None
+        variance = self._take.sigma[self.frames.index(frame)][self._columns] ** 2
+        return np.asarray(self._session.scale * np.sqrt(variance @ self._session.rotation.T**2))
+
+
+def places_over(corners: Floats, weights: Floats, heights: Floats) -> Floats:
+    """Return places (k, 3) at ``heights`` (k,) over triangles (k, 3, 3), along their normals."""
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    on_skin = np.einsum("ki,kix->kx", weights, corners)
+    return np.asarray(on_skin + heights[:, None] * unit_rows(outward))
 
 
 def _entry(marker: Marker) -> dict[str, Any]:

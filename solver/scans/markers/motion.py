@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """How a take's motion is taken apart; lengths in mm, times in s."""
+    """Settings of taking a motion apart; lengths in mm, times in s."""
 
     head_rounds: int = 4  # of head motion and middle face in turns
     head_slack: float = 3.0  # off the middle face by more: little weight in the head's motion
@@ -33,7 +33,7 @@ class MotionOptions:
     markers_a_shape: int = 4  # so many markers allow one shape more ...
     most_shapes: int = 12  # ... up to these
     slacks: tuple[float, ...] = (10.0, 6.0, 4.0, 3.0, 2.0, 2.0)  # of what explains a frame
-    together: float = 3.5  # markers that a shape is of, at least: others cannot tell less
+    together: float = 3.5  # markers that a shape is of, at least: others explain only themselves
     noise: float = 1.5  # off the shapes; how much a frame's weights keep to what is usual
 
 
@@ -48,7 +48,7 @@ class Motion:
     shifts: Floats  # (f, 3)
     middle: Floats  # (k, 3) the median face, NaN for a marker that is never seen
     places: Floats  # (f, k, 3) markers in the head's frame, NaN where missing
-    expected: Floats  # (f, k, 3) where most of the markers say that they are
+    expected: Floats  # (f, k, 3) where most of the markers put them
 
     @property
     def residuals(self) -> Floats:
@@ -63,9 +63,9 @@ def take_apart(positions: Floats, rate: float, options: MotionOptions = MOTION) 
     """
     rotations, shifts, middle = _hold_head(positions, options)
     places = np.einsum("fij,fkj->fki", rotations, positions, optimize=True) + shifts[:, None]
-    moved = places - middle
-    shapes, spread = _learn_shapes(moved, rate, options)
-    expected = middle + _explain(moved, shapes, spread, options)
+    changes = places - middle
+    shapes, spread = _learn_shapes(changes, rate, options)
+    expected = middle + _explain(changes, shapes, spread, options)
     return Motion(rotations, shifts, middle, places, expected)
 
 
@@ -111,16 +111,16 @@ def _go_on(rotations: Floats, shifts: Floats, known: Mask) -> None:
         rotations[:], shifts[:] = rotations[last], shifts[last]
 
 
-def _learn_shapes(moved: Floats, rate: float, options: MotionOptions) -> tuple[Floats, Floats]:
+def _learn_shapes(changes: Floats, rate: float, options: MotionOptions) -> tuple[Floats, Floats]:
     """Return shapes (r, k, 3) in which markers move together, and their usual squares (r,)."""
-    frames, count = moved.shape[:2]
+    frames, count = changes.shape[:2]
     total, pairs = np.zeros((3 * count, 3 * count)), np.full((count, count), 1e-9)
     for lag in options.lags:
         step = max(1, round(lag * rate))
         starts = np.arange(0, frames - step, max(1, (frames - step) // options.pairs))
         if not len(starts):
             continue
-        change = moved[starts + step] - moved[starts]
+        change = changes[starts + step] - changes[starts]
         seen = np.isfinite(change[..., 0])
         length = np.linalg.norm(np.nan_to_num(change), axis=2)
         factor, more = options.jump
@@ -143,12 +143,12 @@ def _learn_shapes(moved: Floats, rate: float, options: MotionOptions) -> tuple[F
     return np.ascontiguousarray(shapes[kept]), squares[kept]
 
 
-def _explain(moved: Floats, shapes: Floats, spread: Floats, options: MotionOptions) -> Floats:
+def _explain(changes: Floats, shapes: Floats, spread: Floats, options: MotionOptions) -> Floats:
     """Return the motion (f, k, 3) by the shapes that most markers of each frame agree with."""
     if not len(shapes):
-        return np.zeros_like(moved)
-    seen = np.isfinite(moved[..., 0])
-    goal = np.nan_to_num(moved)
+        return np.zeros_like(changes)
+    seen = np.isfinite(changes[..., 0])
+    goal = np.nan_to_num(changes)
     products = np.einsum("rki,ski->krs", shapes, shapes).reshape(shapes.shape[1], -1)
     keep = np.diag(options.noise**2 / (4 * spread))
     weights = seen.astype(float)

@@ -1,6 +1,6 @@
 """Reading CSV as Motive exports it: a heading of names and values, then a frame a row.
 
-Above the row ``Frame, Time`` others say of each column what it is of: its type (``Marker``,
+Above the row ``Frame, Time`` others describe each column: its type (``Marker``,
 ``Rigid Body``, ``Rigid Body Marker``), its name, whether it is a position or a rotation. A marker
 that was seen has the type ``Marker``; those of other types are where a solver thinks that they are,
 and are read only where none of the name was seen.
@@ -13,21 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from solver.scans.markers.raw_take import (
-    RawTake,
-    TakeOptions,
-    tell,
-    truncated_error,
-    unreadable_error,
-)
-from solver.scans.markers.table import (
-    Line,
-    finish_table,
-    parse_count,
-    parse_rate,
-    read_lines,
-    read_table,
-)
+from solver.scans.markers.raw_take import RawTake, TakeOptions, unreadable_error
+from solver.scans.markers.table import Heading, Line, finish_table, read_lines, read_table
 
 MOST_HEADING = 20  # lines
 SEEN = "marker"  # the type of a marker's columns
@@ -46,7 +33,7 @@ def read_motive(path: Path, options: TakeOptions) -> RawTake:
     """Return the markers of a CSV of Motive.
 
     Raises :class:`InputError`: ``markers.unreadable`` with ``line``, ``markers.truncated`` (also
-    with fewer frames than the heading says), ``markers.none`` or ``markers.too_large``.
+    with fewer frames than the heading has), ``markers.none`` or ``markers.too_large``.
     """
     file = path.name
     with path.open("rb") as stream:
@@ -59,24 +46,15 @@ def read_motive(path: Path, options: TakeOptions) -> RawTake:
         if not rows or not _is_last(rows[-1]):
             reason = "no row 'Frame, Time' in its first lines: export markers with their headings"
             raise unreadable_error(file, reason)
-        said = {
+        fields = {
             name.lower(): value for name, value in zip(rows[0][::2], rows[0][1::2], strict=False)
         }
         tracks = _choose_tracks(_tracks(file, rows))
         columns = [track.column + axis for track in tracks for axis in range(3)]
         table = read_table(file, lines, ",", columns, max(map(_width, rows[1:])), options)
-    findings = []
-    frames = parse_count(said.get("total exported frames"))
-    found = table.numbers[-1] - table.numbers[0] + 1
-    if frames is not None and found < frames:
-        reason = f"its heading says {frames} frames, found {found}"
-        raise truncated_error(file, reason, expected=frames, found=found)
-    if frames is not None and frames != found:
-        message = f"{file} says {frames} frames and has {found}, which are read."
-        findings.append(tell("header", "warning", message, file=file, found=found))
-    rate = parse_rate(said.get("export frame rate") or said.get("capture frame rate"))
-    names = [track.name for track in tracks]
-    return finish_table(file, names, table, rate, said.get("length units"), findings, options)
+    rate = fields.get("export frame rate") or fields.get("capture frame rate")
+    about = Heading(fields.get("total exported frames"), rate, fields.get("length units"))
+    return finish_table(file, [track.name for track in tracks], table, about, options)
 
 
 def _fields(file: str, line: Line) -> list[str]:

@@ -1,6 +1,6 @@
-"""Where on a face a marker lies by its name: ``LBRO1``, ``Leyebrow_Inside``, ``Mouth_UpL1``.
+"""Places of markers on a face by their names: ``LBRO1``, ``Leyebrow_Inside``, ``Mouth_UpL1``.
 
-Names tell a region, a side and which part of it, in any order and with any signs between. Places
+Names have a region, a side and a part of it, in any order and with any signs between. Places
 are of a middling face, in mm from the tip of the nose: x to the subject's left, y up, z forward;
 they are as sure as names are, to a centimetre or three. Labels that are plain numbers are the 68
 points of the iBUG scheme (Sagonas et al. 2013).
@@ -40,8 +40,13 @@ REGIONS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("jaw", ("jawline", "jaw")),
     ("temple", ("temple", "tmpl", "tmp")),
     ("ear", ("tragus", "ear")),
-    ("head", ("headband", "head", "fhd", "bhd", "cap", "hat", "brim", "helmet")),
+    ("back_of_head", ("bhd", "headback", "backhead")),
+    ("head", ("headband", "head", "fhd", "cap", "hat", "brim", "helmet")),
 )
+# A region whose part has a region of its own.
+HALVES = {("mouth", "upper"): "upper_lip", ("mouth", "lower"): "lower_lip"}
+# The part of a region in which a side's second marker and the further ones are.
+FURTHER = {"chin": "outer"}
 BODY = re.compile(
     r"^[lr]?(sho|shoulder|elb|elbow|wr[abi]|wrist|fin|hand|clav|strn|c7|t10|rbak|bak|asi|psi|thi"
     r"|kne|knee|tib|ank|hee|heel|toe|upa|frm|neck|hip|pelvis|spine|chest|arm|leg|foot|finger)\w{0,3}$"
@@ -78,9 +83,11 @@ PLACES: dict[str, dict[str, Place]] = {
     "temple": {"": (64, 56, -64)},
     "ear": {"": (72, 17, -104)},
     "head": {"": (70, 110, -70), "middle": (0, 125, -45), "back": (60, 100, -210)},
+    "back_of_head": {"": (60, 100, -210), "middle": (0, 100, -210)},
 }
 PARTS: dict[str, Part] = {
     "head": "head",
+    "back_of_head": "head",
     "upper_teeth": "upper_teeth",
     "lower_teeth": "lower_teeth",
 }
@@ -121,7 +128,7 @@ TWINS_68 = {
 
 @dataclass(frozen=True)
 class Named:
-    """What a marker's name says of its place."""
+    """The place of a marker by its name."""
 
     region: str
     place: Place  # on a middling face, mm from the tip of the nose
@@ -130,7 +137,7 @@ class Named:
 
 
 def read_names(labels: Sequence[str]) -> list[Named | None]:
-    """Return what each label says, None for one that says nothing."""
+    """Return the place by each label, None for one that names none."""
     numbers = [_number(label) for label in labels]
     known = [number for number in numbers if number is not None]
     if len(labels) >= 17 and len(known) == len(labels) and max(known) <= 68:
@@ -141,7 +148,7 @@ def read_names(labels: Sequence[str]) -> list[Named | None]:
 
 
 def read_name(label: str) -> Named | None:
-    """Return what one label says; ``ignore`` is the part of what is named after the body."""
+    """Return the place by one label; what is named after the body has the part ``ignore``."""
     parts = _split(label)
     joined = "".join(parts)
     if BODY.match(joined):
@@ -154,21 +161,16 @@ def read_name(label: str) -> Named | None:
     region, word = found
     rest = _rest(parts, joined.index(word), len(word))
     side, marks = _side(rest)
-    if region == "mouth":
-        region = {"upper": "upper_lip", "lower": "lower_lip"}.get(marks[0] if marks else "", region)
-    if word in ("llip", "ulip") and side is None and len(parts) == 1:
-        side = 0
+    region = HALVES.get((region, marks[0] if marks else ""), region)
     table = PLACES[region]
-    numbered = [int(part) for part in rest if part.isdigit()]
+    number = next((int(part) for part in rest if part.isdigit()), 1)
     chosen = next((mark for mark in marks if mark in table and not (side and mark == "tip")), "")
     if not chosen and side in (None, 0) and "middle" in table:
         chosen = "middle"
-    if region == "chin" and side and numbered and numbered[0] > 1:
-        chosen = "outer"
+    if side and number > 1:
+        chosen = FURTHER.get(region, chosen)
     x, y, z = table[chosen]
     part = PARTS.get(region, "face")
-    if region == "head":
-        y, z = (y, PLACES["head"]["back"][2]) if "bhd" in joined or "back" in marks else (y, z)
     if x and side in (None, 0):
         return None if part == "face" else Named(region, (0, y, z), part)
     return Named(region, (x * (side or 1), y, z), part, (side or 0) if x else 0)
@@ -192,7 +194,7 @@ def _rest(parts: list[str], start: int, length: int) -> list[str]:
 
 
 def _side(rest: list[str]) -> tuple[int | None, list[str]]:
-    """Return 1 for the left, -1 for the right, 0 for the middle, None if unsaid, and the marks."""
+    """Return 1 for the left, -1 for the right, 0 for the middle, None if neither, and the marks."""
     side: int | None = None
     marks: list[str] = []
     by_word = {word: mark for mark, words in WORDS.items() for word in words}

@@ -9,6 +9,7 @@ import numpy as np
 from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.errors import quote
+from solver.registration.search import nose_tip
 from solver.scans.markers.bind import LocatedTake
 from solver.scans.markers.faults import Faults
 from solver.scans.markers.findings import MarkerCheck
@@ -23,7 +24,6 @@ LANES, LANE, NAMES = 620, 13, 150  # pixels: a lane's width and height, room for
 LEAST_FACING = 0.15  # cosine: a marker that is seen more from the side is not drawn
 NAME = (62, 9)  # pixels about a name in which no other is written
 SKIN = np.array([0.62, 0.60, 0.58])
-LIGHT = np.array([0.35, 0.45, 0.82])
 SEEN: Colour = (0.20, 0.55, 0.33)
 FAULTS: dict[str, tuple[str, Colour]] = {  # later ones are drawn over earlier ones
     "filled": ("filled in", (0.55, 0.78, 0.92)),
@@ -47,9 +47,9 @@ def check_picture(check: MarkerCheck, face: Surface, title: str, path: Path) -> 
     page = Sheet.with_legend(title, _detail(check), legend, width, HEADER + rows + 36)
     if located is not None:
         colours = _colours(located.faults)
-        if located.placed is not None:
+        if located.places is not None:
             for number, yaw in enumerate(YAWS):
-                _draw_face(page, face, located.placed, names, colours, yaw, WIDTH * number)
+                _draw_face(page, face, located.places, names, colours, yaw, WIDTH * number)
         _draw_lanes(page, located, WIDTH * len(YAWS) + NAMES)
     page.save(path)
 
@@ -85,11 +85,9 @@ def _draw_face(
     yaw: float,
     left: int,
 ) -> None:
-    used = face.vertices[np.unique(face.faces)]
-    tip = used[np.argmax(used[:, 2])]
-    centre = tip - np.array([0.0, 0.0, BACK_MM])
+    centre = nose_tip(face) - np.array([0.0, 0.0, BACK_MM])
     camera = Camera(centre, SPAN_MM, yaw)
-    light = 0.35 + 0.65 * np.abs(vertex_normals(face) @ (camera.axes.T @ LIGHT))
+    light = 0.35 + 0.65 * camera.brightness(vertex_normals(face))
     lit = Lit(face, np.repeat(light[:, None], 3, axis=1))
     body = DrawnBody(lit, np.tile(SKIN, (len(light), 1)))
     page.panel((left, HEADER), render([body], camera, WIDTH, HEIGHT))

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from solver.errors import Finding, InputError, Severity
+from solver.errors import Finding, InputError, advise
 from solver.surface import Floats
 
 ADVICE = {
     "markers.unreadable": "Export the take again, as C3D, TRC, Motive CSV or NPZ.",
     "markers.truncated": "Copy or upload the file again; it was cut off on the way.",
     "markers.too_large": "Cut the take into shorter ones, or export it without unlabelled tracks.",
-    "markers.none": "Export the labelled trajectories; analog data alone tell nothing of a face.",
+    "markers.none": "Export the labelled trajectories; analog data alone hold no face.",
     "markers.labels": "Give each marker a name of its own in the capture software.",
     "markers.two_faces": "Export each person's markers to a file of their own.",
-    "markers.unit": "Say in the capture software's export in which unit lengths are.",
-    "markers.rate": "Say in the export how many frames a second has.",
+    "markers.unit": "Write the unit of lengths in the capture software's export.",
+    "markers.rate": "Write the frame rate in the export.",
     "markers.frames": "Nothing to do: frames that the file leaves out count as missing.",
     "markers.far": "Nothing to do: such points count as missing.",
     "markers.header": "Export the take again if the number of its frames is not right.",
 }
+
+make_finding = partial(advise, ADVICE)
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class TakeOptions:
     )  # markers of a face spread as far, root mean square
     seen_mm: tuple[float, float] = (12.0, 1500.0)  # a child's few to a body's many
     most_rate: float = 10_000.0  # Hz
-    rate_slack: float = 0.005  # by which two places may say the rate differently
+    rate_slack: float = 0.005  # by which two rates in a file may differ
     most_gaps: float = 1.0  # frames that are left out, for each that is there
 
 
@@ -65,19 +68,14 @@ class RawTake:
 
     names: Sequence[str]  # (n,) as the file has them; shorter where tracks have no name
     points: Floats
-    rate: float  # Hz; NaN where the file does not say
+    rate: float  # Hz; NaN where the file has none
     first: int = 1  # number of the first frame
     unit: str | float | None = None  # its name as the file has it, or mm
     residual: Floats | None = None  # (f, n) in the file's units, NaN if unknown
     sigma: Floats | None = None  # (f, n, 3) in the file's units
-    up: str | None = None  # the axis that the file says is up
+    up: str | None = None  # the axis that is up by the file
     events: tuple[Event, ...] = ()
     findings: list[Finding] = field(default_factory=list)
-
-
-def tell(code: str, severity: Severity, message: str, **context: Any) -> Finding:
-    """Return a finding of reading a take, with the advice that belongs to its code."""
-    return Finding(f"markers.{code}", severity, message, ADVICE[f"markers.{code}"], context)
 
 
 def unreadable_error(file: str, reason: str, **context: Any) -> InputError:
@@ -129,26 +127,26 @@ def spread_frames(
     spread = np.full((len(numbers) + missing, *points.shape[1:]), np.nan)
     spread[np.array(numbers, np.int64) - numbers[0]] = points
     message = f"{file} leaves out {missing} of {len(spread)} frames."
-    return spread, [tell("frames", "warning", message, file=file, frames=missing)]
+    return spread, [make_finding("markers.frames", "warning", message, file=file, frames=missing)]
 
 
 def choose_rate(
-    file: str, said: Iterable[tuple[str, float]], options: TakeOptions
+    file: str, sources: Iterable[tuple[str, float]], options: TakeOptions
 ) -> tuple[float, list[Finding]]:
     """Return the rate in Hz by the first of the sources that has one; NaN if none has.
 
-    ``said`` is what places of the file say, by their names; it is told where they differ.
+    ``sources`` are rates by the names of their places in the file; a finding where they differ.
     """
-    given = list(said)
-    usable = [(place, rate) for place, rate in given if 0.0 < rate <= options.most_rate]
+    rates = list(sources)
+    usable = [(place, rate) for place, rate in rates if 0.0 < rate <= options.most_rate]
     if not usable:
-        words = ", ".join(f"{place} {rate:g}" for place, rate in given) or "nothing"
-        message = f"{file} does not say how many frames a second has ({words})."
-        return float("nan"), [tell("rate", "warning", message, file=file)]
+        words = ", ".join(f"{place} {rate:g}" for place, rate in rates) or "nothing"
+        message = f"{file} has no usable frame rate ({words})."
+        return float("nan"), [make_finding("markers.rate", "warning", message, file=file)]
     place, rate = usable[0]
     others = [each for each in usable[1:] if abs(each[1] / rate - 1.0) > options.rate_slack]
-    if len(usable) == len(given) and not others:
+    if len(usable) == len(rates) and not others:
         return rate, []
-    words = ", ".join(f"{where} {value:g} Hz" for where, value in given)
+    words = ", ".join(f"{where} {value:g} Hz" for where, value in rates)
     message = f"{file} says different rates: {words}; it is read at {rate:g} Hz, by {place}."
-    return rate, [tell("rate", "warning", message, file=file, found=rate)]
+    return rate, [make_finding("markers.rate", "warning", message, file=file, found=rate)]

@@ -17,8 +17,8 @@ from solver.scans.markers.raw_take import (
     check_room,
     choose_rate,
     decode,
+    make_finding,
     spread_frames,
-    tell,
     truncated_error,
     unreadable_error,
 )
@@ -48,7 +48,7 @@ class Table:
     findings: tuple[Finding, ...] = ()
 
     def timed_rate(self) -> list[tuple[str, float]]:
-        """Return what the times say of the rate in Hz, as :func:`choose_rate` takes it."""
+        """Return the rate in Hz by the times, as :func:`choose_rate` takes it."""
         span = self.times[-1] - self.times[0]
         steps = self.numbers[-1] - self.numbers[0]
         return [("its times", steps / span)] if span > 0 and steps else []
@@ -114,20 +114,42 @@ def read_table(
     return _count_on(file, Table(numbers, times, points))
 
 
+@dataclass(frozen=True)
+class Heading:
+    """Texts of a heading about the table under it; None for those that it leaves out."""
+
+    frames: str | None
+    rate: str | None
+    unit: str | None
+    markers: str | None = None
+
+
 def finish_table(
-    file: str,
-    names: Sequence[str],
-    table: Table,
-    said: list[tuple[str, float]],
-    unit: str | None,
-    findings: list[Finding],
-    options: TakeOptions,
+    file: str, names: Sequence[str], table: Table, heading: Heading, options: TakeOptions
 ) -> RawTake:
-    """Return a table as a take, each frame in its place; ``said`` is what tells its rate in Hz."""
+    """Return a table as a take, each frame in its place, after a look at its heading.
+
+    Raises :class:`InputError` ``markers.truncated`` if that promises more frames.
+    """
+    found = table.numbers[-1] - table.numbers[0] + 1
+    expected = _count(heading.frames)
+    if expected is not None and found < expected:
+        reason = f"its heading says {expected} frames, found {found}"
+        raise truncated_error(file, reason, expected=expected, found=found)
+    markers = table.points.shape[1]
+    findings = _compare(file, "markers", _count(heading.markers), markers)
+    findings += _compare(file, "frames", expected, found)
     points, gaps = spread_frames(file, table.numbers, table.points, options)
-    rate, rates = choose_rate(file, [*said, *table.timed_rate()], options)
+    rate, rates = choose_rate(file, [*_rate(heading.rate), *table.timed_rate()], options)
     every = [*findings, *table.findings, *gaps, *rates]
-    return RawTake(names, points, rate, table.numbers[0], unit, findings=every)
+    return RawTake(names, points, rate, table.numbers[0], heading.unit, findings=every)
+
+
+def _compare(file: str, what: str, expected: int | None, found: int) -> list[Finding]:
+    if expected in (None, found):
+        return []
+    message = f"{file} says {expected} {what} and has {found}, which are read."
+    return [make_finding("markers.header", "warning", message, file=file, found=found)]
 
 
 def _count_on(file: str, table: Table) -> Table:
@@ -148,18 +170,18 @@ def _count_on(file: str, table: Table) -> Table:
     numbers[1:] -= np.cumsum(np.where(dropped, left_out, 0))
     places = f"{count} places" if count > 1 else "one place"
     message = f"{file} counts frames by drop-frame timecode, which leaves out numbers at {places}."
-    told = tell("frames", "info", message, file=file, places=count)
-    return replace(table, numbers=numbers.tolist(), findings=(told,))
+    found = make_finding("markers.frames", "info", message, file=file, places=count)
+    return replace(table, numbers=numbers.tolist(), findings=(found,))
 
 
-def parse_count(text: str | None) -> int | None:
+def _count(text: str | None) -> int | None:
     """Return a whole number of a heading, None for anything else."""
     is_number = text is not None and text.isascii() and text.isdigit() and len(text) < 10
     return int(text) if is_number and text else None
 
 
-def parse_rate(text: str | None) -> list[tuple[str, float]]:
-    """Return what a heading says of the rate, as :func:`choose_rate` takes it."""
+def _rate(text: str | None) -> list[tuple[str, float]]:
+    """Return the rate of a heading, as :func:`choose_rate` takes it."""
     try:
         return [] if not text else [("its heading", float(text))]
     except ValueError:

@@ -25,7 +25,7 @@ from solver.storage import Archive, read_arrays
 from solver.surface import Floats
 
 FORMAT = 1
-BEGIN = 4096  # bytes that tell which reader a file needs
+BEGIN = 4096  # bytes by which the reader of a file is chosen
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Take:
     file: str
     labels: tuple[str, ...]  # (k,), without blanks and without a subject's prefix
     positions: Floats  # (f, k, 3)
-    rate: float  # frames a second; NaN where the file does not say
+    rate: float  # frames a second; NaN where the file has none
     first: int = 1  # number of the first frame
     unit_mm: float = 1.0  # mm a unit of the file: positions are multiplied by it
     sigma: Floats | None = None  # (f, k, 3) standard deviations in mm, where the file has them
@@ -46,7 +46,7 @@ class Take:
     unlabelled: Floats = field(default_factory=lambda: np.zeros((0, 0, 3)))  # (f, u, 3)
     unlabelled_names: tuple[str, ...] = ()  # (u,)
     subject: str = ""  # the prefix that all labels had
-    up: str | None = None  # the axis that the file says is up, as "y" or "-z"
+    up: str | None = None  # the axis that is up by the file, as "y" or "-z"
     events: tuple[Event, ...] = ()
     findings: tuple[Finding, ...] = ()  # what reading it found
 
@@ -186,7 +186,7 @@ def _settle(file: str, raw: RawTake, options: TakeOptions) -> Take:
     check_seen(file, raw)
     count = raw.points.shape[1]
     read = read_labels(file, raw.names, count)
-    unit, told = settle_unit(file, raw, read.labelled or read.unlabelled, options)
+    unit, units = settle_unit(file, raw, read.labelled or read.unlabelled, options)
     for lengths in (raw.points, raw.sigma, raw.residual):
         if lengths is not None:
             lengths *= unit
@@ -206,7 +206,7 @@ def _settle(file: str, raw: RawTake, options: TakeOptions) -> Take:
         read.subject,
         raw.up,
         raw.events,
-        (*raw.findings, *read.findings, *told, *far),
+        (*raw.findings, *read.findings, *units, *far),
     )
 
 

@@ -6,19 +6,11 @@ from collections.abc import Sequence
 from itertools import chain, islice
 from pathlib import Path
 
-from solver.errors import Finding
-from solver.scans.markers.raw_take import (
-    RawTake,
-    TakeOptions,
-    tell,
-    truncated_error,
-    unreadable_error,
-)
+from solver.scans.markers.raw_take import RawTake, TakeOptions, truncated_error, unreadable_error
 from solver.scans.markers.table import (
+    Heading,
     Line,
     finish_table,
-    parse_count,
-    parse_rate,
     read_lines,
     read_table,
     split_row,
@@ -31,7 +23,7 @@ def read_trc(path: Path, options: TakeOptions) -> RawTake:
     """Return the points of a TRC file.
 
     Raises :class:`InputError`: ``markers.unreadable`` with ``line``, ``markers.truncated`` (also
-    with fewer frames than the heading says), ``markers.none`` or ``markers.too_large``.
+    with fewer frames than the heading has), ``markers.none`` or ``markers.too_large``.
     """
     file = path.name
     with path.open("rb") as stream:
@@ -40,7 +32,7 @@ def read_trc(path: Path, options: TakeOptions) -> RawTake:
         if len(heading) < HEADING:
             raise truncated_error(file, f"its heading has {HEADING} lines, found {len(heading)}")
         separator = "\t" if "\t" in heading[3].text else None
-        said = dict(
+        fields = dict(
             zip(
                 (name.lower() for name in split_row(heading[1].text, separator)),
                 split_row(heading[2].text, separator),
@@ -51,16 +43,8 @@ def read_trc(path: Path, options: TakeOptions) -> RawTake:
         names = _names(file, heading[3], separator, count)
         columns = range(2, 2 + 3 * count)
         table = read_table(file, lines, separator, columns, 2 + 3 * count, options)
-    findings = _compare_heading(file, said, count)
-    frames, found = parse_count(said.get("numframes")), table.numbers[-1] - table.numbers[0] + 1
-    if frames is not None and found < frames:
-        reason = f"its heading says {frames} frames, found {found}"
-        raise truncated_error(file, reason, expected=frames, found=found)
-    if frames is not None and frames != found:
-        message = f"{file} says {frames} frames and has {found}, which are read."
-        findings.append(tell("header", "warning", message, file=file, found=found))
-    rate = parse_rate(said.get("datarate"))
-    return finish_table(file, names, table, rate, said.get("units"), findings, options)
+    about = Heading(*map(fields.get, ("numframes", "datarate", "units", "nummarkers")))
+    return finish_table(file, names, table, about, options)
 
 
 def _coordinates(file: str, line: Line, separator: str | None) -> int:
@@ -88,12 +72,3 @@ def _names(file: str, line: Line, separator: str | None, count: int) -> Sequence
         reason = f"{len(labels)} labels over the coordinates of {count} points"
         raise unreadable_error(file, reason, line=line.number)
     return labels
-
-
-def _compare_heading(file: str, said: dict[str, str], count: int) -> list[Finding]:
-    """Return what the heading says otherwise than the columns."""
-    markers = parse_count(said.get("nummarkers"))
-    if markers is None or markers == count:
-        return []
-    message = f"{file} says {markers} markers and has {count}, which are read."
-    return [tell("header", "warning", message, file=file, found=count)]

@@ -172,6 +172,14 @@ def test_a_gap_is_bridged_by_controls_without_a_jump(tmp_path: Path, interpolati
     assert chosen.under.performances[0].bridged[:2].tolist() == [FIRST + 1, FIRST + 2]
 
 
+def test_smoothed_frames_are_played(tmp_path: Path) -> None:
+    content = frames(f4="smoothed", f5="predicted")
+    drives = played(write(tmp_path, content), take_of())
+    [performance] = drives.under.performances
+    assert performance.bridged.tolist() == [FIRST + 5]
+    np.testing.assert_allclose(drives(4 / FPS).a, content[4].activations, atol=1e-9)
+
+
 def test_performances_are_mixed_by_muscle_and_keys_lie_on_top(take: Path) -> None:
     strong = take_of(gain=2.0, mask=["right"], speed=2.0)
     keys = [{"time": 0, "muscles": {"right": [1.0, 0, 0, 1.1, 0, 1]}, "jaw": {"open_deg": 3}}]

@@ -13,7 +13,6 @@ from solver.fitting.face import Face
 from solver.fitting.markers.places import (
     RefineOptions,
     frames_near_neutral,
-    place_on,
     refine,
     triangle_axes,
 )
@@ -23,7 +22,7 @@ from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerTracker
 from solver.mechanics.flesh import MOONEY_RIVLIN
-from solver.scans.markers.bind import model_face
+from solver.scans.markers.bind import model_face, place_on
 from solver.scans.markers.marker_set import Marker
 from solver.similarity import small_motion
 from tests.fixtures import small_capture, small_model

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from solver.registration.search import nose_tip
 from solver.scans.markers.bind import model_face
-from solver.scans.markers.locate import nose_tip
 from solver.scans.markers.names import read_names
 from solver.scans.markers.take import Take
 from solver.surface import Floats, vertex_normals

@@ -1,4 +1,4 @@
-"""What labels say of a marker's place."""
+"""Places of markers by their labels."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ from solver.scans.markers.names import read_name, read_names
         ("Chin_R2", "chin", -1),
         ("ForeHead_M", "forehead", 0),
         ("LFHD", "head", 1),
+        ("LBHD", "back_of_head", 1),
     ],
 )
-def test_a_label_tells_region_and_side(label: str, region: str, side: int) -> None:
+def test_a_label_has_a_region_and_a_side(label: str, region: str, side: int) -> None:
     named = read_name(label)
     assert named is not None
     assert (named.region, named.side) == (region, side)
@@ -43,14 +44,14 @@ def test_a_label_tells_region_and_side(label: str, region: str, side: int) -> No
         ("LSHO", "ignore"),
     ],
 )
-def test_a_label_tells_what_the_marker_rides_on(label: str, part: str) -> None:
+def test_a_label_names_what_its_marker_rides_on(label: str, part: str) -> None:
     named = read_name(label)
     assert named is not None
     assert named.part == part
 
 
 @pytest.mark.parametrize("label", ["M001", "*12", "foo", "Lens", ""])
-def test_other_labels_say_nothing(label: str) -> None:
+def test_other_labels_name_no_place(label: str) -> None:
     assert read_name(label) is None
 
 
