@@ -10,12 +10,7 @@ from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, with_fibres
 from solver.fitting.face import Face
-from solver.fitting.markers.places import (
-    RefineOptions,
-    frames_near_neutral,
-    refine,
-    triangle_axes,
-)
+from solver.fitting.markers.places import RefineOptions, frames_near_neutral, refine, triangle_axes
 from solver.fitting.markers.reach import reach
 from solver.fitting.markers.robust import Prediction, judge
 from solver.fitting.markers.smooth import TracedFrame, smooth
