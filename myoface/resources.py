@@ -276,8 +276,8 @@ class Frame(Resource):
     """A fitted frame of a sequence, see docs/guide/sequences.md; rad and mm."""
 
     frame: int
-    status: Literal["fitted", "kept", "unseen"]
-    activations: list[list[float]]
+    status: Literal["fitted", "kept", "unseen", "predicted", "smoothed"]
+    activations: list[list[float]] | list[float]
     jaw: list[float]
     head: list[float]
     mean_mm: float | None

@@ -244,12 +244,14 @@ class FrameView(BaseModel):
     """A fitted frame; angles in rad, lengths in mm."""
 
     frame: int = Field(description="its number in the performance")
-    status: Literal["fitted", "kept", "unseen"] = Field(
+    status: Literal["fitted", "kept", "unseen", "predicted", "smoothed"] = Field(
         description="`kept`: the fit failed, `unseen`: too little of the face is seen; "
-        "both have the pose of the frame before"
+        "both have the pose of the frame before; `predicted`: no marker is seen, the pose fades to "
+        "rest; `smoothed`: the frames after it count too"
     )
-    activations: list[list[float]] = Field(
-        description="a row a muscle, xx, xy, xz, yy, yz, zz; relaxed is 1, 0, 0, 1, 0, 1"
+    activations: list[list[float]] | list[float] = Field(
+        description="a row a muscle, xx, xy, xz, yy, yz, zz; relaxed is 1, 0, 0, 1, 0, 1; of "
+        "fibre muscles one number in [0, 1] each"
     )
     jaw: list[float] = Field(description="two rotations and three translations of the mandible")
     head: list[float] = Field(description="rotation vector and translation of the head")

@@ -165,6 +165,23 @@ def test_a_file_of_frames_is_read_as_far_as_it_may_go(
     assert simulation.ask() == (409, "job.bad_frames")
 
 
+def test_frames_of_markers_are_answered(simulation: Simulation) -> None:
+    """Predicted and smoothed ones too, and those whose muscles have one activation each."""
+    numbers = ("mean_mm", "p95_mm", "max_mm", "coverage", "inverted", "iterations", "seconds")
+    frame = {"jaw": [0.0] * 5, "head": [0.0] * 6, **dict.fromkeys(numbers, 0)}
+    frames = [
+        {"frame": 7, "status": "predicted", "activations": [0.5, 0.0], **frame},
+        {
+            "frame": 8,
+            "status": "smoothed",
+            "activations": [[1.0, 0.0, 0.0, 1.0, 0.0, 1.0]],
+            **frame,
+        },
+    ]
+    simulation.leave(0, json.dumps({"frames": frames}), last=1)
+    assert simulation.ask() == (200, None)
+
+
 @pytest.mark.parametrize("picture", ["3", '"?"', '"A"'])
 def test_a_picture_is_base_64(picture: str, simulation: Simulation) -> None:
     simulation.leave(0, f'{{"frames": [], "picture": {picture}}}')
