@@ -200,4 +200,8 @@ def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
     if shapes is None or shapes.expressions.shape[1] != len(face.model.skin.vertices):
         message = "the template has no expressions of this skin: use the prior scans or none"
         raise InputError("markers.prior", message)
-    return prior.from_shapes(face, shapes.expressions)
+
+    def show(done: float) -> None:
+        task.progress(Step("expressions", 0.01 * done))
+
+    return prior.from_fitted_shapes(face, shapes.expressions, listen=show)

@@ -11,7 +11,7 @@ from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser
 from solver.fitting.prior import Hold, PriorSum
 from solver.mechanics.jaw_tracks import JawTracks
-from tests.fixtures import small_model
+from tests.fixtures import small_capture, small_model
 from tests.solver.block import head_block, poses
 
 
@@ -46,6 +46,30 @@ def test_what_an_expression_does_is_probable(face):
     other *= np.linalg.norm(change) / np.linalg.norm(other)
     likely, unlikely = (known.value(face.rest_pose().add(each)) for each in (change, other))
     assert likely < 0.1 * unlikely
+
+
+def test_large_shapes_are_fitted():
+    """Half of a large shape comes of half its change, where the linear response errs by far."""
+    face, rest = Face(small_model()), small_capture("neutral").vertices
+    shape = small_capture("ah").vertices - rest
+    options = prior.PriorOptions(strength=1.0, floor={"jaw": 0.0}, other_floor=1e-6)
+
+    def left(known):
+        values, vectors = np.linalg.eigh(known.covariance)
+        change = np.sqrt(values[-1]) * vectors[:, -1]
+        goal = 0.5 * shape[face.model.face]
+        off = []
+        for sign in (1.0, -1.0):
+            state = face.continuation(face.rest, face.rest_pose().add(0.5 * sign * change))
+            moved = face.face_points(state.x) - face.face_points(face.rest.x)
+            off.append(np.linalg.norm(moved - goal, axis=1).mean())
+        return min(off)
+
+    linear = left(prior.from_shapes(face, shape[None], options))
+    heard = []
+    fitted = left(prior.from_fitted_shapes(face, shape[None], options, heard.append))
+    assert heard == [1.0]
+    assert fitted < 0.5 * linear
 
 
 def test_the_teeth_of_a_shape_move_a_jaw_on_tracks():
