@@ -60,7 +60,8 @@ class FitMarkers(JobOptions):
         default=1.8,
         gt=0,
         le=50,
-        description="distance at which a point has a quarter of its say: twice as far it is wrong",
+        description="distance at which a point has a quarter of its weight: two and a half times "
+        "as far it is wrong",
     )
     smooth: bool = Field(
         default=False,

@@ -32,11 +32,16 @@ class RobustOptions:
 
     scales: tuple[float, ...] = (4.0, 2.0, 1.0, 1.0)  # of the rounds, times ``scale_mm``
     scale_mm: float = 1.8
-    least_weight: float = 0.04  # below it, at twice the scale, a marker is an outlier
+    least_weight: float = 0.02  # below it, at 2.5 times the scale, a marker is an outlier
     gate_mm: float = 2.5  # of another's point that is taken for a marker ...
     gate_sd: float = 2.0  # ... and the predicted spread that comes to it
     most_gate_mm: float = 8.0
     better: float = 2.0  # times as far has the label's own point to be
+
+    @property
+    def lenient_scales(self) -> tuple[float, ...]:
+        """Scales for points that passed: of the rounds, none below twice the last."""
+        return tuple(max(each, 2.0 * self.scales[-1]) for each in self.scales)
 
 
 @dataclass(frozen=True)
@@ -132,7 +137,7 @@ def judge(
             points[label], states[label] = point, state
     used = (states != "outlier") & (states != "missing")
     kept = np.where(used[:, None], precision, 0.0)
-    weights = weigh(prediction, points, kept, options.scales[-1:] * 2, options)
+    weights = weigh(prediction, points, kept, options.lenient_scales, options)
     # a label that was given a point does not keep one that the others contradict
     again = used & (weights < options.least_weight)
     states[again] = "outlier"
