@@ -340,8 +340,24 @@ def section(figures: Figures) -> Section:
             f"{figures['tets']:,} tets, seen by markers alone: the whole face that a fit makes of "
             "them against the whole face that was there, beside a fit to all points of it."
         ),
-        parts=[Table(header, rows)],
+        parts=[Table(header, rows), Table(["figure", "value"], _others(figures))],
     )
+
+
+def _others(figures: Figures) -> list[list[str | float]]:
+    """Return the single figures of the other parts: name and value."""
+    found: list[list[str | float]] = []
+
+    def add(name: str, value: object) -> None:
+        if isinstance(value, dict):
+            for key, each in value.items():
+                add(f"{name}.{key}", each)
+        elif isinstance(value, int | float):
+            found.append([f"`{name}`", value])
+
+    for part in ("degraded", "head", "jaw", "held", "calibration", "live", "real", "speed"):
+        add(part, figures.get(part))
+    return found
 
 
 if __name__ == "__main__":

@@ -319,10 +319,12 @@ def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:
     """Return a marker moved to ``point`` (3,): on the triangle of a ``skin`` that gives it best.
 
     Over an edge no triangle's normal goes through the point. So those about the nearest one are
-    tried; a foot that is farther off costs as much as missing the point.
+    tried, and about the marker's own: to lie at another height than it does, or beside the foot,
+    costs as much as missing the point. In a fold the nearest triangle is often another side's.
     """
     nearest = skin.faces[barycentric(point[None], skin)[0][0]]
-    faces = skin.faces[np.isin(skin.faces, nearest).any(axis=1)]
+    near = np.concatenate([nearest, marker.vertices])
+    faces = skin.faces[np.isin(skin.faces, near).any(axis=1)]
     corners = skin.vertices[faces]
     normals = unit_rows(area_normals(skin.vertices, faces))
     arms = point - corners[:, 0]
@@ -332,7 +334,8 @@ def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:
     over = point - np.einsum("tc,tci->ti", weights, corners)
     heights = np.einsum("ti,ti->t", over, normals)
     missed = places_over(corners, weights, heights) - point
-    best = int(np.argmin(np.linalg.norm(missed, axis=1) + np.linalg.norm(over, axis=1)))
+    aside = np.linalg.norm(over - marker.height_mm * normals, axis=1)
+    best = int(np.argmin(np.linalg.norm(missed, axis=1) + aside))
     (first, second, third), (one, two, three) = faces[best].tolist(), weights[best].tolist()
     vertices, height = (first, second, third), float(heights[best])
     return replace(marker, vertices=vertices, weights=(one, two, three), height_mm=height)
