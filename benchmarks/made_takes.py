@@ -19,7 +19,7 @@ from solver.anatomy.warp import spread
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.fitting.face import Face
-from solver.fitting.markers.places import frames_near_neutral, refine
+from solver.fitting.markers.places import refine_by_take
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerFit, MarkerTracker
 from solver.fitting.prior import GaussianPrior
@@ -143,11 +143,11 @@ class Bench:
 
     def refined(self, known: GaussianPrior, take: MadeTake) -> Bench:
         """Return the bench with places mended by frames of a take, as jobs do."""
-        at, points = self.places.at(self.face.model.rest), take.points
-        rows = frames_near_neutral(at, points.__getitem__, range(len(points)), REFINING)
-        apart = len(points) / len(rows) * self.truth.seconds
-        other = copy.copy(self)
-        other.markers = list(refine(self.face, self.markers, known, list(points[rows]), apart))
+        frame, frames = take.points.__getitem__, range(len(take.points))
+        other, seconds = copy.copy(self), self.truth.seconds
+        other.markers = list(
+            refine_by_take(self.face, self.markers, known, frame, frames, seconds, REFINING)
+        )
         other.places = MarkerPlaces(self.face.model, other.markers)
         return other
 

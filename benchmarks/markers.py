@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.held import measure_held
-from benchmarks.made_takes import FRAMES, QUICK_FRAMES, Bench, Truth, make_truth, rms
+from benchmarks.made_takes import FRAMES, QUICK_FRAMES, REFINING, Bench, Truth, make_truth, rms
 from benchmarks.speed.clock import Stopwatch
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.build import build_subject_model, jaw_tracks
@@ -34,7 +34,7 @@ from solver.fitting.activation import unseen_regulariser
 from solver.fitting.contact import terms
 from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose
-from solver.fitting.markers.places import refine
+from solver.fitting.markers.places import refine_by_take
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerTracker
 from solver.fitting.objective import Target, distances
@@ -235,8 +235,8 @@ def _real(options: argparse.Namespace, kit: FaceKit, rig: Rig, shapes: Floats) -
         source = BoundTake(take, bind(take, model).markers, 4)
         numbers = source.frames[::REAL_STEP][: options.frames]
         frames = [source.points(number) for number in numbers]
-        some = [frames[row] for row in np.linspace(0, len(frames) - 1, 20).round().astype(int)]
-        used = refine(face, source.markers, known, some, len(take) / take.rate / len(some))
+        given = (source.points, source.frames, 1.0 / take.rate, REFINING)
+        used = refine_by_take(face, source.markers, known, *given)
         sigma, seconds = np.array([each.sigma_mm for each in used]), REAL_STEP / take.rate
         places = MarkerPlaces(model, used)
         tracker = MarkerTracker(face, places, sigma, known, seconds)

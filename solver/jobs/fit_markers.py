@@ -14,7 +14,7 @@ from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, load_muscles, with_fibres
 from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose
-from solver.fitting.markers.places import RefineOptions, frames_near_neutral, refine
+from solver.fitting.markers.places import RefineOptions, refine_by_take
 from solver.fitting.markers.robust import RobustOptions
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerOptions, MarkerTracker
@@ -155,11 +155,10 @@ def _tracker(
     if given.refine:
         task.progress(Step("places", 0.01))
         # of the whole take: places must not depend on where the fit ends
-        at = MarkerPlaces(face.model, used).at(face.model.rest)
-        chosen = frames_near_neutral(at, source.points, source.frames, given.refine)
-        frames = [source.points(number) for number in chosen]
-        apart = len(source.frames) / rate / max(len(chosen), 1)
-        used = refine(face, used, known, frames, apart, RefineOptions(tracking=options))
+        mending = RefineOptions(tracking=options)
+        used = refine_by_take(
+            face, used, known, source.points, source.frames, 1.0 / rate, given.refine, mending
+        )
         source.save(used, task.out / "markers.json")
     sigma = np.array([marker.sigma_mm for marker in used])
     places = MarkerPlaces(face.model, used)

@@ -18,13 +18,13 @@ import numpy as np
 
 from solver.fitting.face import Face
 from solver.fitting.least_squares import StopOptions
-from solver.fitting.markers.term import MarkerPlaces
+from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces
 from solver.fitting.markers.tracker import MarkerOptions, MarkerTracker
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.sequence import TrackingOptions
 from solver.scans.markers.bind import model_face, place_on
 from solver.scans.markers.marker_set import Marker
-from solver.similarity import robust_motion
+from solver.scans.markers.motion import rms_of_seen
 from solver.surface import Floats, unit_rows
 
 
@@ -34,8 +34,10 @@ class RefineOptions:
 
     candidates: int = 1000  # frames of the take, evenly, among which the nearest to neutral are ...
     apart: int = 5  # ... chosen, so many candidates or more between them
-    head_slack_mm: float = 4.0  # off the neutral face by more: little say in the head's motion
-    head_rounds: int = 10
+    # of a frame that is compared with the neutral face: closer than where expressions are fitted
+    head: HeadOptions = field(
+        default_factory=lambda: HeadOptions(placed_within_mm=4.0, placings=10)
+    )
     least_seen: float = 0.5  # of the markers, in a frame that is chosen
     rounds: int = 4
     most_mm: float = 5.0  # from where a marker was bound
@@ -77,10 +79,28 @@ def _off_neutral(places: Floats, seen: Floats, options: RefineOptions) -> float:
     known = np.isfinite(seen).all(axis=1)
     if known.sum() < max(options.least_seen * len(places), 3.0):
         return np.inf
-    at, there = places[known], seen[known]
-    slack, rounds = options.head_slack_mm, options.head_rounds
-    motion = robust_motion(at, there, np.ones(len(at)), slack, rounds)
-    return float(np.sqrt(np.mean(np.sum((motion(at) - there) ** 2, axis=1))))
+    head = HeadPrior.of_most(places, seen, np.ones(len(places)), options.head)
+    return rms_of_seen(np.linalg.norm(head.motion(places) - seen, axis=1))
+
+
+def refine_by_take(
+    face: Face,
+    markers: Sequence[Marker],
+    prior: GaussianPrior,
+    frame: Callable[[int], Floats],
+    frames: range,
+    seconds: float,
+    count: int,
+    options: RefineOptions = RefineOptions(),
+) -> tuple[Marker, ...]:
+    """Return the markers moved by the ``count`` frames of a take nearest the neutral face.
+
+    ``frame`` gives the points (k, 3) in mm of one of ``frames``, which are ``seconds`` apart.
+    """
+    at = MarkerPlaces(face.model, markers).at(face.model.rest)
+    chosen = frames_near_neutral(at, frame, frames, count, options)
+    apart = len(frames) * seconds / max(len(chosen), 1)
+    return refine(face, markers, prior, [frame(number) for number in chosen], apart, options)
 
 
 def refine(

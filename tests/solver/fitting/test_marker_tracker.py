@@ -204,6 +204,17 @@ def test_places_are_mended_by_the_frames_nearest_the_neutral_face(face, places, 
     assert chosen == [0, 2, 4]
 
 
+def test_frames_are_chosen_in_any_axes_of_a_take(face, places, take):
+    turn = small_motion(np.array([0.0, 2.0, 0.0, 40000.0, -9000.0, 3000.0]))
+    points = np.array([turn(seen) for seen in take[2]])
+    at, options = places.at(face.model.rest), RefineOptions(apart=1)
+    here, there = (
+        frames_near_neutral(at, each.__getitem__, range(len(each)), 3, options)
+        for each in (take[2], points)
+    )
+    assert here == there
+
+
 @pytest.mark.parametrize(
     "fault", [SolveError("solve.no_convergence", ""), np.linalg.LinAlgError("singular")]
 )
