@@ -339,6 +339,6 @@ class DenseModel:
 
 def _solve_positive(matrix: Floats, right: Floats) -> Floats:
     try:
-        return np.asarray(scipy.linalg.solve(matrix, right, assume_a="pos"))
+        return np.asarray(scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error

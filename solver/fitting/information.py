@@ -150,12 +150,15 @@ def inverse_of_positive(matrix: Floats) -> Floats:
     # entries differ in unit and so in size by orders: scaled to a unit diagonal first
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = 1.0 / np.sqrt(np.diag(matrix))
-        scaled = matrix * np.outer(scale, scale)
+        scaled = matrix * scale
+        scaled *= scale[:, None]
     try:
-        factor = scipy.linalg.cholesky(scaled)
+        factor = scipy.linalg.cholesky(scaled, overwrite_a=True)
     except (np.linalg.LinAlgError, ValueError) as error:
         message = f"no posterior: the precision is not positive definite ({error})"
         raise SolveError("solve.not_finite", message) from error
-    inverse, _ = scipy.linalg.lapack.dpotri(factor)
-    upper = np.triu(inverse) * np.outer(scale, scale)
-    return np.asarray(upper + np.triu(upper, 1).T)
+    # of the upper triangle alone; the lower one of the factor is 0, and stays so
+    upper, _ = scipy.linalg.lapack.dpotri(factor, overwrite_c=True)
+    inverse = upper + upper.T
+    inverse[np.diag_indices_from(inverse)] *= 0.5
+    return np.asarray(inverse * np.outer(scale, scale))

@@ -120,9 +120,10 @@ class Tracker:
             found = self._fit_lagged(lagged, data, prior)
             if found is None and self._age:
                 found = self._fit_lagged(self.relinearise(data, weights), data, prior)
-            value = activation.objective(data, prior, self.state)
-            if found is None and np.isfinite(self._value) and value < options.stuck * self._value:
-                return 0
+            if found is None and np.isfinite(self._value):
+                value = activation.objective(data, prior, self.state)
+                if value < options.stuck * self._value:
+                    return 0
         if found is None:
             known = None if self._lagged is None else self._lagged.hessian
             effort, stop = self._whole_fit, Termination.ITERATIONS

@@ -30,7 +30,7 @@ MarkerState = Literal["seen", "missing", "outlier", "swapped", "relabelled"]
 class RobustOptions:
     """Scales of the weights, and what is too far off to be a marker's."""
 
-    scales: tuple[float, ...] = (4.0, 2.0, 1.0, 1.0)  # of the rounds, times ``scale_mm``
+    scales: tuple[float, ...] = (4.0, 2.0, 1.0)  # of the rounds, times ``scale_mm``
     scale_mm: float = 1.8
     least_weight: float = 0.02  # below it, at 2.5 times the scale, a marker is an outlier
     gate_mm: float = 2.5  # of another's point that is taken for a marker ...
@@ -41,7 +41,8 @@ class RobustOptions:
     @property
     def lenient_scales(self) -> tuple[float, ...]:
         """Scales for points that passed: of the rounds, none below twice the last."""
-        return tuple(max(each, 2.0 * self.scales[-1]) for each in self.scales)
+        least = 2.0 * self.scales[-1]
+        return (*(each for each in self.scales if each > least), least)
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class Prediction:
             return self.points
         gain, spread = self._gain(rows, precision)
         off = (seen - self.points).ravel()[rows]
-        step = gain @ scipy.linalg.solve(spread, off, assume_a="pos")
+        step = gain @ scipy.linalg.cho_solve(scipy.linalg.cho_factor(spread), off)
         return np.asarray(self.points + step.reshape(-1, 3))
 
     def _gain(self, rows: Ints, precision: Floats) -> tuple[Floats, Floats]:

@@ -87,8 +87,8 @@ def _covariances(
     for number, frame in enumerate(frames):
         before = _spread(tracker, found[-1]) if found else spread
         normal = tracker.normal(frame.pose, frame.head, frame.weights, number, frame.sigma)
-        covariance, _ = tracker.spread(GaussianPrior(tracker.prior.mean, before), normal)
-        found.append(covariance)
+        prior = GaussianPrior(tracker.prior.mean, before)
+        found.append(tracker.spread(prior, normal, tracker.alone(normal)))
     return found
 
 

@@ -24,6 +24,7 @@ from solver.anatomy.embedding import rows_of
 from solver.contact.mouth import Mandible
 from solver.fitting.information import inverse_of_positive
 from solver.fitting.objective import GramCurvature
+from solver.fitting.sensitivity import Jacobian
 from solver.model import SubjectModel
 from solver.scans.markers.marker_set import BONY, Marker, places_over
 from solver.similarity import IDENTITY, Similarity, robust_motion, weighted_motion
@@ -65,6 +66,19 @@ class MarkerPlaces:
         indptr = 9 * np.arange(3 * count + 1)
         blocks = sp.csr_array((local.ravel(), columns.ravel(), indptr), (3 * count, 9 * count))
         return sp.csr_array(blocks @ self._rows)
+
+    def gradient(self, x: Floats, pull: Floats) -> Floats:
+        """Return the derivative by x, (p, 3), of what is ``pull`` (k, 3) by the places."""
+        at_corners = np.einsum("kic,ki->kc", self.by_corners(x), pull)
+        return np.asarray(self._rows.T @ at_corners.ravel()).reshape(x.shape)
+
+    def corners_motion(self, jacobian: Jacobian) -> Floats:
+        """Return the derivative of the corners by controls, (k, 9, q)."""
+        return jacobian.motion(self._rows).reshape(len(self), 9, -1)
+
+    def motion(self, x: Floats, corners: Floats) -> Floats:
+        """Return the derivative (3 k, q) of the places; ``corners`` is :meth:`corners_motion`."""
+        return np.asarray(self.by_corners(x) @ corners).reshape(-1, corners.shape[-1])
 
     def by_corners(self, x: Floats) -> Floats:
         """Return each place's derivative (k, 3, 9) by its triangle's corners, one after another."""
@@ -241,7 +255,7 @@ class MarkerTerm:
         """See :class:`~solver.fitting.objective.Term`."""
         placed = self.place(self.places.at(x))
         pull = (self.precision * placed.offsets) @ placed.head.rotation
-        return np.asarray(self.places.jacobian(x).T @ pull.ravel()).reshape(x.shape)
+        return self.places.gradient(x, pull)
 
     def curvature(self, x: Floats) -> GramCurvature:
         """See :class:`~solver.fitting.objective.Term`."""

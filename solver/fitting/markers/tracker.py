@@ -18,6 +18,7 @@ import numpy as np
 from solver.errors import SolveError
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.information import Posterior, inverse_of_positive
+from solver.fitting.least_squares import StopOptions
 from solver.fitting.markers.robust import JudgedFrame, Prediction, RobustOptions, judge
 from solver.fitting.markers.term import (
     HeadOptions,
@@ -41,13 +42,17 @@ class MarkerOptions:
     forgetting: float = 1.0  # s in which a control that no marker determines fades to 1/e
     hold_below: float = 0.2  # information of a muscle under which it is held ...
     hold_sd: float = 0.01  # ... so closely, in a control's units
+    alike: float = 0.25  # part of a marker's weight that may change for it to be known as before
     noise_mm: float = 0.2  # standard deviation of a point, beside that of its marker's place
     w_v: float = 0.3  # of volume, beside half a squared Mahalanobis distance
     w_e: float = 3.0  # of least eigenvalues
     max_iterations: int = 15  # of a frame that is fitted as any expression is
     head: HeadOptions = field(default_factory=HeadOptions)
     robust: RobustOptions = field(default_factory=RobustOptions)
-    tracking: TrackingOptions = field(default_factory=TrackingOptions)
+    # a step that promises less of half a squared Mahalanobis distance is one of noise
+    tracking: TrackingOptions = field(
+        default_factory=lambda: TrackingOptions(stop=StopOptions(3, promised=5e-3))
+    )
 
 
 @dataclass(frozen=True)
@@ -111,7 +116,9 @@ class MarkerTracker:
         """Go on from a frame: its state and what it left, None before the first."""
         options = self.options
         self.memory = memory
+        self._corners: tuple[Jacobian, Floats] | None = None
         self._rates: tuple[PosedFace, Jacobian, Floats] | None = None
+        self._last_told: tuple[Jacobian, Floats, Posterior] | None = None
         self.tracker = Tracker(
             self.face,
             self._penalties,
@@ -145,7 +152,7 @@ class MarkerTracker:
                 self.tracker.go_to(state.pose.add(prior.mean - state.pose.vector()))
             return self._leave(term, judged, prior, "predicted")
         try:
-            held = self._held(self._alone(self._normal(term)))
+            held = self._held(self._told(term))
             priors = PriorSum((prior, self._penalties, self._hold(held, prior.mean)))
             steps = self.tracker.fit_term(term, used, priors, whole=first)
         except (SolveError, np.linalg.LinAlgError):
@@ -186,19 +193,27 @@ class MarkerTracker:
             self.tracker.relinearise(term, used)
         return self._normal(term)
 
-    def spread(self, prior: GaussianPrior, normal: Floats) -> tuple[Floats, Posterior]:
-        """Return the covariance (q, q) of a frame's controls, and the posterior by it alone.
+    def alone(self, normal: Floats) -> Posterior:
+        """Return the posterior by a frame alone, nothing being known of those before.
 
-        ``prior`` is that before the frame, ``normal`` (q, q) the matrix of its markers. Frames
-        before make nothing surer that this one determines: markers bound beside where they are err
-        alike in all of them, and many such frames are worth no more than one. The filter goes on
-        from its own, smaller covariance: it follows a bias as closely, and is less stirred by
-        noise.
+        ``normal`` (q, q) is the matrix of its markers.
         """
-        usual, alone = self.prior, self._alone(normal)
+        covariance = inverse_of_positive(self.prior.precision + normal)
+        return Posterior(covariance, self.prior.variance)
+
+    def spread(self, prior: GaussianPrior, normal: Floats, alone: Posterior) -> Floats:
+        """Return the covariance (q, q) of a frame's controls.
+
+        ``prior`` is that before the frame, ``normal`` (q, q) the matrix of its markers, ``alone``
+        the posterior by it alone. Frames before make nothing surer that this one determines:
+        markers bound beside where they are err alike in all of them, and many such frames are worth
+        no more than one. The filter goes on from its own, smaller covariance: it follows a bias as
+        closely, and is less stirred by noise.
+        """
+        usual = self.prior
         unseen = 1.0 - alone.information
         before = unseen[:, None] * (prior.precision - usual.precision) * unseen
-        return inverse_of_positive(usual.precision + before + normal), alone
+        return inverse_of_positive(usual.precision + before + normal)
 
     def _precision(self, sigma: Floats | None) -> Floats:
         """Return the precision (k, 3) of right points; ``sigma`` is that of :meth:`fit`."""
@@ -223,10 +238,16 @@ class MarkerTracker:
         inner = term.inner(term.place(self.places.at(self.tracker.state.x)))
         return np.asarray(by_controls.T @ inner @ by_controls)
 
-    def _alone(self, normal: Floats) -> Posterior:
-        """Return the posterior by a frame alone, nothing being known of those before."""
-        covariance = inverse_of_positive(self.prior.precision + normal)
-        return Posterior(covariance, self.prior.variance)
+    def _told(self, term: MarkerTerm) -> Posterior:
+        """Return :meth:`alone` of a frame: while markers count as they did, of one before it."""
+        jacobian, weights = self.tracker.jacobian, term.precision
+        assert jacobian is not None, "made when tracking began"
+        if self._last_told is not None and self._last_told[0] is jacobian:
+            before = self._last_told[1]
+            if np.all(np.abs(weights - before) <= self.options.alike * np.maximum(weights, before)):
+                return self._last_told[2]
+        self._last_told = jacobian, weights, self.alone(self._normal(term))
+        return self._last_told[2]
 
     def _held(self, alone: Posterior) -> np.ndarray:
         """Return which muscles (m,) a frame does not determine."""
@@ -250,9 +271,11 @@ class MarkerTracker:
         """Return the derivative (3 k, q) of the markers' places in the head's frame."""
         jacobian, state = self.tracker.jacobian, self.tracker.state
         assert jacobian is not None, "made when tracking began"
+        if self._corners is None or self._corners[0] is not jacobian:
+            self._corners = jacobian, self.places.corners_motion(jacobian)
         # a frame ends with what the next begins with
         if self._rates is None or self._rates[0] is not state or self._rates[1] is not jacobian:
-            found = jacobian.motion(self.places.jacobian(state.x))
+            found = self.places.motion(state.x, self._corners[1])
             self._rates = state, jacobian, found
         return self._rates[2]
 
@@ -270,11 +293,12 @@ class MarkerTracker:
         # markers determine no control of a frame that keeps those of another
         kept, size = ending == "kept", state.pose.layout.size
         normal = np.zeros((size, size)) if kept else self._normal(term)
+        alone = self.alone(normal) if kept else self._told(term)
         sure = prior
         if self.memory is not None:
             memory, time = self.memory, self.options.forgetting
             sure = self.prior.after(memory.mean, memory.spread, self.seconds, time)
-        spread, alone = self.spread(sure, normal)
+        spread = self.spread(sure, normal, alone)
         covariance = inverse_of_positive(prior.precision + normal)
         head = HeadPrior(placed.head, placed.precision)
         self.memory = MarkerMemory(state.pose.vector(), covariance, spread, head)
