@@ -12,9 +12,10 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from solver.anatomy.contact_regions import LOWER, UPPER
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.errors import InputError
-from solver.surface import Floats, Ints, Surface, inside
+from solver.surface import Floats, Ints, Surface, directed_edges, inside
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,16 @@ class OverlapOptions:
     deepest_mm: float = 6.0  # flesh of a lip is thicker than this: nothing deeper is looked for
     beside_mm: float = 1.0  # what is crossed is inside itself, or some vertex this near to it is
     back: float = 0.3  # least cosine between the way back out and the normals of the two skins
+
+
+@dataclass(frozen=True)
+class NearOptions:
+    """Options of :class:`NearLips`."""
+
+    every: int = 3  # so many of a lip's vertices one is looked at
+    reach_mm: float = 2.0  # to the other lip, at most
+    corner_mm: float = 5.0  # from a corner of the mouth, at least
+    back: float = 0.3  # least cosine between one skin's normal and the other's, turned round
 
 
 @dataclass(frozen=True)
@@ -79,11 +90,56 @@ def between_lips(
     beside, _ = cKDTree(points[deep]).query(points, distance_upper_bound=options.beside_mm)
     crossed = np.flatnonzero((mouth.label == LIPS) & np.isfinite(beside))
     partner = _facing(points, normals, deep, crossed, options.deepest_mm)
-    ids, partner = deep[partner >= 0], partner[partner >= 0]
+    # a lip that is folded at a corner of the mouth is in itself, not in the other
+    other = (partner >= 0) & (mouth.side[partner] != mouth.side[deep])
+    ids, partner = deep[other], partner[other]
     found = Overlap.at(points, ids, *_nearest(mouth, points, ids, partner))
-    other = np.einsum("hc,hci,hi->h", found.shares, normals[found.corners], found.out)
+    theirs = np.einsum("hc,hci,hi->h", found.shares, normals[found.corners], found.out)
     own = np.einsum("hi,hi->h", normals[ids], found.out)
-    return found.where((other > options.back) & (own < -options.back))
+    return found.where((theirs > options.back) & (own < -options.back))
+
+
+class NearLips:
+    """The lips of a mouth, looked at here and there: :func:`between_lips` in a tenth of the time.
+
+    A vertex of a lip is in the other where it is behind the nearest one there and that behind it,
+    as their normals have it; its depth is that below the other's tangent plane. Corners of the
+    mouth, where one lip goes over into the other, are left out. ``rest`` (m, 3) are the mouth's
+    points in the neutral face.
+    """
+
+    def __init__(self, mouth: Mouth, rest: Floats, options: NearOptions = NearOptions()) -> None:
+        self._mouth, self._options = mouth, options
+        first, second = directed_edges(mouth.flesh).T
+        corner = first[mouth.side[first] * mouth.side[second] < 0]
+        inner = np.ones(len(rest), bool)
+        if len(corner):
+            near, _ = cKDTree(rest[corner]).query(rest, distance_upper_bound=options.corner_mm)
+            inner = ~np.isfinite(near)
+        sides = [np.flatnonzero((mouth.side == lip) & inner) for lip in (UPPER, LOWER)]
+        self._pairs = [(own[:: options.every], other) for own, other in (sides, sides[::-1])]
+
+    def overlap(self, points: Floats) -> Overlap:
+        """Find the overlap at ``points`` (m, 3) of the mouth about."""
+        options, normals = self._options, self._mouth.normals(points)
+        ids, partners = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+        for few, other in self._pairs:
+            if not (len(few) and len(other)):
+                continue
+            tree = cKDTree(points[other])
+            near, which = tree.query(points[few], distance_upper_bound=options.reach_mm)
+            found = np.isfinite(near)
+            ids.append(few[found])
+            partners.append(other[which[found]])
+        vertex, partner = np.concatenate(ids), np.concatenate(partners)
+        gap = points[partner] - points[vertex]
+        depth = np.einsum("hi,hi->h", gap, normals[partner])
+        behind = np.einsum("hi,hi->h", gap, normals[vertex]) < 0.0
+        opposed = np.einsum("hi,hi->h", normals[partner], normals[vertex]) < -options.back
+        shares = np.tile([1.0, 0.0, 0.0], (len(vertex), 1))
+        corners = np.repeat(partner[:, None], 3, axis=1)
+        found = Overlap(vertex, corners, shares, depth, normals[partner])
+        return found.where(behind & opposed & (depth > 0.0))
 
 
 @nb.njit(cache=True)

@@ -100,6 +100,8 @@ class Mouth:
     rows, offset
         (m, p) CSR and (m, 3): positions are ``rows @ x + offset`` at the tets' vertices x. Lower
         teeth are affine combinations of four mandible vertices; upper teeth stay.
+    side
+        (m,) the lip that a vertex belongs to, ``UPPER`` or ``LOWER``; 0 is neither.
     """
 
     skin: Ints
@@ -107,6 +109,7 @@ class Mouth:
     faces: Ints
     rows: sp.csr_array
     offset: Floats
+    side: Ints
 
     @classmethod
     def of(cls, model: SubjectModel, options: MouthOptions = MouthOptions()) -> Mouth | None:
@@ -117,7 +120,7 @@ class Mouth:
         vertices, faces = model.skin.vertices, model.skin.faces
         flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
         teeth = [model.regions.get(f"{jaw}_teeth", np.empty(0, int)) for jaw in ("upper", "lower")]
-        lips = _lips(model, flesh, np.concatenate(teeth), options)
+        lips, side = _lips(model, flesh, np.concatenate(teeth), options)
         around = np.intersect1d(flesh, np.flatnonzero(_within(vertices, lips, options.around_mm)))
         label = np.full(len(vertices), -1)
         label[around] = AROUND
@@ -126,7 +129,8 @@ class Mouth:
         skin = np.flatnonzero(label >= 0)
         own = np.vstack([flesh, faces[(label[faces] >= UPPER_TEETH).all(axis=1)]])
         own = np.searchsorted(skin, own[(label[own] >= 0).all(axis=1)])
-        return cls(skin, label[skin], own, *_following(model, skin))
+        side = np.where(label[skin] == LIPS, side[skin], 0)
+        return cls(skin, label[skin], own, *_following(model, skin), side)
 
     def points(self, x: Floats) -> Floats:
         """Return the positions (m, 3) at the tets' vertices x (p, 3)."""
@@ -153,8 +157,13 @@ class Mouth:
         return np.ascontiguousarray(self.faces[np.isin(self.label[self.faces], labels).all(axis=1)])
 
 
-def _lips(model: SubjectModel, flesh: Ints, teeth: Ints, options: MouthOptions) -> Ints:
-    """Return the skin vertices of the flesh's triangles (g, 3) that may touch a lip or teeth."""
+def _lips(
+    model: SubjectModel, flesh: Ints, teeth: Ints, options: MouthOptions
+) -> tuple[Ints, Ints]:
+    """Return the skin vertices of the flesh's triangles (g, 3) that may touch a lip or teeth.
+
+    And which lip each of the skin's vertices (V,) belongs to.
+    """
     skin = model.skin.vertices
     upper = _middle(model, "upper_lip", 1.0, options.middle)
     side = lip_sides(skin, flesh, upper, _middle(model, "lower_lip", -1.0, options.middle))
@@ -162,7 +171,8 @@ def _lips(model: SubjectModel, flesh: Ints, teeth: Ints, options: MouthOptions) 
     for own in (UPPER, LOWER):
         near |= (side == own) & _within(skin, np.flatnonzero(side == -own), options.reach_mm)
     named = np.concatenate([model.regions["upper_lip"], model.regions["lower_lip"]])
-    return np.intersect1d(flesh, np.flatnonzero(near & _within(skin, named, options.lips_mm)))
+    lips = np.intersect1d(flesh, np.flatnonzero(near & _within(skin, named, options.lips_mm)))
+    return lips, side
 
 
 def _middle(model: SubjectModel, lip: str, up: float, width: float) -> Ints:

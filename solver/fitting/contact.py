@@ -18,13 +18,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.anatomy.embedding import rows_of
-from solver.contact.crossing import between_lips
+from solver.contact.crossing import NearLips, Overlap, between_lips
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mandible, Mouth
 from solver.contact.obstacles import Arch
 from solver.contact.one_sided import Excess, along, free_depths
 from solver.errors import SolveError
 from solver.fitting.face import Face
-from solver.fitting.objective import SumTerm, Target, Term, distances
+from solver.fitting.objective import Curvature, GramCurvature, SumTerm, Target, Term, distances
 from solver.model import SubjectModel
 from solver.surface import Floats, Surface
 
@@ -94,12 +94,49 @@ class Teeth:
         return _Touching(depth[deep], by_x, np.full(len(deep), self._weight))
 
 
-class Contact:
-    """The term c, a :class:`solver.fitting.objective.Term`.
+class _Penalty:
+    """w/2 of squared depths, a :class:`solver.fitting.objective.Term`.
+
+    Its methods raise :class:`SolveError` (``solve.not_finite``) where x is not finite.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[Floats, _Touching] | None = None
+
+    def value(self, x: Floats) -> float:
+        """See :class:`solver.fitting.objective.Term`."""
+        touching = self.touching(x)
+        return 0.5 * float(touching.weight @ touching.depth**2)
+
+    def gradient(self, x: Floats) -> Floats:
+        """See :class:`solver.fitting.objective.Term`."""
+        touching = self.touching(x)
+        push = touching.weight * touching.depth
+        return np.asarray(touching.slope.T @ push).reshape(x.shape)
+
+    def curvature(self, x: Floats) -> Curvature:
+        """See :class:`solver.fitting.objective.Term`."""
+        touching = self.touching(x)
+        weights = sp.diags_array(touching.weight)
+        return sp.csr_array(touching.slope.T @ (weights @ touching.slope))
+
+    def touching(self, x: Floats) -> _Touching:
+        """Find the contacts at x; gradient and curvature ask for the same x again."""
+        if not np.isfinite(x).all():
+            raise SolveError("solve.not_finite", "the flesh has run away: x is not finite")
+        if self._last is None or not np.array_equal(self._last[0], x):
+            self._last = x.copy(), self._find(x)
+        return self._last[1]
+
+    def _find(self, x: Floats) -> _Touching:
+        raise NotImplementedError
+
+
+class Contact(_Penalty):
+    """The term c.
 
     w_d and w_h are the weights of :class:`LipContactOptions` over the number of face vertices. Fits
-    of several expressions share the ``teeth``. Its methods raise :class:`SolveError`
-    (``solve.not_finite``) where x is not finite.
+    of several expressions share the ``teeth``.
     """
 
     def __init__(
@@ -109,53 +146,53 @@ class Contact:
         teeth: Teeth,
         options: LipContactOptions = LipContactOptions(),
     ) -> None:
+        super().__init__()
         self._options, self._mouth, self._teeth = options, mouth, teeth
         self._scale = 1.0 / len(model.face)
-        self._last: tuple[Floats, _Touching] | None = None
 
-    def value(self, x: Floats) -> float:
+    def _find(self, x: Floats) -> _Touching:
+        options, mouth = self._options, self._mouth
+        overlap = between_lips(mouth, mouth.points(x))
+        lips = _lips(mouth, overlap, options.lips_slack_mm, options.lips_weight)
+        found = [lips, *self._teeth.touching(x)]
+        return _Touching(
+            np.concatenate([part.depth for part in found]),
+            sp.csr_array(sp.vstack([part.slope for part in found])),
+            self._scale * np.concatenate([part.weight for part in found]),
+        )
+
+
+class NearContact(_Penalty):
+    """The lips' part of c, found so quickly that every frame of a take can have it.
+
+    ``weight`` is that of a vertex that is looked at, ``slack_mm`` is free.
+    """
+
+    def __init__(self, model: SubjectModel, mouth: Mouth, weight: float, slack_mm: float) -> None:
+        super().__init__()
+        self._mouth, self._weight, self._slack = mouth, weight, slack_mm
+        self._lips = NearLips(mouth, mouth.points(model.rest))
+
+    def curvature(self, x: Floats) -> GramCurvature:
         """See :class:`solver.fitting.objective.Term`."""
-        touching = self._touching(x)
-        return 0.5 * self._scale * float(touching.weight @ touching.depth**2)
+        touching = self.touching(x)
+        return GramCurvature(touching.slope, np.diag(touching.weight))
 
-    def gradient(self, x: Floats) -> Floats:
-        """See :class:`solver.fitting.objective.Term`."""
-        touching = self._touching(x)
-        push = self._scale * touching.weight * touching.depth
-        return np.asarray(touching.slope.T @ push).reshape(x.shape)
-
-    def curvature(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.fitting.objective.Term`."""
-        touching = self._touching(x)
-        weights = sp.diags_array(self._scale * touching.weight)
-        return sp.csr_array(touching.slope.T @ (weights @ touching.slope))
-
-    def _touching(self, x: Floats) -> _Touching:
-        """Find the contacts at x; gradient and curvature ask for the same x again."""
-        if not np.isfinite(x).all():
-            raise SolveError("solve.not_finite", "the flesh has run away: x is not finite")
-        if self._last is None or not np.array_equal(self._last[0], x):
-            found = [_lips(self._mouth, x, self._options), *self._teeth.touching(x)]
-            joined = _Touching(
-                np.concatenate([part.depth for part in found]),
-                sp.csr_array(sp.vstack([part.slope for part in found])),
-                np.concatenate([part.weight for part in found]),
-            )
-            self._last = x.copy(), joined
-        return self._last[1]
+    def _find(self, x: Floats) -> _Touching:
+        overlap = self._lips.overlap(self._mouth.points(x))
+        return _lips(self._mouth, overlap, self._slack, self._weight)
 
 
-def _lips(mouth: Mouth, x: Floats, options: LipContactOptions) -> _Touching:
-    """Find the lips' vertices in the other lip."""
-    found = between_lips(mouth, mouth.points(x))
-    deep = found.where(found.depth > options.lips_slack_mm)
+def _lips(mouth: Mouth, overlap: Overlap, slack: float, weight: float) -> _Touching:
+    """Return the lips' vertices that are deeper than the slack in the other lip."""
+    deep = overlap.where(overlap.depth > slack)
     count = len(mouth.label)
     # the nearest point's place in its triangle is at a minimum: its change does not count
     nearest = rows_of(deep.corners, deep.shares, count)
     vertex = rows_of(deep.ids[:, None], np.ones((len(deep.ids), 1)), count)
     apart = sp.csr_array((nearest - vertex) @ mouth.rows)
-    weight = np.full(len(deep.ids), options.lips_weight)
-    return _Touching(deep.depth - options.lips_slack_mm, along(apart, deep.out), weight)
+    weights = np.full(len(deep.ids), weight)
+    return _Touching(deep.depth - slack, along(apart, deep.out), weights)
 
 
 def terms(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:

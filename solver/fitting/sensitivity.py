@@ -32,7 +32,7 @@ class Jacobian:
     flesh: Floats  # (size, k)
     held: sp.csr_array  # (3 p, k)
     free: Ints  # (size,) places of the free coordinates among all
-    # rows of flesh that were asked for last: a few dozen markers ask for the same in every step
+    # rows of flesh that were asked for first: a few dozen markers ask for the same in every step
     _few: list[tuple[Ints, Floats]] = field(default_factory=list, compare=False)
 
     def adjoint(self, gradient: Floats) -> Floats:
@@ -55,8 +55,8 @@ class Jacobian:
         if self._few and np.array_equal(self._few[0][0], used):
             return self._few[0][1]
         rows = self.flesh[used]
-        if 4 * len(used) < len(self.free):
-            self._few[:] = [(used, rows)]
+        if not self._few and 4 * len(used) < len(self.free):
+            self._few.append((used, rows))
         return rows
 
     def contract(self, curvature: Curvature) -> Floats:

@@ -25,7 +25,7 @@ from solver.fitting.least_squares import (
     Termination,
     minimise,
 )
-from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, Term
+from solver.fitting.objective import Prior, Regulariser, SkinDistance, SumTerm, Target, Term
 from solver.fitting.sensitivity import Jacobian, Sensitivity
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization
@@ -100,16 +100,25 @@ class Tracker:
         prior = self._regulariser.with_proximal_term(before or self.state.pose, self._temporal)
         return self.fit_term(SkinDistance(self.face, target), target.weights, prior)
 
-    def fit_term(self, data: Term, weights: Floats, prior: Prior, *, whole: bool = False) -> int:
+    def fit_term(
+        self,
+        data: Term,
+        weights: Floats,
+        prior: Prior,
+        *,
+        contact: Term | None = None,
+        whole: bool = False,
+    ) -> int:
         """Fit a frame by any term and return the steps it took.
 
         ``weights`` (k,) are what its curvature depends on, all of it in the same measure: where
-        they change by much, the lagged matrix is made anew. A ``whole`` fit is that of any
+        they change by much, the lagged matrix is made anew. ``contact`` comes and goes from one
+        state to the next: its curvature is always that of the state. A ``whole`` fit is that of any
         expression, for a frame far from the state. Raises :class:`SolveError` if the frame
         cannot be fitted; the state stays that of the frame before.
         """
         options, lagged = self._options, self._lagged
-        found = None
+        both, found = data if contact is None else SumTerm((data, contact)), None
         # points may be seen otherwise
         if lagged and (
             np.abs(weights - lagged.weights).sum() >= options.reseen * np.abs(weights).sum()
@@ -117,17 +126,18 @@ class Tracker:
             lagged = _LaggedModel.of(lagged.jacobian, data, weights, self.state.x)
             self._lagged = lagged
         if lagged and not whole:
-            found = self._fit_lagged(lagged, data, prior)
+            found = self._fit_lagged(lagged, data, contact, prior)
             if found is None and self._age:
-                found = self._fit_lagged(self.relinearise(data, weights), data, prior)
+                anew = self.relinearise(data, weights)
+                found = self._fit_lagged(anew, data, contact, prior)
             if found is None and np.isfinite(self._value):
-                value = activation.objective(data, prior, self.state)
+                value = activation.objective(both, prior, self.state)
                 if value < options.stuck * self._value:
                     return 0
         if found is None:
             known = None if self._lagged is None else self._lagged.hessian
             effort, stop = self._whole_fit, Termination.ITERATIONS
-            fitted = activation.fit(self.face, data, prior, self.state, effort, matrix=known)
+            fitted = activation.fit(self.face, both, prior, self.state, effort, matrix=known)
             found = LeastSquaresSolution(fitted.state, fitted.objective, fitted.iterations, stop)
             self._age = options.lagged_frames
         self.state, self._value = found.point, found.value
@@ -164,10 +174,10 @@ class Tracker:
         return self._lagged
 
     def _fit_lagged(
-        self, lagged: _LaggedModel, data: Term, regulariser: Prior
+        self, lagged: _LaggedModel, data: Term, contact: Term | None, prior: Prior
     ) -> LeastSquaresSolution[PosedFace] | None:
         """Fit a frame with lagged derivatives; None if the first step leads nowhere."""
-        problem = _FrameProblem(self.face, lagged, data, regulariser)
+        problem = _FrameProblem(self.face, lagged, data, contact, prior)
         found = minimise(problem, self.state, self._search, self._options.stop)
         return None if found.termination == Termination.STUCK and not found.steps else found
 
@@ -179,15 +189,21 @@ class _FrameProblem:
     face: Face
     lagged: _LaggedModel
     data: Term
+    contact: Term | None
     regulariser: Prior
 
     def value(self, point: PosedFace) -> float:
-        return activation.objective(self.data, self.regulariser, point)
+        touching = 0.0 if self.contact is None else self.contact.value(point.estimate)
+        return activation.objective(self.data, self.regulariser, point) + touching
 
     def linearise(self, point: PosedFace) -> DenseModel:
-        gradient = self.lagged.jacobian.adjoint(self.data.gradient(point.x))
+        jacobian = self.lagged.jacobian
+        gradient = jacobian.adjoint(self.data.gradient(point.x))
         gradient += self.regulariser.gradient(point.pose)
         hessian = self.lagged.hessian + self.regulariser.gauss_newton(point.pose)
+        if self.contact is not None and self.contact.value(point.x):
+            gradient += jacobian.adjoint(self.contact.gradient(point.x))
+            hessian += jacobian.contract(self.contact.curvature(point.x))
         return DenseModel(point.pose.layout, hessian, gradient, point.pose.vector())
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:

@@ -15,7 +15,9 @@ from typing import Literal
 
 import numpy as np
 
+from solver.contact.mouth import Mouth
 from solver.errors import SolveError
+from solver.fitting.contact import NearContact
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.information import Posterior, inverse_of_positive
 from solver.fitting.least_squares import StopOptions
@@ -46,6 +48,8 @@ class MarkerOptions:
     noise_mm: float = 0.2  # standard deviation of a point, beside that of its marker's place
     w_v: float = 0.3  # of volume, beside half a squared Mahalanobis distance
     w_e: float = 3.0  # of least eigenvalues
+    lips: float = 15.0  # weight of every third vertex of a lip in the other, per mm^2 ...
+    lips_slack_mm: float = 0.2  # ... beyond this depth
     max_iterations: int = 15  # of a frame that is fitted as any expression is
     head: HeadOptions = field(default_factory=HeadOptions)
     robust: RobustOptions = field(default_factory=RobustOptions)
@@ -110,6 +114,9 @@ class MarkerTracker:
         self._penalties = Regulariser(
             w_a=0.0, w_v=options.w_v, w_b=0.0, prior=face.rest_pose(), w_e=options.w_e
         )
+        mouth = Mouth.of(face.model)
+        lips, slack = options.lips, options.lips_slack_mm
+        self._contact = None if mouth is None else NearContact(face.model, mouth, lips, slack)
         self.begin(face.rest, None)
 
     def begin(self, state: PosedFace, memory: MarkerMemory | None) -> None:
@@ -154,7 +161,7 @@ class MarkerTracker:
         try:
             held = self._held(self._told(term))
             priors = PriorSum((prior, self._penalties, self._hold(held, prior.mean)))
-            steps = self.tracker.fit_term(term, used, priors, whole=first)
+            steps = self.tracker.fit_term(term, used, priors, contact=self._contact, whole=first)
         except (SolveError, np.linalg.LinAlgError):
             return self._leave(term, judged, prior, "kept")
         return self._leave(term, judged, prior, "fitted", steps)

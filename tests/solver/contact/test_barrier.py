@@ -8,6 +8,7 @@ import pytest
 import scipy.sparse as sp
 import trimesh
 
+from solver.anatomy.contact_regions import LOWER, UPPER
 from solver.contact.barrier import Barrier, BarrierOptions
 from solver.contact.crossing import crossing
 from solver.contact.mouth import LIPS, Mouth, area_weighted_normals
@@ -242,7 +243,8 @@ def test_lips_that_cross_are_moved_apart_and_meet():
     both = on_itself(upper, lower)
     count = len(both.rest)
     own = sp.eye_array(count, format="csr")
-    mouth = Mouth(both.skin, np.full(count, LIPS), both.faces, own, np.zeros((count, 3)))
+    side = np.repeat([UPPER, LOWER], [len(upper.vertices), len(lower.vertices)])
+    mouth = Mouth(both.skin, np.full(count, LIPS), both.faces, own, np.zeros((count, 3)), side)
     assert crossing(mouth, both.rest).lips == pytest.approx(deep, abs=0.05)
     apart = part_lips(mouth, both.rest)
     assert crossing(mouth, apart).lips == 0.0

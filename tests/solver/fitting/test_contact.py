@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from solver.anatomy.contact_regions import LOWER, UPPER
 from solver.contact.crossing import crossing
 from solver.contact.mouth import AROUND, LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.errors import InputError, SolveError
@@ -33,9 +34,9 @@ def balls():
     faces = np.vstack([part.faces + start for part, start in zip(parts, starts, strict=False)])
     count = len(points)
     label = np.where(np.arange(count) < starts[2], LIPS, UPPER_TEETH)
-    mouth = Mouth(
-        np.arange(count), label, faces, sp.eye_array(count, format="csr"), np.zeros((count, 3))
-    )
+    side = np.where(label == LIPS, np.where(np.arange(count) < starts[1], UPPER, LOWER), 0)
+    rows = sp.eye_array(count, format="csr")
+    mouth = Mouth(np.arange(count), label, faces, rows, np.zeros((count, 3)), side)
     rest = points.copy()
     rest[: starts[1], 2] += 2.0 * OVERLAP
     model = replace(block_model(), rest=rest, skin=Surface(points, faces))
@@ -131,7 +132,8 @@ def behind(deep):
     surfaces = zip((far, *walls), starts[1:], strict=False)
     faces = np.vstack([surface.faces + start for surface, start in surfaces])
     rows = sp.eye_array(count, len(points), format="csr")
-    mouth = Mouth(np.arange(count), label, faces, rows, np.zeros((count, 3)))
+    side = np.where(label == LIPS, LOWER, 0)
+    mouth = Mouth(np.arange(count), label, faces, rows, np.zeros((count, 3)), side)
     model = replace(block_model(), rest=points, mandible=np.arange(count, len(points)), jaw=JAW)
     x = points.copy()
     x[: len(lips)] = move_jaw(JAW, lips, B)
