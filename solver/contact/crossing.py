@@ -33,7 +33,7 @@ class NearOptions:
     """Options of :class:`NearLips`."""
 
     every: int = 3  # so many of a lip's vertices one is looked at
-    reach_mm: float = 2.0  # to the other lip, at most
+    reach_mm: float = 4.0  # to the other lip, at most
     corner_mm: float = 5.0  # from a corner of the mouth, at least
     back: float = 0.3  # least cosine between one skin's normal and the other's, turned round
 

@@ -48,7 +48,7 @@ class MarkerOptions:
     noise_mm: float = 0.2  # standard deviation of a point, beside that of its marker's place
     w_v: float = 0.3  # of volume, beside half a squared Mahalanobis distance
     w_e: float = 3.0  # of least eigenvalues
-    lips: float = 15.0  # weight of every third vertex of a lip in the other, per mm^2 ...
+    lips: float = 2.0  # weight of every third vertex of a lip in the other, per mm^2 ...
     lips_slack_mm: float = 0.2  # ... beyond this depth
     max_iterations: int = 15  # of a frame that is fitted as any expression is
     head: HeadOptions = field(default_factory=HeadOptions)

@@ -10,7 +10,7 @@ from solver.anatomy.contact_regions import LOWER, UPPER
 from solver.contact.crossing import crossing
 from solver.contact.mouth import AROUND, LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.errors import InputError, SolveError
-from solver.fitting.contact import Contact, LipContactOptions, Teeth
+from solver.fitting.contact import Contact, LipContactOptions, NearContact, Teeth
 from solver.mechanics.boundary import move_jaw, move_jaw_back
 from solver.model import JawFrame
 from solver.surface import Surface
@@ -200,6 +200,47 @@ def test_contact_of_a_head_matches_differences(head):
     x, _ = closed(head, -0.06)
     y, _ = closed(head, -0.07)
     check_derivatives(contact(head, Mouth.of(head)), x, (y - x) / np.abs(y - x).max())
+
+
+def near(model, mouth):
+    return NearContact(model, mouth, weight=2.0, slack_mm=0.2)
+
+
+def test_near_lips_of_balls_are_as_deep_and_pushed_apart():
+    model, mouth, points, starts = balls()
+    model = replace(model, rest=points)
+    term = near(model, mouth)
+    depth = term.touching(points).depth.max() + 0.2
+    assert depth == pytest.approx(OVERLAP, abs=0.1)
+    points[: starts[1]] += [0.13, 0.0, 0.07]
+    # a lip that is only shifted keeps its normals
+    step = np.zeros_like(points)
+    step[: starts[1]] = [0.1, 1.0, 0.3]
+    slope = (term.value(points + 1e-5 * step) - term.value(points - 1e-5 * step)) / 2e-5
+    assert slope < -1.0
+    assert np.sum(term.gradient(points) * step) == pytest.approx(slope, rel=1e-3)
+    assert step.ravel() @ (term.curvature(points) @ step.ravel()) > 1.0
+    apart = points.copy()
+    apart[: starts[1]] += [0.0, OVERLAP, 0.0]
+    assert term.value(apart) == 0.0
+    assert not term.gradient(apart).any()
+
+
+def test_near_lips_of_a_head_cross_where_all_of_them_do(head):
+    mouth = Mouth.of(head)
+    term = near(head, mouth)
+    assert term.value(head.rest) == 0.0
+    for angle in (-0.04, -0.1):
+        x, skin = closed(head, angle)
+        depth = term.touching(x).depth.max(initial=0.0) + 0.2
+        assert depth == pytest.approx(crossing(mouth, skin).lips, rel=0.3)
+
+
+def test_a_lip_that_is_folded_is_in_itself_and_not_in_the_other():
+    _, mouth, points, _ = balls()
+    folded = replace(mouth, side=np.where(mouth.label == LIPS, LOWER, 0))
+    assert crossing(mouth, points).lips > 1.0
+    assert crossing(folded, points).lips == 0.0
 
 
 def test_no_mouth_without_named_lips(head):
