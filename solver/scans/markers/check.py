@@ -24,7 +24,7 @@ from solver.scans.markers.bind import (
     choose_face,
     find_neutral,
     locate_take,
-    place_markers,
+    place_take,
     rest_places,
 )
 from solver.scans.markers.findings import (
@@ -95,14 +95,14 @@ def check_take(
     check.figures["neutral"] = [take.numbers[first], take.numbers[last]]
     _check_rest(check, located, is_given=neutral is not None, limits=limits)
     check.labels = label_rows(located)
-    if located.pose is None or located.places is None:
+    if located.pose is None:
         message = f"Frames {take.numbers[first]} to {take.numbers[last]} show too few markers."
         add(check, "markers.neutral", "warning", message)
         return check
     report_location(check, located, located.pose)
     if reference.model_sha256:
         _check_person(check, located, reference, actor=actor, limits=limits)
-        markers = place_markers(face, located.places, reference.face)
+        markers = place_take(located, located.pose, reference.face, actor=actor)
         if reference.jaw is not None:
             markers = tuple(_close_jaw(each, *reference.jaw) for each in markers)
         check.bound = MarkerSet(markers, located.pose.session, reference.model_sha256)
