@@ -200,7 +200,7 @@ def fit_warp(
     for axis, step in enumerate(options.reach * np.eye(3)):
         change = further(placed[known] + step) - further(placed[known] - step)
         gradients[known, :, axis] += change / (2 * options.reach)
-    stretches = np.linalg.svd(gradients, compute_uv=False)[:, [2, 0]]
+    stretches = np.asarray(np.linalg.svd(gradients, compute_uv=False)[:, [2, 0]], np.float64)
     extreme = (stretches[:, 0] < options.stretches[0]) | (stretches[:, 1] > options.stretches[1])
     extreme |= np.linalg.det(gradients) <= 0.0
     if extreme.sum() > options.extreme * known.sum():
