@@ -204,7 +204,7 @@ def fit_warp(
     extreme = (stretches[:, 0] < options.stretches[0]) | (stretches[:, 1] > options.stretches[1])
     extreme |= np.linalg.det(gradients) <= 0.0
     if extreme.sum() > options.extreme * known.sum():
-        raise _unlike_error(file, misfit, options)
+        raise _unlike_error(file, similar.scale, misfit, options)
     gradients[extreme] = np.eye(3)
     off = np.where(known[:, None], goal - placed, np.nan)
     left = np.full(len(rest), np.nan)
@@ -227,7 +227,7 @@ def _check_similar(
         raise InputError("markers.mirrored", message, file=file)
     low, high = options.sizes
     if misfit > options.misfit or not low <= similar.scale <= high:
-        raise _unlike_error(file, misfit, options)
+        raise _unlike_error(file, similar.scale, misfit, options)
 
 
 def _few_error(file: str, found: int, options: CarryOptions) -> InputError:
@@ -238,12 +238,12 @@ def _few_error(file: str, found: int, options: CarryOptions) -> InputError:
     return InputError("markers.few", message, file=file, found=found, expected=options.least)
 
 
-def _unlike_error(file: str, misfit: float, options: CarryOptions) -> InputError:
+def _unlike_error(file: str, scale: float, misfit: float, options: CarryOptions) -> InputError:
     message = (
-        f"the markers of {file} at rest do not lie like the marker set's places: most are "
-        f"{misfit:.0f} mm off, or the face is of no person's size or shape"
+        f"the markers of {file} at rest do not lie like the marker set's places on any person: "
+        f"most are {misfit:.0f} mm off, at {scale:.3g} times their size"
     )
-    figures = {"found": round(misfit, 1), "expected": options.misfit}
+    figures = {"found": round(misfit, 1), "expected": options.misfit, "scale": round(scale, 3)}
     return InputError("markers.other_person", message, file=file, **figures)
 
 
@@ -278,10 +278,12 @@ def _carry_free(points: Floats, motion: Motion, warp: ActorWarp) -> Floats:
     carried = np.full(seen.shape, np.nan)
     expected = np.where(np.isfinite(warp.rest), motion.expected, np.inf)
     for track in range(seen.shape[1]):
-        own = seen[:, track]
-        nearest = np.linalg.norm(expected - own[:, None], axis=2).argmin(axis=1)
-        for marker in np.unique(nearest[np.isfinite(own[:, 0])]).tolist():
-            carried[nearest == marker, track] = warp(own[nearest == marker], marker)
+        rows = np.flatnonzero(np.isfinite(seen[:, track, 0]))
+        away = np.linalg.norm(expected[rows] - seen[rows, track, None], axis=2)
+        nearest = away.argmin(axis=1)
+        for marker in np.unique(nearest).tolist():
+            own = rows[nearest == marker]
+            carried[own, track] = warp(seen[own, track], marker)
     return carried
 
 

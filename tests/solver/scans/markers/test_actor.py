@@ -120,6 +120,38 @@ def test_a_person_of_another_size_is_carried_exactly(
         np.testing.assert_allclose(seen, expected[row] / size, atol=0.6 / size)
 
 
+def test_what_rides_on_bone_follows_by_size_alone(still: Floats, markers: MarkerSet) -> None:
+    """The actor's headband sits elsewhere than the person's, and the take has the body as well."""
+    band = np.array([[40.0, 90.0, 10.0], [-40.0, 90.0, 10.0], [0.0, 110.0, 0.0], [60.0, 60.0, -40]])
+    teeth = np.array([[0.0, -40.0, 10.0]])
+    on_bone = np.vstack([band, teeth])
+    labels = ("head1", "head2", "head3", "head4", "lower_teeth1")
+    parts = (*4 * ("head",), "lower_teeth")
+    further = [
+        Marker(label, part=part, sigma_mm=0.2, place_mm=tuple(place))
+        for label, part, place in zip(
+            labels, parts, np.add(on_bone, [0.0, 15.0, 5.0]).tolist(), strict=True
+        )
+    ]
+    both = replace(markers, markers=(*markers.markers, *further))
+    rides = np.repeat(to_actor(on_bone)[None], FRAMES, axis=0)
+    drop = 12.0 * np.clip(np.arange(FRAMES) / RATE - 3.0, 0.0, 1.0)
+    rides[:, -1, 1] -= drop
+    body = np.random.default_rng(6).normal(0.0, 300.0, (30, 3)) - [0.0, 1000.0, 0.0]
+    sway = 80.0 * np.sin(np.arange(FRAMES) / 40.0)[:, None, None] * np.ones((1, 30, 3))
+    all_ = np.concatenate([to_actor(still), rides, body + sway], axis=1)
+    names = (*LABELS, *labels, *(f"Body{n}" for n in range(30)))
+    found = carry(as_take(all_, labels=names), both, SKIN, RATE, REST)
+    assert found.take.labels == (*LABELS, *labels)
+    carried, scale = found.take.positions[:, len(LABELS) :], found.report["scale"]
+    rigid = weighted_motion(carried[300, :4], carried[0, :4], np.ones(4))
+    np.testing.assert_allclose(rigid(carried[300, :4]), carried[0, :4], atol=0.3)
+    places = np.array([marker.place_mm for marker in further])
+    np.testing.assert_allclose(carried[0], places, atol=0.5)
+    sunk = rigid(carried[[300], 4])[0] - carried[0, 4]
+    np.testing.assert_allclose(sunk, [0.0, -scale * drop[300], 0.0], atol=0.7)
+
+
 def test_left_handed_axes_of_the_session_stay(
     actor: Take, carried: CarriedTake, markers: MarkerSet
 ) -> None:
