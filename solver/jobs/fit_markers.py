@@ -123,21 +123,23 @@ def _bound(
     faults = find_faults(markers.session.scale * take.positions, rate)
     if not given.actor:
         rows = rows or find_neutral(faults.motion, rate)
-        notices.extend(_other_person(take, off_places(take, markers, faults.motion, skin, rows)))
+        off_mm = off_places(take, markers, faults.motion, skin, rows)
+        notices.extend(_other_person(take, rows, off_mm))
     measured = replace(take, positions=faults.hide_unmeasured(take.positions))
     take, markers = split_moved(measured, markers, faults, skin)
     return BoundTake(take, markers, OPTIONS.least), told, notices
 
 
-def _other_person(take: Take, off_mm: float) -> list[Finding]:
+def _other_person(take: Take, rows: tuple[int, int], off_mm: float) -> list[Finding]:
     """Return the warning that a take is another person's, if its markers are so far off at rest."""
     if off_mm <= LIMITS.person:
         return []
+    first, last = (take.numbers[row] for row in rows)
     message = (
-        f"at rest the markers of {take.file} are {off_mm:.1f} mm off their places: if the take is "
-        "another person's, fit it with actor"
+        f"in frames {first} to {last} the markers of {take.file} are {off_mm:.1f} mm off their "
+        "places: the face is not at rest there (neutral), or another person's (actor)"
     )
-    figures = {"found": round(off_mm, 2), "expected": LIMITS.person}
+    figures = {"frames": [first, last], "found": round(off_mm, 2), "expected": LIMITS.person}
     return [make_warning("markers.other_person", message, figures)]
 
 

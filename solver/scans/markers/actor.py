@@ -35,7 +35,7 @@ from solver.surface import Floats, Surface
 
 
 @dataclass(frozen=True)
-class CarryOptions:
+class ActorOptions:
     """The warp between two faces at rest, and what is no face; lengths in mm."""
 
     least: int = 6  # markers of the skin that make a warp
@@ -52,7 +52,7 @@ class CarryOptions:
     steps: int = 12
 
 
-CARRY = CarryOptions()
+ACTOR = ActorOptions()
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def carry(
     skin: Surface,
     rate: float,
     neutral: tuple[int, int] | None = None,
-    options: CarryOptions = CARRY,
+    options: ActorOptions = ACTOR,
 ) -> CarriedTake:
     """Carry a take of another person, at rest in the ``neutral`` rows, to the places of a set.
 
@@ -111,8 +111,7 @@ def carry(
     motion, rows = faults.motion, neutral or find_neutral(faults.motion, rate)
     rest, goal = _at_rest(motion, rows), _places_of(take.labels, markers, skin)
     warp = fit_warp(take.file, rest, goal, on_bone, markers.session.rotation, options)
-    middle = sum(rows) // 2
-    turns, shifts = _head_motions(motion, warp.similarity, middle)
+    turns, shifts = _head_motions(motion, warp.similarity, sum(rows) // 2)
     places = _carry_labels(faults, warp)
 
     def put_back(points: Floats) -> Floats:
@@ -138,7 +137,7 @@ def off_places(
     motion: Motion,
     skin: Surface,
     rows: tuple[int, int],
-    options: CarryOptions = CARRY,
+    options: ActorOptions = ACTOR,
 ) -> float:
     """Return how far a take's markers at rest are off a set's places, mm rms; 0 for too few."""
     rest = _at_rest(motion, rows) @ markers.session.rotation.T
@@ -175,7 +174,7 @@ def fit_warp(
     goal: Floats,
     on_bone: Mask,
     turn: Floats,
-    options: CarryOptions = CARRY,
+    options: ActorOptions = ACTOR,
 ) -> ActorWarp:
     """Return the way of markers at ``rest`` (k, 3) to places ``goal`` (k, 3) on the person.
 
@@ -216,7 +215,7 @@ def fit_warp(
 
 
 def _check_similar(
-    file: str, similar: Similarity, misfit: float, flipped: float, options: CarryOptions
+    file: str, similar: Similarity, misfit: float, flipped: float, options: ActorOptions
 ) -> None:
     """Refuse markers that lie like the places only if mirrored, or not at all."""
     if flipped < options.mirrored * misfit:
@@ -230,7 +229,7 @@ def _check_similar(
         raise _unlike_error(file, similar.scale, misfit, options)
 
 
-def _few_error(file: str, found: int, options: CarryOptions) -> InputError:
+def _few_error(file: str, found: int, options: ActorOptions) -> InputError:
     message = (
         f"{file} has {found} markers of the set on the skin while the face is at rest: to carry "
         f"an actor's motion {options.least} are needed"
@@ -238,7 +237,7 @@ def _few_error(file: str, found: int, options: CarryOptions) -> InputError:
     return InputError("markers.few", message, file=file, found=found, expected=options.least)
 
 
-def _unlike_error(file: str, scale: float, misfit: float, options: CarryOptions) -> InputError:
+def _unlike_error(file: str, scale: float, misfit: float, options: ActorOptions) -> InputError:
     message = (
         f"the markers of {file} at rest do not lie like the marker set's places on any person: "
         f"most are {misfit:.0f} mm off, at {scale:.3g} times their size"
@@ -320,7 +319,7 @@ def _report(labels: Sequence[str], warp: ActorWarp, often: Mask) -> dict[str, An
 
 
 def _notices(
-    labels: Sequence[str], warp: ActorWarp, often: Mask, options: CarryOptions
+    labels: Sequence[str], warp: ActorWarp, often: Mask, options: ActorOptions
 ) -> tuple[Finding, ...]:
     """Return which markers the warp does not carry, and which left the face."""
     found = []

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.scans.markers.actor import CARRY, CarriedTake, carry
+from solver.scans.markers.actor import ACTOR, CarriedTake, carry
 from solver.scans.markers.bind import bind, model_face, place_on, rest_places
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.marker_set import Marker, MarkerSet
@@ -89,7 +89,7 @@ def test_motion_is_carried_by_the_local_jacobian(
 ) -> None:
     similar = fit_similarity(actor.positions[0], still[0])
     one = similar(actor.positions.reshape(-1, 3)).reshape(still.shape)
-    rigid = carry(actor, markers, SKIN, RATE, REST, replace(CARRY, smoothing=1e9))
+    rigid = carry(actor, markers, SKIN, RATE, REST, replace(ACTOR, smoothing=1e9))
     by_warp = off_face(carried.take.positions, still, LIPS)
     assert by_warp < 1.0
     assert by_warp < 0.2 * off_face(one, still, LIPS)
@@ -242,7 +242,7 @@ def test_what_is_not_carried_is_told(actor: Take, markers: MarkerSet) -> None:
         SKIN,
         RATE,
         REST,
-        replace(CARRY, smoothing=0.1),
+        replace(ACTOR, smoothing=0.1),
     )
     told = {notice.code: notice.context["labels"] for notice in found.notices}
     assert told["markers.off_face"] == ["Chin_R2"]
