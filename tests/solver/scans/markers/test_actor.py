@@ -18,14 +18,20 @@ from solver.similarity import Similarity, fit_similarity, small_motion, weighted
 from solver.surface import Floats
 from tests.fixtures import small_model
 from tests.solver.scans.markers.made_actor import SIZE, to_actor
-from tests.solver.scans.markers.made_take import LABELS, RATE, made_positions, made_take, on_skin
+from tests.solver.scans.markers.made_take import (
+    AWAY,
+    LABELS,
+    RATE,
+    made_positions,
+    made_take,
+    on_skin,
+)
 
 FRAMES = 420  # two seconds at rest, then expressions
 REST = (0, 80)
 LIPS = [n for n, label in enumerate(LABELS) if "Lip" in label or "Mouth" in label]
 SKIN = model_face(small_model())
 TURN = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # into the person's axes
-AWAY = np.array([120.0, 900.0, 60.0])  # of the made take's points
 
 
 @pytest.fixture(scope="module")
