@@ -26,6 +26,9 @@ def bind(
     frame: Annotated[
         int | None, Option(help="at which the face is at rest; default: the stillest second")
     ] = None,
+    actor: Annotated[
+        bool, Option("--actor", help="the take is another person's, whose motion is carried over")
+    ] = False,
     output: NewFile = Path("markers.json"),
 ) -> None:
     """Propose where each label of a take sits on a person: the marker set of a session."""
@@ -34,7 +37,7 @@ def bind(
     from solver.scans.markers.take import read_take
 
     read = read_take(take)
-    found = bind(read, SubjectModel.load(model), frames_about(read, frame))
+    found = bind(read, SubjectModel.load(model), frames_about(read, frame), actor=actor)
     found.markers.save(output)
     first, last = (read.numbers[row] for row in found.neutral)
     parts = [each.part for each in found.markers.markers]

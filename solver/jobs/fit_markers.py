@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,8 +35,10 @@ from solver.progress import Step
 from solver.rig.frames import sequence_report, write_sequence
 from solver.rig.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
-from solver.scans.markers.bind import bind, count_tracks, model_face
+from solver.scans.markers.actor import carry, off_places
+from solver.scans.markers.bind import bind, count_tracks, find_neutral, frames_about, model_face
 from solver.scans.markers.faults import find_faults
+from solver.scans.markers.findings import LIMITS
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.moved import split_moved
 from solver.scans.markers.take import Take, read_take
@@ -70,8 +73,8 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     rig, take = Rig.load(task.inputs), count_tracks(read_take(task.inputs["markers"]))
     numbers = frame_numbers(take.file, take.numbers, given)
     rate = given.rate or (take.rate if take.rate > 0 else OPTIONS.rate)
-    source = _bound(task, take, rig.model, rate)
-    face, muscles, notices = _face(task, rig)
+    source, carried, notices = _bound(task, take, rig.model, rate)
+    face, muscles = _face(task, rig, notices)
     check_held(face)
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(take)}"))
     tracker = _tracker(task, source, _prior(task, rig, face), face, rate)
@@ -84,9 +87,9 @@ def run(task: Task[FitMarkers]) -> list[Path]:
         done = smooth_frames(tracker, done, source, drawing.add)
     progress(Step("export", 0.96))
     report = sequence_report(done, rate, take.file) | marker_report(done, source.labels)
-    report |= {"notices": [notice.as_dict() for notice in notices]}
+    report |= carried | {"notices": [notice.as_dict() for notice in notices]}
     files = write_sequence(out, done, muscles, rate, report, take.first)
-    files += [out / "markers.json"] if given.refine else []
+    files += [out / "markers.json"] if given.refine and not given.actor else []
     files.append(out / "sequence.glb")
     drawing.skin.write(files[-1], rate, take.first)
     files.append(out / VIEW_FILE)
@@ -95,29 +98,54 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     return files
 
 
-def _bound(task: Task[FitMarkers], take: Take, model: SubjectModel, rate: float) -> BoundTake:
-    """Return the take read by its marker set; what stands still or was drawn is missing.
+def _bound(
+    task: Task[FitMarkers], take: Take, model: SubjectModel, rate: float
+) -> tuple[BoundTake, dict[str, Any], list[Finding]]:
+    """Return the take read by its marker set, what was carried of an actor, and what is odd.
 
-    A marker that moved is another one from then on.
+    What stands still or was drawn is missing. A marker that moved is another one from then on.
     """
-    given_set = task.inputs.get("marker_set")
-    markers = bind(take, model).markers if given_set is None else MarkerSet.load(given_set)
+    given, given_set, skin = task.options, task.inputs.get("marker_set"), model_face(model)
+    rows = frames_about(take, given.neutral)
+    if given_set is None:
+        markers = bind(take, model, rows, actor=given.actor).markers
+    else:
+        markers = MarkerSet.load(given_set)
     if markers.model_sha256 != model.sha256:
         message = "the marker set is of another model: bind it again"
         raise InputError("markers.other_model", message)
+    told: dict[str, Any] = {}
+    notices: list[Finding] = []
+    if given.actor:
+        carried = carry(take, markers, skin, rate, rows)
+        take, markers, told = carried.take, carried.markers, {"actor": carried.report}
+        notices.extend(carried.notices)
     faults = find_faults(markers.session.scale * take.positions, rate)
-    positions = take.positions.copy()
-    for span in faults.of("frozen", "filled"):
-        positions[span.first : span.last + 1, span.marker] = np.nan
-    take, markers = split_moved(
-        replace(take, positions=positions), markers, faults, model_face(model)
+    if not given.actor:
+        rows = rows or find_neutral(faults.motion, rate)
+        off_mm = off_places(take, markers, faults.motion, skin, rows)
+        notices.extend(_other_person(take, rows, off_mm))
+    measured = replace(take, positions=faults.hide_unmeasured(take.positions))
+    take, markers = split_moved(measured, markers, faults, skin)
+    return BoundTake(take, markers, OPTIONS.least), told, notices
+
+
+def _other_person(take: Take, rows: tuple[int, int], off_mm: float) -> list[Finding]:
+    """Return the warning that a take is another person's, if its markers are so far off at rest."""
+    if off_mm <= LIMITS.person:
+        return []
+    first, last = (take.numbers[row] for row in rows)
+    message = (
+        f"in frames {first} to {last} the markers of {take.file} are {off_mm:.1f} mm off their "
+        "places: the face is not at rest there (neutral), or another person's (actor)"
     )
-    return BoundTake(take, markers, OPTIONS.least)
+    figures = {"frames": [first, last], "found": round(off_mm, 2), "expected": LIMITS.person}
+    return [make_warning("markers.other_person", message, figures)]
 
 
-def _face(task: Task[FitMarkers], rig: Rig) -> tuple[Face, tuple[str, ...], list[Finding]]:
-    """Return the face that frames are fitted with, its muscles' names, and what is odd about it."""
-    given, model, notices = task.options, rig.model, []
+def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Face, tuple[str, ...]]:
+    """Return the face that frames are fitted with, and its muscles' names; adds what is odd."""
+    given, model = task.options, rig.model
     names = tuple(model.muscle_names)
     if given.muscles == "fibre":
         face = Face(model, material=MOONEY_RIVLIN, linear=given.linear_solver)
@@ -132,7 +160,7 @@ def _face(task: Task[FitMarkers], rig: Rig) -> tuple[Face, tuple[str, ...], list
     if given.jaw == "tracks":
         tracks = jaw_tracks(_template(task), model)
         face = face.with_jaw(tracks, track_block(tracks))
-    return face, names, notices
+    return face, names
 
 
 def _template(task: Task[FitMarkers]) -> Template:
@@ -152,7 +180,7 @@ def _tracker(
         max_iterations=given.max_iterations,
         robust=RobustOptions(scale_mm=given.robust_mm),
     )
-    if given.refine:
+    if given.refine and not given.actor:  # a carried neutral lies on the places
         task.progress(Step("places", 0.01))
         # of the whole take: places must not depend on where the fit ends
         mending = RefineOptions(tracking=options)

@@ -21,6 +21,15 @@ class FitMarkers(JobOptions):
         description="the frame after the last to fit, as the file counts; null: all to the end",
     )
     step: Whole = Field(default=1, ge=1, description="fit every frame, every second ...")
+    neutral: FrameNumber | None = Field(
+        default=None,
+        description="frame, as the file counts, at which the face is at rest, to bind without a "
+        "marker set and to carry an actor's motion; null: the stillest second",
+    )
+    actor: bool = Field(
+        default=False,
+        description="the take is another person's than the rig, whose motion is carried over",
+    )
     rate: float | None = Field(
         default=None,
         gt=0,

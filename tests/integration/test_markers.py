@@ -23,7 +23,8 @@ from tests.browser.rig_place import put_rig
 from tests.fixtures import small_capture, small_model
 from tests.servers.production import Production
 from tests.service_client import served
-from tests.solver.scans.markers.made_take import LABELS, made_positions
+from tests.solver.scans.markers.made_actor import to_actor
+from tests.solver.scans.markers.made_take import AWAY, LABELS, made_positions
 from tests.take_files import c3d_bytes
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "guide" / "markers.md"
@@ -64,6 +65,24 @@ def test_a_take_is_checked_bound_and_fitted_as_documented(
     header = Path("fit/activations.csv").read_text().splitlines()[0].split(",")
     assert "jaw.1.sd" in header
     assert Path("fit/markers.bin").read_bytes()[:4] == b"MYOV"
+
+
+def test_another_actor_s_take_is_checked_and_carried(
+    session: dict[str, Any], tmp_path: Path
+) -> None:
+    client, subject, rig = session["client"], session["subject"].id, session["rig"].id
+    points, file = to_actor(made_positions(FRAMES.stop)[FRAMES] - AWAY), tmp_path / "another.c3d"
+    file.write_bytes(c3d_bytes(points, list(LABELS), rate=5.0))
+    take = client.add_capture(subject, file, role="markers")
+    meant = {"actor": True, "neutral": 1}
+    check = client.run("check_markers", subject, captures=[take.id], rig_id=rig, options=meant)
+    assert check.result.summary["verdict"] == "usable"  # at five frames a second
+    meant["prior"] = "scans"
+    fit = client.run("fit_markers", subject, captures=[take.id], rig_id=rig, options=meant)
+    carried = fit.result.summary["actor"]
+    assert carried["scale"] == pytest.approx(1.1, abs=0.1)
+    assert carried["left_mm"] < 0.5 * carried["missed_mm"]
+    assert fit.result.summary["notices"] == []
 
 
 @pytest.mark.parametrize(

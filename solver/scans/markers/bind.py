@@ -42,6 +42,7 @@ class BindOptions:
     off_skin: float = 15.0  # farther from the skin it is no marker of the face ...
     above: float = 45.0  # ... but of the head, if it is so far above the nose's tip ...
     of_head: float = 260.0  # ... and no farther from it than this
+    usual_height: float = 2.0  # of markers over the skin
     sigma: float = 1.0  # of a place by the nearest point of the skin
     bony_sigma: float = 0.5
 
@@ -103,10 +104,13 @@ def bind(
     model: SubjectModel,
     neutral: tuple[int, int] | None = None,
     options: BindOptions = BIND,
+    *,
+    actor: bool = False,
 ) -> Binding:
     """Return where the markers of a take sit on ``model``, at rest in the ``neutral`` rows.
 
-    Without these the stillest second is taken. Raises :class:`InputError`: ``markers.few``, not
+    Without these the stillest second is taken. An ``actor`` is another person: see
+    :func:`place_take`. Raises :class:`InputError`: ``markers.few``, not
     enough of them are seen in these frames, or ``markers.too_large``.
     """
     skin, face = model_face(model), choose_face(take, options)
@@ -116,7 +120,7 @@ def bind(
     if located.pose is None:
         seen = int(np.isfinite(located.points[:, 0]).sum())
         raise _few_error(take.file, seen, "seen at rest", options)
-    markers = place_markers(face, located.pose.session(located.points), skin, options)
+    markers = place_take(located, located.pose, skin, options, actor=actor)
     bound = MarkerSet(markers, located.pose.session, model.sha256)
     return Binding(bound, located.pose, located.neutral)
 
@@ -293,10 +297,37 @@ def model_face(model: SubjectModel) -> Surface:
     return Surface(model.skin.vertices, model.skin.faces[is_face[model.skin.faces].all(axis=1)])
 
 
-def place_markers(
-    face: FaceTake, placed: Floats, skin: Surface, options: BindOptions = BIND
+def place_take(
+    located: LocatedTake,
+    pose: Located,
+    skin: Surface,
+    options: BindOptions = BIND,
+    *,
+    actor: bool = False,
 ) -> tuple[Marker, ...]:
-    """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored."""
+    """Return a marker for every label of a take whose face has a ``pose``.
+
+    Those of an ``actor`` are brought to the person's size by their names, and lie on the skin as
+    markers do: how far they then are from it is how unlike the two faces are.
+    """
+    session, height = pose.session, None
+    if actor:
+        session, height = pose.similar or session, options.usual_height
+    placed = session(located.points)
+    return place_markers(located.face, placed, skin, options, height)
+
+
+def place_markers(
+    face: FaceTake,
+    placed: Floats,
+    skin: Surface,
+    options: BindOptions = BIND,
+    height_mm: float | None = None,
+) -> tuple[Marker, ...]:
+    """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored.
+
+    Those of the skin get one ``height_mm``; without it each has its own.
+    """
     seen = np.flatnonzero(np.isfinite(placed[:, 0]))
     heights, tip = heights_over(placed[seen], skin), nose_tip(skin)
     found = []
@@ -307,7 +338,9 @@ def place_markers(
             near = np.linalg.norm(at - tip) < options.of_head and at[1] - tip[1] > options.above
             part = "head" if near else "ignore"
         if part == "face":
-            found.append(place_on(Marker(label, sigma_mm=options.sigma), at, skin))
+            marker = place_on(Marker(label, sigma_mm=options.sigma), at, skin)
+            height = marker.height_mm if height_mm is None else height_mm
+            found.append(replace(marker, height_mm=height))
         else:
             at_bone: Triple = (float(at[0]), float(at[1]), float(at[2]))
             sigma = options.bony_sigma

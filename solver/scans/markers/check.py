@@ -24,7 +24,7 @@ from solver.scans.markers.bind import (
     choose_face,
     find_neutral,
     locate_take,
-    place_markers,
+    place_take,
     rest_places,
 )
 from solver.scans.markers.findings import (
@@ -95,14 +95,14 @@ def check_take(
     check.figures["neutral"] = [take.numbers[first], take.numbers[last]]
     _check_rest(check, located, is_given=neutral is not None, limits=limits)
     check.labels = label_rows(located)
-    if located.pose is None or located.places is None:
+    if located.pose is None:
         message = f"Frames {take.numbers[first]} to {take.numbers[last]} show too few markers."
         add(check, "markers.neutral", "warning", message)
         return check
     report_location(check, located, located.pose)
     if reference.model_sha256:
         _check_person(check, located, reference, actor=actor, limits=limits)
-        markers = place_markers(face, located.places, reference.face)
+        markers = place_take(located, located.pose, reference.face, actor=actor)
         if reference.jaw is not None:
             markers = tuple(_close_jaw(each, *reference.jaw) for each in markers)
         check.bound = MarkerSet(markers, located.pose.session, reference.model_sha256)
@@ -203,7 +203,7 @@ def _check_person(
     is_lower = np.array([each is not None and each.region in LOWER for each in names], bool)
     off = located.pose.off_skin
     if reference.markers is not None:
-        off = _off_places(check, located, reference.markers, reference.face, limits)
+        off = _off_places(check, located, reference, limits, actor=actor)
     others, jaw, all_ = rms_of_seen(off[~is_lower]), rms_of_seen(off[is_lower]), rms_of_seen(off)
     check.figures["off_person_mm"] = round(all_, 2)
     if others <= limits.person and jaw > limits.open_mouth:
@@ -232,12 +232,21 @@ def _close_jaw(marker: Marker, frame: JawFrame, b: Floats) -> Marker:
 
 
 def _off_places(
-    check: MarkerCheck, located: LocatedTake, markers: MarkerSet, skin: Surface, limits: CheckLimits
+    check: MarkerCheck,
+    located: LocatedTake,
+    reference: Reference,
+    limits: CheckLimits,
+    *,
+    actor: bool,
 ) -> Floats:
-    """Return how far (n,) labels are from their places in a marker set; reports the odd ones."""
-    placed, labels = located.places, located.face.labels
+    """Return how far (n,) labels are from their places in a marker set; reports the odd ones.
+
+    None is odd of an ``actor``, who has another face.
+    """
+    placed, labels, markers = located.places, located.face.labels, reference.markers
     assert placed is not None
-    goal = rest_places(markers, skin)
+    assert markers is not None
+    goal = rest_places(markers, reference.face)
     number = {label: row for row, label in enumerate(markers.labels)}
     rows = np.array([number.get(label, -1) for label in labels])
     known = np.flatnonzero((rows >= 0) & np.isfinite(placed[:, 0]))
@@ -251,7 +260,7 @@ def _off_places(
     apart = np.linalg.norm(motion(placed[known])[:, None] - there[None], axis=2)
     _, chosen = linear_sum_assignment(apart**2)
     off[known] = np.diag(apart)
-    if np.median(off[known]) > limits.person:
+    if actor or np.median(off[known]) > limits.person:
         return off
     for row, column in enumerate(chosen.tolist()):
         if chosen[column] == row and row < column:

@@ -106,6 +106,13 @@ class Faults:
             found.setdefault(span.marker, {}).setdefault(span.other, []).append(span)
         return found
 
+    def hide_unmeasured(self, positions: Floats) -> Floats:
+        """Return ``positions`` (f, k, 3), NaN where they were not measured: frozen or drawn."""
+        shown = positions.copy()
+        for span in self.of("frozen", "filled"):
+            shown[span.first : span.last + 1, span.marker] = np.nan
+        return shown
+
     def blanks(self, least: int) -> list[tuple[int, int]]:
         """Return first and last frames of spans of ``least`` frames in which nothing is seen."""
         seen = np.asarray(np.isfinite(self.motion.places[..., 0]).any(axis=1))

@@ -48,7 +48,7 @@ ADVICE = {
     "markers.wrong": "Clean the take, or take it again: too much of it is wrong.",
     # the person
     "markers.neutral": "Name frames with a relaxed face, lips closed, or the expression they show.",
-    "markers.other_person": "Take this person's own rig, or carry the motion over: --actor.",
+    "markers.other_person": "Take this person's own rig, or fit it as another actor's: --actor.",
 }
 
 

@@ -67,6 +67,8 @@ class Located:
     exchanged: tuple[tuple[int, int], ...]  # markers that lie where the other should by its name
     height_mm: float  # of most over the skin
     off_skin: Floats  # (k,) farther from the skin than that, in mm; NaN where not seen
+    # takes another actor's markers to their places by name, in a size of its own
+    similar: Similarity | None = None
 
     def miss(self) -> float:
         """Return the rms of how far markers miss the skin at that height, in mm."""
@@ -94,14 +96,15 @@ def locate(
         unit, turned = _unit_of(points[used], options), False
         starts = _by_shape(points[used], skin, unit.mm_per_unit)
     found = [_slide(start, unit, points, used, face, skin, options) for start in starts]
-    chosen = found[0]
+    best = 0
     if len(found) > 1:  # a mirrored face, or sides exchanged: the first, unless it fits worse
-        better = found[1].miss() < options.clearly * found[0].miss()
-        chosen = found[1] if better else found[0]
-    chosen = replace(
-        chosen, by_names=by_names is not None, sides_exchanged=turned and not chosen.mirrored
-    )
-    if by_names is None or turned:
+        best = int(found[1].miss() < options.clearly * found[0].miss())
+    chosen = found[best]
+    chosen = replace(chosen, sides_exchanged=turned and not chosen.mirrored)
+    if by_names is None:
+        return chosen
+    chosen = replace(chosen, by_names=True, similar=starts[best])
+    if turned:
         return chosen
     return replace(chosen, exchanged=_find_exchanges(chosen, points, named, face, options))
 
@@ -117,15 +120,15 @@ def _by_names(
     known, goal = _goals(points, named, face)
     if len(known) < options.least or len(np.unique(goal, axis=0)) < options.least:
         return None
-    plain, misfit = _fit_most(points[known], goal, options)
-    other, other_misfit = _fit_most(points[known] @ FLIP, goal, options)
+    plain, misfit = fit_most(points[known], goal, options)
+    other, other_misfit = fit_most(points[known] @ FLIP, goal, options)
     turned = other_misfit < options.mirrored * misfit
     if min(misfit, other_misfit) > options.name_misfit:
         return None
     if not turned:
         return [plain], False
     across = (goal - nose_tip(face)) @ FLIP + nose_tip(face)
-    return [_flip(other), _fit_most(points[known], across, options)[0]], True
+    return [_flip(other), fit_most(points[known], across, options)[0]], True
 
 
 def _goals(
@@ -143,7 +146,9 @@ def _flip(motion: Similarity) -> Similarity:
     return Similarity(motion.scale, motion.rotation @ FLIP, motion.shift)
 
 
-def _fit_most(points: Floats, goal: Floats, options: LocateOptions) -> tuple[Similarity, float]:
+def fit_most(
+    points: Floats, goal: Floats, options: LocateOptions = LocateOptions()
+) -> tuple[Similarity, float]:
     """Return the motion that most points agree with, and the median misfit in mm."""
     kept = np.ones(len(points), bool)
     motion, off = fit_similarity(points, goal), np.zeros(len(points))

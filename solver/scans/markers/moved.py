@@ -68,13 +68,7 @@ def split_moved(
         positions = np.concatenate([positions, positions[:, [column]]], axis=1)
         positions[:first, -1] = np.nan
         positions[first:, column] = np.nan
-    split = replace(
-        take,
-        labels=tuple(labels),
-        positions=positions,
-        sigma=None if take.sigma is None else take.sigma[:, columns],
-        residual=None if take.residual is None else take.residual[:, columns],
-    )
+    split = replace(take.pick(columns), labels=tuple(labels), positions=positions)
     return split, replace(markers, markers=tuple(now))
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +74,16 @@ class Take:
     def seconds(self) -> float:
         """Return how long the take is; NaN where the rate is not known."""
         return len(self.positions) / self.rate
+
+    def pick(self, columns: Sequence[int]) -> Take:
+        """Return the take with some of its labels; one may come twice."""
+        return replace(
+            self,
+            labels=tuple(self.labels[column] for column in columns),
+            positions=self.positions[:, columns],
+            sigma=None if self.sigma is None else self.sigma[:, columns],
+            residual=None if self.residual is None else self.residual[:, columns],
+        )
 
     def save(self, path: Path) -> None:
         """Write the take as NPZ."""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.fitting.face import Face
+from solver.fitting.face import Face, Pose
 from solver.fitting.markers.term import MarkerPlaces
 from solver.jobs import fit_markers, run_job
 from solver.mechanics.boundary import move_jaw
@@ -23,6 +23,7 @@ from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity, small_motion
 from tests.fixtures import small_model
+from tests.solver.scans.markers.made_actor import SIZE, actor_model
 
 pytestmark = pytest.mark.long
 
@@ -246,11 +247,65 @@ def test_a_jaw_on_its_tracks(files: Path, tmp_path: Path) -> None:
     assert np.linalg.norm(near - moved, axis=1).max() < 0.5
 
 
+@pytest.fixture(scope="module")
+def another(files: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Pose]]:
+    """The take played by another actor, whose muscles do the same; and the poses."""
+    folder = tmp_path_factory.mktemp("another")
+    for name in ("rig.npz", "markers.json"):
+        (folder / name).write_bytes((files / name).read_bytes())
+    rig, markers = Rig.load({"rig": files / "rig.npz"}), MarkerSet.load(files / "markers.json")
+    face, (smile,) = Face(actor_model(rig.model)), rig.expressions
+    places, state, points, poses = MarkerPlaces(face.model, markers.markers), face.rest, [], []
+    end = Pose(smile.activations, smile.jaw)
+    for share in np.linspace(0.0, 1.0, FRAMES):
+        poses.append(face.rest_pose().toward(end, share))
+        state = face.continuation(state, poses[-1])
+        head = small_motion(np.array([0.1 * share, 0.0, 0.2 * share, 0.0, 5.0 * share, 0.0]))
+        points.append(markers.session.inverse()(head(places.at(state.x))))
+    # so few frames a second that a frame named as neutral is one
+    Take("take.c3d", markers.labels, np.array(points), 2.0, FIRST).save(folder / "take.npz")
+    return folder, poses
+
+
+def off_person(found: dict[str, np.ndarray], poses: list[Pose]) -> float:
+    """Return how far the face is from the person's own in the same poses, mm rms."""
+    face, away = Face(small_model()), []
+    own = fitted = face.rest
+    for row, pose in enumerate(poses):
+        own = face.continuation(own, pose)
+        there = replace(face.rest_pose(), a=found["activations"][row], b=found["jaw"][row])
+        fitted = face.continuation(fitted, there)
+        away.append(face.face_points(fitted.x) - face.face_points(own.x))
+    return float(np.sqrt(np.mean(np.sum(np.square(away), axis=-1))))
+
+
+def test_another_actor_s_take_is_carried(another: tuple[Path, list[Pose]], tmp_path: Path) -> None:
+    folder, poses = another
+    told, off = [], []
+    for actor in (True, False):
+        out = tmp_path / str(actor)
+        found = fit(folder, out, options={"actor": actor, "neutral": FIRST, "refine": 5})
+        told.append(json.loads((out / "sequence.json").read_text()))
+        off.append(off_person(found, poses))
+    carried, plain = told
+    assert off[0] < 0.2
+    assert off[1] > 2.0
+    assert carried["actor"]["scale"] == pytest.approx(1 / SIZE, rel=0.1)
+    assert carried["actor"]["left_mm"] < 0.5 * carried["actor"]["missed_mm"]
+    assert carried["actor"]["neutral"] == [FIRST, FIRST]
+    assert carried["notices"] == []
+    assert not (tmp_path / "True" / "markers.json").exists()
+    assert "actor" not in plain
+    assert [each["code"] for each in plain["notices"]] == ["markers.other_person"]
+
+
 @pytest.mark.parametrize(
     ("code", "change"),
     [
         ("markers.few", {"markers": [0, 1, 2]}),
         ("markers.other_model", {"model_sha256": "0" * 64}),
+        ("markers.few", {"markers": [0, 1, 2], "options": {"actor": True}}),
+        ("markers.neutral", {"options": {"neutral": 100}}),
         ("options.frames", {"options": {"start": 100}}),
         ("options.frames", {"options": {"end": 112}}),
     ],

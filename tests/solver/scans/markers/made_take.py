@@ -25,6 +25,7 @@ LABELS = (
     *("Mouth_Lend", "Mouth_Rend", "Chin", "Chin_L1", "Chin_R1", "Chin_L2", "Chin_R2"),
 )
 RATE, FRAMES, HEIGHT = 60.0, 1200, 2.0
+AWAY = np.array([120.0, 900.0, 60.0])  # of the head at rest, in the studio
 
 
 @cache
@@ -62,7 +63,7 @@ def made_positions(frames: int = FRAMES, noise: float = 0.1, seed: int = 0) -> F
         [8 * np.sin(0.9 * time), 14 * np.sin(0.5 * time), 5 * np.sin(0.7 * time)], axis=1
     )
     turns = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
-    moved = np.einsum("fij,fkj->fki", turns, face) + np.array([120.0, 900.0, 60.0])
+    moved = np.einsum("fij,fkj->fki", turns, face) + AWAY
     moved += still[:, None, None] * 10 * np.sin(0.6 * time)[:, None, None] * [1.0, 0.3, 0.5]
     return np.asarray(moved + noise * rng.standard_normal(moved.shape))
 
