@@ -26,19 +26,25 @@ def bind(
     frame: Annotated[
         int | None, Option(help="at which the face is at rest; default: the stillest second")
     ] = None,
+    expression: Annotated[
+        str | None,
+        Option(help="of the rig, which the face shows in these frames; default: it is at rest"),
+    ] = None,
     output: NewFile = Path("markers.json"),
 ) -> None:
     """Propose where each label of a take sits on a person: the marker set of a session."""
     from solver.model import SubjectModel
+    from solver.rig.rig import Rig
     from solver.scans.markers.bind import bind, frames_about
     from solver.scans.markers.take import read_take
 
     read = read_take(take)
-    found = bind(read, SubjectModel.load(model), frames_about(read, frame))
+    shown = None if expression is None else Rig.load(model).expression(expression)
+    found = bind(read, SubjectModel.load(model), frames_about(read, frame), expression=shown)
     found.markers.save(output)
     first, last = (read.numbers[row] for row in found.neutral)
     parts = [each.part for each in found.markers.markers]
     counted = ", ".join(f"{parts.count(part)} {part}" for part in dict.fromkeys(parts))
-    out.print(f"at rest in frames {first} to {last}: {counted}")
+    out.print(f"{expression or 'at rest'} in frames {first} to {last}: {counted}")
     out.print(f"{found.pose.miss():.1f} mm off the skin")
     out.print(f"{output}")

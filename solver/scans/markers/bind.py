@@ -8,6 +8,7 @@ over it, or to the bone that it rides on. A check goes the same way.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import igl
 import numpy as np
@@ -15,7 +16,8 @@ from scipy.sparse.csgraph import connected_components
 
 from solver.anatomy.embedding import barycentric
 from solver.errors import InputError
-from solver.model import SubjectModel
+from solver.mechanics.boundary import move_jaw_back
+from solver.model import JawFrame, SubjectModel
 from solver.registration.search import nose_tip
 from solver.registration.units import likely_unit
 from solver.scans.markers.faults import Faults, find_faults
@@ -47,6 +49,42 @@ class BindOptions:
 
 
 BIND = BindOptions()
+
+
+class Expression(Protocol):
+    """A face that is not at rest, as a rig has it."""
+
+    @property
+    def skin(self) -> Floats:
+        """Return the skin's vertices (V, 3)."""
+
+    @property
+    def jaw(self) -> Floats:
+        """Return its b (5,)."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The face that a take shows: nobody's, or a person's, perhaps with markers."""
+
+    face: Surface
+    model_sha256: str = ""  # of the person's model; empty for a face that is nobody's
+    markers: MarkerSet | None = None
+    jaw: tuple[JawFrame, Floats] | None = None  # and its b (5,), if it is not at rest
+
+    @classmethod
+    def of(
+        cls,
+        model: SubjectModel,
+        markers: MarkerSet | None = None,
+        expression: Expression | None = None,
+    ) -> Reference:
+        """Return a person at rest, or in an expression."""
+        face = model_face(model)
+        if expression is None:
+            return cls(face, model.sha256, markers)
+        jaw = model.jaw, expression.jaw
+        return cls(face.moved(expression.skin), model.sha256, markers, jaw)
 
 
 @dataclass(frozen=True)
@@ -103,21 +141,23 @@ def bind(
     model: SubjectModel,
     neutral: tuple[int, int] | None = None,
     options: BindOptions = BIND,
+    *,
+    expression: Expression | None = None,
 ) -> Binding:
     """Return where the markers of a take sit on ``model``, at rest in the ``neutral`` rows.
 
-    Without these the stillest second is taken. Raises :class:`InputError`: ``markers.few``, not
-    enough of them are seen in these frames, or ``markers.too_large``.
+    Without these the stillest second is taken. With an ``expression`` the face shows that instead.
+    Raises :class:`InputError`: ``markers.few``, not enough of them are seen in these frames, or
+    ``markers.too_large``.
     """
-    skin, face = model_face(model), choose_face(take, options)
+    reference, face = Reference.of(model, expression=expression), choose_face(take, options)
     if len(face.numbers) < options.least:
         raise _few_error(take.file, len(face.numbers), "on the face", options)
-    located = locate_take(face, skin, neutral, options)
+    located = locate_take(face, reference.face, neutral, options)
     if located.pose is None:
         seen = int(np.isfinite(located.points[:, 0]).sum())
         raise _few_error(take.file, seen, "seen at rest", options)
-    markers = place_markers(face, located.pose.session(located.points), skin, options)
-    bound = MarkerSet(markers, located.pose.session, model.sha256)
+    bound = place_markers(face, located.pose, located.points, reference, options)
     return Binding(bound, located.pose, located.neutral)
 
 
@@ -294,9 +334,13 @@ def model_face(model: SubjectModel) -> Surface:
 
 
 def place_markers(
-    face: FaceTake, placed: Floats, skin: Surface, options: BindOptions = BIND
-) -> tuple[Marker, ...]:
-    """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored."""
+    face: FaceTake, pose: Located, points: Floats, reference: Reference, options: BindOptions = BIND
+) -> MarkerSet:
+    """Return the set with a marker for every label that is seen at ``points`` (n, 3).
+
+    It lies on the skin, rides on a bone, at the place that it has at rest, or is ignored.
+    """
+    skin, placed = reference.face, pose.session(points)
     seen = np.flatnonzero(np.isfinite(placed[:, 0]))
     heights, tip = heights_over(placed[seen], skin), nose_tip(skin)
     found = []
@@ -309,10 +353,13 @@ def place_markers(
         if part == "face":
             found.append(place_on(Marker(label, sigma_mm=options.sigma), at, skin))
         else:
+            if part == "lower_teeth" and reference.jaw is not None:
+                frame, b = reference.jaw
+                at = move_jaw_back(frame, at, b)
             at_bone: Triple = (float(at[0]), float(at[1]), float(at[2]))
             sigma = options.bony_sigma
             found.append(Marker(label, part=part, sigma_mm=sigma, place_mm=at_bone))
-    return tuple(found)
+    return MarkerSet(tuple(found), pose.session, reference.model_sha256)
 
 
 def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:

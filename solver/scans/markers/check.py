@@ -7,20 +7,18 @@ what to do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from solver.errors import InputError, Severity, quote, quote_names
-from solver.mechanics.boundary import jaw_rotation
-from solver.model import JawFrame
 from solver.scans.markers.bind import (
     BIND,
     USUAL_RATE,
     FaceTake,
     LocatedTake,
+    Reference,
     choose_face,
     find_neutral,
     locate_take,
@@ -39,22 +37,12 @@ from solver.scans.markers.findings import (
     report_location,
     report_unlabelled,
 )
-from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.motion import rms_of_seen
 from solver.scans.markers.names import LOWER
 from solver.scans.markers.take import Take
 from solver.similarity import robust_motion
 from solver.surface import Floats, Ints, Surface
-
-
-@dataclass(frozen=True)
-class Reference:
-    """The face that a take is checked against: nobody's, or a person's, perhaps with markers."""
-
-    face: Surface
-    model_sha256: str = ""  # of the person's model; empty for a face that is nobody's
-    markers: MarkerSet | None = None
-    jaw: tuple[JawFrame, Floats] | None = None  # and its b (5,), if the face shows an expression
 
 
 def check_take(
@@ -95,17 +83,14 @@ def check_take(
     check.figures["neutral"] = [take.numbers[first], take.numbers[last]]
     _check_rest(check, located, is_given=neutral is not None, limits=limits)
     check.labels = label_rows(located)
-    if located.pose is None or located.places is None:
+    if located.pose is None:
         message = f"Frames {take.numbers[first]} to {take.numbers[last]} show too few markers."
         add(check, "markers.neutral", "warning", message)
         return check
     report_location(check, located, located.pose)
     if reference.model_sha256:
         _check_person(check, located, reference, actor=actor, limits=limits)
-        markers = place_markers(face, located.places, reference.face)
-        if reference.jaw is not None:
-            markers = tuple(_close_jaw(each, *reference.jaw) for each in markers)
-        check.bound = MarkerSet(markers, located.pose.session, reference.model_sha256)
+        check.bound = place_markers(face, located.pose, located.points, reference)
     return check
 
 
@@ -220,15 +205,6 @@ def _check_person(
         severity: Severity = "info" if actor else "error"
         figures = {"found": round(all_, 2), "expected": limits.person}
         add(check, "markers.other_person", severity, message, **figures)
-
-
-def _close_jaw(marker: Marker, frame: JawFrame, b: Floats) -> Marker:
-    """Return a marker with the place that it has at rest, if it rides on the mandible."""
-    if marker.part != "lower_teeth" or marker.place_mm is None:
-        return marker
-    arm = np.asarray(marker.place_mm) - frame.origin - b[2:] @ frame.axes
-    x, y, z = (frame.origin + jaw_rotation(frame, b).T @ arm).tolist()
-    return replace(marker, place_mm=(x, y, z))
 
 
 def _off_places(

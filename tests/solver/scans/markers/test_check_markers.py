@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks.bad_takes import BAD_TAKES
 from solver.errors import Finding, InputError, judge_findings
 from solver.fitting.markers.term import MarkerPlaces
-from solver.scans.markers.bind import bind, choose_face, locate_take, model_face, rest_places
-from solver.scans.markers.check import Reference, check_take
+from solver.mechanics.boundary import move_jaw
+from solver.scans.markers.bind import (
+    Reference,
+    bind,
+    choose_face,
+    locate_take,
+    model_face,
+    rest_places,
+)
+from solver.scans.markers.check import check_take
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import ADVICE, MarkerCheck
 from solver.scans.markers.locate import FLIP
@@ -21,7 +30,7 @@ from solver.scans.markers.moved import split_moved
 from solver.scans.markers.take import Take, read_take
 from solver.similarity import Similarity
 from solver.surface import Floats, Surface
-from tests.fixtures import data_folder, small_model
+from tests.fixtures import data_folder, small_capture, small_model
 from tests.solver.scans.markers.made_take import (
     LABELS,
     RATE,
@@ -266,6 +275,34 @@ def test_bound_markers_lie_where_they_were_made(clean: Floats) -> None:
     assert off.max() < 2.0
     assert off.mean() < 0.5
     assert found.markers.model_sha256 == model.sha256
+
+
+@dataclass(frozen=True)
+class Shown:
+    skin: Floats
+    jaw: Floats
+
+
+@pytest.mark.parametrize("name", ["ah", "smile", "surprise"])
+def test_a_take_without_rest_is_bound_to_an_expression_as_others_at_rest(name: str) -> None:
+    model, jaw = small_model(), np.array([0.25, 0.03, 0.5, -1.0, 1.5])
+    teeth = model.jaw.origin + np.array([5.0, -35.0, 75.0])
+    points = np.concatenate([on_skin(name), move_jaw(model.jaw, teeth[None], jaw)])
+    points = points @ Rotation.from_euler("yx", [140.0, 20.0], degrees=True).as_matrix().T
+    noise = 0.1 * np.random.default_rng(1).standard_normal((90, *points.shape))
+    take = made_take(points + noise, (*LABELS, "lower_teeth_1"))
+    shown = Shown(small_capture(name).vertices, jaw)
+    found = bind(take, model, expression=shown).markers
+    assert found.markers[-1].part == "lower_teeth"
+    np.testing.assert_allclose(found.places[-1], teeth, atol=1.0)
+    on_face = MarkerSet(found.markers[:-1], found.session, found.model_sha256)
+    weights, vertices = on_face.weights, on_face.vertices
+    places = np.einsum("kc,kcd->kd", weights, model.skin.vertices[vertices])
+    off = np.linalg.norm(places - model.skin.vertices[sites()], axis=1)
+    assert off.max() < 2.0
+    assert off.mean() < 0.5
+    check = check_take(take, Reference.of(model, expression=shown))
+    assert check.bound.markers == found.markers
 
 
 def test_a_fit_has_bound_markers_where_they_were_seen(clean: Floats) -> None:
