@@ -105,6 +105,13 @@ def test_a_frame_that_the_take_does_not_have_is_told(tmp_path: Path, take: Path)
     assert "frames 1 to 300, not 9999" in json.loads(report.read_text())["findings"][0]["message"]
 
 
+def test_a_take_may_be_at_rest_before_frame_0(tmp_path: Path) -> None:
+    take = tmp_path / "take.npz"
+    made_take(made_positions(300), first=-200).save(take)
+    report, _ = run_job("check_markers", tmp_path / "out", options={"neutral": -150}, markers=take)
+    assert json.loads(report.read_text())["figures"]["neutral"] == [-165, -135]
+
+
 def test_the_command_binds_a_take_to_a_person(
     tmp_path: Path, take: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
