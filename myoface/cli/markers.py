@@ -12,7 +12,9 @@ from myoface.cli.offline import Take, make_command
 from solver.kinds import KINDS
 
 markers = Group("Markers on a face: check takes, bind them to a person.")
-markers.command("check")(make_command(KINDS["check_markers"]))
+CHECK = KINDS["check_markers"]
+RULES = CHECK.schema["properties"]  # of its options, which binding has as well
+markers.command("check")(make_command(CHECK))
 
 Person = Annotated[
     Path, Argument(exists=True, dir_okay=False, help="the person: rig.npz or model.npz")
@@ -23,13 +25,8 @@ Person = Annotated[
 def bind(
     model: Person,
     take: Take,
-    frame: Annotated[
-        int | None, Option(help="at which the face is at rest; default: the stillest second")
-    ] = None,
-    expression: Annotated[
-        str | None,
-        Option(help="of the rig, which the face shows in these frames; default: it is at rest"),
-    ] = None,
+    frame: Annotated[int | None, Option(help=RULES["neutral"]["description"])] = None,
+    expression: Annotated[str | None, Option(help=RULES["expression"]["description"])] = None,
     output: NewFile = Path("markers.json"),
 ) -> None:
     """Propose where each label of a take sits on a person: the marker set of a session."""

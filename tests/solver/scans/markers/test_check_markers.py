@@ -338,6 +338,13 @@ def test_a_marker_that_moved_has_a_place_for_each_span(clean: Floats, late: bool
     source = BoundTake(split, found, 4)
     assert np.isnan(source.points(frame + 100)[-1]).all()
     assert np.isfinite(source.points(frame + 101)[-1]).all()
+    # the set that a fit leaves serves the take a second time, and other takes
+    again, twice = split_moved(take, found, find_faults(points, RATE), skin)
+    assert again.labels == twice.labels == split.labels
+    known = Reference.of(model, found)
+    said = {each.code for each in check_take(made_take(clean), known).findings}
+    assert said <= {"markers.moved"}
+    assert split_moved(made_take(clean), found, find_faults(clean, RATE), skin)[1].labels == LABELS
 
 
 # Real takes: nothing is told of them, whoever checks.
