@@ -24,7 +24,7 @@ from solver.scans.markers.trc import read_trc
 from solver.storage import Archive, read_arrays
 from solver.surface import Floats
 
-FORMAT = 1
+FORMAT = 1  # of takes as NPZ
 BEGIN = 4096  # bytes by which the reader of a file is chosen
 
 
