@@ -23,9 +23,10 @@ from solver.registration.units import likely_unit
 from solver.scans.markers.faults import Faults, find_faults
 from solver.scans.markers.locate import Located, heights_over, locate
 from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, places_over
-from solver.scans.markers.motion import Mask, Motion, median_of_seen
+from solver.scans.markers.motion import Mask, Motion, find_neutral, median_of_seen
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
+from solver.similarity import Similarity
 from solver.surface import Floats, Ints, Surface, area_normals, unit_rows
 
 USUAL_RATE = 60.0  # frames a second, where a take has none
@@ -85,6 +86,19 @@ class Reference:
             return cls(face, model.sha256, markers)
         jaw = model.jaw, expression.jaw
         return cls(face.moved(expression.skin), model.sha256, markers, jaw)
+
+    def bind(self, markers: tuple[Marker, ...], session: Similarity) -> MarkerSet:
+        """Return the set of markers on this face, those of the mandible where that rests."""
+        if self.jaw is not None:
+            markers = tuple(_close_jaw(each, *self.jaw) for each in markers)
+        return MarkerSet(markers, session, self.model_sha256)
+
+
+def _close_jaw(marker: Marker, frame: JawFrame, b: Floats) -> Marker:
+    if marker.part != "lower_teeth" or marker.place_mm is None:
+        return marker
+    x, y, z = move_jaw_back(frame, np.array(marker.place_mm), b).tolist()
+    return replace(marker, place_mm=(x, y, z))
 
 
 @dataclass(frozen=True)
@@ -157,8 +171,9 @@ def bind(
     if located.pose is None:
         seen = int(np.isfinite(located.points[:, 0]).sum())
         raise _few_error(take.file, seen, "seen at rest", options)
-    bound = place_markers(face, located.pose, located.points, reference, options)
-    return Binding(bound, located.pose, located.neutral)
+    session = located.pose.session
+    markers = place_markers(face, session(located.points), reference.face, options)
+    return Binding(reference.bind(markers, session), located.pose, located.neutral)
 
 
 def _few_error(file: str, found: int, where: str, options: BindOptions) -> InputError:
@@ -277,44 +292,6 @@ def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[i
     return max(row - reach, 0), min(row + reach, len(take) - 1)
 
 
-@dataclass(frozen=True)
-class NeutralOptions:
-    """How a neutral is judged; lengths in mm."""
-
-    seconds: float = 1.0
-    away: float = 0.05  # of unrest that a mm away from the median face counts as
-    seen: float = 0.8  # of the most markers must be seen
-
-
-def find_neutral(
-    motion: Motion, rate: float, options: NeutralOptions = NeutralOptions()
-) -> tuple[int, int]:
-    """Return first and last row of the second in which the face is stillest.
-
-    Of two that are equally still it is the one nearer to the median face.
-    """
-    frames = len(motion.places)
-    window = int(np.clip(round(options.seconds * rate) if rate > 0 else 1, 1, frames))
-    seen = np.isfinite(motion.places[..., 0])
-    change = np.nan_to_num(motion.places - motion.middle)
-    count = np.maximum(_sums(seen.astype(float), window), 1.0)
-    mean = _sums(change, window) / count[..., None]
-    unrest = np.maximum(_sums((change**2).sum(axis=2), window) / count - (mean**2).sum(axis=2), 0.0)
-    away = np.linalg.norm(mean, axis=2)
-    known = np.maximum((count > window / 2).sum(axis=1), 1)
-    cost = np.sqrt((unrest * (count > window / 2)).sum(axis=1) / known)
-    cost += options.away * (away * (count > window / 2)).sum(axis=1) / known
-    cost[known < options.seen * known.max()] = np.inf
-    first = int(np.argmin(cost))
-    return first, first + window - 1
-
-
-def _sums(values: Floats, window: int) -> Floats:
-    """Return sums over ``window`` frames, for every frame that has so many from it on."""
-    total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0)
-    return np.asarray(total[window:] - total[:-window])
-
-
 def _rest_points(motion: Motion, neutral: tuple[int, int]) -> Floats:
     """Return markers (k, 3) at rest, in the axes of the take, as the head is amid ``neutral``."""
     first, last = neutral
@@ -334,13 +311,9 @@ def model_face(model: SubjectModel) -> Surface:
 
 
 def place_markers(
-    face: FaceTake, pose: Located, points: Floats, reference: Reference, options: BindOptions = BIND
-) -> MarkerSet:
-    """Return the set with a marker for every label that is seen at ``points`` (n, 3).
-
-    It lies on the skin, rides on a bone, at the place that it has at rest, or is ignored.
-    """
-    skin, placed = reference.face, pose.session(points)
+    face: FaceTake, placed: Floats, skin: Surface, options: BindOptions = BIND
+) -> tuple[Marker, ...]:
+    """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored."""
     seen = np.flatnonzero(np.isfinite(placed[:, 0]))
     heights, tip = heights_over(placed[seen], skin), nose_tip(skin)
     found = []
@@ -353,13 +326,10 @@ def place_markers(
         if part == "face":
             found.append(place_on(Marker(label, sigma_mm=options.sigma), at, skin))
         else:
-            if part == "lower_teeth" and reference.jaw is not None:
-                frame, b = reference.jaw
-                at = move_jaw_back(frame, at, b)
             at_bone: Triple = (float(at[0]), float(at[1]), float(at[2]))
             sigma = options.bony_sigma
             found.append(Marker(label, part=part, sigma_mm=sigma, place_mm=at_bone))
-    return MarkerSet(tuple(found), pose.session, reference.model_sha256)
+    return tuple(found)
 
 
 def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:

@@ -20,7 +20,6 @@ from solver.scans.markers.bind import (
     LocatedTake,
     Reference,
     choose_face,
-    find_neutral,
     locate_take,
     place_markers,
     rest_places,
@@ -38,7 +37,7 @@ from solver.scans.markers.findings import (
     report_unlabelled,
 )
 from solver.scans.markers.marker_set import MarkerSet
-from solver.scans.markers.motion import rms_of_seen
+from solver.scans.markers.motion import find_neutral, rms_of_seen
 from solver.scans.markers.names import LOWER
 from solver.scans.markers.take import Take
 from solver.similarity import robust_motion
@@ -83,14 +82,15 @@ def check_take(
     check.figures["neutral"] = [take.numbers[first], take.numbers[last]]
     _check_rest(check, located, is_given=neutral is not None, limits=limits)
     check.labels = label_rows(located)
-    if located.pose is None:
+    if located.pose is None or located.places is None:
         message = f"Frames {take.numbers[first]} to {take.numbers[last]} show too few markers."
         add(check, "markers.neutral", "warning", message)
         return check
     report_location(check, located, located.pose)
     if reference.model_sha256:
         _check_person(check, located, reference, actor=actor, limits=limits)
-        check.bound = place_markers(face, located.pose, located.points, reference)
+        markers = place_markers(face, located.places, reference.face)
+        check.bound = reference.bind(markers, located.pose.session)
     return check
 
 
