@@ -23,7 +23,7 @@ from solver.fitting.strips import strip_names
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, hash_files
 from solver.jobs.marker_frames import TakeDrawing, TakeFitter, marker_report, smooth_frames
-from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted
+from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted, write_animated
 from solver.kinds.fit_markers import FitMarkers
 from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.flesh import MOONEY_RIVLIN
@@ -87,8 +87,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     report |= {"notices": [notice.as_dict() for notice in notices]}
     files = write_sequence(out, done, muscles, rate, report, take.first)
     files += [out / "markers.json"] if given.refine else []
-    files.append(out / "sequence.glb")
-    drawing.skin.write(files[-1], rate, take.first)
+    files += write_animated(out, drawing.skin, rig.model, rate, take.first)
     files.append(out / VIEW_FILE)
     drawing.view.write(files[-1], rate)
     progress(Step("done", 1.0))

@@ -23,6 +23,8 @@ from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity, small_motion
 from tests.fixtures import small_model
+from tests.solver.glb import shown_skins
+from tests.solver.usd import played
 
 pytestmark = pytest.mark.long
 
@@ -244,6 +246,25 @@ def test_a_jaw_on_its_tracks(files: Path, tmp_path: Path) -> None:
     moved = points @ found["mandible"][-1, :3, :3].T + found["mandible"][-1, :3, 3]
     near = move_jaw(model.jaw, points, found["jaw"][-1])
     assert np.linalg.norm(near - moved, axis=1).max() < 0.5
+
+
+def test_fibre_muscles_and_a_jaw_on_tracks_play_in_other_programs(
+    files: Path, tmp_path: Path
+) -> None:
+    """Frames that are predicted do as well: in glTF as in USD, with the head's motion."""
+    found = fit(files, tmp_path, options={"muscles": "fibre", "jaw": "tracks", "prior": "none"})
+    assert set(found["status"]) == {"fitted", "predicted"}
+    model = small_model()
+    skins = shown_skins(tmp_path / "sequence.glb", model.skin.vertices)
+    assert np.linalg.norm(skins[-1] - model.skin.vertices, axis=1).max() > 5.0
+    points, bone = played(tmp_path / "sequence.usdc"), model.bones["mandible"].vertices
+    for skin, number, twist, motion in zip(
+        skins, found["frame"].tolist(), found["head"], found["mandible"], strict=True
+    ):
+        head = small_motion(twist)
+        np.testing.assert_allclose(points("Skin", number), head(skin), atol=5e-3)
+        moved = bone @ motion[:3, :3].T + motion[:3, 3]
+        np.testing.assert_allclose(points("mandible", number), head(moved), atol=1e-3)
 
 
 @pytest.mark.parametrize(
