@@ -24,7 +24,7 @@ from solver.scans.markers.bind import (
 from solver.scans.markers.check import check_take
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import ADVICE, MarkerCheck
-from solver.scans.markers.locate import FLIP
+from solver.scans.markers.locate import FLIP, locate
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.moved import split_moved
 from solver.scans.markers.take import Take, read_take
@@ -155,6 +155,14 @@ def test_points_without_any_unit_are_refused_at_once(person: Reference, clean: F
     why = Finding("markers.unit", "error", "no unit", "")
     check = check_take(made_take(1e-9 * clean, findings=(why,)), person)
     assert check.findings == [why]
+
+
+def test_points_that_no_way_of_lying_brings_near_a_face_are_located_nowhere_near() -> None:
+    rng = np.random.default_rng(16)
+    count = int(rng.integers(4, 7))
+    points = 150.0 * rng.standard_normal((count, 3))
+    found = locate(points, [None] * count, model_face(small_model()))
+    assert found.miss() > 15.0
 
 
 def test_two_faces_are_told_apart_and_a_body_is_left_out(person: Reference, clean: Floats) -> None:
