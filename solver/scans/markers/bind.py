@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from solver.anatomy.embedding import barycentric
 from solver.errors import InputError
-from solver.mechanics.boundary import move_jaw_back
+from solver.mechanics.boundary import move_jaw, move_jaw_back
 from solver.model import JawFrame, SubjectModel
 from solver.registration.search import nose_tip
 from solver.registration.units import likely_unit
@@ -86,6 +86,14 @@ class Reference:
             return cls(face, model.sha256, markers)
         jaw = model.jaw, expression.jaw
         return cls(face.moved(expression.skin), model.sha256, markers, jaw)
+
+    def places(self, markers: MarkerSet) -> Floats:
+        """Return where the markers (k, 3) of a set lie on this face, NaN for those without."""
+        places = rest_places(markers, self.face)
+        if self.jaw is not None:
+            lower, (frame, b) = markers.of_part("lower_teeth"), self.jaw
+            places[lower] = move_jaw(frame, places[lower], b)
+        return places
 
     def bind(self, markers: tuple[Marker, ...], session: Similarity) -> MarkerSet:
         """Return the set of markers on this face, those of the mandible where that rests."""

@@ -22,7 +22,6 @@ from solver.scans.markers.bind import (
     choose_face,
     locate_take,
     place_markers,
-    rest_places,
 )
 from solver.scans.markers.findings import (
     LIMITS,
@@ -41,7 +40,7 @@ from solver.scans.markers.motion import find_neutral, rms_of_seen
 from solver.scans.markers.names import LOWER
 from solver.scans.markers.take import Take
 from solver.similarity import robust_motion
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints
 
 
 def check_take(
@@ -188,7 +187,7 @@ def _check_person(
     is_lower = np.array([each is not None and each.region in LOWER for each in names], bool)
     off = located.pose.off_skin
     if reference.markers is not None:
-        off = _off_places(check, located, reference.markers, reference.face, limits)
+        off = _off_places(check, located, reference, reference.markers, limits)
     others, jaw, all_ = rms_of_seen(off[~is_lower]), rms_of_seen(off[is_lower]), rms_of_seen(off)
     check.figures["off_person_mm"] = round(all_, 2)
     if others <= limits.person and jaw > limits.open_mouth:
@@ -208,12 +207,16 @@ def _check_person(
 
 
 def _off_places(
-    check: MarkerCheck, located: LocatedTake, markers: MarkerSet, skin: Surface, limits: CheckLimits
+    check: MarkerCheck,
+    located: LocatedTake,
+    reference: Reference,
+    markers: MarkerSet,
+    limits: CheckLimits,
 ) -> Floats:
     """Return how far (n,) labels are from their places in a marker set; reports the odd ones."""
     placed, labels = located.places, located.face.labels
     assert placed is not None
-    goal = rest_places(markers, skin)
+    goal = reference.places(markers)
     number = {label: row for row, label in enumerate(markers.labels)}
     rows = np.array([number.get(label, -1) for label in labels])
     known = np.flatnonzero((rows >= 0) & np.isfinite(placed[:, 0]))

@@ -309,8 +309,9 @@ def test_a_take_without_rest_is_bound_to_an_expression_as_others_at_rest(name: s
     off = np.linalg.norm(places - model.skin.vertices[sites()], axis=1)
     assert off.max() < 2.0
     assert off.mean() < 0.5
-    check = check_take(take, Reference.of(model, expression=shown))
+    check = check_take(take, Reference.of(model, found, shown))
     assert check.bound.markers == found.markers
+    assert told(check) == []
 
 
 def test_a_fit_has_bound_markers_where_they_were_seen(clean: Floats) -> None:
