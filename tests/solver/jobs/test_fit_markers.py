@@ -127,6 +127,19 @@ def test_a_take_is_fitted(whole: tuple[Path, dict], files: Path) -> None:
     np.testing.assert_allclose(spread, found["sd"][5][-5:], atol=1e-6)
 
 
+def test_a_point_that_is_nowhere_at_all_is_an_outlier(files: Path, tmp_path: Path) -> None:
+    for name in ("markers.json", "rig.npz"):
+        (tmp_path / name).write_bytes((files / name).read_bytes())
+    with np.load(files / "take.npz") as data:
+        arrays = dict(data)
+    arrays["positions"][6, 2] = 9e4  # farther off points are not read
+    np.savez(tmp_path / "take.npz", **arrays)
+    found = fit(tmp_path, tmp_path / "out")
+    assert (found["status"][6], found["marker_state"][6, 2]) == ("fitted", "outlier")
+    off = read_container(tmp_path / "out" / "markers.bin").arrays["off"]
+    assert np.isfinite(off[[each for each in range(FRAMES) if each not in GONE]]).all()
+
+
 def test_killed_three_times_it_comes_to_the_same(
     whole: tuple[Path, dict], files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
