@@ -45,6 +45,7 @@ class BindOptions:
     off_skin: float = 15.0  # farther from the skin it is no marker of the face ...
     above: float = 45.0  # ... but of the head, if it is so far above the nose's tip ...
     of_head: float = 260.0  # ... and no farther from it than this
+    farthest: float = 10_000.0  # beyond it nothing is a marker; a set has no room for such places
     sigma: float = 1.0  # of a place by the nearest point of the skin
     bony_sigma: float = 0.5
 
@@ -322,7 +323,7 @@ def place_markers(
     face: FaceTake, placed: Floats, skin: Surface, options: BindOptions = BIND
 ) -> tuple[Marker, ...]:
     """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored."""
-    seen = np.flatnonzero(np.isfinite(placed[:, 0]))
+    seen = np.flatnonzero((np.abs(placed) < options.farthest).all(axis=1))
     heights, tip = heights_over(placed[seen], skin), nose_tip(skin)
     found = []
     for row, number in enumerate(seen.tolist()):

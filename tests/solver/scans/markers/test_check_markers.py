@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -163,6 +164,17 @@ def test_points_that_no_way_of_lying_brings_near_a_face_are_located_nowhere_near
     points = 150.0 * rng.standard_normal((count, 3))
     found = locate(points, [None] * count, model_face(small_model()))
     assert found.miss() > 15.0
+
+
+def test_a_marker_that_lies_far_away_at_rest_is_in_no_set(
+    person: Reference, clean: Floats, tmp_path: Path
+) -> None:
+    points = clean.copy()
+    points[:60, AT["Forehead_M"]] += 60_000.0
+    take = made_take(points, ("head1", *LABELS[1:]))
+    check = check_take(take, person, (0, 59))
+    check.bound.save(tmp_path / "markers.json")
+    assert MarkerSet.load(tmp_path / "markers.json").labels == LABELS[1:]
 
 
 def test_two_faces_are_told_apart_and_a_body_is_left_out(person: Reference, clean: Floats) -> None:
