@@ -5,6 +5,7 @@ It is what ``build_model`` makes, what every fit reads, and is stored as one NPZ
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -42,6 +43,12 @@ class JawFrame:
 
     origin: Floats
     axes: Floats
+
+
+def lower_teeth(regions: Mapping[str, Ints], attached_mandible: Ints) -> Ints:
+    """Return the skin vertices of the lower teeth; all on the mandible if none are named."""
+    teeth = np.intersect1d(regions.get("lower_teeth", []), attached_mandible)
+    return np.asarray(teeth, np.int64) if len(teeth) else attached_mandible
 
 
 @dataclass(frozen=True)
@@ -86,8 +93,7 @@ class SubjectModel:
     @property
     def lower_teeth(self) -> Ints:
         """Return the skin vertices of the lower teeth; all on the mandible if none are named."""
-        teeth = np.intersect1d(self.regions.get("lower_teeth", []), self.attached_mandible)
-        return np.asarray(teeth, np.int64) if len(teeth) else self.attached_mandible
+        return lower_teeth(self.regions, self.attached_mandible)
 
     @property
     def muscle_count(self) -> int:

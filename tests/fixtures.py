@@ -25,6 +25,7 @@ NARROW_FACE = 6706  # ICT-FaceKit: the vertices below are the face without ears 
 BOUNDARY_CRANIUM, BOUNDARY_MANDIBLE = 1, 2
 MODEL_FILE = Path(__file__).parent / "fixtures" / "small_model.npz"
 EXPRESSIONS_FILE = MODEL_FILE.with_name("small_expressions.npz")
+FELUPE_FILE = MODEL_FILE.with_name("felupe_bar.npz")
 
 
 @cache

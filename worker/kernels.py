@@ -38,7 +38,7 @@ GRACE = 2.0  # s until a compilation that was told to end is killed
 def link_kernels(folder: Path) -> None:
     """Link the installation's kernels into ``folder``, laid out as numba looks for them there."""
     place = installed_place()
-    for kernel in _installed():
+    for kernel in _kernels():
         home = folder / (kernel.parent.name if place else _subfolder(kernel.parents[1]))
         home.mkdir(parents=True, exist_ok=True)
         (home / kernel.name).symlink_to(kernel)
@@ -47,7 +47,7 @@ def link_kernels(folder: Path) -> None:
 def are_compiled() -> bool:
     """Tell whether the installation's kernels are of this code."""
     try:
-        return _stamp().read_text() == _hash() and any(_installed())
+        return _stamp().read_text() == _hash() and any(_kernels())
     except OSError:
         return False
 
@@ -147,13 +147,13 @@ def installed_place() -> Path | None:
     return Path(place).absolute() if place else None
 
 
-def _installed() -> Iterator[Path]:
+def _kernels() -> Iterator[Path]:
     place = installed_place()
     return place.glob("*/*.nb[ic]") if place else SOLVER.rglob("__pycache__/*.nb[ic]")
 
 
 def _remove_all() -> None:
-    for kernel in _installed():
+    for kernel in _kernels():
         kernel.unlink(missing_ok=True)
 
 

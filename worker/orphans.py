@@ -48,8 +48,8 @@ def note_session(folder: Path, leader: int) -> None:
 
     None that is confined leaves it: the filter of system calls refuses a session of one's own.
     """
-    noted = {"leader": leader, "started": _started(leader), "system": _boot_and_namespace()}
-    _noted(folder).write_text(json.dumps(noted))
+    noted = {"leader": leader, "started": _start_time(leader), "system": _boot_and_namespace()}
+    _note_path(folder).write_text(json.dumps(noted))
 
 
 def end_processes(folder: Path) -> None:
@@ -57,7 +57,7 @@ def end_processes(folder: Path) -> None:
 
     Those that are not confined may have left its session, and then have its mark.
     """
-    for process in {*_of_session(folder), *_marked(folder)}:
+    for process in {*_of_session(folder), *_with_mark(folder)}:
         with suppress(OSError):  # gone meanwhile
             os.kill(process, signal.SIGKILL)
 
@@ -65,26 +65,26 @@ def end_processes(folder: Path) -> None:
 def remove_attempt(folder: Path) -> None:
     """Remove an attempt's folder and what was noted of its processes."""
     remove_tree(folder)
-    _noted(folder).unlink(missing_ok=True)
+    _note_path(folder).unlink(missing_ok=True)
 
 
 def _of_session(folder: Path) -> Iterator[int]:
     """Yield the processes of the session that was noted of an attempt."""
     try:
-        noted = json.loads(_noted(folder).read_text())
+        noted = json.loads(_note_path(folder).read_text())
     except (FileNotFoundError, ValueError):  # none was started, or the disk was full
         return
     if noted["system"] != _boot_and_namespace():
         return
     leader = noted["leader"]
-    if _started(leader) not in (noted["started"], None):
+    if _start_time(leader) not in (noted["started"], None):
         return  # the session is over and another process has its number
     for process in _processes():
         if (fields := _stat(process)) and int(fields[3]) == leader:
             yield process
 
 
-def _marked(folder: Path) -> Iterator[int]:
+def _with_mark(folder: Path) -> Iterator[int]:
     """Yield the processes that have an attempt's mark in their environment."""
     mark = f"{FOLDER_VARIABLE}={folder}".encode()
     for process in _processes():
@@ -112,7 +112,7 @@ def _is_held(store: Store, name: str) -> bool:
         return job is not None and job.state in HELD and str(job.attempt) == attempt
 
 
-def _noted(folder: Path) -> Path:
+def _note_path(folder: Path) -> Path:
     return folder.with_name(folder.name + SESSION)
 
 
@@ -120,7 +120,7 @@ def _processes() -> Iterator[int]:
     return (int(folder.name) for folder in Path("/proc").glob("[0-9]*"))
 
 
-def _started(process: int) -> str | None:
+def _start_time(process: int) -> str | None:
     """Return when a process started, in ticks of the machine; None: there is no such process."""
     fields = _stat(process)
     return fields[19] if fields else None

@@ -229,16 +229,16 @@ def _libc() -> ctypes.CDLL:
 
 def _prctl(option: int, value: int, more: _Program | None = None) -> None:
     pointer = ctypes.byref(more) if more else ctypes.c_ulong(0)
-    _checked(
+    _check(
         _libc().prctl(option, ctypes.c_ulong(value), pointer, ctypes.c_ulong(0), ctypes.c_ulong(0))
     )
 
 
 def _syscall(number: int, *arguments: object) -> int:
-    return _checked(_libc().syscall(number, *arguments))
+    return _check(_libc().syscall(number, *arguments))
 
 
-def _checked(answer: int) -> int:
+def _check(answer: int) -> int:
     if answer < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
     return answer

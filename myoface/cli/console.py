@@ -73,7 +73,7 @@ class Console:
         """Print texts one after the other, and end the line."""
         live = self._live
         self.show_live("")
-        self.stream.write("".join(map(self._rendered, parts)) + "\n")
+        self.stream.write("".join(map(self._render, parts)) + "\n")
         self.stream.flush()
         self.show_live(live)
 
@@ -97,7 +97,7 @@ class Console:
         bar = "#" * done + "." * (BAR_CELLS - done)
         self.show_live(f"{title} {bar} {words}".replace("\n", " "))
 
-    def _rendered(self, part: object) -> str:
+    def _render(self, part: object) -> str:
         text, style = part if isinstance(part, Painted) else (str(part), "")
         safe = printable(text)
         if not style or not self.is_terminal or "NO_COLOR" in os.environ or not TAKES_COLOURS:

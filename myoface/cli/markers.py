@@ -12,7 +12,9 @@ from myoface.cli.offline import Take, make_command
 from solver.kinds import KINDS
 
 markers = Group("Markers on a face: check takes, bind them to a person.")
-markers.command("check")(make_command(KINDS["check_markers"]))
+CHECK = KINDS["check_markers"]
+RULES = CHECK.schema["properties"]  # of its options, which binding has as well
+markers.command("check")(make_command(CHECK))
 
 Person = Annotated[
     Path, Argument(exists=True, dir_okay=False, help="the person: rig.npz or model.npz")
@@ -23,9 +25,8 @@ Person = Annotated[
 def bind(
     model: Person,
     take: Take,
-    frame: Annotated[
-        int | None, Option(help="at which the face is at rest; default: the stillest second")
-    ] = None,
+    frame: Annotated[int | None, Option(help=RULES["neutral"]["description"])] = None,
+    expression: Annotated[str | None, Option(help=RULES["expression"]["description"])] = None,
     actor: Annotated[
         bool, Option("--actor", help="the take is another person's, whose motion is carried over")
     ] = False,
@@ -33,15 +34,18 @@ def bind(
 ) -> None:
     """Propose where each label of a take sits on a person: the marker set of a session."""
     from solver.model import SubjectModel
+    from solver.rig.rig import Rig
     from solver.scans.markers.bind import bind, frames_about
     from solver.scans.markers.take import read_take
 
     read = read_take(take)
-    found = bind(read, SubjectModel.load(model), frames_about(read, frame), actor=actor)
+    shown = None if expression is None else Rig.load(model).expression(expression)
+    rows, person = frames_about(read, frame), SubjectModel.load(model)
+    found = bind(read, person, rows, expression=shown, actor=actor)
     found.markers.save(output)
     first, last = (read.numbers[row] for row in found.neutral)
     parts = [each.part for each in found.markers.markers]
     counted = ", ".join(f"{parts.count(part)} {part}" for part in dict.fromkeys(parts))
-    out.print(f"at rest in frames {first} to {last}: {counted}")
+    out.print(f"{expression or 'at rest'} in frames {first} to {last}: {counted}")
     out.print(f"{found.pose.miss():.1f} mm off the skin")
     out.print(f"{output}")

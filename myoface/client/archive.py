@@ -39,7 +39,7 @@ def check_archive(path: Path, archive: Artifact) -> None:
 
     Raises :class:`ApiError`: ``client.checksum``, or ``client.answer`` for names that are none.
     """
-    with _opened(path, archive) as (packed, rig):
+    with _open(path, archive) as (packed, rig):
         for each in rig.artifacts:
             digest = hashlib.sha256()
             with packed.open(each.name) as stream:
@@ -72,7 +72,7 @@ def unpack(path: Path, folder: Path, archive: Artifact) -> None:
 
     Raises :class:`ApiError`: ``client.folder`` if a folder of no rig has another file of a name.
     """
-    with _opened(path, archive) as (packed, rig):
+    with _open(path, archive) as (packed, rig):
         missing = [each.name for each in rig.artifacts if not _is_there(folder, each)]
         if not (folder / RIG_NOTE).exists():
             for name in missing:
@@ -90,7 +90,7 @@ def read_note(folder: Path) -> WholeRig:
 
 
 @contextmanager
-def _opened(path: Path, archive: Artifact) -> Iterator[tuple[zipfile.ZipFile, WholeRig]]:
+def _open(path: Path, archive: Artifact) -> Iterator[tuple[zipfile.ZipFile, WholeRig]]:
     """Give an archive whose files are stored as they are, in the sizes that ``rig.json`` says."""
     try:
         with zipfile.ZipFile(path) as packed:

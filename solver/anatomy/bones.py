@@ -6,7 +6,7 @@ walls and foramina, which would fill with slivers of flesh.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
@@ -14,7 +14,8 @@ import trimesh
 from scipy import ndimage
 
 from solver.anatomy.embedding import at_nearest
-from solver.model import JawFrame
+from solver.mechanics.terms import SlidingPlanes, no_planes, planes
+from solver.model import JawFrame, SubjectModel
 from solver.surface import Floats, Ints, Surface, inside, unit_rows, vertex_normals
 
 Volume = np.ndarray
@@ -145,6 +146,18 @@ def bone_normals(bone: Surface, points: Floats) -> Floats:
     Normals of vertices are blended over a triangle, so that neighbours slide alike.
     """
     return unit_rows(at_nearest(points, bone, vertex_normals(bone)))
+
+
+def skull_planes(model: SubjectModel, rest: Floats, mu: Floats | float) -> SlidingPlanes:
+    """Return the planes along the skull that a model's sliding vertices stay on.
+
+    ``rest`` (p, 3) is where the vertices are on its bones, ``mu`` the flesh's, of all tets or each.
+    """
+    if not len(model.sliding):
+        return no_planes()
+    points = rest[model.sliding]
+    normals = bone_normals(model.bones["cranium"], points)
+    return replace(planes(model.rest, model.tets, model.sliding, normals, mu), points=points)
 
 
 # The frame of the mandible's five degrees of freedom.

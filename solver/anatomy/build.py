@@ -18,7 +18,7 @@ from solver.anatomy.tetrahedra import dihedral_angles, volumes
 from solver.anatomy.transfer import carry, skin_warp, transport
 from solver.errors import InputError, SolveError
 from solver.mechanics.jaw_tracks import TRACKS, JawTracks, TrackOptions, tracks_of_shapes
-from solver.model import SubjectModel
+from solver.model import SubjectModel, lower_teeth
 from solver.progress import Progress, Step, silent
 from solver.similarity import fit_similarity
 from solver.surface import Floats, Surface, join_surfaces, part_of
@@ -101,8 +101,7 @@ def jaw_tracks(
 
     They keep their slope against the frame of the condyles, and grow with the head.
     """
-    skin, teeth = template.skin.vertices, template.regions.get("lower_teeth", np.zeros(0, int))
-    teeth = teeth if len(teeth) else template.attached_mandible
+    skin, teeth = template.skin.vertices, lower_teeth(template.regions, template.attached_mandible)
     apart = float(np.linalg.norm(template.condyles[0] - template.condyles[1]))
     shapes = [] if template.shapes is None else list(template.shapes.expressions[:, teeth])
     found = tracks_of_shapes(jaw_frame(template.condyles), apart, skin[teeth], shapes, options)

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from solver.anatomy.bones import bone_normals
+from solver.anatomy.bones import skull_planes
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
 from solver.fitting.checks import check_pose, check_weights
@@ -25,7 +25,7 @@ from solver.mechanics.equilibrium import (
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
-from solver.mechanics.terms import EnergyTerm, SlidingPlanes, check_entries, no_planes, planes
+from solver.mechanics.terms import EnergyTerm, check_entries, no_planes
 from solver.model import SubjectModel
 from solver.surface import Floats
 from solver.threads import leave_threads_to_kernels
@@ -143,7 +143,7 @@ class Face:
             model.tets,
             np.unique(held),
             material,
-            sliding=no_planes() if pinned else self._sliding_planes(mu),
+            sliding=no_planes() if pinned else skull_planes(model, self._held_rest, mu),
             stiffness_factor=stiffness_factor,
             growth=growth,
         ).plus(*energy)
@@ -393,13 +393,3 @@ class Face:
         pull = self.flesh.coupling(state.x, before, (x - state.x)[:, :, None])[:, 0]
         change = self.flesh.gradient(state.x, self.flesh_controls(target.a))
         return self.flesh.moved(x, -state.equilibrium.factor.solve(pull + change))
-
-    def _sliding_planes(self, mu: Floats | float) -> SlidingPlanes:
-        """Return the planes along the skull that the model's sliding vertices stay on."""
-        model = self.model
-        if not len(model.sliding):
-            return no_planes()
-        points = self._held_rest[model.sliding]
-        normals = bone_normals(model.bones["cranium"], points)
-        found = planes(model.rest, model.tets, model.sliding, normals, mu)
-        return replace(found, points=points)

@@ -101,9 +101,14 @@ class GaussianPrior:
 
     def after(self, mean: Floats, covariance: Floats, seconds: float, time: float) -> GaussianPrior:
         """Return the prior so long after a frame whose posterior was N(mean, covariance)."""
-        kept = np.exp(-seconds / time)
+        kept = kept_part(seconds, time)
         spread = kept**2 * covariance + (1.0 - kept**2) * self.covariance
         return GaussianPrior(self.mean + kept * (mean - self.mean), spread)
+
+
+def kept_part(seconds: float, time: float) -> float:
+    """Return the part of a control that is left so long after a frame, as it fades to rest."""
+    return float(np.exp(-seconds / time))
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.progress import Step
 from solver.registration.locate import face_surface
-from solver.rig.rig import ExpressionFit, Rig
-from solver.scans.markers.bind import frames_about, model_face, rest_places
-from solver.scans.markers.check import Reference, check_take
+from solver.rig.rig import Rig
+from solver.scans.markers.bind import Reference, frames_about, rest_places
+from solver.scans.markers.check import check_take
 from solver.scans.markers.findings import ADVICE, MarkerCheck, add
 from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.picture import check_picture
@@ -78,23 +78,11 @@ def _reference(task: Task[CheckMarkers]) -> Reference:
     if "rig" in files or "model" in files:
         model = SubjectModel.load(files.get("model", files.get("rig", Path())))
         markers = MarkerSet.load(files["marker_set"]) if "marker_set" in files else None
-        face, shown = model_face(model), task.options.expression
-        if shown is not None:
-            fit = _expression(task, shown)
-            face = face.moved(fit.skin)
-            return Reference(face, model.sha256, markers, (model.jaw, fit.jaw))
-        return Reference(face, model.sha256, markers)
+        shown = task.options.expression
+        expression = None if shown is None else Rig.load(files).expression(shown)
+        return Reference.of(model, markers, expression)
     given = files.get("template")
     return Reference(face_surface(builtin_template() if given is None else Template.load(given)))
-
-
-def _expression(task: Task[CheckMarkers], name: str) -> ExpressionFit:
-    """Return an expression of the rig; raises ``markers.expression`` if it has none of the name."""
-    known = {fit.name: fit for fit in Rig.load(task.inputs).expressions}
-    if name not in known:
-        message = f"the rig has no expression {quote(name)}"
-        raise InputError("markers.expression", message, expected=sorted(known), found=quote(name))
-    return known[name]
 
 
 def _report_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:

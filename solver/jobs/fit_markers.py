@@ -24,7 +24,7 @@ from solver.fitting.strips import strip_names
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, hash_files
 from solver.jobs.marker_frames import TakeDrawing, TakeFitter, marker_report, smooth_frames
-from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted
+from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted, write_animated
 from solver.kinds.fit_markers import FitMarkers
 from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.flesh import MOONEY_RIVLIN
@@ -36,10 +36,11 @@ from solver.rig.frames import sequence_report, write_sequence
 from solver.rig.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
 from solver.scans.markers.actor import carry, off_places
-from solver.scans.markers.bind import bind, count_tracks, find_neutral, frames_about, model_face
+from solver.scans.markers.bind import bind, count_tracks, frames_about, model_face
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import LIMITS
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
+from solver.scans.markers.motion import find_neutral
 from solver.scans.markers.moved import split_moved
 from solver.scans.markers.take import Take, read_take
 from solver.templates.builtin.build import builtin_template
@@ -90,8 +91,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     report |= carried | {"notices": [notice.as_dict() for notice in notices]}
     files = write_sequence(out, done, muscles, rate, report, take.first)
     files += [out / "markers.json"] if given.refine and not given.actor else []
-    files.append(out / "sequence.glb")
-    drawing.skin.write(files[-1], rate, take.first)
+    files += write_animated(out, drawing.skin, rig.model, rate, take.first)
     files.append(out / VIEW_FILE)
     drawing.view.write(files[-1], rate)
     progress(Step("done", 1.0))

@@ -25,6 +25,7 @@ from solver.jobs.sequences import (
     fit_frames,
     frame_numbers,
     refuse_unfitted,
+    write_animated,
 )
 from solver.kinds.fit_sequence import FitSequence
 from solver.mechanics.linear import fastest
@@ -249,8 +250,7 @@ def run(task: Task[FitSequence]) -> list[Path]:
     progress(Step("export", 0.96))
     report = sequence_report(done, given.fps, source.name)
     files = write_sequence(out, done, subject.muscle_names, given.fps, report)
-    files.append(out / "sequence.glb")
-    fitter.skin.write(files[-1], given.fps)
+    files += write_animated(out, fitter.skin, subject, given.fps)
     if fitter.shots:
         files.append(out / "sequence.png")
         words = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average"

@@ -22,15 +22,8 @@ from solver.errors import SolveError
 from solver.jobs import Task, hash_files
 from solver.progress import Progress, Step, silent
 from solver.rig.animation import Filming, write_animation
-from solver.rig.frames import (
-    FRAMES,
-    ChunkOptions,
-    ChunkWriter,
-    MotionRecord,
-    motion_report,
-    motion_values,
-    read_motion,
-)
+from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
+from solver.rig.motion import MotionRecord, motion_report, motion_values, read_motion
 from solver.rig.rig import Rig
 from solver.scene.document import document_of
 from solver.scene.places import Places

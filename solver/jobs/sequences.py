@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -13,7 +15,9 @@ from solver.errors import InputError
 from solver.jobs import Task
 from solver.kinds.fit_markers import FitMarkers
 from solver.kinds.fit_sequence import FitSequence
+from solver.model import SubjectModel
 from solver.progress import Step
+from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter, SequenceFrame
 from solver.surface import Floats
 
@@ -112,6 +116,18 @@ def refuse_unfitted(frames: Sequence[SequenceFrame], name: str) -> None:
     if all(frame.status != "fitted" for frame in frames):
         message = f"none of the {len(frames)} frames of {name} could be fitted"
         raise InputError("sequence.nothing", message, file=name)
+
+
+def write_animated(
+    out: Path, skin: AnimatedSkin, model: SubjectModel, fps: float, first: int = 0
+) -> list[Path]:
+    """Write ``sequence.glb``, the frame ``first`` at 0 s, and with the extra ``sequence.usdc``."""
+    files = [out / "sequence.glb"]
+    skin.write(files[0], fps, first)
+    if find_spec("pxr") is not None:
+        files.append(out / "sequence.usdc")
+        import_module("solver.rig.exporters.usd").write_sequence(files[1], model, skin, fps)
+    return files
 
 
 def distance_figures(distances: Floats) -> dict[str, Any]:

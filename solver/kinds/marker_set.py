@@ -9,7 +9,7 @@ from pydantic import Field, Tag
 
 from solver.kinds.document import Document, Vector, Whole, by_type, tell_forms
 
-MOST_MARKERS = 1000
+MOST_MARKERS = 1000  # of a set; a face has some hundreds
 LONGEST_LABEL = 100  # characters
 
 # What a marker rides on: `face` the skin, `head` the skull (a headband, a cap's brim), splints the

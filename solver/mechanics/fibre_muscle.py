@@ -62,7 +62,7 @@ def passive_force(L: float, curve: Curve) -> Force:
     d, k = L - 1.0, curve.growth
     end = math.exp(k * curve.toe)
     force, slope = curve.passive * (end - 1.0), curve.passive * k * end
-    toe = _joined(min(d, curve.toe), curve.toe, 0.0, 0.0, force, slope)
+    toe = _join(min(d, curve.toe), curve.toe, 0.0, 0.0, force, slope)
     if d <= curve.toe:
         return toe
     top = min(d, curve.straight - 1.0)
@@ -86,7 +86,7 @@ def active_force(L: float, curve: Curve) -> Force:
     ends = 1.0 - 4.0 * first**2, 9.0 * (last - 0.6) ** 2
     slopes = -8.0 * first, 18.0 * (last - 0.6)
     along = min(d, last) - first
-    bend = _joined(along, 2.0 * curve.bend, ends[0], slopes[0], ends[1], slopes[1])
+    bend = _join(along, 2.0 * curve.bend, ends[0], slopes[0], ends[1], slopes[1])
     energy += bend.energy
     if d <= last:
         return Force(sign * energy, bend.force, sign * bend.slope)
@@ -96,7 +96,7 @@ def active_force(L: float, curve: Curve) -> Force:
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _joined(x: float, width: float, f0: float, s0: float, f1: float, s1: float) -> Force:
+def _join(x: float, width: float, f0: float, s0: float, f1: float, s1: float) -> Force:
     """Return the cubic on [0, width] with these ends and slopes, its integral from 0 as energy."""
     rise = (f1 - f0) / width
     second, third = (3.0 * rise - 2.0 * s0 - s1) / width, (s0 + s1 - 2.0 * rise) / width**2
@@ -306,7 +306,7 @@ def _fill_curves(L: Floats, curve: Curve, out: Floats) -> None:
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _deformed(x: Floats, tet: Ints, along: Floats) -> tuple[float, float, float, float]:
+def _deform(x: Floats, tet: Ints, along: Floats) -> tuple[float, float, float, float]:
     """Return y = F f of one entry, and its length."""
     y0, y1, y2 = 0.0, 0.0, 0.0
     for v in range(4):
@@ -322,7 +322,7 @@ def _energies(entries: _Entries, x: Floats, a: Floats, curve: Curve, out: Floats
     for t in nb.prange(len(entries.vertices)):
         total = 0.0
         for e in range(entries.first[t], entries.first[t + 1]):
-            _, _, _, L = _deformed(x, entries.vertices[t], entries.along[e])
+            _, _, _, L = _deform(x, entries.vertices[t], entries.along[e])
             j = entries.muscles[e]
             energy = passive_force(L, curve).energy + a[j] * active_force(L, curve).energy
             total += entries.volumes[e] * entries.strengths[j] * energy
@@ -337,7 +337,7 @@ def _forces(entries: _Entries, x: Floats, a: Floats, curve: Curve, out: Floats) 
             for i in range(3):
                 out[t, v, i] = 0.0
         for e in range(entries.first[t], entries.first[t + 1]):
-            y0, y1, y2, L = _deformed(x, entries.vertices[t], entries.along[e])
+            y0, y1, y2, L = _deform(x, entries.vertices[t], entries.along[e])
             j = entries.muscles[e]
             force = passive_force(L, curve).force + a[j] * active_force(L, curve).force
             if force == 0.0 or L == 0.0:
@@ -359,7 +359,7 @@ def _blocks(
         t = which[k]
         out[k] = 0.0
         for e in range(entries.first[t], entries.first[t + 1]):
-            y0, y1, y2, L = _deformed(x, entries.vertices[t], entries.along[e])
+            y0, y1, y2, L = _deform(x, entries.vertices[t], entries.along[e])
             if L == 0.0:
                 continue
             j = entries.muscles[e]

@@ -27,7 +27,7 @@ from solver.model import JawFrame
 from solver.similarity import weighted_motion
 from solver.surface import Floats, skew
 
-TRACK_FREEDOM = 3
+TRACK_FREEDOM = 3  # the angle, and how far each condyle slid
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from solver.drawing.sheet import MARGIN, Column, SheetLayout, draw_sheet
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig.animation_gltf import write_animation_glb
-from solver.rig.frames import MotionRecord
 from solver.rig.gltf import Solid
+from solver.rig.motion import MotionRecord
 from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.rig.skin_basis import Singles
 from solver.scene.objects import SceneObject

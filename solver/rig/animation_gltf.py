@@ -38,6 +38,7 @@ from solver.rig.skin_basis import (
     normal_shapes,
     span_skins,
 )
+from solver.similarity import small_motion
 from solver.surface import Floats, Ints, Surface
 
 # how far frames (k,) between two others are off, mm, where those two are the only keys
@@ -180,36 +181,34 @@ def _between(values: Floats, keys: Floats, times: Floats) -> Floats:
 
 
 class AnimatedSkin:
-    """``sequence.glb``: takes the skins (v, 3), mm, of a fitted sequence's frames as they come."""
+    """``sequence.glb``: takes the skins (v, 3), mm, of a fitted sequence's frames as they come.
+
+    ``neutral`` is the skin at rest, ``frames`` lists those that were taken, and ``extent`` (2, 3)
+    has the least and the greatest coordinates of their skins, in the world.
+    """
 
     def __init__(self, neutral: Surface, options: BasisOptions = SEQUENCE_BASIS) -> None:
-        self._neutral, self._basis = neutral, GrowingBasis(neutral, options)
-        self._frames: list[SequenceFrame] = []
+        self.neutral, self._basis = neutral, GrowingBasis(neutral, options)
+        self.frames: list[SequenceFrame] = []
+        self.extent = np.array([[np.inf] * 3, [-np.inf] * 3])
 
     def add(self, frame: SequenceFrame, skin: Floats) -> None:
         """Take a frame, fitted or not."""
         self._basis.add(skin)
-        self._frames.append(frame)
+        self.frames.append(frame)
+        placed = small_motion(frame.head)(skin)
+        self.extent[0] = np.minimum(self.extent[0], placed.min(axis=0))
+        self.extent[1] = np.maximum(self.extent[1], placed.max(axis=0))
 
     def write(self, path: Path, fps: float, first: int = 0) -> None:
         """Write the animation, in metres; a node carries the motion of the head.
 
-        The frame with the number ``first`` is at 0 s.
-        A shape that is needed both ways is two morph targets: animation tools hold weights between
-        0 and 1. If neither face nor head moves, it is the neutral.
+        The frame with the number ``first`` is at 0 s. If neither face nor head moves, it is the
+        neutral.
         """
-        weights = self._basis.weights
-        shapes, tracks = {}, [np.zeros((len(weights), 0))]
-        for number, (track, shape) in enumerate(zip(weights.T, self._basis.shapes, strict=True)):
-            for name, way in ((f"shape_{number}", 1.0), (f"shape_{number}_back", -1.0)):
-                one_way = np.maximum(way * track, 0.0)
-                if (most := one_way.max()) > 0.0:
-                    shapes[name] = self._neutral.vertices + (way * most * shape).reshape(-1, 3)
-                    tracks.append(one_way[:, None] / most)
-
-        times = np.array([(frame.frame - first) / fps for frame in self._frames])
-        heads = np.array([frame.head for frame in self._frames])
-        table = np.hstack(tracks)
+        shapes, table = self.morphs()
+        times = np.array([(frame.frame - first) / fps for frame in self.frames])
+        heads = np.array([frame.head for frame in self.frames])
 
         def animate(buffer: Buffer, _count: int) -> gl.Animation | None:
             moved = {}
@@ -220,4 +219,19 @@ class AnimatedSkin:
                 moved |= rigid_tracks(buffer, times, heads)
             return animation("sequence", moved) if moved else None
 
-        write_face(path, self._neutral, shapes, animate)
+        write_face(path, self.neutral, shapes, animate)
+
+    def morphs(self) -> tuple[dict[str, Floats], Floats]:
+        """Return shapes (v, 3), mm, by name, and their weights (f, s) in every frame.
+
+        A shape that is needed both ways is two: animation tools hold weights between 0 and 1.
+        """
+        weights = self._basis.weights
+        shapes, tracks = {}, [np.zeros((len(weights), 0))]
+        for number, (track, shape) in enumerate(zip(weights.T, self._basis.shapes, strict=True)):
+            for name, way in ((f"shape_{number}", 1.0), (f"shape_{number}_back", -1.0)):
+                one_way = np.maximum(way * track, 0.0)
+                if (most := one_way.max()) > 0.0:
+                    shapes[name] = self.neutral.vertices + (way * most * shape).reshape(-1, 3)
+                    tracks.append(one_way[:, None] / most)
+        return shapes, np.hstack(tracks)

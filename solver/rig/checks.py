@@ -13,7 +13,8 @@ import numpy as np
 
 from solver.errors import Verdict
 from solver.mechanics.newton import NewtonOptions
-from solver.rig.certificate import Certificate, Measure, measures
+from solver.rig.certificate import Certificate
+from solver.rig.measures import Measure, measures
 from solver.rig.rig import Rig
 
 ORDER: tuple[Verdict, ...] = ("good", "usable", "bad")

@@ -16,6 +16,7 @@ from solver.similarity import small_motion
 from solver.surface import Floats
 
 FILE = "markers.bin"
+FARTHEST = float(np.finfo(np.float16).max)  # mm that a point is off at most: what its bits hold
 STATES = ("seen", "missing", "outlier", "swapped", "relabelled")
 
 
@@ -51,7 +52,7 @@ class MarkerView:
         }
         arrays: dict[str, np.ndarray] = {
             "places": np.array(self._places, np.float32),
-            "off": np.array(self._off, np.float32).astype(np.float16),
+            "off": np.clip(np.array(self._off), -FARTHEST, FARTHEST).astype(np.float16),
             "state": states.astype(np.uint8),
             "held": np.array([frame.held for frame in self._frames]).astype(np.uint8),
         }

@@ -15,15 +15,9 @@ from solver.contact.crossing import Crossing
 from solver.errors import Verdict
 from solver.fitting.geometry_information import MuscleInformation
 from solver.model import SubjectModel
-from solver.rig.certificate import (
-    Certificate,
-    ExpressionCheck,
-    FleshCheck,
-    JawMotion,
-    Muscles,
-    measured_regions,
-)
+from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, JawMotion, Muscles
 from solver.rig.checks import Judgement, judge, overall, use
+from solver.rig.measures import measured_regions
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from solver.errors import Finding, InputError, make_warning
+from solver.errors import Finding, InputError, make_warning, quote
 from solver.model import SIZE_WORDS, SubjectModel
 from solver.rig.round_trip import RoundTrip
 from solver.storage import Archive, Arrays, read_arrays, with_prefix
@@ -93,6 +93,14 @@ class Rig:
             message = "the rig has no figures: its report.json is not beside it"
             raise InputError("export.figures", message)
         return self.figures
+
+    def expression(self, name: str) -> ExpressionFit:
+        """Return the expression of a name; raises :class:`InputError` (``rig.expression``)."""
+        known = {fit.name: fit for fit in self.expressions}
+        if name not in known:
+            message = f"the rig has no expression {quote(name)}"
+            raise InputError("rig.expression", message, expected=sorted(known), found=quote(name))
+        return known[name]
 
     def save(self, path: Path | str) -> None:
         """Write ``rig.npz``: lengths in mm, surfaces and errors in single precision."""

@@ -108,7 +108,7 @@ class Physics:
         )
         if self._fibres is None:
             return plain
-        return with_fibres(plain, _weakened(self._fibres, edited).scaled(self._material.mu))
+        return with_fibres(plain, _weaken(self._fibres, edited).scaled(self._material.mu))
 
     def contacts(self, edited: Edited, objects: Sequence[Surface] = ()) -> list[Potential]:
         """Return what keeps the skin out of itself, of teeth, eyeballs and ``objects``."""
@@ -145,7 +145,7 @@ def whole_weights(model: SubjectModel, least: float = 1e-6) -> sp.csr_array:
     return sp.csr_array((S.data + least * (even - S.data), S.indices, S.indptr), shape=S.shape)
 
 
-def _weakened(fibres: FibreMuscles, edited: Edited) -> FibreMuscles:
+def _weaken(fibres: FibreMuscles, edited: Edited) -> FibreMuscles:
     """Return fibre muscles with what edits leave of them, by :func:`whole_weights`."""
     whole = whole_weights(edited.unedited)
     left = whole.copy()

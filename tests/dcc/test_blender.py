@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from solver.mechanics.boundary import move_jaw
 from solver.rig.animation_gltf import AnimatedSkin, AnimationOptions, write_animation_glb
 from solver.rig.exporters import glb
 from solver.rig.frames import SequenceFrame
@@ -167,6 +168,34 @@ def test_a_sequence_moves_as_it_was_fitted(blender: Path, tmp_path: Path) -> Non
         expected = _placed(skin, number)
         off = np.linalg.norm(scene.mm(f"frame_{number}") - expected, axis=1).max()
         assert off < SEQUENCE_BASIS.within_mm + 0.01, f"frame {number}"
+
+
+def test_a_take_in_usd_plays_by_the_file_s_frames(blender: Path, rig: Rig, tmp_path: Path) -> None:
+    usd = pytest.importorskip("solver.rig.exporters.usd", exc_type=ModuleNotFoundError)
+    neutral, model = rig.model.skin, rig.model
+    corners = 10.0 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    bone = Surface(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    animated, away = AnimatedSkin(neutral), rig.expressions[0].skin - neutral.vertices
+    shown = range(101, 107)
+    for number in shown:
+        jaw = 0.1 * (number - 100) * np.array([1.0, 0.2, 1.0, 2.0, 3.0])
+        skin = neutral.vertices + np.cos(0.9 * number) * away
+        animated.add(replace(_frame(number), jaw=jaw), skin)
+    path, found = tmp_path / "sequence.usdc", tmp_path / "found.npz"
+    usd.write_sequence(path, replace(model, bones={"mandible": bone}), animated, float(FPS))
+    command = [blender, "tests/dcc/blender_usd.py", path, found, *map(str, shown)]
+    child = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert child.returncode == 0, child.stdout + child.stderr
+    with np.load(found) as arrays:
+        assert arrays["range"].tolist() == [101, 106]
+        for frame in animated.frames:
+            skin = neutral.vertices + np.cos(0.9 * frame.frame) * away
+            jaw = move_jaw(model.jaw, corners, frame.jaw)
+            for name, places in (("Skin", skin), ("mandible", jaw)):
+                off = 1e3 * arrays[f"{name}_{frame.frame}"] @ UP - _placed(places, frame.frame)
+                assert np.linalg.norm(off, axis=1).max() < 0.02, (name, frame.frame)
 
 
 def test_an_animation_is_made_of_few_shapes(blender: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A rig as USD passes the library's own validation and moves as the rig does."""
+"""Rigs and takes as USD pass the library's own validation and move as they were fitted."""
 
 from __future__ import annotations
 
@@ -9,17 +9,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from solver.mechanics.boundary import move_jaw
+from solver.rig.animation_gltf import AnimatedSkin
+from solver.rig.frames import MarkerFrame
 from solver.rig.rig import ExpressionFit, Rig
-from solver.surface import Floats, Surface, vertex_normals
+from solver.similarity import small_motion
+from solver.surface import Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
 from tests.solver.block import block_model
+from tests.solver.usd import played
 
 pxr = pytest.importorskip("pxr", reason="USD is not installed: pip install 'myoface[usd]'")
-from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdValidation  # noqa: E402
+from pxr import Usd, UsdGeom, UsdSkel, UsdValidation  # noqa: E402
 
-from solver.rig.exporters.usd import write  # noqa: E402
+from solver.rig.exporters.usd import write, write_sequence  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
 EXPRESSIONS = {
@@ -112,14 +117,7 @@ def test_extents_hold_all_expressions(rig: Rig, path: Path) -> None:
 
 def test_played_by_the_library_it_is_the_rig(rig: Rig, path: Path) -> None:
     """UsdSkel's own skinning, baked, gives every expression and the mandible's place."""
-    stage = Usd.Stage.Open(str(path))
-    UsdSkel.BakeSkinning(UsdSkel.Root(stage.GetDefaultPrim()), Gf.Interval(0.0, 192.0))
-
-    def points(name: str, frame: float) -> Floats:
-        mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/Face/{name}"))
-        place = np.array(mesh.ComputeLocalToWorldTransform(frame))
-        return np.array(mesh.GetPointsAttr().Get(frame)) @ place[:3, :3] + place[3, :3]
-
+    points = played(path)
     neutral = rig.model.skin.vertices
     np.testing.assert_allclose(points("Skin", 0.0), neutral, atol=1e-4)
     smile = rig.expressions[0].skin
@@ -154,3 +152,49 @@ def test_the_command_converts_a_rig_s_folder(rig: Rig, tmp_path: Path) -> None:
     child = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert child.returncode == 1
     assert "rig.fbx does not end in .usdc, .usda, .usd" in child.stderr
+
+
+STATUS = ("fitted", "kept", "predicted", "smoothed", "fitted")
+
+
+def marker_frame(row: int) -> MarkerFrame:
+    """Return a frame of a take that begins before the file's 0: its jaw slides on one side."""
+    mandible = np.eye(4)
+    mandible[:3, :3] = Rotation.from_rotvec([0.1 * row, 0.02 * row, 0.05 * row]).as_matrix()
+    mandible[:3, 3] = [0.5 * row, -row, 2.0 * row]
+    pose = {"activations": np.full(3, 0.1 * row), "jaw": np.zeros(5), "tracks": np.zeros(3)}
+    head = np.array([0.4 * row, 3.0, 0.2, 500.0, 1200.0 + row, 80.0])
+    markers = {"marker_mm": np.zeros(2), "marker_weight": np.ones(2), "held": np.zeros(3)}
+    figures = {"mean_mm": 0.1, "p95_mm": 0.2, "max_mm": 0.3, "coverage": 1.0, "seconds": 0.1}
+    counts = {"inverted": 0, "iterations": 1, "marker_state": ("seen", "missing")}
+    spread = {"sd": np.ones(6), "information": np.ones(6), "mandible": mandible, "head": head}
+    return MarkerFrame(
+        frame=2 * row - 3, status=STATUS[row], **pose, **markers, **figures, **counts, **spread
+    )
+
+
+@pytest.mark.parametrize("still", [False, True])
+def test_a_take_plays_as_it_was_fitted(rig: Rig, tmp_path: Path, still: bool) -> None:
+    neutral, path = rig.model.skin, tmp_path / "sequence.usdc"
+    away = 0.0 if still else rig.expressions[0].skin - neutral.vertices
+    skins = [neutral.vertices + np.sin(1.3 * row) * away for row in range(len(STATUS))]
+    animated = AnimatedSkin(neutral)
+    for row, skin in enumerate(skins):
+        animated.add(marker_frame(row), skin)
+    write_sequence(path, rig.model, animated, 59.94)
+    stage = Usd.Stage.Open(str(path))
+    assert faults(stage) == []
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (-3.0, 5.0)
+    assert stage.GetTimeCodesPerSecond() == pytest.approx(59.94)
+    low, high = np.array(UsdGeom.Boundable(stage.GetDefaultPrim()).GetExtentAttr().Get())
+    points, bones = played(path), rig.model.bones
+    for row, skin in enumerate(skins):
+        frame = marker_frame(row)
+        head, motion = small_motion(frame.head), frame.mandible
+        mandible = bones["mandible"].vertices @ motion[:3, :3].T + motion[:3, 3]
+        expected = {"Skin": skin, "mandible": mandible, "cranium": bones["cranium"].vertices}
+        for name, places in expected.items():
+            shown = points(name, float(frame.frame))
+            np.testing.assert_allclose(shown, head(places), atol=5e-3)
+            assert (shown >= low - 5e-3).all()
+            assert (shown <= high + 5e-3).all()

@@ -141,6 +141,7 @@ def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
         "sequence.json",
         "sequence.npz",
         "sequence.png",
+        "sequence.usdc",
     }
 
 

@@ -34,8 +34,19 @@ def tracks(document: pygltflib.GLTF2) -> dict[str, Floats]:
 
 
 def values(document: pygltflib.GLTF2, number: int) -> Floats:
-    """Return an accessor of single floats, row by row."""
+    """Return an accessor of single floats, row by row; a sparse one is zero elsewhere."""
     accessor = document.accessors[number]
-    view = document.bufferViews[accessor.bufferView]
+    sparse = accessor.sparse
+    if sparse is None:
+        return _view(document, accessor.bufferView, "<f4").reshape(accessor.count, -1)
+    kind = {pygltflib.UNSIGNED_SHORT: "<u2", pygltflib.UNSIGNED_INT: "<u4"}
+    rows = _view(document, sparse.indices.bufferView, kind[sparse.indices.componentType])
+    found = np.zeros((accessor.count, 3))
+    found[rows.astype(int)] = _view(document, sparse.values.bufferView, "<f4").reshape(-1, 3)
+    return found
+
+
+def _view(document: pygltflib.GLTF2, number: int, kind: str) -> Floats:
+    view = document.bufferViews[number]
     content = document.binary_blob()[view.byteOffset : view.byteOffset + view.byteLength]
-    return np.frombuffer(content, "<f4").reshape(accessor.count, -1).astype(float)
+    return np.frombuffer(content, kind).astype(float)

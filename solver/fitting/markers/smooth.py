@@ -21,7 +21,7 @@ import scipy.linalg
 
 from solver.fitting.face import Pose
 from solver.fitting.markers.tracker import MarkerTracker
-from solver.fitting.prior import GaussianPrior
+from solver.fitting.prior import GaussianPrior, kept_part
 from solver.similarity import Similarity
 from solver.surface import Floats
 
@@ -53,7 +53,7 @@ def smooth(
     tracker: MarkerTracker, frames: Sequence[TracedFrame], shortest: int = SHORTEST_BLOCK
 ) -> list[SmoothFrame]:
     """Return the frames of a take after a sweep back, in blocks of ``shortest`` frames or more."""
-    prior, kept = tracker.prior, np.exp(-tracker.seconds / tracker.options.forgetting)
+    prior, kept = tracker.prior, kept_part(tracker.seconds, tracker.options.forgetting)
     length = max(shortest, isqrt(len(frames)))
     blocks = [frames[first : first + length] for first in range(0, len(frames), length)]
     begins, covariances = [prior.covariance], []

@@ -1,20 +1,22 @@
-"""A rig as USD: a skeleton of head and jaw, and a blend shape for every expression.
+"""A rig, or a fitted performance, as USD: a skeleton of head and jaw, and blend shapes.
 
 Needs the extra ``usd``. Lengths are mm (``metersPerUnit`` 0.001), y up. ``/Face`` is a SkelRoot:
 
 - ``Skin``: the skin with its parts as subsets with materials, a BlendShape for each expression, and
-  the greatest distance to the scans as the primvar ``error_mm``;
+  the greatest distance to the scans as the primvar ``error_mm``; of a performance it has the shapes
+  of its ``sequence.glb``;
 - ``cranium`` and ``mandible``: the bones, with the purpose ``guide``;
 - ``Skeleton``: the joints ``head`` and ``head/jaw``. The skin hangs on the head alone, as its
   shapes hold what the jaw does to it; the jaw is for the mandible and what else is fixed to it;
-- ``Animation``: one expression after the other, as in ``rig.glb``.
+- ``Animation``: one expression after the other, as in ``rig.glb``; of a performance its frames, by
+  their numbers as time codes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -26,11 +28,14 @@ except ModuleNotFoundError as error:
 
 from solver.drawing.head import skin_parts
 from solver.errors import InputError
-from solver.mechanics.boundary import JAW_FREEDOM, jaw_rotation, move_jaw
+from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
 from solver.model import SubjectModel
+from solver.rig.animation_gltf import AnimatedSkin
+from solver.rig.frames import MarkerFrame
 from solver.rig.gltf import DEFAULTS, MATERIALS, worst_error
 from solver.rig.gltf import ShapeOptions as Options
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig.rig import Rig
+from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.surface import Floats, Surface, vertex_normals
 
 FILE = "rig.usdc"
@@ -39,6 +44,7 @@ WITH_EVERY_RIG = True  # where the extra is there
 FORMATS = [".usdc", ".usda", ".usd"]
 FRAMES_PER_SECOND = 30.0  # of the time codes, as animation tools expect
 ROOT = Sdf.Path("/Face")
+SKIN = ROOT.AppendChild("Skin")
 HEAD, JAW = "head", "head/jaw"
 JOINTS = [HEAD, JAW]
 
@@ -52,6 +58,53 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
         message = f"{path.name} does not end in {', '.join(FORMATS)}"
         raise InputError("usd.format", message, file=path.name, expected=FORMATS)
     model, expressions = rig.model, rig.expressions
+    shapes = {fit.name: fit.skin for fit in expressions}
+    stage = _stage(model, shapes, options.still_mm)
+    kind, primvars = Sdf.ValueTypeNames.FloatArray, UsdGeom.PrimvarsAPI(stage.GetPrimAtPath(SKIN))
+    error = primvars.CreatePrimvar("error_mm", kind, UsdGeom.Tokens.vertex)
+    worst = worst_error(expressions, len(model.skin.vertices))
+    error.Set(Vt.FloatArray.FromNumpy(worst.astype(np.float32)))
+    jaws = np.array([fit.jaw for fit in expressions]).reshape(-1, JAW_FREEDOM)
+    times, rows = options.keys(len(expressions))
+    keys = [
+        _Key(round(seconds * FRAMES_PER_SECOND), row, FreeJaw(model.jaw).matrix(row @ jaws))
+        for seconds, row in zip(times.tolist(), rows, strict=True)
+    ]
+    skins = [model.skin.vertices, *shapes.values()]
+    held = [_Key(0, rows[0], FreeJaw(model.jaw).matrix(fit.jaw)) for fit in expressions]
+    places = [*skins, *(_bones(model, each) for each in (keys[0], *held))]
+    _animate(stage, model, list(shapes), keys, FRAMES_PER_SECOND, np.vstack(places))
+    stage.GetRootLayer().Export(str(path))
+
+
+def write_sequence(
+    path: Path, model: SubjectModel, skin: AnimatedSkin, fps: float, options: Options = DEFAULTS
+) -> None:
+    """Write the frames of a performance that ``skin`` has taken, ``fps`` a second."""
+    shapes, weights = skin.morphs()
+    stage = _stage(model, shapes, options.still_mm)
+    keys, places = [], [skin.extent]
+    for frame, row in zip(skin.frames, weights, strict=True):
+        mandible = FreeJaw(model.jaw).matrix(frame.jaw)
+        if isinstance(frame, MarkerFrame):
+            mandible = frame.mandible  # exact where it is on tracks
+        keys.append(_Key(frame.frame, row, mandible, small_motion(frame.head)))
+        places.append(_bones(model, keys[-1]))
+    _animate(stage, model, list(shapes), keys, fps, np.vstack(places))
+    stage.GetRootLayer().Export(str(path))
+
+
+class _Key(NamedTuple):
+    """A moment of an animation."""
+
+    time: int  # code
+    weights: Floats  # (s,) of the shapes
+    mandible: Floats  # (4, 4) its motion from rest, in the head's frame
+    head: Similarity = IDENTITY
+
+
+def _stage(model: SubjectModel, shapes: Mapping[str, Floats], still_mm: float) -> Usd.Stage:
+    """Return a stage with skeleton, skin and bones, at rest."""
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.millimeters)
@@ -59,18 +112,22 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
     _skeleton(stage, model)
-    _skin(stage, model.skin, expressions, options.still_mm)
+    _skin(stage, model.skin, shapes, still_mm)
     for name, bone in model.bones.items():
         joint = JAW if name == "mandible" else HEAD
         _mesh(stage, name, bone, joint).CreatePurposeAttr(UsdGeom.Tokens.guide)
-    _animation(stage, model, expressions, options)
-    places = [surface.vertices for surface in (model.skin, *model.bones.values())]
-    for fit in expressions:
-        places.append(fit.skin)
-        if "mandible" in model.bones:
-            places.append(move_jaw(model.jaw, model.bones["mandible"].vertices, fit.jaw))
-    root.CreateExtentAttr(_extent(np.vstack(places)))
-    stage.GetRootLayer().Export(str(path))
+    return stage
+
+
+def _bones(model: SubjectModel, key: _Key) -> Floats:
+    """Return the vertices (k, 3) of all bones at a moment."""
+    found = [np.zeros((0, 3))]
+    for name, bone in model.bones.items():
+        places = bone.vertices
+        if name == "mandible":
+            places = places @ key.mandible[:3, :3].T + key.mandible[:3, 3]
+        found.append(key.head(places))
+    return np.vstack(found)
 
 
 def _skeleton(stage: Usd.Stage, model: SubjectModel) -> None:
@@ -85,32 +142,27 @@ def _skeleton(stage: Usd.Stage, model: SubjectModel) -> None:
     binding.CreateAnimationSourceRel().SetTargets([ROOT.AppendChild("Animation")])
 
 
-def _skin(
-    stage: Usd.Stage, skin: Surface, expressions: Sequence[ExpressionFit], still_mm: float
-) -> None:
-    mesh = _mesh(stage, "Skin", skin, joint=HEAD)
+def _skin(stage: Usd.Stage, skin: Surface, shapes: Mapping[str, Floats], still_mm: float) -> None:
+    """Define the skin with a blend shape for each of ``shapes`` (v, 3)."""
+    mesh = _mesh(stage, SKIN.name, skin, joint=HEAD)
     normals = vertex_normals(skin)
     mesh.CreateNormalsAttr(_vectors(normals))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-    kind, primvars = Sdf.ValueTypeNames.FloatArray, UsdGeom.PrimvarsAPI(mesh)
-    error = primvars.CreatePrimvar("error_mm", kind, UsdGeom.Tokens.vertex)
-    worst = worst_error(expressions, len(skin.vertices))
-    error.Set(Vt.FloatArray.FromNumpy(worst.astype(np.float32)))
     _materials(stage, mesh, skin)
-    shapes = []
-    for fit in expressions:
-        place = _free(stage, mesh.GetPath(), fit.name)
-        change = fit.skin - skin.vertices
+    targets = []
+    for name, vertices in shapes.items():
+        place = _free(stage, mesh.GetPath(), name)
+        change = vertices - skin.vertices
         moving = np.flatnonzero((np.abs(change) > still_mm).any(axis=1))
-        turned = vertex_normals(skin.moved(fit.skin)) - normals
+        turned = vertex_normals(skin.moved(vertices)) - normals
         shape = UsdSkel.BlendShape.Define(stage, place)
         shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(moving.astype(np.int32)))
         shape.CreateOffsetsAttr(_vectors(change[moving]))
         shape.CreateNormalOffsetsAttr(_vectors(turned[moving]))
-        shapes.append(place)
+        targets.append(place)
     binding = UsdSkel.BindingAPI(mesh)
-    binding.CreateBlendShapesAttr([fit.name for fit in expressions])
-    binding.CreateBlendShapeTargetsRel().SetTargets(shapes)
+    binding.CreateBlendShapesAttr(list(shapes))
+    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
 
 
 def _mesh(stage: Usd.Stage, name: str, surface: Surface, joint: str) -> UsdGeom.Mesh:
@@ -146,30 +198,38 @@ def _materials(stage: Usd.Stage, mesh: UsdGeom.Mesh, skin: Surface) -> None:
     UsdShade.MaterialBindingAPI(mesh).SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
 
 
-def _animation(
-    stage: Usd.Stage, model: SubjectModel, expressions: Sequence[ExpressionFit], options: Options
+def _animate(
+    stage: Usd.Stage,
+    model: SubjectModel,
+    shapes: Sequence[str],
+    keys: Sequence[_Key],
+    fps: float,
+    places: Floats,
 ) -> None:
-    """Move shapes and jaw: from neutral to an expression, hold it, and back, one by one."""
+    """Move shapes, head and jaw by ``keys``; ``places`` (k, 3) span what is moved."""
     animation = UsdSkel.Animation.Define(stage, ROOT.AppendChild("Animation"))
     animation.CreateJointsAttr(JOINTS)
-    animation.CreateBlendShapesAttr([fit.name for fit in expressions])
+    animation.CreateBlendShapesAttr(list(shapes))
     animation.CreateScalesAttr([Gf.Vec3h(1.0)] * len(JOINTS))
     weights = animation.CreateBlendShapeWeightsAttr()
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
+    origin = model.jaw.origin
+    for key in keys:
+        jaw = key.mandible[:3, :3] @ origin + key.mandible[:3, 3]
+        weights.Set(Vt.FloatArray.FromNumpy(key.weights.astype(np.float32)), key.time)
+        translations.Set([Gf.Vec3f(*each.tolist()) for each in (key.head.shift, jaw)], key.time)
+        turns = key.head.rotation, key.mandible[:3, :3]
+        rotations.Set([_quaternion(each) for each in turns], key.time)
+    UsdSkel.Root(stage.GetPrimAtPath(ROOT)).CreateExtentAttr(_extent(places))
+    stage.SetTimeCodesPerSecond(fps)
+    stage.SetFramesPerSecond(fps)
+    stage.SetStartTimeCode(keys[0].time)
+    stage.SetEndTimeCode(keys[-1].time)
 
-    jaws = np.array([fit.jaw for fit in expressions]).reshape(-1, JAW_FREEDOM)
-    times, rows = options.keys(len(expressions))
-    for seconds, shown in zip(times.tolist(), rows, strict=True):
-        time, b = Usd.TimeCode(round(seconds * FRAMES_PER_SECOND)), shown @ jaws
-        x, y, z, w = Rotation.from_matrix(jaw_rotation(model.jaw, b)).as_quat().tolist()
-        place = move_jaw(model.jaw, model.jaw.origin[None], b)[0]
-        weights.Set(Vt.FloatArray.FromNumpy(shown.astype(np.float32)), time)
-        translations.Set([Gf.Vec3f(0.0), Gf.Vec3f(*place.tolist())], time)
-        rotations.Set([Gf.Quatf(1.0), Gf.Quatf(w, x, y, z)], time)
-    stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
-    stage.SetFramesPerSecond(FRAMES_PER_SECOND)
-    stage.SetStartTimeCode(0.0)
-    stage.SetEndTimeCode(round(times[-1] * FRAMES_PER_SECOND))
+
+def _quaternion(rotation: Floats) -> Gf.Quatf:
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
+    return Gf.Quatf(w, x, y, z)
 
 
 def _free(stage: Usd.Stage, parent: Sdf.Path, name: str) -> Sdf.Path:

@@ -24,11 +24,11 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 
 from solver.errors import Finding, InputError, make_warning, quote_names
-from solver.scans.markers.bind import find_neutral, rest_places
+from solver.scans.markers.bind import rest_places
 from solver.scans.markers.faults import Faults, find_faults
 from solver.scans.markers.locate import FLIP, fit_most
 from solver.scans.markers.marker_set import BONY, MarkerSet
-from solver.scans.markers.motion import Mask, Motion, median_of_seen, rms_of_seen
+from solver.scans.markers.motion import Mask, Motion, find_neutral, median_of_seen, rms_of_seen
 from solver.scans.markers.take import Take
 from solver.similarity import IDENTITY, Similarity, robust_motion, weighted_motion
 from solver.surface import Floats, Surface

@@ -8,6 +8,7 @@ over it, or to the bone that it rides on. A check goes the same way.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import igl
 import numpy as np
@@ -15,15 +16,17 @@ from scipy.sparse.csgraph import connected_components
 
 from solver.anatomy.embedding import barycentric
 from solver.errors import InputError
-from solver.model import SubjectModel
+from solver.mechanics.boundary import move_jaw, move_jaw_back
+from solver.model import JawFrame, SubjectModel
 from solver.registration.search import nose_tip
 from solver.registration.units import likely_unit
 from solver.scans.markers.faults import Faults, find_faults
 from solver.scans.markers.locate import Located, heights_over, locate
 from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, places_over
-from solver.scans.markers.motion import Mask, Motion, median_of_seen
+from solver.scans.markers.motion import Mask, Motion, find_neutral, median_of_seen
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
+from solver.similarity import Similarity
 from solver.surface import Floats, Ints, Surface, area_normals, unit_rows
 
 USUAL_RATE = 60.0  # frames a second, where a take has none
@@ -43,11 +46,69 @@ class BindOptions:
     above: float = 45.0  # ... but of the head, if it is so far above the nose's tip ...
     of_head: float = 260.0  # ... and no farther from it than this
     usual_height: float = 2.0  # of markers over the skin
+    farthest: float = 10_000.0  # beyond it nothing is a marker; a set has no room for such places
     sigma: float = 1.0  # of a place by the nearest point of the skin
     bony_sigma: float = 0.5
 
 
 BIND = BindOptions()
+
+
+class Expression(Protocol):
+    """A face that is not at rest, as a rig has it."""
+
+    @property
+    def skin(self) -> Floats:
+        """Return the skin's vertices (V, 3)."""
+
+    @property
+    def jaw(self) -> Floats:
+        """Return its b (5,)."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The face that a take shows: nobody's, or a person's, perhaps with markers."""
+
+    face: Surface
+    model_sha256: str = ""  # of the person's model; empty for a face that is nobody's
+    markers: MarkerSet | None = None
+    jaw: tuple[JawFrame, Floats] | None = None  # and its b (5,), if it is not at rest
+
+    @classmethod
+    def of(
+        cls,
+        model: SubjectModel,
+        markers: MarkerSet | None = None,
+        expression: Expression | None = None,
+    ) -> Reference:
+        """Return a person at rest, or in an expression."""
+        face = model_face(model)
+        if expression is None:
+            return cls(face, model.sha256, markers)
+        jaw = model.jaw, expression.jaw
+        return cls(face.moved(expression.skin), model.sha256, markers, jaw)
+
+    def places(self, markers: MarkerSet) -> Floats:
+        """Return where the markers (k, 3) of a set lie on this face, NaN for those without."""
+        places = rest_places(markers, self.face)
+        if self.jaw is not None:
+            lower, (frame, b) = markers.of_part("lower_teeth"), self.jaw
+            places[lower] = move_jaw(frame, places[lower], b)
+        return places
+
+    def bind(self, markers: tuple[Marker, ...], session: Similarity) -> MarkerSet:
+        """Return the set of markers on this face, those of the mandible where that rests."""
+        if self.jaw is not None:
+            markers = tuple(_close_jaw(each, *self.jaw) for each in markers)
+        return MarkerSet(markers, session, self.model_sha256)
+
+
+def _close_jaw(marker: Marker, frame: JawFrame, b: Floats) -> Marker:
+    if marker.part != "lower_teeth" or marker.place_mm is None:
+        return marker
+    x, y, z = move_jaw_back(frame, np.array(marker.place_mm), b).tolist()
+    return replace(marker, place_mm=(x, y, z))
 
 
 @dataclass(frozen=True)
@@ -105,23 +166,24 @@ def bind(
     neutral: tuple[int, int] | None = None,
     options: BindOptions = BIND,
     *,
+    expression: Expression | None = None,
     actor: bool = False,
 ) -> Binding:
     """Return where the markers of a take sit on ``model``, at rest in the ``neutral`` rows.
 
-    Without these the stillest second is taken. An ``actor`` is another person: see
-    :func:`place_take`. Raises :class:`InputError`: ``markers.few``, not
-    enough of them are seen in these frames, or ``markers.too_large``.
+    Without these the stillest second is taken. With an ``expression`` the face shows that instead.
+    An ``actor`` is another person: see :func:`place_take`. Raises :class:`InputError`:
+    ``markers.few``, not enough of them are seen in these frames, or ``markers.too_large``.
     """
-    skin, face = model_face(model), choose_face(take, options)
+    reference, face = Reference.of(model, expression=expression), choose_face(take, options)
     if len(face.numbers) < options.least:
         raise _few_error(take.file, len(face.numbers), "on the face", options)
-    located = locate_take(face, skin, neutral, options)
+    located = locate_take(face, reference.face, neutral, options)
     if located.pose is None:
         seen = int(np.isfinite(located.points[:, 0]).sum())
         raise _few_error(take.file, seen, "seen at rest", options)
-    markers = place_take(located, located.pose, skin, options, actor=actor)
-    bound = MarkerSet(markers, located.pose.session, model.sha256)
+    markers = place_take(located, located.pose, reference.face, options, actor=actor)
+    bound = reference.bind(markers, located.pose.session)
     return Binding(bound, located.pose, located.neutral)
 
 
@@ -241,44 +303,6 @@ def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[i
     return max(row - reach, 0), min(row + reach, len(take) - 1)
 
 
-@dataclass(frozen=True)
-class NeutralOptions:
-    """How a neutral is judged; lengths in mm."""
-
-    seconds: float = 1.0
-    away: float = 0.05  # of unrest that a mm away from the median face counts as
-    seen: float = 0.8  # of the most markers must be seen
-
-
-def find_neutral(
-    motion: Motion, rate: float, options: NeutralOptions = NeutralOptions()
-) -> tuple[int, int]:
-    """Return first and last row of the second in which the face is stillest.
-
-    Of two that are equally still it is the one nearer to the median face.
-    """
-    frames = len(motion.places)
-    window = int(np.clip(round(options.seconds * rate) if rate > 0 else 1, 1, frames))
-    seen = np.isfinite(motion.places[..., 0])
-    change = np.nan_to_num(motion.places - motion.middle)
-    count = np.maximum(_sums(seen.astype(float), window), 1.0)
-    mean = _sums(change, window) / count[..., None]
-    unrest = np.maximum(_sums((change**2).sum(axis=2), window) / count - (mean**2).sum(axis=2), 0.0)
-    away = np.linalg.norm(mean, axis=2)
-    known = np.maximum((count > window / 2).sum(axis=1), 1)
-    cost = np.sqrt((unrest * (count > window / 2)).sum(axis=1) / known)
-    cost += options.away * (away * (count > window / 2)).sum(axis=1) / known
-    cost[known < options.seen * known.max()] = np.inf
-    first = int(np.argmin(cost))
-    return first, first + window - 1
-
-
-def _sums(values: Floats, window: int) -> Floats:
-    """Return sums over ``window`` frames, for every frame that has so many from it on."""
-    total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0)
-    return np.asarray(total[window:] - total[:-window])
-
-
 def _rest_points(motion: Motion, neutral: tuple[int, int]) -> Floats:
     """Return markers (k, 3) at rest, in the axes of the take, as the head is amid ``neutral``."""
     first, last = neutral
@@ -328,7 +352,7 @@ def place_markers(
 
     Those of the skin get one ``height_mm``; without it each has its own.
     """
-    seen = np.flatnonzero(np.isfinite(placed[:, 0]))
+    seen = np.flatnonzero((np.abs(placed) < options.farthest).all(axis=1))
     heights, tip = heights_over(placed[seen], skin), nose_tip(skin)
     found = []
     for row, number in enumerate(seen.tolist()):

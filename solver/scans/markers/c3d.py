@@ -46,13 +46,14 @@ from solver.surface import Floats
 
 BLOCK = 512  # bytes
 KEY = 0x50  # the second byte of every C3D
-MOST_PARAMETER_BYTES = 8 << 20
-MOST_EVENTS = 1000
+MOST_PARAMETER_BYTES = 8 << 20  # in use are some kB
+MOST_EVENTS = 1000  # of a take
 CHUNK_BYTES = 8 << 20  # of frames that are read at once
 
 # bytes of the header at which its words are
 POINTS, ANALOG, FIRST, LAST, SCALE, DATA, RATE = 2, 4, 6, 8, 12, 16, 20
 LONG_LABELS, LONG_LABELS_KEY = 298, 12345  # events have labels of four characters
+# of events: where the header has them, and for how many it has room
 EVENT_COUNT, EVENT_TIMES, EVENT_LABELS, MOST_HEADER_EVENTS = 300, 304, 396, 18
 
 

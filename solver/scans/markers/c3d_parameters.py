@@ -19,7 +19,7 @@ from solver.scans.markers.raw_take import decode, unreadable_error
 
 INTEL, DEC, MIPS = 84, 85, 86  # processors, whose numbers differ in order and in floats
 FULL = 1 << 16  # what 16 bits cannot count
-MOST_DIMENSIONS = 7
+MOST_DIMENSIONS = 7  # of a parameter, as the format has it
 
 Value = np.ndarray | list[str]  # numbers in one row, or texts
 

@@ -7,25 +7,21 @@ what to do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from solver.errors import InputError, Severity, quote, quote_names
-from solver.mechanics.boundary import jaw_rotation
-from solver.model import JawFrame
 from solver.scans.markers.bind import (
     BIND,
     USUAL_RATE,
     FaceTake,
     LocatedTake,
+    Reference,
     choose_face,
-    find_neutral,
     locate_take,
     place_take,
-    rest_places,
 )
 from solver.scans.markers.findings import (
     LIMITS,
@@ -39,22 +35,12 @@ from solver.scans.markers.findings import (
     report_location,
     report_unlabelled,
 )
-from solver.scans.markers.marker_set import Marker, MarkerSet
-from solver.scans.markers.motion import rms_of_seen
+from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.motion import find_neutral, rms_of_seen
 from solver.scans.markers.names import LOWER
 from solver.scans.markers.take import Take
 from solver.similarity import robust_motion
-from solver.surface import Floats, Ints, Surface
-
-
-@dataclass(frozen=True)
-class Reference:
-    """The face that a take is checked against: nobody's, or a person's, perhaps with markers."""
-
-    face: Surface
-    model_sha256: str = ""  # of the person's model; empty for a face that is nobody's
-    markers: MarkerSet | None = None
-    jaw: tuple[JawFrame, Floats] | None = None  # and its b (5,), if the face shows an expression
+from solver.surface import Floats, Ints
 
 
 def check_take(
@@ -103,9 +89,7 @@ def check_take(
     if reference.model_sha256:
         _check_person(check, located, reference, actor=actor, limits=limits)
         markers = place_take(located, located.pose, reference.face, actor=actor)
-        if reference.jaw is not None:
-            markers = tuple(_close_jaw(each, *reference.jaw) for each in markers)
-        check.bound = MarkerSet(markers, located.pose.session, reference.model_sha256)
+        check.bound = reference.bind(markers, located.pose.session)
     return check
 
 
@@ -203,7 +187,7 @@ def _check_person(
     is_lower = np.array([each is not None and each.region in LOWER for each in names], bool)
     off = located.pose.off_skin
     if reference.markers is not None:
-        off = _off_places(check, located, reference, limits, actor=actor)
+        off = _off_places(check, located, reference, reference.markers, limits, actor=actor)
     others, jaw, all_ = rms_of_seen(off[~is_lower]), rms_of_seen(off[is_lower]), rms_of_seen(off)
     check.figures["off_person_mm"] = round(all_, 2)
     if others <= limits.person and jaw > limits.open_mouth:
@@ -222,19 +206,11 @@ def _check_person(
         add(check, "markers.other_person", severity, message, **figures)
 
 
-def _close_jaw(marker: Marker, frame: JawFrame, b: Floats) -> Marker:
-    """Return a marker with the place that it has at rest, if it rides on the mandible."""
-    if marker.part != "lower_teeth" or marker.place_mm is None:
-        return marker
-    arm = np.asarray(marker.place_mm) - frame.origin - b[2:] @ frame.axes
-    x, y, z = (frame.origin + jaw_rotation(frame, b).T @ arm).tolist()
-    return replace(marker, place_mm=(x, y, z))
-
-
 def _off_places(
     check: MarkerCheck,
     located: LocatedTake,
     reference: Reference,
+    markers: MarkerSet,
     limits: CheckLimits,
     *,
     actor: bool,
@@ -243,10 +219,9 @@ def _off_places(
 
     None is odd of an ``actor``, who has another face.
     """
-    placed, labels, markers = located.places, located.face.labels, reference.markers
+    placed, labels = located.places, located.face.labels
     assert placed is not None
-    assert markers is not None
-    goal = rest_places(markers, reference.face)
+    goal = reference.places(markers)
     number = {label: row for row, label in enumerate(markers.labels)}
     rows = np.array([number.get(label, -1) for label in labels])
     known = np.flatnonzero((rows >= 0) & np.isfinite(placed[:, 0]))
@@ -279,7 +254,7 @@ def _check_labels(
     check: MarkerCheck, markers: MarkerSet, labels: Sequence[str], known: int, limits: CheckLimits
 ) -> None:
     """Report labels that only the take has, or only the marker set."""
-    used = [each.label for each in markers.markers if each.part != "ignore"]
+    used = [each.label for each in markers.for_take(labels).markers if each.part != "ignore"]
     new = [label for label in labels if label not in markers.labels]
     missing = [label for label in used if label not in labels]
     words = []

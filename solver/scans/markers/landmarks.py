@@ -11,6 +11,7 @@ import numpy as np
 
 from solver.errors import quote
 from solver.scans.markers.raw_take import (
+    MOST_FRAME,
     RawTake,
     TakeOptions,
     check_room,
@@ -19,8 +20,6 @@ from solver.scans.markers.raw_take import (
 )
 from solver.storage import Arrays
 from solver.surface import Floats
-
-MOST_FIRST = 10**9  # a frame's number
 
 
 def arrange_landmarks(file: str, arrays: Arrays, options: TakeOptions) -> RawTake:
@@ -46,7 +45,7 @@ def arrange_landmarks(file: str, arrays: Arrays, options: TakeOptions) -> RawTak
     number = _number(file, arrays, "rate")
     rate, findings = choose_rate(file, [] if number is None else [("rate", number)], options)
     first = _number(file, arrays, "first")
-    if first is not None and not abs(first) <= MOST_FIRST:
+    if first is not None and not abs(first) <= MOST_FRAME:
         raise unreadable_error(file, f"'first' is {first:g}, not the number of a frame")
     unit = _unit(file, arrays)
     number = 1 if first is None else int(first)

@@ -205,8 +205,9 @@ def _slide(
         raised = Samples(skin.points + height * skin.normals, skin.normals, True)
         session = _onto(begin, points[used], raised, options)
         over = heights_over(session(points[used]), face) - height
-        over = np.where(np.abs(over) > options.off_skin, np.nan, over)
-        tries.append((float(np.sqrt(np.nanmedian(over**2))), height, session))
+        near = over[np.abs(over) <= options.off_skin]
+        miss = float(np.sqrt(np.median(near**2))) if len(near) else np.inf
+        tries.append((miss, height, session))
     least = min(miss for miss, _, _ in tries)
     alike = [each for each in tries if each[0] <= least + options.flat]
     _, height, session = min(alike, key=lambda each: abs(each[1] - options.usual_height))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,7 +15,7 @@ from pydantic import ValidationError
 
 from solver.errors import InputError, quote
 from solver.kinds.document import find_faults
-from solver.kinds.marker_set import MarkerEntry, MarkerSetDocument, Part, SkinPoint
+from solver.kinds.marker_set import LONGEST_LABEL, MarkerEntry, MarkerSetDocument, Part, SkinPoint
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity
 from solver.storage import write_json
@@ -24,7 +25,15 @@ Triple = tuple[float, float, float]
 
 MOST_BYTES = 4 << 20  # of a marker set's file
 ROUNDING = 1e-3  # off which weights may sum to 1, and a rotation be orthogonal
+LONGEST_NUMBER = 12  # characters behind the label of a marker that moved
 BONY: tuple[Part, ...] = ("head", "upper_teeth", "lower_teeth")  # parts that ride on a bone
+
+SPAN = re.compile("(.+@)-?[0-9]+")
+
+
+def span_label(label: str, frame: int) -> str:
+    """Return the label of a marker from the ``frame`` on at which it moved: ``LBRO1@312``."""
+    return f"{label[: LONGEST_LABEL - LONGEST_NUMBER]}@{frame}"
 
 
 @dataclass(frozen=True)
@@ -93,6 +102,18 @@ class MarkerSet:
         """Return the numbers of the markers that ride on any of ``parts``."""
         chosen = [number for number, each in enumerate(self.markers) if each.part in parts]
         return np.array(chosen, np.int64)
+
+    def for_take(self, labels: Sequence[str]) -> MarkerSet:
+        """Return the set for a take with ``labels``, without what moved in another one.
+
+        A place from a frame on (:func:`span_label`) is of the take in which the marker moved.
+        """
+        stems = {span_label(label, 0)[:-1] for label in self.labels}  # LBRO1@
+        found = {label: SPAN.fullmatch(label) for label in self.labels}
+        spans = {label for label, match in found.items() if match and match[1] in stems}
+        others = spans.difference(labels)
+        kept = tuple(marker for marker in self.markers if marker.label not in others)
+        return replace(self, markers=kept)
 
     def save(self, path: Path) -> None:
         """Write the set as JSON."""

@@ -162,3 +162,44 @@ def _explain(changes: Floats, shapes: Floats, spread: Floats, options: MotionOpt
         off = ((goal - found) ** 2).sum(axis=2)
         weights = seen * robust_weights(off / slack**2)
     return found
+
+
+# The face at rest.
+
+
+@dataclass(frozen=True)
+class NeutralOptions:
+    """How a neutral is judged; lengths in mm."""
+
+    seconds: float = 1.0
+    away: float = 0.05  # of unrest that a mm away from the median face counts as
+    seen: float = 0.8  # of the most markers must be seen
+
+
+def find_neutral(
+    motion: Motion, rate: float, options: NeutralOptions = NeutralOptions()
+) -> tuple[int, int]:
+    """Return first and last row of the second in which the face is stillest.
+
+    Of two that are equally still it is the one nearer to the median face.
+    """
+    frames = len(motion.places)
+    window = int(np.clip(round(options.seconds * rate) if rate > 0 else 1, 1, frames))
+    seen = np.isfinite(motion.places[..., 0])
+    change = np.nan_to_num(motion.places - motion.middle)
+    count = np.maximum(_sums(seen.astype(float), window), 1.0)
+    mean = _sums(change, window) / count[..., None]
+    unrest = np.maximum(_sums((change**2).sum(axis=2), window) / count - (mean**2).sum(axis=2), 0.0)
+    away = np.linalg.norm(mean, axis=2)
+    known = np.maximum((count > window / 2).sum(axis=1), 1)
+    cost = np.sqrt((unrest * (count > window / 2)).sum(axis=1) / known)
+    cost += options.away * (away * (count > window / 2)).sum(axis=1) / known
+    cost[known < options.seen * known.max()] = np.inf
+    first = int(np.argmin(cost))
+    return first, first + window - 1
+
+
+def _sums(values: Floats, window: int) -> Floats:
+    """Return sums over ``window`` frames, for every frame that has so many from it on."""
+    total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0)
+    return np.asarray(total[window:] - total[:-window])

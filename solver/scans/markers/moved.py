@@ -10,16 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from solver.kinds.marker_set import LONGEST_LABEL
 from solver.scans.markers.bind import place_on, rest_places
 from solver.scans.markers.faults import Faults
-from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.scans.markers.marker_set import Marker, MarkerSet, span_label
 from solver.scans.markers.motion import Motion, median_of_seen
 from solver.scans.markers.take import Take
 from solver.similarity import robust_motion, weighted_motion
 from solver.surface import Floats, Surface
-
-LONGEST_NUMBER = 12  # characters behind the label of a marker that moved
 
 
 @dataclass(frozen=True)
@@ -41,7 +38,9 @@ def split_moved(
     """Give each marker that moved a label and a place of its own from then on, as ``LBRO1@312``.
 
     ``faults`` are of all labels of the take. The place in the set is of the span that lies nearer.
+    Places of markers that moved in other takes are left out.
     """
+    markers = markers.for_take(take.labels)
     if not faults.moved:
         return take, markers
     rest = rest_places(markers, skin)
@@ -60,7 +59,7 @@ def split_moved(
         step = median_of_seen(residuals[first:]) - median_of_seen(residuals[:first])
         is_of_first = np.linalg.norm(away[0]) <= np.linalg.norm(away[1])
         before = rest[row] if is_of_first else rest[row] - step
-        label = f"{labels[column][: LONGEST_LABEL - LONGEST_NUMBER]}@{take.numbers[first]}"
+        label = span_label(labels[column], take.numbers[first])
         now.append(replace(_move_to(now[row], before + step, skin), label=label))
         now[row] = _move_to(now[row], before, skin)
         labels.append(label)

@@ -24,7 +24,7 @@ LANES, LANE, NAMES = 620, 13, 150  # pixels: a lane's width and height, room for
 LEAST_FACING = 0.15  # cosine: a marker that is seen more from the side is not drawn
 NAME = (62, 9)  # pixels about a name in which no other is written
 SKIN = np.array([0.62, 0.60, 0.58])
-SEEN: Colour = (0.20, 0.55, 0.33)
+SEEN: Colour = (0.20, 0.55, 0.33)  # of markers without a fault
 FAULTS: dict[str, tuple[str, Colour]] = {  # later ones are drawn over earlier ones
     "filled": ("filled in", (0.55, 0.78, 0.92)),
     "moved": ("sits elsewhere", (0.30, 0.42, 0.85)),

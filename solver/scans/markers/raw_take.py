@@ -29,6 +29,9 @@ ADVICE = {
 make_finding = partial(advise, ADVICE)
 
 
+MOST_FRAME = 10**9  # a frame's number
+
+
 @dataclass(frozen=True)
 class TakeOptions:
     """Bounds of what is read, and sizes and rates that are likely."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from solver.errors import Finding, quote
 from solver.scans.markers.raw_take import (
+    MOST_FRAME,
     RawTake,
     TakeOptions,
     check_room,
@@ -24,7 +25,6 @@ from solver.scans.markers.raw_take import (
 )
 from solver.surface import Floats
 
-MOST_FRAME = 10**9  # a frame's number
 DROPPED = (2, 4)  # numbers that a timecode leaves out at once
 SAME_STEP = 0.1  # of the time between frames: it passed as between any two
 

@@ -14,6 +14,7 @@ from solver.scans.markers.cleaning import check_seen, drop_far, read_labels, set
 from solver.scans.markers.landmarks import arrange_landmarks
 from solver.scans.markers.motive import read_motive
 from solver.scans.markers.raw_take import (
+    MOST_FRAME,
     TAKE_OPTIONS,
     Event,
     RawTake,
@@ -24,7 +25,7 @@ from solver.scans.markers.trc import read_trc
 from solver.storage import Archive, read_arrays
 from solver.surface import Floats
 
-FORMAT = 1
+FORMAT = 1  # of takes as NPZ
 BEGIN = 4096  # bytes by which the reader of a file is chosen
 
 
@@ -139,7 +140,20 @@ class Take:
         is_right &= take.residual is None or take.residual.shape == shape[:2]
         if not is_right or any(array.dtype != float for array in arrays.values()):
             raise unreadable_error(path.name, "its arrays do not fit its labels")
+        _check_bounds(path.name, take, TAKE_OPTIONS)
         return take
+
+
+def _check_bounds(file: str, take: Take, options: TakeOptions) -> None:
+    """Refuse a take of numbers that :func:`read_take` gives none of."""
+    if not (np.isnan(take.rate) or 0.0 < take.rate <= options.most_rate):
+        raise unreadable_error(file, f"its rate is {take.rate:g}")
+    if not abs(take.first) <= MOST_FRAME:
+        raise unreadable_error(file, "'first' is not the number of a frame")
+    if any(
+        (np.abs(each) > options.farthest_mm).any() for each in (take.positions, take.unlabelled)
+    ):
+        raise unreadable_error(file, "it has points where no studio is")
 
 
 def read_take(path: Path, options: TakeOptions = TAKE_OPTIONS) -> Take:

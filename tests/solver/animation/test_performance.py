@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +123,19 @@ def test_times_are_those_of_the_chosen_frames_by_the_speed(take: Path) -> None:
     np.testing.assert_allclose(drives(9.0).jaw, fitted[8].jaw, atol=1e-12)  # the last one stays
     between = drives(0.04)
     np.testing.assert_allclose(between.jaw, (fitted[3].jaw + fitted[4].jaw) / 2, atol=1e-12)
+
+
+def test_frames_before_the_files_zero_are_chosen_and_bridged_by_their_numbers(
+    tmp_path: Path,
+) -> None:
+    early, whole = [replace(each, frame=each.frame - FIRST - 7) for each in frames()], frames()
+    bridged = {"spans": [{"start": -3, "end": -2}]}
+    drives = played(write(tmp_path, early), take_of(start=-5, end=-1, bridges=bridged), fps=FPS)
+    assert drives.times[-1] == pytest.approx(3 / FPS)
+    np.testing.assert_allclose(drives(0.0).jaw, whole[2].jaw, atol=1e-12)
+    between = drives(2 / FPS).a
+    assert np.abs(between - whole[4].activations).max() > 1e-4
+    np.testing.assert_allclose(drives(3 / FPS).jaw, whole[5].jaw, atol=1e-12)
 
 
 def test_the_head_moves_rigidly_from_where_it_is_at_the_start(take: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from myoface.cli.markers import markers
+from myoface.cli.markers import markers as markers_group
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.jobs import run_job
@@ -79,6 +79,10 @@ def test_a_take_without_rest_is_bound_in_an_expression(tmp_path: Path) -> None:
     markers = MarkerSet.load(bound)
     places = rest_places(markers, model.skin)
     assert np.median(np.linalg.norm(places - on_skin("neutral"), axis=1)) < 0.5
+    output = tmp_path / "bound.json"
+    words = [str(rig), str(take), "--expression", "ah", "--output", str(output)]
+    markers_group.run(["bind", *words], "markers")
+    assert MarkerSet.load(output).markers == markers.markers
     with pytest.raises(InputError, match="no expression kiss"):
         run_job("check_markers", tmp_path / "kiss", options={"expression": "kiss"}, **files)
 
@@ -101,11 +105,18 @@ def test_a_frame_that_the_take_does_not_have_is_told(tmp_path: Path, take: Path)
     assert "frames 1 to 300, not 9999" in json.loads(report.read_text())["findings"][0]["message"]
 
 
+def test_a_take_may_be_at_rest_before_frame_0(tmp_path: Path) -> None:
+    take = tmp_path / "take.npz"
+    made_take(made_positions(300), first=-200).save(take)
+    report, _ = run_job("check_markers", tmp_path / "out", options={"neutral": -150}, markers=take)
+    assert json.loads(report.read_text())["figures"]["neutral"] == [-165, -135]
+
+
 def test_the_command_binds_a_take_to_a_person(
     tmp_path: Path, take: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model, output = tmp_path / "model.npz", tmp_path / "markers.json"
     small_model().save(model)
-    markers.run(["bind", str(model), str(take), "--output", str(output)], "markers")
+    markers_group.run(["bind", str(model), str(take), "--output", str(output)], "markers")
     assert MarkerSet.load(output).labels == LABELS
     assert f"{len(LABELS)} face" in capsys.readouterr().out

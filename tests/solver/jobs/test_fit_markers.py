@@ -23,7 +23,9 @@ from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity, small_motion
 from tests.fixtures import small_model
+from tests.solver.glb import shown_skins
 from tests.solver.scans.markers.made_actor import SIZE, actor_model
+from tests.solver.usd import played
 
 pytestmark = pytest.mark.long
 
@@ -124,6 +126,19 @@ def test_a_take_is_fitted(whole: tuple[Path, dict], files: Path) -> None:
         rows = list(csv.DictReader(stream))
     spread = [float(rows[5][f"jaw.{number}.sd"]) for number in range(1, 6)]
     np.testing.assert_allclose(spread, found["sd"][5][-5:], atol=1e-6)
+
+
+def test_a_point_that_is_nowhere_at_all_is_an_outlier(files: Path, tmp_path: Path) -> None:
+    for name in ("markers.json", "rig.npz"):
+        (tmp_path / name).write_bytes((files / name).read_bytes())
+    with np.load(files / "take.npz") as data:
+        arrays = dict(data)
+    arrays["positions"][6, 2] = 9e4  # farther off points are not read
+    np.savez(tmp_path / "take.npz", **arrays)
+    found = fit(tmp_path, tmp_path / "out")
+    assert (found["status"][6], found["marker_state"][6, 2]) == ("fitted", "outlier")
+    off = read_container(tmp_path / "out" / "markers.bin").arrays["off"]
+    assert np.isfinite(off[[each for each in range(FRAMES) if each not in GONE]]).all()
 
 
 def test_killed_three_times_it_comes_to_the_same(
@@ -297,6 +312,25 @@ def test_another_actor_s_take_is_carried(another: tuple[Path, list[Pose]], tmp_p
     assert not (tmp_path / "True" / "markers.json").exists()
     assert "actor" not in plain
     assert [each["code"] for each in plain["notices"]] == ["markers.other_person"]
+
+
+def test_fibre_muscles_and_a_jaw_on_tracks_play_in_other_programs(
+    files: Path, tmp_path: Path
+) -> None:
+    """Frames that are predicted do as well: in glTF as in USD, with the head's motion."""
+    found = fit(files, tmp_path, options={"muscles": "fibre", "jaw": "tracks", "prior": "none"})
+    assert set(found["status"]) == {"fitted", "predicted"}
+    model = small_model()
+    skins = shown_skins(tmp_path / "sequence.glb", model.skin.vertices)
+    assert np.linalg.norm(skins[-1] - model.skin.vertices, axis=1).max() > 5.0
+    points, bone = played(tmp_path / "sequence.usdc"), model.bones["mandible"].vertices
+    for skin, number, twist, motion in zip(
+        skins, found["frame"].tolist(), found["head"], found["mandible"], strict=True
+    ):
+        head = small_motion(twist)
+        np.testing.assert_allclose(points("Skin", number), head(skin), atol=5e-3)
+        moved = bone @ motion[:3, :3].T + motion[:3, 3]
+        np.testing.assert_allclose(points("mandible", number), head(moved), atol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from scipy.spatial import KDTree
 
 from solver.errors import InputError, SolveError
 from solver.mechanics import equilibrium, linear
@@ -14,6 +15,7 @@ from solver.mechanics.flesh import (
     Flesh,
     Material,
 )
+from tests.fixtures import FELUPE_FILE
 from tests.solver.block import block_model, grid
 
 MATERIALS = {
@@ -134,6 +136,32 @@ def test_a_bar_of_mooney_rivlin_flesh_pulls_as_its_closed_form(stretch):
     pulled = pull(width)[0] * (10.0 * width) ** 2
     assert abs(pulled) > 1e4
     np.testing.assert_allclose(force, [pulled, 0.0, 0.0], atol=1e-6 * abs(pulled))
+
+
+@pytest.mark.parametrize("case", range(4))
+def test_a_clamped_bar_of_mooney_rivlin_flesh_is_that_of_felupe(case):
+    """Twisted, stretched, sheared, pressed and bent, up to next to incompressible."""
+    with np.load(FELUPE_FILE) as found:
+        vertices, tets, bulk = found["vertices"], found["tets"], found["bulk"][case]
+        mu, places, forces = float(found["mu"]), found["places"][case], found["forces"][case]
+    # Lame's lambda at small strain
+    material = Material(mu, lam=bulk - 2.0 / 3.0 * mu, barrier_weight=mu, law="mooney_rivlin")
+    ends = np.isin(vertices[:, 0], [0.0, 30.0])
+    flesh = Flesh(vertices, tets, np.flatnonzero(ends), material)
+    start, a = vertices + 0.0, flesh.passive()
+    # the ends' motion is even along the bar at the start
+    far = vertices[:, 0] == 30.0
+    part = vertices[:, :1] / 30.0
+    near = KDTree(vertices[far, 1:]).query(vertices[:, 1:])[1]
+    start += part * (places - vertices)[far][near]
+    start[ends] = places[ends]
+    solver = linear.analyse(flesh.hessian(vertices, a))
+    x = equilibrium.solve_equilibrium(flesh, solver, start, a, tolerance=1e-13).x
+    assert np.abs(x - start).max() > 0.5
+    np.testing.assert_allclose(x, places, atol=1e-8)
+    free = Flesh(vertices, tets, np.zeros(0, int), material)
+    pulls = free.gradient(x, a).reshape(-1, 3)
+    np.testing.assert_allclose(pulls, forces, atol=1e-8 * np.abs(forces).max())
 
 
 @pytest.mark.parametrize("material", [COROTATED_DET, NEO_HOOKEAN, MOONEY_RIVLIN])

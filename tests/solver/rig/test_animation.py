@@ -17,7 +17,7 @@ from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig import animation
 from solver.rig.animation import write_animation
-from solver.rig.frames import MotionRecord
+from solver.rig.motion import MotionRecord
 from solver.scene.objects import SceneObject
 from solver.storage import read_arrays
 from solver.surface import Floats, Surface

@@ -10,8 +10,9 @@ import scipy.sparse as sp
 
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.certificate import Measure, certify, check_flesh, with_round_trips
+from solver.rig.certificate import certify, check_flesh, with_round_trips
 from solver.rig.checks import CHECKS, Judgement, RigCheck, judge, overall, use
+from solver.rig.measures import Measure
 from solver.rig.report import report
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import activation_error

@@ -7,7 +7,8 @@ import pytest
 
 from solver.errors import InputError
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.frames import MotionRecord, motion_values, read_motion, write_chunk
+from solver.rig.frames import write_chunk
+from solver.rig.motion import MotionRecord, motion_values, read_motion
 from solver.simulation.forces import Motion
 from tests.solver.block import block_model
 

@@ -3,25 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks.bad_takes import BAD_TAKES
 from solver.errors import Finding, InputError, judge_findings
 from solver.fitting.markers.term import MarkerPlaces
-from solver.scans.markers.bind import bind, choose_face, locate_take, model_face, rest_places
-from solver.scans.markers.check import Reference, check_take
+from solver.mechanics.boundary import move_jaw
+from solver.scans.markers.bind import (
+    Reference,
+    bind,
+    choose_face,
+    locate_take,
+    model_face,
+    rest_places,
+)
+from solver.scans.markers.check import check_take
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import ADVICE, MarkerCheck
-from solver.scans.markers.locate import FLIP
+from solver.scans.markers.locate import FLIP, locate
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.moved import split_moved
 from solver.scans.markers.take import Take, read_take
 from solver.similarity import Similarity
 from solver.surface import Floats, Surface
-from tests.fixtures import data_folder, small_model
+from tests.fixtures import data_folder, small_capture, small_model
 from tests.solver.scans.markers.made_take import (
     LABELS,
     RATE,
@@ -148,6 +158,25 @@ def test_points_without_any_unit_are_refused_at_once(person: Reference, clean: F
     assert check.findings == [why]
 
 
+def test_points_that_no_way_of_lying_brings_near_a_face_are_located_nowhere_near() -> None:
+    rng = np.random.default_rng(16)
+    count = int(rng.integers(4, 7))
+    points = 150.0 * rng.standard_normal((count, 3))
+    found = locate(points, [None] * count, model_face(small_model()))
+    assert found.miss() > 15.0
+
+
+def test_a_marker_that_lies_far_away_at_rest_is_in_no_set(
+    person: Reference, clean: Floats, tmp_path: Path
+) -> None:
+    points = clean.copy()
+    points[:60, AT["Forehead_M"]] += 60_000.0
+    take = made_take(points, ("head1", *LABELS[1:]))
+    check = check_take(take, person, (0, 59))
+    check.bound.save(tmp_path / "markers.json")
+    assert MarkerSet.load(tmp_path / "markers.json").labels == LABELS[1:]
+
+
 def test_two_faces_are_told_apart_and_a_body_is_left_out(person: Reference, clean: Floats) -> None:
     others = tuple(f"B_{label}" for label in LABELS)
     both = made_take(
@@ -268,6 +297,35 @@ def test_bound_markers_lie_where_they_were_made(clean: Floats) -> None:
     assert found.markers.model_sha256 == model.sha256
 
 
+@dataclass(frozen=True)
+class Shown:
+    skin: Floats
+    jaw: Floats
+
+
+@pytest.mark.parametrize("name", ["ah", "smile", "surprise"])
+def test_a_take_without_rest_is_bound_to_an_expression_as_others_at_rest(name: str) -> None:
+    model, jaw = small_model(), np.array([0.25, 0.03, 0.5, -1.0, 1.5])
+    teeth = model.jaw.origin + np.array([5.0, -35.0, 75.0])
+    points = np.concatenate([on_skin(name), move_jaw(model.jaw, teeth[None], jaw)])
+    points = points @ Rotation.from_euler("yx", [140.0, 20.0], degrees=True).as_matrix().T
+    noise = 0.1 * np.random.default_rng(1).standard_normal((90, *points.shape))
+    take = made_take(points + noise, (*LABELS, "lower_teeth_1"))
+    shown = Shown(small_capture(name).vertices, jaw)
+    found = bind(take, model, expression=shown).markers
+    assert found.markers[-1].part == "lower_teeth"
+    np.testing.assert_allclose(found.places[-1], teeth, atol=1.0)
+    on_face = MarkerSet(found.markers[:-1], found.session, found.model_sha256)
+    weights, vertices = on_face.weights, on_face.vertices
+    places = np.einsum("kc,kcd->kd", weights, model.skin.vertices[vertices])
+    off = np.linalg.norm(places - model.skin.vertices[sites()], axis=1)
+    assert off.max() < 2.0
+    assert off.mean() < 0.5
+    check = check_take(take, Reference.of(model, found, shown))
+    assert check.bound.markers == found.markers
+    assert told(check) == []
+
+
 def test_a_fit_has_bound_markers_where_they_were_seen(clean: Floats) -> None:
     model = small_model()
     located = locate_take(choose_face(made_take(clean)), model_face(model))
@@ -301,6 +359,13 @@ def test_a_marker_that_moved_has_a_place_for_each_span(clean: Floats, late: bool
     source = BoundTake(split, found, 4)
     assert np.isnan(source.points(frame + 100)[-1]).all()
     assert np.isfinite(source.points(frame + 101)[-1]).all()
+    # the set that a fit leaves serves the take a second time, and other takes
+    again, twice = split_moved(take, found, find_faults(points, RATE), skin)
+    assert again.labels == twice.labels == split.labels
+    known = Reference.of(model, found)
+    said = {each.code for each in check_take(made_take(clean), known).findings}
+    assert said <= {"markers.moved"}
+    assert split_moved(made_take(clean), found, find_faults(clean, RATE), skin)[1].labels == LABELS
 
 
 # Real takes: nothing is told of them, whoever checks.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -163,6 +164,26 @@ def test_npz_of_landmarks_has_sigma_by_axis(tmp_path: Path) -> None:
     np.testing.assert_array_equal(kept.sigma, take.sigma)
     with pytest.raises(InputError, match="sigma of LBRO1 in frame 0"):
         read(tmp_path, npz_bytes(points, sigma=np.zeros((5, 3))))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"rate": float("inf")}, "rate"),
+        ({"rate": -1.0}, "rate"),
+        ({"first": 10**30}, "frame"),
+        ({"positions": np.full((5, 4, 3), 1e30)}, "studio"),
+    ],
+)
+def test_a_kept_take_is_bounded_as_others_are(
+    tmp_path: Path, change: dict[str, object], words: str
+) -> None:
+    whole = Take("a.c3d", ("a", "b", "c", "d"), face_points(5, 4), 60.0)
+    path = tmp_path / "kept.npz"
+    replace(whole, **change).save(path)
+    with pytest.raises(InputError, match=words) as caught:
+        read_take(path)
+    assert caught.value.code == "markers.unreadable"
 
 
 def test_labels_lose_blanks_and_subject_and_those_without_are_kept_apart(tmp_path: Path) -> None:
