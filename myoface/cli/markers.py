@@ -35,7 +35,8 @@ def bind(
     """Propose where each label of a take sits on a person: the marker set of a session."""
     from solver.model import SubjectModel
     from solver.rig.rig import Rig
-    from solver.scans.markers.bind import bind, frames_about
+    from solver.scans.markers.bind import bind
+    from solver.scans.markers.face_take import frames_about
     from solver.scans.markers.take import read_take
 
     read = read_take(take)

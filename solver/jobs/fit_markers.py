@@ -36,7 +36,8 @@ from solver.rig.frames import sequence_report, write_sequence
 from solver.rig.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
 from solver.scans.markers.actor import carry, off_places
-from solver.scans.markers.bind import bind, count_tracks, frames_about, model_face
+from solver.scans.markers.bind import bind, model_face
+from solver.scans.markers.face_take import count_tracks, frames_about
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import LIMITS
 from solver.scans.markers.marker_set import BoundTake, MarkerSet

@@ -1,8 +1,7 @@
 """Binding: a session's marker set by the places of a take's markers on a person.
 
-The labels of one face are chosen (``choose_face``), and that face at rest is found on the person
-(``locate_take``, ``locate.py``). Each marker is then bound where it lies: to the skin with a height
-over it, or to the bone that it rides on. A check goes the same way.
+The face of a take is found on the person (:mod:`.face_take`). Each marker is then bound where it
+lies: to the skin with a height over it, or to the bone that it rides on. A check goes the same way.
 """
 
 from __future__ import annotations
@@ -12,36 +11,31 @@ from typing import Protocol
 
 import igl
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from solver.anatomy.embedding import barycentric
 from solver.errors import InputError
 from solver.mechanics.boundary import move_jaw, move_jaw_back
 from solver.model import JawFrame, SubjectModel
 from solver.registration.search import nose_tip
-from solver.registration.units import likely_unit
-from solver.scans.markers.faults import Faults, find_faults
-from solver.scans.markers.locate import Located, heights_over, locate
+from solver.scans.markers.face_take import (
+    FACE,
+    FaceOptions,
+    FaceTake,
+    LocatedTake,
+    choose_face,
+    locate_take,
+)
+from solver.scans.markers.locate import Located, heights_over
 from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, places_over
-from solver.scans.markers.motion import Mask, Motion, find_neutral, median_of_seen
-from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity
-from solver.surface import Floats, Ints, Surface, area_normals, unit_rows
-
-USUAL_RATE = 60.0  # frames a second, where a take has none
+from solver.surface import Floats, Surface, area_normals, unit_rows
 
 
 @dataclass(frozen=True)
 class BindOptions:
-    """Limits of one face, and of what a marker is bound to; lengths in mm."""
+    """Limits of what a marker is bound to; lengths in mm."""
 
-    most: int = 400  # markers: pairs of them are compared
-    least: int = 4  # labels on a face; with fewer, tracks without one count as such
-    spacing: tuple[float, float] = (6.0, 90.0)  # of neighbours on a face
-    linked: float = 100.0  # markers of one head lie no farther apart, one to the next
-    second: float = 0.4  # of the first face's markers make another face ...
-    least_second: int = 6  # ... if they are so many
     off_skin: float = 15.0  # farther from the skin it is no marker of the face ...
     above: float = 45.0  # ... but of the head, if it is so far above the nose's tip ...
     of_head: float = 260.0  # ... and no farther from it than this
@@ -49,6 +43,7 @@ class BindOptions:
     farthest: float = 10_000.0  # beyond it nothing is a marker; a set has no room for such places
     sigma: float = 1.0  # of a place by the nearest point of the skin
     bony_sigma: float = 0.5
+    face: FaceOptions = FACE
 
 
 BIND = BindOptions()
@@ -112,46 +107,6 @@ def _close_jaw(marker: Marker, frame: JawFrame, b: Floats) -> Marker:
 
 
 @dataclass(frozen=True)
-class FaceTake:
-    """A take of k labels, n of which are on one face."""
-
-    take: Take  # tracks count as labels where it has none
-    numbers: Ints  # (n,) labels of the face
-    outside: Ints  # labels that are seen and not on it
-    another: Ints  # those of them on a second face; none if there is no such face
-    dead: Ints  # labels that are never seen
-    names: tuple[Named | None, ...]  # (n,) places by the face's labels
-    mm: float  # a unit of the take, by how far neighbours lie apart
-    rate: float  # frames a second; the usual where the take has none
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Return the labels of the face."""
-        return tuple(self.take.labels[number] for number in self.numbers.tolist())
-
-
-@dataclass(frozen=True)
-class LocatedTake:
-    """The n markers of a face: what is wrong with them, and where they lie at rest."""
-
-    face: FaceTake
-    faults: Faults
-    neutral: tuple[int, int]  # first and last row of the take at rest
-    points: Floats  # (n, 3) at rest, in the axes and the unit of the take
-    pose: Located | None  # where the face is under them; None if they are too few
-
-    @property
-    def distinct(self) -> int:
-        """Return how many markers there are, those with two labels once."""
-        return len(self.points) - sum(len(group) - 1 for group in self.faults.doubles)
-
-    @property
-    def places(self) -> Floats | None:
-        """Return the markers at rest (n, 3) in the person's frame."""
-        return None if self.pose is None else self.pose.session(self.points)
-
-
-@dataclass(frozen=True)
 class Binding:
     """A marker set for a take, and where the take's face lies."""
 
@@ -171,144 +126,26 @@ def bind(
 ) -> Binding:
     """Return where the markers of a take sit on ``model``, at rest in the ``neutral`` rows.
 
-    Without these the stillest second is taken. With an ``expression`` the face shows that instead.
-    An ``actor`` is another person: see :func:`place_take`. Raises :class:`InputError`:
-    ``markers.few``, not enough of them are seen in these frames, or ``markers.too_large``.
+    Without these one of the stillest seconds is taken, in which the markers lie most like the
+    face. With an ``expression`` the face shows that instead. An ``actor`` is another person: see
+    :func:`place_take`. Raises :class:`InputError`: ``markers.few``, not enough of them are seen in
+    these frames, or ``markers.too_large``.
     """
-    reference, face = Reference.of(model, expression=expression), choose_face(take, options)
-    if len(face.numbers) < options.least:
-        raise _few_error(take.file, len(face.numbers), "on the face", options)
-    located = locate_take(face, reference.face, neutral, options)
+    reference, face = Reference.of(model, expression=expression), choose_face(take, options.face)
+    if len(face.numbers) < options.face.least:
+        raise _few_error(take.file, len(face.numbers), "on the face", options.face)
+    located = locate_take(face, reference.face, neutral, options.face, compared=not actor)
     if located.pose is None:
         seen = int(np.isfinite(located.points[:, 0]).sum())
-        raise _few_error(take.file, seen, "seen at rest", options)
+        raise _few_error(take.file, seen, "seen at rest", options.face)
     markers = place_take(located, located.pose, reference.face, options, actor=actor)
     bound = reference.bind(markers, located.pose.session)
     return Binding(bound, located.pose, located.neutral)
 
 
-def _few_error(file: str, found: int, where: str, options: BindOptions) -> InputError:
+def _few_error(file: str, found: int, where: str, options: FaceOptions) -> InputError:
     message = f"{file}: {found} markers are {where}, {options.least} are needed"
     return InputError("markers.few", message, file=file, found=found)
-
-
-# The labels of one face.
-
-
-def choose_face(take: Take, options: BindOptions = BIND) -> FaceTake:
-    """Return a take with the labels that are on the face with the most of them.
-
-    Raises :class:`InputError` ``markers.too_large`` for more markers than a face has.
-    """
-    take = count_tracks(take, options)
-    named = read_names(take.labels)
-    alive = np.asarray(np.isfinite(take.positions[..., 0]).any(axis=0))
-    if alive.sum() > options.most:
-        message = f"{take.file} has {alive.sum()} markers, {options.most} can be bound"
-        figures = {"found": int(alive.sum()), "expected": options.most}
-        raise InputError("markers.too_large", message, file=take.file, **figures)
-    mm = _neighbours_unit(take.positions[:, alive], options)
-    is_body = np.array([each is not None and each.part == "ignore" for each in named], bool)
-    on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
-    numbers = np.flatnonzero(on_face)
-    return FaceTake(
-        take,
-        numbers,
-        np.flatnonzero(alive & ~on_face),
-        another,
-        np.flatnonzero(~alive),
-        tuple(named[number] for number in numbers.tolist()),
-        mm,
-        take.rate if take.rate > 0 else USUAL_RATE,
-    )
-
-
-def count_tracks(take: Take, options: BindOptions = BIND) -> Take:
-    """Return a take without labels with its tracks as such; others as they are."""
-    if len(take.labels) >= options.least or not take.unlabelled_names:
-        return take
-    positions = np.concatenate([take.positions, take.unlabelled], axis=1)
-    labels = (*take.labels, *take.unlabelled_names)
-    return replace(take, positions=positions, labels=labels, unlabelled_names=())
-
-
-def _largest_face(positions: Floats, chosen: Mask, options: BindOptions) -> tuple[Mask, Ints]:
-    """Return which of the ``chosen`` markers (f, k, 3) are on one face, and those of a second."""
-    numbers = np.flatnonzero(chosen)
-    if len(numbers) < options.least:
-        return chosen, numbers[:0]
-    apart = np.nan_to_num(_usual_distances(positions[:, numbers]), nan=np.inf)
-    _, group = connected_components(apart < options.linked)
-    sizes = np.bincount(group)
-    order = np.argsort(-sizes, kind="stable")
-    on_face = np.zeros(len(chosen), bool)
-    on_face[numbers[group == order[0]]] = True
-    least = max(options.second * sizes[order[0]], options.least_second)
-    is_another = len(order) > 1 and sizes[order[1]] >= least
-    return on_face, numbers[group == order[1]] if is_another else numbers[:0]
-
-
-def _neighbours_unit(positions: Floats, options: BindOptions) -> float:
-    """Return the mm a unit that puts neighbours as far apart as on a face; 1 if that does."""
-    if positions.shape[1] < options.least:
-        return 1.0
-    apart = np.nan_to_num(_usual_distances(positions), nan=np.inf)
-    np.fill_diagonal(apart, np.inf)
-    spacing = float(np.median(np.sort(apart, axis=1)[:, 1]))  # the second: labels may be double
-    return likely_unit(spacing, options.spacing, (1.0, 1000.0, 10.0, 0.1, 0.001)) or 1.0
-
-
-def _usual_distances(positions: Floats, frames: int = 40) -> Floats:
-    """Return the median distances (k, k) of markers, NaN for those never seen together."""
-    some = positions[np.unique(np.linspace(0, len(positions) - 1, frames).astype(int))]
-    return median_of_seen(
-        np.array([np.linalg.norm(each[:, None] - each[None], axis=2) for each in some])
-    )
-
-
-# The face at rest.
-
-
-def locate_take(
-    face: FaceTake,
-    skin: Surface,
-    neutral: tuple[int, int] | None = None,
-    options: BindOptions = BIND,
-) -> LocatedTake:
-    """Return where a face's markers lie on a ``skin``, at rest in the ``neutral`` rows.
-
-    Without these the stillest second is taken.
-    """
-    faults = find_faults(face.mm * face.take.positions[:, face.numbers], face.rate)
-    rest = neutral or find_neutral(faults.motion, face.rate)
-    points = _rest_points(faults.motion, rest) / face.mm
-    located = LocatedTake(face, faults, rest, points, None)
-    if located.distinct < options.least:
-        return located
-    return replace(located, pose=locate(points, face.names, skin))
-
-
-def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[int, int] | None:
-    """Return first and last row of half a second about the frame with a number; None for None.
-
-    Raises :class:`InputError` ``markers.neutral`` if the take does not have it.
-    """
-    if frame is None:
-        return None
-    numbers = take.numbers
-    if frame not in numbers:
-        message = f"{take.file} has frames {numbers[0]} to {numbers[-1]}, not {frame}"
-        raise InputError("markers.neutral", message, file=take.file, frame=frame)
-    row, reach = numbers.index(frame), round(seconds / 2 * take.rate) if take.rate > 0 else 0
-    return max(row - reach, 0), min(row + reach, len(take) - 1)
-
-
-def _rest_points(motion: Motion, neutral: tuple[int, int]) -> Floats:
-    """Return markers (k, 3) at rest, in the axes of the take, as the head is amid ``neutral``."""
-    first, last = neutral
-    middle = (first + last) // 2
-    points = median_of_seen(motion.places[first : last + 1])
-    return np.asarray((points - motion.shifts[middle]) @ motion.rotations[middle])
 
 
 # Places on a person.

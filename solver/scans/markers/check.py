@@ -13,15 +13,14 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from solver.errors import InputError, Severity, quote, quote_names
-from solver.scans.markers.bind import (
-    BIND,
+from solver.scans.markers.bind import Reference, place_take
+from solver.scans.markers.face_take import (
+    FACE,
     USUAL_RATE,
     FaceTake,
     LocatedTake,
-    Reference,
     choose_face,
     locate_take,
-    place_take,
 )
 from solver.scans.markers.findings import (
     LIMITS,
@@ -71,7 +70,8 @@ def check_take(
     _check_face(check, face)
     if _are_few(check, take, len(face.numbers)):
         return check
-    located = locate_take(face, reference.face, neutral)
+    compared = bool(reference.model_sha256) and not actor
+    located = locate_take(face, reference.face, neutral, compared=compared)
     check.located = located
     if located.distinct < len(face.numbers) and _are_few(check, take, located.distinct):
         return check
@@ -133,10 +133,10 @@ def _check_face(check: MarkerCheck, face: FaceTake) -> None:
 
 def _are_few(check: MarkerCheck, take: Take, count: int) -> bool:
     """Tell whether the check ends here: too few markers, two faces, or points in no known unit."""
-    if count < BIND.least:
+    if count < FACE.least:
         seen = count_words(count, "marker", "markers")
-        message = f"{take.file} has {seen} of a face; {BIND.least} are needed."
-        add(check, "markers.few", "error", message, found=count, expected=BIND.least)
+        message = f"{take.file} has {seen} of a face; {FACE.least} are needed."
+        add(check, "markers.few", "error", message, found=count, expected=FACE.least)
     stops = "markers.few", "markers.unit"
     return any(each.code in stops and each.severity == "error" for each in check.findings)
 
@@ -228,7 +228,7 @@ def _off_places(
     known = known[np.isfinite(goal[rows[known], 0])]
     off = np.full(len(labels), np.nan)
     _check_labels(check, markers, labels, len(known), limits)
-    if len(known) < BIND.least:
+    if len(known) < FACE.least:
         return off
     there = goal[rows[known]]
     motion = robust_motion(placed[known], there, np.ones(len(known)), 3.0, 12)
@@ -264,9 +264,9 @@ def _check_labels(
     if missing:
         names = ", ".join(quote_names(missing[: limits.named]))
         words.append(f"{count_words(len(missing), 'label', 'labels')} of it not here: {names}")
-    few = known < BIND.least
+    few = known < FACE.least
     if few:
-        words.insert(0, f"{known} labels of the marker set are seen, {BIND.least} are needed")
+        words.insert(0, f"{known} labels of the marker set are seen, {FACE.least} are needed")
     if words:
         figures = {"new": quote_names(new), "missing": quote_names(missing)}
         severity: Severity = "error" if few else "warning" if new else "info"

@@ -13,7 +13,7 @@ import numpy as np
 
 from solver.errors import MOST_NAMES, Finding, Severity, advise, quote, quote_names
 from solver.registration.locate import nearest_axis
-from solver.scans.markers.bind import LocatedTake
+from solver.scans.markers.face_take import LocatedTake
 from solver.scans.markers.faults import WRONG, Span
 from solver.scans.markers.locate import Located
 from solver.scans.markers.marker_set import MarkerSet

@@ -176,6 +176,15 @@ class NeutralOptions:
     seen: float = 0.8  # of the most markers must be seen
 
 
+@dataclass(frozen=True)
+class Second:
+    """First and last row of a second, and how much the face stirs in it, mm."""
+
+    first: int
+    last: int
+    unrest: float = 0.0
+
+
 def find_neutral(
     motion: Motion, rate: float, options: NeutralOptions = NeutralOptions()
 ) -> tuple[int, int]:
@@ -183,20 +192,38 @@ def find_neutral(
 
     Of two that are equally still it is the one nearer to the median face.
     """
+    (stillest,) = still_seconds(motion, rate, 1, options)
+    return stillest.first, stillest.last
+
+
+def still_seconds(
+    motion: Motion, rate: float, count: int, options: NeutralOptions = NeutralOptions()
+) -> list[Second]:
+    """Return up to ``count`` seconds in which the face is still, the stillest first, one at least.
+
+    None overlaps another. The unrest counts how far the face is from the median one, too.
+    """
     frames = len(motion.places)
     window = int(np.clip(round(options.seconds * rate) if rate > 0 else 1, 1, frames))
     seen = np.isfinite(motion.places[..., 0])
     change = np.nan_to_num(motion.places - motion.middle)
-    count = np.maximum(_sums(seen.astype(float), window), 1.0)
-    mean = _sums(change, window) / count[..., None]
-    unrest = np.maximum(_sums((change**2).sum(axis=2), window) / count - (mean**2).sum(axis=2), 0.0)
-    away = np.linalg.norm(mean, axis=2)
-    known = np.maximum((count > window / 2).sum(axis=1), 1)
-    cost = np.sqrt((unrest * (count > window / 2)).sum(axis=1) / known)
-    cost += options.away * (away * (count > window / 2)).sum(axis=1) / known
+    count_seen = np.maximum(_sums(seen.astype(float), window), 1.0)
+    mean = _sums(change, window) / count_seen[..., None]
+    stirring = _sums((change**2).sum(axis=2), window) / count_seen - (mean**2).sum(axis=2)
+    away, usual = np.linalg.norm(mean, axis=2), count_seen > window / 2
+    known = np.maximum(usual.sum(axis=1), 1)
+    cost = np.sqrt((np.maximum(stirring, 0.0) * usual).sum(axis=1) / known)
+    cost += options.away * (away * usual).sum(axis=1) / known
     cost[known < options.seen * known.max()] = np.inf
-    first = int(np.argmin(cost))
-    return first, first + window - 1
+    found: list[Second] = []
+    for first in np.argsort(cost, kind="stable").tolist():
+        if found and not np.isfinite(cost[first]):
+            break
+        if all(abs(first - each.first) >= window for each in found):
+            found.append(Second(first, first + window - 1, float(cost[first])))
+            if len(found) == count:
+                break
+    return found
 
 
 def _sums(values: Floats, window: int) -> Floats:

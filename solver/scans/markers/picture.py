@@ -10,7 +10,7 @@ from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.errors import quote
 from solver.registration.search import nose_tip
-from solver.scans.markers.bind import LocatedTake
+from solver.scans.markers.face_take import LocatedTake
 from solver.scans.markers.faults import Faults
 from solver.scans.markers.findings import MarkerCheck
 from solver.surface import Floats, Surface, vertex_normals

@@ -14,15 +14,9 @@ from benchmarks.bad_takes import BAD_TAKES
 from solver.errors import Finding, InputError, judge_findings
 from solver.fitting.markers.term import MarkerPlaces
 from solver.mechanics.boundary import move_jaw
-from solver.scans.markers.bind import (
-    Reference,
-    bind,
-    choose_face,
-    locate_take,
-    model_face,
-    rest_places,
-)
+from solver.scans.markers.bind import Reference, bind, model_face, rest_places
 from solver.scans.markers.check import check_take
+from solver.scans.markers.face_take import choose_face, locate_take
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import ADVICE, MarkerCheck
 from solver.scans.markers.locate import FLIP, locate

@@ -1,0 +1,214 @@
+"""The markers of one face in a take, and where they lie on a person at rest.
+
+The labels of one face are chosen among those of bodies and of other faces (``choose_face``); that
+face is found on the person's skin (:mod:`.locate`) in one of the seconds in which it is stillest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from solver.errors import InputError
+from solver.registration.units import likely_unit
+from solver.scans.markers.faults import Faults, find_faults
+from solver.scans.markers.locate import Located, locate
+from solver.scans.markers.motion import Mask, Motion, Second, median_of_seen, still_seconds
+from solver.scans.markers.names import Named, read_names
+from solver.scans.markers.take import Take
+from solver.surface import Floats, Ints, Surface
+
+USUAL_RATE = 60.0  # frames a second, where a take has none
+
+
+@dataclass(frozen=True)
+class FaceOptions:
+    """Limits of one face; lengths in mm."""
+
+    most: int = 400  # markers: pairs of them are compared
+    least: int = 4  # labels on a face; with fewer, tracks without one count as such
+    spacing: tuple[float, float] = (6.0, 90.0)  # of neighbours on a face
+    linked: float = 100.0  # markers of one head lie no farther apart, one to the next
+    second: float = 0.4  # of the first face's markers make another face ...
+    least_second: int = 6  # ... if they are so many
+    seconds: int = 10  # in which the face is still, to compare with the person
+    off_skin: float = 15.0  # a marker counts for no more in that
+
+
+FACE = FaceOptions()
+
+
+@dataclass(frozen=True)
+class FaceTake:
+    """A take of k labels, n of which are on one face."""
+
+    take: Take  # tracks count as labels where it has none
+    numbers: Ints  # (n,) labels of the face
+    outside: Ints  # labels that are seen and not on it
+    another: Ints  # those of them on a second face; none if there is no such face
+    dead: Ints  # labels that are never seen
+    names: tuple[Named | None, ...]  # (n,) places by the face's labels
+    mm: float  # a unit of the take, by how far neighbours lie apart
+    rate: float  # frames a second; the usual where the take has none
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the labels of the face."""
+        return tuple(self.take.labels[number] for number in self.numbers.tolist())
+
+
+@dataclass(frozen=True)
+class LocatedTake:
+    """The n markers of a face: what is wrong with them, and where they lie at rest."""
+
+    face: FaceTake
+    faults: Faults
+    neutral: tuple[int, int]  # first and last row of the take at rest
+    points: Floats  # (n, 3) at rest, in the axes and the unit of the take
+    pose: Located | None  # where the face is under them; None if they are too few
+
+    @property
+    def distinct(self) -> int:
+        """Return how many markers there are, those with two labels once."""
+        return len(self.points) - sum(len(group) - 1 for group in self.faults.doubles)
+
+    @property
+    def places(self) -> Floats | None:
+        """Return the markers at rest (n, 3) in the person's frame."""
+        return None if self.pose is None else self.pose.session(self.points)
+
+
+def choose_face(take: Take, options: FaceOptions = FACE) -> FaceTake:
+    """Return a take with the labels that are on the face with the most of them.
+
+    Raises :class:`InputError` ``markers.too_large`` for more markers than a face has.
+    """
+    take = count_tracks(take, options)
+    named = read_names(take.labels)
+    alive = np.asarray(np.isfinite(take.positions[..., 0]).any(axis=0))
+    if alive.sum() > options.most:
+        message = f"{take.file} has {alive.sum()} markers, {options.most} can be bound"
+        figures = {"found": int(alive.sum()), "expected": options.most}
+        raise InputError("markers.too_large", message, file=take.file, **figures)
+    mm = _neighbours_unit(take.positions[:, alive], options)
+    is_body = np.array([each is not None and each.part == "ignore" for each in named], bool)
+    on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
+    numbers = np.flatnonzero(on_face)
+    return FaceTake(
+        take,
+        numbers,
+        np.flatnonzero(alive & ~on_face),
+        another,
+        np.flatnonzero(~alive),
+        tuple(named[number] for number in numbers.tolist()),
+        mm,
+        take.rate if take.rate > 0 else USUAL_RATE,
+    )
+
+
+def count_tracks(take: Take, options: FaceOptions = FACE) -> Take:
+    """Return a take without labels with its tracks as such; others as they are."""
+    if len(take.labels) >= options.least or not take.unlabelled_names:
+        return take
+    positions = np.concatenate([take.positions, take.unlabelled], axis=1)
+    labels = (*take.labels, *take.unlabelled_names)
+    return replace(take, positions=positions, labels=labels, unlabelled_names=())
+
+
+def _largest_face(positions: Floats, chosen: Mask, options: FaceOptions) -> tuple[Mask, Ints]:
+    """Return which of the ``chosen`` markers (f, k, 3) are on one face, and those of a second."""
+    numbers = np.flatnonzero(chosen)
+    if len(numbers) < options.least:
+        return chosen, numbers[:0]
+    apart = np.nan_to_num(_usual_distances(positions[:, numbers]), nan=np.inf)
+    _, group = connected_components(apart < options.linked)
+    sizes = np.bincount(group)
+    order = np.argsort(-sizes, kind="stable")
+    on_face = np.zeros(len(chosen), bool)
+    on_face[numbers[group == order[0]]] = True
+    least = max(options.second * sizes[order[0]], options.least_second)
+    is_another = len(order) > 1 and sizes[order[1]] >= least
+    return on_face, numbers[group == order[1]] if is_another else numbers[:0]
+
+
+def _neighbours_unit(positions: Floats, options: FaceOptions) -> float:
+    """Return the mm a unit that puts neighbours as far apart as on a face; 1 if that does."""
+    if positions.shape[1] < options.least:
+        return 1.0
+    apart = np.nan_to_num(_usual_distances(positions), nan=np.inf)
+    np.fill_diagonal(apart, np.inf)
+    spacing = float(np.median(np.sort(apart, axis=1)[:, 1]))  # the second: labels may be double
+    return likely_unit(spacing, options.spacing, (1.0, 1000.0, 10.0, 0.1, 0.001)) or 1.0
+
+
+def _usual_distances(positions: Floats, frames: int = 40) -> Floats:
+    """Return the median distances (k, k) of markers, NaN for those never seen together."""
+    some = positions[np.unique(np.linspace(0, len(positions) - 1, frames).astype(int))]
+    return median_of_seen(
+        np.array([np.linalg.norm(each[:, None] - each[None], axis=2) for each in some])
+    )
+
+
+# The face at rest.
+
+
+def locate_take(
+    face: FaceTake,
+    skin: Surface,
+    neutral: tuple[int, int] | None = None,
+    options: FaceOptions = FACE,
+    *,
+    compared: bool = True,
+) -> LocatedTake:
+    """Return where a face's markers lie on a ``skin``, at rest in the ``neutral`` rows.
+
+    Without these the stillest second is taken, or of some that are ``compared`` that in which the
+    markers lie most like the skin: people are still with the mouth open, too.
+    """
+    faults = find_faults(face.mm * face.take.positions[:, face.numbers], face.rate)
+    motion = faults.motion
+    seconds = still_seconds(motion, face.rate, options.seconds if compared else 1)
+    found, least = None, np.inf
+    for second in [Second(*neutral)] if neutral else seconds:
+        rows = second.first, second.last
+        points = _rest_points(motion, rows) / face.mm
+        here = LocatedTake(face, faults, rows, points, None)
+        if here.distinct >= options.least:
+            here = replace(here, pose=locate(points, face.names, skin))
+        cost = second.unrest + _unlikeness(here.pose, options)
+        if found is None or cost < least:
+            found, least = here, cost
+    assert found is not None, "every take has a second"
+    return found
+
+
+def _unlikeness(pose: Located | None, options: FaceOptions) -> float:
+    """Return how far markers miss the skin at their usual height, mm, infinite without a pose."""
+    if pose is None:
+        return np.inf
+    return float(np.nanmean(np.minimum(np.abs(pose.off_skin), options.off_skin)))
+
+
+def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[int, int] | None:
+    """Return first and last row of half a second about the frame with a number; None for None.
+
+    Raises :class:`InputError` ``markers.neutral`` if the take does not have it.
+    """
+    if frame is None:
+        return None
+    numbers = take.numbers
+    if frame not in numbers:
+        message = f"{take.file} has frames {numbers[0]} to {numbers[-1]}, not {frame}"
+        raise InputError("markers.neutral", message, file=take.file, frame=frame)
+    row, reach = numbers.index(frame), round(seconds / 2 * take.rate) if take.rate > 0 else 0
+    return max(row - reach, 0), min(row + reach, len(take) - 1)
+
+
+def _rest_points(motion: Motion, neutral: tuple[int, int]) -> Floats:
+    """Return markers (k, 3) at rest, in the axes of the take, as the head is amid ``neutral``."""
+    first, last = neutral
+    middle = (first + last) // 2
+    points = median_of_seen(motion.places[first : last + 1])
+    return np.asarray((points - motion.shifts[middle]) @ motion.rotations[middle])
