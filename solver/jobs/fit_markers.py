@@ -37,11 +37,11 @@ from solver.rig.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
 from solver.scans.markers.actor import carry, off_places
 from solver.scans.markers.bind import bind, model_face
-from solver.scans.markers.face_take import count_tracks, frames_about
+from solver.scans.markers.face_take import FACE, count_tracks, frames_about
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import LIMITS
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
-from solver.scans.markers.motion import find_neutral
+from solver.scans.markers.motion import still_seconds
 from solver.scans.markers.moved import split_moved
 from solver.scans.markers.take import Take, read_take
 from solver.templates.builtin.build import builtin_template
@@ -123,8 +123,10 @@ def _bound(
         notices.extend(carried.notices)
     faults = find_faults(markers.session.scale * take.positions, rate)
     if not given.actor:
-        rows = rows or find_neutral(faults.motion, rate)
-        off_mm = off_places(take, markers, faults.motion, skin, rows)
+        motion = faults.motion
+        still = [(each.first, each.last) for each in still_seconds(motion, rate, FACE.seconds)]
+        spans = [rows] if rows else still  # people are still in expressions, too
+        off_mm, rows = min((off_places(take, markers, motion, skin, each), each) for each in spans)
         notices.extend(_other_person(take, rows, off_mm))
     measured = replace(take, positions=faults.hide_unmeasured(take.positions))
     take, markers = split_moved(measured, markers, faults, skin)

@@ -168,7 +168,7 @@ def _check_rest(
     spread = np.sqrt(np.nanvar(places[:, seen.any(axis=0)], axis=0).sum(axis=1))
     unrest = float(np.median(spread))
     if unrest > limits.unrest:
-        which = "these" if is_given else "the stillest"
+        which = "these" if is_given else "taken for rest"
         message = f"The face moves in {frames}, {which}, by {unrest:.1f} mm.{stillest}"
         add(check, "markers.neutral", "warning", message, found=round(unrest, 2), **figures)
 
@@ -193,7 +193,7 @@ def _check_person(
     if others <= limits.person and jaw > limits.open_mouth:
         first, last = check.figures["neutral"]
         message = (
-            f"In frames {first} to {last}, the stillest, the mouth is open: markers of the jaw "
+            f"In frames {first} to {last}, taken for rest, the mouth is open: markers of the jaw "
             f"are {jaw:.1f} mm off, the others {others:.1f} mm."
         )
         add(check, "markers.neutral", "warning", message, found=round(jaw, 1))

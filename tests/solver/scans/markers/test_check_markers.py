@@ -21,6 +21,7 @@ from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import ADVICE, MarkerCheck
 from solver.scans.markers.locate import FLIP, locate
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
+from solver.scans.markers.motion import find_neutral
 from solver.scans.markers.moved import split_moved
 from solver.scans.markers.take import Take, read_take
 from solver.similarity import Similarity
@@ -96,6 +97,21 @@ def test_axes_units_and_rates_are_found_and_told(
     places = rest_places(check.bound, person.face)
     assert np.linalg.norm(check.located.places - places, axis=1).max() < 0.6
     assert check.figures["off_skin_mm"] < 0.5
+
+
+def test_the_neutral_is_the_person_s_and_not_the_stillest_second() -> None:
+    """People hold expressions more still than they rest."""
+    rng = np.random.default_rng(3)
+    frames = int(4 * RATE)
+    shares = np.clip((np.arange(frames) - 1.5 * RATE) / RATE, 0.0, 1.0)[:, None, None]
+    face = on_skin("neutral") + shares * (on_skin("ah") - on_skin("neutral"))
+    positions = face + rng.normal(0.0, np.where(shares < 0.5, 0.4, 0.05), face.shape)
+    take = made_take(positions)
+    assert find_neutral(find_faults(positions, RATE).motion, RATE)[0] > 2 * RATE
+    bound = bind(take, small_model())
+    assert bound.neutral[1] < 1.6 * RATE
+    off = rest_places(bound.markers, model_face(small_model())) - on_skin("neutral")
+    assert np.linalg.norm(off, axis=1).mean() < 0.7
 
 
 def test_three_markers_are_too_few(person: Reference, clean: Floats) -> None:
