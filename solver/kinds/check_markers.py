@@ -2,16 +2,14 @@
 
 from pydantic import Field
 
-from solver.kinds.kind import JobOptions, Kind
+from solver.kinds.kind import FrameNumber, JobOptions, Kind
 
 
 class CheckMarkers(JobOptions):
     """Options of a check of markers."""
 
-    neutral: int | None = Field(
+    neutral: FrameNumber | None = Field(
         default=None,
-        ge=0,
-        le=2**31,
         description="frame, as the file counts, at which the face is at rest; null: the stillest "
         "second",
     )

@@ -1,13 +1,11 @@
 """Fit a take of markers with a rig's muscle weights, frame after frame."""
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field
 
-from solver.kinds.document import Integral, Whole
-from solver.kinds.kind import JobOptions, Kind, LinearSolver
-
-FrameNumber = Annotated[int, Field(ge=-(2**31), le=2**31), Integral]
+from solver.kinds.document import Whole
+from solver.kinds.kind import FrameNumber, JobOptions, Kind, LinearSolver
 
 
 class FitMarkers(JobOptions):
