@@ -2,7 +2,8 @@
 
 from pydantic import Field
 
-from solver.kinds.kind import FrameNumber, JobOptions, Kind
+from solver.kinds.document import FrameNumber
+from solver.kinds.kind import JobOptions, Kind
 
 
 class CheckMarkers(JobOptions):

@@ -41,6 +41,8 @@ def _whole(value: Any) -> Any:
 
 Integral = BeforeValidator(_whole)  # after the bounds, or these are left out of JSON Schemas
 Whole = Annotated[int, Integral]
+# Of a take, as its file counts, which may begin below 0
+FrameNumber = Annotated[int, Field(ge=-(2**31), le=2**31), Integral]
 Vector = Annotated[
     list[Annotated[float, Field(ge=-10000, le=10000)]], Field(min_length=3, max_length=3)
 ]

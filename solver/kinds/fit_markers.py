@@ -4,8 +4,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from solver.kinds.document import Whole
-from solver.kinds.kind import FrameNumber, JobOptions, Kind, LinearSolver
+from solver.kinds.document import FrameNumber, Whole
+from solver.kinds.kind import JobOptions, Kind, LinearSolver
 
 
 class FitMarkers(JobOptions):

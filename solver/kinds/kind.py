@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Field, Tag, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
-from solver.kinds.document import Document, Fault, Integral, find_faults, json_schema, tell_forms
+from solver.kinds.document import Document, Fault, find_faults, json_schema, tell_forms
 
 Queue = Literal["ingest", "short", "long"]  # while a person waits, minutes, hours
 Input = Literal[
@@ -133,7 +133,6 @@ class Kind:
 # Options that several kinds share.
 
 
-FrameNumber = Annotated[int, Field(ge=-(2**31), le=2**31), Integral]  # as a take's file counts
 Axis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
 Distance = Literal["point", "plane"]
 LinearSolver = Annotated[

@@ -9,6 +9,7 @@ from pydantic import Discriminator, Field, Tag
 
 from solver.kinds.document import (
     Document,
+    FrameNumber,
     Integral,
     Name,
     Place,
@@ -138,14 +139,13 @@ class Recording(Document):
 
 
 Gain = Annotated[float, Field(ge=0, le=10)]
-Frame = Annotated[int, Field(ge=0), Integral]
 
 
 class FrameSpan(Document):
     """Frames of a take, from ``start`` to before ``end``."""
 
-    start: Frame
-    end: Annotated[int, Field(ge=1), Integral]
+    start: FrameNumber
+    end: FrameNumber
 
 
 class Bridges(Document):
@@ -165,10 +165,10 @@ class PerformanceEntry(Document):
     """A fitted performance, played by the flesh."""
 
     asset: str = Field(description="the sequence.npz of a fit to a performance")
-    start: Frame | None = Field(
+    start: FrameNumber | None = Field(
         default=None, description="the first frame, by its number in the sequence; null: its first"
     )
-    end: Annotated[int, Field(ge=1), Integral] | None = Field(
+    end: FrameNumber | None = Field(
         default=None, description="the frame after the last; null: to the end"
     )
     speed: float = Field(default=1.0, ge=0.01, le=100, description="2 plays it twice as fast")

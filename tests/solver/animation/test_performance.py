@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +123,15 @@ def test_times_are_those_of_the_chosen_frames_by_the_speed(take: Path) -> None:
     np.testing.assert_allclose(drives(9.0).jaw, fitted[8].jaw, atol=1e-12)  # the last one stays
     between = drives(0.04)
     np.testing.assert_allclose(between.jaw, (fitted[3].jaw + fitted[4].jaw) / 2, atol=1e-12)
+
+
+def test_frames_below_0_are_played_by_their_numbers(tmp_path: Path) -> None:
+    """A table of markers may count from there."""
+    early = write(tmp_path, [replace(each, frame=each.frame - FIRST - 8) for each in frames()])
+    bridges = {"spans": [{"start": -4, "end": -2}]}
+    drives = played(early, take_of(start=-6, end=-1, bridges=bridges))
+    assert len(drives.times) == 5
+    assert drives.under.performances[0].bridged.tolist() == [-4, -3]
 
 
 def test_the_head_moves_rigidly_from_where_it_is_at_the_start(take: Path) -> None:
