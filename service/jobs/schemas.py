@@ -6,7 +6,7 @@ from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
 from fastapi import Depends, Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from sqlalchemy import ColumnElement
 
 from service.queue.states import State
@@ -240,6 +240,26 @@ class LogLineView(View):
     text: str
 
 
+def _in_rows(given: Any) -> Any:
+    """Return activations with a row for each muscle, which files of fibre muscles lack.
+
+    An answer has one shape: of a union of lists many generators make code that does not compile.
+    """
+    if not isinstance(given, list):
+        return given
+    return [each if isinstance(each, list) else [each] for each in given]
+
+
+Activations = Annotated[
+    list[list[float]],
+    BeforeValidator(_in_rows),
+    Field(
+        description="a row for each muscle: xx, xy, xz, yy, yz, zz, relaxed is 1, 0, 0, 1, 0, 1; "
+        "of fibre muscles one number in [0, 1]"
+    ),
+]
+
+
 class FrameView(BaseModel):
     """A fitted frame; angles in rad, lengths in mm."""
 
@@ -249,10 +269,7 @@ class FrameView(BaseModel):
         "both have the pose of the frame before; `predicted`: no marker is seen, the pose fades to "
         "rest; `smoothed`: the frames after it count too"
     )
-    activations: list[list[float]] | list[float] = Field(
-        description="a row a muscle, xx, xy, xz, yy, yz, zz; relaxed is 1, 0, 0, 1, 0, 1; of "
-        "fibre muscles one number in [0, 1] each"
-    )
+    activations: Activations
     jaw: list[float] = Field(description="two rotations and three translations of the mandible")
     head: list[float] = Field(description="rotation vector and translation of the head")
     mean_mm: float | None
@@ -269,9 +286,7 @@ class MotionFrameView(BaseModel):
 
     frame: int = Field(description="its number, from 0")
     time: float
-    activations: list[list[float]] = Field(
-        description="a row a muscle, xx, xy, xz, yy, yz, zz; relaxed is 1, 0, 0, 1, 0, 1"
-    )
+    activations: Activations
     jaw: list[float] = Field(description="two rotations and three translations of the mandible")
     head: list[float] = Field(description="rotation vector and translation of the head")
     eyes: list[list[float]] = Field(description="rotation vectors, the subject's left eye first")

@@ -6,12 +6,14 @@ import json
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 
 from solver.scans.markers.marker_set import MarkerSet
 from solver.surface import Floats
 from tests.browser.rig_place import SECONDS, Place, drawing_browser, served_rigs, until
+from tests.service_client import Studio
 
 pytestmark = pytest.mark.slow
 
@@ -121,6 +123,38 @@ def test_a_check_leads_to_the_places_of_its_markers(
     page = look(f"/jobs/{place.check}")
     page.get_by_role("link", name="Place the markers").click()
     page.get_by_text("24 markers").wait_for()
+
+
+def test_another_actor_s_take_is_fitted_by_the_form(
+    place: Place, look: Callable[[str], Page]
+) -> None:
+    with httpx.Client(base_url=place.url) as http:
+        studio = Studio(http, place.key)
+        subject_id = studio.get(f"/v1/rigs/{place.second}")["subject_id"]
+        upload = {"upload_id": studio.upload("take_9.csv", b"Frame,M00"), "name": "take_9"}
+        path = f"/v1/subjects/{subject_id}/captures"
+        take = studio.post(path, role="markers", **upload)["id"]
+
+        page = look(f"/subjects/{subject_id}")
+        page.get_by_role("button", name="Fit take_9").click()
+        page.get_by_label("Neutral").fill("-3")
+        page.get_by_label("Actor").check()
+        page.get_by_text("the take is another person's than the rig").wait_for()
+        page.get_by_role("button", name="Submit").click()
+        page.wait_for_url("**/jobs/*")
+        first = page.evaluate("location.pathname")
+        job = studio.get(f"/v1{first}")
+        assert (job["rig_id"], job["captures"]) == (place.second, [take])
+        assert job["options"] == {"neutral": -3, "actor": True}
+
+        studio.post(f"/v1{first}/cancel")
+        page.get_by_role("button", name="Run again").click()
+        page.get_by_label("Neutral").fill("")
+        page.get_by_label("Actor").uncheck()
+        page.get_by_role("dialog").get_by_role("button", name="Run again").click()
+        page.wait_for_url(lambda url: "/jobs/" in url and first not in url)
+        job = studio.get(f"/v1{page.evaluate('location.pathname')}")
+        assert job["options"] == {"neutral": None, "actor": False}
 
 
 def _places(place: Place) -> Floats:

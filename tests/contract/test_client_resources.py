@@ -8,6 +8,8 @@ from typing import Any, get_args
 import pytest
 
 from myoface import resources, tenant
+from myoface.client.jobs import read_frame
+from myoface.errors import ApiError
 from myoface.values import Resource
 from service.access.principal import Scope
 from service.app import create_app
@@ -56,6 +58,18 @@ def test_every_field_is_shown(resource: type[Resource], schemas: dict[str, Any])
     assert {field.name for field in dataclasses.fields(resource)} <= set(
         schemas[SHAPES[resource]]["properties"]
     )
+
+
+@pytest.mark.parametrize("activations", [[[0.5], [0]], [0.5, 0], [[1.0, 0, 0, 1, 0, 1]]], ids=str)
+def test_frames_are_read_in_rows_and_without(activations: list[Any]) -> None:
+    numbers = ("frame", "mean_mm", "p95_mm", "max_mm", "coverage", "inverted", "iterations")
+    values: dict[str, Any] = {"status": "predicted", "jaw": [0.0], "head": [0.0]}
+    values |= dict.fromkeys((*numbers, "seconds"), 0)
+    frame = read_frame({**values, "activations": activations})
+    assert isinstance(frame, resources.Frame)
+    assert frame.activations == activations
+    with pytest.raises(ApiError, match="activations"):
+        read_frame({**values, "activations": "0.5"})
 
 
 def test_scopes_and_states_are_the_service_s() -> None:

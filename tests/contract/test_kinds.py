@@ -146,6 +146,12 @@ def test_whole_numbers_may_be_written_with_a_point() -> None:
     assert KINDS["fit_geometry"].read({"rounds": 5.0}).model_dump()["rounds"] == 5
 
 
+@pytest.mark.parametrize("kind", ["check_markers", "fit_markers"])
+def test_frames_of_markers_are_counted_from_anywhere(kind: str) -> None:
+    """A file may begin below 0, and a check names the frame that a fit is told."""
+    assert KINDS[kind].read({"neutral": -3.0}).model_dump()["neutral"] == -3
+
+
 def test_scans_may_be_what_the_solver_reads() -> None:
     assert captures.FORMATS == registered.REGISTERED_FORMATS
     assert tuple(raw.FORMATS) == captures.RAW_FORMATS

@@ -97,6 +97,13 @@ def test_operations_have_short_names_of_their_own(document: dict[str, Any]) -> N
     )
 
 
+def test_nothing_is_a_list_of_one_kind_or_of_another(document: dict[str, Any]) -> None:
+    """OpenAPI Generator names a C# getter of each, both ``GetList``."""
+    for place, schema in schemas(document):
+        several = [*schema.get("anyOf", ()), *schema.get("oneOf", ())]
+        assert [each.get("type") for each in several].count("array") < 2, place
+
+
 def test_what_may_be_left_out_is_no_null(document: dict[str, Any]) -> None:
     for operation in operations(document):
         for parameter in operation.get("parameters", ()):

@@ -138,6 +138,12 @@ class Simulation:
         answer = self._studio.http.get(f"/v1/jobs/{self._job_id}/frames{path}")
         return answer.status_code, answer.json().get("code") if answer.content else None
 
+    def frames(self) -> list[dict[str, Any]]:
+        answer = self._studio.http.get(f"/v1/jobs/{self._job_id}/frames")
+        assert answer.status_code == 200, answer.text
+        found: list[dict[str, Any]] = answer.json()["frames"]
+        return found
+
 
 @pytest.fixture
 def simulation(studio: Studio, store: Store, tmp_path: Path) -> Simulation:
@@ -165,21 +171,30 @@ def test_a_file_of_frames_is_read_as_far_as_it_may_go(
     assert simulation.ask() == (409, "job.bad_frames")
 
 
-def test_frames_of_markers_are_answered(simulation: Simulation) -> None:
-    """Predicted and smoothed ones too, and those whose muscles have one activation each."""
-    numbers = ("mean_mm", "p95_mm", "max_mm", "coverage", "inverted", "iterations", "seconds")
-    frame = {"jaw": [0.0] * 5, "head": [0.0] * 6, **dict.fromkeys(numbers, 0)}
-    frames = [
-        {"frame": 7, "status": "predicted", "activations": [0.5, 0.0], **frame},
-        {
-            "frame": 8,
-            "status": "smoothed",
-            "activations": [[1.0, 0.0, 0.0, 1.0, 0.0, 1.0]],
-            **frame,
-        },
-    ]
-    simulation.leave(0, json.dumps({"frames": frames}), last=1)
-    assert simulation.ask() == (200, None)
+RELAXED = [1.0, 0.0, 0.0, 1.0, 0.0, 1.0]
+FITTED = dict.fromkeys(("mean_mm", "p95_mm", "max_mm", "coverage"), 0)
+MOVED = {"eyes": [], **dict.fromkeys(("time", "penetration_mm", "behind_teeth"), 0)}
+OF_KINDS = {
+    "predicted": {"status": "predicted", **FITTED},
+    "smoothed": {"status": "smoothed", **FITTED},
+    "of a scene": {**MOVED, "halvings": 0, "residual": 0},
+}
+
+
+@pytest.mark.parametrize(
+    ("stored", "rows"), [([0.5, 0.0], [[0.5], [0.0]]), ([RELAXED], [RELAXED])], ids=["fibres", "S"]
+)
+@pytest.mark.parametrize("kind", OF_KINDS)
+def test_activations_are_answered_in_rows(
+    kind: str, stored: list[Any], rows: list[list[float]], simulation: Simulation
+) -> None:
+    """Files of fibre muscles hold one number each, those of other muscles six."""
+    plain = {"jaw": [0.0] * 5, "head": [0.0] * 6, "inverted": 0, "iterations": 0, "seconds": 0}
+    frame = {"frame": 7, "activations": stored, **plain, **OF_KINDS[kind]}
+    simulation.leave(0, json.dumps({"frames": [frame]}))
+    [answered] = simulation.frames()
+    assert answered["activations"] == rows
+    assert answered.get("status") == OF_KINDS[kind].get("status")
 
 
 @pytest.mark.parametrize("picture", ["3", '"?"', '"A"'])
