@@ -34,7 +34,7 @@ class NearOptions:
 
     every: int = 3  # so many of a lip's vertices one is looked at
     reach_mm: float = 4.0  # to the other lip, at most
-    corner_mm: float = 5.0  # from a corner of the mouth, at least
+    corner_mm: float = 3.5  # from a corner of the mouth, at least
     back: float = 0.3  # least cosine between one skin's normal and the other's, turned round
 
 
