@@ -277,7 +277,7 @@ class Frame(Resource):
 
     frame: int
     status: Literal["fitted", "kept", "unseen", "predicted", "smoothed"]
-    activations: list[list[float]] | list[float]
+    activations: list[list[float]]
     jaw: list[float]
     head: list[float]
     mean_mm: float | None

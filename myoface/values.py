@@ -7,7 +7,6 @@ import functools
 import re
 import types
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin, get_type_hints
@@ -80,7 +79,8 @@ def _read(kind: Any, given: Any) -> Any:
             rule(value)
         return value
     if origin in (Union, types.UnionType):
-        return _read_any([each for each in get_args(kind) if each is not type(None)], given)
+        (some,) = [each for each in get_args(kind) if each is not type(None)]
+        return None if given is None else _read(some, given)
     if origin is Literal:
         return _require(given in get_args(kind), given, f"one of {', '.join(get_args(kind))}")
     if origin is list:
@@ -92,16 +92,6 @@ def _read(kind: Any, given: Any) -> Any:
     if isinstance(kind, type) and issubclass(kind, Resource):
         return _read_fields(kind, given)
     return _read_plain(kind, given)
-
-
-def _read_any(kinds: list[Any], given: Any) -> Any:
-    """Return ``given`` as a value of the first of some types that it is one of, or None."""
-    if given is None:
-        return None
-    for kind in kinds[:-1]:
-        with suppress(ValueFaultError):
-            return _read(kind, given)
-    return _read(kinds[-1], given)
 
 
 def _read_fields(kind: Any, given: Any) -> Any:
