@@ -163,9 +163,11 @@ class Contact(_Penalty):
 
 
 class NearContact(_Penalty):
-    """The lips' part of c, found so quickly that every frame of a take can have it.
+    """The lips' part of c by :class:`NearLips`, cheap enough for every frame of a take.
 
-    ``weight`` is that of a vertex that is looked at, ``slack_mm`` is free.
+    Unlike c it jumps where another vertex becomes the nearest, and its gradient leaves the turning
+    of the tangent planes out. ``weight`` is that of a vertex that is looked at, ``slack_mm`` is
+    free.
     """
 
     def __init__(self, model: SubjectModel, mouth: Mouth, weight: float, slack_mm: float) -> None:

@@ -20,6 +20,7 @@ from functools import cached_property, reduce
 from typing import Protocol, TypeAlias
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 
 from solver.errors import InputError
@@ -205,8 +206,11 @@ class GramCurvature:
     def __matmul__(self, vector: Floats) -> Floats:
         return np.asarray(self.rows.T @ (self.inner @ (self.rows @ vector)))
 
-    def __add__(self, other: Curvature) -> sp.csr_array:
-        return self.sparse() + other
+    def __add__(self, other: Curvature) -> Curvature:
+        if not isinstance(other, GramCurvature):
+            return self.sparse() + other
+        rows = sp.csr_array(sp.vstack([self.rows, other.rows]))
+        return GramCurvature(rows, scipy.linalg.block_diag(self.inner, other.inner))
 
     def sparse(self) -> sp.csr_array:
         """Return the whole matrix."""

@@ -107,19 +107,22 @@ def _bound(
     What stands still or was drawn is missing. A marker that moved is another one from then on.
     """
     given, given_set, skin = task.options, task.inputs.get("marker_set"), model_face(model)
-    rows = frames_about(take, given.neutral)
+    rows = frames_about(take, given.neutral, rate)
     if given_set is None:
-        markers = bind(take, model, rows, actor=given.actor).markers
+        found = bind(take, model, rows, actor=given.actor)
+        markers = found.markers
+        if given.actor:
+            rows = found.neutral  # the motions count from the frames whose places they are
     else:
         markers = MarkerSet.load(given_set)
     if markers.model_sha256 != model.sha256:
         message = "the marker set is of another model: bind it again"
         raise InputError("markers.other_model", message)
-    told: dict[str, Any] = {}
+    report: dict[str, Any] = {}
     notices: list[Finding] = []
     if given.actor:
         carried = carry(take, markers, skin, rate, rows)
-        take, markers, told = carried.take, carried.markers, {"actor": carried.report}
+        take, markers, report = carried.take, carried.markers, {"actor": carried.report}
         notices.extend(carried.notices)
     faults = find_faults(markers.session.scale * take.positions, rate)
     if not given.actor:
@@ -130,7 +133,7 @@ def _bound(
         notices.extend(_other_person(take, rows, off_mm))
     measured = replace(take, positions=faults.hide_unmeasured(take.positions))
     take, markers = split_moved(measured, markers, faults, skin)
-    return BoundTake(take, markers, OPTIONS.least), told, notices
+    return BoundTake(take, markers, OPTIONS.least), report, notices
 
 
 def _other_person(take: Take, rows: tuple[int, int], off_mm: float) -> list[Finding]:

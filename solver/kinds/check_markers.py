@@ -11,8 +11,8 @@ class CheckMarkers(JobOptions):
 
     neutral: FrameNumber | None = Field(
         default=None,
-        description="frame, as the file counts, at which the face is at rest; null: the still "
-        "second that is most like it",
+        description="frame, as the file counts, at which the face is at rest; null: a still "
+        "second, that most like the person if there is one",
     )
     expression: str | None = Field(
         default=None,

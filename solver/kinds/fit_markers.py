@@ -22,7 +22,7 @@ class FitMarkers(JobOptions):
     neutral: FrameNumber | None = Field(
         default=None,
         description="frame, as the file counts, at which the face is at rest, to bind without a "
-        "marker set and to carry an actor's motion; null: the still second that is most like it",
+        "marker set and to carry an actor's motion; null: a still second, most like the person",
     )
     actor: bool = Field(
         default=False,

@@ -44,7 +44,7 @@ class MarkerOptions:
     forgetting: float = 1.0  # s in which a control that no marker determines fades to 1/e
     hold_below: float = 0.2  # information of a muscle under which it is held ...
     hold_sd: float = 0.01  # ... so closely, in a control's units
-    alike: float = 0.25  # part of a marker's weight that may change for it to be known as before
+    alike: float = 0.25  # relative change of a weight up to which a posterior is used again
     noise_mm: float = 0.2  # standard deviation of a point, beside that of its marker's place
     w_v: float = 0.3  # of volume, beside half a squared Mahalanobis distance
     w_e: float = 3.0  # of least eigenvalues
@@ -80,7 +80,7 @@ class MarkerFit:
     placed: PlacedMarkers
     judged: JudgedFrame
     sd: Floats  # (k,) of the controls
-    information: Floats  # (k,) of this frame alone
+    information: Floats  # (k,) of this frame alone, or one before whose markers counted alike
     held: np.ndarray  # (m,) muscles
     predicted: bool
     kept: bool
@@ -125,7 +125,7 @@ class MarkerTracker:
         self.memory = memory
         self._corners: tuple[Jacobian, Floats] | None = None
         self._rates: tuple[PosedFace, Jacobian, Floats] | None = None
-        self._last_told: tuple[Jacobian, Floats, Posterior] | None = None
+        self._last_information: tuple[Jacobian, Floats, Posterior] | None = None
         self.tracker = Tracker(
             self.face,
             self._penalties,
@@ -159,7 +159,7 @@ class MarkerTracker:
                 self.tracker.go_to(state.pose.add(prior.mean - state.pose.vector()))
             return self._leave(term, judged, prior, "predicted")
         try:
-            held = self._held(self._told(term))
+            held = self._held(self._information_by(term))
             priors = PriorSum((prior, self._penalties, self._hold(held, prior.mean)))
             steps = self.tracker.fit_term(term, used, priors, contact=self._contact, whole=first)
         except (SolveError, np.linalg.LinAlgError):
@@ -245,16 +245,16 @@ class MarkerTracker:
         inner = term.inner(term.place(self.places.at(self.tracker.state.x)))
         return np.asarray(by_controls.T @ inner @ by_controls)
 
-    def _told(self, term: MarkerTerm) -> Posterior:
-        """Return :meth:`alone` of a frame: while markers count as they did, of one before it."""
+    def _information_by(self, term: MarkerTerm) -> Posterior:
+        """Return the posterior by a frame alone: that of one before while weights are alike."""
         jacobian, weights = self.tracker.jacobian, term.precision
         assert jacobian is not None, "made when tracking began"
-        if self._last_told is not None and self._last_told[0] is jacobian:
-            before = self._last_told[1]
+        if self._last_information is not None and self._last_information[0] is jacobian:
+            before = self._last_information[1]
             if np.all(np.abs(weights - before) <= self.options.alike * np.maximum(weights, before)):
-                return self._last_told[2]
-        self._last_told = jacobian, weights, self.alone(self._normal(term))
-        return self._last_told[2]
+                return self._last_information[2]
+        self._last_information = jacobian, weights, self.alone(self._normal(term))
+        return self._last_information[2]
 
     def _held(self, alone: Posterior) -> np.ndarray:
         """Return which muscles (m,) a frame does not determine."""
@@ -300,7 +300,7 @@ class MarkerTracker:
         # markers determine no control of a frame that keeps those of another
         kept, size = ending == "kept", state.pose.layout.size
         normal = np.zeros((size, size)) if kept else self._normal(term)
-        alone = self.alone(normal) if kept else self._told(term)
+        alone = self.alone(normal) if kept else self._information_by(term)
         sure = prior
         if self.memory is not None:
             memory, time = self.memory, self.options.forgetting

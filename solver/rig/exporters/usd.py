@@ -89,7 +89,10 @@ def write_sequence(
         if isinstance(frame, MarkerFrame):
             mandible = frame.mandible  # exact where it is on tracks
         keys.append(_Key(frame.frame, row, mandible, small_motion(frame.head)))
-        places.append(_bones(model, keys[-1]))
+        moved = _bones(model, keys[-1])
+        if len(moved):
+            # of a long take the extremes are enough, and all that fits into memory
+            places.append(np.stack([moved.min(axis=0), moved.max(axis=0)]))
     _animate(stage, model, list(shapes), keys, fps, np.vstack(places))
     stage.GetRootLayer().Export(str(path))
 
@@ -228,7 +231,7 @@ def _animate(
 
 
 def _quaternion(rotation: Floats) -> Gf.Quatf:
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True).tolist()
     return Gf.Quatf(w, x, y, z)
 
 

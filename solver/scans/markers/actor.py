@@ -295,7 +295,7 @@ def _carry_sigma(sigma: Floats, motion: Motion, warp: ActorWarp, turns: Floats) 
     return carried
 
 
-# What is told of it.
+# Report and notices.
 
 
 def _report(labels: Sequence[str], warp: ActorWarp, often: Mask) -> dict[str, Any]:

@@ -169,9 +169,12 @@ def locate_take(
     """
     faults = find_faults(face.mm * face.take.positions[:, face.numbers], face.rate)
     motion = faults.motion
-    seconds = still_seconds(motion, face.rate, options.seconds if compared else 1)
+    if neutral:
+        seconds = [Second(*neutral)]
+    else:
+        seconds = still_seconds(motion, face.rate, options.seconds if compared else 1)
     found, least = None, np.inf
-    for second in [Second(*neutral)] if neutral else seconds:
+    for second in seconds:
         rows = second.first, second.last
         points = _rest_points(motion, rows) / face.mm
         here = LocatedTake(face, faults, rows, points, None)
@@ -186,15 +189,18 @@ def locate_take(
 
 def _unlikeness(pose: Located | None, options: FaceOptions) -> float:
     """Return how far markers miss the skin at their usual height, mm, infinite without a pose."""
-    if pose is None:
+    if pose is None or not np.isfinite(pose.off_skin).any():
         return np.inf
     return float(np.nanmean(np.minimum(np.abs(pose.off_skin), options.off_skin)))
 
 
-def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[int, int] | None:
+def frames_about(
+    take: Take, frame: int | None, rate: float = 0.0, seconds: float = 0.5
+) -> tuple[int, int] | None:
     """Return first and last row of half a second about the frame with a number; None for None.
 
-    Raises :class:`InputError` ``markers.neutral`` if the take does not have it.
+    ``rate`` is that of a take which has none. Raises :class:`InputError` ``markers.neutral`` if
+    the take does not have the frame.
     """
     if frame is None:
         return None
@@ -202,7 +208,8 @@ def frames_about(take: Take, frame: int | None, seconds: float = 0.5) -> tuple[i
     if frame not in numbers:
         message = f"{take.file} has frames {numbers[0]} to {numbers[-1]}, not {frame}"
         raise InputError("markers.neutral", message, file=take.file, frame=frame)
-    row, reach = numbers.index(frame), round(seconds / 2 * take.rate) if take.rate > 0 else 0
+    a_second = take.rate if take.rate > 0 else rate or USUAL_RATE
+    row, reach = numbers.index(frame), round(seconds / 2 * a_second)
     return max(row - reach, 0), min(row + reach, len(take) - 1)
 
 

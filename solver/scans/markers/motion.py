@@ -207,10 +207,11 @@ def still_seconds(
     window = int(np.clip(round(options.seconds * rate) if rate > 0 else 1, 1, frames))
     seen = np.isfinite(motion.places[..., 0])
     change = np.nan_to_num(motion.places - motion.middle)
-    count_seen = np.maximum(_sums(seen.astype(float), window), 1.0)
+    times = _sums(seen.astype(float), window)
+    count_seen, usual = np.maximum(times, 1.0), times > window / 2
     mean = _sums(change, window) / count_seen[..., None]
     stirring = _sums((change**2).sum(axis=2), window) / count_seen - (mean**2).sum(axis=2)
-    away, usual = np.linalg.norm(mean, axis=2), count_seen > window / 2
+    away = np.linalg.norm(mean, axis=2)
     known = np.maximum(usual.sum(axis=1), 1)
     cost = np.sqrt((np.maximum(stirring, 0.0) * usual).sum(axis=1) / known)
     cost += options.away * (away * usual).sum(axis=1) / known
