@@ -118,7 +118,8 @@ class Tracker:
         cannot be fitted; the state stays that of the frame before.
         """
         options, lagged = self._options, self._lagged
-        both, found = data if contact is None else SumTerm((data, contact)), None
+        both = data if contact is None else SumTerm((data, contact))
+        found = None
         # points may be seen otherwise
         if lagged and (
             np.abs(weights - lagged.weights).sum() >= options.reseen * np.abs(weights).sum()

@@ -126,9 +126,9 @@ def _bound(
         notices.extend(carried.notices)
     faults = find_faults(markers.session.scale * take.positions, rate)
     if not given.actor:
-        motion = faults.motion
-        still = [(each.first, each.last) for each in still_seconds(motion, rate, FACE.seconds)]
-        spans = [rows] if rows else still  # people are still in expressions, too
+        motion, spans = faults.motion, [rows] if rows else []
+        # people are still in expressions, too
+        spans = spans or [each.rows for each in still_seconds(motion, rate, FACE.seconds)]
         off_mm, rows = min((off_places(take, markers, motion, skin, each), each) for each in spans)
         notices.extend(_other_person(take, rows, off_mm))
     measured = replace(take, positions=faults.hide_unmeasured(take.positions))

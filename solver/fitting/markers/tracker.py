@@ -245,16 +245,20 @@ class MarkerTracker:
         inner = term.inner(term.place(self.places.at(self.tracker.state.x)))
         return np.asarray(by_controls.T @ inner @ by_controls)
 
-    def _information_by(self, term: MarkerTerm) -> Posterior:
-        """Return the posterior by a frame alone: that of one before while weights are alike."""
+    def _information_by(self, term: MarkerTerm, normal: Floats | None = None) -> Posterior:
+        """Return the posterior by a frame alone: that of one before while weights are alike.
+
+        ``normal`` is :meth:`_normal`, if that is known.
+        """
         jacobian, weights = self.tracker.jacobian, term.precision
         assert jacobian is not None, "made when tracking began"
         if self._last_information is not None and self._last_information[0] is jacobian:
             before = self._last_information[1]
             if np.all(np.abs(weights - before) <= self.options.alike * np.maximum(weights, before)):
                 return self._last_information[2]
-        self._last_information = jacobian, weights, self.alone(self._normal(term))
-        return self._last_information[2]
+        alone = self.alone(self._normal(term) if normal is None else normal)
+        self._last_information = jacobian, weights, alone
+        return alone
 
     def _held(self, alone: Posterior) -> np.ndarray:
         """Return which muscles (m,) a frame does not determine."""
@@ -300,7 +304,7 @@ class MarkerTracker:
         # markers determine no control of a frame that keeps those of another
         kept, size = ending == "kept", state.pose.layout.size
         normal = np.zeros((size, size)) if kept else self._normal(term)
-        alone = self.alone(normal) if kept else self._information_by(term)
+        alone = self.alone(normal) if kept else self._information_by(term, normal)
         sure = prior
         if self.memory is not None:
             memory, time = self.memory, self.options.forgetting

@@ -63,8 +63,7 @@ class ReducedPlaces(MarkerPlaces):
             b = self._sliders.pose(x).b
             direct = jaw_jacobian(self._jaw, self._rest[self._on_jaw], b)
             by_corner[self._on_jaw] = direct @ self._jaw_rates
-        local = self.by_corners(x)
-        return np.asarray(local @ by_corner.reshape(len(local), 9, -1)).reshape(-1, len(x))
+        return self.motion(x, by_corner.reshape(len(self), 9, -1))
 
 
 @dataclass(frozen=True)

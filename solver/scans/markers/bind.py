@@ -25,7 +25,7 @@ from solver.scans.markers.face_take import (
     choose_face,
     locate_take,
 )
-from solver.scans.markers.locate import Located, heights_over
+from solver.scans.markers.locate import Located, LocateOptions, heights_over
 from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, places_over
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity
@@ -36,7 +36,7 @@ from solver.surface import Floats, Surface, area_normals, unit_rows
 class BindOptions:
     """Limits of what a marker is bound to; lengths in mm."""
 
-    off_skin: float = 15.0  # farther from the skin it is no marker of the face ...
+    off_skin: float = LocateOptions.off_skin  # farther from the skin it is of no face ...
     above: float = 45.0  # ... but of the head, if it is so far above the nose's tip ...
     of_head: float = 260.0  # ... and no farther from it than this
     usual_height: float = 2.0  # of markers over the skin

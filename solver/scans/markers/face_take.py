@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from solver.errors import InputError
 from solver.registration.units import likely_unit
 from solver.scans.markers.faults import Faults, find_faults
-from solver.scans.markers.locate import Located, locate
+from solver.scans.markers.locate import Located, LocateOptions, locate
 from solver.scans.markers.motion import Mask, Motion, Second, median_of_seen, still_seconds
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
@@ -34,7 +34,7 @@ class FaceOptions:
     second: float = 0.4  # of the first face's markers make another face ...
     least_second: int = 6  # ... if they are so many
     seconds: int = 10  # in which the face is still, to compare with the person
-    off_skin: float = 15.0  # a marker counts for no more in that
+    off_skin: float = LocateOptions.off_skin  # a marker counts for no more in that
 
 
 FACE = FaceOptions()
@@ -170,14 +170,13 @@ def locate_take(
     faults = find_faults(face.mm * face.take.positions[:, face.numbers], face.rate)
     motion = faults.motion
     if neutral:
-        seconds = [Second(*neutral)]
+        seconds = [Second(neutral)]
     else:
         seconds = still_seconds(motion, face.rate, options.seconds if compared else 1)
     found, least = None, np.inf
     for second in seconds:
-        rows = second.first, second.last
-        points = _rest_points(motion, rows) / face.mm
-        here = LocatedTake(face, faults, rows, points, None)
+        points = _rest_points(motion, second.rows) / face.mm
+        here = LocatedTake(face, faults, second.rows, points, None)
         if here.distinct >= options.least:
             here = replace(here, pose=locate(points, face.names, skin))
         cost = second.unrest + _unlikeness(here.pose, options)

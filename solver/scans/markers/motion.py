@@ -180,8 +180,7 @@ class NeutralOptions:
 class Second:
     """First and last row of a second, and how much the face stirs in it, mm."""
 
-    first: int
-    last: int
+    rows: tuple[int, int]
     unrest: float = 0.0
 
 
@@ -193,7 +192,7 @@ def find_neutral(
     Of two that are equally still it is the one nearer to the median face.
     """
     (stillest,) = still_seconds(motion, rate, 1, options)
-    return stillest.first, stillest.last
+    return stillest.rows
 
 
 def still_seconds(
@@ -220,8 +219,8 @@ def still_seconds(
     for first in np.argsort(cost, kind="stable").tolist():
         if found and not np.isfinite(cost[first]):
             break
-        if all(abs(first - each.first) >= window for each in found):
-            found.append(Second(first, first + window - 1, float(cost[first])))
+        if all(abs(first - each.rows[0]) >= window for each in found):
+            found.append(Second((first, first + window - 1), float(cost[first])))
             if len(found) == count:
                 break
     return found
