@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from solver.anatomy.contact_regions import LOWER, UPPER
-from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
+from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth, area_weighted_normals
 from solver.errors import InputError
 from solver.surface import Floats, Ints, Surface, directed_edges, inside
 
@@ -109,7 +109,7 @@ class NearLips:
     """
 
     def __init__(self, mouth: Mouth, rest: Floats, options: NearOptions = NearOptions()) -> None:
-        self._mouth, self._options = mouth, options
+        self._options = options
         first, second = directed_edges(mouth.flesh).T
         corner = first[mouth.side[first] * mouth.side[second] < 0]
         inner = np.ones(len(rest), bool)
@@ -118,10 +118,11 @@ class NearLips:
             inner = ~np.isfinite(near)
         sides = [np.flatnonzero((mouth.side == lip) & inner) for lip in (UPPER, LOWER)]
         self._pairs = [(own[:: options.every], other) for own, other in (sides, sides[::-1])]
+        self._faces = mouth.faces[np.isin(mouth.faces, np.concatenate(sides)).any(axis=1)]
 
     def overlap(self, points: Floats) -> Overlap:
         """Estimate the overlap at ``points`` (m, 3) of the mouth, with tangent planes' depths."""
-        options, normals = self._options, self._mouth.normals(points)
+        options, normals = self._options, area_weighted_normals(points, self._faces)
         ids, partners = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
         for few, other in self._pairs:
             if not (len(few) and len(other)):

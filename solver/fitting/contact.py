@@ -189,6 +189,9 @@ def _lips(mouth: Mouth, overlap: Overlap, slack: float, weight: float) -> _Touch
     """Return the lips' vertices that are deeper than the slack in the other lip."""
     deep = overlap.where(overlap.depth > slack)
     count = len(mouth.label)
+    if not len(deep.ids):  # as in most poses
+        none = np.empty(0)
+        return _Touching(none, sp.csr_array((0, 3 * mouth.rows.shape[1])), none)
     # the nearest point's place in its triangle is at a minimum: its change does not count
     nearest = rows_of(deep.corners, deep.shares, count)
     vertex = rows_of(deep.ids[:, None], np.ones((len(deep.ids), 1)), count)

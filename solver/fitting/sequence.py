@@ -202,9 +202,10 @@ class _FrameProblem:
         gradient = jacobian.adjoint(self.data.gradient(point.x))
         gradient += self.regulariser.gradient(point.pose)
         hessian = self.lagged.hessian + self.regulariser.gauss_newton(point.pose)
-        if self.contact is not None and self.contact.value(point.x):
-            gradient += jacobian.adjoint(self.contact.gradient(point.x))
-            hessian += jacobian.contract(self.contact.curvature(point.x))
+        # contact is found anew for every x: where f's value has found it
+        if self.contact is not None and self.contact.value(point.estimate):
+            gradient += jacobian.adjoint(self.contact.gradient(point.estimate))
+            hessian += jacobian.contract(self.contact.curvature(point.estimate))
         return DenseModel(point.pose.layout, hessian, gradient, point.pose.vector())
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
