@@ -132,9 +132,9 @@ def draw(
     }
     S, scanned = fit_geometry(face, {name: goals[name] for name in scans}, rounds)
     known = Linearisation(face.with_weights(S))
-    posterior = known.posterior([known.information(state) for state in scanned.values()])
-    library = Library(known, {name: {"both": points} for name, points in goals.items()})
-    gains = {each.name: each.gain_mm for each in library.rank(posterior)}
+    information = [known.information(state) for state in scanned.values()]
+    library = Library(known, information, {name: {"both": each} for name, each in goals.items()})
+    gains = {each.name: each.gain_mm for each in library.rank()}
     left = [name for name in gains if name not in scans]
     tried = [left[0], *(str(name) for name in rng.choice(left[1:], OTHERS, replace=False))]
     rest = dict.fromkeys(unseen, face.rest)

@@ -9,10 +9,15 @@ With the noise's precision W and the pose's prior precision R, eliminating dp le
     I = X^T (W - W Z (Z^T W Z + R)^-1 Z^T W) X,
 
 the matrix of :mod:`solver.fitting.joint` in few unknowns. It is the information that a scan of the
-expression adds, and at once what an error of theta costs there: theta . I theta is the least
-weighted squared distance that the pose leaves. So scans k leave the posterior (P + sum_k I_k)^-1 of
-theta, and an expression e never scanned an expected mean square error tr(I_e C) by what is not
-known of S.
+expression adds, (P + sum_k I_k)^-1 being the posterior of theta after scans k, and at once what an
+error of theta costs there. With g = X^T (...) r of what a fit leaves, r, in the same projection,
+
+    d^2(theta) = d^2(0) - 2 g . theta + theta . I theta
+
+is the least squared distance to the expression by another S (:class:`Misfit`). A scan e takes S one
+Gauss-Newton step on, theta_e = (P + sum_k I_k + I_e)^-1 g_e; its gain is by how much that lowers d
+over a library of expressions. What is not known of S alone, tr I_e C, says little of it: there is
+much in S that no expression needs.
 
 Conditioned on the template's fibres and muscles near each tet, on the law, and on the states it is
 linearised at; S within a muscle finer than its slopes counts as known. Distances that no S could
@@ -21,7 +26,7 @@ explain are part of the noise.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +49,8 @@ class InformationOptions:
     # errors of a scan are smooth: so many of its points err independently
     independent: float = 200.0
     weight_sd: float = 0.1  # of S, which is a fraction of a tet's volume
+    # so far S goes for one more scan: with it the gains of 120 fits are predicted best
+    step_sd: float = 0.03
     activation_sd: float = 0.3  # of an entry of an activation, around that of the fit
     jaw_sd_mm: float = 5.0  # of the jaw's motion at the chin
 
@@ -105,6 +112,24 @@ def pose_precision(face: Face, options: InformationOptions = InformationOptions(
     return np.diag(face.layout.join([by_muscle, by_jaw]))
 
 
+@dataclass(frozen=True)
+class Misfit:
+    """The least weighted squared distance d^2 to an expression, as it goes with theta (n,)."""
+
+    information: Floats  # I (n, n)
+    slope: Floats  # g (n,)
+    squared: float  # at theta = 0
+
+    def at(self, theta: Floats) -> float:
+        """Return d^2 by another S; the linear model makes it no less than 0."""
+        found = self.squared - 2.0 * self.slope @ theta + theta @ self.information @ theta
+        return max(float(found), 0.0)
+
+    def after(self, theta: Floats) -> Misfit:
+        """Return the misfit as counted from ``theta``."""
+        return Misfit(self.information, self.slope - self.information @ theta, self.at(theta))
+
+
 class Linearisation:
     """Makes the matrices I (4 m, 4 m) of states of one face, in ``modes`` of its S.
 
@@ -121,10 +146,14 @@ class Linearisation:
         self._precision = pose_precision(face, options) if precision is None else precision
 
     def information(self, state: PosedFace, weights: Floats | None = None) -> Floats:
-        """Return I of one state; ``weights`` (k,) are of the face's points, none of 0 is seen.
+        """Return I of one state, as :meth:`misfit`."""
+        return self.misfit(state, self.face.face_points(state.x), weights).information
 
-        Raises :class:`SolveError` (``solve.not_finite``) where the state is no equilibrium that
-        has derivatives.
+    def misfit(self, state: PosedFace, points: Floats, weights: Floats | None = None) -> Misfit:
+        """Return the misfit of ``points`` (k, 3) that ``state`` was fitted to.
+
+        ``weights`` (k,) are of the points, none of 0 is seen. Raises :class:`SolveError`
+        (``solve.not_finite``) where the state is no equilibrium that has derivatives.
         """
         face, sensitivity = self.face, Sensitivity(self.face, state)
         weights = np.ones(len(face.model.face)) if weights is None else weights
@@ -134,29 +163,37 @@ class Linearisation:
         by_weights = sensitivity.response.motions(SparseControls(forces, held))
         by_pose = sensitivity.response.motions(sensitivity.pose)
         share = np.sqrt(weights[seen] / weights.sum() * self.options.independent)
-        root = sp.diags_array(share / self.options.noise_mm) @ face.face_embedding[seen]
+        share /= self.options.noise_mm
+        root = sp.diags_array(share) @ face.face_embedding[seen]
         X, Z = (
             np.asarray(root @ by.reshape(len(by), -1)).reshape(3 * len(seen), -1)
             for by in (by_weights, by_pose)
         )
-        coupling, known = Z.T @ X, Z.T @ Z + self._precision
+        left = share[:, None] * (points[seen] - face.face_points(state.x)[seen])
+        rows = np.column_stack([X, left.ravel()])
+        coupling, known = Z.T @ rows, Z.T @ Z + self._precision
         try:
-            found = X.T @ X - coupling.T @ scipy.linalg.solve(known, coupling, assume_a="pos")
+            pose = scipy.linalg.solve(known, coupling, assume_a="pos")
         except (np.linalg.LinAlgError, ValueError) as error:
             message = f"no information of a state: {error}"
             raise SolveError("solve.not_finite", message) from error
-        return np.asarray(0.5 * (found + found.T))
+        found = rows.T @ rows - coupling.T @ pose
+        found = 0.5 * (found + found.T)
+        return Misfit(found[:-1, :-1], found[:-1, -1], float(found[-1, -1]))
 
-    def posterior(self, scanned: Sequence[Floats]) -> Posterior:
-        """Return the posterior of theta after scans of the matrices ``scanned``."""
-        size = self.modes.matrix.shape[1]
-        prior = np.eye(size) / self.options.weight_sd**2
+    def posterior(self, scanned: Sequence[Floats], weight_sd: float | None = None) -> Posterior:
+        """Return the posterior of theta after scans of the matrices ``scanned``.
+
+        ``weight_sd`` stands in for that of the options.
+        """
+        size, sd = self.modes.matrix.shape[1], weight_sd or self.options.weight_sd
+        prior = np.eye(size) / sd**2
         return Posterior.of_normal(sum(scanned, np.zeros((size, size))), prior)
 
-    def error_mm(self, posterior: Posterior, unseen: Floats) -> float:
-        """Return the expected rms distance, mm, that the uncertainty of S adds to an expression."""
-        squared = float(np.vdot(unseen, posterior.covariance))
-        return self.options.noise_mm * float(np.sqrt(squared / self.options.independent))
+    def error_mm(self, misfits: Iterable[Misfit], theta: Floats) -> float:
+        """Return the mean over expressions of their rms distance, mm, by another S."""
+        unit = self.options.noise_mm * self.options.independent**-0.5
+        return float(np.mean([unit * np.sqrt(misfit.at(theta)) for misfit in misfits]))
 
 
 @dataclass(frozen=True)
@@ -196,17 +233,22 @@ class Proposal:
         return self.before_mm - self.after_mm
 
 
-def rank(
-    linearisation: Linearisation, posterior: Posterior, library: Mapping[str, Floats]
-) -> list[Proposal]:
-    """Rank a ``library``, name -> I, by the gain of a scan of each after ``posterior``, best first.
+def step_towards(posterior: Posterior, misfit: Misfit) -> Floats:
+    """Return theta (n,) of the Gauss-Newton step that one more scan takes S, by its ``misfit``."""
+    return np.asarray(posterior.after(misfit.information).covariance @ misfit.slope)
 
-    The expected error is that over the whole library, the expression itself included.
+
+def rank(
+    linearisation: Linearisation, posterior: Posterior, library: Mapping[str, Misfit]
+) -> list[Proposal]:
+    """Rank a ``library`` by the gain of a scan of each after ``posterior``, best first.
+
+    The error is that over the whole library, the expression itself included.
     """
-    everywhere = np.mean(list(library.values()), axis=0)
-    before = linearisation.error_mm(posterior, everywhere)
+    misfits = [*library.values()]
+    before = linearisation.error_mm(misfits, np.zeros(len(posterior.covariance)))
     found = []
-    for name, matrix in library.items():
-        after = linearisation.error_mm(posterior.after(matrix), everywhere)
+    for name, misfit in library.items():
+        after = linearisation.error_mm(misfits, step_towards(posterior, misfit))
         found.append(Proposal(name, before, after))
     return sorted(found, key=lambda proposal: proposal.after_mm)

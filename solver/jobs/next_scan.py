@@ -46,11 +46,11 @@ def run(task: Task[NextScan]) -> list[Path]:
         done = SCANNED + (0.95 - SCANNED) * number / len(targets)
         progress(Step("library", done, number + 1, message=name))
 
-    library = Library(linearisation, targets, listen=listen)
-    suggestions = library.suggest(posterior, given.count)
+    library = Library(linearisation, scanned, targets, listen=listen)
+    suggestions = library.suggest(given.count)
     words = suggestion_words(suggestions)
     muscles = MuscleInformation.of(posterior, linearisation.modes.places, len(scanned))
-    ranked = library.rank(posterior)
+    ranked = library.rank()
     report = {
         "words": words,
         "next": [suggestion_figures(each) for each in suggestions],

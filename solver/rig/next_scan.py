@@ -2,13 +2,13 @@
 
 Every shape of the template that muscles make, both sides of it together, is put on the person's
 neutral, fitted roughly with the S that is known so far, and linearised there
-(:mod:`solver.fitting.geometry_information`). The best scan is the one after which the whole library
-is expected to fit best. A side alone is proposed where it adds nearly all that both would.
+(:mod:`solver.fitting.geometry_information`). The best scan is the one after which S is expected to
+fit the whole library best. A side alone is proposed where it adds nearly all that both would.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, PosedFace
-from solver.fitting.geometry_information import Linearisation, Proposal, rank
+from solver.fitting.geometry_information import Linearisation, Misfit, Proposal, rank, step_towards
 from solver.fitting.information import Posterior
 from solver.fitting.objective import SkinDistance, Target
 from solver.model import SubjectModel
@@ -110,11 +110,15 @@ def library_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, 
 
 
 class Library:
-    """The template's expressions on one face: their information, fitted and linearised in turn."""
+    """The template's expressions on one face: their misfits, fitted and linearised in turn.
+
+    ``scanned`` are the matrices I of what has been scanned.
+    """
 
     def __init__(
         self,
         linearisation: Linearisation,
+        scanned: Sequence[Floats],
         targets: Mapping[str, Mapping[str, Floats]],
         options: NextScanOptions = NextScanOptions(),
         listen: Callable[[str, int], None] | None = None,
@@ -123,51 +127,60 @@ class Library:
         face = linearisation.face
         self._regulariser = activation.unseen_regulariser(face)
         self._curvature = activation.rest_curvature(face)
-        self.information: dict[str, Floats] = {}
+        self._reached = linearisation.posterior(scanned, linearisation.options.step_sd)
+        self.misfits: dict[str, Misfit] = {}
         self.failed: list[str] = []
         for number, name in enumerate(targets):
             if listen:
                 listen(name, number)
-            matrix = self._of(targets[name]["both"])
-            if matrix is None:
+            misfit = self._of(targets[name]["both"])
+            if misfit is None:
                 self.failed.append(name)
             else:
-                self.information[name] = matrix
-        if not self.information:
+                self.misfits[name] = misfit
+        if not self.misfits:
             raise SolveError("fit.failed", "no expression of the template could be fitted")
 
-    def rank(self, posterior: Posterior) -> list[Proposal]:
+    def rank(self) -> list[Proposal]:
         """Return all by their expected gain, best first."""
-        return rank(self._linearisation, posterior, self.information)
+        return rank(self._linearisation, self._reached, self.misfits)
 
-    def suggest(self, posterior: Posterior, count: int) -> list[Suggestion]:
+    def suggest(self, count: int) -> list[Suggestion]:
         """Return up to ``count`` expressions to scan in turn, each the best after those before."""
         found: list[Suggestion] = []
         done: set[str] = set()
-        while len(found) < min(count, len(self.information)):
-            best = next(each for each in self.rank(posterior) if each.name not in done)
-            found.append(Suggestion(best.name, self._side(posterior, best), best))
-            posterior = posterior.after(self.information[best.name])
+        reached, misfits = self._reached, self.misfits
+        theta = np.zeros(len(reached.covariance))
+        while len(found) < min(count, len(misfits)):
+            ranked = rank(self._linearisation, reached, misfits)
+            best = next(each for each in ranked if each.name not in done)
+            found.append(Suggestion(best.name, self._side(reached, theta, misfits, best), best))
             done.add(best.name)
+            step = step_towards(reached, misfits[best.name])
+            reached = reached.after(misfits[best.name].information)
+            theta = theta + step
+            misfits = {name: misfit.after(step) for name, misfit in misfits.items()}
         return found
 
-    def _side(self, posterior: Posterior, proposal: Proposal) -> str:
-        """Return the side that adds nearly as much as both."""
+    def _side(
+        self, reached: Posterior, theta: Floats, misfits: Mapping[str, Misfit], proposal: Proposal
+    ) -> str:
+        """Return the side that adds nearly as much as both, S being ``theta`` off the known one."""
         enough = self._options.one_side * proposal.gain_mm
         for side, points in self._targets[proposal.name].items():
-            matrix = None if side == "both" else self._of(points)
-            if matrix is None:
+            misfit = None if side == "both" else self._of(points)
+            if misfit is None:
                 continue
-            everywhere = np.mean(list(self.information.values()), axis=0)
-            after = self._linearisation.error_mm(posterior.after(matrix), everywhere)
+            step = step_towards(reached, misfit.after(theta))
+            after = self._linearisation.error_mm(misfits.values(), step)
             if proposal.before_mm - after >= enough:
                 return side
         return ""
 
-    def _of(self, points: Floats) -> Floats | None:
-        """Return the information of a scan of ``points`` (k, 3); None where none fits them."""
+    def _of(self, points: Floats) -> Misfit | None:
+        """Return the misfit of ``points`` (k, 3); None where nothing fits them."""
         try:
-            return self._linearisation.information(self._fit(points))
+            return self._linearisation.misfit(self._fit(points), points)
         except SolveError:
             return None
 

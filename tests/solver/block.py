@@ -120,3 +120,19 @@ def poses(count):
         a = np.array([[s, 0.05, 0.0, 1.0 / np.sqrt(s), 0.0, 1.0 / np.sqrt(s)] for s in stretch])
         found.append(Pose(a, np.array([rng.uniform(0.0, 0.15), 0.02, 0.2, -0.5, 0.4])))
     return found
+
+
+def thinner(S: sp.csr_array, column: int, part: float = 0.3) -> sp.csr_array:
+    """Return S with ``part`` of a muscle in the first half of its tets, where flesh is passive.
+
+    All of it thinner alike would be made up for by more activation.
+    """
+    dense = S.toarray()
+    own = np.flatnonzero(dense[:, column])
+    half = own[: len(own) // 2]
+    dense[half, 0] += (1.0 - part) * dense[half, column]
+    dense[half, column] *= part
+    rows = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
+    found = S.copy()
+    found.data = dense[rows, S.indices]
+    return found

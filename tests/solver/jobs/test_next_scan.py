@@ -17,7 +17,7 @@ from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
 from solver.rig.next_scan import library_targets
 from solver.rig.rig import ExpressionFit, Rig
-from tests.solver.block import head_block
+from tests.solver.block import head_block, thinner
 
 MODEL = head_block((7, 5, 1))
 PULL = np.array([0.75, 0.02, 0.0, 1.15, 0.0, 1.15])
@@ -25,8 +25,8 @@ PULL = np.array([0.75, 0.02, 0.0, 1.15, 0.0, 1.15])
 
 @pytest.fixture(scope="module")
 def fits() -> dict[str, ExpressionFit]:
-    """One muscle at a time, and an open jaw, simulated."""
-    face, found = Face(MODEL), {}
+    """One muscle at a time, and an open jaw, of somebody whose right muscle fills less flesh."""
+    face, found = Face(MODEL).with_weights(thinner(MODEL.weights, 2)), {}
     for name, muscles, hinge in (("Left", (0,), 0.0), ("Right", (1,), 0.0), ("jaw", (), 0.1)):
         a = np.tile(IDENTITY, (2, 1))
         a[list(muscles)] = PULL
@@ -44,11 +44,13 @@ def basis(fits: dict[str, ExpressionFit], names: dict[str, str]) -> ShapeBasis:
     return ShapeBasis(none, shapes.astype(np.float32), tuple(names))
 
 
-def test_what_no_scan_has_moved_is_proposed(
+def test_the_muscle_whose_s_is_wrong_is_proposed(
     tmp_path: Path, fits: dict[str, ExpressionFit], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = {"mouthSmileLeft": "Left", "mouthSmileRight": "Right", "jawOpen": "jaw"}
-    template = SimpleNamespace(shapes=basis(fits, names))
+    shapes = basis(fits, names)
+    shapes.expressions[0] *= 0.3  # a smile of the right side above all
+    template = SimpleNamespace(shapes=shapes)
     monkeypatch.setattr(next_scan, "builtin_template", lambda: template)
     Rig(MODEL, MODEL.weights, (fits["Left"],)).save(tmp_path / "rig.npz")
     steps: list[Step] = []
