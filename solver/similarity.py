@@ -115,6 +115,20 @@ def robust_motion(
     return motion
 
 
+def robust_motion_of_seen(
+    source: Floats, target: Floats, slack: float, steps: int, least: int
+) -> Similarity | None:
+    """Return :func:`robust_motion` of the points that are finite in both; None of too few.
+
+    It starts from the motion by least squares.
+    """
+    known = np.isfinite(source).all(axis=1) & np.isfinite(target).all(axis=1)
+    if known.sum() < least:
+        return None
+    pair, even = (source[known], target[known]), np.ones(int(known.sum()))
+    return robust_motion(*pair, even, slack, steps, weighted_motion(*pair, even))
+
+
 def _nearest_rotation(moments: Floats) -> tuple[Floats, Floats]:
     """Return rotations R (..., 3, 3) with the greatest tr(R^T moments), and these traces."""
     u, sigma, vt = np.linalg.svd(moments)

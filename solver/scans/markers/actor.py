@@ -24,13 +24,13 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 
 from solver.errors import Finding, InputError, make_warning, quote_names
-from solver.scans.markers.bind import rest_places
+from solver.scans.markers.bind import places_of
 from solver.scans.markers.faults import Faults, find_faults
 from solver.scans.markers.locate import FLIP, fit_most
 from solver.scans.markers.marker_set import BONY, MarkerSet
 from solver.scans.markers.motion import Mask, Motion, find_neutral, median_of_seen, rms_of_seen
 from solver.scans.markers.take import Take
-from solver.similarity import IDENTITY, Similarity, robust_motion, weighted_motion
+from solver.similarity import IDENTITY, Similarity, robust_motion_of_seen
 from solver.surface import Floats, Surface
 
 
@@ -109,7 +109,7 @@ def carry(
         raise _few_error(take.file, int(np.sum(~on_bone)), options)
     faults = find_faults(scale * take.positions, rate)
     motion, rows = faults.motion, neutral or find_neutral(faults.motion, rate)
-    rest, goal = _at_rest(motion, rows), _places_of(take.labels, markers, skin)
+    rest, goal = _at_rest(motion, rows), places_of(take.labels, markers, skin)
     warp = fit_warp(take.file, rest, goal, on_bone, markers.session.rotation, options)
     turns, shifts = _head_motions(motion, warp.similarity, sum(rows) // 2)
     places = _carry_labels(faults, warp)
@@ -141,24 +141,14 @@ def off_places(
 ) -> float:
     """Return how far a take's markers at rest are off a set's places, mm rms; 0 for too few."""
     rest = _at_rest(motion, rows) @ markers.session.rotation.T
-    goal = _places_of(take.labels, markers, skin)
-    known = np.isfinite(rest[:, 0]) & np.isfinite(goal[:, 0])
-    if known.sum() < options.least:
+    goal = places_of(take.labels, markers, skin)
+    to_places = robust_motion_of_seen(rest, goal, options.slack, options.steps, options.least)
+    if to_places is None:
         return 0.0
-    pair, even = (rest[known], goal[known]), np.ones(int(known.sum()))
-    start = weighted_motion(*pair, even)
-    placed = robust_motion(*pair, even, options.slack, options.steps, start)(rest[known])
-    return rms_of_seen(np.linalg.norm(placed - goal[known], axis=1))
+    return rms_of_seen(np.linalg.norm(to_places(rest) - goal, axis=1))
 
 
 # Rest, and the warp from one face to the other.
-
-
-def _places_of(labels: Sequence[str], markers: MarkerSet, skin: Surface) -> Floats:
-    """Return the places of labels (k, 3) at rest on the person, NaN for those without one."""
-    row = {label: number for number, label in enumerate(markers.labels)}
-    places = np.vstack([rest_places(markers, skin), np.full(3, np.nan)])
-    return np.asarray(places[[row.get(label, -1) for label in labels]])
 
 
 def _at_rest(motion: Motion, rows: tuple[int, int]) -> Floats:

@@ -6,6 +6,7 @@ lies: to the skin with a height over it, or to the bone that it rides on. A chec
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -243,3 +244,10 @@ def rest_places(markers: MarkerSet, skin: Surface) -> Floats:
     on_skin = places_over(skin.vertices[markers.vertices], markers.weights, markers.heights)
     is_face = np.array([each.part == "face" for each in markers.markers], bool)
     return np.where(is_face[:, None], on_skin, markers.places)
+
+
+def places_of(labels: Sequence[str], markers: MarkerSet, skin: Surface) -> Floats:
+    """Return :func:`rest_places` of labels (k, 3), NaN for those that are not in the set."""
+    row = {label: number for number, label in enumerate(markers.labels)}
+    places = np.vstack([rest_places(markers, skin), np.full(3, np.nan)])
+    return np.asarray(places[[row.get(label, -1) for label in labels]])

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from solver.scans.markers.bind import place_on, rest_places
+from solver.scans.markers.bind import place_on, places_of
 from solver.scans.markers.faults import Faults
 from solver.scans.markers.marker_set import Marker, MarkerSet, span_label
 from solver.scans.markers.motion import Motion, median_of_seen
 from solver.scans.markers.take import Take
-from solver.similarity import robust_motion, weighted_motion
+from solver.similarity import robust_motion_of_seen
 from solver.surface import Floats, Surface
 
 
@@ -43,22 +43,19 @@ def split_moved(
     markers = markers.for_take(take.labels)
     if not faults.moved:
         return take, markers
-    rest = rest_places(markers, skin)
-    rows = {label: row for row, label in enumerate(markers.labels)}
-    bound = np.array([rows.get(label, -1) for label in take.labels])
-    goal = np.where((bound >= 0)[:, None], rest[bound], np.nan)
+    goal = places_of(take.labels, markers, skin)
     in_person = _in_person(faults.motion, markers, goal, options)
     labels, columns, now = list(take.labels), list(range(len(take.labels))), list(markers.markers)
     positions = take.positions.copy()
     for column, span in faults.moved.items():
         if in_person is None or np.isnan(goal[column, 0]):
             continue
-        first, row = span.first, int(bound[column])
+        first, row = span.first, markers.labels.index(labels[column])
         places, residuals = in_person[0][:, column], in_person[1][:, column]
-        away = [median_of_seen(part) - rest[row] for part in (places[:first], places[first:])]
+        away = [median_of_seen(part) - goal[column] for part in (places[:first], places[first:])]
         step = median_of_seen(residuals[first:]) - median_of_seen(residuals[:first])
         is_of_first = np.linalg.norm(away[0]) <= np.linalg.norm(away[1])
-        before = rest[row] if is_of_first else rest[row] - step
+        before = goal[column] if is_of_first else goal[column] - step
         label = span_label(labels[column], take.numbers[first])
         now.append(replace(_move_to(now[row], before + step, skin), label=label))
         now[row] = _move_to(now[row], before, skin)
@@ -80,12 +77,10 @@ def _in_person(
     """
     turn = markers.session.rotation.T  # it mirrors if the take's axes are left-handed
     middle = motion.middle @ turn
-    known = np.isfinite(middle[:, 0]) & np.isfinite(goal[:, 0])
-    if known.sum() < options.least:
+    least, slack = options.least, options.slack_mm
+    to_person = robust_motion_of_seen(middle, goal, slack, options.steps, least)
+    if to_person is None:
         return None
-    pair, even = (middle[known], goal[known]), np.ones(int(known.sum()))
-    start = weighted_motion(*pair, even)
-    to_person = robust_motion(*pair, even, options.slack_mm, options.steps, start)
     return to_person(motion.places @ turn), to_person.turn(motion.residuals @ turn)
 
 
