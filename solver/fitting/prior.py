@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,7 +30,8 @@ from solver.fitting.information import inverse_of_positive
 from solver.fitting.objective import Prior, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
 from solver.mechanics.boundary import FreeJaw
-from solver.surface import Floats
+from solver.mechanics.jaw_tracks import nearest_jaw
+from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,12 @@ class PriorOptions:
     )
     other_floor: float = 0.03  # of a block that is not named
     large_mm: float = 1.0  # mean motion of the face from which a shape is fitted ...
-    fitted_part: float = 0.5  # ... at this part of it, ...
+    fitted_parts: tuple[float, ...] = (0.5,)  # ... at these parts of it, ...
     fitted_from: float = 0.7  # ... from so much of what is linear
+    # the same for a jaw on tracks, which is held where the shape has the teeth: muscles that make
+    # up for flesh far off them do so otherwise half way
+    parts_on_tracks: tuple[float, ...] = (0.5, 1.0)
+    held: float = 100.0  # weight of that, per squared unit of the jaw
     effort: ActivationOptions = field(default_factory=lambda: ActivationOptions(8, tolerance=3e-3))
 
 
@@ -71,10 +76,15 @@ LOOSE = PriorOptions(
 
 @dataclass(frozen=True)
 class GaussianPrior:
-    """-log of N(mean, covariance) over the controls q (k,), but for a constant."""
+    """-log of N(mean, covariance) over the controls q (k,), but for a constant.
+
+    ``shapes`` (e, v, 3) are the motions of the whole skin, mm, of the template's expressions that
+    it is of.
+    """
 
     mean: Floats
     covariance: Floats  # (k, k)
+    shapes: NDArray[np.floating] | None = None
 
     @cached_property
     def precision(self) -> Floats:
@@ -112,23 +122,30 @@ def kept_part(seconds: float, time: float) -> float:
 
 
 @dataclass(frozen=True)
-class Hold:
-    """w/2 |q - mean|^2 with weights w (k,), 0 for controls that are free."""
+class PartPrior:
+    """-log of N(mean, P^-1) over some entries of the controls (size,), but for a constant."""
 
-    mean: Floats  # (k,)
-    weights: Floats
+    size: int
+    places: Ints  # (j,) of the entries
+    mean: Floats  # (j,)
+    precision: Floats  # P (j, j)
 
     def value(self, pose: Pose) -> float:
         """See :class:`~solver.fitting.objective.Prior`."""
-        return float(0.5 * self.weights @ (pose.vector() - self.mean) ** 2)
+        away = pose.vector()[self.places] - self.mean
+        return float(0.5 * away @ self.precision @ away)
 
     def gradient(self, pose: Pose) -> Floats:
         """See :class:`~solver.fitting.objective.Prior`."""
-        return np.asarray(self.weights * (pose.vector() - self.mean))
+        out = np.zeros(self.size)
+        out[self.places] = self.precision @ (pose.vector()[self.places] - self.mean)
+        return out
 
     def gauss_newton(self, pose: Pose) -> Floats:  # noqa: ARG002 - it is the same everywhere
         """See :class:`~solver.fitting.objective.Prior`."""
-        return np.diag(self.weights)
+        out = np.zeros((self.size, self.size))
+        out[np.ix_(self.places, self.places)] = self.precision
+        return out
 
 
 @dataclass(frozen=True)
@@ -182,7 +199,8 @@ def from_shapes(
     of a jaw on tracks, of the lower teeth. A free jaw follows the skin alone: it has the freedom
     to make up for flesh that moves otherwise than the shapes.
     """
-    return from_changes(face.layout, _linear_changes(face, shapes), options)
+    known = from_changes(face.layout, _linear_changes(face, shapes), options)
+    return replace(known, shapes=shapes)
 
 
 def from_fitted_shapes(
@@ -197,17 +215,27 @@ def from_fitted_shapes(
     open mouths, with fits 0.96 mm. A fit takes a second; ``listen`` gets the part that is done. A
     shape that cannot be fitted keeps its linear response.
     """
-    changes = _linear_changes(face, shapes)
+    linear = _linear_changes(face, shapes)
     large = np.flatnonzero(_mean_motion(face, shapes) > options.large_mm)
+    changes = [linear[number] for number in range(len(shapes)) if number not in large]
+    parts = options.parts_on_tracks if follows_teeth(face) else options.fitted_parts
     for count, number in enumerate(large.tolist()):
-        with suppress(SolveError):
-            changes[number] = _fitted_change(face, shapes[number], changes[number], options)
+        fitted = []
+        for part in parts:
+            with suppress(SolveError):
+                fitted.append(_fitted_change(face, shapes[number], linear[number], part, options))
+        changes.extend(fitted or [linear[number]])
         listen((count + 1) / len(large))
-    return from_changes(face.layout, changes, options)
+    return replace(from_changes(face.layout, changes, options), shapes=shapes)
 
 
 def _mean_motion(face: Face, shapes: NDArray[np.floating]) -> Floats:
     return np.asarray(np.linalg.norm(shapes[:, face.model.face], axis=2).mean(axis=1))
+
+
+def follows_teeth(face: Face) -> bool:
+    """Tell whether shapes' teeth say where the jaw is, which their skin does of a free one."""
+    return len(face.model.lower_teeth) > 0 and not isinstance(face.jaw, FreeJaw)
 
 
 def _linear_changes(face: Face, shapes: NDArray[np.floating]) -> Floats:
@@ -216,8 +244,8 @@ def _linear_changes(face: Face, shapes: NDArray[np.floating]) -> Floats:
     hessian = rest_curvature(face) + unseen_regulariser(face).gauss_newton(face.rest.pose)
     moved = np.asarray(shapes[:, face.model.face], np.float64) * (2.0 / len(face.model.face))
     pulls = np.array([jacobian.adjoint(face.face_embedding.T @ shape) for shape in moved])
-    teeth = face.model.lower_teeth
-    if len(teeth) and not isinstance(face.jaw, FreeJaw):
+    if follows_teeth(face):
+        teeth = face.model.lower_teeth
         rows, part = _teeth_by_controls(face), 2.0 / len(teeth)
         hessian += part * (rows.T @ rows)
         pulls += part * (shapes[:, teeth].reshape(len(shapes), -1) @ rows)
@@ -225,14 +253,24 @@ def _linear_changes(face: Face, shapes: NDArray[np.floating]) -> Floats:
 
 
 def _fitted_change(
-    face: Face, shape: NDArray[np.floating], change: Floats, options: PriorOptions
+    face: Face, shape: NDArray[np.floating], change: Floats, part: float, options: PriorOptions
 ) -> Floats:
-    """Return the change (k,) of a fit to part of a shape, which ``change`` makes about."""
-    part, rest = options.fitted_part, face.model.skin.vertices[face.model.face]
-    target = Target.from_points(rest + part * np.asarray(shape[face.model.face], np.float64))
+    """Return the change (k,) of a fit to ``part`` of a shape, which ``change`` makes about."""
+    points, rest = face.model.face, face.model.skin.vertices
+    goal = rest + part * np.asarray(shape, np.float64)
     near = face.rest_pose().add(options.fitted_from * part * change)
+    regulariser: Prior = unseen_regulariser(face)
+    if follows_teeth(face):
+        teeth, jaw = face.model.lower_teeth, face.layout.blocks[1]
+        places = face.layout.places(jaw.name)
+        bounds = face.layout.lower[places], face.layout.upper[places]
+        b = nearest_jaw(face.jaw, rest[teeth], goal[teeth], near.b, bounds=bounds)
+        near = replace(near, b=b)
+        weights = np.diag(options.held * np.broadcast_to(jaw.units, b.shape) ** 2)
+        regulariser = PriorSum((regulariser, PartPrior(face.layout.size, places, b, weights)))
     start, effort = face.continuation(face.rest, near), options.effort
-    found = fit(face, SkinDistance(face, target), unseen_regulariser(face), start, effort)
+    distance = SkinDistance(face, Target.from_points(goal[points]))
+    found = fit(face, distance, regulariser, start, effort)
     return np.asarray((found.state.pose.vector() - face.layout.rest) / part)
 
 

@@ -222,10 +222,11 @@ def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
             message = "the rig has no expressions of such muscles to make a prior from"
             raise InputError("markers.prior", message)
         free, points = FreeJaw(face.model.jaw), face.model.rest[face.model.mandible]
+        rest = face.rest_pose().b
         poses = [Pose(each.activations, each.jaw) for each in good]
         if given.jaw == "tracks":
-            size = len(face.rest_pose().b)
-            jaws = [nearest_jaw(face.jaw, size, free.matrix(each.b), points) for each in poses]
+            moved = (free.move(points, each.b) for each in poses)
+            jaws = [nearest_jaw(face.jaw, points, goal, rest) for goal in moved]
             pairs = zip(poses, jaws, strict=True)
             poses = [Pose.of(layout, layout.clip(layout.join([p.a, b]))) for p, b in pairs]
         return prior.from_expressions(face, poses)

@@ -161,12 +161,11 @@ def _frame(number: int, status: Status, fit: MarkerFit, face: Face, seconds: flo
 
 def _pose_values(face: Face, pose: Pose) -> dict[str, Any]:
     """Return what a frame holds of a pose."""
-    mandible = face.jaw.matrix(pose.b)
+    jaw, mandible = pose.b, face.jaw.matrix(pose.b)
     on_tracks = not isinstance(face.jaw, FreeJaw)
-    points = face.model.rest[face.model.mandible]
-    jaw = (
-        nearest_jaw(FreeJaw(face.model.jaw), JAW_FREEDOM, mandible, points) if on_tracks else pose.b
-    )
+    if on_tracks:
+        points, free = face.model.rest[face.model.mandible], FreeJaw(face.model.jaw)
+        jaw = nearest_jaw(free, points, face.jaw.move(points, pose.b), np.zeros(JAW_FREEDOM))
     return {
         "activations": pose.a.round(DECIMALS),
         "jaw": jaw.round(DECIMALS),

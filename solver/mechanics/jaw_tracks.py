@@ -20,7 +20,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import nnls
 
 from solver.mechanics.boundary import JawMotion, rotation
 from solver.model import JawFrame
@@ -28,6 +28,7 @@ from solver.similarity import weighted_motion
 from solver.surface import Floats, skew
 
 TRACK_FREEDOM = 3  # the angle, and how far each condyle slid
+NEAREST_STEPS, NEAREST = 20, 1e-9  # of the search for a jaw: most steps, and the last, rad and mm
 
 
 @dataclass(frozen=True)
@@ -170,11 +171,26 @@ def tracks_of_shapes(
     return replace(usual, slope=slope, bend=bend, length=length, opening=opening)
 
 
-def nearest_jaw(jaw: JawMotion, size: int, motion: Floats, points: Floats) -> Floats:
-    """Return the numbers (size,) of a jaw that move ``points`` (n, 3) most as ``motion`` (4, 4)."""
-    goal = points @ motion[:3, :3].T + motion[:3, 3]
+def nearest_jaw(
+    jaw: JawMotion,
+    points: Floats,
+    goal: Floats,
+    start: Floats,
+    *,
+    inner: Floats | None = None,
+    bounds: tuple[Floats | float, Floats | float] = (-np.inf, np.inf),
+) -> Floats:
+    """Return the numbers (k,) of a jaw that carry ``points`` (n, 3) nearest to a ``goal`` (n, 3).
 
-    def off(b: Floats) -> Floats:
-        return np.asarray((jaw.move(points, b) - goal).ravel())
-
-    return np.asarray(least_squares(off, np.zeros(size), x_scale="jac").x)
+    Gauss-Newton from ``start`` (k,); ``inner`` (3 n, 3 n) weighs the distances, ``bounds`` are the
+    least and the greatest numbers.
+    """
+    b = start
+    for _ in range(NEAREST_STEPS):
+        rates = jaw.jacobian(points, b).reshape(3 * len(points), -1)
+        weighted = rates.T if inner is None else rates.T @ inner
+        away = (jaw.move(points, b) - goal).ravel()
+        before, b = b, np.clip(b - np.linalg.solve(weighted @ rates, weighted @ away), *bounds)
+        if np.abs(b - before).max() < NEAREST:
+            break
+    return b

@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.embedding import rows_of
@@ -40,6 +41,9 @@ class MarkerPlaces:
     def __init__(self, model: SubjectModel, markers: Sequence[Marker]) -> None:
         self.weights = np.array([marker.weights for marker in markers]).reshape(-1, 3)
         self.heights = np.array([marker.height_mm for marker in markers])
+        self._vertices = np.array([marker.vertices for marker in markers], np.int64).reshape(-1, 3)
+        self.on_skin = np.array([marker.part not in BONY for marker in markers], bool)
+        self.on_mandible = np.array([marker.part == "lower_teeth" for marker in markers], bool)
         self._corners, self._fixed = _corner_rows(model, markers)
         self._rows = sp.csr_array(sp.kron(self._corners, sp.eye_array(3), format="csr"))
         at_rest = np.asarray(self._corners @ model.rest + self._fixed).reshape(-1, 3, 3)
@@ -79,6 +83,16 @@ class MarkerPlaces:
     def motion(self, x: Floats, corners: Floats) -> Floats:
         """Return the derivative (3 k, q) of the places; ``corners`` is :meth:`corners_motion`."""
         return np.asarray(self.by_corners(x) @ corners).reshape(-1, corners.shape[-1])
+
+    def motion_by_skin(self, x: Floats, shapes: NDArray[np.floating]) -> Floats:
+        """Return the derivative (3 k, e) of the places by amounts of motions (e, v, 3) of the skin.
+
+        Markers on bones stay.
+        """
+        corners = np.asarray(shapes[:, self._vertices], np.float64) * self.on_skin[:, None, None]
+        moved = corners.reshape(len(shapes), len(self), 9)
+        found = np.einsum("kij,ekj->kie", self.by_corners(x), moved)
+        return np.asarray(found.reshape(-1, len(shapes)))
 
     def by_corners(self, x: Floats) -> Floats:
         """Return each place's derivative (k, 3, 9) by its triangle's corners, one after another."""
@@ -139,7 +153,7 @@ class HeadOptions:
     """The head's elimination, and what is known of it before a frame; lengths in mm."""
 
     steps: int = 30  # of Newton's method, at most
-    accuracy: float = 1e-10  # of a step, rad and mm, that is the last
+    accuracy: float = 1e-8  # of a step, rad and mm, that is the last
     unknown_rad: float = 3.0  # standard deviations of a head that nothing is known of
     unknown_mm: float = 1e3
     # spread that a head's motion gains in a second
@@ -273,6 +287,14 @@ class MarkerTerm:
         each = np.arange(3 * count).reshape(count, 3)
         out[each[:, :, None], each[:, None, :]] += own
         return np.asarray(out)
+
+    def normal(self, placed: PlacedMarkers, by_controls: Floats) -> Floats:
+        """Return by_controls^T :meth:`inner` by_controls, (q, q), for a matrix (3 k, q)."""
+        root = np.sqrt(self.precision)
+        turned = placed.head.rotation @ by_controls.reshape(len(root), 3, -1)
+        rows = (root[:, :, None] * turned).reshape(root.size, -1)
+        coupling = rows.T @ (root.reshape(-1, 1) * placed.by_head)
+        return np.asarray(rows.T @ rows - coupling @ np.linalg.solve(placed.precision, coupling.T))
 
     def place(self, places: Floats) -> PlacedMarkers:
         """Place markers that are at ``places`` (k, 3) in the head's frame by what was seen."""

@@ -116,6 +116,15 @@ def test_curvature_is_that_of_a_head_that_follows(face):
     )
 
 
+def test_the_normal_matrix_is_that_of_the_curvature(face):
+    (x, rng), term = moved(face), a_term(face)
+    at = term.places.at(x)
+    placed, by_controls = term.place(at), rng.standard_normal((at.size, 9))
+    expected = by_controls.T @ term.inner(placed) @ by_controls
+    assert np.abs(expected).max() > 1.0
+    np.testing.assert_allclose(term.normal(placed, by_controls), expected, rtol=1e-9, atol=1e-9)
+
+
 def test_the_head_is_found_with_the_face(face):
     [pose] = poses(1)
     state = face.continuation(face.rest, pose)

@@ -12,7 +12,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.flesh import IDENTITY
-from solver.mechanics.jaw_tracks import JawTracks, TrackOptions, tracks_of_shapes
+from solver.mechanics.jaw_tracks import JawTracks, TrackOptions, nearest_jaw, tracks_of_shapes
 from tests.fixtures import small_model
 from tests.solver.block import block_model
 
@@ -41,6 +41,16 @@ def test_the_motion_is_rigid_and_its_derivative_that_of_differences(tracks, q):
         numeric = (tracks.move(points, q + step) - tracks.move(points, q - step)) / (2 * h)
         assert np.abs(numeric).max() > 0.3
         np.testing.assert_allclose(exact[:, :, k], numeric, atol=1e-6 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize("q", POSES)
+def test_a_motion_gives_back_its_numbers_and_bounds_cut_it(q):
+    points = teeth()
+    goal = STRAIGHT.move(points, q)
+    np.testing.assert_allclose(nearest_jaw(STRAIGHT, points, goal, np.zeros(3)), q, atol=1e-8)
+    bounds = STRAIGHT.lower, np.array([0.15, 20.0, 20.0])
+    cut = nearest_jaw(STRAIGHT, points, goal, np.zeros(3), bounds=bounds)
+    assert cut[0] == pytest.approx(min(q[0], 0.15), abs=1e-9)
 
 
 @pytest.mark.parametrize("q", POSES)
