@@ -20,6 +20,7 @@ controls under the S at hand, and too small by the errors of S. The information 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import scipy.linalg
@@ -150,15 +151,22 @@ def inverse_of_positive(matrix: Floats) -> Floats:
     # entries differ in unit and so in size by orders: scaled to a unit diagonal first
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = 1.0 / np.sqrt(np.diag(matrix))
-        scaled = matrix * scale
+        scaled = np.multiply(matrix, scale, order="F")
         scaled *= scale[:, None]
-    try:
-        factor = scipy.linalg.cholesky(scaled, overwrite_a=True)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        message = f"no posterior: the precision is not positive definite ({error})"
-        raise SolveError("solve.not_finite", message) from error
-    # of the upper triangle alone; the lower one of the factor is 0, and stays so
-    upper, _ = scipy.linalg.lapack.dpotri(factor, overwrite_c=True)
-    inverse = upper + upper.T
-    inverse[np.diag_indices_from(inverse)] *= 0.5
-    return np.asarray(inverse * np.outer(scale, scale))
+    factor, failed = scipy.linalg.lapack.dpotrf(scaled, lower=1, overwrite_a=1, clean=0)
+    if failed or not np.isfinite(np.diag(factor)).all():
+        message = "no posterior: the precision is not positive definite"
+        raise SolveError("solve.not_finite", message)
+    inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
+    inverse *= scale
+    inverse *= scale[:, None]
+    above = _above(len(matrix))
+    inverse[above] = inverse.T[above]
+    return np.asarray(inverse)
+
+
+@cache
+def _above(size: int) -> tuple[Ints, Ints]:
+    """Return the places above the diagonal of a matrix of so many rows."""
+    rows, columns = np.triu_indices(size, 1)
+    return rows, columns

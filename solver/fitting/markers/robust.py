@@ -86,13 +86,15 @@ class Prediction:
             return self.points
         gain, spread = self._gain(rows, precision)
         off = (seen - self.points).ravel()[rows]
-        step = gain @ scipy.linalg.cho_solve(scipy.linalg.cho_factor(spread), off)
+        factor = scipy.linalg.cho_factor(spread, overwrite_a=True)
+        step = gain @ scipy.linalg.cho_solve(factor, off)
         return np.asarray(self.points + step.reshape(-1, 3))
 
     def _gain(self, rows: Ints, precision: Floats) -> tuple[Floats, Floats]:
         """Return the columns ``rows`` of the covariance, and that of what is seen there."""
-        gain = self.covariance[:, rows]
-        spread = gain[rows]
+        everything = len(rows) == len(self.covariance)  # is not gathered
+        gain = self.covariance if everything else self.covariance[:, rows]
+        spread = gain.copy() if everything else gain[rows]
         spread[np.diag_indices_from(spread)] += 1.0 / precision.ravel()[rows]
         return gain, spread
 
