@@ -60,10 +60,10 @@ up: setup ## the service with its broker and a worker, on http://127.0.0.1:8765
 lock: setup-dev ## lock the newest allowed versions of all packages, with hashes
 	@scripts/lock
 
-fast-servers: ## install what `make test` starts by itself: PostgreSQL, Redis, docker-compose (Debian, root)
+fast-servers: ## install what `make test` starts by itself: PostgreSQL, Redis, Chromium, docker-compose (Debian, root)
 	@scripts/servers fast
 
-servers: ## install all that tests start by themselves: also Chromium, Caddy, ip (Debian, root)
+servers: ## install all that tests start by themselves: also Caddy, ip, C# (Debian, root)
 	@scripts/servers
 
 setup: ## make .venv ready for running
