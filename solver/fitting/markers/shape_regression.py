@@ -97,7 +97,7 @@ class ShapeRegression:
         precision = term.precision / (1.0 + skin[:, None] * term.precision)
         # a mandible with markers of its own may move otherwise than in any expression
         precision[self._places.on_mandible] = 0.0
-        return replace(term, precision=precision, _known=[])
+        return replace(term, precision=precision)
 
     def _fit(self, term: MarkerTerm, amounts: Floats) -> tuple[Floats, PlacedMarkers, Floats]:
         """Return the amounts w (e,), the markers with their head, and the covariance of both."""

@@ -255,9 +255,10 @@ class MarkerTerm:
     precision: Floats
     head: HeadPrior = field(default_factory=HeadPrior.diffuse)
     options: HeadOptions = HeadOptions()
-    # the last places with what they gave, xi and f: value, gradient and curvature ask for the same
+    # the last places with what they gave, xi and f: value, gradient and curvature ask for the same;
+    # a copy with other data begins without
     _known: list[tuple[Floats, PlacedMarkers, Floats, float]] = field(
-        default_factory=list, compare=False
+        default_factory=list, init=False, compare=False
     )
 
     def value(self, x: Floats) -> float:

@@ -169,7 +169,7 @@ class MarkerTracker:
         try:
             if self._regression is not None:
                 found = self._regression.regress(term, state)
-                term = replace(term, head=found.head, _known=[])
+                term = replace(term, head=found.head)
                 priors += [] if found.jaw is None else [found.jaw]
             held = self._held(self._information_by(term))
             known = PriorSum((*priors, self._hold(held, prior.mean)))
