@@ -238,6 +238,19 @@ def follows_teeth(face: Face) -> bool:
     return len(face.model.lower_teeth) > 0 and not isinstance(face.jaw, FreeJaw)
 
 
+def jaw_of_teeth(
+    face: Face, teeth: Floats, goal: Floats, start: Floats, inner: Floats | None = None
+) -> tuple[Ints, Floats]:
+    """Return where the jaw stands among the controls, and what carries ``teeth`` to a ``goal``.
+
+    The arguments are those of :func:`nearest_jaw`; the numbers are within the jaw's bounds.
+    """
+    layout = face.layout
+    places = layout.places(layout.blocks[1].name)
+    bounds = layout.lower[places], layout.upper[places]
+    return places, nearest_jaw(face.jaw, teeth, goal, start, inner=inner, bounds=bounds)
+
+
 def _linear_changes(face: Face, shapes: NDArray[np.floating]) -> Floats:
     """Return the changes (e, k) of the controls that make the shapes, to first order at rest."""
     jacobian = Sensitivity(face, face.rest).by_pose()
@@ -262,9 +275,7 @@ def _fitted_change(
     regulariser: Prior = unseen_regulariser(face)
     if follows_teeth(face):
         teeth, jaw = face.model.lower_teeth, face.layout.blocks[1]
-        places = face.layout.places(jaw.name)
-        bounds = face.layout.lower[places], face.layout.upper[places]
-        b = nearest_jaw(face.jaw, rest[teeth], goal[teeth], near.b, bounds=bounds)
+        places, b = jaw_of_teeth(face, rest[teeth], goal[teeth], near.b)
         near = replace(near, b=b)
         weights = np.diag(options.held * np.broadcast_to(jaw.units, b.shape) ** 2)
         regulariser = PriorSum((regulariser, PartPrior(face.layout.size, places, b, weights)))

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.information import inverse_of_positive
 from solver.fitting.markers.term import HeadPrior, MarkerPlaces, MarkerTerm, PlacedMarkers
-from solver.fitting.prior import PartPrior, follows_teeth
-from solver.mechanics.jaw_tracks import nearest_jaw
+from solver.fitting.prior import PartPrior, follows_teeth, jaw_of_teeth
 from solver.surface import Floats, Ints
 
 
@@ -124,13 +123,13 @@ class ShapeRegression:
 
     def _jaw(self, teeth: Floats, goal: Floats, spread: Floats, b: Floats) -> PartPrior:
         """Return the jaw that carries ``teeth`` (3, 3) to a ``goal`` of covariance ``spread``."""
-        face, layout, options = self._face, self._face.layout, self._options
+        face, options = self._face, self._options
         inner = inverse_of_positive(spread + np.diag(np.repeat(options.teeth_mm, 3) ** 2))
-        places = layout.places(layout.blocks[1].name)
-        bounds = layout.lower[places], layout.upper[places]
-        found = nearest_jaw(face.jaw, teeth, goal, b, inner=inner, bounds=bounds)
+        places, found = jaw_of_teeth(face, teeth, goal, b, inner)
         rates = face.jaw.jacobian(teeth, found).reshape(len(inner), -1)
-        return PartPrior(layout.size, places, found, options.jaw_weight * rates.T @ inner @ rates)
+        return PartPrior(
+            face.layout.size, places, found, options.jaw_weight * rates.T @ inner @ rates
+        )
 
 
 def outermost_teeth(face: Face) -> Ints:
