@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,8 +41,9 @@ from solver.fitting.markers.tracker import MarkerTracker
 from solver.fitting.objective import Target, distances
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.sequence import Tracker
+from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
-from solver.rig.preview import make_preview
+from solver.rig.preview import make_live_preview
 from solver.rig.preview.live import LiveTracker
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.live_link import read_live_link
@@ -131,7 +133,7 @@ def run(options: argparse.Namespace) -> Figures:
     if "calibration" in parts:
         add("calibration", _calibration(Bench(face, truth, SETS[0]), known))
     if "live" in parts:
-        add("live", _live(rig, Bench(face, truth, SETS[0]), known))
+        add("live", _live(rig, Bench(face, truth, SETS[0]), known, kit.deltas))
     if "real" in parts and options.takes is not None:
         add("real", _real(options, kit, rig, shapes))
     return found
@@ -190,13 +192,14 @@ def _calibration(bench: Bench, known: GaussianPrior) -> Figures:
     return {"poses": len(within), "coverage95": float(np.mean(within))}
 
 
-def _live(rig: Rig, bench: Bench, known: GaussianPrior) -> Figures:
+def _live(rig: Rig, bench: Bench, known: GaussianPrior, shapes: Mapping[str, Floats]) -> Figures:
     """Return time and error of the reduced skin at the same markers, beside the whole fit's."""
     face, truth, take = bench.face, bench.truth, bench.clean()
     bench = bench.refined(known, take)
-    preview = make_preview(
-        Face(rig.model, rig.weights, linear=fastest(), tolerance=1e-5),
-        rig.expressions,
+    preview = make_live_preview(
+        Face(rig.model, rig.weights, linear=fastest(), tolerance=TOLERANCE),
+        [*shapes],
+        np.stack([*shapes.values()]),
         seed=1,
         seconds=LIVE_SECONDS,
         listen=lambda phase, done: log.debug("preview: %s %.2f", phase, done),
@@ -215,6 +218,7 @@ def _live(rig: Rig, bench: Bench, known: GaussianPrior) -> Figures:
     return {
         "frame_ms": float(np.percentile(milliseconds, 99)),
         "median_ms": float(np.median(milliseconds)),
+        "model_error_mm": preview.unseen.overall()["mean"],
         "face_mean_mm": float(np.mean(errors)),
         "face_over_full": float(np.mean(errors)) / full,
     }

@@ -62,10 +62,13 @@ MESH = MeshOptions()
 
 
 def with_mesh(
-    template: Template, edge_mm: float = EDGE_MM, progress: Progress = silent
+    template: Template,
+    edge_mm: float = EDGE_MM,
+    progress: Progress = silent,
+    options: MeshOptions = MESH,
 ) -> Template:
     """Return the template with tetrahedra of its own neutral; see :func:`make_mesh`."""
-    return replace(template, mesh=make_mesh(template, edge_mm, progress))
+    return replace(template, mesh=make_mesh(template, edge_mm, progress, options))
 
 
 def make_mesh(
@@ -233,7 +236,10 @@ log = structlog.get_logger(__name__)
 
 
 def find_or_make_mesh(
-    template: Template, edge_mm: float = EDGE_MM, progress: Progress = silent
+    template: Template,
+    edge_mm: float = EDGE_MM,
+    progress: Progress = silent,
+    options: MeshOptions = MESH,
 ) -> Template:
     """Return the template with tets of ``edge_mm``: its own, those in the cache, or new ones.
 
@@ -248,7 +254,7 @@ def find_or_make_mesh(
     if (kept := _read_kept(path, bare, edge_mm)) is not None:
         return kept
     log.info("making the template's tets", template=template.name, to=str(path))
-    made = with_mesh(bare, edge_mm, progress)
+    made = with_mesh(bare, edge_mm, progress, options)
     if not path.exists():  # else another process was faster: then its tets are everybody's
         made.save(path)
     return Template.load(path)

@@ -215,18 +215,33 @@ def from_fitted_shapes(
     open mouths, with fits 0.96 mm. A fit takes a second; ``listen`` gets the part that is done. A
     shape that cannot be fitted keeps its linear response.
     """
+    changes = np.vstack(fitted_changes(face, shapes, options, listen))
+    return replace(from_changes(face.layout, changes, options), shapes=shapes)
+
+
+def fitted_changes(
+    face: Face,
+    shapes: NDArray[np.floating],
+    options: PriorOptions = PriorOptions(),
+    listen: Callable[[float], None] = lambda _done: None,
+) -> list[Floats]:
+    """Return each shape's changes (j, k) of the controls, as fits to parts of it tell them.
+
+    The last one is of the greatest part. Small shapes have one, of the linear response.
+    """
     linear = _linear_changes(face, shapes)
+    changes = [each[None] for each in linear]
     large = np.flatnonzero(_mean_motion(face, shapes) > options.large_mm)
-    changes = [linear[number] for number in range(len(shapes)) if number not in large]
     parts = options.parts_on_tracks if follows_teeth(face) else options.fitted_parts
     for count, number in enumerate(large.tolist()):
         fitted = []
         for part in parts:
             with suppress(SolveError):
                 fitted.append(_fitted_change(face, shapes[number], linear[number], part, options))
-        changes.extend(fitted or [linear[number]])
+        if fitted:
+            changes[number] = np.array(fitted)
         listen((count + 1) / len(large))
-    return replace(from_changes(face.layout, changes, options), shapes=shapes)
+    return changes
 
 
 def _mean_motion(face: Face, shapes: NDArray[np.floating]) -> Floats:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -216,9 +217,24 @@ class ReducedSkin:
 
     def motion(self, values: Floats) -> Floats:
         """Return the skin's motion (n, 3) in mm."""
-        first, second = np.triu_indices(len(values))
-        amounts = self.linear @ values + self.quadratic @ (values[first] * values[second])
-        return np.tensordot(amounts, self.basis.astype(np.float64), 1)
+        return np.tensordot(self.amounts(values), self.basis.astype(np.float64), 1)
+
+    def amounts(self, values: Floats) -> Floats:
+        """Return q (r,)."""
+        return np.asarray((self.linear + self._symmetric @ values) @ values)
+
+    def amount_rates(self, values: Floats) -> Floats:
+        """Return the derivative of q by the sliders, (r, k)."""
+        return np.asarray(self.linear + 2.0 * (self._symmetric @ values))
+
+    @cached_property
+    def _symmetric(self) -> Floats:
+        """The quadratic map as symmetric matrices (r, k, k)."""
+        first, second = np.triu_indices(self.linear.shape[1])
+        out = np.zeros((*self.linear.shape, self.linear.shape[1]))
+        out[:, first, second] += 0.5 * self.quadratic
+        out[:, second, first] += 0.5 * self.quadratic
+        return out
 
 
 def modes_of(

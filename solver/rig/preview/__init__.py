@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from solver.drawing.head import DrawnHead
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
@@ -17,18 +18,19 @@ from solver.fitting.face import Face
 from solver.model import SubjectModel
 from solver.rig.container import write_container
 from solver.rig.pictures import face_camera
-from solver.rig.preview.sliders import (
+from solver.rig.preview.poses import (
     Responses,
     Sample,
     SampleOptions,
+    ShapeSampleOptions,
     Slid,
-    SliderOptions,
-    Sliders,
     SliderSolver,
-    controls_of,
     poses_to_learn,
     poses_to_measure,
+    shape_poses_to_learn,
+    shape_poses_to_measure,
 )
+from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of, controls_of_shapes
 from solver.rig.rig import ExpressionFit
 from solver.rig.skin_basis import (
     ReducedSkin,
@@ -95,6 +97,7 @@ class PreviewOptions:
     measuring: float = 0.85  # part of the time by which those to measure with are done
     sliders: SliderOptions = field(default_factory=SliderOptions)
     samples: SampleOptions = field(default_factory=SampleOptions)
+    shape_samples: ShapeSampleOptions = field(default_factory=ShapeSampleOptions)
     reduction: ReductionOptions = field(default_factory=ReductionOptions)
 
 
@@ -140,12 +143,62 @@ def make_preview(
     """
     if not fits:
         raise InputError("preview.nothing", "the rig has no fitted expression to make sliders from")
-    begin = time.monotonic()
     listen("controls", 0.0)
     controls = controls_of(face, fits, options.sliders)
-    learning = poses_to_learn(controls, seed, options.samples)
-    measuring = poses_to_measure(controls, seed, options.samples)
-    known = {fit.name: fit.x for fit in fits if fit.x is not None}
+    return _make(
+        face,
+        controls,
+        poses_to_learn(controls, seed, options.samples),
+        poses_to_measure(controls, seed, options.samples),
+        {fit.name: fit.x for fit in fits if fit.x is not None},
+        seconds,
+        listen,
+        options,
+    )
+
+
+def make_live_preview(
+    face: Face,
+    names: Sequence[str],
+    shapes: NDArray[np.floating],
+    *,
+    seed: int,
+    seconds: float,
+    listen: Listener,
+    options: PreviewOptions = PreviewOptions(),
+) -> Preview:
+    """Make sliders for :class:`solver.rig.preview.live.LiveTracker`: a template's expressions.
+
+    ``shapes`` (e, v, 3) are their motions of the whole skin, mm. Otherwise as
+    :func:`make_preview`, whose sliders span the person's own few expressions: markers of a whole
+    take were twice as far off by them.
+    """
+    listen("controls", 0.0)
+    controls = controls_of_shapes(face, names, shapes)
+    return _make(
+        face,
+        controls,
+        shape_poses_to_learn(controls, seed, options.shape_samples),
+        shape_poses_to_measure(controls, seed, options.shape_samples),
+        {},
+        seconds,
+        listen,
+        options,
+    )
+
+
+def _make(
+    face: Face,
+    controls: Sliders,
+    learning: Sequence[Slid],
+    measuring: Sequence[Slid],
+    known: Mapping[str, Floats],
+    seconds: float,
+    listen: Listener,
+    options: PreviewOptions,
+) -> Preview:
+    """Return the preview of ``controls``; ``known`` are equilibria of presets."""
+    begin = time.monotonic()
     simulator = SliderSolver(face, controls, face.rest, known)
 
     def simulate(phase: str, poses: Sequence[Slid], start: float, end: float) -> list[Sample]:

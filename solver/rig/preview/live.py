@@ -21,7 +21,7 @@ from solver.fitting.prior import GaussianPrior
 from solver.mechanics.boundary import jaw_jacobian, move_jaw
 from solver.model import SubjectModel
 from solver.rig.preview.sliders import Sliders
-from solver.rig.skin_basis import ReducedSkin, feature_slopes
+from solver.rig.skin_basis import ReducedSkin
 from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.similarity import Similarity
 from solver.surface import Floats
@@ -34,13 +34,11 @@ class ReducedPlaces(MarkerPlaces):
         self, model: SubjectModel, sliders: Sliders, skin: ReducedSkin, markers: Sequence[Marker]
     ) -> None:
         super().__init__(model, markers)
-        self._sliders, self._jaw = sliders, model.jaw
-        self._linear = skin.linear.astype(np.float64)
-        self._quadratic = skin.quadratic.astype(np.float64)
-        self._pairs = np.triu_indices(len(sliders))
+        self._sliders, self._skin, self._jaw = sliders, skin, model.jaw
         ids = np.array([marker.vertices for marker in markers], np.int64).ravel()
         on_bone = np.repeat([marker.place_mm is not None for marker in markers], 3)
-        self._basis = np.where(on_bone[:, None], 0.0, skin.basis[:, ids].astype(np.float64))
+        basis = np.where(on_bone[:, None], 0.0, skin.basis[:, ids].astype(np.float64))
+        self._basis = basis.reshape(len(basis), -1)
         self._rest = super().corners(model.rest).reshape(-1, 3)
         self._on_jaw = np.repeat([marker.part == "lower_teeth" for marker in markers], 3)
         layout = sliders.rest.layout
@@ -48,8 +46,7 @@ class ReducedPlaces(MarkerPlaces):
 
     def corners(self, x: Floats) -> Floats:
         """Return the corners (k, 3, 3) of the markers' triangles for slider values x (s,)."""
-        amounts = self._linear @ x + self._quadratic @ (x[self._pairs[0]] * x[self._pairs[1]])
-        points = self._rest + np.tensordot(amounts, self._basis, 1)
+        points = self._rest + (self._skin.amounts(x) @ self._basis).reshape(-1, 3)
         if self._on_jaw.any():
             b = self._sliders.pose(x).b
             points[self._on_jaw] = move_jaw(self._jaw, self._rest[self._on_jaw], b)
@@ -57,8 +54,7 @@ class ReducedPlaces(MarkerPlaces):
 
     def jacobian(self, x: Floats) -> Floats:
         """Return the derivative of the places by slider values, (3 k, s)."""
-        rates = self._linear + self._quadratic @ feature_slopes(x, self._pairs)[:, len(x) :].T
-        by_corner = np.tensordot(self._basis, rates, (0, 0))
+        by_corner = (self._basis.T @ self._skin.amount_rates(x)).reshape(-1, 3, len(x))
         if self._on_jaw.any():
             b = self._sliders.pose(x).b
             direct = jaw_jacobian(self._jaw, self._rest[self._on_jaw], b)
@@ -70,7 +66,7 @@ class ReducedPlaces(MarkerPlaces):
 class LiveOptions:
     """Numbers of a live frame; lengths in mm."""
 
-    steps: int = 3  # Gauss-Newton steps of a frame
+    steps: int = 2  # Gauss-Newton steps of a frame
     spread: float = 0.4  # standard deviation of a slider
     lower: float = -0.2
     upper: float = 1.2
@@ -132,12 +128,13 @@ class LiveTracker:
         target = np.where(used > 0.0, judged.points, np.nan)
         term = MarkerTerm(self.places, target, used, head, options.head)
         precision = prior.precision
-        for _ in range(options.steps):
-            placed = term.place(self.places.at(values))
+        for number in range(options.steps):
+            if number:
+                jacobian, places = self.places.jacobian(values), self.places.at(values)
+            placed = term.place(places)
             pull = (used * placed.offsets) @ placed.head.rotation
-            jacobian = self.places.jacobian(values)
             slope = jacobian.T @ pull.ravel() + precision @ (values - mean)
-            normal = jacobian.T @ term.inner(placed) @ jacobian + precision
+            normal = term.normal(placed, jacobian) + precision
             change = scipy.linalg.solve(normal, slope, assume_a="pos")
             values = np.clip(values - change, options.lower, options.upper)
         placed = term.place(self.places.at(values))

@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 
 from solver.fitting.controls import pose_layout
-from solver.fitting.face import Pose
+from solver.fitting.face import Face, Pose
+from solver.fitting.markers.term import MarkerPlaces
+from solver.rig.preview import PreviewOptions, make_live_preview
 from solver.rig.preview.live import LiveTracker, ReducedPlaces
+from solver.rig.preview.poses import ShapeSampleOptions
 from solver.rig.preview.sliders import Control, Sliders
 from solver.rig.skin_basis import ReducedSkin
 from solver.scans.markers.marker_set import Marker, MarkerSet
-from solver.similarity import Similarity, small_motion
+from solver.similarity import IDENTITY, Similarity, small_motion
 from tests.fixtures import small_capture, small_model
 
 NAMES = ("smile", "surprise", "ah")
@@ -76,3 +79,29 @@ def test_sliders_and_head_are_followed(preview, markers):
     gone = [tracker.step(np.full((32, 3), np.nan)) for _ in range(60)][-1]
     np.testing.assert_allclose(gone.controls, np.exp(-1.0) * frame.controls, atol=1e-3)
     assert np.isnan(gone.residuals).all()
+
+
+def test_simulated_flesh_is_followed_by_its_expressions(markers):
+    """A pose between expressions that the flesh makes comes back from its markers."""
+    face = Face(small_model())
+    neutral = small_capture("neutral").vertices
+    shapes = np.stack([0.5 * (small_capture(name).vertices - neutral) for name in NAMES])
+    few = PreviewOptions(shape_samples=ShapeSampleOptions(learn=6, measure=2, shapes=(2, 3)))
+    made = make_live_preview(
+        face, NAMES, shapes, seed=1, seconds=120.0, listen=lambda *_: None, options=few
+    )
+    assert [control.name for control in made.controls.each] == [*NAMES]
+    values = np.array([0.6, 0.0, 0.4])
+    pose = made.controls.pose(values)
+    state = face.continuation(face.rest, pose)
+    skin = face.whole_skin(state.x, pose.b)
+    skin_only = [each for each in markers.markers if each.label.startswith("S")]
+    seen = MarkerPlaces(face.model, skin_only).at(state.x)
+    still = MarkerSet(tuple(skin_only), IDENTITY, face.model.sha256)
+    tracker = LiveTracker(face.model, made.controls, made.skin, still, 1.0 / 60.0)
+    for _ in range(20):
+        found = tracker.step(seen)
+    off = neutral + made.skin.motion(found.controls) - skin
+    moved = np.linalg.norm((skin - neutral)[face.model.face], axis=1).mean()
+    assert np.linalg.norm(off[face.model.face], axis=1).mean() < 0.15 * moved
+    np.testing.assert_allclose(found.controls, values, atol=0.1)

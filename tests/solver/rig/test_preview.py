@@ -9,16 +9,8 @@ import pytest
 
 from solver.fitting.face import Face, Pose
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.preview.sliders import (
-    Responses,
-    SliderOptions,
-    Sliders,
-    SliderSolver,
-    controls_of,
-    nearest_amounts,
-    poses_to_learn,
-    poses_to_measure,
-)
+from solver.rig.preview.poses import Responses, SliderSolver, poses_to_learn, poses_to_measure
+from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of, nearest_amounts
 from solver.rig.rig import ExpressionFit
 from solver.rig.skin_basis import feature_slopes, features
 from tests.solver.block import head_block
