@@ -65,8 +65,8 @@ log = logging.getLogger(__name__)
 PARTS = ("fibre", "round_trip", "exaggerated", "speed")
 FACTORS = (1, 2, 4)
 ROUNDS, QUICK_ROUNDS = 16, 6
-FRAMES, LARGE_FRAMES = 60, 6
-LARGE_EDGE_MM = 3.6  # of some 370,000 tets
+FRAMES, LARGE_FRAMES = 60, 12
+LARGE_EDGE_MM = 2.75  # of some 370,000 tets
 LARGE_MESHING = MeshOptions(mesher_seconds=14400.0)
 
 
@@ -340,7 +340,9 @@ def _large() -> Figures:
         log.info("large: frame %d, %.1f s, %.3f mm", number, seconds[-1], errors[-1])
     return {
         "large_tets": len(model.tets),
-        "tets_370k_frame_s": float(np.median(seconds[1:])),
+        # most frames go by an old factorisation; some wait for a new one and its derivatives
+        "tets_370k_frame_s": float(np.mean(seconds[1:])),
+        "tets_370k_median_frame_s": float(np.median(seconds[1:])),
         "tets_370k_first_frame_s": seconds[0],
         "tets_370k_mean_mm": float(np.mean(errors)),
     }

@@ -35,6 +35,7 @@ from solver.fitting.activation import unseen_regulariser
 from solver.fitting.contact import terms
 from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose
+from solver.fitting.markers.filter import KnownControls
 from solver.fitting.markers.places import refine_by_take
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerTracker
@@ -272,9 +273,8 @@ def _left_out(
         fit = tracker.fit(frames[row])
         assert tracker.memory is not None, "a frame was fitted"
         # from the prior alone: what came before has seen the marker
-        memory = replace(
-            tracker.memory, mean=known.mean, covariance=known.covariance, spread=known.covariance
-        )
+        loose = KnownControls(known.covariance, known.covariance)
+        memory = replace(tracker.memory, mean=known.mean, known=loose)
         for marker in np.flatnonzero(np.isfinite(frames[row]).all(axis=1)).tolist():
             seen = frames[row].copy()
             seen[marker] = np.nan

@@ -109,6 +109,12 @@ class GaussianPrior:
         """See :class:`~solver.fitting.objective.Prior`."""
         return self.precision
 
+    def about(self, mean: Floats) -> GaussianPrior:
+        """Return the same distribution about another mean (k,)."""
+        found = replace(self, mean=mean)
+        vars(found)["precision"] = self.precision  # is not inverted again
+        return found
+
     def after(self, mean: Floats, covariance: Floats, seconds: float, time: float) -> GaussianPrior:
         """Return the prior so long after a frame whose posterior was N(mean, covariance)."""
         kept = kept_part(seconds, time)

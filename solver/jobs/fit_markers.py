@@ -15,6 +15,7 @@ from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, load_muscles, with_fibres
 from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose
+from solver.fitting.markers.filter import FilterOptions
 from solver.fitting.markers.places import RefineOptions, refine_by_take
 from solver.fitting.markers.robust import RobustOptions
 from solver.fitting.markers.term import MarkerPlaces
@@ -180,7 +181,7 @@ def _tracker(
     """Return the tracker of the take, its markers' places mended if that was asked for."""
     given, used = task.options, source.markers
     options = MarkerOptions(
-        forgetting=given.temporal,
+        filter=FilterOptions(forgetting=given.temporal),
         hold_below=given.hold_below,
         noise_mm=given.sigma_mm,
         max_iterations=given.max_iterations,

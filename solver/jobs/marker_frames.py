@@ -15,6 +15,7 @@ import numpy as np
 
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose
+from solver.fitting.markers.filter import KnownControls
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior
 from solver.fitting.markers.tracker import MarkerFit, MarkerMemory, MarkerTracker
@@ -111,8 +112,8 @@ class TakeFitter(FrameFitter[MarkerFrame]):
         parts = {
             "x": state.x,
             "controls": state.pose.vector(),
-            "covariance": memory.covariance,
-            "spread": memory.spread,
+            "covariance": memory.known.covariance,
+            "spread": memory.known.spread,
             "head": rigid,
             "head_precision": memory.head.precision,
         }
@@ -129,7 +130,7 @@ class TakeFitter(FrameFitter[MarkerFrame]):
         )
         size = face.layout.size
         covariance, spread = (unpack(stored[key], "<f8", size) for key in ("covariance", "spread"))
-        memory = MarkerMemory(controls, covariance, spread, head)
+        memory = MarkerMemory(controls, KnownControls(covariance, spread), head)
         pose = face.rest_pose().add(controls - face.layout.rest)
         x = unpack(stored["x"], "<f8")
         state = face.settle(pose, x) or face.continuation(face.rest, pose)

@@ -53,21 +53,17 @@ class Prediction:
     covariance: Floats  # (3 k, 3 k)
 
     @classmethod
-    def of(
-        cls, head: HeadPrior, centre: Floats, places: Floats, jacobian: Floats, spread: Floats
-    ) -> Prediction:
+    def of(cls, head: HeadPrior, centre: Floats, places: Floats, spread: Floats) -> Prediction:
         """Return where markers at ``places`` (k, 3) in the head's frame are seen.
 
-        ``jacobian`` (3 k, q) is their derivative by controls of the covariance ``spread`` (q, q),
-        ``centre`` (3,) what the head's motion is counted about.
+        ``spread`` (3 k, 3 k) is the covariance of the places in the head's frame, ``centre`` (3,)
+        what the head's motion is counted about.
         """
-        points = head.motion(places)
-        turned = np.einsum(
-            "ij,kjq->kiq", head.motion.rotation, jacobian.reshape(len(places), 3, -1)
-        )
-        turned = turned.reshape(jacobian.shape)
+        points, rotation = head.motion(places), head.motion.rotation
+        # every block of three rows, then every block of three columns
+        turned = (rotation @ spread.reshape(len(places), 3, -1)).reshape(-1, 3) @ rotation.T
         by_head = head_rates(points - head.motion(centre[None]))
-        covariance = turned @ spread @ turned.T
+        covariance = turned.reshape(spread.shape)
         covariance += by_head @ np.linalg.solve(head.precision, by_head.T)
         return cls(points, covariance)
 
@@ -128,7 +124,8 @@ def judge(
     """
     present = np.asarray(np.isfinite(seen).all(axis=1))
     states = np.where(present, "seen", "missing").astype("<U10")
-    weights = weigh(prediction, seen, precision, options.scales, options)
+    rounds = _rounds(prediction, seen, precision, options.scales, options)
+    weights = _weights(seen, rounds[-1], options.scales[-1], options)
     wrong = present & (weights < options.least_weight)
     states[wrong] = "outlier"
     points = seen.copy()
@@ -139,31 +136,39 @@ def judge(
         for label, point, state in _assign(after, seen, states, unlabelled, options):
             points[label], states[label] = point, state
     used = (states != "outlier") & (states != "missing")
-    kept = np.where(used[:, None], precision, 0.0)
-    weights = weigh(prediction, points, kept, options.lenient_scales, options)
+    lenient = options.lenient_scales
+    is_same = np.array_equal(used, present) and not (states == "swapped").any()
+    # of the same points the first rounds are those of lenient scales
+    if not is_same or lenient != options.scales[: len(lenient)]:
+        rounds = _rounds(prediction, points, precision * used[:, None], lenient, options)
+    weights = _weights(points, rounds[len(lenient)], lenient[-1], options)
     # a label that was given a point does not keep one that the others contradict
     again = used & (weights < options.least_weight)
     states[again] = "outlier"
     return JudgedFrame(points, np.where(used & ~again, weights, 0.0), states)
 
 
-def weigh(
+def _rounds(
     prediction: Prediction,
     seen: Floats,
     precision: Floats,
     scales: tuple[float, ...],
     options: RobustOptions,
-) -> Floats:
-    """Return the weights (k,) of points after rounds with these scales, 0 where none was seen."""
-    known = np.asarray(np.isfinite(seen).all(axis=1) & (precision > 0.0).any(axis=1))
+) -> list[Floats]:
+    """Return the places (k, 3) before a round of weighing with each of these scales, and after."""
+    known = np.asarray(np.isfinite(seen).all(axis=1))
     exact, points = np.where(known[:, None], precision, 0.0), np.where(known[:, None], seen, 0.0)
-    places = prediction.points
-    for number, scale in enumerate([*scales, scales[-1]]):
-        off = np.linalg.norm(points - places, axis=1) / (scale * options.scale_mm)
-        weights = np.where(known, robust_weights(off**2), 0.0)
-        if number < len(scales):
-            places = prediction.conditional_mean(points, exact * np.maximum(weights, 1e-9)[:, None])
-    return weights
+    places = [prediction.points]
+    for scale in scales:
+        weights = np.maximum(_weights(seen, places[-1], scale, options), 1e-9)
+        places.append(prediction.conditional_mean(points, exact * weights[:, None]))
+    return places
+
+
+def _weights(seen: Floats, places: Floats, scale: float, options: RobustOptions) -> Floats:
+    """Return the weights (k,) of points so far off their places, 0 where none was seen."""
+    off = np.linalg.norm(seen - places, axis=1) / (scale * options.scale_mm)
+    return np.where(np.isnan(off), 0.0, robust_weights(np.nan_to_num(off) ** 2))
 
 
 def _assign(

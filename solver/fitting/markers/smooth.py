@@ -53,7 +53,7 @@ def smooth(
     tracker: MarkerTracker, frames: Sequence[TracedFrame], shortest: int = SHORTEST_BLOCK
 ) -> list[SmoothFrame]:
     """Return the frames of a take after a sweep back, in blocks of ``shortest`` frames or more."""
-    prior, kept = tracker.prior, kept_part(tracker.seconds, tracker.options.forgetting)
+    prior, kept = tracker.prior, kept_part(tracker.seconds, tracker.options.filter.forgetting)
     length = max(shortest, isqrt(len(frames)))
     blocks = [frames[first : first + length] for first in range(0, len(frames), length)]
     begins, covariances = [prior.covariance], []
@@ -88,11 +88,10 @@ def _covariances(
         before = _spread(tracker, found[-1]) if found else spread
         normal = tracker.normal(frame.pose, frame.head, frame.weights, number, frame.sigma)
         prior = GaussianPrior(tracker.prior.mean, before)
-        found.append(tracker.spread(prior, normal, tracker.alone(normal)))
+        found.append(tracker.filter.spread(prior, tracker.filter.evidence(normal)))
     return found
 
 
 def _spread(tracker: MarkerTracker, covariance: Floats) -> Floats:
     """Return the covariance before the frame that follows on one with this."""
-    prior, seconds = tracker.prior, tracker.seconds
-    return prior.after(prior.mean, covariance, seconds, tracker.options.forgetting).covariance
+    return tracker.filter.later(tracker.prior.mean, covariance).covariance

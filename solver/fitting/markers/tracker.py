@@ -19,8 +19,9 @@ from solver.contact.mouth import Mouth
 from solver.errors import SolveError
 from solver.fitting.contact import NearContact
 from solver.fitting.face import Face, Pose, PosedFace
-from solver.fitting.information import Posterior, inverse_of_positive
+from solver.fitting.information import Posterior
 from solver.fitting.least_squares import StopOptions
+from solver.fitting.markers.filter import ControlFilter, Evidence, FilterOptions, KnownControls
 from solver.fitting.markers.robust import JudgedFrame, Prediction, RobustOptions, judge
 from solver.fitting.markers.shape_regression import RegressionOptions, ShapeRegression
 from solver.fitting.markers.term import (
@@ -42,7 +43,6 @@ from solver.surface import Floats
 class MarkerOptions:
     """Numbers of tracking markers; lengths in mm."""
 
-    forgetting: float = 1.0  # s in which a control that no marker determines fades to 1/e
     hold_below: float = 0.2  # information of a muscle under which it is held ...
     hold_sd: float = 0.01  # ... so closely, in a control's units
     alike: float = 0.25  # relative change of a weight up to which a posterior is used again
@@ -53,6 +53,7 @@ class MarkerOptions:
     lips_slack_mm: float = 0.2  # ... beyond this depth
     max_iterations: int = 15  # of a frame that is fitted as any expression is
     head: HeadOptions = field(default_factory=HeadOptions)
+    filter: FilterOptions = field(default_factory=FilterOptions)
     robust: RobustOptions = field(default_factory=RobustOptions)
     regression: RegressionOptions = field(default_factory=RegressionOptions)
     # a step that promises less of half a squared Mahalanobis distance is one of noise: so faces are
@@ -67,9 +68,17 @@ class MarkerMemory:
     """Posterior of controls and head, which a frame leaves to the next."""
 
     mean: Floats  # (k,)
-    covariance: Floats  # (k, k) as the filter has it, points of all frames being independent
-    spread: Floats  # (k, k) as surely as they are known: see MarkerTracker.spread
+    known: KnownControls
     head: HeadPrior
+
+
+@dataclass(frozen=True)
+class _Told:
+    """Evidence of markers with ``weights`` (k, 3), by lagged derivatives."""
+
+    jacobian: Jacobian
+    weights: Floats
+    evidence: Evidence
 
 
 @dataclass(frozen=True)
@@ -114,6 +123,7 @@ class MarkerTracker:
         options: MarkerOptions = MarkerOptions(),
     ) -> None:
         self.face, self.places, self.prior = face, places, prior
+        self.filter = ControlFilter(prior, seconds, options.filter)
         self._sigma, self.seconds, self.options = sigma, seconds, options
         self._penalties = Regulariser(
             w_a=0.0, w_v=options.w_v, w_b=0.0, prior=face.rest_pose(), w_e=options.w_e
@@ -130,9 +140,11 @@ class MarkerTracker:
         """Go on from a frame: its state and what it left, None before the first."""
         options = self.options
         self.memory = memory
+        self.filter.begin()
         self._corners: tuple[Jacobian, Floats] | None = None
         self._rates: tuple[PosedFace, Jacobian, Floats] | None = None
-        self._last_information: tuple[Jacobian, Floats, Posterior] | None = None
+        self._spread: tuple[Jacobian | None, Floats, Floats] | None = None
+        self._told: _Told | None = None
         self.tracker = Tracker(
             self.face,
             self._penalties,
@@ -171,7 +183,7 @@ class MarkerTracker:
                 found = self._regression.regress(term, state)
                 term = replace(term, head=found.head)
                 priors += [] if found.jaw is None else [found.jaw]
-            held = self._held(self._information_by(term))
+            held = self._held(self._evidence_by(term).alone)
             known = PriorSum((*priors, self._hold(held, prior.mean)))
             steps = self.tracker.fit_term(term, used, known, contact=self._contact, whole=first)
         except (SolveError, np.linalg.LinAlgError):
@@ -212,28 +224,6 @@ class MarkerTracker:
             self.tracker.relinearise(term, used)
         return self._normal(term)
 
-    def alone(self, normal: Floats) -> Posterior:
-        """Return the posterior by a frame alone, nothing being known of those before.
-
-        ``normal`` (q, q) is the matrix of its markers.
-        """
-        covariance = inverse_of_positive(self.prior.precision + normal)
-        return Posterior(covariance, self.prior.variance)
-
-    def spread(self, prior: GaussianPrior, normal: Floats, alone: Posterior) -> Floats:
-        """Return the covariance (q, q) of a frame's controls.
-
-        ``prior`` is that before the frame, ``normal`` (q, q) the matrix of its markers, ``alone``
-        the posterior by it alone. Frames before make nothing surer that this one determines:
-        markers bound beside where they are err alike in all of them, and many such frames are worth
-        no more than one. The filter goes on from its own, smaller covariance: it follows a bias as
-        closely, and is less stirred by noise.
-        """
-        usual = self.prior
-        unseen = 1.0 - alone.information
-        before = unseen[:, None] * (prior.precision - usual.precision) * unseen
-        return inverse_of_positive(usual.precision + before + normal)
-
     def _precision(self, sigma: Floats | None) -> Floats:
         """Return the precision (k, 3) of right points; ``sigma`` is that of :meth:`fit`."""
         noise = np.full((1, 3), self.options.noise_mm) if sigma is None else sigma
@@ -248,28 +238,24 @@ class MarkerTracker:
         head = HeadPrior.before_frame(known, self.seconds, at, seen, weights, options.head)
         if memory is None:
             return self.prior, head
-        time = options.forgetting
-        return self.prior.after(memory.mean, memory.covariance, self.seconds, time), head
+        return self.filter.before(memory.mean, memory.known), head
 
     def _normal(self, term: MarkerTerm) -> Floats:
         """Return the normal matrix (q, q) of the controls where the face is."""
         placed = term.place(self.places.at(self.tracker.state.x))
         return term.normal(placed, self._by_controls())
 
-    def _information_by(self, term: MarkerTerm, normal: Floats | None = None) -> Posterior:
-        """Return the posterior by a frame alone: that of one before while weights are alike.
-
-        ``normal`` is :meth:`_normal`, if that is known.
-        """
-        jacobian, weights = self.tracker.jacobian, term.precision
+    def _evidence_by(self, term: MarkerTerm) -> Evidence:
+        """Return what a frame's markers tell: as one before while they are weighed alike."""
+        jacobian, weights, told = self.tracker.jacobian, term.precision, self._told
         assert jacobian is not None, "made when tracking began"
-        if self._last_information is not None and self._last_information[0] is jacobian:
-            before = self._last_information[1]
-            if np.all(np.abs(weights - before) <= self.options.alike * np.maximum(weights, before)):
-                return self._last_information[2]
-        alone = self.alone(self._normal(term) if normal is None else normal)
-        self._last_information = jacobian, weights, alone
-        return alone
+        if told is not None and told.jacobian is jacobian:
+            most = self.options.alike * np.maximum(weights, told.weights)
+            if np.all(np.abs(weights - told.weights) <= most):
+                return told.evidence
+        evidence = self.filter.evidence(self._normal(term))
+        self._told = _Told(jacobian, weights, evidence)
+        return evidence
 
     def _held(self, alone: Posterior) -> np.ndarray:
         """Return which muscles (m,) a frame does not determine."""
@@ -287,7 +273,11 @@ class MarkerTracker:
         state, by_controls = self.tracker.state, self._by_controls()
         change = prior.mean - state.pose.vector()
         places = self.places.at(state.x) + (by_controls @ change).reshape(-1, 3)
-        return Prediction.of(head, self.places.centre, places, by_controls, prior.covariance)
+        jacobian, last = self.tracker.jacobian, self._spread
+        if last is None or last[0] is not jacobian or last[1] is not prior.covariance:
+            spread = by_controls @ prior.covariance @ by_controls.T
+            self._spread = last = jacobian, prior.covariance, spread
+        return Prediction.of(head, self.places.centre, places, last[2])
 
     def _by_controls(self) -> Floats:
         """Return the derivative (3 k, q) of the markers' places in the head's frame."""
@@ -312,26 +302,22 @@ class MarkerTracker:
         """Return the frame and remember its posterior."""
         state = self.tracker.state
         placed = term.place(self.places.at(state.x))
-        # markers determine no control of a frame that keeps those of another
-        kept, size = ending == "kept", state.pose.layout.size
-        normal = np.zeros((size, size)) if kept else self._normal(term)
-        alone = self.alone(normal) if kept else self._information_by(term, normal)
-        sure = prior
-        if self.memory is not None:
-            memory, time = self.memory, self.options.forgetting
-            sure = self.prior.after(memory.mean, memory.spread, self.seconds, time)
-        spread = self.spread(sure, normal, alone)
-        covariance = inverse_of_positive(prior.precision + normal)
+        if ending == "kept":  # its markers determine none of the controls of another frame
+            evidence = self.filter.evidence(np.zeros_like(prior.covariance))
+        else:
+            evidence = self._evidence_by(term)
+        alone, before = evidence.alone, None if self.memory is None else self.memory.known
+        known = self.filter.after(prior, before, evidence)
         head = HeadPrior(placed.head, placed.precision)
-        self.memory = MarkerMemory(state.pose.vector(), covariance, spread, head)
+        self.memory = MarkerMemory(state.pose.vector(), known, head)
         return MarkerFit(
             state,
             placed,
             judged,
-            sd=np.sqrt(np.diag(spread)),
+            sd=np.sqrt(np.diag(known.spread)),
             information=alone.information,
             held=self._held(alone),
             predicted=ending == "predicted",
-            kept=kept,
+            kept=ending == "kept",
             steps=steps,
         )

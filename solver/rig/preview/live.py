@@ -122,7 +122,8 @@ class LiveTracker:
         mean, head = prior.mean, self._head_before(seen)
         values = np.clip(mean, options.lower, options.upper)
         jacobian, places = self.places.jacobian(values), self.places.at(values)
-        prediction = Prediction.of(head, self.places.centre, places, jacobian, prior.covariance)
+        spread = jacobian @ prior.covariance @ jacobian.T
+        prediction = Prediction.of(head, self.places.centre, places, spread)
         judged = judge(prediction, seen, self._precision, np.zeros((0, 3)), options.robust)
         used = self._precision * judged.weights[:, None]
         target = np.where(used > 0.0, judged.points, np.nan)
