@@ -170,7 +170,11 @@ class PriorSum:
 
     def gauss_newton(self, pose: Pose) -> Floats:
         """See :class:`~solver.fitting.objective.Prior`."""
-        return np.asarray(sum(prior.gauss_newton(pose) for prior in self.priors))
+        first, *others = (prior.gauss_newton(pose) for prior in self.priors)
+        out = first.copy()
+        for other in others:
+            out += other
+        return out
 
 
 def from_changes(

@@ -47,6 +47,7 @@ class TrackingOptions:
     # age in frames before which a frame that takes all its steps gets no new sensitivities: where
     # flesh buckles these help little
     lagged_frames: int = 15
+    corrector: CorrectorOptions = field(default_factory=CorrectorOptions)
     stuck: float = 1.1  # growth of f up to which a frame without a way down stays as it was
     reseen: float = 0.1  # part of the points' weight that moves before a matrix is made anew
 
@@ -157,13 +158,14 @@ class Tracker:
 
         Raises :class:`SolveError` if it cannot be reached; the state stays what it was.
         """
-        near = _correct(self.face, self.state, pose, self.face.predict(self.state, pose))
+        guess = self.face.predict(self.state, pose)
+        near = _correct(self.face, self.state, pose, guess, self._options.corrector)
         self.state = near or self.face.continuation(self.state, pose)
 
     def relinearise(self, data: Term, weights: Floats) -> _LaggedModel:
         """Make the sensitivities of the state as it is, with its Hessian if that is another's."""
         pose, found = self.state.pose, self.state.equilibrium
-        far = np.abs(found.factor.x - found.x).max() > CorrectorOptions.close_mm
+        far = np.abs(found.factor.x - found.x).max() > self._options.corrector.close_mm
         # what was projected, too, would be wrong in every frame that it serves
         if found.factor.projection > 0 or far:
             a = self.face.flesh_controls(pose.a)
@@ -178,7 +180,8 @@ class Tracker:
         self, lagged: _LaggedModel, data: Term, contact: Term | None, prior: Prior
     ) -> LeastSquaresSolution[PosedFace] | None:
         """Fit a frame with lagged derivatives; None if the first step leads nowhere."""
-        problem = _FrameProblem(self.face, lagged, data, contact, prior)
+        corrector = self._options.corrector
+        problem = _FrameProblem(self.face, lagged, data, contact, prior, corrector)
         found = minimise(problem, self.state, self._search, self._options.stop)
         return None if found.termination == Termination.STUCK and not found.steps else found
 
@@ -192,6 +195,7 @@ class _FrameProblem:
     data: Term
     contact: Term | None
     regulariser: Prior
+    corrector: CorrectorOptions
 
     def value(self, point: PosedFace) -> float:
         touching = 0.0 if self.contact is None else self.contact.value(point.estimate)
@@ -213,16 +217,18 @@ class _FrameProblem:
         face, flesh, pose = self.face, self.face.flesh, point.pose.add(step.change)
         x = flesh.moved(point.x, self.lagged.jacobian.flesh @ step.change)
         x[face.model.mandible] = face.mandible(pose.b)
-        return _correct(face, point, pose, x)
+        return _correct(face, point, pose, x, self.corrector)
 
 
-def _correct(face: Face, state: PosedFace, pose: Pose, x: Floats) -> PosedFace | None:
+def _correct(
+    face: Face, state: PosedFace, pose: Pose, x: Floats, options: CorrectorOptions
+) -> PosedFace | None:
     """Correct a guess ``x`` (p, 3) of a pose near ``state``; None if it is far."""
-    guess = untangle(face.flesh, state.x, x)
+    guess = untangle(face.flesh, state.x, x, options)
     if guess is None:
         return None
     a = face.flesh_controls(pose.a)
-    found = correct(face.flesh, face.linear, guess, a, state.equilibrium.factor)
+    found = correct(face.flesh, face.linear, guess, a, state.equilibrium.factor, options)
     return None if found is None else PosedFace(pose, found)
 
 

@@ -82,8 +82,8 @@ class Prediction:
             return self.points
         gain, spread = self._gain(rows, precision)
         off = (seen - self.points).ravel()[rows]
-        factor = scipy.linalg.cho_factor(spread, overwrite_a=True)
-        step = gain @ scipy.linalg.cho_solve(factor, off)
+        factor = scipy.linalg.cho_factor(spread, overwrite_a=True, check_finite=False)
+        step = gain @ scipy.linalg.cho_solve(factor, off, check_finite=False)
         return np.asarray(self.points + step.reshape(-1, 3))
 
     def _gain(self, rows: Ints, precision: Floats) -> tuple[Floats, Floats]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -153,7 +154,7 @@ class HeadOptions:
     """The head's elimination, and what is known of it before a frame; lengths in mm."""
 
     steps: int = 30  # of Newton's method, at most
-    accuracy: float = 1e-8  # of a step, rad and mm, that is the last
+    accuracy: float = 1e-6  # of a step, rad and mm, that is not taken any more
     unknown_rad: float = 3.0  # standard deviations of a head that nothing is known of
     unknown_mm: float = 1e3
     # spread that a head's motion gains in a second
@@ -242,6 +243,16 @@ class PlacedMarkers:
     precision: Floats  # (6, 6) of the head, the face being known
 
 
+class _TurnedMarkers(NamedTuple):
+    """Markers after a small motion of the head: see :class:`PlacedMarkers`."""
+
+    rotation: Floats  # (3, 3) of the small motion
+    points: Floats
+    offsets: Floats
+    by_head: Floats
+    normal: Floats
+
+
 @dataclass(frozen=True)
 class MarkerTerm:
     """f for what was seen in one frame: an :class:`~solver.fitting.objective.Term`.
@@ -304,28 +315,32 @@ class MarkerTerm:
             return known[-1][1]
         # places that were asked for before are near by
         xi = known[-1][2] if known else self._start(places)
-        placed = self._place_at(places, xi)
+        arms = self.head.motion(places) - self._centre
+        now = self._turned(arms, xi)
         for _ in range(self.options.steps):
-            weighted = (self.precision * placed.offsets).ravel()
-            slope = placed.by_head.T @ weighted + self.head.precision @ xi
-            step = -np.linalg.solve(placed.precision, slope)
+            slope = now.by_head.T @ (self.precision * now.offsets).ravel()
+            step = -np.linalg.solve(now.normal, slope + self.head.precision @ xi)
             if np.abs(step).max() < self.options.accuracy:
                 break
             # a further rotation, composed; it is small
             turned = Rotation.from_rotvec(step[:3]) * Rotation.from_rotvec(xi[:3])
             xi = np.concatenate([turned.as_rotvec(), xi[3:] + step[3:]])
-            placed = self._place_at(places, xi)
-        own = np.sum(self.precision * placed.offsets**2)
+            now = self._turned(arms, xi)
+        about = Similarity(1.0, np.eye(3), -self._centre)
+        small = Similarity(1.0, now.rotation, xi[3:])
+        head = self.head.motion.then(about).then(small).then(about.inverse())
+        placed = PlacedMarkers(head, now.points, now.offsets, now.by_head, now.normal)
+        own = np.sum(self.precision * now.offsets**2)
         value = 0.5 * float(own + xi @ self.head.precision @ xi)
         known[:] = [(places, placed, xi, value)]
         return placed
 
     def _start(self, places: Floats) -> Floats:
-        """Return xi (6,) that least squares give, as if all axes counted alike."""
+        """Return xi (6,) to begin with: of a lost head by least squares, all axes being alike."""
         weights = self.precision.mean(axis=1)
-        predicted = self.head.motion(places) - self._centre
-        if np.count_nonzero(weights) < 3:
+        if np.count_nonzero(weights) < 3 or not self.head.is_lost(self.options):
             return np.zeros(6)
+        predicted = self.head.motion(places) - self._centre
         seen = np.where(weights[:, None] > 0.0, self.seen, 0.0) - self._centre
         return weighted_motion(predicted, seen, weights).twist
 
@@ -334,14 +349,12 @@ class MarkerTerm:
         """The point (3,) that the head turns about, in the take."""
         return np.asarray(self.head.motion(self.places.centre[None])[0])
 
-    def _place_at(self, places: Floats, xi: Floats) -> PlacedMarkers:
-        centre = self._centre
-        small = Similarity(1.0, Rotation.from_rotvec(xi[:3]).as_matrix(), xi[3:])
-        arms = small.turn(self.head.motion(places) - centre)
-        points = arms + xi[3:] + centre
+    def _turned(self, arms: Floats, xi: Floats) -> _TurnedMarkers:
+        """Return markers that are ``arms`` (k, 3) off the head's centre after its motion xi."""
+        rotation = Rotation.from_rotvec(xi[:3]).as_matrix()
+        arms = arms @ rotation.T
+        points = arms + (xi[3:] + self._centre)
         offsets = np.where(self.precision > 0.0, points - self.seen, 0.0)
         by_head = head_rates(arms)
-        matrix = by_head.T @ (self.precision.ravel()[:, None] * by_head) + self.head.precision
-        about = Similarity(1.0, np.eye(3), -centre)
-        head = self.head.motion.then(about).then(small).then(about.inverse())
-        return PlacedMarkers(head, points, offsets, by_head, matrix)
+        normal = by_head.T @ (self.precision.ravel()[:, None] * by_head) + self.head.precision
+        return _TurnedMarkers(rotation, points, offsets, by_head, normal)

@@ -35,6 +35,7 @@ from solver.fitting.objective import Prior, Regulariser
 from solver.fitting.prior import GaussianPrior, PartPrior, PriorSum
 from solver.fitting.sensitivity import Jacobian
 from solver.fitting.sequence import Tracker, TrackingOptions
+from solver.mechanics.equilibrium import CorrectorOptions
 from solver.similarity import Similarity
 from solver.surface import Floats
 
@@ -57,9 +58,13 @@ class MarkerOptions:
     robust: RobustOptions = field(default_factory=RobustOptions)
     regression: RegressionOptions = field(default_factory=RegressionOptions)
     # a step that promises less of half a squared Mahalanobis distance is one of noise: so faces are
-    # as near as with a tenth of it, in two thirds of the time
+    # as near as with a tenth of it, in two thirds of the time. The one step left is long, and so
+    # are its corrections; nor need they end as near as where several steps follow
     tracking: TrackingOptions = field(
-        default_factory=lambda: TrackingOptions(stop=StopOptions(3, promised=6e-2))
+        default_factory=lambda: TrackingOptions(
+            stop=StopOptions(3, promised=6e-2),
+            corrector=CorrectorOptions(long_mm=1.5, close_mm=0.4),
+        )
     )
 
 
@@ -184,7 +189,9 @@ class MarkerTracker:
                 term = replace(term, head=found.head)
                 priors += [] if found.jaw is None else [found.jaw]
             held = self._held(self._evidence_by(term).alone)
-            known = PriorSum((*priors, self._hold(held, prior.mean)))
+            if held.any():
+                priors.append(self._hold(held, prior.mean))
+            known = PriorSum(tuple(priors))
             steps = self.tracker.fit_term(term, used, known, contact=self._contact, whole=first)
         except (SolveError, np.linalg.LinAlgError):
             return self._leave(term, judged, prior, "kept")

@@ -73,7 +73,7 @@ class LiveOptions:
     forgetting: float = 1.0  # s in which a slider that nothing tells of fades to 1/e
     noise_mm: float = 0.5  # of a point, with the preview's own error
     robust: RobustOptions = field(default_factory=RobustOptions)
-    head: HeadOptions = field(default_factory=lambda: HeadOptions(steps=8, accuracy=1e-7))
+    head: HeadOptions = field(default_factory=lambda: HeadOptions(steps=8))
 
 
 @dataclass(frozen=True)
