@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import logging
 import os
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,6 +28,7 @@ from benchmarks.speed.clock import Stopwatch
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.build import build_subject_model, jaw_tracks
 from solver.anatomy.meshing import find_or_make_mesh
+from solver.anatomy.template import ShapeBasis
 from solver.errors import SolveError
 from solver.fitting import geometry, prior
 from solver.fitting.activation import unseen_regulariser
@@ -53,7 +53,7 @@ from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.take import read_take
 from solver.similarity import IDENTITY
 from solver.surface import Floats
-from solver.templates.ict_facekit import FaceKit, drive, ict_neutral, read_facekit
+from solver.templates.ict_facekit import FaceKit, drive, ict_neutral, read_facekit, shape_basis
 from solver.templates.ict_template import build_ict_template
 
 SETS = (79, 40, 17)
@@ -134,7 +134,7 @@ def run(options: argparse.Namespace) -> Figures:
     if "calibration" in parts:
         add("calibration", _calibration(Bench(face, truth, SETS[0]), known))
     if "live" in parts:
-        add("live", _live(rig, Bench(face, truth, SETS[0]), known, kit.deltas))
+        add("live", _live(rig, Bench(face, truth, SETS[0]), known, shape_basis(kit)))
     if "real" in parts and options.takes is not None:
         add("real", _real(options, kit, rig, shapes))
     return found
@@ -193,14 +193,14 @@ def _calibration(bench: Bench, known: GaussianPrior) -> Figures:
     return {"poses": len(within), "coverage95": float(np.mean(within))}
 
 
-def _live(rig: Rig, bench: Bench, known: GaussianPrior, shapes: Mapping[str, Floats]) -> Figures:
+def _live(rig: Rig, bench: Bench, known: GaussianPrior, shapes: ShapeBasis) -> Figures:
     """Return time and error of the reduced skin at the same markers, beside the whole fit's."""
     face, truth, take = bench.face, bench.truth, bench.clean()
     bench = bench.refined(known, take)
     preview = make_live_preview(
         Face(rig.model, rig.weights, linear=fastest(), tolerance=TOLERANCE),
-        [*shapes],
-        np.stack([*shapes.values()]),
+        shapes.expression_names,
+        shapes.expressions,
         seed=1,
         seconds=LIVE_SECONDS,
         listen=lambda phase, done: log.debug("preview: %s %.2f", phase, done),

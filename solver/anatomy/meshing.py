@@ -239,12 +239,13 @@ def find_or_make_mesh(
     template: Template,
     edge_mm: float = EDGE_MM,
     progress: Progress = silent,
-    options: MeshOptions = MESH,
+    mesher_seconds: float = MESH.mesher_seconds,
 ) -> Template:
     """Return the template with tets of ``edge_mm``: its own, those in the cache, or new ones.
 
     New ones take minutes and are not reproducible, so they are kept in the cache folder under the
-    hash of what they were made from, and read only if that is what they were made from. Raises as
+    hash of what they were made from, and read only if that is what they were made from. Fine ones
+    take longer than the usual ``mesher_seconds``. Raises as
     :func:`make_mesh`.
     """
     if template.mesh is not None and template.mesh.edge_mm == edge_mm:
@@ -254,7 +255,7 @@ def find_or_make_mesh(
     if (kept := _read_kept(path, bare, edge_mm)) is not None:
         return kept
     log.info("making the template's tets", template=template.name, to=str(path))
-    made = with_mesh(bare, edge_mm, progress, options)
+    made = with_mesh(bare, edge_mm, progress, replace(MESH, mesher_seconds=mesher_seconds))
     if not path.exists():  # else another process was faster: then its tets are everybody's
         made.save(path)
     return Template.load(path)

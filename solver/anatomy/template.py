@@ -53,6 +53,21 @@ class ShapeBasis:
     expression_names: tuple[str, ...]
 
 
+# expressions of ARKit that move the whole face to one side, not one side of it
+_SIDEWAYS = ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
+
+
+def split_side(expression: str) -> tuple[str, str]:
+    """Return ARKit's name of an expression without its side, and that: left, right or none.
+
+    ``mouthSmileLeft`` is ``mouthSmile`` on the ``left``.
+    """
+    for side in ("Left", "Right"):
+        if expression.endswith(side) and expression not in _SIDEWAYS:
+            return expression.removesuffix(side), side.lower()
+    return expression, ""
+
+
 # Checks that a template's arrays fit together: shapes, finite numbers, indices in range.
 
 

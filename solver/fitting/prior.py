@@ -235,9 +235,10 @@ def fitted_changes(
     options: PriorOptions = PriorOptions(),
     listen: Callable[[float], None] = lambda _done: None,
 ) -> list[Floats]:
-    """Return each shape's changes (j, k) of the controls, as fits to parts of it tell them.
+    """Return for each shape the changes (j, k) of the controls that fits to parts of it give.
 
-    The last one is of the greatest part. Small shapes have one, of the linear response.
+    The greatest part comes last. Small shapes, and those that cannot be fitted, have one row: their
+    linear response.
     """
     linear = _linear_changes(face, shapes)
     changes = [each[None] for each in linear]

@@ -70,7 +70,7 @@ class Tracker:
 
     ``temporal`` is the weight w_t of w_t/2 |a - a_before|^2 (the jaw's in the same measure),
     ``max_iterations`` bounds a frame that is fitted as any expression is. A state's vertices are
-    within about :attr:`CorrectorOptions.close_mm` of the equilibrium; its factor is that of the
+    within about the corrector's ``close_mm`` of the equilibrium; its factor is that of the
     frame that was factorised last, its residual that before the last correction.
     """
 

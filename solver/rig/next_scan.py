@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.anatomy.template import ShapeBasis
+from solver.anatomy.template import ShapeBasis, split_side
 from solver.animation.blendshapes import expression_targets
 from solver.errors import InputError, SolveError
 from solver.fitting import activation
@@ -26,7 +26,6 @@ from solver.fitting.objective import SkinDistance, Target
 from solver.model import SubjectModel
 from solver.surface import Floats
 
-SIDES = ("Left", "Right")
 # shapes as ARKit calls them -> action unit or descriptor of FACS (Ekman, Friesen and Hager 2002),
 # "" where it has none, and words to say to the person in the chair. Looks are missing, as a scan of
 # one shows lids alone; and puffed cheeks, which air makes.
@@ -94,10 +93,9 @@ def library_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, 
     neutral = model.skin.vertices[model.face]
     found: dict[str, dict[str, Floats]] = {}
     for name, points in expression_targets(model, basis).items():
-        side = next((side for side in SIDES if name.endswith(side) and name not in WORDS), "")
-        shape = name.removesuffix(side)
+        shape, side = split_side(name)
         if shape in WORDS:
-            found.setdefault(shape, {})[side.lower() or "both"] = points
+            found.setdefault(shape, {})[side or "both"] = points
     for sides in found.values():
         if "both" not in sides:
             sides["both"] = neutral + sum(

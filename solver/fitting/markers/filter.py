@@ -3,9 +3,9 @@
     Q = c^2 P + (1 - c^2) C,    P' = (Q^-1 + N)^-1
 
 Q is the covariance before a frame and P' that after it, C the prior's, c the part of a control that
-is left (:meth:`GaussianPrior.after`), N the normal matrix of the frame's markers. None of them
-depends on where the markers are seen: while they are weighed alike and the derivatives lag, N
-stays and P comes to the steady state of this recursion, which is used again.
+is left (:meth:`GaussianPrior.after`), N the normal matrix of the frame's markers. While these are
+weighed alike and derivatives lag, N stays, and P comes to the steady state of this recursion, which
+is used again.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ class FilterOptions:
     """Numbers of the filter."""
 
     forgetting: float = 1.0  # s in which a control that no marker determines fades to 1/e
-    # change of a variance in a frame, by itself, up to which it counts as steady: what forgetting
-    # still changes then is a few hundredths of the standard deviation
-    steady: float = 5e-3
+    # change of a variance in a frame up to which it counts as steady, as a part of what forgetting
+    # takes from it there: by half of that the standard deviation may still be off
+    steady: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class KnownControls:
 
 @dataclass(frozen=True)
 class _Frame:
-    """What the filter knows before a frame, what tells of it, and what is known after it."""
+    """The last frame: its prior, its evidence and what is known after it."""
 
     prior: GaussianPrior
     evidence: Evidence
@@ -65,10 +65,11 @@ class ControlFilter:
         self, usual: GaussianPrior, seconds: float, options: FilterOptions = FilterOptions()
     ) -> None:
         self.usual, self._seconds, self._options = usual, seconds, options
+        self._kept = kept_part(seconds, options.forgetting)
         self.begin()
 
     def begin(self) -> None:
-        """Forget what was steady: a take goes on the same way from where it was left."""
+        """Drop what was steady: a resumed take goes on as one that never stopped."""
         self._last: _Frame | None = None
         self._is_steady = False
 
@@ -82,10 +83,10 @@ class ControlFilter:
         return self.usual.after(mean, covariance, self._seconds, self._options.forgetting)
 
     def before(self, mean: Floats, known: KnownControls) -> GaussianPrior:
-        """Return what the filter has for a frame after one with this mean (q,)."""
+        """Return the prior of the frame after one with this mean (q,), a steady one again."""
         if self._is_steady and self._last is not None and known is self._last.known:
-            usual, kept = self.usual.mean, kept_part(self._seconds, self._options.forgetting)
-            return self._last.prior.about(usual + kept * (mean - usual))
+            rest = self.usual.mean
+            return self._last.prior.about(rest + self._kept * (mean - rest))
         return self.later(mean, known.covariance)
 
     def after(
@@ -105,7 +106,8 @@ class ControlFilter:
             inverse_of_positive(prior.precision + evidence.normal), self.spread(sure, evidence)
         )
         if last is not None and evidence is last.evidence and known is last.known:
-            self._is_steady = self._change(known, found) <= self._options.steady
+            forgotten = 1.0 - self._kept**2
+            self._is_steady = self._change(known, found) <= self._options.steady * forgotten
         self._last = _Frame(prior, evidence, found)
         return found
 

@@ -137,8 +137,8 @@ def judge(
             points[label], states[label] = point, state
     used = (states != "outlier") & (states != "missing")
     lenient = options.lenient_scales
-    is_same = np.array_equal(used, present) and not (states == "swapped").any()
-    # of the same points the first rounds are those of lenient scales
+    is_same = np.array_equal(used, present) and np.array_equal(points, seen, equal_nan=True)
+    # with no point changed the first rounds are those of lenient scales
     if not is_same or lenient != options.scales[: len(lenient)]:
         rounds = _rounds(prediction, points, precision * used[:, None], lenient, options)
     weights = _weights(points, rounds[len(lenient)], lenient[-1], options)
@@ -155,7 +155,7 @@ def _rounds(
     scales: tuple[float, ...],
     options: RobustOptions,
 ) -> list[Floats]:
-    """Return the places (k, 3) before a round of weighing with each of these scales, and after."""
+    """Return the places (k, 3) that each round of weighing starts from, and the last one's."""
     known = np.asarray(np.isfinite(seen).all(axis=1))
     exact, points = np.where(known[:, None], precision, 0.0), np.where(known[:, None], seen, 0.0)
     places = [prediction.points]

@@ -46,7 +46,7 @@ class MarkerOptions:
 
     hold_below: float = 0.2  # information of a muscle under which it is held ...
     hold_sd: float = 0.01  # ... so closely, in a control's units
-    alike: float = 0.25  # relative change of a weight up to which a posterior is used again
+    alike: float = 0.25  # relative change of a weight up to which evidence is used again
     noise_mm: float = 0.2  # standard deviation of a point, beside that of its marker's place
     w_v: float = 0.3  # of volume, beside half a squared Mahalanobis distance
     w_e: float = 3.0  # of least eigenvalues
@@ -78,11 +78,11 @@ class MarkerMemory:
 
 
 @dataclass(frozen=True)
-class _Told:
-    """Evidence of markers with ``weights`` (k, 3), by lagged derivatives."""
+class _LaggedEvidence:
+    """Evidence that serves while derivatives are the same and markers count about alike."""
 
     jacobian: Jacobian
-    weights: Floats
+    precision: Floats  # (k, 3, 3) of the markers, in the head's axes
     evidence: Evidence
 
 
@@ -148,8 +148,8 @@ class MarkerTracker:
         self.filter.begin()
         self._corners: tuple[Jacobian, Floats] | None = None
         self._rates: tuple[PosedFace, Jacobian, Floats] | None = None
-        self._spread: tuple[Jacobian | None, Floats, Floats] | None = None
-        self._told: _Told | None = None
+        self._spread: tuple[Jacobian, Floats, Floats] | None = None
+        self._lagged: _LaggedEvidence | None = None
         self.tracker = Tracker(
             self.face,
             self._penalties,
@@ -253,15 +253,18 @@ class MarkerTracker:
         return term.normal(placed, self._by_controls())
 
     def _evidence_by(self, term: MarkerTerm) -> Evidence:
-        """Return what a frame's markers tell: as one before while they are weighed alike."""
-        jacobian, weights, told = self.tracker.jacobian, term.precision, self._told
+        """Return what a frame's markers tell: as one before while they count about alike."""
+        jacobian, last, turn = self.tracker.jacobian, self._lagged, term.head.motion.rotation
         assert jacobian is not None, "made when tracking began"
-        if told is not None and told.jacobian is jacobian:
-            most = self.options.alike * np.maximum(weights, told.weights)
-            if np.all(np.abs(weights - told.weights) <= most):
-                return told.evidence
+        # that of one axis is not that of another once the head has turned
+        precision = np.einsum("ji,kj,jm->kim", turn, term.precision, turn)
+        if last is not None and last.jacobian is jacobian:
+            before = last.precision
+            size = np.maximum(precision, before).max(axis=(1, 2), keepdims=True)
+            if np.all(np.abs(precision - before) <= self.options.alike * size):
+                return last.evidence
         evidence = self.filter.evidence(self._normal(term))
-        self._told = _Told(jacobian, weights, evidence)
+        self._lagged = _LaggedEvidence(jacobian, precision, evidence)
         return evidence
 
     def _held(self, alone: Posterior) -> np.ndarray:
@@ -281,6 +284,7 @@ class MarkerTracker:
         change = prior.mean - state.pose.vector()
         places = self.places.at(state.x) + (by_controls @ change).reshape(-1, 3)
         jacobian, last = self.tracker.jacobian, self._spread
+        assert jacobian is not None, "made when tracking began"
         if last is None or last[0] is not jacobian or last[1] is not prior.covariance:
             spread = by_controls @ prior.covariance @ by_controls.T
             self._spread = last = jacobian, prior.covariance, spread

@@ -169,12 +169,13 @@ def make_live_preview(
 ) -> Preview:
     """Make sliders for :class:`solver.rig.preview.live.LiveTracker`: a template's expressions.
 
-    ``shapes`` (e, v, 3) are their motions of the whole skin, mm. Otherwise as
+    ``shapes`` (e, v, 3) are their motions of the whole skin, mm; the face's muscles are by S and
+    its jaw is free. Each is fitted first, in about a second that does not count. Otherwise as
     :func:`make_preview`, whose sliders span the person's own few expressions: markers of a whole
     take were twice as far off by them.
     """
     listen("controls", 0.0)
-    controls = controls_of_shapes(face, names, shapes)
+    controls = controls_of_shapes(face, names, shapes, lambda _done: listen("controls", 0.0))
     return _make(
         face,
         controls,

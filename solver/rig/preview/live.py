@@ -1,4 +1,4 @@
-"""Drive a preview's sliders by markers as they come: the reduced skin at capture rate.
+"""Drive a reduced skin of expressions by markers as they come, at capture rate.
 
 The markers' places follow from the slider values c (k,) alone, so a frame is a few Gauss-Newton
 steps in k numbers, with the head eliminated by the same term as in fits of takes
@@ -87,7 +87,9 @@ class LiveFrame:
 
 
 class LiveTracker:
-    """Follows markers with a preview's sliders, one frame ``seconds`` after the other.
+    """Follows markers with the sliders of :func:`solver.rig.preview.make_live_preview`.
+
+    Frames come ``seconds`` after each other.
 
     ``error_mm`` is the preview's own mean distance from the simulation, which residuals include.
     """

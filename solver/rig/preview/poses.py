@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from solver.anatomy.template import split_side
 from solver.drawing.head import both_sides
 from solver.errors import SolveError
 from solver.fitting.face import Face, PosedFace
@@ -140,7 +141,9 @@ def _alike(
     """Return values (k,) of so many random controls of a kind, both sides about alike."""
     sides: dict[str, list[int]] = {}
     for number in controls.of_kind(kind):
-        sides.setdefault(both_sides(controls.each[number].name), []).append(number)
+        name = controls.each[number].name
+        bare = both_sides(name) if kind == "muscle" else split_side(name)[0]
+        sides.setdefault(bare, []).append(number)
     values = np.zeros(len(controls))
     for name in rng.choice(list(sides), min(count, len(sides)), replace=False):
         amount = rng.uniform(*amounts)

@@ -10,7 +10,7 @@ from tests.solver.ball import EDGE_MM, ball_template, meshed_ball
 def test_tets_are_made_once_and_anew_if_the_file_was_spoilt(tmp_path, monkeypatch):
     made = []
 
-    def with_mesh(template, edge_mm, _progress):
+    def with_mesh(template, edge_mm, _progress, _options):
         assert template.sha256 == ball_template().sha256
         made.append(edge_mm)
         return meshed_ball()

@@ -67,3 +67,14 @@ def test_many_frames_make_nothing_surer_that_each_determines():
     one = np.diag(evidence.alone.covariance)
     np.testing.assert_allclose(np.diag(known.spread), one, rtol=0.02)
     assert (np.diag(known.covariance) < 0.85 * one).all()
+
+
+def test_a_steady_spread_is_near_the_prior_at_any_rate_and_forgetting():
+    for rate, forgetting in ((60.0, 1.0), (240.0, 1.0), (60.0, 10.0)):
+        tracker = ControlFilter(usual(), 1.0 / rate, FilterOptions(forgetting=forgetting))
+        known = tracker.after(usual(), None, tracker.evidence(100.0 * np.eye(4)))
+        nothing = tracker.evidence(np.zeros((4, 4)))
+        for _ in range(int(8.0 * forgetting * rate)):
+            known = tracker.after(tracker.before(usual().mean, known), known, nothing)
+        sd = np.sqrt(np.diag(known.spread) / usual().variance)
+        assert sd.min() > 0.95

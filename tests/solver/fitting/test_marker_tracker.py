@@ -166,6 +166,20 @@ def test_points_are_judged_by_what_the_others_say():
     assert np.delete(judged.weights, [3, 9]).min() > 0.9
 
 
+def test_a_lost_marker_that_is_found_counts_in_full():
+    """The point of an outlier's label is among the unlabelled."""
+    points = np.zeros((6, 3))
+    points[:, 0] = 10.0 * np.arange(6)
+    one = np.tile(np.eye(3), (6, 1))
+    prediction = Prediction(points, 400.0 * one @ one.T + 4.0 * np.eye(18))
+    seen = points + 2.0
+    lost = seen[0].copy()
+    seen[0] += 10.0
+    judged = judge(prediction, seen, np.full((6, 3), 4.0), lost[None])
+    assert judged.states.tolist() == ["relabelled"] + ["seen"] * 5
+    assert judged.weights.min() > 0.9
+
+
 def test_places_that_are_bound_wrong_are_mended(face, markers, places, known, take):
     """Each marker is bound 1.5 mm beside its place; the take says where it is."""
     points = take[2]
