@@ -245,8 +245,7 @@ def find_or_make_mesh(
 
     New ones take minutes and are not reproducible, so they are kept in the cache folder under the
     hash of what they were made from, and read only if that is what they were made from. Fine ones
-    take longer than the usual ``mesher_seconds``. Raises as
-    :func:`make_mesh`.
+    take longer than the usual ``mesher_seconds``. Raises as :func:`make_mesh`.
     """
     if template.mesh is not None and template.mesh.edge_mm == edge_mm:
         return template

@@ -119,7 +119,11 @@ class GaussianPrior:
         """Return the prior so long after a frame whose posterior was N(mean, covariance)."""
         kept = kept_part(seconds, time)
         spread = kept**2 * covariance + (1.0 - kept**2) * self.covariance
-        return GaussianPrior(self.mean + kept * (mean - self.mean), spread)
+        return GaussianPrior(self.faded(mean, kept), spread)
+
+    def faded(self, mean: Floats, kept: float) -> Floats:
+        """Return a mean (k,) of which a part is ``kept`` on its way back to rest."""
+        return np.asarray(self.mean + kept * (mean - self.mean))
 
 
 def kept_part(seconds: float, time: float) -> float:

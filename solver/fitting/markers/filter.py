@@ -85,8 +85,7 @@ class ControlFilter:
     def before(self, mean: Floats, known: KnownControls) -> GaussianPrior:
         """Return the prior of the frame after one with this mean (q,), a steady one again."""
         if self._is_steady and self._last is not None and known is self._last.known:
-            rest = self.usual.mean
-            return self._last.prior.about(rest + self._kept * (mean - rest))
+            return self._last.prior.about(self.usual.faded(mean, self._kept))
         return self.later(mean, known.covariance)
 
     def after(

@@ -63,14 +63,10 @@ def poses_to_learn(
 ) -> list[Slid]:
     """Return the poses that the preview is made from, the most important first."""
     rng = np.random.default_rng([seed, 0])
-    fitted = [
-        Slid("expression", level * values, name)
-        for name, values in controls.presets.items()
-        for level in reversed(options.levels)
-    ]
     numbers = range(len(controls))
     alone = [_alone(controls, number, level) for number in numbers for level in options.levels]
-    return [*fitted, *alone, *_mix(controls, rng, options.learn, options)]
+    mixed = _mix(controls, rng, options.learn, options)
+    return [*_presets(controls, options.levels), *alone, *mixed]
 
 
 def poses_to_measure(
@@ -81,6 +77,15 @@ def poses_to_measure(
     levels = rng.uniform(min(options.levels) / 2, max(options.levels), len(controls))
     alone = [_alone(controls, number, level) for number, level in enumerate(levels)]
     return [*_mix(controls, rng, options.measure, options), *alone]
+
+
+def _presets(controls: Sliders, levels: Sequence[float]) -> list[Slid]:
+    """Return every expression at the levels, the greatest first."""
+    return [
+        Slid("expression", level * values, name)
+        for name, values in controls.presets.items()
+        for level in reversed(levels)
+    ]
 
 
 def _alone(controls: Sliders, number: int, level: float) -> Slid:
@@ -168,12 +173,8 @@ def shape_poses_to_learn(
     controls: Sliders, seed: int, options: ShapeSampleOptions = ShapeSampleOptions()
 ) -> list[Slid]:
     """Return the poses that a live skin is made from: expressions, then mixtures of them."""
-    alone = [
-        Slid("expression", level * values, name)
-        for name, values in controls.presets.items()
-        for level in reversed(options.levels)
-    ]
-    return [*alone, *_mixtures(controls, np.random.default_rng([seed, 0]), options.learn, options)]
+    mixed = _mixtures(controls, np.random.default_rng([seed, 0]), options.learn, options)
+    return [*_presets(controls, options.levels), *mixed]
 
 
 def shape_poses_to_measure(
