@@ -90,6 +90,36 @@ class JawTracks:
         arms = points - self.frame.origin
         return np.asarray(np.einsum("qij,nj->niq", rates, arms) + slides.T)
 
+    def departure(self, motion: Floats) -> float:
+        """Return how far the worse condyle is from its track, mm, after a ``motion`` (4, 4).
+
+        A condyle beyond an end of its track is as far away as from that end. To the side, both are
+        where the point half way between them is: a jaw on its tracks that slides one condyle alone
+        draws both a little to the middle.
+        """
+        u, m, (v, n) = self.frame.axes[0], self.frame.origin, self._directions
+        sideways = float((motion[:3, :3] @ m + motion[:3, 3] - m) @ u)
+        most = 0.0
+        for side in (0.5, -0.5):
+            rest = m + side * self.apart * u
+            gone = motion[:3, :3] @ rest + motion[:3, 3] - rest
+            along, below = gone @ v, gone @ n
+            # the nearest point of a circle's arc is at the angle of the point
+            angle = np.arctan2(self.bend * along, 1.0 - self.bend * below)
+            s = angle / self.bend if self.bend else along
+            nearest, _ = self._way(float(np.clip(s, -self.retrusion, self.length)))
+            missed = gone - nearest
+            missed += (sideways - missed @ u) * u
+            most = max(most, float(np.linalg.norm(missed)))
+        return most
+
+    @property
+    def _directions(self) -> tuple[Floats, Floats]:
+        """Return v and n."""
+        down, ahead = -self.frame.axes[1], self.frame.axes[2]
+        v = np.cos(self.slope) * ahead + np.sin(self.slope) * down
+        return v, np.cos(self.slope) * down - np.sin(self.slope) * ahead
+
     def _motion(self, b: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
         """Return the rotation, the slide, and both's derivatives by q, (3, 3, 3) and (3, 3)."""
         u = self.frame.axes[0]
@@ -109,9 +139,7 @@ class JawTracks:
 
     def _way(self, s: float) -> tuple[Floats, Floats]:
         """Return c(s) and its derivative."""
-        down, ahead = -self.frame.axes[1], self.frame.axes[2]
-        v = np.cos(self.slope) * ahead + np.sin(self.slope) * down
-        n = np.cos(self.slope) * down - np.sin(self.slope) * ahead
+        v, n = self._directions
         along, angle = s * np.sinc(self.bend * s / np.pi), self.bend * s
         # (1 - cos k s) / k without division by zero
         below = 0.5 * self.bend * s * s * np.sinc(0.5 * angle / np.pi) ** 2

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
@@ -55,10 +56,15 @@ class Muscles:
     flesh_mm3: Floats  # how much of the flesh is the muscle's
     limits: MuscleLimits = MuscleLimits()
 
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """Return which muscles (m,) have flesh enough to be judged."""
+        return np.asarray(self.flesh_mm3 >= self.limits.least_flesh_mm3)
+
     def faults(self, muscle: int) -> list[str]:
         """Return in plain words what a muscle does that muscles cannot do."""
         limits = self.limits
-        if self.flesh_mm3[muscle] < limits.least_flesh_mm3:
+        if not self.judged[muscle]:
             return []
         least, most = self.shortest[muscle], self.longest[muscle]
         fibres, volume = self.fibres[muscle], self.volume[muscle]
@@ -75,8 +81,7 @@ class Muscles:
     @property
     def inside_out(self) -> Ints:
         """Return the numbers of the muscles that are turned inside out."""
-        judged = self.flesh_mm3 >= self.limits.least_flesh_mm3
-        return np.flatnonzero((self.shortest <= 0.0) & judged)
+        return np.flatnonzero((self.shortest <= 0.0) & self.judged)
 
 
 def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) -> Muscles:

@@ -290,6 +290,11 @@ class Judgement:
         return next(found, "")
 
 
+def expression_verdict(judgements: Sequence[Judgement], expression: str) -> Verdict:
+    """Return the worst verdict of the checks that were made of an expression."""
+    return overall([each.of(expression) for each in judgements if expression in each.measures])
+
+
 def use(judgements: Sequence[Judgement], expressions: Sequence[str]) -> str:
     """Say what a rig is good for, and what not."""
     failed = [each for each in judgements if each.verdict != "good"]

@@ -16,7 +16,7 @@ from solver.errors import Verdict
 from solver.fitting.geometry_information import MuscleInformation
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, JawMotion, Muscles
-from solver.rig.checks import Judgement, judge, overall, use
+from solver.rig.checks import Judgement, expression_verdict, judge, overall, use
 from solver.rig.measures import measured_regions
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
@@ -108,7 +108,7 @@ def _expression(
     flesh, trip = check.flesh, fit.round_trip
     return {
         "role": fit.role,
-        "verdict": overall([judgement.of(fit.name) for judgement in mine]),
+        "verdict": expression_verdict(judgements, fit.name),
         "failed": [each.check.code for each in mine if each.of(fit.name) != "good"],
         "coverage": _round(len(error) / len(model.face)),
         **_distances(error),

@@ -136,3 +136,22 @@ def test_a_jaw_on_its_tracks_is_fitted_within_them():
     found = fit(beyond).pose.b
     assert found[0] == 0.0
     assert found[1:].tolist() == [2.0, 2.0]
+
+
+@pytest.mark.parametrize("tracks", [STRAIGHT, CURVED], ids=["straight", "curved"])
+def test_a_departure_is_how_far_the_worse_condyle_is_from_its_track(tracks):
+    u, up, ahead = tracks.frame.axes
+    v = np.cos(tracks.slope) * ahead - np.sin(tracks.slope) * up
+    for q in POSES:
+        assert tracks.departure(tracks.matrix(q)) == pytest.approx(0.0, abs=1e-9)
+
+    def departure(shift):
+        motion = np.eye(4)
+        motion[:3, 3] = shift
+        return tracks.departure(motion)
+
+    assert departure(2.0 * u + 0.5 * np.cross(u, v)) == pytest.approx(np.hypot(2.0, 0.5), rel=0.02)
+    behind = -(3.0 + tracks.retrusion) * v
+    assert departure(behind) == pytest.approx(3.0, rel=0.02)
+    far = np.array([0.0, tracks.length + 2.0, tracks.length + 2.0])
+    assert tracks.departure(tracks.matrix(far)) == pytest.approx(2.0, rel=0.02)
