@@ -231,12 +231,13 @@ def _fit_blended(person: Person) -> dict[str, Floats]:
     """Return the face's points (k, 3) of all scans as S fits them."""
     face = Face(person.model, linear=fastest())
     if person.rig is None:
-        S, train = subject_fits.by_geometry(face, person.train, GeometryOptions())
+        train = subject_fits.by_geometry(face, person.train, GeometryOptions())
+        face = train.face
         trained = {name: face.face_points(state.x) for name, state in train.states.items()}
     else:
-        S, ids = person.rig.weights, person.model.face
+        face, ids = face.with_weights(person.rig.weights), person.model.face
         trained = {fit.name: fit.skin[ids] for fit in person.rig.expressions}
-    test = subject_fits.by_activations(face.with_weights(S), person.test)
+    test = subject_fits.by_activations(face, person.test)
     return trained | {name: face.face_points(state.x) for name, state in test.states.items()}
 
 

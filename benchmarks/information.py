@@ -76,7 +76,8 @@ def run(options: argparse.Namespace) -> Figures:
         shapes = shape_basis(read_facekit(options.faces))
     rounds = options.rounds or (QUICK_ROUNDS if options.quick else GeometryOptions.rounds)
     people, draws = {}, []
-    for name, model, captures in subjects.each(options, options.subjects.split(","), edge):
+    for subject in subjects.each(options, options.subjects.split(","), edge):
+        name, model, captures = subject.name, subject.model, subject.captures
         face = Face(model)
         trained = {name: scan.vertices[model.face] for name, scan in captures.train.items()}
         people[name] = measure_identifiability(face, trained, rounds)

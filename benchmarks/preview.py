@@ -16,14 +16,12 @@ import numpy as np
 
 from benchmarks import report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
-from benchmarks.subject_fits import Fits
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
 from solver.rig.preview import make_preview
-from solver.rig.rig import ExpressionFit
 
 SEED = 0
 QUICK_ROUNDS = 4
@@ -43,9 +41,9 @@ def run(options: argparse.Namespace) -> Figures:
     quick = options.quick
     model, captures = subjects.load(options, COARSE_EDGE_MM if quick else EDGE_MM)
     schedule = GeometryOptions(rounds=QUICK_ROUNDS) if quick else GeometryOptions()
-    S, fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
-    fitted = [_fitted(fits, name) for name in fits.states]
-    face = Face(model, S, linear=fastest(), tolerance=TOLERANCE)
+    fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
+    fitted = fits.expressions("train")
+    face = Face(model, fits.face.S, linear=fastest(), tolerance=TOLERANCE)
     start = time.perf_counter()
     preview = make_preview(face, fitted, seed=SEED, seconds=np.inf, listen=lambda *_: None)
     seconds = time.perf_counter() - start
@@ -86,27 +84,6 @@ def section(figures: Figures) -> Section:
             Table(["unseen poses", *columns.values()], rows),
             Table(["fitted expression", "mean, mm"], presets),
         ],
-    )
-
-
-def _fitted(fits: Fits, name: str) -> ExpressionFit:
-    """Return what a rig holds of a fit."""
-    state = fits.states[name]
-    error = np.full(len(fits.scans[name].vertices), np.nan)
-    error[fits.face.model.face] = fits.distances(name)
-    return ExpressionFit(
-        name=name,
-        role="train",
-        activations=state.pose.a,
-        jaw=state.pose.b,
-        skin=fits.skin(name),
-        target=fits.scans[name].vertices,
-        error_mm=error,
-        inverted=fits.face.flesh.inverted(state.x),
-        iterations=0,
-        seconds=0.0,
-        objective=float(np.nanmean(error**2)),
-        x=state.x,
     )
 
 

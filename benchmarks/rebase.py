@@ -143,8 +143,8 @@ def _figures(based: Template, captures: CaptureSet, options: argparse.Namespace)
     model = build_subject_model(based, captures.neutral.vertices)
     face = Face(model)
     schedule = GeometryOptions(rounds=QUICK_ROUNDS) if options.quick else GeometryOptions()
-    S, train = subject_fits.by_geometry(face, captures.train, schedule)
-    test = subject_fits.by_activations(face.with_weights(S), captures.test)
+    train = subject_fits.by_geometry(face, captures.train, schedule)
+    test = subject_fits.by_activations(train.face, captures.test)
     raw = raw_scans(topology(based), options.data / "scans")
     return {
         "vertices": len(based.skin.vertices),

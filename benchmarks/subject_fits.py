@@ -5,10 +5,9 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.sparse as sp
 
 from benchmarks.documents import Figures
 from solver.contact.crossing import crossing
@@ -18,9 +17,14 @@ from solver.fitting import fallback, geometry, per_tet
 from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
 from solver.fitting.face import Face, PosedFace
+from solver.fitting.fallback import FallbackFit, Status
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Target, Term, distances
 from solver.fitting.per_tet import PerTetOptions
+from solver.jobs.fits import describe_fit
+from solver.meshio.registered import RegisteredScan
+from solver.rig.certificate import with_round_trips
+from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Surface
 
 log = logging.getLogger(__name__)
@@ -30,13 +34,22 @@ Scans = Mapping[str, Surface]
 
 @dataclass(frozen=True)
 class Fits:
-    """Settled fits of several scans, how long they took, and why there is none of a scan."""
+    """Settled fits of several scans, how long they took, and why there is none of a scan.
+
+    ``face`` is the one they are of, with its S; ``rounds`` are those that S took.
+    """
 
     face: Face
     scans: dict[str, Surface]
-    states: dict[str, PosedFace]
+    endings: dict[str, FallbackFit]
     seconds: float
-    failed: dict[str, str]
+    failed: dict[str, str] = field(default_factory=dict)
+    rounds: int = 0
+
+    @property
+    def states(self) -> dict[str, PosedFace]:
+        """Return every expression's state."""
+        return {name: ending.state for name, ending in self.endings.items()}
 
     @property
     def mean_mm(self) -> float | None:
@@ -59,6 +72,24 @@ class Fits:
         """Return the number of inverted tets in all expressions."""
         return sum(self.face.flesh.inverted(state.x) for state in self.states.values())
 
+    def expressions(self, role: str) -> list[ExpressionFit]:
+        """Return what a rig holds of the fits."""
+        whole = np.ones(len(self.face.model.skin.vertices))
+        targets = _targets(self.face, self.scans)
+        share = self.seconds / max(len(self.endings), 1)
+        return [
+            describe_fit(
+                self.face,
+                name,
+                role,
+                RegisteredScan(self.scans[name].vertices, whole),
+                targets[name],
+                ending,
+                share,
+            )
+            for name, ending in self.endings.items()
+        ]
+
     def figures(self, role: str) -> dict[str, Figures]:
         """Return what is measured of every expression; crossings only where there is a mouth."""
         mouth = Mouth.of(self.face.model)
@@ -77,29 +108,32 @@ class Fits:
         return found
 
 
-def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> tuple[sp.csr_array, Fits]:
-    """Fit S, activations and jaws to all scans; return S too."""
-    targets = _targets(face, scans)
+def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
+    """Fit S, activations and jaws to all scans."""
+    targets, rounds = _targets(face, scans), 0
 
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
+        nonlocal rounds
+        rounds += 1
         log.info("round %d: %.3f mm", number, geometry.mean_error(face, targets, states))
 
     start = time.perf_counter()
     data, first_terms = terms(face, targets), distances(face, targets)
     fitted = geometry.fit(face, data, schedule, first_terms=first_terms, listen=listen)
     seconds = time.perf_counter() - start
-    return fitted.S, Fits(face, dict(scans), fitted.states, seconds, {})
+    fitted_face = face.with_weights(fitted.S)
+    return Fits(fitted_face, dict(scans), fitted.endings, seconds, rounds=rounds)
 
 
 def by_activations(face: Face, scans: Scans) -> Fits:
     """Fit activations and jaw to every scan, S being known."""
     regulariser = unseen_regulariser(face)
 
-    def fit(data: Term) -> PosedFace:
+    def fit(data: Term) -> FallbackFit:
         found = fallback.fit(face, data, regulariser, UNSEEN_STOP)
         if found.status == "failed":
             raise SolveError("fit.failed", "; ".join(notice.message for notice in found.notices))
-        return found.state
+        return found
 
     return _each(face, scans, terms(face, _targets(face, scans)), fit)
 
@@ -107,29 +141,58 @@ def by_activations(face: Face, scans: Scans) -> Fits:
 def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
     """Fit six activations per tet and the jaw to every scan; ``face`` has that model's material."""
 
-    def fit(data: Term) -> PosedFace:
-        return per_tet.fit(face, data, options=options).state
+    def fit(data: Term) -> FallbackFit:
+        found = per_tet.fit(face, data, options=options)
+        status: Status = "converged" if found.status == "converged" else "stopped"
+        return FallbackFit(found.state, found.objective, found.iterations, "reduced", status)
 
     return _each(face, scans, terms(face, _targets(face, scans)), fit)
 
 
 def _each(
-    face: Face, scans: Scans, data: Mapping[str, Term], fit: Callable[[Term], PosedFace]
+    face: Face, scans: Scans, data: Mapping[str, Term], fit: Callable[[Term], FallbackFit]
 ) -> Fits:
-    states, failed = {}, {}
+    endings, failed = {}, {}
     start = time.perf_counter()
     for name, term in data.items():
         begin = time.perf_counter()
         try:
-            states[name] = fit(term)
+            endings[name] = fit(term)
         except SolveError as error:
             failed[name] = f"{error.code}: {error.message}"
             log.warning("%s: %s", name, failed[name])
         else:
             log.info("%s: %.1f s", name, time.perf_counter() - begin)
-    return Fits(face, dict(scans), states, time.perf_counter() - start, failed)
+    return Fits(face, dict(scans), endings, time.perf_counter() - start, failed)
 
 
 def _targets(face: Face, scans: Scans) -> dict[str, Target]:
     ids = face.model.face
     return {name: Target.from_points(scan.vertices[ids]) for name, scan in scans.items()}
+
+
+@dataclass(frozen=True)
+class Method:
+    """How a subject is fitted: ``train`` shapes the face as well, ``test`` poses a shaped one.
+
+    Controls of the muscles and the jaw may be any that its faces have; the fits' ``face`` is what
+    ``test`` is given.
+    """
+
+    train: Callable[[Face, Scans, GeometryOptions], Fits]
+    test: Callable[[Face, Scans], Fits]
+
+
+CONTROLS = {"free": Method(by_geometry, by_activations)}  # by what muscles and jaw may do
+
+
+def rig_of(train: Fits, test: Fits) -> Rig:
+    """Return the rig that the jobs would leave of both, with its round trips."""
+    face, start = train.face, time.perf_counter()
+    fits = with_round_trips(face, (*train.expressions("train"), *test.expressions("test")))
+    seconds = {
+        "geometry": train.seconds,
+        "activations": test.seconds,
+        "round_trip": time.perf_counter() - start,
+    }
+    return Rig(face.model, face.S, fits, seconds)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from solver.anatomy.build import build_subject_model
+from benchmarks.strong import strong_scans
+from solver.anatomy.build import build_subject_model, jaw_tracks
 from solver.anatomy.meshing import find_or_make_mesh
+from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
 from solver.templates.export import CaptureSet
@@ -16,6 +19,8 @@ from solver.templates.ict_template import build_ict_template
 
 EDGE_MM, COARSE_EDGE_MM = 9.0, 18.0
 """Tets' edges of benchmarks: as in jobs, and small enough for IPOPT."""
+
+SETS = ("standard", "strong")  # of a subject's training scans; the unseen ones are the same
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -31,18 +36,32 @@ def add_folders(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--capture-sets", type=Path, help="capture-sets file (default: in --faces)")
 
 
+@dataclass(frozen=True)
+class Subject:
+    """A person to be fitted, with the sets of scans by their names (:data:`SETS`)."""
+
+    name: str
+    model: SubjectModel
+    sets: dict[str, CaptureSet]
+    tracks: JawTracks
+
+    @property
+    def captures(self) -> CaptureSet:
+        """Return the standard set."""
+        return self.sets["standard"]
+
+
 def load(options: argparse.Namespace, edge_mm: float) -> tuple[SubjectModel, CaptureSet]:
     """Build the chosen subject's model with tets of ``edge_mm`` and return it with the scans."""
-    _, model, captures = next(each(options, [options.subject], edge_mm))
-    return model, captures
+    subject = next(each(options, [options.subject], edge_mm))
+    return subject.model, subject.captures
 
 
-def each(
-    options: argparse.Namespace, names: Sequence[str], edge_mm: float
-) -> Iterator[tuple[str, SubjectModel, CaptureSet]]:
-    """Yield several subjects of one template: name, model and scans, which are all read first.
+def each(options: argparse.Namespace, names: Sequence[str], edge_mm: float) -> Iterator[Subject]:
+    """Yield several subjects of one template, whose scans are all read first.
 
-    Without folders it is the built-in person alone, whatever the ``names``.
+    Without folders it is the built-in person alone, whatever the ``names``. The strong set has the
+    unseen scans of the standard one.
     """
     if (options.faces is None) != (options.anatomy is None):
         raise SystemExit("--anatomy and --faces go together")
@@ -53,4 +72,7 @@ def each(
         template = build_ict_template(options.anatomy, options.faces)
     template = find_or_make_mesh(template, edge_mm)
     for name, scans in captures.items():
-        yield name, build_subject_model(template, scans.neutral.vertices, edge_mm=edge_mm), scans
+        model = build_subject_model(template, scans.neutral.vertices, edge_mm=edge_mm)
+        strong = replace(scans, train=strong_scans(template, scans.neutral))
+        sets = dict(zip(SETS, (scans, strong), strict=True))
+        yield Subject(name, model, sets, jaw_tracks(template, model))

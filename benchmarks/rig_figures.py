@@ -1,0 +1,158 @@
+"""Figures of fitted rigs for the benchmarks: what their certificates say, over all expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from benchmarks.documents import Figures
+from benchmarks.subject_fits import Fits, Method, rig_of
+from solver.mechanics.jaw_tracks import JawTracks
+from solver.rig.certificate import Muscles, certify
+from solver.rig.checks import Judgement, expression_verdict, judge
+from solver.rig.round_trip import activation_error
+
+
+@dataclass(frozen=True)
+class NoiseOptions:
+    """White noise on scans."""
+
+    sd_mm: float = 0.2  # of each coordinate of each vertex
+    seed: int = 7
+
+
+# a figure -> the certificate's check, and how it is taken over the expressions
+Checked = Mapping[str, tuple[str, Callable[[list[Any]], Any]]]
+CHECKED: Checked = {
+    "inverted": ("flesh.inverted", sum),
+    "det_least": ("flesh.flattest", min),
+    "beyond": ("muscles.beyond", sum),
+    "beyond_worst": ("muscles.beyond", max),
+    "inside_out": ("muscles.inside_out", sum),
+    "jaw_beyond": ("jaw.range", sum),
+    "lip_crossing_max_mm": ("contact.lips", max),
+    "bite_max_mm": ("contact.bite", max),
+    "snap_max_mm": ("trip.snap", max),
+}
+ROUND_TRIP: Checked = {
+    "skin_mean_mm": ("trip.skin", max),
+    "refit_mean_mm": ("trip.refit", max),
+    "refit_activations_percent": ("trip.activations", max),
+}
+
+
+def rig_figures(train: Fits, test: Fits, tracks: JawTracks) -> Figures:
+    """Return the figures of a rig of both, by the certificate that a job would leave.
+
+    Fits that failed count as bad certificates; ``unreached`` are the expressions that cannot be
+    simulated from rest.
+    """
+    rig = rig_of(train, test)
+    certificate = certify(train.face, rig, {})
+    checks, judgements = certificate.expressions, judge(rig, certificate)
+    expressions = {**train.figures("train"), **test.figures("test")}
+    beyond = next(each.measures for each in judgements if each.check.code == "muscles.beyond")
+    for name, found in expressions.items():
+        fits = train if name in train.states else test
+        motion = fits.face.jaw.matrix(fits.states[name].pose.b)
+        found |= {
+            "verdict": expression_verdict(judgements, name),
+            "beyond": beyond[name].value,
+            **muscle_figures([checks[name].muscles]),
+            "condyle_out_mm": tracks.departure(motion),
+            "contractions": contractions(rig.model.muscle_names, checks[name].muscles),
+        }
+    failed = {**train.failed, **test.failed}
+    bad = sum(found["verdict"] == "bad" for found in expressions.values())
+    trips = [fit.round_trip for fit in rig.expressions if fit.round_trip]
+    return {
+        "train_mean_mm": train.mean_mm,
+        "test_mean_mm": test.mean_mm,
+        **over_expressions(judgements, CHECKED),
+        **muscle_figures([check.muscles for check in checks.values()]),
+        "condyle_out_mm": max(found["condyle_out_mm"] for found in expressions.values()),
+        "certificates_bad": bad + len(failed),
+        "certificates": len(expressions) + len(failed),
+        "round_trip": {
+            **over_expressions(judgements, ROUND_TRIP),
+            "unreached": sum(not trip.is_reached for trip in trips),
+        },
+        "rounds": train.rounds,
+        "geometry_seconds": train.seconds,
+        "test_seconds": test.seconds,
+        "round_trip_seconds": rig.seconds["round_trip"],
+        "failed": failed,
+        "expressions": expressions,
+    }
+
+
+def over_expressions(judgements: Sequence[Judgement], wanted: Checked) -> Figures:
+    """Return the ``wanted`` figures over all expressions; None where nothing is known."""
+    known = {each.check.code: each.measures.values() for each in judgements}
+    found: Figures = {}
+    for key, (code, over) in wanted.items():
+        values = [each.value for each in known.get(code, ()) if np.isfinite(each.value)]
+        found[key] = over(values) if values else None
+    return found
+
+
+def muscle_figures(expressions: Sequence[Muscles]) -> Figures:
+    """Return the worst of what muscles with flesh enough to be judged do; None without any."""
+    columns: dict[str, Callable[[Muscles], Any]] = {
+        "volume_worst_percent": lambda found: 100.0 * np.abs(found.volume - 1.0),
+        "fibres_longest": lambda found: found.fibres,
+        "stretch_longest": lambda found: found.longest,
+    }
+    figures: Figures = {}
+    for key, column in columns.items():
+        values = np.concatenate([column(found)[found.judged] for found in expressions])
+        known = values[np.isfinite(values)]
+        figures[key] = float(known.max()) if len(known) else None
+    return figures
+
+
+def contractions(names: Sequence[str], muscles: Muscles) -> dict[str, float]:
+    """Return by how much the fibres of each judged muscle shorten, as part of their length."""
+    known = muscles.judged & np.isfinite(muscles.fibres)
+    return {names[k]: float(1.0 - muscles.fibres[k]) for k in np.flatnonzero(known)}
+
+
+def same_muscle_other_person(people: Sequence[Figures]) -> float | None:
+    """Return the correlation of the muscles' contractions in two people's same expression.
+
+    It is the mean over all expressions and pairs of ``people``, whose figures are those of
+    :func:`rig_figures`; None without any pair.
+    """
+    found = []
+    for one, other in combinations((person["expressions"] for person in people), 2):
+        for name in one.keys() & other.keys():
+            ours, theirs = (each[name]["contractions"] for each in (one, other))
+            both = sorted(ours.keys() & theirs.keys())
+            pairs = np.array([(ours[muscle], theirs[muscle]) for muscle in both])
+            if len(pairs) > 1 and pairs.std(axis=0).all():
+                found.append(np.corrcoef(pairs.T)[0, 1])
+    return float(np.mean(found)) if found else None
+
+
+def noise_error(method: Method, test: Fits, noise: NoiseOptions = NoiseOptions()) -> float | None:
+    """Return how much noise on the scans changes activations, as the round trip measures them.
+
+    It is the mean over the expressions; None without any.
+    """
+    rng, face = np.random.default_rng(noise.seed), test.face
+    spoilt = {
+        name: scan.moved(scan.vertices + noise.sd_mm * rng.standard_normal(scan.vertices.shape))
+        for name, scan in test.scans.items()
+    }
+    again, rest = method.test(face, spoilt), face.rest_pose().a
+    errors = [
+        activation_error(state.pose.a, again.states[name].pose.a, rest=rest)
+        for name, state in test.states.items()
+        if name in again.states
+    ]
+    known = [error for error in errors if np.isfinite(error)]
+    return float(np.mean(known)) if known else None
