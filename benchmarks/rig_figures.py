@@ -118,7 +118,7 @@ def muscle_figures(expressions: Sequence[Muscles]) -> Figures:
 def contractions(names: Sequence[str], muscles: Muscles) -> dict[str, float]:
     """Return by how much the fibres of each judged muscle shorten, as part of their length."""
     known = muscles.judged & np.isfinite(muscles.fibres)
-    return {names[k]: float(1.0 - muscles.fibres[k]) for k in np.flatnonzero(known)}
+    return {names[k]: float(1.0 - muscles.fibres[k]) for k in np.flatnonzero(known).tolist()}
 
 
 def same_muscle_other_person(people: Sequence[Figures]) -> float | None:
