@@ -53,10 +53,21 @@ def linear(srgb: Floats) -> Floats:
     return np.asarray(srgb, np.float64) ** GAMMA
 
 
+_SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}  # words of muscles' names
+
+
 def both_sides(muscle: str) -> str:
     """Return a muscle's name without its side: ``left buccinator`` -> ``buccinator``."""
-    words = re.split(r"[\s_]+", muscle)
-    return " ".join(word for word in words if word.lower() not in ("left", "right", "l", "r"))
+    return " ".join(word for word in _words(muscle) if word.lower() not in _SIDES)
+
+
+def muscle_side(muscle: str) -> str:
+    """Return the side in a muscle's name, ``left`` or ``right``; "" for one in the middle."""
+    return next((_SIDES[word.lower()] for word in _words(muscle) if word.lower() in _SIDES), "")
+
+
+def _words(muscle: str) -> list[str]:
+    return re.split(r"[\s_]+", muscle)
 
 
 def muscle_colours(names: tuple[str, ...]) -> dict[str, tuple[float, ...]]:

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from solver.anatomy.action_units import actions_of
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError
@@ -21,6 +22,7 @@ from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization
 from solver.model import SubjectModel
+from solver.rig.prime_movers import Movers, movers, ranked
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import round_trip
 from solver.surface import Floats, Ints
@@ -77,6 +79,11 @@ class Muscles:
             (least > 0.0 and not low <= volume <= high, f"has {100 * volume:.0f} % of its volume"),
         )
         return [words for is_so, words in faults if is_so]
+
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """Return which muscles (m,) have the flesh to move anything."""
+        return self.flesh_mm3 >= self.limits.least_flesh_mm3
 
     @property
     def inside_out(self) -> Ints:
@@ -180,6 +187,7 @@ class ExpressionCheck:
     """The checks of one expression."""
 
     muscles: Muscles
+    movers: Movers  # who contracts, by the actions that the expression's name speaks for
     jaw: JawMotion
     flesh: FleshCheck | None  # None where the rig does not hold the tets
     crossing: Crossing | None  # of the fitted skin; None where the model names no lips
@@ -260,8 +268,11 @@ def _check(
     face: Face, fit: ExpressionFit, mouth: Mouth | None, linear: LinearSolver
 ) -> ExpressionCheck:
     a = face.tet_activations(fit.activations)
+    found = muscles(face.model, face.flesh.volumes, face.S, fit.activations)
+    contractions = ranked(face.model.muscle_names, found.fibres, found.judged)
     return ExpressionCheck(
-        muscles(face.model, face.flesh.volumes, face.S, fit.activations),
+        found,
+        movers(contractions, actions_of(fit.name)),
         jaw_motion(face.model, FreeJaw(face.model.jaw).matrix(fit.jaw)),
         None if fit.x is None else check_flesh(face, a, fit.x, linear),
         None if mouth is None else crossing(mouth, fit.skin),

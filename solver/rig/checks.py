@@ -166,6 +166,14 @@ CHECKS = (
         "no option changes that.",
     ),
     RigCheck(
+        "muscles.movers",
+        "Muscles that contradict the expression",
+        CheckLimits(0, np.inf),
+        "by the action units of its name, as FACS and anatomy texts have their muscles",
+        "The skin is right, by other muscles than a living face takes for it: do not read these "
+        "activations as effort. See who contracts, with the expression.",
+    ),
+    RigCheck(
         "jaw.range",
         "Jaw beyond what jaws can do",
         CheckLimits(0, np.inf),

@@ -79,12 +79,14 @@ def _muscles_and_jaw(model: SubjectModel, check: ExpressionCheck) -> dict[str, M
         for number, name in enumerate(names)
         if (faults := check.muscles.faults(number))
     ]
+    movers = check.movers.contradictions()
     inside_out = [names[muscle] for muscle in check.muscles.inside_out]
     return {
         code: Measure(len(found), between.join(found))
         for code, found, between in (
             ("muscles.inside_out", inside_out, ", "),
             ("muscles.beyond", faults, "; "),
+            ("muscles.movers", movers, "; "),
             ("jaw.range", check.jaw.faults(), ", "),
         )
     }

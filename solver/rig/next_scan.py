@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from solver.anatomy.action_units import joined_codes, units_of
 from solver.anatomy.template import ShapeBasis, split_side
 from solver.animation.blendshapes import expression_targets
 from solver.errors import InputError, SolveError
@@ -26,38 +27,37 @@ from solver.fitting.objective import SkinDistance, Target
 from solver.model import SubjectModel
 from solver.surface import Floats
 
-# shapes as ARKit calls them -> action unit or descriptor of FACS (Ekman, Friesen and Hager 2002),
-# "" where it has none, and words to say to the person in the chair. Looks are missing, as a scan of
-# one shows lids alone; and puffed cheeks, which air makes.
+# shapes as ARKit calls them -> words to say to the person in the chair. Looks are missing, as a
+# scan of one shows lids alone; and puffed cheeks, which air makes.
 WORDS = {
-    "browDown": ("AU 4", "brows down"),
-    "browInnerUp": ("AU 1", "inner brows up"),
-    "browOuterUp": ("AU 2", "outer brows up"),
-    "cheekSquint": ("AU 6", "cheeks raised"),
-    "eyeBlink": ("AU 45", "eyes closed"),
-    "eyeSquint": ("AU 7", "lids tight"),
-    "eyeWide": ("AU 5", "eyes wide"),
-    "jawForward": ("AD 29", "jaw forward"),
-    "jawLeft": ("AD 30", "jaw to the left"),
-    "jawOpen": ("AU 26", "jaw dropped"),
-    "jawRight": ("AD 30", "jaw to the right"),
-    "mouthClose": ("AU 26 + 8", "jaw dropped, lips closed"),
-    "mouthDimple": ("AU 14", "dimples"),
-    "mouthFrown": ("AU 15", "lip corners down"),
-    "mouthFunnel": ("AU 22", "lips funnelled"),
-    "mouthLeft": ("", "mouth to the left"),
-    "mouthLowerDown": ("AU 16", "lower lip down"),
-    "mouthPress": ("AU 24", "lips pressed"),
-    "mouthPucker": ("AU 18", "lips puckered"),
-    "mouthRight": ("", "mouth to the right"),
-    "mouthRollLower": ("AU 28", "lower lip sucked in"),
-    "mouthRollUpper": ("AU 28", "upper lip sucked in"),
-    "mouthShrugLower": ("AU 17", "chin raised"),
-    "mouthShrugUpper": ("AU 17", "upper lip pushed up"),
-    "mouthSmile": ("AU 12", "lip corner pull"),
-    "mouthStretch": ("AU 20", "lips stretched"),
-    "mouthUpperUp": ("AU 10", "upper lip raised"),
-    "noseSneer": ("AU 9", "nose wrinkled"),
+    "browDown": "brows down",
+    "browInnerUp": "inner brows up",
+    "browOuterUp": "outer brows up",
+    "cheekSquint": "cheeks raised",
+    "eyeBlink": "eyes closed",
+    "eyeSquint": "lids tight",
+    "eyeWide": "eyes wide",
+    "jawForward": "jaw forward",
+    "jawLeft": "jaw to the left",
+    "jawOpen": "jaw dropped",
+    "jawRight": "jaw to the right",
+    "mouthClose": "jaw dropped, lips closed",
+    "mouthDimple": "dimples",
+    "mouthFrown": "lip corners down",
+    "mouthFunnel": "lips funnelled",
+    "mouthLeft": "mouth to the left",
+    "mouthLowerDown": "lower lip down",
+    "mouthPress": "lips pressed",
+    "mouthPucker": "lips puckered",
+    "mouthRight": "mouth to the right",
+    "mouthRollLower": "lower lip sucked in",
+    "mouthRollUpper": "upper lip sucked in",
+    "mouthShrugLower": "chin raised",
+    "mouthShrugUpper": "upper lip pushed up",
+    "mouthSmile": "lip corner pull",
+    "mouthStretch": "lips stretched",
+    "mouthUpperUp": "upper lip raised",
+    "noseSneer": "nose wrinkled",
 }
 
 
@@ -80,7 +80,7 @@ class Suggestion:
     @property
     def words(self) -> str:
         """Return the instruction to the person."""
-        _, words = WORDS[self.shape]
+        words = WORDS[self.shape]
         return f"{words} on the {self.side}" if self.side else words
 
 
@@ -203,11 +203,10 @@ def suggestion_words(suggestions: list[Suggestion]) -> str:
 
 def suggestion_figures(suggestion: Suggestion) -> dict[str, Any]:
     """Return a suggestion as plain JSON values."""
-    unit, _ = WORDS[suggestion.shape]
     return {
         "shape": suggestion.shape,
         "side": suggestion.side or None,
-        "facs": unit or None,
+        "facs": joined_codes(units_of(suggestion.shape)) or None,
         "words": suggestion.words,
         "expected_mm": round(suggestion.proposal.after_mm, 4),
         "gain_mm": round(suggestion.proposal.gain_mm, 4),

@@ -18,6 +18,7 @@ from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, JawMotion, Muscles
 from solver.rig.checks import Judgement, expression_verdict, judge, overall, use
 from solver.rig.measures import measured_regions
+from solver.rig.prime_movers import ActionCheck, Movers
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats
@@ -129,6 +130,7 @@ def _expression(
         "scan_crossing": _crossing(check.scan_crossing),
         "jaw_motion": {**_plain_fields(check.jaw), "faults": check.jaw.faults()},
         "muscles": _muscles(model, check.muscles),
+        "movers": _movers(check.movers),
         "round_trip": trip and {"reached": trip.is_reached, **_plain_fields(trip)},
     }
 
@@ -154,6 +156,29 @@ def _muscles(model: SubjectModel, found: Muscles) -> dict[str, dict[str, Any]]:
         name: {column: _round(getattr(found, column)[number]) for column in columns}
         | {"faults": found.faults(number)}
         for number, name in enumerate(model.muscle_names)
+    }
+
+
+def _movers(found: Movers) -> dict[str, Any]:
+    return {
+        "contractions": [
+            {"muscle": name, "contraction": _round(each)}
+            for name, each in found.contractions.items()
+        ],
+        "actions": [_action(check) for check in found.actions],
+        "contradictions": found.contradictions(),
+    }
+
+
+def _action(check: ActionCheck) -> dict[str, Any]:
+    lists = ("muscles", "missing", "ahead", "lengthened", "opposed")
+    return {
+        "unit": check.action.unit.code,
+        "name": check.action.unit.name,
+        "side": check.action.side,
+        "rank": check.rank,
+        "prime": check.is_prime if check.is_judged else None,
+        **{name: list(getattr(check, name)) for name in lists},
     }
 
 

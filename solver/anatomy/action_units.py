@@ -1,0 +1,119 @@
+"""Action units of FACS: the muscles that make each, and the expressions that they make up.
+
+The tables are in ``solver/anatomy/data``: ``action_units.csv`` has muscles by the names of anatomy
+texts, ``muscle_names.csv`` what the templates call them, ``expression_units.csv`` the units of
+ARKit's shapes and of plain words.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+from solver.anatomy.data import read_table
+from solver.drawing.head import both_sides
+
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class ActionUnit:
+    """A unit of FACS; muscles have the names of anatomy texts, without sides."""
+
+    code: str  # ``AU 12``, or ``AD 29`` for a descriptor
+    name: str
+    muscles: tuple[str, ...]  # that make it
+    antagonists: tuple[str, ...]  # that work against it, or must relax for it
+    sources: tuple[str, ...]  # keys of ``sources.csv``
+
+
+class Action(NamedTuple):
+    """An action unit on one ``side`` of the face: ``left`` or ``right``."""
+
+    unit: ActionUnit
+    side: str
+
+
+@cache
+def action_units() -> dict[str, ActionUnit]:
+    """Return code -> unit."""
+    return {
+        row["unit"]: ActionUnit(
+            row["unit"],
+            row["name"],
+            _listed(row["muscles"]),
+            _listed(row["antagonists"]),
+            tuple(row["source"].split()),
+        )
+        for row in read_table("action_units")
+    }
+
+
+def units_of(expression: str) -> tuple[ActionUnit, ...]:
+    """Return the units of a shape or word without a side; () for one that is in no table.
+
+    It may name the units itself, as ``AU12`` or ``AU6+12``.
+    """
+    units, name = action_units(), _plain(expression)
+    if re.fullmatch(r"au\d+(\+(au)?\d+)*", name):
+        codes = [f"AU {number}" for number in re.findall(r"\d+", name)]
+        return tuple(units[code] for code in codes) if units.keys() >= set(codes) else ()
+    return tuple(units[code] for code in _expressions().get(name, ()))
+
+
+def actions_of(expression: str) -> tuple[Action, ...]:
+    """Return the actions of a shape or word; those of one without a side are on both.
+
+    The side is at the end: ``mouthSmileLeft``, ``mouthSmile_L``, ``smile left``.
+    """
+    units = units_of(expression)
+    if units:
+        return tuple(Action(unit, side) for unit in units for side in SIDES)
+    found = re.fullmatch(r"(.+?)[\s_-]*(left|right|(?<=[\s_-])[lr])", expression, re.IGNORECASE)
+    if found is None:
+        return ()
+    side = SIDES["lr".index(found[2][0].lower())]
+    return tuple(Action(unit, side) for unit in units_of(found[1]))
+
+
+def actions_of_shapes(weights: Mapping[str, float], least: float = 0.25) -> tuple[Action, ...]:
+    """Return the actions of all shapes that a scan has with a weight of at least ``least``."""
+    found = [actions_of(shape) for shape, weight in weights.items() if weight >= least]
+    return tuple(dict.fromkeys(action for actions in found for action in actions))
+
+
+def joined_codes(units: Iterable[ActionUnit]) -> str:
+    """Return the codes of units in one, as ``AU 6 + 12``; "" of none."""
+    return " + ".join(dict.fromkeys(unit.code for unit in units)).replace("+ AU ", "+ ")
+
+
+def template_names(muscle: str) -> frozenset[str]:
+    """Return what templates call a muscle of anatomy texts, without sides, in small letters."""
+    return _template_names()[muscle]
+
+
+@cache
+def _template_names() -> dict[str, frozenset[str]]:
+    found = {}
+    for row in read_table("muscle_names"):
+        names = [row["muscle"], *_listed(row["builtin"]), *_listed(row["bodyparts3d"])]
+        found[row["muscle"]] = frozenset(both_sides(name) for name in names)
+    return found
+
+
+@cache
+def _expressions() -> dict[str, tuple[str, ...]]:
+    rows = read_table("expression_units")
+    return {_plain(row["expression"]): _listed(row["units"]) for row in rows}
+
+
+def _listed(cell: str) -> tuple[str, ...]:
+    return tuple(cell.split("; ")) if cell else ()
+
+
+def _plain(name: str) -> str:
+    """Return a name in small letters without what parts its words."""
+    return re.sub(r"[\s_-]+", "", name).lower()
