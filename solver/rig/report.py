@@ -321,3 +321,36 @@ def _trip_words(trip: dict[str, Any] | None) -> str:
     if (error := trip["activation_error"]) is not None:
         words += f", activations of the excited muscles within {100 * error:.1f} %"
     return words
+
+
+def mover_words(actions: list[dict[str, Any]]) -> str:
+    """Return which action units an expression's name speaks for, and which are not judged."""
+    words = "Who contracts most: shortening of the fibres."
+    if not actions:
+        return f"{words} The expression's name speaks for no action unit, so nobody is expected."
+    judged = {each["unit"] for each in actions if each["muscles"]}
+    named = {each["unit"]: each["name"] for each in actions}
+    words += f" By its name: {', '.join(f'{unit} {name}' for unit, name in named.items())}."
+    for unit in named.keys() - judged:
+        [lacking, *_] = [each["missing"] for each in actions if each["unit"] == unit]
+        reason = f"the anatomy has no {' or '.join(lacking)}" if lacking else "no muscle makes it"
+        words += f" {unit} is not judged: {reason}."
+    return words
+
+
+def mover_notes(actions: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
+    """Return muscle -> which units it makes, and what contradicts them, in words."""
+    muscles = [m for each in actions for m in (*each["muscles"], *each["opposed"])]
+
+    def units(name: str, *keys: str) -> str:
+        mine = [each["unit"] for each in actions if any(name in each[key] for key in keys)]
+        return ", ".join(dict.fromkeys(mine))
+
+    notes = {}
+    for name in dict.fromkeys(muscles):
+        makes, lengthens = units(name, "muscles"), units(name, "lengthened")
+        against = units(name, "opposed")
+        faults = [f"lengthens in {lengthens}"] if lengthens else []
+        faults += [f"works against {against}"] if against else []
+        notes[name] = (f"makes {makes}" if makes else "", "; ".join(faults))
+    return notes

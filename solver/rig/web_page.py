@@ -15,7 +15,7 @@ from PIL import Image
 from solver.drawing.head import both_sides
 from solver.rig.certificate import JAW_RANGES, JAW_SOURCE, MUSCLE_SOURCE
 from solver.rig.checks import overall
-from solver.rig.report import expression_words, figure, millimetres
+from solver.rig.report import expression_words, figure, millimetres, mover_notes, mover_words
 from solver.rig.rig import ROLES
 
 WORDS = {"good": "Good", "usable": "Usable", "bad": "Look at it"}
@@ -44,6 +44,7 @@ STRONG_PERCENT = 40.0  # change of a fibre's length at which a cell has its full
 PICTURE_WIDTH, JPEG_QUALITY = 1400, 86  # of a fit's picture: sharp on a large screen
 FEW = 4  # expressions that are named one by one, even where a check fails in all of them
 LITTLE = 0.5  # information of a muscle below which most of what is to be known is not
+MOST = 6  # muscles that contract most, shown with an expression
 LONG = 200  # letters of a detail that is only told with its expression
 
 
@@ -336,6 +337,7 @@ def _article(anchor: str, name: str, found: dict[str, Any], picture: Path) -> st
         _element("header", _element("h3", escape(name)), _tag(found["verdict"])),
         _picture(picture, name),
         _element("dl", _definitions(expression_words(found))),
+        _movers(found.get("movers")),
         _regions(found["by_region"]),
         _faults(found["muscles"]),
         id=anchor,
@@ -368,6 +370,36 @@ def _regions(regions: dict[str, Any]) -> str:
     columns = [_element("th", words, scope="col") for words in heads]
     head = _element("thead", _element("tr", *columns))
     return _fold("Regions", _element("table", head, _element("tbody", *rows)))
+
+
+def _movers(found: dict[str, Any] | None) -> str:
+    """Return the table of who contracts most, and of all whom literature names or excludes.
+
+    There is none of an older certificate, nor of muscles without fibres.
+    """
+    if not found or not found["contractions"]:
+        return ""
+    by_muscle = {each["muscle"]: each["contraction"] for each in found["contractions"]}
+    notes = mover_notes(found["actions"])
+    shown = [name for rank, name in enumerate(by_muscle) if rank < MOST or name in notes]
+    widest = max((abs(by_muscle[name]) for name in shown), default=0.0) or 1.0
+    rows = []
+    for name in shown:
+        by = by_muscle[name]
+        kind = "pull" if by > 0 else "push"
+        width = f"width:{100 * abs(by) / widest:.0f}%;background:rgba(var(--{kind}),.3)"
+        number = _element("b", f"{100 * by:.0f} %".replace("-", "−"))
+        makes, against = notes.get(name, ("", ""))
+        fault = _element("span", escape(against), class_="tag bad") if against else ""
+        rows.append(
+            _row(
+                escape(name),
+                ("bar", _element("i", style=width) + number),
+                ("left", "; ".join(filter(None, (escape(makes), fault)))),
+            )
+        )
+    caption = _element("caption", escape(mover_words(found["actions"])))
+    return _element("table", caption, _element("tbody", *rows), class_="movers")
 
 
 def _faults(muscles: dict[str, Any]) -> str:

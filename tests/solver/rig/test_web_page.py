@@ -114,3 +114,27 @@ def test_it_says_what_to_look_at(page: Reader) -> None:
     assert "Warnings : 2 in ah : left has <no> flesh; half & half." in words
     assert "Fits that ended early : 1 in ah : after 3 steps by reduced." in words
     assert "determine 0 of 2 muscles" in words
+
+
+def test_it_marks_what_contradicts_the_name(tmp_path: Path) -> None:
+    model = replace(block_model(), muscle_names=("left zygomaticus major", "right mentalis"))
+    model = replace(model, fibres=np.tile([0.0, 1.0, 0.0], (len(model.weights.data), 1)))
+    face = Face(model)
+    a = np.array([[1.0, 0.0, 0.0, 1.07, 0.0, 1.0], [1.0, 0.0, 0.0, 0.8, 0.0, 1.0]])
+    smile = replace(fit(face, "mouthSmileLeft", 0.2), activations=a, x=None)
+    rig = Rig(model, model.weights, (smile, replace(smile, name="look")))
+    figures = report(rig, certify(face, rig, {}))
+    write_page(tmp_path / "report.html", figures)
+    movers = figures["expressions"]["mouthSmileLeft"]["movers"]
+    assert movers["contractions"] == [
+        {"muscle": "right mentalis", "contraction": 0.2},
+        {"muscle": "left zygomaticus major", "contraction": -0.07},
+    ]
+    [action] = movers["actions"]
+    assert (action["unit"], action["side"], action["rank"]) == ("AU 12", "left", None)
+    [check] = [each for each in figures["checks"] if each["code"] == "muscles.movers"]
+    assert check["failed"] == ["mouthSmileLeft"]
+    words = " ".join(" ".join(read(tmp_path / "report.html").text).split())
+    assert "By its name: AU 12 lip corner puller." in words
+    assert "left zygomaticus major −7 % makes AU 12; lengthens in AU 12" in words
+    assert "The expression's name speaks for no action unit" in words

@@ -1,0 +1,69 @@
+"""The tables of action units: they fit each other and the templates, and names are understood."""
+
+from __future__ import annotations
+
+import pytest
+
+from solver.anatomy.action_units import (
+    action_units,
+    actions_of,
+    actions_of_shapes,
+    joined_codes,
+    template_names,
+)
+from solver.anatomy.data import read_table
+from solver.scans.live_link import ARKIT_NAMES
+
+LOOKS = "eyeLook"
+NO_UNIT = {"mouthLeft", "mouthRight", "tongueOut"}  # FACS has none that muscles of the face make
+
+
+def cells(table: str, column: str) -> list[str]:
+    return [name for row in read_table(table) for name in row[column].split("; ") if name]
+
+
+def test_the_tables_know_each_other() -> None:
+    units, sources = action_units(), cells("sources", "key")
+    for unit in units.values():
+        assert unit.sources
+        assert set(unit.sources) <= set(sources), unit.code
+        for muscle in (*unit.muscles, *unit.antagonists):
+            assert template_names(muscle)
+    assert set(cells("expression_units", "units")) <= set(units)
+    assert set(cells("expression_units", "source")) <= set(sources)
+
+
+def test_the_templates_have_the_muscles_that_they_are_said_to_have() -> None:
+    assert set(cells("muscle_names", "builtin")) <= set(cells("muscles", "name"))
+    assert set(cells("muscle_names", "bodyparts3d")) <= set(cells("bodyparts3d_muscles", "muscle"))
+
+
+def test_every_shape_of_arkit_has_its_units() -> None:
+    without = {name for name in ARKIT_NAMES if not actions_of(name)}
+    assert {name for name in without if not name.startswith(LOOKS)} == NO_UNIT
+
+
+@pytest.mark.parametrize(
+    ("name", "codes", "sides"),
+    [
+        ("smile", "AU 6 + 12", {"left", "right"}),
+        ("Brow raise_R", "AU 1 + 2", {"right"}),
+        ("mouthSmile_L", "AU 12", {"left"}),
+        ("mouthSmileRight", "AU 12", {"right"}),
+        ("jawLeft", "AD 30", {"left", "right"}),
+        ("mouthClose", "AU 26 + 8", {"left", "right"}),
+        ("AU6+12", "AU 6 + 12", {"left", "right"}),
+        ("au 9 left", "AU 9", {"left"}),
+        ("AU6+999", "", set()),
+        ("scan_0012", "", set()),
+    ],
+)
+def test_a_name_speaks_for_actions(name: str, codes: str, sides: set[str]) -> None:
+    found = actions_of(name)
+    assert joined_codes(action.unit for action in found) == codes
+    assert {action.side for action in found} == sides
+
+
+def test_shapes_with_little_weight_make_no_action() -> None:
+    found = actions_of_shapes({"mouthSmile_L": 0.9, "mouthSmile_R": 0.1, "PupilDilate_L": 1.0})
+    assert [(action.unit.code, action.side) for action in found] == [("AU 12", "left")]
