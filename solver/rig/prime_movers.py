@@ -24,7 +24,8 @@ from solver.surface import Floats
 class MoverOptions:
     """What counts as contracting, and as a prime mover."""
 
-    least: float = 0.02  # contraction or lengthening below it counts as rest
+    least: float = 0.02  # contraction below it counts as rest
+    contrary: float = 0.05  # lengthening, or an antagonist's contraction, that contradicts
     places: int = 3  # a prime mover is among so many that contract most
 
 
@@ -43,7 +44,7 @@ class ActionCheck:
     rank: int | None
     ahead: tuple[str, ...]  # that contract more than the first of ``muscles``, strongest first
     lengthened: tuple[str, ...]  # of ``muscles``
-    opposed: tuple[str, ...]  # antagonists that contract more than ``muscles`` do
+    opposed: tuple[str, ...]  # antagonists that contract, and more than ``muscles`` do
     places: int
 
     @property
@@ -129,8 +130,12 @@ def _check(
         ),
         rank=len(ahead) + 1 if most >= options.least else None,
         ahead=tuple(ahead),
-        lengthened=tuple(name for name in mine if contractions[name] <= -options.least),
-        opposed=tuple(name for name in ahead if _is_one_of(name, unit.antagonists)),
+        lengthened=tuple(name for name in mine if contractions[name] <= -options.contrary),
+        opposed=tuple(
+            name
+            for name in ahead
+            if contractions[name] >= options.contrary and _is_one_of(name, unit.antagonists)
+        ),
         places=options.places,
     )
 

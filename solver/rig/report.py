@@ -331,7 +331,8 @@ def mover_words(actions: list[dict[str, Any]]) -> str:
     judged = {each["unit"] for each in actions if each["muscles"]}
     named = {each["unit"]: each["name"] for each in actions}
     words += f" By its name: {', '.join(f'{unit} {name}' for unit, name in named.items())}."
-    for unit in named.keys() - judged:
+    words += " No. is the place on its side of the face."
+    for unit in (unit for unit in named if unit not in judged):
         [lacking, *_] = [each["missing"] for each in actions if each["unit"] == unit]
         reason = f"the anatomy has no {' or '.join(lacking)}" if lacking else "no muscle makes it"
         words += f" {unit} is not judged: {reason}."
@@ -346,11 +347,14 @@ def mover_notes(actions: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
         mine = [each["unit"] for each in actions if any(name in each[key] for key in keys)]
         return ", ".join(dict.fromkeys(mine))
 
+    places = {
+        each["muscles"][0]: f" (no. {each['rank']})" for each in actions if each["rank"] is not None
+    }
     notes = {}
     for name in dict.fromkeys(muscles):
         makes, lengthens = units(name, "muscles"), units(name, "lengthened")
         against = units(name, "opposed")
         faults = [f"lengthens in {lengthens}"] if lengthens else []
         faults += [f"works against {against}"] if against else []
-        notes[name] = (f"makes {makes}" if makes else "", "; ".join(faults))
+        notes[name] = (f"makes {makes}{places.get(name, '')}" if makes else "", "; ".join(faults))
     return notes

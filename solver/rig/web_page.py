@@ -388,7 +388,7 @@ def _movers(found: dict[str, Any] | None) -> str:
         by = by_muscle[name]
         kind = "pull" if by > 0 else "push"
         width = f"width:{100 * abs(by) / widest:.0f}%;background:rgba(var(--{kind}),.3)"
-        number = _element("b", f"{100 * by:.0f} %".replace("-", "−"))
+        number = _element("b", f"{100 * by:.0f}\N{NO-BREAK SPACE}%".replace("-", "−"))
         makes, against = notes.get(name, ("", ""))
         fault = _element("span", escape(against), class_="tag bad") if against else ""
         rows.append(
