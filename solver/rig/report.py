@@ -327,7 +327,7 @@ def mover_words(actions: list[dict[str, Any]]) -> str:
     """Return which action units an expression's name speaks for, and which are not judged."""
     words = "Who contracts most: shortening of the fibres."
     if not actions:
-        return f"{words} The expression's name speaks for no action unit, so nobody is expected."
+        return f"{words} The expression's name speaks for no action unit that it is compared with."
     judged = {each["unit"] for each in actions if each["muscles"]}
     named = {each["unit"]: each["name"] for each in actions}
     words += f" By its name: {', '.join(f'{unit} {name}' for unit, name in named.items())}."
@@ -343,9 +343,8 @@ def mover_notes(actions: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
     """Return muscle -> which units it makes, and what contradicts them, in words."""
     muscles = [m for each in actions for m in (*each["muscles"], *each["opposed"])]
 
-    def units(name: str, *keys: str) -> str:
-        mine = [each["unit"] for each in actions if any(name in each[key] for key in keys)]
-        return ", ".join(dict.fromkeys(mine))
+    def units(name: str, key: str) -> str:
+        return ", ".join(dict.fromkeys(each["unit"] for each in actions if name in each[key]))
 
     places = {
         each["muscles"][0]: f" (no. {each['rank']})" for each in actions if each["rank"] is not None

@@ -381,12 +381,12 @@ def _movers(found: dict[str, Any] | None) -> str:
         return ""
     by_muscle = {each["muscle"]: each["contraction"] for each in found["contractions"]}
     notes = mover_notes(found["actions"])
-    shown = [name for rank, name in enumerate(by_muscle) if rank < MOST or name in notes]
-    widest = max((abs(by_muscle[name]) for name in shown), default=0.0) or 1.0
+    most = [name for name, by in by_muscle.items() if by > 0.0][:MOST]
+    shown = {name: by for name, by in by_muscle.items() if name in most or name in notes}
+    widest = max(map(abs, shown.values()), default=0.0) or 1.0
     rows = []
-    for name in shown:
-        by = by_muscle[name]
-        kind = "pull" if by > 0 else "push"
+    for name, by in shown.items():
+        kind = "pull" if by > 0.0 else "push"
         width = f"width:{100 * abs(by) / widest:.0f}%;background:rgba(var(--{kind}),.3)"
         number = _element("b", f"{100 * by:.0f}\N{NO-BREAK SPACE}%".replace("-", "−"))
         makes, against = notes.get(name, ("", ""))
