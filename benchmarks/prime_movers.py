@@ -48,9 +48,8 @@ def main() -> None:
 
 def run(options: argparse.Namespace) -> Figures:
     """Return the figures of one rig."""
-    shapes = builtin_template().shapes
-    if options.faces is not None:
-        shapes = shape_basis(read_facekit(options.faces))
+    is_builtin = options.faces is None
+    shapes = builtin_template().shapes if is_builtin else shape_basis(read_facekit(options.faces))
     face = _face(options)
     scans = single_units(face.model, shapes)
     if options.quick:
