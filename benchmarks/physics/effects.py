@@ -4,8 +4,9 @@ Each scene of ``docs/examples/scenes`` with edits and no motion is made, and the
 are replayed with the same activations, contact on. ``change_ml`` and ``change_percent`` are of the
 flesh's volume, ``moved_mm`` the mean motion of the face at rest, ``drift_mm`` how much the motions
 of the expressions differ from those before the edit, ``motion_mm`` being these, ``penetration_mm``
-the deepest of all poses. ``fibres`` compares the rig's muscles of six numbers with muscles that
-only contract along their fibres.
+the deepest of all poses. ``cheeks_over_nose`` is the mean outward motion at rest of cheeks, jowls
+and the skin under the chin over that of nose and lips. ``fibres`` compares the rig's muscles of six
+numbers with muscles that only contract along their fibres.
 """
 
 from __future__ import annotations
@@ -35,13 +36,15 @@ from solver.scene.document import read_scene
 from solver.scene.places import Places
 from solver.scene.stage import Physics, edit_of
 from solver.simulation.fibres import fit_contractions
-from solver.surface import Floats
+from solver.surface import Floats, Ints, vertex_areas, vertex_normals
 
 SCENES = Path(__file__).parents[2] / "docs" / "examples" / "scenes"
 EFFECTS = ("fat", "slim", "full_cheeks", "chin_forward", "lip_filler", "palsy", "zombie")
 EXPRESSIONS = ("smile", "surprise", "disgust")
 CELL = (250, 300)
 FIT_TOLERANCE = 1e-5
+DOWNWARD = -0.5  # of a normal's y, under the chin
+STILL_MM = 1e-3  # mean motion that is none
 NO_CONTACT = FleshEntry(contact=ContactEntry(lips=False, teeth=False, eyes=False))
 
 
@@ -86,7 +89,7 @@ def run(subject: Subject, names: Sequence[str] = EFFECTS) -> dict[str, EditedPer
 
 def figures(people: Mapping[str, EditedPerson]) -> Figures:
     """Return the figures of every edit."""
-    return {name: _figures(edit_report(person)) for name, person in people.items()}
+    return {name: _figures(person, edit_report(person)) for name, person in people.items()}
 
 
 def fibres(subject: Subject) -> Figures:
@@ -153,12 +156,37 @@ def sheet(people: Mapping[str, EditedPerson], path: Path) -> None:
     page.save(path)
 
 
-def _figures(report: Figures) -> Figures:
+def cheeks_over_nose(person: EditedPerson) -> float | None:
+    """Return how much more fat shows in cheeks, jowls and under the chin than on nose and lips.
+
+    It is the ratio of the mean outward motions at rest, by area; None where nose and lips keep
+    their place, or a person has no such regions.
+    """
+    model = person.unedited
+    before = model.skin.moved(person.before.skin)
+    normals, area = vertex_normals(before), vertex_areas(before.vertices, before.faces)
+    outward = ((person.after.skin - before.vertices) * normals).sum(axis=1)
+
+    def part(*names: str) -> Ints:
+        ids = [model.regions.get(name, model.face[:0]) for name in names]
+        return np.intersect1d(np.concatenate(ids), model.face)
+
+    chin = part("chin")
+    cheeks = np.union1d(part("cheeks", "jaw"), chin[normals[chin, 1] < DOWNWARD])
+    nose = part("nose", "upper_lip", "lower_lip")
+    if not len(cheeks) or not len(nose):
+        return None
+    one, other = (float(np.average(outward[ids], weights=area[ids])) for ids in (cheeks, nose))
+    return one / other if abs(other) > STILL_MM else None
+
+
+def _figures(person: EditedPerson, report: Figures) -> Figures:
     reached = [each for each in report["expressions"] if each["status"] == "found"]
     solved = [report["neutral"], *reached]
     return {
         **{name: report["volume"][name] for name in ("change_ml", "change_percent")},
         "moved_mm": report["neutral"]["moved_mm"],
+        "cheeks_over_nose": cheeks_over_nose(person),
         "drift_mm": {each["name"]: each["drift_mm"] for each in report["expressions"]},
         "motion_mm": {each["name"]: each["motion_mm"] for each in reached},
         "inverted": sum(each["inverted"] for each in solved),

@@ -91,12 +91,16 @@ def _effects(found: Figures) -> Sequence[Part]:
             name.replace("_", " "),
             each["change_ml"],
             each["moved_mm"],
+            each["cheeks_over_nose"],
             *_means(each["motion_mm"], each["drift_mm"]),
             each["penetration_mm"],
         ]
         for name, each in found["edits"].items()
     ]
-    header = ["edit", "volume, ml", "face at rest moves, mm", "expressions move, mm"]
+    header = [
+        *("edit", "volume, ml", "face at rest moves, mm", "cheeks outward over nose and lips"),
+        "expressions move, mm",
+    ]
     keys = ("motion_mm", "blended_mm", "fibre_mm", "projected_mm")
     missed = [[name, *(each[key] for key in keys)] for name, each in found["fibres"].items()]
     names = ["expression", "moves, mm", "missed with six numbers a muscle, mm"]

@@ -31,8 +31,9 @@ class Fat:
     """Growth f_i = f_min (1 - s_i0) + f_max s_i0 of F_p = f I, where a map says.
 
     Muscle grows by ``f_min``, passive flesh by ``f_max``; s_i0 is S's passive share of a tet.
-    (0.9, 1.0) is slim, (1.0, 1.2) fat. A ``painted`` map (V,) draws f towards 1, and so do the
-    ends of the model's flesh. Where f > 1 the stiffness is divided by f^``softening``, as it is
+    (1.0, 0.85) is slim, (1.0, 1.2) fat. A ``painted`` map (V,), as of
+    :func:`solver.edits.compartments.fat_map`, draws f towards 1, and so do the ends of the
+    model's flesh. Where f > 1 the stiffness is divided by f^``softening``, as it is
     the same tissue in more volume; the exponent is ours.
     """
 

@@ -20,6 +20,7 @@ from PIL import Image
 from solver.animation.drives import PosedFrame
 from solver.errors import SolveError
 from solver.jobs import Task, hash_files
+from solver.kinds.scene import FatEntry
 from solver.progress import Progress, Step, silent
 from solver.rig.animation import Filming, write_animation
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
@@ -34,10 +35,17 @@ from solver.surface import Floats
 
 
 def read_person(task: Task[Any]) -> tuple[Rig, Places]:
-    """Return the person of a scene; raises as its files' readers, and ``scene.template``."""
+    """Return the person of a scene; raises as its files' readers, and ``scene.template``.
+
+    Fat without a map is told as a warning where the template does not place its compartments.
+    """
     task.progress(Step("read", 0.0, message=task.inputs["rig"].name))
     rig = Rig.load(task.inputs)
-    return rig, Places.of(rig.model, task.inputs.get("template"), task.captures)
+    places = Places.of(rig.model, task.inputs.get("template"), task.captures)
+    fat = (edit for edit in task.options.scene.edits if isinstance(edit, FatEntry))
+    if any(edit.map is None for edit in fat) and (message := places.without_compartments):
+        task.progress(Step("warning", 0.0, message=message))
+    return rig, places
 
 
 def fingerprint(task: Task[Any]) -> str:

@@ -346,7 +346,7 @@ Everywhere = Field(
 
 
 class FatEntry(Document):
-    """Fatter or slimmer."""
+    """Fatter or slimmer: in the face's fat compartments, or where a map says."""
 
     kind: Literal["fat"]
     f_min: float = Field(ge=0.6, le=1.5, description="by which muscle grows in length")
@@ -354,7 +354,14 @@ class FatEntry(Document):
     softening: float = Field(
         default=3.0, ge=0, le=10, description="flesh that grows by f gets softer by f to this power"
     )
-    map: SkinMap | None = Everywhere
+    sex: Literal["female", "male", None] = Field(
+        default=None, description="whose compartments change; null: the mean of both"
+    )
+    map: SkinMap | None = Field(
+        default=None,
+        description="where on the skin, from 0 (not at all) to 1 (wholly); null is the fat "
+        "compartments of the face",
+    )
 
 
 class Stop(Document):

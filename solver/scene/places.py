@@ -13,6 +13,7 @@ import numpy as np
 
 from solver.anatomy.template import Template
 from solver.edits.changes import spots
+from solver.edits.compartments import Sex, fat_map, missing_landmarks
 from solver.errors import InputError
 from solver.kinds.scene import AssetMap, RegionMap, SkinMap
 from solver.model import SubjectModel
@@ -101,6 +102,21 @@ class Places:
             return self._regions(given.regions)
         centres = np.array([self.point(place) for place in given.spots])
         return spots(self.model, centres.reshape(-1, 3), given.radius_mm)
+
+    def fat_map(self, *, gain: bool, sex: Sex | None = None) -> Floats | None:
+        """Return the map (V,) of the fat compartments; None without the landmarks they need."""
+        if self.without_compartments:
+            return None
+        return fat_map(self.model, self.landmarks, gain=gain, sex=sex)
+
+    @property
+    def without_compartments(self) -> str | None:
+        """Return why fat changes everywhere alike; None where it has its compartments."""
+        missing = missing_landmarks(self.landmarks)
+        if not missing:
+            return None
+        listed = "" if not self.landmarks else f", which lacks {', '.join(missing)}"
+        return f"fat changes everywhere alike: compartments need landmarks of the template{listed}"
 
     def _file(self, path: Path) -> Floats:
         try:

@@ -40,7 +40,10 @@ from solver.surface import Floats, Surface
 def edit_of(entry: scenes.Edit, places: Places) -> Change:
     """Return an edit that a scene describes; raises as :class:`Places`."""
     if isinstance(entry, scenes.FatEntry):
-        return Fat(entry.f_min, entry.f_max, places.map_of(entry.map), entry.softening)
+        painted = places.map_of(entry.map)
+        if painted is None:
+            painted = places.fat_map(gain=entry.f_min + entry.f_max >= 2.0, sex=entry.sex)
+        return Fat(entry.f_min, entry.f_max, painted, entry.softening)
     if isinstance(entry, scenes.FillerEntry):
         points = np.array([places.point(stop.at) for stop in entry.path])
         depths = np.array([stop.depth_mm for stop in entry.path])
