@@ -37,7 +37,7 @@ APART_MM, PRESSED_MM = 2.0, 8.0
 def gallery(person: Fitted, template: Path, path: Path) -> None:
     """Play the scenes and draw their ends, from the front and from the side."""
     scenes = {
-        "a fifth more fat": {"keys": SMILE, **_example("fat")},
+        "fatter": {"keys": SMILE, **_example("fat")},
         "Bell's palsy": {"keys": SMILE, **_example("palsy")},
         "lips on glass": _example("kiss_on_glass"),
         "a headset, 8 mm deep": HEADSET,

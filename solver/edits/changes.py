@@ -30,17 +30,18 @@ STEEPEST = 8.0 / (3.0 * np.sqrt(3.0))  # the greatest slope of (1 - t^2)^2
 class Fat:
     """Growth f_i = f_min (1 - s_i0) + f_max s_i0 of F_p = f I, where a map says.
 
-    Muscle grows by ``f_min``, passive flesh by ``f_max``; s_i0 is S's passive share of a tet.
-    (1.0, 0.85) is slim, (1.0, 1.2) fat. A ``painted`` map (V,), as of
-    :func:`solver.edits.compartments.fat_map`, draws f towards 1, and so do the ends of the
-    model's flesh. Where f > 1 the stiffness is divided by f^``softening``, as it is
-    the same tissue in more volume; the exponent is ours.
+    Muscle grows by ``f_min``, passive flesh by ``f_max``; s_i0 is the passive share of a tet in the
+    anatomy. (1.0, 0.75) is slim, (1.0, 1.4) fat, in compartments. A ``painted`` map (V,) draws f
+    towards 1, with a ``depth_mm`` also far under the skin (:func:`into_volume`), and so do the
+    ends of the model's flesh. Where f > 1 the stiffness is divided by f^``softening``, as it is the
+    same tissue in more volume; the exponent is ours.
     """
 
     f_min: float
     f_max: float
     painted: Floats | None = None
     softening: float = 3.0
+    depth_mm: float | None = None
 
     def __call__(self, before: Edited) -> Edited:
         """Return the person with it; raises ``scene.fat`` for a growth out of all measure."""
@@ -50,9 +51,10 @@ class Fat:
             if not low <= factor <= high:
                 reason = f"flesh grows by a factor between {low} and {high}, not {factor}"
                 raise InputError("scene.fat", reason, found=factor)
-        passive = before.S[:, [0]].toarray()[:, 0]
+        # not of a fitted S: to a fit, fat that moves with a muscle is as good as muscle
+        passive = before.model.weights[:, [0]].toarray()[:, 0]
         whole = self.f_min * (1.0 - passive) + self.f_max * passive
-        share = into_volume(before.model, self.painted, options.blur_mm)
+        share = into_volume(before.model, self.painted, options.blur_mm, self.depth_mm)
         share = share * off_the_ends(before.model, options.fade_mm)
         growth = 1.0 + (whole - 1.0) * share
         softer = np.maximum(growth, 1.0) ** -self.softening
@@ -267,24 +269,34 @@ def _vertices(model: SubjectModel, bone: str) -> tuple[Ints, Ints]:
     return np.concatenate([model.cranium, model.sliding]), with_cranium
 
 
-def into_volume(model: SubjectModel, painted: Floats | None, blur_mm: float = 2.0) -> Floats:
+def into_volume(
+    model: SubjectModel, painted: Floats | None, blur_mm: float = 2.0, depth_mm: float | None = None
+) -> Floats:
     """Return the share (n,) of each tet in what is painted (V,) on the face; None is all of it.
 
     u on the tets' vertices minimises the integral of |grad u|^2 over the flesh plus that of
-    (u - painted)^2 / ``blur_mm`` over the face's skin: heat that comes from there and leaves
-    nowhere. Raises ``scene.map`` for a map of another skin or with values outside of [0, 1].
+    (u - painted)^2 / ``blur_mm`` over the skin of face and neck: heat that comes from there and
+    leaves nowhere. A ``depth_mm`` adds the integral of u^2 / depth^2: u falls to 1/e on that way
+    inward. Raises ``scene.map`` for a map of another skin or with values outside of [0, 1].
     """
     if painted is None:
         return np.ones(len(model.tets))
     _check(model, painted)
-    on_face = np.isin(model.embedded, model.face)
-    skin = model.embedding[on_face]
-    area = vertex_areas(model.skin.vertices, model.skin.faces)[model.embedded[on_face]] / blur_mm
+    painted_skin = np.union1d(model.face, model.regions.get("neck", model.face[:0]))
+    outer = np.isin(model.embedded, painted_skin)
+    skin = model.embedding[outer]
+    area = vertex_areas(model.skin.vertices, model.skin.faces)[model.embedded[outer]] / blur_mm
     weighed = skin.T @ sp.diags_array(area)
     system = weighed @ skin - sp.csc_array(igl.cotmatrix(model.rest, model.tets))
     # a trace of stiffness for flesh in no contact with the face, which gets none of it
     system += 1e-9 * system.diagonal().mean() * sp.eye_array(len(model.rest))
-    u = splu(system.tocsc()).solve(weighed @ painted[model.embedded[on_face]])
+    heat = weighed @ painted[model.embedded[outer]]
+    if depth_mm is not None:
+        heat *= 1.0 + blur_mm / depth_mm  # what flows inward is missing on the skin
+        corners = np.repeat(volumes(model.rest, model.tets) / 4.0, 4)
+        lumped = np.bincount(model.tets.ravel(), corners, len(model.rest))
+        system += sp.diags_array(lumped / depth_mm**2)
+    u = splu(system.tocsc()).solve(heat)
     return np.asarray(np.clip(u, 0.0, 1.0)[model.tets].mean(axis=1))
 
 

@@ -41,10 +41,14 @@ class Compartment:
 
 @dataclass(frozen=True)
 class MapOptions:
-    """How the compartments' shares become one smooth map."""
+    """How far fat reaches beyond compartments, and under the skin."""
 
     # weight of bare skin, whose share is 0, everywhere: the map ends at twice a radius, about
     bare: float = 0.1
+    depth_mm: float = 7.0  # on which fat falls to 1/e: it lies over the muscles, not in the mouth
+
+
+FAT_MAP = MapOptions()
 
 
 @cache
@@ -99,7 +103,7 @@ def fat_map(
     *,
     gain: bool,
     sex: Sex | None = None,
-    options: MapOptions = MapOptions(),
+    options: MapOptions = FAT_MAP,
 ) -> Floats:
     """Return the map (V,) of a gain or loss of fat over the skin, in [0, 1].
 

@@ -103,10 +103,8 @@ class Places:
         centres = np.array([self.point(place) for place in given.spots])
         return spots(self.model, centres.reshape(-1, 3), given.radius_mm)
 
-    def fat_map(self, *, gain: bool, sex: Sex | None = None) -> Floats | None:
-        """Return the map (V,) of the fat compartments; None without the landmarks they need."""
-        if self.without_compartments:
-            return None
+    def fat_map(self, *, gain: bool, sex: Sex | None = None) -> Floats:
+        """Return the map (V,) of the fat compartments, not for :attr:`without_compartments`."""
         return fat_map(self.model, self.landmarks, gain=gain, sex=sex)
 
     @property

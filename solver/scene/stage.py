@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from solver.animation.drives import Drives, Gaze, PosedFrame
 from solver.contact.potentials import Gauge, Penetration, contact_potentials
 from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling, under_skin
+from solver.edits.compartments import FAT_MAP
 from solver.edits.edit import Change, Edited, apply
 from solver.errors import InputError
 from solver.fitting.calibration import with_fibres
@@ -40,10 +41,11 @@ from solver.surface import Floats, Surface
 def edit_of(entry: scenes.Edit, places: Places) -> Change:
     """Return an edit that a scene describes; raises as :class:`Places`."""
     if isinstance(entry, scenes.FatEntry):
-        painted = places.map_of(entry.map)
-        if painted is None:
+        painted, depth = places.map_of(entry.map), None
+        if painted is None and places.without_compartments is None:
             painted = places.fat_map(gain=entry.f_min + entry.f_max >= 2.0, sex=entry.sex)
-        return Fat(entry.f_min, entry.f_max, painted, entry.softening)
+            depth = FAT_MAP.depth_mm
+        return Fat(entry.f_min, entry.f_max, painted, entry.softening, depth)
     if isinstance(entry, scenes.FillerEntry):
         points = np.array([places.point(stop.at) for stop in entry.path])
         depths = np.array([stop.depth_mm for stop in entry.path])
