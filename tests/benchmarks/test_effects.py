@@ -45,6 +45,17 @@ def test_edits_are_made_measured_and_drawn(subject, tmp_path):
     assert Image.open(tmp_path / "sheet.png").width == 3 * effects.CELL[0]
 
 
+def test_fat_of_the_cheeks_shows_there_and_not_on_the_nose(subject):
+    x = subject.model.skin.vertices[:, 0]
+    parts = {"cheeks": x < 50, "jaw": x < 50, "chin": x < 50, "nose": x > 100}
+    regions = {name: np.flatnonzero(part) for name, part in parts.items()}
+    model = replace(subject.model, regions=regions)
+    person = replace(subject, model=model, fits=[], places=Places(model, {}))
+    found = effects.figures(effects.run(person, ("full_cheeks", "palsy")))
+    assert found["full_cheeks"]["cheeks_over_nose"] > 2.0
+    assert found["palsy"]["cheeks_over_nose"] is None
+
+
 def test_fibres_are_compared(subject):
     wide = effects.fibres(subject)["wide"]
     assert wide["blended_mm"] < 0.01 * wide["motion_mm"]

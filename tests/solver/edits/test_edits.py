@@ -142,6 +142,22 @@ def test_a_map_runs_into_the_flesh(model):
     assert (np.diff(steps) > 0).all()
 
 
+def test_a_map_reaches_as_deep_as_it_is_told(model):
+    whole = np.ones(len(model.skin.vertices))
+    shallow = into_volume(model, whole, depth_mm=10.0)
+    front = centres(model)[:, 2]
+    outer, inner = (shallow[front == each].mean() for each in (front.max(), front.min()))
+    assert 1.0 >= outer > 2.0 * inner > 0.0
+    assert (into_volume(model, whole) - shallow).min() > -1e-9
+
+
+def test_what_is_fat_does_not_go_by_a_fitted_S(model):
+    weakened = apply([Paralysis()], model, model.weights).S
+    assert not np.allclose(passive(weakened), passive(model.weights))
+    fitted, own = (apply([Fat(0.9, 1.2)], model, S).growth for S in (weakened, model.weights))
+    np.testing.assert_array_equal(fitted, own)
+
+
 def test_filler_takes_the_volume_it_was_given(model):
     path = np.array([[50.0, 60.0, 35.0], [100.0, 60.0, 35.0]])
     edited = apply([Filler(path, 2.0, radius_mm=15.0)], model, model.weights)

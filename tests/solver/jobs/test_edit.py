@@ -70,7 +70,8 @@ def test_a_paralysed_side_stays_and_the_other_moves(rig: Path, tmp_path: Path) -
 
 
 def test_a_fat_block_is_larger_and_its_expression_still_reaches(rig: Path, tmp_path: Path) -> None:
-    run(rig, tmp_path, FAT)
+    [warning] = [step for step in run(rig, tmp_path, FAT) if step.phase == "warning"]
+    assert "fat changes everywhere alike" in (warning.message or "")
     report = json.loads((tmp_path / "edit.json").read_text())
     assert report["flesh"]["growth"] == pytest.approx([1.0, 1.2], abs=0.1)
     assert 5.0 < report["volume"]["change_percent"] < 100 * (1.2**3 - 1)

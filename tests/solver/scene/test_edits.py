@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling
+from solver.edits.compartments import FAT_MAP
 from solver.errors import InputError
 from solver.kinds.document import json_schema
 from solver.kinds.scene import Edit, EditScene
 from solver.scene.document import read_scene
 from solver.scene.places import Places
 from solver.scene.stage import edit_of
+from tests.fixtures import small_model
 from tests.solver.block import head_block
 
 EVERY_KIND = [
@@ -55,10 +57,30 @@ def test_every_kind_is_described_and_becomes_an_edit(places):
     assert made[5] == Paralysis(None, "left", 0.0)
 
 
+def test_fat_without_a_map_is_in_the_compartments():
+    person = Places.of(small_model(), None, {})
+    entries = [{"kind": "fat", "f_min": 1.0, "f_max": f, "sex": "female"} for f in (1.2, 0.8)]
+    gain, loss = (edit_of(entry, person) for entry in described(entries))
+    for fat, is_gain in ((gain, True), (loss, False)):
+        np.testing.assert_array_equal(fat.painted, person.fat_map(gain=is_gain, sex="female"))
+        assert fat.depth_mm == FAT_MAP.depth_mm
+    painted = {"map": {"spots": ["pogonion"], "radius_mm": 20}}
+    [spot] = [edit_of(entry, person) for entry in described([entries[0] | painted])]
+    assert spot.painted[person.landmarks["pogonion"]] == 1.0
+    assert spot.depth_mm is None
+
+
+def test_fat_is_everywhere_where_no_landmarks_place_compartments(places):
+    [everywhere] = [edit_of(entry, places) for entry in described([EVERY_KIND[0] | {"map": None}])]
+    assert everywhere.painted is None
+    assert "which lacks alar_curvature" in places.without_compartments
+
+
 @pytest.mark.parametrize(
     "entry",
     [
         {"kind": "fat", "f_min": 1.0},
+        {"kind": "fat", "f_min": 1.0, "f_max": 1.1, "sex": "other"},
         {"kind": "fat", "f_min": 1.0, "f_max": 9.0},
         {"kind": "fat", "f_min": 1.0, "f_max": 1.1, "map": {"spots": ["lip"]}},
         {"kind": "filler", "path": [], "ml": 1},
