@@ -159,8 +159,9 @@ def sheet(people: Mapping[str, EditedPerson], path: Path) -> None:
 def cheeks_over_nose(person: EditedPerson) -> float | None:
     """Return how much more fat shows in cheeks, jowls and under the chin than on nose and lips.
 
-    It is the ratio of the mean outward motions at rest, by area; None where nose and lips keep
-    their place, or a person has no such regions.
+    It is the ratio of the mean outward motions at rest, by area, of nose and lips without what
+    faces back, as the insides of nostrils do; None where these keep their place, or a person has no
+    such regions.
     """
     model = person.unedited
     before = model.skin.moved(person.before.skin)
@@ -174,6 +175,7 @@ def cheeks_over_nose(person: EditedPerson) -> float | None:
     chin = part("chin")
     cheeks = np.union1d(part("cheeks", "jaw"), chin[normals[chin, 1] < DOWNWARD])
     nose = part("nose", "upper_lip", "lower_lip")
+    nose = nose[normals[nose, 2] > 0.0]
     if not len(cheeks) or not len(nose):
         return None
     one, other = (float(np.average(outward[ids], weights=area[ids])) for ids in (cheeks, nose))

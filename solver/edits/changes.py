@@ -31,7 +31,7 @@ class Fat:
     """Growth f_i = f_min (1 - s_i0) + f_max s_i0 of F_p = f I, where a map says.
 
     Muscle grows by ``f_min``, passive flesh by ``f_max``; s_i0 is the passive share of a tet in the
-    anatomy. (1.0, 0.75) is slim, (1.0, 1.4) fat, in compartments. A ``painted`` map (V,) draws f
+    anatomy. (1.0, 0.8) is slim, (1.0, 1.4) fat, in compartments. A ``painted`` map (V,) draws f
     towards 1, with a ``depth_mm`` also far under the skin (:func:`into_volume`), and so do the
     ends of the model's flesh. Where f > 1 the stiffness is divided by f^``softening``, as it is the
     same tissue in more volume; the exponent is ours.

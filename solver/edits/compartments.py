@@ -45,7 +45,7 @@ class MapOptions:
 
     # weight of bare skin, whose share is 0, everywhere: the map ends at twice a radius, about
     bare: float = 0.1
-    depth_mm: float = 7.0  # on which fat falls to 1/e: it lies over the muscles, not in the mouth
+    depth_mm: float = 6.0  # on which fat falls to 1/e: it lies over the muscles, not in the mouth
 
 
 FAT_MAP = MapOptions()
