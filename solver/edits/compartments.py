@@ -91,7 +91,7 @@ def shares(*, gain: bool, sex: Sex | None = None) -> dict[str, float]:
         if row["sex"] in sexes:
             changes.setdefault(row["site"], []).append(float(row[more]) - float(row[less]))
     means = {
-        each.name: float(np.mean([changes[site] for site in each.sites] or [0.0]))
+        each.name: float(np.mean([changes[site] for site in each.sites])) if each.sites else 0.0
         for each in read_compartments()
     }
     return {name: mean / max(means.values()) for name, mean in means.items()}
