@@ -81,11 +81,6 @@ class Muscles:
         return [words for is_so, words in faults if is_so]
 
     @property
-    def judged(self) -> NDArray[np.bool_]:
-        """Return which muscles (m,) have the flesh to move anything."""
-        return self.flesh_mm3 >= self.limits.least_flesh_mm3
-
-    @property
     def inside_out(self) -> Ints:
         """Return the numbers of the muscles that are turned inside out."""
         return np.flatnonzero((self.shortest <= 0.0) & self.judged)

@@ -13,7 +13,7 @@ import numpy as np
 
 from solver.anatomy.template import Template
 from solver.edits.changes import spots
-from solver.edits.compartments import Sex, fat_map, missing_landmarks
+from solver.edits.fat_compartments import Sex, fat_map, missing_landmarks
 from solver.errors import InputError
 from solver.kinds.scene import AssetMap, RegionMap, SkinMap
 from solver.model import SubjectModel

@@ -11,8 +11,8 @@ import scipy.sparse as sp
 from solver.animation.drives import Drives, Gaze, PosedFrame
 from solver.contact.potentials import Gauge, Penetration, contact_potentials
 from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling, under_skin
-from solver.edits.compartments import FAT_MAP
 from solver.edits.edit import Change, Edited, apply
+from solver.edits.fat_compartments import FAT_MAP
 from solver.errors import InputError
 from solver.fitting.calibration import with_fibres
 from solver.fitting.face import Face

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling
-from solver.edits.compartments import FAT_MAP
+from solver.edits.fat_compartments import FAT_MAP
 from solver.errors import InputError
 from solver.kinds.document import json_schema
 from solver.kinds.scene import Edit, EditScene

@@ -29,7 +29,7 @@ SIDES = ("_l", "_r")
 
 
 @dataclass(frozen=True)
-class Compartment:
+class FatCompartment:
     """One line of the table of compartments."""
 
     name: str
@@ -52,10 +52,10 @@ FAT_MAP = MapOptions()
 
 
 @cache
-def read_compartments() -> tuple[Compartment, ...]:
+def read_compartments() -> tuple[FatCompartment, ...]:
     """Return the table of compartments."""
     return tuple(
-        Compartment(
+        FatCompartment(
             row["name"],
             row["paired"] == "yes",
             tuple(_mean(point) for point in row["path"].split()),

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from solver.anatomy.data import read_table
-from solver.edits.compartments import SIDES, fat_map, missing_landmarks, read_compartments, shares
+from solver.edits.fat_compartments import (
+    SIDES,
+    fat_map,
+    missing_landmarks,
+    read_compartments,
+    shares,
+)
 from solver.scene.places import Places
 from solver.surface import directed_edges
 from tests.fixtures import small_model
