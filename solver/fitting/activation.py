@@ -24,6 +24,7 @@ import scipy.linalg
 from solver.errors import SolveError
 from solver.fitting.controls import Layout
 from solver.fitting.face import Face, Pose, PosedFace
+from solver.fitting.interior_point import interior_step
 from solver.fitting.least_squares import (
     DampingOptions,
     LeastSquaresStep,
@@ -106,17 +107,19 @@ def fit(
 
     ``matrix`` (size, size) is f's Gauss-Newton matrix without its priors, or that of a state
     nearby or of other data. Without it that of ``start`` is made, as dear as a few iterations.
-    Controls with bounds, of which there are few, have the matrix of every state made.
+    Controls with bounds have the matrix of every state made, and a step that is the best within
+    them. A ``start`` outside is brought in first (:func:`enter`).
 
     Where the descent gets stuck, or the flesh buckles as it settles or does not settle, the fit
     goes on from the best that did settle, else from the neutral face, every state on the way then
     being settled too. A descent that gets stuck where it began has found the minimum. Raises
     :class:`SolveError` (``solve.no_convergence``) if the face cannot be settled even so.
     """
-    if start is None and matrix is None and not face.layout.is_bounded:
+    if start is None and matrix is None and not face.layout.is_limited:
         matrix = rest_curvature(face)
     best = None
-    iterations, begin, go = 0, start or face.rest, Face.newton_continuation
+    begin = face.rest if start is None else enter(face, data, regulariser, start, descent)
+    iterations, go = 0, Face.newton_continuation
     for _ in range(descent.restarts):
         try:
             found = descend(face, data, regulariser, begin, options, listen, go, matrix, descent)
@@ -159,8 +162,8 @@ def descend(
 ) -> ActivationFit:
     """Minimise f over (a, b), going from state to state by ``go``, which settles them or not."""
     if matrix is None:
-        bounded = start.pose.layout.is_bounded
-        matrix = np.zeros((0, 0)) if bounded else curvature(face, data, start)
+        limited = start.pose.layout.is_limited
+        matrix = np.zeros((0, 0)) if limited else curvature(face, data, start)
     problem = _PoseProblem(face, data, regulariser, go, matrix, descent)
     stop = StopOptions(options.max_iterations, options.tolerance, options.tolerance)
     found = minimise(problem, start, TrustRegion(descent.damping), stop, listen)
@@ -184,7 +187,7 @@ class _PoseProblem:
         return objective(self.data, self.regulariser, point)
 
     def linearise(self, point: PosedFace) -> GaussNewton | DenseModel:
-        if point.pose.layout.is_bounded:
+        if point.pose.layout.is_limited:
             return _whole_model(self.face, self.data, self.regulariser, point)
         parts = self.face, self.data, self.regulariser
         # the model begins with the matrix of the one before
@@ -305,6 +308,30 @@ def _whole_model(face: Face, data: Term, regulariser: Prior, state: PosedFace) -
     return DenseModel(*at, jacobian.flesh)
 
 
+def enter(
+    face: Face,
+    data: Term,
+    regulariser: Prior,
+    state: PosedFace,
+    options: DescentOptions = DescentOptions(),
+) -> PosedFace:
+    """Return a state of the face near one whose activations need not be admissible for it.
+
+    It is where f's model at ``state`` is least: other muscles make up for what one may not do.
+    """
+    admissible = face.layout.admissible
+    state = replace(state, pose=replace(state.pose, form=face.layout))
+    if admissible is None or admissible.contains(state.pose.a):
+        return state
+    model = _whole_model(face, data, regulariser, state)
+    step = model.step(options.damping.start, np.inf)
+    pose = state.pose.add(step.change)
+    try:
+        return face.newton_continuation(state, step.response, pose)
+    except SolveError:
+        return face.continuation(face.rest, pose)
+
+
 @dataclass(frozen=True)
 class DenseModel:
     """f's model by its ``gradient`` and a whole ``hessian``, in ``layout``.
@@ -326,7 +353,9 @@ class DenseModel:
         """
         damped = self.hessian.copy()
         damped[np.diag_indices_from(damped)] += damping * self.layout.damping
-        if self.q is not None and self.layout.is_bounded:
+        if self.q is not None and self.layout.admissible is not None:
+            step = interior_step(self.layout, damped, self.gradient, self.q).change
+        elif self.q is not None and self.layout.is_bounded:
             step = bounded_step(damped, self.gradient, self.layout.limits(self.q, np.inf))
         else:
             step = _solve_positive(damped, -self.gradient)

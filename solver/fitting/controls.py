@@ -13,11 +13,14 @@ from functools import cache, cached_property
 import numpy as np
 
 from solver.errors import InputError
+from solver.fitting.admissible import AdmissibleSet
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.jaw_tracks import TRACK_FREEDOM, JawTracks
 from solver.surface import Floats, Ints
 
+# distance to the bounds of what is brought inside them, by that at rest
+CLIPPED = 1e-4
 # D: a radian of jaw counts as 100 mm, its motion at the chin
 JAW_UNITS = np.array([100.0, 100.0, 1.0, 1.0, 1.0])
 
@@ -33,6 +36,7 @@ class Block:
     lower: Floats | float = -np.inf
     upper: Floats | float = np.inf
     units: Floats | float = 1.0  # what a change of 1 counts as in a regulariser
+    admissible: AdmissibleSet | None = None  # that the block's activations stay in
 
 
 @dataclass(frozen=True)
@@ -79,9 +83,24 @@ class Layout:
         """Tell whether any entry has a bound."""
         return bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
 
+    @property
+    def admissible(self) -> AdmissibleSet | None:
+        """Return the set that the muscles' activations stay in, None if they are free."""
+        return self.blocks[0].admissible
+
+    @property
+    def is_limited(self) -> bool:
+        """Tell whether there are bounds of either sort."""
+        return self.is_bounded or self.admissible is not None
+
     def clip(self, q: Floats) -> Floats:
         """Return q (size,) within the bounds."""
-        return np.clip(q, self.lower, self.upper) if self.is_bounded else q
+        out = np.clip(q, self.lower, self.upper) if self.is_bounded else q
+        if self.admissible is None:
+            return out
+        out, muscles = out.copy(), self.muscles
+        out[muscles] = self.admissible.nearest(out[muscles], CLIPPED)
+        return out
 
     def limits(self, q: Floats, reach: float) -> tuple[Floats, Floats]:
         """Return the least and the greatest step from q (size,), of a length up to ``reach``."""
@@ -156,8 +175,13 @@ def fibre_block(muscles: int) -> Block:
     return Block("fibres", np.zeros(muscles), reach=ACTIVATION_REACH, lower=0.0, upper=1.0)
 
 
+def activation_block(muscles: int, admissible: AdmissibleSet | None = None) -> Block:
+    """Return the block of activations (m, 6), free unless there is a set that they stay in."""
+    rest = np.tile(IDENTITY, (muscles, 1))
+    return Block("activations", rest, reach=ACTIVATION_REACH, admissible=admissible)
+
+
 @cache
 def pose_layout(muscles: int) -> Layout:
     """Return the layout of (a, b): ``activations`` (m, 6) and ``jaw`` (5,)."""
-    rest = np.tile(IDENTITY, (muscles, 1))
-    return Layout((Block("activations", rest, reach=ACTIVATION_REACH), jaw_block()))
+    return Layout((activation_block(muscles), jaw_block()))

@@ -13,8 +13,10 @@ import scipy.sparse as sp
 from solver.anatomy.bones import skull_planes
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
+from solver.fitting.admissible import AdmissibleLimits, AdmissibleSet
 from solver.fitting.checks import check_pose, check_weights
-from solver.fitting.controls import Block, Layout, jaw_block, pose_layout
+from solver.fitting.controls import Block, Layout, activation_block, jaw_block, pose_layout
+from solver.fitting.stretches import fibre_tensors
 from solver.mechanics.boundary import FreeJaw, JawMotion
 from solver.mechanics.equilibrium import (
     Equilibrium,
@@ -134,6 +136,7 @@ class Face:
         self.jaw: JawMotion = FreeJaw(model.jaw)
         self._jaw_block = jaw_block()
         self._muscle_block: Block | None = None
+        self._limits: AdmissibleLimits | None = None
         self._held_rest = model.rest if bones is None else model.rest + bones
         pins = [model.sliding] if pinned else []
         held = np.concatenate([model.cranium, model.mandible, model.cut, *pins])
@@ -177,11 +180,17 @@ class Face:
         """Return this face with a flesh whose controls are those of ``muscles``, in place of S."""
         return self._with(flesh=flesh, _muscle_block=muscles)
 
+    def with_limits(self, limits: AdmissibleLimits | None) -> Face:
+        """Return this face with the activations of S within ``limits``, or free for None."""
+        return self._with(_limits=limits)
+
     def with_jaw(self, jaw: JawMotion, block: Block) -> Face:
         """Return this face with a jaw that moves by the numbers of ``block``."""
         return self._with(jaw=jaw, _jaw_block=block)
 
-    def _with(self, **changes: sp.csr_array | Flesh | JawMotion | Block) -> Face:
+    def _with(
+        self, **changes: sp.csr_array | Flesh | JawMotion | Block | AdmissibleLimits | None
+    ) -> Face:
         other = copy.copy(self)
         for known in ("rest", "layout"):
             other.__dict__.pop(known, None)
@@ -192,9 +201,22 @@ class Face:
     def layout(self) -> Layout:
         """Places of the controls of the muscles and the jaw in one vector."""
         usual = pose_layout(self.S.shape[1] - 1)
-        if self._muscle_block is None and isinstance(self.jaw, FreeJaw):
+        own = self._muscle_block or self._limits
+        if own is None and isinstance(self.jaw, FreeJaw):
             return usual
-        return Layout((self._muscle_block or usual.blocks[0], self._jaw_block))
+        return Layout((self._muscle_block or self._activation_block(), self._jaw_block))
+
+    def _activation_block(self) -> Block:
+        muscles = self.S.shape[1] - 1
+        if self._limits is None:
+            return activation_block(muscles)
+        tensors = fibre_tensors(self.model, self.flesh.volumes, self.S)
+        return activation_block(muscles, AdmissibleSet(self._limits, tensors))
+
+    @property
+    def limits(self) -> AdmissibleLimits | None:
+        """Return the limits of the activations, None where they are free."""
+        return self._limits
 
     @property
     def has_own_drive(self) -> bool:

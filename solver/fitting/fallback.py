@@ -71,6 +71,10 @@ def fit(
             status: Status = "converged" if found.converged else "stopped"
             return FallbackFit(found.state, found.objective, found.iterations, solver, status)
         except (SolveError, np.linalg.LinAlgError) as error:
+            # IPOPT knows no admissible activations
+            if face.limits is not None:
+                notice = make_warning("solve.failed", f"no fit was found ({error})")
+                return _at_rest(face, data, regulariser, solver, (notice,))
             message = f"the reduced solver failed ({error}); IPOPT took over"
             context = {"reason": getattr(error, "code", "solve.singular")}
             reasons = (make_warning("solve.fallback", message, context),)
@@ -87,8 +91,7 @@ def _fit_in_full(
     ipopt: FallbackOptions,
 ) -> FallbackFit:
     """Do as :func:`fit` by IPOPT: the best of its answers, settled, and the resting face."""
-    neutral = activation.objective(data, regulariser, face.rest)
-    best = FallbackFit(face.rest, neutral, 0, "ipopt", "failed")
+    best = _at_rest(face, data, regulariser, "ipopt")
     done = 0
     trouble: dict[str, Finding] = {}
     # where IPOPT does not converge it tries with heavier priors, each time from the best state:
@@ -128,6 +131,18 @@ def _fit_in_full(
         if wanted:
             return replace(best, iterations=done)
     return replace(best, iterations=done, notices=tuple(trouble.values()))
+
+
+def _at_rest(
+    face: Face,
+    data: Term,
+    regulariser: Regulariser,
+    solver: Solver,
+    notices: tuple[Finding, ...] = (),
+) -> FallbackFit:
+    """Return the resting face, where nothing better was found."""
+    value = activation.objective(data, regulariser, face.rest)
+    return FallbackFit(face.rest, value, 0, solver, "failed", notices)
 
 
 def warn_of_slowness(face: Face, options: FallbackOptions = FallbackOptions()) -> list[Finding]:

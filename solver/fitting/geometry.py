@@ -3,6 +3,10 @@
 Gauss-Newton steps on S and all poses together (:mod:`solver.fitting.joint`), the weights w_a and
 w_s falling from round to round as published, their priors the resting muscles and the S of the
 start.
+
+Admissible activations (:mod:`solver.fitting.admissible`) are reached by continuation: S is fitted
+to free ones first, then the bounds close on them round by round. Straight to the bounds, fits end
+in worse minima.
 """
 
 from __future__ import annotations
@@ -29,6 +33,14 @@ LAST = ActivationOptions(20, tolerance=1e-3)  # of the activations, once S is fo
 
 
 @dataclass(frozen=True)
+class TighteningOptions:
+    """The way from free activations to admissible ones, a round for each of the bounds."""
+
+    loosened: tuple[float, ...] = (0.3, 0.2, 0.12, 0.08, 0.05, 0.02)
+    rounds: int = 14  # at most, within the bounds as they are asked for
+
+
+@dataclass(frozen=True)
 class GeometryOptions:
     """The schedule of the rounds."""
 
@@ -42,6 +54,13 @@ class GeometryOptions:
     # where two rounds in turn gain less than this part of f, the fit goes on to the whole rounds,
     # or ends there
     tolerance: float = 3e-3
+    tightening: TighteningOptions = TighteningOptions()
+
+    def most_rounds(self, face: Face) -> int:
+        """Return how many rounds a fit of ``face`` takes at most."""
+        if face.limits is None:
+            return self.rounds
+        return self.rounds + len(self.tightening.loosened) + self.tightening.rounds
 
 
 @dataclass(frozen=True)
@@ -69,6 +88,8 @@ def fit(
 ) -> GeometryFit:
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
 
+    Activations end within the limits of ``face``, if it has any.
+
     ``first_terms`` takes the place of ``data`` in all but the last rounds (:data:`WHOLE_ROUNDS`):
     the distance without contact, which would take many small steps. ``start`` has the pattern of
     the model's geometric S, which it is if not given. ``structure`` L (k, nnz) adds
@@ -76,7 +97,8 @@ def fit(
     end is the best that was found of it, and its ending says so.
     """
     first_terms = data if first_terms is None else first_terms
-    face = face.with_weights(face.model.weights if start is None else start)
+    limits = face.limits
+    face = face.with_limits(None).with_weights(face.model.weights if start is None else start)
     first, known = ActivationOptions(options.first_iterations), rest_curvature(face)
     begin = _problem(face, first_terms, options, 0, structure).regulariser
     states = {
@@ -96,9 +118,45 @@ def fit(
 
         now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen)
         steps += taken
+    if limits is not None:
+        problem = _problem(face.with_limits(limits), data, options, options.rounds - 1, structure)
+        now, taken = _tighten(problem, now, options, rules, listen)
+        steps += taken
     last = replace(begin, w_a=options.w_a[1])
-    found = face.with_weights(replace_values(face.S, now.values))
+    found = face.with_limits(limits).with_weights(replace_values(face.S, now.values))
     return _finish(found, data, last, now.states, steps)
+
+
+def _tighten(
+    problem: GeometryProblem,
+    now: Iterate,
+    options: GeometryOptions,
+    rules: joint.RoundOptions,
+    listen: Listener | None,
+) -> tuple[Iterate, int]:
+    """Go on within limits that close on those of the problem's face, and count the rounds."""
+    limits, parts = problem.face.limits, options.tightening.loosened
+    if limits is None:
+        raise ValueError("the face has no limits")
+    number, idle = options.rounds, 0
+    for part in (*parts, *[0.0] * options.tightening.rounds):
+        # the fibres are those of the newest S
+        shaped = problem.shape.face(now.values).with_limits(limits.loosened(part))
+        states = {
+            name: activation.enter(shaped, problem.data[name], problem.regulariser, state)
+            for name, state in now.states.items()
+        }
+        now = replace(now, states=states)
+        before = problem.value(now.values, now.states)
+        now, _ = joint.minimise_rounds(
+            lambda _: problem, now, range(number, number + 1), rules, listen
+        )
+        number += 1
+        gain = before - problem.value(now.values, now.states)
+        idle = idle + 1 if part == 0.0 and gain < rules.tolerance * before else 0
+        if idle == 2:
+            break
+    return now, number - options.rounds
 
 
 def _problem(

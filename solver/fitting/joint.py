@@ -31,6 +31,7 @@ import scipy.sparse.linalg
 from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.face import Face, Pose, PosedFace
+from solver.fitting.interior_point import InteriorStep, interior_step
 from solver.fitting.least_squares import DampingOptions, bounded_step
 from solver.fitting.objective import Regulariser, Term, sparse
 from solver.fitting.sensitivity import Sensitivity
@@ -271,9 +272,12 @@ class _Linearised:
         self._hessian = jacobian.contract(curvature) + regulariser.gauss_newton(state.pose)
         self._layout, self._q = state.pose.layout, state.pose.vector()
         damped = self._hessian + damping * np.diag(self._layout.damping)
+        self._damped = damped
         # at a bound that the step would leave, the pose does not follow
         self._open: slice | Ints = slice(None)
-        if self._layout.is_bounded:
+        if self._layout.admissible is not None:
+            damped = damped + self._interior_step(self._by_pose).curvature
+        elif self._layout.is_bounded:
             limits = self._layout.limits(self._q, 1.0)
             ahead = bounded_step(damped, self._by_pose, limits)
             at_bound = (ahead == limits[0]) | (ahead == limits[1])
@@ -300,9 +304,12 @@ class _Linearised:
         problem, state = self._problem, self._state
         flesh = self._response.free_motion(self._weights, change)
         coupled = self._couple(flesh)
-        by_pose = -self._solve(self._by_pose + coupled)
+        if self._layout.admissible is None:
+            by_pose = -self._solve(self._by_pose + coupled)
+        else:
+            by_pose = self._interior_step(self._by_pose + coupled).change
         by_pose *= fraction / max(self._layout.reach(by_pose), 1.0)
-        if self._layout.is_bounded:
+        if self._layout.is_limited:
             by_pose = self._layout.clip(self._q + by_pose) - self._q
         # the undamped model's gain
         first = self._by_x @ flesh + self._by_pose @ by_pose
@@ -324,6 +331,9 @@ class _Linearised:
         with contextlib.suppress(SolveError):
             return face.predict_and_solve(self._state, response, pose)
         return None
+
+    def _interior_step(self, gradient: Floats) -> InteriorStep:
+        return interior_step(self._layout, self._damped, gradient, self._q)
 
     def _couple(self, flesh: Floats) -> Floats:
         return np.asarray(self._coupling.T @ flesh[self._touched])

@@ -1,0 +1,180 @@
+"""Activations that a living muscle can make, and the barrier of that set.
+
+Of muscle j with the stretches lambda_k of S(a_j) and the mean T_j of d d^T along its fibres d,
+
+    T_j : S(a_j) < fibre,    shortest < lambda_k < longest,    1/volume < det S(a_j) < volume,
+
+a set that is convex but for the last bound: what lies between two such activations is one, too. Its
+logarithmic barrier (Frisch 1955; Nocedal and Wright 2006, chapter 19), of all muscles,
+
+    phi(A) = -log(fibre - T:A) - log det(A - shortest I) - log det(longest I - A)
+             - log(log det A + log volume) - log(log volume - log det A),
+
+is taken less its first-order part at rest, so that it pulls no muscle there.
+:mod:`solver.fitting.interior_point` minimises with it.
+
+Six numbers of A and bounds on what they do were measured against no bounds at all, and against
+penalties: see docs/develop/decisions.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from solver.fitting.stretches import COLUMN, FROBENIUS, ROW, matrices, metric
+from solver.mechanics.flesh import IDENTITY
+from solver.surface import Floats
+
+
+@dataclass(frozen=True)
+class AdmissibleLimits:
+    """Bounds of every muscle's activation S(a_j).
+
+    A muscle pulls, so that its fibres hardly lengthen; it makes force down to half its best length
+    (Zajac 1989), where it is sqrt(2) times as thick, as it keeps its volume.
+    """
+
+    fibre: float = 1.05  # mean stretch along the fibres
+    shortest: float = 0.5  # stretch in any direction
+    longest: float = 1.5
+    volume: float = 1.1  # by that at rest, and its inverse
+
+    def loosened(self, part: float) -> AdmissibleLimits:
+        """Return wider limits: for 0 the same, for 1 far beyond what free fits ask for."""
+        return replace(
+            self,
+            fibre=self.fibre + 4.0 * part,
+            shortest=self.shortest * (1.0 - part),
+            longest=self.longest + 4.5 * part,
+            volume=self.volume * float(np.exp(4.0 * part)),
+        )
+
+
+@dataclass(frozen=True)
+class ProjectionOptions:
+    """Effort to bring activations into the set."""
+
+    rounds: int = 20  # of projections onto one bound after the other
+    shrink: float = 0.9  # of the distance to rest, where those do not end
+    shrinks: int = 200
+
+
+@dataclass(frozen=True)
+class AdmissibleSet:
+    """The admissible activations of m muscles; ``tensors`` (m, 3, 3) are T, NaN without fibres."""
+
+    limits: AdmissibleLimits
+    tensors: Floats
+    options: ProjectionOptions = ProjectionOptions()
+
+    def margins(self, a: Floats) -> Floats:
+        """Return how far activations (m, 6) are inside every bound, (m, 9): above 0 if they are."""
+        return self._margins(a, np.asarray(np.linalg.eigvalsh(matrices(a))))
+
+    def contains(self, a: Floats) -> bool:
+        """Tell whether activations (m, 6) are in the set, all of them."""
+        return bool((self.margins(a) > 0.0).all())
+
+    def _margins(self, a: Floats, stretches: Floats) -> Floats:
+        limits, room = self.limits, np.log(self.limits.volume)
+        positive = stretches[:, :1] > 0.0
+        logs = np.log(np.where(positive, stretches, 1.0)).sum(axis=1, keepdims=True)
+        size = np.where(positive, logs, -np.inf)
+        return np.hstack(
+            [
+                limits.fibre - self._fibres(a)[:, None],
+                stretches - limits.shortest,
+                limits.longest - stretches,
+                room + size,
+                room - size,
+            ]
+        )
+
+    def _fibres(self, a: Floats) -> Floats:
+        """Return T_j : S(a_j), (m,); 1 without fibres."""
+        return np.where(self._has_fibres, (self._along * a).sum(axis=1), 1.0)
+
+    @property
+    def _has_fibres(self) -> Floats:
+        return np.isfinite(self.tensors[:, 0, 0])
+
+    @property
+    def _along(self) -> Floats:
+        """The derivative (m, 6) of T_j : S(a_j)."""
+        return np.asarray(FROBENIUS * np.nan_to_num(self.tensors)[:, ROW, COLUMN])
+
+    def nearest(self, a: Floats, kept: float) -> Floats:
+        """Return activations (m, 6) in the set and near ``a``, ``a`` itself where it is.
+
+        ``kept`` is the least distance to every bound, by that at rest.
+        """
+        least = kept * self.margins(np.tile(IDENTITY, (len(a), 1)))
+        found = a.copy()
+        for _ in range(self.options.rounds):
+            beyond = np.flatnonzero((self.margins(found) < least).any(axis=1))
+            if len(beyond) == 0:
+                return found
+            # a little further than asked for, or the last step of many would go on for ever
+            some = replace(self, tensors=self.tensors[beyond])
+            found[beyond] = some._projected(found[beyond], 1.01 * least[beyond])
+        part = np.ones(len(a))
+        for _ in range(self.options.shrinks):
+            shrunk = IDENTITY + part[:, None] * (found - IDENTITY)
+            outside = (self.margins(shrunk) < least).any(axis=1)
+            if not outside.any():
+                break
+            part = np.where(outside, self.options.shrink * part, part)
+        return np.asarray(shrunk)
+
+    def _projected(self, a: Floats, least: Floats) -> Floats:
+        """Return activations moved to ``least`` (m, 9) inside one bound after the other."""
+        limits, room = self.limits, np.log(self.limits.volume)
+        over = np.maximum(self._fibres(a) - (limits.fibre - least[:, 0]), 0.0)
+        square = (self._along**2 / FROBENIUS).sum(axis=1)
+        over = np.divide(over, square, out=np.zeros_like(over), where=square > 0.0)
+        values, axes = np.linalg.eigh(matrices(a - over[:, None] * self._along / FROBENIUS))
+        low, high = limits.shortest + least[:, 1:4], limits.longest - least[:, 4:7]
+        logs = np.log(np.clip(values, low, high))
+        size = logs.sum(axis=1)
+        logs -= (size - np.clip(size, least[:, 7] - room, room - least[:, 8]))[:, None] / 3.0
+        return _with_stretches(np.exp(logs), np.asarray(axes))
+
+    def value(self, a: Floats) -> float:
+        """Return the barrier of activations (m, 6), infinite on a bound and beyond."""
+        margins = self.margins(a)
+        if not (margins > 0.0).all():
+            return np.inf
+        at_rest = (self._fibres(a) - 1.0) / (self.limits.fibre - 1.0)
+        return float(-np.log(margins).sum() - at_rest.sum())
+
+    def gradient(self, a: Floats) -> Floats:
+        """Return the barrier's derivative (m, 6)."""
+        values, axes = np.linalg.eigh(matrices(a))
+        margins = self._margins(a, np.asarray(values))
+        pull = 1.0 / margins[:, 0] - 1.0 / (self.limits.fibre - 1.0)
+        by_size = 1.0 / margins[:, 8] - 1.0 / margins[:, 7]
+        slopes = 1.0 / margins[:, 4:7] - 1.0 / margins[:, 1:4] + by_size[:, None] / values
+        return np.asarray(FROBENIUS * _with_stretches(slopes, axes) + pull[:, None] * self._along)
+
+    def hessian(self, a: Floats) -> Floats:
+        """Return the barrier's second derivative (m, 6, 6), its indefinite part left out."""
+        values, axes = np.linalg.eigh(matrices(a))
+        margins, limits = self._margins(a, np.asarray(values)), self.limits
+        by_size = FROBENIUS * _with_stretches(1.0 / values, axes)
+        bound = (margins[:, 7] ** -2 + margins[:, 8] ** -2)[:, None, None]
+        # log det is concave: it stiffens its lower bound and softens the upper one
+        convex = np.maximum(1.0 / margins[:, 7] - 1.0 / margins[:, 8], 0.0)[:, None, None]
+        out = metric(a - limits.shortest * IDENTITY) + metric(limits.longest * IDENTITY - a)
+        out += convex * metric(a) + bound * _outer(by_size)
+        return np.asarray(out + _outer(self._along / margins[:, :1]))
+
+
+def _with_stretches(stretches: Floats, axes: Floats) -> Floats:
+    """Return the six entries (m, 6) of matrices of these ``axes`` (m, 3, 3) and values (m, 3)."""
+    return np.asarray(((axes * stretches[:, None]) @ axes.transpose(0, 2, 1))[:, ROW, COLUMN])
+
+
+def _outer(vectors: Floats) -> Floats:
+    return np.asarray(vectors[:, :, None] * vectors[:, None, :])

@@ -1,0 +1,176 @@
+"""Minimise a fit's quadratic model over admissible controls, by an interior-point method.
+
+    min_s  g . s + s . H s / 2    with q + s admissible
+
+with H small, dense and positive definite: Newton's method on the model and the barrier of the
+bounds, whose weight falls (Nocedal and Wright 2006, chapter 19). The equilibrium, which is dear,
+plays no part in it: a fit linearises the face, solves this to its end, and has a step that is the
+best of all admissible ones, as sequential quadratic programming does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+
+from solver.errors import SolveError
+from solver.fitting.controls import Layout
+from solver.surface import Floats, Ints
+
+
+@dataclass(frozen=True)
+class InteriorPointOptions:
+    """Weights of the barrier, and Newton's method for each."""
+
+    # falling, by the model's gain without bounds and the number of these: the last is how much of
+    # the gain the step is short of
+    weights: tuple[float, ...] = tuple((10.0 ** -np.arange(0.0, 6.1, 0.6)).tolist())
+    steps: int = 15  # for one weight
+    decrement: float = 0.1  # of the last step for a weight, by that weight
+    entered: float = 0.05  # distance to every bound at the start, by that at rest
+    kept: float = 0.1  # part of the distance to a bound that a step leaves
+    backtrack: float = 0.7
+    tries: int = 40
+    gained: float = 1e-4  # least gain of a step, by what its slope promises (Armijo 1966)
+
+
+@dataclass(frozen=True)
+class InteriorStep:
+    """A step (size,), and the barrier's second derivative where it leads, (size, size)."""
+
+    change: Floats
+    curvature: Floats
+
+
+def interior_step(
+    layout: Layout,
+    hessian: Floats,
+    gradient: Floats,
+    q: Floats,
+    options: InteriorPointOptions = InteriorPointOptions(),
+) -> InteriorStep:
+    """Return the best step from q (size,), which need not be admissible itself.
+
+    ``hessian`` H is (size, size), ``gradient`` g (size,). Raises :class:`SolveError`
+    (``solve.not_finite``) where H is not positive definite.
+    """
+    barrier = _Barrier(layout)
+    step = barrier.nearest(q, options.entered) - q
+    try:
+        slope = gradient + hessian @ step
+        newton = scipy.linalg.cho_solve(scipy.linalg.cho_factor(hessian), slope)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
+    scale = 0.5 * float(slope @ newton) / len(barrier.margins(q))
+    curvature = np.zeros_like(hessian)
+    for weight in (scale * part for part in options.weights):
+        model = _Model(barrier, hessian, gradient, q, weight)
+        for _ in range(options.steps):
+            slope, curvature = model.gradient(step), weight * barrier.hessian(q + step)
+            try:
+                factor = scipy.linalg.cho_factor(hessian + curvature)
+            except np.linalg.LinAlgError:
+                # bounds so near that rounding hides the model: it is at its best
+                return InteriorStep(step, curvature)
+            direction = -scipy.linalg.cho_solve(factor, slope)
+            decrement = -float(slope @ direction)
+            if decrement < options.decrement * weight:
+                break
+            step = _search(model, step, direction, decrement, options)
+    return InteriorStep(step, curvature)
+
+
+@dataclass(frozen=True)
+class _Model:
+    """The quadratic model with a barrier of some weight."""
+
+    barrier: _Barrier
+    hessian: Floats
+    linear: Floats
+    q: Floats
+    weight: float
+
+    def value(self, step: Floats) -> float:
+        quadratic = float(self.linear @ step + 0.5 * step @ self.hessian @ step)
+        return quadratic + self.weight * self.barrier.value(self.q + step)
+
+    def gradient(self, step: Floats) -> Floats:
+        by_barrier = self.barrier.gradient(self.q + step)
+        return np.asarray(self.linear + self.hessian @ step + self.weight * by_barrier)
+
+
+def _search(
+    model: _Model, step: Floats, direction: Floats, decrement: float, options: InteriorPointOptions
+) -> Floats:
+    """Return a step further along ``direction`` that lowers the model and stays inside."""
+    least, before = options.kept * model.barrier.margins(model.q + step), model.value(step)
+    part = 1.0
+    for _ in range(options.tries):
+        trial = step + part * direction
+        inside = (model.barrier.margins(model.q + trial) >= least).all()
+        if inside and model.value(trial) <= before - options.gained * part * decrement:
+            return trial
+        part *= options.backtrack
+    return step
+
+
+class _Barrier:
+    """The barrier of a layout: of its admissible activations, and of the other blocks' bounds."""
+
+    def __init__(self, layout: Layout) -> None:
+        if layout.admissible is None:
+            raise ValueError("a layout without admissible activations has no interior")
+        self._layout, self._muscles, self._within = layout, layout.muscles, layout.admissible
+
+    @cached_property
+    def _bounded(self) -> tuple[Ints, Ints]:
+        """Places of the entries with a lower and with an upper bound."""
+        lower, upper = np.isfinite(self._layout.lower), np.isfinite(self._layout.upper)
+        return np.flatnonzero(lower), np.flatnonzero(upper)
+
+    def _room(self, q: Floats) -> Floats:
+        """Return the distances to the bounds of the other blocks."""
+        low, high = self._bounded
+        return np.concatenate(
+            [q[low] - self._layout.lower[low], self._layout.upper[high] - q[high]]
+        )
+
+    def margins(self, q: Floats) -> Floats:
+        """Return the distances to all bounds."""
+        return np.concatenate([self._within.margins(q[self._muscles]).ravel(), self._room(q)])
+
+    def nearest(self, q: Floats, kept: float) -> Floats:
+        """Return controls inside the bounds."""
+        out, layout = q.copy(), self._layout
+        out[self._muscles] = self._within.nearest(q[self._muscles], kept)
+        # of a bound alone, the room is a unit
+        room = np.nan_to_num(layout.upper - layout.lower, posinf=1.0) * 0.5 * kept
+        return np.clip(out, layout.lower + room, layout.upper - room)
+
+    def value(self, q: Floats) -> float:
+        """Return the barrier."""
+        room = self._room(q)
+        if not (room > 0.0).all():
+            return np.inf
+        return self._within.value(q[self._muscles]) - float(np.log(room).sum())
+
+    def gradient(self, q: Floats) -> Floats:
+        """Return its derivative (size,)."""
+        (low, high), out = self._bounded, np.zeros_like(q)
+        out[self._muscles] = self._within.gradient(q[self._muscles])
+        out[low] -= 1.0 / (q[low] - self._layout.lower[low])
+        out[high] += 1.0 / (self._layout.upper[high] - q[high])
+        return out
+
+    def hessian(self, q: Floats) -> Floats:
+        """Return its second derivative (size, size), positive semi-definite."""
+        low, high = self._bounded
+        diagonal = np.zeros_like(q)
+        diagonal[low] += (q[low] - self._layout.lower[low]) ** -2
+        diagonal[high] += (self._layout.upper[high] - q[high]) ** -2
+        out, places = np.diag(diagonal), self._muscles
+        out[places[:, :, None], places[:, None, :]] = self._within.hessian(q[places])
+        return out

@@ -1,0 +1,146 @@
+"""Activations that muscles can make: the barrier, the small problem within, and fits by it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import NonlinearConstraint, minimize
+
+from solver.fitting import activation, geometry
+from solver.fitting.activation import ActivationOptions
+from solver.fitting.admissible import AdmissibleLimits, AdmissibleSet
+from solver.fitting.controls import Layout, activation_block, jaw_block
+from solver.fitting.face import Face, Pose
+from solver.fitting.geometry import GeometryOptions
+from solver.fitting.interior_point import interior_step
+from solver.fitting.objective import Regulariser, SkinDistance, Target
+from solver.fitting.stretches import determinants, fibre_tensors, matrices
+from solver.mechanics.flesh import IDENTITY
+from tests.solver.block import poses
+from tests.solver.simulation.test_fibres import fibred_block
+
+LIMITS = AdmissibleLimits()
+
+
+def random_set(count, seed=0):
+    """Return a set of muscles with fibres of a main direction, the last without any."""
+    rng = np.random.default_rng(seed)
+    along = rng.standard_normal((count, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    tensors = 0.8 * along[:, :, None] * along[:, None] + 0.2 * np.eye(3) / 3.0
+    tensors[-1] = np.nan
+    return AdmissibleSet(LIMITS, tensors)
+
+
+def wild(count, seed=1, size=0.6):
+    return IDENTITY + np.random.default_rng(seed).normal(0.0, size, (count, 6))
+
+
+def test_barrier_has_its_derivatives_and_no_slope_at_rest():
+    admissible = random_set(12)
+    # far from the bounds, where differences are good to many digits
+    a = admissible.nearest(wild(12), 0.2)
+    change, step = np.random.default_rng(2).standard_normal(a.shape), 1e-6
+    ends = [a + sign * step * change for sign in (1.0, -1.0)]
+    by_value = (admissible.value(ends[0]) - admissible.value(ends[1])) / (2.0 * step)
+    assert abs(by_value) > 10.0
+    assert np.isclose(np.sum(admissible.gradient(a) * change), by_value, rtol=1e-6)
+    by_slope = (admissible.gradient(ends[0]) - admissible.gradient(ends[1])) / (2.0 * step)
+    seen = np.einsum("jqr,jr->jq", admissible.hessian(a), change)
+    # near the upper bound of volume alone is the set not convex
+    margins = admissible.margins(a)
+    convex = margins[:, 7] < margins[:, 8]
+    assert convex.sum() >= 3
+    assert np.abs(by_slope[convex]).max() > 10.0
+    np.testing.assert_allclose(seen[convex], by_slope[convex], rtol=1e-5, atol=1e-3)
+    assert np.linalg.eigvalsh(admissible.hessian(a)).min() > 0.0
+    assert np.abs(admissible.gradient(np.tile(IDENTITY, (12, 1)))).max() < 1e-10
+
+
+def test_what_is_outside_is_brought_in_and_what_is_inside_stays():
+    admissible, a = random_set(40), wild(40)
+    inside = admissible.nearest(a, 1e-3)
+    assert not admissible.contains(a)
+    assert admissible.contains(inside)
+    np.testing.assert_array_equal(admissible.nearest(inside, 1e-3), inside)
+    # muscles that are hardly beyond a bound hardly move
+    a = inside.copy()
+    a[:, 0] += 1e-3
+    assert np.abs(admissible.nearest(a, 1e-4) - a).max() < 0.01
+
+
+def test_a_step_is_the_best_within_the_bounds():
+    """Against SLSQP on the same model, with the jaw bounded in a box as well."""
+    admissible, rng = random_set(2, seed=5), np.random.default_rng(7)
+    jaw = replace(jaw_block(), lower=np.full(5, -0.1), upper=np.full(5, 0.2))
+    layout = Layout((activation_block(2, admissible), jaw))
+    root = rng.standard_normal((layout.size, layout.size))
+    hessian = root @ root.T + np.eye(layout.size)
+    goal = layout.join([wild(2, seed=8), rng.standard_normal(5)])
+    q = layout.rest
+    gradient = -hessian @ (goal - q)
+    found = interior_step(layout, hessian, gradient, q).change
+
+    def model(step):
+        return gradient @ step + 0.5 * step @ hessian @ step
+
+    def margins_of(step):
+        return admissible.margins((q + step)[:12].reshape(2, 6)).ravel()
+
+    margins = NonlinearConstraint(margins_of, 0.0, np.inf)
+    box = NonlinearConstraint(lambda s: np.append(s[12:] + 0.1, 0.2 - s[12:]), 0.0, np.inf)
+    options = {"maxiter": 500, "ftol": 1e-12}
+    known = minimize(
+        model, np.zeros(layout.size), constraints=[margins, box], method="SLSQP", options=options
+    )
+    ends = layout.part("activations", q + found)
+    assert admissible.contains(ends)
+    assert (admissible.margins(ends) < 1e-3).any()
+    assert model(found) < model(np.zeros(layout.size)) - 1.0
+    assert model(found) <= known.fun + 1e-4 * abs(known.fun)
+
+
+@pytest.fixture(scope="module")
+def free():
+    return Face(fibred_block(), tolerance=1e-10)
+
+
+@pytest.fixture(scope="module")
+def face(free):
+    return free.with_limits(LIMITS)
+
+
+def data_of(face, pose):
+    state = face.continuation(face.rest, pose)
+    return SkinDistance(face, Target.from_points(face.face_points(state.x)))
+
+
+def test_what_muscles_did_is_found_again(free, face):
+    admissible = face.layout.admissible
+    pose = poses(1)[0]
+    pose = Pose(admissible.nearest(pose.a, 0.2), pose.b)
+    weak = Regulariser(w_a=1e-9, w_v=0.0, w_b=1e-12, prior=face.rest_pose())
+    stop = ActivationOptions(60, tolerance=1e-9)
+    found = activation.fit(face, data_of(free, pose), weak, options=stop).state
+    assert admissible.contains(found.pose.a)
+    np.testing.assert_allclose(found.pose.a, pose.a, atol=0.02)
+    np.testing.assert_allclose(found.pose.b, pose.b, atol=0.02)
+
+
+def test_muscles_that_push_are_fitted_as_well_as_muscles_can(free, face):
+    """Judged on its own: no fibre, stretch or volume beyond the limits, S being fitted too."""
+    push = np.tile([1.4, 0.0, 0.0, 0.9, 0.0, 0.9], (2, 1))
+    data = {"push": data_of(free, Pose(push, np.zeros(5)))}
+    assert not face.layout.admissible.contains(push)
+    fitted = geometry.fit(face, data, GeometryOptions(rounds=4))
+    a = fitted.states["push"].pose.a
+    stretches = np.linalg.eigvalsh(matrices(a))
+    tensors = fibre_tensors(free.model, free.flesh.volumes, fitted.S)
+    fibres = np.einsum("jkl,jkl->j", tensors, matrices(a))
+    assert fibres.max() < LIMITS.fibre
+    assert LIMITS.shortest < stretches.min()
+    assert stretches.max() < LIMITS.longest
+    assert np.abs(np.log(determinants(a))).max() < np.log(LIMITS.volume)
+    assert fitted.endings["push"].status == "converged"
+    nothing = data["push"].value(free.rest.x)
+    assert fitted.endings["push"].objective < 0.7 * nothing
