@@ -17,11 +17,12 @@ from pathlib import Path
 
 from benchmarks import report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
-from benchmarks.subject_fits import Fits
+from benchmarks.subject_fits import CONTROLS, Fits
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.action_units import actions_of, joined_codes
 from solver.anatomy.template import ShapeBasis, split_side
 from solver.animation.blendshapes import CORRECTED, expression_targets
+from solver.fitting.admissible import AdmissibleLimits
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.model import SubjectModel
@@ -41,6 +42,7 @@ def main() -> None:
     subjects.add_options(parser)
     parser.add_argument("--rig", type=Path, help="rig.npz of the template (of --faces, if given)")
     parser.add_argument("--shapes", help="ARKit's names without sides, joined by commas; else all")
+    parser.add_argument("--controls", choices=CONTROLS, default="free")
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     report.finish(run(options), options, section)
@@ -63,12 +65,13 @@ def run(options: argparse.Namespace) -> Figures:
 def _face(options: argparse.Namespace) -> Face:
     if options.rig is not None:
         rig = Rig.load(options.rig)
-        return Face(rig.model, rig.weights)
+        limits = AdmissibleLimits() if options.controls == "admissible" else None
+        return Face(rig.model, rig.weights).with_limits(limits)
     model, captures = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
     rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
     face = Face(model)
-    S, _ = subject_fits.by_geometry(face, captures.train, GeometryOptions(rounds=rounds))
-    return face.with_weights(S)
+    train = CONTROLS[options.controls].train
+    return train(face, captures.train, GeometryOptions(rounds=rounds)).face
 
 
 def single_units(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Surface]:

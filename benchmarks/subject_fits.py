@@ -15,6 +15,7 @@ from solver.contact.mouth import Mouth
 from solver.errors import SolveError
 from solver.fitting import fallback, geometry, per_tet
 from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
+from solver.fitting.admissible import AdmissibleLimits
 from solver.fitting.contact import terms
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit, Status
@@ -183,7 +184,14 @@ class Method:
     test: Callable[[Face, Scans], Fits]
 
 
-CONTROLS = {"free": Method(by_geometry, by_activations)}  # by what muscles and jaw may do
+def _by_admissible(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
+    return by_geometry(face.with_limits(AdmissibleLimits()), scans, schedule)
+
+
+CONTROLS = {  # by what muscles and jaw may do
+    "free": Method(by_geometry, by_activations),
+    "admissible": Method(_by_admissible, by_activations),
+}
 
 
 def rig_of(train: Fits, test: Fits) -> Rig:

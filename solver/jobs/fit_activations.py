@@ -18,6 +18,7 @@ from solver.jobs.fits import (
     describe_fit,
     find_oddities,
     leave_rig,
+    limits_of,
     read_scans,
     refuse_failures,
 )
@@ -41,6 +42,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     subject, carried = parent.model, parent.expressions
     scans = read_scans(subject, task.captures)
     face = Face(subject, parent.weights, linear=given.linear_solver or fastest())
+    face = face.with_limits(limits_of(given))
     check_held(face)
     log = WarningLog(subject, progress)
     oddities = find_oddities(face, scans)
@@ -70,7 +72,8 @@ def run(task: Task[FitActivations]) -> list[Path]:
         fitted.append(log.about(expression, done, found.notices))
     refuse_failures(fitted)
     kept = [fit for fit in carried if fit.name not in scans]
-    settings = {**UNSEEN, **asdict(stop), **given.model_dump(include={"distance", "solver"})}
+    asked = given.model_dump(include={"distance", "solver", "controls"})
+    settings = {**UNSEEN, **asdict(stop), **asked}
     # the expressions that S was fitted to share its time
     trained = [fit for fit in carried if fit.role == "train"]
     together = [fit.seconds for fit in trained]

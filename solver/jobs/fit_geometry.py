@@ -25,6 +25,7 @@ from solver.jobs.fits import (
     describe_fit,
     find_oddities,
     leave_rig,
+    limits_of,
     read_scans,
     refuse_failures,
 )
@@ -43,7 +44,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
     subject = SubjectModel.load(task.inputs["model"])
     scans = read_scans(subject, task.captures)
-    face = Face(subject, linear=given.linear_solver)
+    face = Face(subject, linear=given.linear_solver).with_limits(limits_of(given))
     check_held(face)
     schedule = GeometryOptions(rounds=given.rounds)
     if given.solver == "ipopt":
@@ -77,7 +78,8 @@ def run(task: Task[FitGeometry]) -> list[Path]:
         expression = describe_fit(face, name, "train", scan, targets[name], ending, spent)
         expressions.append(log.about(expression, 0.8, ending.notices))
     refuse_failures(expressions)
-    settings = asdict(schedule) | given.model_dump(include={"symmetry", "distance", "solver"})
+    asked = given.model_dump(include={"symmetry", "distance", "solver", "controls"})
+    settings = asdict(schedule) | asked
     rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, log.general)
     return leave_rig(face, rig, settings, task.out, part_of(progress, 0.8))
 
@@ -90,7 +92,7 @@ def _geometry(
     progress: Progress,
 ) -> GeometryFit:
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
-        done = 0.02 + 0.78 * number / schedule.rounds
+        done = 0.02 + 0.78 * number / schedule.most_rounds(face)
         error = geometry.mean_error(face, targets, states)
         progress(Step("geometry", done, number + 1, mean_error_mm=error))
 

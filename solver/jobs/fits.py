@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from solver.errors import Finding, InputError, SolveError
+from solver.fitting.admissible import AdmissibleLimits
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
 from solver.fitting.objective import Target
 from solver.fitting.target_checks import after_fit, before_fit, idle_muscles
-from solver.kinds.kind import Distance
+from solver.kinds.kind import Distance, ExpressionFitOptions
 from solver.mechanics.flesh import IDENTITY
 from solver.meshio.registered import RegisteredScan, read_registered
 from solver.model import SubjectModel
@@ -25,6 +26,11 @@ from solver.rig.certificate import certify, with_round_trips
 from solver.rig.exporters import write_rig
 from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface, vertex_normals
+
+
+def limits_of(options: ExpressionFitOptions) -> AdmissibleLimits | None:
+    """Return the limits of activations that a job asks for; None if they are free."""
+    return AdmissibleLimits() if options.controls == "admissible" else None
 
 
 def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str, RegisteredScan]:

@@ -5,10 +5,10 @@ from typing import Literal
 from pydantic import Field
 
 from solver.kinds.document import Whole
-from solver.kinds.kind import FitOptions, Kind, LinearSolver
+from solver.kinds.kind import ExpressionFitOptions, Kind, LinearSolver
 
 
-class FitActivations(FitOptions):
+class FitActivations(ExpressionFitOptions):
     """Options of a fit of activations."""
 
     max_iterations: Whole = Field(

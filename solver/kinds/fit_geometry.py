@@ -5,10 +5,10 @@ from typing import Literal
 from pydantic import Field
 
 from solver.kinds.document import Whole
-from solver.kinds.kind import DoubleSolver, FitOptions, Kind
+from solver.kinds.kind import DoubleSolver, ExpressionFitOptions, Kind
 
 
-class FitGeometry(FitOptions):
+class FitGeometry(ExpressionFitOptions):
     """Options of a fit of S, activations and jaw."""
 
     rounds: Whole = Field(

@@ -161,6 +161,24 @@ class FitOptions(JobOptions):
     )
 
 
+class ExpressionFitOptions(FitOptions):
+    """Options of fits of expressions by six numbers a muscle; ``solver`` is a field of each."""
+
+    controls: Literal["free", "admissible"] = Field(
+        default="free",
+        description="what a muscle may do: free, any six numbers, as published; admissible, only "
+        "what muscles can: pull, keep their volume, shrink to half and grow by half at most",
+    )
+
+    @field_validator("solver", check_fields=False)
+    @classmethod
+    def _keeps_bounds(cls, value: str, info: ValidationInfo) -> str:
+        if value == "ipopt" and info.data.get("controls") == "admissible":
+            message = "fits free controls only: use reduced for admissible ones"
+            raise PydanticCustomError("no_bounds", message)
+        return value
+
+
 class PlayOptions(JobOptions):
     """Options of every scene that is played."""
 

@@ -162,8 +162,8 @@ CHECKS = (
         "Muscles beyond what muscles can do",
         CheckLimits(0, np.inf),
         "shrinking below half, growing beyond double, pushing, or losing volume",
-        "The expression may be played back and blended. Do not read these activations as effort; "
-        "no option changes that.",
+        "The expression may be played back and blended. Do not read these activations as effort: "
+        "fit again with controls admissible, which keeps muscles to what they can do.",
     ),
     RigCheck(
         "muscles.movers",

@@ -80,6 +80,26 @@ def test_an_artifact_is_named_with_region_and_vertex(files: Path, tmp_path: Path
     assert again["expressions"]["bump"]["warnings"] == [warning]
 
 
+def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_path: Path) -> None:
+    face = Face(MODEL)
+    swollen = np.tile([1.7, 0.0, 0.0, 1.4, 0.0, 1.0], (2, 1))
+    state = face.continuation(face.rest, Pose(swollen, np.zeros(5)))
+    scan = {"swollen": write(tmp_path / "swollen.obj", face.face_points(state.x))}
+    beyond = {}
+    for controls in ("free", "admissible"):
+        out, options = tmp_path / controls, {"controls": controls, "rounds": 3}
+        model = {"model": files / "model.npz"}
+        run_job("fit_geometry", out, options=options, captures=scan, **model)
+        report = json.loads((out / "report.json").read_text())
+        assert report["settings"]["controls"] == controls
+        muscles = report["expressions"]["swollen"]["muscles"]
+        beyond[controls] = [name for name, found in muscles.items() if found["faults"]]
+        volume = {name: found["volume"] for name, found in muscles.items()}
+        if controls == "admissible":
+            assert all(0.9 < each <= 1.1 for each in volume.values())
+    assert beyond == {"free": ["left", "right"], "admissible": []}
+
+
 def fail(*_args: object, **_more: object) -> None:
     raise SolveError("solve.no_convergence", "the fitted face does not come to rest")
 
