@@ -136,7 +136,7 @@ class Face:
         self.jaw: JawMotion = FreeJaw(model.jaw)
         self._jaw_block = jaw_block()
         self._muscle_block: Block | None = None
-        self._limits: AdmissibleLimits | None = None
+        self.limits: AdmissibleLimits | None = None  # of the activations by S, None if free
         self._held_rest = model.rest if bones is None else model.rest + bones
         pins = [model.sliding] if pinned else []
         held = np.concatenate([model.cranium, model.mandible, model.cut, *pins])
@@ -182,7 +182,7 @@ class Face:
 
     def with_limits(self, limits: AdmissibleLimits | None) -> Face:
         """Return this face with the activations of S within ``limits``, or free for None."""
-        return self._with(_limits=limits)
+        return self._with(limits=limits)
 
     def with_jaw(self, jaw: JawMotion, block: Block) -> Face:
         """Return this face with a jaw that moves by the numbers of ``block``."""
@@ -201,22 +201,17 @@ class Face:
     def layout(self) -> Layout:
         """Places of the controls of the muscles and the jaw in one vector."""
         usual = pose_layout(self.S.shape[1] - 1)
-        own = self._muscle_block or self._limits
+        own = self._muscle_block or self.limits
         if own is None and isinstance(self.jaw, FreeJaw):
             return usual
         return Layout((self._muscle_block or self._activation_block(), self._jaw_block))
 
     def _activation_block(self) -> Block:
         muscles = self.S.shape[1] - 1
-        if self._limits is None:
+        if self.limits is None:
             return activation_block(muscles)
         tensors = fibre_tensors(self.model, self.flesh.volumes, self.S)
-        return activation_block(muscles, AdmissibleSet(self._limits, tensors))
-
-    @property
-    def limits(self) -> AdmissibleLimits | None:
-        """Return the limits of the activations, None where they are free."""
-        return self._limits
+        return activation_block(muscles, AdmissibleSet(self.limits, tensors))
 
     @property
     def has_own_drive(self) -> bool:
