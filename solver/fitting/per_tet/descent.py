@@ -16,7 +16,8 @@ from enum import StrEnum
 import numpy as np
 
 from solver.errors import InputError, SolveError
-from solver.fitting import stretches
+from solver.fitting import activation, stretches
+from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.least_squares import DampingOptions, Listener
@@ -297,6 +298,19 @@ class PerTetFit:
     status: Status
 
 
+def _with_jaw(face: Face, tissue: Tissue, data: Term) -> PosedFace:
+    """Return the tissue at rest with the jaw where a fit by whole muscles has it.
+
+    Tets near the skin reach a wide open mouth without the jaw, which then has no reason to follow.
+    """
+    rest = tissue.face.rest
+    try:
+        whole = activation.fit(face, data, unseen_regulariser(face), options=UNSEEN_STOP).state
+        return tissue.face.continuation(rest, replace(rest.pose, b=whole.pose.b))
+    except SolveError:
+        return rest
+
+
 def fit(
     face: Face,
     data: Term,
@@ -305,14 +319,14 @@ def fit(
     listen: Listener | None = None,
     way: TetDescentOptions = TetDescentOptions(),
 ) -> PerTetFit:
-    """Minimise f from ``start``, a state of another such fit, or from the neutral face; settle it.
+    """Minimise f from ``start``, a state of another such fit, or from muscles at rest; settle it.
 
     ``face`` should have the material :data:`~solver.mechanics.flesh.COROTATED_DET`. ``listen``
     hears of equilibria only. Raises :class:`InputError` (``model.no_fibres``, ``model.no_muscle``,
     ``start.activations``) and :class:`SolveError` if the face cannot be settled.
     """
     tissue = tissues.of_face(face)
-    state = start or tissue.face.rest
+    state = start or _with_jaw(face, tissue, data)
     if state.pose.layout is not tissue.face.layout:
         raise InputError("start.activations", "the start has not six activations per active tet")
     objective = Objective(tissue, data, options, state.pose.b)
