@@ -15,6 +15,7 @@ in K what the product showed.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from weakref import WeakKeyDictionary
 
@@ -108,7 +109,7 @@ def fit(
     ``matrix`` (size, size) is f's Gauss-Newton matrix without its priors, or that of a state
     nearby or of other data. Without it that of ``start`` is made, as dear as a few iterations.
     Controls with bounds have the matrix of every state made, and a step that is the best within
-    them. A ``start`` outside is brought in first (:func:`enter`).
+    them; a ``start`` with muscles outside is brought in first (:func:`enter`).
 
     Where the descent gets stuck, or the flesh buckles as it settles or does not settle, the fit
     goes on from the best that did settle, else from the neutral face, every state on the way then
@@ -315,21 +316,22 @@ def enter(
     state: PosedFace,
     options: DescentOptions = DescentOptions(),
 ) -> PosedFace:
-    """Return a state of the face near one whose activations need not be admissible for it.
+    """Bring a state within the bounds of ``face``, other muscles making up for what is cut.
 
-    It is where f's model at ``state`` is least: other muscles make up for what one may not do.
+    It goes where f's model at ``state`` is least; the neutral face where that cannot be reached.
     """
     admissible = face.layout.admissible
     state = replace(state, pose=replace(state.pose, form=face.layout))
     if admissible is None or admissible.contains(state.pose.a):
         return state
-    model = _whole_model(face, data, regulariser, state)
-    step = model.step(options.damping.start, np.inf)
-    pose = state.pose.add(step.change)
-    try:
-        return face.newton_continuation(state, step.response, pose)
-    except SolveError:
+    with suppress(SolveError):
+        model = _whole_model(face, data, regulariser, state)
+        step = model.step(options.damping.start, np.inf)
+        pose = state.pose.add(step.change)
+        with suppress(SolveError):
+            return face.newton_continuation(state, step.response, pose)
         return face.continuation(face.rest, pose)
+    return face.rest
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ logarithmic barrier (Frisch 1955; Nocedal and Wright 2006, chapter 19), of all m
 is taken less its first-order part at rest, so that it pulls no muscle there.
 :mod:`solver.fitting.interior_point` minimises with it.
 
-Six numbers of A and bounds on what they do were measured against no bounds at all, and against
-penalties: see docs/develop/decisions.md.
+The bounds hold exactly, which penalties do not, and the six numbers stay what they are for all that
+plays, blends and draws them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from solver.fitting.stretches import COLUMN, FROBENIUS, ROW, matrices, metric
+from solver.errors import InputError
+from solver.fitting.stretches import COLUMN, FROBENIUS, ROW, matrices, metric, with_stretches
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
 
@@ -33,7 +34,8 @@ class AdmissibleLimits:
     """Bounds of every muscle's activation S(a_j).
 
     A muscle pulls, so that its fibres hardly lengthen; it makes force down to half its best length
-    (Zajac 1989), where it is sqrt(2) times as thick, as it keeps its volume.
+    (Zajac 1989), where it is sqrt(2) times as thick, as it keeps its volume. The limits by which a
+    certificate judges any fit are wider (:class:`~solver.rig.certificate.MuscleLimits`).
     """
 
     fibre: float = 1.05  # mean stretch along the fibres
@@ -41,15 +43,26 @@ class AdmissibleLimits:
     longest: float = 1.5
     volume: float = 1.1  # by that at rest, and its inverse
 
+    def __post_init__(self) -> None:
+        """Raise :class:`InputError` (``limits.rest``) where rest is not inside."""
+        inside = self.shortest < 1.0 < min(self.longest, self.fibre, self.volume)
+        if not (inside and self.shortest > 0.0):
+            message = f"limits have to leave muscles at rest inside of every bound, not {self}"
+            raise InputError("limits.rest", message)
+
     def loosened(self, part: float) -> AdmissibleLimits:
-        """Return wider limits: for 0 the same, for 1 far beyond what free fits ask for."""
+        """Return ``part`` of the way to :data:`FREE`; 0 is the same."""
         return replace(
             self,
-            fibre=self.fibre + 4.0 * part,
+            fibre=self.fibre + part * FREE.fibre,
             shortest=self.shortest * (1.0 - part),
-            longest=self.longest + 4.5 * part,
-            volume=self.volume * float(np.exp(4.0 * part)),
+            longest=self.longest + part * FREE.longest,
+            volume=self.volume * FREE.volume**part,
         )
+
+
+# far beyond what free fits ask for
+FREE = AdmissibleLimits(fibre=4.0, shortest=0.01, longest=4.5, volume=50.0)
 
 
 @dataclass(frozen=True)
@@ -57,6 +70,7 @@ class ProjectionOptions:
     """Effort to bring activations into the set."""
 
     rounds: int = 20  # of projections onto one bound after the other
+    further: float = 1.01  # than asked for: the last steps of many would go on for ever
     shrink: float = 0.9  # of the distance to rest, where those do not end
     shrinks: int = 200
 
@@ -116,9 +130,8 @@ class AdmissibleSet:
             beyond = np.flatnonzero((self.margins(found) < least).any(axis=1))
             if len(beyond) == 0:
                 return found
-            # a little further than asked for, or the last step of many would go on for ever
             some = replace(self, tensors=self.tensors[beyond])
-            found[beyond] = some._projected(found[beyond], 1.01 * least[beyond])
+            found[beyond] = some._projected(found[beyond], self.options.further * least[beyond])
         part = np.ones(len(a))
         for _ in range(self.options.shrinks):
             shrunk = IDENTITY + part[:, None] * (found - IDENTITY)
@@ -139,41 +152,46 @@ class AdmissibleSet:
         logs = np.log(np.clip(values, low, high))
         size = logs.sum(axis=1)
         logs -= (size - np.clip(size, least[:, 7] - room, room - least[:, 8]))[:, None] / 3.0
-        return _with_stretches(np.exp(logs), np.asarray(axes))
+        return with_stretches(np.exp(logs), np.asarray(axes))
 
     def value(self, a: Floats) -> float:
         """Return the barrier of activations (m, 6), infinite on a bound and beyond."""
         margins = self.margins(a)
         if not (margins > 0.0).all():
             return np.inf
-        at_rest = (self._fibres(a) - 1.0) / (self.limits.fibre - 1.0)
+        by_fibre, by_stretch = self._slopes_at_rest
+        at_rest = by_fibre * (self._fibres(a) - 1.0) + by_stretch * (a @ IDENTITY - 3.0)
         return float(-np.log(margins).sum() - at_rest.sum())
+
+    @property
+    def _slopes_at_rest(self) -> tuple[float, float]:
+        """The logarithms' derivatives at rest by the fibres' stretch and by any other one."""
+        limits = self.limits
+        by_stretch = 1.0 / (limits.longest - 1.0) - 1.0 / (1.0 - limits.shortest)
+        return 1.0 / (limits.fibre - 1.0), by_stretch
 
     def gradient(self, a: Floats) -> Floats:
         """Return the barrier's derivative (m, 6)."""
         values, axes = np.linalg.eigh(matrices(a))
         margins = self._margins(a, np.asarray(values))
-        pull = 1.0 / margins[:, 0] - 1.0 / (self.limits.fibre - 1.0)
+        by_fibre, by_stretch = self._slopes_at_rest
+        pull = 1.0 / margins[:, 0] - by_fibre
         by_size = 1.0 / margins[:, 8] - 1.0 / margins[:, 7]
-        slopes = 1.0 / margins[:, 4:7] - 1.0 / margins[:, 1:4] + by_size[:, None] / values
-        return np.asarray(FROBENIUS * _with_stretches(slopes, axes) + pull[:, None] * self._along)
+        slopes = 1.0 / margins[:, 4:7] - 1.0 / margins[:, 1:4] - by_stretch
+        slopes += by_size[:, None] / values
+        return np.asarray(FROBENIUS * with_stretches(slopes, axes) + pull[:, None] * self._along)
 
     def hessian(self, a: Floats) -> Floats:
         """Return the barrier's second derivative (m, 6, 6), its indefinite part left out."""
         values, axes = np.linalg.eigh(matrices(a))
         margins, limits = self._margins(a, np.asarray(values)), self.limits
-        by_size = FROBENIUS * _with_stretches(1.0 / values, axes)
+        by_size = FROBENIUS * with_stretches(1.0 / values, axes)
         bound = (margins[:, 7] ** -2 + margins[:, 8] ** -2)[:, None, None]
         # log det is concave: it stiffens its lower bound and softens the upper one
         convex = np.maximum(1.0 / margins[:, 7] - 1.0 / margins[:, 8], 0.0)[:, None, None]
         out = metric(a - limits.shortest * IDENTITY) + metric(limits.longest * IDENTITY - a)
         out += convex * metric(a) + bound * _outer(by_size)
         return np.asarray(out + _outer(self._along / margins[:, :1]))
-
-
-def _with_stretches(stretches: Floats, axes: Floats) -> Floats:
-    """Return the six entries (m, 6) of matrices of these ``axes`` (m, 3, 3) and values (m, 3)."""
-    return np.asarray(((axes * stretches[:, None]) @ axes.transpose(0, 2, 1))[:, ROW, COLUMN])
 
 
 def _outer(vectors: Floats) -> Floats:

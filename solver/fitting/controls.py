@@ -36,7 +36,7 @@ class Block:
     lower: Floats | float = -np.inf
     upper: Floats | float = np.inf
     units: Floats | float = 1.0  # what a change of 1 counts as in a regulariser
-    admissible: AdmissibleSet | None = None  # that the block's activations stay in
+    admissible: AdmissibleSet | None = None  # the set that its activations stay in, if any
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from solver.anatomy.bones import skull_planes
 from solver.anatomy.embedding import LooseSkin
-from solver.errors import SolveError
+from solver.errors import InputError, SolveError
 from solver.fitting.admissible import AdmissibleLimits, AdmissibleSet
 from solver.fitting.checks import check_pose, check_weights
 from solver.fitting.controls import Block, Layout, activation_block, jaw_block, pose_layout
@@ -181,7 +181,14 @@ class Face:
         return self._with(flesh=flesh, _muscle_block=muscles)
 
     def with_limits(self, limits: AdmissibleLimits | None) -> Face:
-        """Return this face with the activations of S within ``limits``, or free for None."""
+        """Return this face with the activations of S within ``limits``, or free for None.
+
+        The fibres are those of the face's own S: another S shifts the bounds. Controls of another
+        sort have their own. Raises :class:`InputError` (``model.no_fibres``) without fibres.
+        """
+        if limits is not None and self.model.fibres is None:
+            message = "the model has no fibres, which bound what muscles do: build it again"
+            raise InputError("model.no_fibres", message)
         return self._with(limits=limits)
 
     def with_jaw(self, jaw: JawMotion, block: Block) -> Face:

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from solver.errors import Finding, SolveError, make_warning
+from solver.errors import Finding, InputError, SolveError, make_warning
 from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, PosedFace
@@ -62,8 +62,11 @@ def fit(
 ) -> FallbackFit:
     """Minimise f over (a, b); raises :class:`SolveError` only where the neutral face has no rest.
 
-    The reduced solver begins at ``start``, if given, which may be no more than approached.
+    The reduced solver begins at ``start``, if given, which may be no more than approached. Within
+    limits there is no IPOPT: what the reduced solver cannot fit stays at rest.
     """
+    if solver == "ipopt":
+        refuse_limits(face)
     reasons: tuple[Finding, ...] = ()
     if solver == "reduced":
         try:
@@ -72,7 +75,7 @@ def fit(
             return FallbackFit(found.state, found.objective, found.iterations, solver, status)
         except (SolveError, np.linalg.LinAlgError) as error:
             # IPOPT knows no admissible activations
-            if face.limits is not None:
+            if face.layout.admissible is not None:
                 notice = make_warning("solve.failed", f"no fit was found ({error})")
                 return _at_rest(face, data, regulariser, solver, (notice,))
             message = f"the reduced solver failed ({error}); IPOPT took over"
@@ -131,6 +134,13 @@ def _fit_in_full(
         if wanted:
             return replace(best, iterations=done)
     return replace(best, iterations=done, notices=tuple(trouble.values()))
+
+
+def refuse_limits(face: Face) -> None:
+    """Raise :class:`InputError` (``solver.limits``) for IPOPT on a face with limits."""
+    if face.layout.admissible is not None:
+        message = "ipopt fits free activations only: fit with the reduced solver within limits"
+        raise InputError("solver.limits", message)
 
 
 def _at_rest(

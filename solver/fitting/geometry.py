@@ -20,6 +20,7 @@ import scipy.sparse as sp
 from solver.errors import Finding, InputError
 from solver.fitting import activation, fallback, joint, reference, simplex
 from solver.fitting.activation import ActivationOptions, rest_curvature
+from solver.fitting.admissible import AdmissibleLimits
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate, Listener
@@ -34,10 +35,11 @@ LAST = ActivationOptions(20, tolerance=1e-3)  # of the activations, once S is fo
 
 @dataclass(frozen=True)
 class TighteningOptions:
-    """The way from free activations to admissible ones, a round for each of the bounds."""
+    """The way from free activations to admissible ones, a round for each step of the bounds."""
 
+    # parts of the way from the limits to those that bind nobody
     loosened: tuple[float, ...] = (0.3, 0.2, 0.12, 0.08, 0.05, 0.02)
-    rounds: int = 14  # at most, within the bounds as they are asked for
+    rounds: int = 14  # at most, within the limits as they are asked for
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ def fit(
         steps += taken
     if limits is not None:
         problem = _problem(face.with_limits(limits), data, options, options.rounds - 1, structure)
-        now, taken = _tighten(problem, now, options, rules, listen)
+        now, taken = _tighten(problem, limits, now, options, listen)
         steps += taken
     last = replace(begin, w_a=options.w_a[1])
     found = face.with_limits(limits).with_weights(replace_values(face.S, now.values))
@@ -129,34 +131,33 @@ def fit(
 
 def _tighten(
     problem: GeometryProblem,
+    limits: AdmissibleLimits,
     now: Iterate,
     options: GeometryOptions,
-    rules: joint.RoundOptions,
     listen: Listener | None,
 ) -> tuple[Iterate, int]:
-    """Go on within limits that close on those of the problem's face, and count the rounds."""
-    limits, parts = problem.face.limits, options.tightening.loosened
-    if limits is None:
-        raise ValueError("the face has no limits")
-    number, idle = options.rounds, 0
-    for part in (*parts, *[0.0] * options.tightening.rounds):
-        # the fibres are those of the newest S
-        shaped = problem.shape.face(now.values).with_limits(limits.loosened(part))
+    """Go on within bounds that close on ``limits``, and count the rounds."""
+    first, parts = options.rounds, options.tightening.loosened
+    closed = first + len(parts)
+
+    def enter(number: int, now: Iterate) -> Iterate:
+        # along the fibres of the newest S
+        loosened = limits.loosened(parts[number - first] if number < closed else 0.0)
+        face = problem.shape.face(now.values).with_limits(loosened)
         states = {
-            name: activation.enter(shaped, problem.data[name], problem.regulariser, state)
+            name: activation.enter(face, problem.data[name], problem.regulariser, state)
             for name, state in now.states.items()
         }
-        now = replace(now, states=states)
-        before = problem.value(now.values, now.states)
-        now, _ = joint.minimise_rounds(
-            lambda _: problem, now, range(number, number + 1), rules, listen
-        )
-        number += 1
-        gain = before - problem.value(now.values, now.states)
-        idle = idle + 1 if part == 0.0 and gain < rules.tolerance * before else 0
-        if idle == 2:
-            break
-    return now, number - options.rounds
+        return replace(now, states=states)
+
+    taken = 0
+    last = range(closed, closed + options.tightening.rounds)
+    # while bounds close a round need not gain anything
+    for rounds, tolerance in ((range(first, closed), -np.inf), (last, options.tolerance)):
+        rules = joint.RoundOptions(options.retries, tolerance)
+        now, more = joint.minimise_rounds(lambda _: problem, now, rounds, rules, listen, enter)
+        taken += more
+    return now, taken
 
 
 def _problem(
@@ -233,6 +234,7 @@ def fit_by_ipopt(
     :func:`check_size`.
     """
     check_size(face, len(data))
+    fallback.refuse_limits(face)
     face = face.with_weights(face.model.weights if start is None else start)
     problem = _problem(face, data, options, options.rounds - 1, structure)
     rest, most = dict.fromkeys(data, face.rest), most_iterations(options)

@@ -10,7 +10,7 @@ best of all admissible ones, as sequential quadratic programming does.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,12 +25,13 @@ from solver.surface import Floats, Ints
 class InteriorPointOptions:
     """Weights of the barrier, and Newton's method for each."""
 
-    # falling, by the model's gain without bounds and the number of these: the last is how much of
-    # the gain the step is short of
-    weights: tuple[float, ...] = tuple((10.0 ** -np.arange(0.0, 6.1, 0.6)).tolist())
+    fall: float = 0.25  # of the weight, from that at which all bounds weigh as much as the model
+    short: float = 1e-6  # part of its gain that a step may be short of at the end
+    weights: int = 40  # at most
     steps: int = 15  # for one weight
     decrement: float = 0.1  # of the last step for a weight, by that weight
     entered: float = 0.05  # distance to every bound at the start, by that at rest
+    one_sided: float = 1.0  # room within a bound without another one opposite
     kept: float = 0.1  # part of the distance to a bound that a step leaves
     backtrack: float = 0.7
     tries: int = 40
@@ -39,7 +40,7 @@ class InteriorPointOptions:
 
 @dataclass(frozen=True)
 class InteriorStep:
-    """A step (size,), and the barrier's second derivative where it leads, (size, size)."""
+    """A step (size,), and the barrier's second derivative at it or a step before, (size, size)."""
 
     change: Floats
     curvature: Floats
@@ -55,32 +56,44 @@ def interior_step(
     """Return the best step from q (size,), which need not be admissible itself.
 
     ``hessian`` H is (size, size), ``gradient`` g (size,). Raises :class:`SolveError`
-    (``solve.not_finite``) where H is not positive definite.
+    (``solve.not_finite``) where H is not positive definite, or anything is not finite.
     """
-    barrier = _Barrier(layout)
-    step = barrier.nearest(q, options.entered) - q
+    barrier = _Barrier(layout, options)
     try:
+        step = barrier.nearest(q) - q
         slope = gradient + hessian @ step
         newton = scipy.linalg.cho_solve(scipy.linalg.cho_factor(hessian), slope)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
-    scale = 0.5 * float(slope @ newton) / len(barrier.margins(q))
-    curvature = np.zeros_like(hessian)
-    for weight in (scale * part for part in options.weights):
-        model = _Model(barrier, hessian, gradient, q, weight)
-        for _ in range(options.steps):
-            slope, curvature = model.gradient(step), weight * barrier.hessian(q + step)
-            try:
-                factor = scipy.linalg.cho_factor(hessian + curvature)
-            except np.linalg.LinAlgError:
-                # bounds so near that rounding hides the model: it is at its best
-                return InteriorStep(step, curvature)
-            direction = -scipy.linalg.cho_solve(factor, slope)
-            decrement = -float(slope @ direction)
-            if decrement < options.decrement * weight:
-                break
-            step = _search(model, step, direction, decrement, options)
+    bounds = len(barrier.margins(q))
+    weight, curvature = 0.5 * float(slope @ newton) / bounds, np.zeros_like(hessian)
+    first = _Model(barrier, hessian, gradient, q, weight)
+    begin = first.quadratic(step)
+    for _ in range(options.weights):
+        # of no bound is there more to gain
+        if bounds * weight <= options.short * (begin - first.quadratic(step)):
+            break
+        try:
+            step, curvature = _descend(replace(first, weight=weight), step, options)
+        except np.linalg.LinAlgError:
+            # a bound is so near that rounding hides the model behind it
+            break
+        weight *= options.fall
     return InteriorStep(step, curvature)
+
+
+def _descend(model: _Model, step: Floats, options: InteriorPointOptions) -> tuple[Floats, Floats]:
+    """Return the step that minimises the model with its barrier, and the barrier's curvature."""
+    for _ in range(options.steps):
+        curvature = model.weight * model.barrier.hessian(model.q + step)
+        factor = scipy.linalg.cho_factor(model.hessian + curvature)
+        slope = model.gradient(step)
+        direction = -scipy.linalg.cho_solve(factor, slope)
+        decrement = -float(slope @ direction)
+        if decrement <= options.decrement * model.weight:
+            break
+        step = _search(model, step, direction, decrement, options)
+    return step, curvature
 
 
 @dataclass(frozen=True)
@@ -93,9 +106,11 @@ class _Model:
     q: Floats
     weight: float
 
+    def quadratic(self, step: Floats) -> float:
+        return float(self.linear @ step + 0.5 * step @ self.hessian @ step)
+
     def value(self, step: Floats) -> float:
-        quadratic = float(self.linear @ step + 0.5 * step @ self.hessian @ step)
-        return quadratic + self.weight * self.barrier.value(self.q + step)
+        return self.quadratic(step) + self.weight * self.barrier.value(self.q + step)
 
     def gradient(self, step: Floats) -> Floats:
         by_barrier = self.barrier.gradient(self.q + step)
@@ -120,7 +135,8 @@ def _search(
 class _Barrier:
     """The barrier of a layout: of its admissible activations, and of the other blocks' bounds."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, options: InteriorPointOptions) -> None:
+        self._options = options
         if layout.admissible is None:
             raise ValueError("a layout without admissible activations has no interior")
         self._layout, self._muscles, self._within = layout, layout.muscles, layout.admissible
@@ -142,12 +158,12 @@ class _Barrier:
         """Return the distances to all bounds."""
         return np.concatenate([self._within.margins(q[self._muscles]).ravel(), self._room(q)])
 
-    def nearest(self, q: Floats, kept: float) -> Floats:
+    def nearest(self, q: Floats) -> Floats:
         """Return controls inside the bounds."""
-        out, layout = q.copy(), self._layout
-        out[self._muscles] = self._within.nearest(q[self._muscles], kept)
-        # of a bound alone, the room is a unit
-        room = np.nan_to_num(layout.upper - layout.lower, posinf=1.0) * 0.5 * kept
+        out, layout, options = q.copy(), self._layout, self._options
+        out[self._muscles] = self._within.nearest(q[self._muscles], options.entered)
+        room = np.nan_to_num(layout.upper - layout.lower, posinf=options.one_sided)
+        room *= 0.5 * options.entered
         return np.clip(out, layout.lower + room, layout.upper - room)
 
     def value(self, q: Floats) -> float:

@@ -151,10 +151,16 @@ def minimise_rounds(
     rounds: range,
     options: RoundOptions,
     listen: Listener | None = None,
+    enter: Callable[[int, Iterate], Iterate] | None = None,
 ) -> tuple[Iterate, int]:
-    """Return the iterate after ``rounds`` on the problem of each, and how many it took."""
+    """Return the iterate after ``rounds`` on the problem of each, and how many it took.
+
+    ``enter`` prepares the iterate for a round, as where its bounds are new.
+    """
     idle = taken = 0
     for number in rounds:
+        if enter:
+            now = enter(number, now)
         if listen:
             listen(number, now.states)
         problem = problem_of(number)

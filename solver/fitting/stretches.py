@@ -38,8 +38,12 @@ def entries(directions: Floats) -> Floats:
 def map_stretches(a: Floats, function: Callable[[Floats], Floats]) -> Floats:
     """Return the entries (n, 6) of S(a) with a ``function`` of its stretches in their place."""
     values, axes = np.linalg.eigh(matrices(a))
-    mapped = (axes * function(values)[:, None]) @ axes.transpose(0, 2, 1)
-    return np.asarray(mapped[:, ROW, COLUMN])
+    return with_stretches(function(np.asarray(values)), np.asarray(axes))
+
+
+def with_stretches(stretches: Floats, axes: Floats) -> Floats:
+    """Return the entries (n, 6) of matrices with values (n, 3) along ``axes`` (n, 3, 3)."""
+    return np.asarray(((axes * stretches[:, None]) @ axes.transpose(0, 2, 1))[:, ROW, COLUMN])
 
 
 def determinants(a: Floats) -> Floats:

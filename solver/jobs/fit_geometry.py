@@ -80,6 +80,10 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     refuse_failures(expressions)
     asked = given.model_dump(include={"symmetry", "distance", "solver", "controls"})
     settings = asdict(schedule) | asked
+    if face.limits is None:
+        del settings["tightening"]
+    else:
+        settings["limits"] = asdict(face.limits)
     rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, log.general)
     return leave_rig(face, rig, settings, task.out, part_of(progress, 0.8))
 

@@ -15,7 +15,8 @@ class FitGeometry(ExpressionFitOptions):
         default=12,
         ge=1,
         le=50,
-        description="at most so many rounds of Gauss-Newton on S and all poses",
+        description="at most so many rounds of Gauss-Newton on S and all poses; admissible "
+        "controls take up to 20 more",
     )
     symmetry: float = Field(
         default=0.0,

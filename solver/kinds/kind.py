@@ -167,7 +167,8 @@ class ExpressionFitOptions(FitOptions):
     controls: Literal["free", "admissible"] = Field(
         default="free",
         description="what a muscle may do: free, any six numbers, as published; admissible, only "
-        "what muscles can: pull, keep their volume, shrink to half and grow by half at most",
+        "what muscles can: fibres up to 1.05 of their length, any direction from half to one and "
+        "a half, the volume within 10 %",
     )
 
     @field_validator("solver", check_fields=False)

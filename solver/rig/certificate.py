@@ -215,7 +215,11 @@ def with_round_trips(
             if listen:
                 listen(fit.name, number)
             pose, skin = Pose(fit.activations, fit.jaw), fit.skin[face.model.face]
-            done[number] = replace(fit, round_trip=round_trip(face, pose, skin))
+            admissible = face.layout.admissible
+            # what was fitted freely is fitted freely again
+            is_free = admissible is None or not admissible.contains(fit.activations)
+            own = face.with_limits(None) if is_free else face
+            done[number] = replace(fit, round_trip=round_trip(own, pose, skin))
     return tuple(done)
 
 

@@ -163,7 +163,8 @@ CHECKS = (
         CheckLimits(0, np.inf),
         "shrinking below half, growing beyond double, pushing, or losing volume",
         "The expression may be played back and blended. Do not read these activations as effort: "
-        "fit again with controls admissible, which keeps muscles to what they can do.",
+        "fit S and activations again with controls admissible, which keeps muscles to what they "
+        "can do.",
     ),
     RigCheck(
         "muscles.movers",

@@ -307,7 +307,7 @@ def _with_jaw(face: Face, tissue: Tissue, data: Term) -> PosedFace:
     try:
         whole = activation.fit(face, data, unseen_regulariser(face), options=UNSEEN_STOP).state
         return tissue.face.continuation(rest, replace(rest.pose, b=whole.pose.b))
-    except SolveError:
+    except (SolveError, np.linalg.LinAlgError):
         return rest
 
 

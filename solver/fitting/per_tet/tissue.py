@@ -81,5 +81,5 @@ def of_face(face: Face) -> Tissue:
     places = model.weights.indices[kept] - 1, np.concatenate([[0], ends])
     entries = volumes / volumes.sum(), *places
     fractions = sp.csr_array(entries, shape=(len(active), model.muscle_count))
-    divided = face.with_flesh(flesh).with_unchecked_weights(selection)
+    divided = face.with_limits(None).with_flesh(flesh).with_unchecked_weights(selection)
     return Tissue(divided, active, fractions, model.fibres[kept])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import NonlinearConstraint, minimize
 
-from solver.fitting import activation, geometry
+from solver.errors import InputError, SolveError
+from solver.fitting import activation, fallback, geometry
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.admissible import AdmissibleLimits, AdmissibleSet
 from solver.fitting.controls import Layout, activation_block, jaw_block
@@ -16,7 +17,7 @@ from solver.fitting.interior_point import interior_step
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import determinants, fibre_tensors, matrices
 from solver.mechanics.flesh import IDENTITY
-from tests.solver.block import poses
+from tests.solver.block import block_model, poses
 from tests.solver.simulation.test_fibres import fibred_block
 
 LIMITS = AdmissibleLimits()
@@ -54,7 +55,9 @@ def test_barrier_has_its_derivatives_and_no_slope_at_rest():
     assert np.abs(by_slope[convex]).max() > 10.0
     np.testing.assert_allclose(seen[convex], by_slope[convex], rtol=1e-5, atol=1e-3)
     assert np.linalg.eigvalsh(admissible.hessian(a)).min() > 0.0
-    assert np.abs(admissible.gradient(np.tile(IDENTITY, (12, 1)))).max() < 1e-10
+    loose = replace(admissible, limits=LIMITS.loosened(0.3))
+    for each in (admissible, loose):
+        assert np.abs(each.gradient(np.tile(IDENTITY, (12, 1)))).max() < 1e-10
 
 
 def test_what_is_outside_is_brought_in_and_what_is_inside_stays():
@@ -98,6 +101,52 @@ def test_a_step_is_the_best_within_the_bounds():
     assert (admissible.margins(ends) < 1e-3).any()
     assert model(found) < model(np.zeros(layout.size)) - 1.0
     assert model(found) <= known.fun + 1e-4 * abs(known.fun)
+
+
+def test_a_nearly_singular_model_is_minimised_too():
+    layout = Layout((activation_block(2, random_set(2, seed=3)), jaw_block()))
+    rng = np.random.default_rng(4)
+    axes = np.linalg.qr(rng.standard_normal((layout.size, layout.size)))[0]
+    gradient, gains = 0.1 * rng.standard_normal(layout.size), []
+    for condition in (1e3, 1e9):
+        hessian = (axes * np.geomspace(1.0, 1.0 / condition, layout.size)) @ axes.T
+        hessian += np.diag(np.r_[np.zeros(12), np.ones(5)])
+        step = interior_step(layout, hessian, gradient, layout.rest).change
+        gains.append(-(gradient @ step + 0.5 * step @ hessian @ step))
+    assert gains[1] >= gains[0] > 0.01
+    with pytest.raises(SolveError):
+        interior_step(layout, hessian, gradient, np.full(layout.size, np.nan))
+
+
+@pytest.mark.parametrize("wrong", [{"fibre": 1.0}, {"shortest": 1.2}, {"volume": 0.9}])
+def test_limits_that_exclude_rest_are_refused(wrong):
+    with pytest.raises(InputError) as refused:
+        AdmissibleLimits(**wrong)
+    assert refused.value.code == "limits.rest"
+
+
+def test_limits_need_fibres_and_no_ipopt(face):
+    with pytest.raises(InputError) as refused:
+        Face(block_model()).with_limits(LIMITS)
+    assert refused.value.code == "model.no_fibres"
+    weak = Regulariser(w_a=1e-3, w_v=0.0, w_b=1e-6, prior=face.rest_pose())
+    data = SkinDistance(face, Target.from_points(face.face_points(face.rest.x)))
+    with pytest.raises(InputError) as refused:
+        fallback.fit(face, data, weak, ActivationOptions(3), "ipopt")
+    assert refused.value.code == "solver.limits"
+
+
+def test_a_state_that_cannot_enter_begins_at_rest(free, face, monkeypatch):
+    def fail(*_args, **_more):
+        raise SolveError("solve.no_convergence", "out of reach")
+
+    push = np.tile([1.4, 0.0, 0.0, 0.9, 0.0, 0.9], (2, 1))
+    state = free.continuation(free.rest, Pose(push, np.zeros(5)))
+    weak = Regulariser(w_a=1e-3, w_v=0.0, w_b=1e-6, prior=face.rest_pose())
+    data = SkinDistance(face, Target.from_points(face.face_points(state.x)))
+    monkeypatch.setattr(Face, "newton_continuation", fail)
+    monkeypatch.setattr(Face, "continuation", fail)
+    assert activation.enter(face, data, weak, state) is face.rest
 
 
 @pytest.fixture(scope="module")

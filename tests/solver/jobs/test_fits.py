@@ -85,10 +85,12 @@ def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_p
     swollen = np.tile([1.7, 0.0, 0.0, 1.4, 0.0, 1.0], (2, 1))
     state = face.continuation(face.rest, Pose(swollen, np.zeros(5)))
     scan = {"swollen": write(tmp_path / "swollen.obj", face.face_points(state.x))}
+    fibres = np.where(MODEL.weights.indices[:, None] > 0, [1.0, 0.0, 0.0], 0.0)
+    replace(MODEL, fibres=fibres).save(tmp_path / "model.npz")
     beyond = {}
     for controls in ("free", "admissible"):
         out, options = tmp_path / controls, {"controls": controls, "rounds": 3}
-        model = {"model": files / "model.npz"}
+        model = {"model": tmp_path / "model.npz"}
         run_job("fit_geometry", out, options=options, captures=scan, **model)
         report = json.loads((out / "report.json").read_text())
         assert report["settings"]["controls"] == controls
