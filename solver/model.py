@@ -5,17 +5,19 @@ It is what ``build_model`` makes, what every fit reads, and is stored as one NPZ
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.spatial import cKDTree
 
 from solver.errors import InputError, quote
 from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, part_of
 
 FORMAT = 1  # of the file
 # Where a person's size comes from: the scan; the template, as the scan was in no known unit; the
@@ -51,6 +53,33 @@ def lower_teeth(regions: Mapping[str, Ints], attached_mandible: Ints) -> Ints:
     return np.asarray(teeth, np.int64) if len(teeth) else attached_mandible
 
 
+# Names of muscles. A compartment, and a strip of one, has the whole's name and its own after a dot:
+# ``frontalis_l.medial``. Sides are words: ``left`` or ``l``, ``right`` or ``r``.
+
+Value = TypeVar("Value")
+OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
+
+
+def name_words(muscle: str) -> list[str]:
+    """Return the words of a muscle's name: ``frontalis_l.medial`` -> frontalis, l, medial."""
+    return re.split(r"[\s_.]+", muscle)
+
+
+def find_muscles(name: str, muscles: Sequence[str]) -> list[int]:
+    """Return the numbers of the ``muscles`` that a name means: its own, or all parts of a whole."""
+    parts = f"{name}."
+    return [k for k, each in enumerate(muscles) if each == name or each.startswith(parts)]
+
+
+def by_muscle(given: Mapping[str, Value], muscles: Sequence[str]) -> dict[str, Value]:
+    """Return muscle -> the value ``given`` for it by its own name, else for its whole's."""
+    return {
+        muscles[number]: given[name]
+        for name in sorted(given, key=len)
+        for number in find_muscles(name, muscles)
+    }
+
+
 @dataclass(frozen=True)
 class SubjectModel:
     """Tetrahedral face of one person; mm, x to the subject's left, y up, z forward.
@@ -65,6 +94,9 @@ class SubjectModel:
     ``mesh_source`` is ``transport`` if the tets are the template's, ``mesher`` if they were made
     for this person, then with the reason if transport was tried. ``fibres`` run from origin to
     insertion or around a ring, and are zero in the passive column; None in models made before them.
+
+    The m muscles are whole ones or compartments; then ``wholes`` names the whole of each. In a
+    model without compartments it is empty.
     """
 
     rest: Floats  # (p, 3) vertices
@@ -82,13 +114,14 @@ class SubjectModel:
     attached_mandible: Ints  # skin vertices that move rigidly with the mandible
     face: Ints  # (k,) of ``embedded``: skin vertices on which targets and errors are taken
     jaw: JawFrame
-    muscles: dict[str, Surface]  # in the subject, for pictures and exports
+    muscles: dict[str, Surface]  # the whole ones in the subject, for pictures and exports
     bones: dict[str, Surface]
     regions: dict[str, Ints]  # name -> skin vertices, for reports
     template: dict[str, str]  # its name, version and sha256
     mesh_source: str = "mesher"
     fibres: Floats | None = None  # (nnz, 3) unit directions, one for each entry of ``weights``
     size_from: SizeFrom = "scan"
+    wholes: tuple[str, ...] = ()  # (m,) the whole muscle of each compartment
 
     @property
     def lower_teeth(self) -> Ints:
@@ -99,6 +132,29 @@ class SubjectModel:
     def muscle_count(self) -> int:
         """Return m, the number of muscles (the passive column not counted)."""
         return len(self.muscle_names)
+
+    @property
+    def muscle_groups(self) -> tuple[str, ...]:
+        """Return the name (m,) of the whole muscle that each muscle is a compartment of, or is."""
+        return self.wholes or self.muscle_names
+
+    @property
+    def muscle_surfaces(self) -> dict[str, Surface]:
+        """Return muscle -> surface: a compartment has the triangles of the whole nearest to it."""
+        centres, entries, found = self.rest[self.tets].mean(axis=1), self.weights.tocoo(), {}
+        for name, whole in self.muscles.items():
+            columns = [k for k, group in enumerate(self.muscle_groups, start=1) if group == name]
+            own = np.isin(entries.col, columns) & (entries.data > 0.0)
+            if len(columns) < 2 or not own.any():
+                found[name] = whole
+                continue
+            middles = whole.vertices[whole.faces].mean(axis=1)
+            nearest = entries.col[own][cKDTree(centres[entries.row[own]]).query(middles)[1]]
+            found |= {
+                self.muscle_names[column - 1]: part_of(whole, np.flatnonzero(nearest == column))
+                for column in columns
+            }
+        return found
 
     def muscle_number(self, name: str) -> int:
         """Return the row of a muscle in a pose's activations, one less than its column in S.
@@ -168,8 +224,11 @@ class SubjectModel:
             "template": self.template,
             "mesh_source": self.mesh_source,
         }
-        if self.size_from != "scan":  # other models keep their hash
+        # models without these keep their hash
+        if self.size_from != "scan":
             header["size_from"] = self.size_from
+        if self.wholes:
+            header["wholes"] = self.wholes
         return Archive(header, arrays)
 
     @classmethod
@@ -198,4 +257,5 @@ class SubjectModel:
             mesh_source=header.get("mesh_source", "mesher"),
             fibres=data.get("fibres"),
             size_from=header.get("size_from", "scan"),
+            wholes=tuple(header.get("wholes", ())),
         )

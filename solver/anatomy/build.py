@@ -10,6 +10,7 @@ import numpy as np
 import structlog
 
 from solver.anatomy.bones import jaw_frame
+from solver.anatomy.compartments import divide_muscles, number_compartments
 from solver.anatomy.embedding import barycentric
 from solver.anatomy.meshing import EDGE_MM, make_mesh
 from solver.anatomy.muscle_weights import enclosed_volume, fibre_directions, muscle_volumes
@@ -27,7 +28,12 @@ log = structlog.get_logger(__name__)
 
 
 def build_subject_model(
-    template: Template, neutral: Floats, *, edge_mm: float = EDGE_MM, progress: Progress = silent
+    template: Template,
+    neutral: Floats,
+    *,
+    edge_mm: float = EDGE_MM,
+    compartments: bool = False,
+    progress: Progress = silent,
 ) -> SubjectModel:
     """Return the tetrahedral face of the person with the neutral scan ``neutral`` (n, 3) in mm.
 
@@ -35,14 +41,20 @@ def build_subject_model(
     where they cannot be carried, the person is meshed from scratch; ``model.mesh_source`` says so.
 
     ``neutral`` is the registered neutral scan: the template's skin vertices in the person.
-    ``edge_mm`` is the tets' edge length on the face (:func:`make_mesh`). ``progress`` is told about
-    the phases ``transfer``, ``transport`` or ``mesh``, ``relax`` and ``muscles``.
+    ``edge_mm`` is the tets' edge length on the face (:func:`make_mesh`). With ``compartments``
+    muscles are divided as the template says. ``progress`` is told about the phases ``transfer``,
+    ``transport`` or ``mesh``, ``relax`` and ``muscles``.
 
     Raises :class:`InputError`, ``scan.vertex_count`` or ``scan.nan``, and as :func:`make_mesh`.
     """
     _check(template, neutral)
     person, made_by = carry_anatomy(template, neutral, edge_mm=edge_mm, progress=progress)
-    return _assemble(template, person, made_by)
+    model = _assemble(template, person, made_by)
+    if not compartments:
+        return model
+    # on the template's own tets, so that everybody who has them has the same compartments
+    shared = person if made_by != "transport" else template
+    return _divide(model, shared)
 
 
 def carry_anatomy(
@@ -94,6 +106,19 @@ def _assemble(template: Template, person: Template, made_by: str) -> SubjectMode
     )
 
 
+def _divide(model: SubjectModel, source: Template) -> SubjectModel:
+    """Return a model of whole muscles with their compartments on the tets of ``source``."""
+    mesh, muscles = cast(TemplateMesh, source.mesh), source.muscles
+    shape = mesh.vertices, mesh.tets, mesh.weights
+    numbers = number_compartments(
+        *shape, fibre_directions(*shape, muscles), muscles, float(source.condyles[:, 0].mean())
+    )
+    divided = divide_muscles(model.weights, muscles, numbers)
+    return replace(
+        model, weights=divided.weights, muscle_names=divided.names, wholes=divided.wholes
+    )
+
+
 def jaw_tracks(
     template: Template, model: SubjectModel, options: TrackOptions = TRACKS
 ) -> JawTracks:
@@ -141,8 +166,11 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
     face = part_of(model.skin, np.flatnonzero(on_face))
     clearance = barycentric(join_surfaces(list(model.bones.values())).vertices, face)[2]
     enclosed = {name: enclosed_volume(surface) for name, surface in model.muscles.items()}
-    kept = muscle_volumes(model.rest, model.tets, model.weights).tolist()
-    muscles = dict(zip(model.muscle_names, kept, strict=True))
+    held = muscle_volumes(model.rest, model.tets, model.weights).tolist()
+    muscles = dict(zip(model.muscle_names, held, strict=True))
+    kept = dict.fromkeys(model.muscle_groups, 0.0)
+    for whole, volume in zip(model.muscle_groups, held, strict=True):
+        kept[whole] += volume / enclosed[whole]
     sizes = volumes(model.rest, model.tets)
     return {
         "template": model.anatomy,
@@ -160,7 +188,7 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
         "muscles": model.muscle_count,
         "candidates_per_tet": (model.weights.nnz / len(model.tets)) - 1.0,
         "muscle_volume_cm3": {name: round(v / 1000.0, 3) for name, v in muscles.items()},
-        "muscle_volume_kept": {name: round(v / enclosed[name], 2) for name, v in muscles.items()},
+        "muscle_volume_kept": {name: round(part, 2) for name, part in kept.items()},
         "muscle_volume_enclosed_cm3": {name: round(v / 1000.0, 3) for name, v in enclosed.items()},
         "embedded": len(model.embedded),
         "face_vertices": len(model.face),

@@ -249,26 +249,26 @@ def find_or_make_mesh(
     """
     if template.mesh is not None and template.mesh.edge_mm == edge_mm:
         return template
-    bare = replace(template, mesh=None)
+    bare = replace(template.undivided, mesh=None)
     path = cache_directory() / f"meshed-{MAKING}-{bare.sha256[:16]}-{edge_mm:g}mm.npz"
     if (kept := _read_kept(path, bare, edge_mm)) is not None:
-        return kept
+        return replace(template, mesh=kept)
     log.info("making the template's tets", template=template.name, to=str(path))
     made = with_mesh(bare, edge_mm, progress, replace(MESH, mesher_seconds=mesher_seconds))
     if not path.exists():  # else another process was faster: then its tets are everybody's
         made.save(path)
-    return Template.load(path)
+    return replace(template, mesh=Template.load(path).mesh)
 
 
-def _read_kept(path: Path, bare: Template, edge_mm: float) -> Template | None:
-    """Return a template from the cache; None: it is not there, or not the one that is wanted."""
+def _read_kept(path: Path, bare: Template, edge_mm: float) -> TemplateMesh | None:
+    """Return tets from the cache; None: they are not there, or not those that are wanted."""
     if not path.exists():
         return None
     try:
         found = Template.load(path)
         same = replace(found, mesh=None).sha256 == bare.sha256
         if same and found.mesh is not None and found.mesh.edge_mm == edge_mm:
-            return found
+            return found.mesh
         reason = "they are of another template or size"
     except InputError as error:
         reason = str(error)

@@ -7,9 +7,9 @@ one NPZ file without pickles.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, field, fields
+from dataclasses import astuple, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 import scipy.sparse as sp
@@ -218,12 +218,47 @@ VERTEX_SETS = ("face_vertices", "attached_cranium", "attached_mandible")
 PLAIN = ("flesh_faces", *VERTEX_SETS, "parting", "condyles")  # arrays that are stored as they are
 
 
+Cut = Literal["sectors", "lateral", "superior", "anterior"]
+CUTS = get_args(Cut)
+
+
+@dataclass(frozen=True)
+class Compartments:
+    """The parts of a muscle that contract on their own, of equal volume.
+
+    ``sectors`` follow each other along the fibres: around a ring from its top outwards (of a
+    muscle in the middle: to the subject's left), else from origin to insertion. Any other ``cut``
+    makes strips along the fibres, side by side in that direction. ``names`` are in that order.
+    """
+
+    cut: Cut
+    names: tuple[str, ...]
+
+    @classmethod
+    def read(cls, cut: str, names: str) -> Compartments | None:
+        """Return those of two cells of a table, names between semicolons; None if both are empty.
+
+        Raises :class:`ValueError` in words.
+        """
+        if not cut and not names:
+            return None
+        if cut not in CUTS:
+            raise ValueError(f"cut is none of {', '.join(CUTS)}: {cut!r}")
+        given = tuple(name.strip() for name in names.split(";"))
+        if len(given) < 2 or len(set(given)) < len(given) or not all(given):
+            raise ValueError(f"compartments are no different names, at least two: {names!r}")
+        if any("." in name for name in given):
+            raise ValueError(f"a compartment's name has a dot: {names!r}")
+        return cls(cast(Cut, cut), given)
+
+
 @dataclass(frozen=True)
 class Muscle:
     """One muscle: a closed-enough ``surface`` in mm and its main ``fibre`` direction, unit (3,).
 
     ``fibre`` points from origin (bone) to insertion (skin); ``origin`` and ``insertion`` (3,) are
     the centres of the two attachments, in mm. The fibres of a ``ring`` run around an opening.
+    Without ``compartments`` the muscle contracts as one.
     """
 
     name: str
@@ -232,6 +267,14 @@ class Muscle:
     origin: Floats
     insertion: Floats
     ring: bool = False
+    compartments: Compartments | None = None
+
+    @property
+    def compartment_names(self) -> tuple[str, ...]:
+        """Return the names of the compartments after the muscle's, or that of the whole."""
+        if self.compartments is None:
+            return (self.name,)
+        return tuple(f"{self.name}.{part}" for part in self.compartments.names)
 
     @property
     def axis(self) -> Floats:
@@ -311,6 +354,12 @@ class Template:
         return self.flesh.moved(self.skin.vertices + self.parting)
 
     @property
+    def undivided(self) -> Template:
+        """Return the template with every muscle in one piece."""
+        whole = tuple(replace(muscle, compartments=None) for muscle in self.muscles)
+        return replace(self, muscles=whole)
+
+    @property
     def sha256(self) -> str:
         """Return the hash of all that the template holds."""
         return self._archive().sha256
@@ -364,6 +413,9 @@ class Template:
             "licence": self.licence,
             "depths": [astuple(depth) for depth in self.depths],
         }
+        divided = {m.name: astuple(m.compartments) for m in self.muscles if m.compartments}
+        if divided:  # other templates keep their hash
+            header["compartments"] = divided
         return Archive(header, arrays)
 
     @classmethod
@@ -373,12 +425,14 @@ class Template:
         def surface(name: str) -> Surface:
             return Surface(data[f"{name}_vertices"], data[f"{name}_faces"])
 
-        muscles = []
+        muscles, divided = [], dict(header.get("compartments", {}))
         for number, name in enumerate(header["muscles"]):
             ring = name in header.get("rings", ())
             fibre, origin, insertion = data[f"muscle_{number}_axis"]
             bounds = surface(f"muscle_{number}")
-            muscles.append(Muscle(name, bounds, fibre, origin, insertion, ring))
+            cut, parts = divided.get(name, ("", ()))
+            compartments = Compartments.read(cut, "; ".join(parts))
+            muscles.append(Muscle(name, bounds, fibre, origin, insertion, ring, compartments))
         shapes = None
         if "shapes_identity" in data:
             names = tuple(header["expression_names"])

@@ -14,7 +14,7 @@ from solver.animation.blendshapes import Blend, Blendshapes, unfold
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY
-from solver.model import SubjectModel
+from solver.model import SubjectModel, by_muscle, find_muscles
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
 from solver.similarity import Similarity
 from solver.surface import Floats, nearest_sphere
@@ -126,7 +126,8 @@ class PoseKey:
 
     ``expressions`` are weights from 0 to 1; ``activations`` are those of single muscles (6,), of
     which what differs from rest is added to the expressions'; so is ``jaw`` (5,), rad and mm.
-    ``fibres`` are activations of fibre muscles, which take the place of both.
+    ``fibres`` are activations of fibre muscles, which take the place of both. The name of a whole
+    muscle means all its compartments and strips that are not named themselves.
     """
 
     time: float
@@ -144,14 +145,16 @@ class _BlendedKeys:
     ) -> None:
         self._used = _names_of(key.expressions for key in keys)
         self._blend = Blend.of({name: poses[name] for name in self._used}, model.muscle_count)
-        self._moved = _names_of(key.activations for key in keys)
-        self._muscles = [model.muscle_names.index(name) for name in self._moved]
+        self._names = model.muscle_names
+        self._moved = _names_of(by_muscle(key.activations, self._names) for key in keys)
+        self._muscles = [self._names.index(name) for name in self._moved]
         self.size = len(self._used) + 6 * len(self._moved)
 
     def row(self, key: PoseKey) -> Floats:
         """Return a key's values (c,)."""
         weights = [key.expressions.get(name, 0.0) for name in self._used]
-        moves = [key.activations.get(name, IDENTITY) - IDENTITY for name in self._moved]
+        activations = by_muscle(key.activations, self._names)
+        moves = [activations.get(name, IDENTITY) - IDENTITY for name in self._moved]
         return np.concatenate([weights, *moves])
 
     def pose(self, values: Floats, under: Floats | None) -> tuple[Floats, Floats, int]:
@@ -167,17 +170,19 @@ class _FibreKeys:
     """Fibre muscles, of one activation each."""
 
     def __init__(self, keys: Sequence[PoseKey], muscles: Sequence[str]) -> None:
-        self._moved, self._count = _names_of(key.fibres for key in keys), len(muscles)
+        self._names = muscles
+        self._moved = _names_of(by_muscle(key.fibres, muscles) for key in keys)
         self._muscles = [muscles.index(name) for name in self._moved]
         self.size = len(self._moved)
 
     def row(self, key: PoseKey) -> Floats:
         """Return a key's values (c,)."""
-        return np.array([key.fibres.get(name, 0.0) for name in self._moved])
+        activations = by_muscle(key.fibres, self._names)
+        return np.array([activations.get(name, 0.0) for name in self._moved])
 
     def pose(self, values: Floats, under: Floats | None) -> tuple[Floats, Floats, int]:
         """Return activations (m,) on top of those ``under`` them, within [0, 1]."""
-        a = np.zeros(self._count) if under is None else under.copy()
+        a = np.zeros(len(self._names)) if under is None else under.copy()
         a[self._muscles] += values
         return np.clip(a, 0.0, 1.0), np.zeros(5), 0
 
@@ -247,9 +252,9 @@ def _check_names(
             reason = "the face is moved by fibre muscles, and these by their activations alone"
             message = f"{where} has expressions or muscles of six numbers, but {reason}: fibres"
             raise InputError("scene.fibres", message, key=number)
-        check_known(key.fibres, fibres or [], "scene.muscle", where, key=number)
+        check_muscles(key.fibres, fibres or [], where, key=number)
         check_known(key.expressions, list(poses), "scene.expression", where, key=number)
-        check_known(key.activations, model.muscle_names, "scene.muscle", where, key=number)
+        check_muscles(key.activations, model.muscle_names, where, key=number)
 
 
 def check_known(
@@ -261,6 +266,12 @@ def check_known(
             what = f"{where} names the {code.removeprefix('scene.')} {name!r}"
             reason = f"{what}, which is not one of the face's"
             raise InputError(code, reason, found=name, expected=list(known), **context)
+
+
+def check_muscles(names: Iterable[str], muscles: Sequence[str], where: str, **context: Any) -> None:
+    """Raise :class:`InputError` (``scene.muscle``) for the first name that means no muscle."""
+    unknown = [name for name in names if not find_muscles(name, muscles)]
+    check_known(unknown, muscles, "scene.muscle", where, **context)
 
 
 class RecordedDrives:

@@ -23,7 +23,7 @@ from solver.animation.drives import (
     Drives,
     Interpolation,
     PosedFrame,
-    check_known,
+    check_muscles,
     neck,
     track,
     turn_about,
@@ -36,7 +36,7 @@ from solver.kinds.scene import PerformanceEntry
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import IDENTITY
-from solver.model import SubjectModel
+from solver.model import SubjectModel, by_muscle, find_muscles
 from solver.storage import read_arrays
 from solver.surface import Floats, Ints
 
@@ -247,16 +247,10 @@ def _muscles_of(
 def _factors(
     given: Mapping[str, float], what: str, entry: PerformanceEntry, muscles: Sequence[str]
 ) -> Floats:
-    """Return every muscle's factor (m,): its own, or that of the muscle that it is a strip of."""
-    wholes = [name.rpartition(".")[0] or name for name in muscles]
-    where = f"{what} of the performance {entry.asset!r}"
-    check_known(given, [*muscles, *wholes], "scene.muscle", where)
-    return np.array(
-        [
-            given.get(name, given.get(whole, 1.0))
-            for name, whole in zip(muscles, wholes, strict=True)
-        ]
-    )
+    """Return every muscle's factor (m,): its own, or that of the muscle that it is a part of."""
+    check_muscles(given, muscles, f"{what} of the performance {entry.asset!r}")
+    factors = by_muscle(given, muscles)
+    return np.array([factors.get(name, 1.0) for name in muscles])
 
 
 def _curve(entry: PerformanceEntry, muscles: Sequence[str], *, of_fibres: bool) -> Floats:
@@ -348,14 +342,14 @@ def _movers(entries: Sequence[PerformanceEntry], muscles: Sequence[str]) -> Ints
         raise InputError("scene.mask", reason, found=len(rest), expected=1)
     for number, entry in enumerate(entries):
         where = f"the mask of performance[{number}], {entry.asset!r},"
-        check_known(entry.mask or [], muscles, "scene.muscle", where)
+        check_muscles(entry.mask or [], muscles, where)
         for name in entry.mask or []:
-            muscle = muscles.index(name)
-            if movers[muscle] not in (-1, number):
-                other = entries[movers[muscle]].asset
-                reason = f"{where} names {name!r}, which that of {other!r} names too"
-                raise InputError("scene.mask", reason, found=name)
-            movers[muscle] = number
+            for muscle in find_muscles(name, muscles):
+                if movers[muscle] not in (-1, number):
+                    other = entries[movers[muscle]].asset
+                    reason = f"{where} names {name!r}, which that of {other!r} names too"
+                    raise InputError("scene.mask", reason, found=name)
+                movers[muscle] = number
     if rest:
         movers[movers < 0] = rest[0]
     return movers

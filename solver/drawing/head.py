@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import colorsys
-import re
 from dataclasses import dataclass
 
 import igl
@@ -11,6 +10,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from solver.drawing.render import GAMMA, DrawnBody, Lit
+from solver.model import OTHER_SIDE, name_words
 from solver.surface import Floats, Ints, Surface, adjacency, nearest_sphere, own_numbers
 
 # Colours, linear RGB but for the sRGB of muscles and of the error's scale.
@@ -58,16 +58,13 @@ _SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}  # words 
 
 def both_sides(muscle: str) -> str:
     """Return a muscle's name without its side: ``left buccinator`` -> ``buccinator``."""
-    return " ".join(word for word in _words(muscle) if word.lower() not in _SIDES)
+    return " ".join(word for word in name_words(muscle) if word.lower() not in OTHER_SIDE)
 
 
 def muscle_side(muscle: str) -> str:
     """Return the side in a muscle's name, ``left`` or ``right``; "" for one in the middle."""
-    return next((_SIDES[word.lower()] for word in _words(muscle) if word.lower() in _SIDES), "")
-
-
-def _words(muscle: str) -> list[str]:
-    return re.split(r"[\s_]+", muscle)
+    words = (word.lower() for word in name_words(muscle))
+    return next((_SIDES[word] for word in words if word in _SIDES), "")
 
 
 def muscle_colours(names: tuple[str, ...]) -> dict[str, tuple[float, ...]]:

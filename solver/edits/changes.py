@@ -20,7 +20,7 @@ from solver.anatomy.embedding import LooseSkin
 from solver.anatomy.tetrahedra import ML, volumes
 from solver.edits.edit import Edited
 from solver.errors import InputError
-from solver.model import SubjectModel
+from solver.model import SubjectModel, find_muscles
 from solver.surface import Floats, Ints, Surface, adjacency, vertex_areas, vertex_normals
 
 STEEPEST = 8.0 / (3.0 * np.sqrt(3.0))  # the greatest slope of (1 - t^2)^2
@@ -164,6 +164,8 @@ class Scaling:
 class Paralysis:
     """``muscles`` (all by default), on one ``side`` (both), keep this ``strength`` (none).
 
+    The name of a whole muscle means all its compartments.
+
     Their shares in S are multiplied and the rest becomes passive flesh: s_ij -> g_ij s_ij. A side
     is the subject's own; it ends smoothly at the mid-plane, as some muscles cross it.
     """
@@ -195,11 +197,12 @@ class Paralysis:
         """Return the columns of S that lose strength."""
         if self.muscles is None:
             return np.arange(1, len(names) + 1)
-        unknown = [name for name in self.muscles if name not in names]
+        found = {name: find_muscles(name, names) for name in self.muscles}
+        unknown = [name for name, numbers in found.items() if not numbers]
         if unknown:
             reason = f"the subject has no muscle {unknown[0]!r}; it has {', '.join(names)}"
             raise InputError("scene.muscle", reason, found=unknown, expected=list(names))
-        return np.array([names.index(name) + 1 for name in self.muscles], dtype=np.int64)
+        return np.array([k + 1 for numbers in found.values() for k in numbers], dtype=np.int64)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ given by its ``indptr``; values are its data (nnz,).
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,7 +17,8 @@ from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial import cKDTree
 
 from solver.errors import InputError
-from solver.model import SubjectModel
+from solver.fitting.strips import neighbours
+from solver.model import OTHER_SIDE, SubjectModel, find_muscles, name_words
 from solver.surface import Floats, Ints
 
 
@@ -140,18 +140,23 @@ def transfer(S: sp.csr_array, source: SubjectModel, model: SubjectModel) -> sp.c
     """Return ``source``'s fitted S (n', m' + 1) on ``model``'s pattern, to start its fit from.
 
     Tet by tet where both have the template's tets, else from the nearest centroid; muscle by
-    muscle by name. A tet whose candidates have no weight there keeps the model's own. Raises
-    :class:`InputError` (``weights.other_muscles``) if no muscle is known to both.
+    muscle by name, where only one has compartments the whole muscle. A tet whose candidates have no
+    weight there keeps the model's own. Raises :class:`InputError` (``weights.other_muscles``) if no
+    muscle is known to both.
     """
-    own = model.weights
-    numbers = {name: number for number, name in enumerate(source.muscle_names, start=1)}
-    if not set(numbers) & set(model.muscle_names):
+    own, there = model.weights, source.muscle_names
+    named = zip(model.muscle_names, model.muscle_groups, strict=True)
+    # numbers of the source's muscles, none where it has no such muscle
+    columns = [find_muscles(n, there) or find_muscles(whole, there) for n, whole in named]
+    if not any(columns):
         raise InputError("weights.other_muscles", "the two subjects have no muscle in common")
-    # of the source's, -1 where it has no such muscle
-    columns = np.array([0, *(numbers.get(name, -1) for name in model.muscle_names)])[own.indices]
+    sums = sp.lil_array((S.shape[1], own.shape[1]))
+    sums[0, 0] = 1.0
+    for column, numbers in enumerate(columns, start=1):
+        sums[np.array(numbers, dtype=np.int64) + 1, column] = 1.0
     tets = _rows(own)
-    found = np.asarray(S[_counterparts(source, model)[tets], np.maximum(columns, 0)]).ravel()
-    values = np.where(columns >= 0, found, 0.0)
+    summed = sp.csr_array(S @ sums.tocsr())
+    values = np.asarray(summed[_counterparts(source, model)[tets], own.indices]).ravel()
     total = np.add.reduceat(values, own.indptr[:-1])[tets]
     values = np.where(total > 0.0, values, own.data)
     return replace_values(own, project(values, own.indptr))
@@ -181,7 +186,6 @@ def _rows(S: sp.csr_array) -> Ints:
 # tet i' nearest to the mirrored centroid of tet i and the muscle j' of the other side. The mirror
 # is the jaw frame's middle plane.
 
-OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
 MIRROR_REACH_MM = 4.0  # a tet further than this from its mirrored place has no counterpart
 
 
@@ -200,9 +204,27 @@ def mirror_structure(model: SubjectModel, w_m: float) -> sp.csr_array:
     return sp.csr_array(np.sqrt(w_m) * (pick[paired] - pick[found[paired]]))
 
 
+def smooth_structure(model: SubjectModel, w_c: float) -> sp.csr_array:
+    """Return L (k, nnz), so that 1/2 |L ds|^2 keeps S smooth where compartments meet.
+
+    The prior (w_c/2) sum (ds_ij - ds_i'j')^2 is over tets i, i' that share a face, and compartments
+    j, j' of one muscle: their changes from the start are alike. Whole muscles have no rows.
+    """
+    S, names = model.weights, list(dict.fromkeys(model.muscle_groups))
+    whole = np.array([0, *(names.index(group) + 1 for group in model.muscle_groups)])
+    parts = np.arange(1, S.nnz + 1), whole[S.indices], S.indptr
+    numbers = sp.csr_array(parts, shape=(S.shape[0], len(names) + 1))
+    one, other = (numbers[tets] for tets in neighbours(model.tets))
+    near = sp.coo_array(one * (other > 0))
+    first, second = near.data - 1, other[near.coords].ravel() - 1
+    meet = S.indices[first] != S.indices[second]
+    pick = sp.eye_array(S.nnz, format="csr")
+    return sp.csr_array(np.sqrt(w_c) * (pick[first[meet]] - pick[second[meet]]))
+
+
 def _mirrored_muscles(names: tuple[str, ...]) -> Ints:
     """Return for every column of S that of the other side, for those in the middle their own."""
-    words = [tuple(re.split(r"[\s_]+", name.lower())) for name in names]
+    words = [tuple(name_words(name.lower())) for name in names]
     columns = {name: number for number, name in enumerate(words, start=1)}
     swapped = [tuple(OTHER_SIDE.get(word, word) for word in name) for name in words]
     if swapped == words:

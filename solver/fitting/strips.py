@@ -19,9 +19,10 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from solver.anatomy.compartments import fibre_laplacian
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import shape_gradients
-from solver.surface import Floats, Ints, unit_rows
+from solver.surface import Floats, Ints, own_numbers, unit_rows
 
 
 @dataclass(frozen=True)
@@ -89,21 +90,15 @@ def neighbours(tets: Ints) -> tuple[Ints, Ints]:
 
 def _across(rest: Floats, tets: Ints, fibres: Floats, options: StripOptions) -> tuple[Ints, Floats]:
     """Return the tets (k,) of the largest part of a muscle, and their u (k,)."""
-    used, number = np.unique(tets, return_inverse=True)
-    corners = number.reshape(-1, 4)
+    _, corners = own_numbers(tets)
     rows = np.repeat(np.arange(len(tets)), 4)
     joins = sp.csr_array((np.ones(len(rows)), (rows, corners.ravel())))
     part = connected_components(joins.T @ joins, directed=False)[1]
     inside = np.flatnonzero(part[corners[:, 0]] == np.bincount(part[corners[:, 0]]).argmax())
     gradients, volumes = shape_gradients(rest, tets[inside])
-    along = np.einsum("evi,ei->ev", gradients, fibres[inside])
-    local = along[:, :, None] * along[:, None, :]
-    local += options.slip * gradients @ gradients.transpose(0, 2, 1)
-    used, number = np.unique(tets[inside], return_inverse=True)
-    corners, size = number.reshape(-1, 4), len(used)
-    K = np.zeros((size, size))
-    np.add.at(K, (corners[:, :, None], corners[:, None, :]), volumes[:, None, None] * local)
-    mass = np.bincount(corners.ravel(), np.repeat(volumes / 4.0, 4), size)
+    used, corners = own_numbers(tets[inside])
+    K = fibre_laplacian(gradients, volumes, corners, fibres[inside], options.slip).toarray()
+    mass = np.bincount(corners.ravel(), np.repeat(volumes / 4.0, 4), len(used))
     found = scipy.linalg.eigh(K, np.diag(mass), subset_by_index=[1, 1])[1][:, 0]
     # its sign is chance: what lies further out and up comes last
     upward = np.abs(rest[used, 0]) + rest[used, 1]

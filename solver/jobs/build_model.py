@@ -31,7 +31,11 @@ def run(task: Task[BuildModel]) -> list[Path]:
     scan = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices))
     anatomy = find_or_make_mesh(anatomy, edge_mm, part_of(progress, 0.02, 0.7))
     model = build_subject_model(
-        anatomy, scan.vertices, edge_mm=edge_mm, progress=part_of(progress, 0.7, 0.93)
+        anatomy,
+        scan.vertices,
+        edge_mm=edge_mm,
+        compartments=task.options.muscles == "compartments",
+        progress=part_of(progress, 0.7, 0.93),
     )
     model = replace(model, size_from=scan.size_from)
     names = ("model.npz", "model.json", "anatomy.png", "tets.png", "fibres.png")

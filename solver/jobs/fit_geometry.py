@@ -16,7 +16,7 @@ from solver.fitting.contact import terms
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryFit, GeometryOptions
 from solver.fitting.objective import Target, distances
-from solver.fitting.simplex import mirror_structure, transfer
+from solver.fitting.simplex import mirror_structure, smooth_structure, transfer
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
 from solver.jobs.fits import (
@@ -53,8 +53,13 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if "start" in task.inputs:
         start = Rig.load(task.inputs["start"])
         priors["start"] = transfer(start.weights, start.model, subject)
+    structures = []
     if given.symmetry > 0.0:
-        priors["structure"] = mirror_structure(subject, given.symmetry)
+        structures.append(mirror_structure(subject, given.symmetry))
+    if given.smoothness > 0.0:
+        structures.append(smooth_structure(subject, given.smoothness))
+    if structures:
+        priors["structure"] = sp.csr_array(sp.vstack(structures))
     log = WarningLog(subject, progress)
     oddities = find_oddities(face, scans)
     if len(scans) == 1:
@@ -78,7 +83,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
         expression = describe_fit(face, name, "train", scan, targets[name], ending, spent)
         expressions.append(log.about(expression, 0.8, ending.notices))
     refuse_failures(expressions)
-    asked = given.model_dump(include={"symmetry", "distance", "solver", "controls"})
+    asked = given.model_dump(include={"symmetry", "smoothness", "distance", "solver", "controls"})
     settings = asdict(schedule) | asked
     if face.limits is None:
         del settings["tightening"]

@@ -1,5 +1,7 @@
 """Build a subject's model inside its neutral scan."""
 
+from typing import Literal
+
 from pydantic import Field
 
 from solver.kinds.kind import JobOptions, Kind
@@ -9,6 +11,11 @@ class BuildModel(JobOptions):
     """Options of a model."""
 
     edge_mm: float = Field(default=9.0, ge=3, le=30, description="edge length of the tetrahedra")
+    muscles: Literal["whole", "compartments"] = Field(
+        default="whole",
+        description="whole: every muscle contracts as one; compartments: in the parts that the "
+        "template divides it into, each by itself",
+    )
 
 
 KIND = Kind(

@@ -25,6 +25,13 @@ class FitGeometry(ExpressionFitOptions):
         description="weight of the mirror prior on the changes of S, which makes left and right "
         "alike; 0: none, 1e-3: much",
     )
+    smoothness: float = Field(
+        default=0.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="weight of the prior that keeps the changes of S alike where compartments of "
+        "one muscle meet; 0: none",
+    )
     solver: Literal["reduced", "ipopt"] = Field(
         default="reduced",
         description="reduced: positions are eliminated; ipopt: the full-space reference, for small "

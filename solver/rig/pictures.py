@@ -134,7 +134,7 @@ class _Anatomy:
 def anatomy_picture(model: SubjectModel, path: Path) -> None:
     """Draw bones and muscles inside the skin: half cut open, and through transparent skin."""
     detail = f"{model.muscle_count} muscles, {len(model.tets)} tets, {len(model.rest)} vertices"
-    _draw_anatomy(_Anatomy.of(model, model.muscles), path, "Anatomy", detail)
+    _draw_anatomy(_Anatomy.of(model, model.muscle_surfaces), path, "Anatomy", detail)
 
 
 def fibres_picture(model: SubjectModel, path: Path) -> None:

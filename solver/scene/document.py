@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,10 +15,10 @@ from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.stretches import fibre_tensors, shorten
 from solver.kinds.document import Document, find_faults
-from solver.kinds.scene import Jaw, Key, MotionKey, SimulateScene
+from solver.kinds.scene import Jaw, Key, MotionKey, Muscle, SimulateScene
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import shape_gradients
-from solver.model import SubjectModel
+from solver.model import SubjectModel, by_muscle, find_muscles
 from solver.scene.places import Places
 from solver.scene.stage import check_length
 from solver.surface import Floats
@@ -195,14 +195,19 @@ class _KeyReader:
             PoseKey(
                 entry.time,
                 entry.expressions,
-                {name: self._activation(name, how) for name, how in entry.muscles.items()},
+                {name: self._activation(name, how) for name, how in self._each(entry.muscles)},
                 jaw_of(entry.jaw),
                 entry.fibres,
             )
             for entry in entries
         ]
 
-    def _activation(self, name: str, how: float | Sequence[float]) -> Floats:
+    def _each(self, muscles: Mapping[str, Muscle]) -> Iterable[tuple[str, Muscle]]:
+        """Return every muscle that is moved, of a whole each compartment, and names of none."""
+        unknown = {n: how for n, how in muscles.items() if not find_muscles(n, self._names)}
+        return (by_muscle(muscles, self._names) | unknown).items()
+
+    def _activation(self, name: str, how: Muscle) -> Floats:
         """Return a muscle's activation (6,): six numbers are one, one is its fibres' stretch."""
         if not isinstance(how, int | float):
             return np.array(how, np.float64)

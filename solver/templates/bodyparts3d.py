@@ -15,7 +15,7 @@ import trimesh
 
 from solver.anatomy.data import read_table
 from solver.anatomy.muscle_weights import muscle_ends, with_axis
-from solver.anatomy.template import Muscle
+from solver.anatomy.template import Compartments, Muscle
 from solver.anatomy.warp import MIRROR
 from solver.errors import InputError
 from solver.surface import Floats, Surface, join_surfaces, part_of
@@ -137,9 +137,9 @@ def muscle_names(parts: dict[str, Part]) -> list[str]:
 
 
 def with_table_axis(name: str, surface: Surface, skull: Floats) -> Muscle:
-    """Return a muscle with the axis of ``data/bodyparts3d_muscles.csv``, from anatomy texts.
+    """Return a muscle with axis and compartments of ``data/bodyparts3d_muscles.csv``.
 
-    One that is not in the table gets an axis as by :func:`with_axis`.
+    They are from anatomy texts. One that is not in the table gets an axis as by :func:`with_axis`.
     """
     words = name.split()
     plain = " ".join(word for word in words if word not in ("left", "right"))
@@ -149,7 +149,8 @@ def with_table_axis(name: str, surface: Surface, skull: Floats) -> Muscle:
     axis = np.array([float(row[key]) for key in "xyz"])
     axis = axis / np.linalg.norm(axis) * (MIRROR if "right" in words else 1.0)
     origin, insertion = muscle_ends(surface, axis)
-    return Muscle(name, surface, axis, origin, insertion, row["ring"] == "yes")
+    compartments = Compartments.read(row["cut"], row["compartments"])
+    return Muscle(name, surface, axis, origin, insertion, row["ring"] == "yes", compartments)
 
 
 def part_surface(parts: dict[str, Part], name: str) -> Surface:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.anatomy.muscle_weights import with_axis
-from solver.anatomy.template import Depth, Muscle, ShapeBasis, Template, check_arrays
+from solver.anatomy.template import Compartments, Depth, Muscle, ShapeBasis, Template, check_arrays
 from solver.errors import InputError
 from solver.kinds import NOT_READABLE, check_directory
 from solver.meshio.raw import read_raw
@@ -183,9 +183,13 @@ class _TemplateFolder:
     def muscle(self, row: Row, name: str, surface: Surface, skull: Floats) -> Muscle:
         """Return one muscle; without any point in its row it gets an axis by its shape."""
         ring = row.flag("ring")
+        try:
+            parts = Compartments.read(row.text("cut"), row.text("compartments"))
+        except ValueError as error:
+            raise row.fault(str(error)) from None
         origin, insertion, fibre = (row.point(each) for each in ("origin", "insertion", "fibre"))
         if origin is None and insertion is None and fibre is None:
-            return replace(with_axis(name, surface, skull), ring=ring)
+            return replace(with_axis(name, surface, skull), ring=ring, compartments=parts)
         if origin is None or insertion is None:
             raise row.fault("origin and insertion are given together, or neither")
         axis = self.to_mm(insertion - origin if fibre is None else fibre)
@@ -193,7 +197,7 @@ class _TemplateFolder:
         if length == 0:
             raise row.fault("the fibre axis has no length")
         ends = self.to_mm(origin), self.to_mm(insertion)
-        return Muscle(name, surface, axis / length, *ends, ring)
+        return Muscle(name, surface, axis / length, *ends, ring, parts)
 
     def landmarks(self) -> dict[str, int]:
         """Return name -> skin vertex."""

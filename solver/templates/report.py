@@ -308,7 +308,7 @@ class _Checks:
     def muscles(self) -> Iterator[Finding]:
         """Check every muscle by itself, then each pair."""
         muscles = self.template.muscles
-        names = [muscle.name for muscle in muscles]
+        names = [name for muscle in muscles for name in muscle.compartment_names]
         if not names:
             yield _find("muscles.missing", "muscles")
         for name in sorted({name for name in names if names.count(name) > 1}):

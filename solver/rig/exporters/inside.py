@@ -67,7 +67,8 @@ def _surface(name: str, surface: Surface) -> Arrays:
 
 def _muscles(model: SubjectModel) -> Arrays:
     """Return the muscles' surfaces and the tets that their vertices follow."""
-    surfaces = [model.muscles.get(name, NO_SURFACE) for name in model.muscle_names]
+    known = model.muscle_surfaces
+    surfaces = [known.get(name, NO_SURFACE) for name in model.muscle_names]
     points = np.vstack([surface.vertices for surface in surfaces])
     tet, weights = tet_binder(model.rest, model.tets)(points)
     ends = np.cumsum([len(surface.vertices) for surface in surfaces])[:-1]

@@ -3,7 +3,8 @@
 ``data/muscles.csv`` names, for each muscle, the points it runs through (``landmark+x/y/z``, in mm,
 x away from the mid-plane), its width at those points, its thickness and the depth of its middle
 under the skin, from origin to insertion. ``layer`` is ``bed`` for a muscle that keeps between the
-skin and what lies under it, ``under_arch`` for one that passes behind the zygomatic arch.
+skin and what lies under it, ``under_arch`` for one that passes behind the zygomatic arch. ``cut``
+and ``compartments`` divide it (:class:`solver.anatomy.template.Compartments`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from scipy.ndimage import gaussian_filter
 from solver.anatomy.data import read_table
 from solver.anatomy.domain import grid_quads, split_quads
 from solver.anatomy.muscle_weights import signed_volume
-from solver.anatomy.template import Muscle
+from solver.anatomy.template import Compartments, Muscle
 from solver.anatomy.warp import MIRROR
 from solver.surface import Floats, Surface, adjacency, unit_rows
 from solver.templates.builtin.head import Head
@@ -51,6 +52,7 @@ class MuscleRow:
     thickness: float
     depth: Floats
     layer: str
+    compartments: Compartments | None
 
 
 def read_muscles() -> list[MuscleRow]:
@@ -61,7 +63,11 @@ def read_muscles() -> list[MuscleRow]:
         path = tuple((mark, np.array(offset.split("/"), dtype=float)) for mark, offset in points)
         width, depth = (np.array(line[key].split(), float) for key in ("width_mm", "depth_mm"))
         thickness, paired = float(line["thickness_mm"]), line["paired"] == "yes"
-        rows.append(MuscleRow(line["name"], paired, path, width, thickness, depth, line["layer"]))
+        compartments = Compartments.read(line["cut"], line["compartments"])
+        row = MuscleRow(
+            line["name"], paired, path, width, thickness, depth, line["layer"], compartments
+        )
+        rows.append(row)
     return rows
 
 
@@ -82,7 +88,9 @@ def build_muscles(
 
 def _mirror(left: Muscle) -> Muscle:
     surface = Surface(left.surface.vertices * MIRROR, left.surface.faces[:, ::-1].copy())
-    return Muscle(left.name.removesuffix("_l") + "_r", surface, *(left.axis * MIRROR))
+    fibre, origin, insertion = left.axis * MIRROR
+    name = left.name.removesuffix("_l") + "_r"
+    return Muscle(name, surface, fibre, origin, insertion, compartments=left.compartments)
 
 
 class _Sweep:
@@ -121,7 +129,8 @@ class _Sweep:
         middle = ((upper + lower) / 2).reshape(rows, columns, 3).mean(axis=1)
         fibre = middle[-1] - middle[0]
         name = f"{row.name}_l" if row.paired else row.name
-        return Muscle(name, surface, fibre / np.linalg.norm(fibre), middle[0], middle[-1])
+        ends, fibre = (middle[0], middle[-1]), fibre / np.linalg.norm(fibre)
+        return Muscle(name, surface, fibre, *ends, compartments=row.compartments)
 
     def _anchors(self, row: MuscleRow) -> Floats:
         marks = self._head.landmarks
