@@ -77,7 +77,7 @@ def test_contracts_load_no_numerics() -> None:
             "build_model",
             {"edge": 9},
             "options.edge",
-            "build_model has no such option; it has edge_mm",
+            "build_model has no such option; it has edge_mm, muscles",
         ),
         (
             "fit_geometry",

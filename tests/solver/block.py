@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
+from solver.anatomy.compartments import divide_muscles, number_compartments
+from solver.anatomy.template import Compartments, Muscle
 from solver.fitting.face import Pose
 from solver.model import JawFrame, SubjectModel
 from solver.surface import Surface
@@ -136,3 +138,25 @@ def thinner(S: sp.csr_array, column: int, part: float = 0.3) -> sp.csr_array:
     found = S.copy()
     found.data = dense[rows, S.indices]
     return found
+
+
+def divided_block(shape=(5, 4, 3)):
+    """The block, its muscles with fibres along x, each in a lower and an upper compartment."""
+    model = block_model(shape)
+    x, nothing = np.array([1.0, 0.0, 0.0]), Surface(np.zeros((0, 3)), np.zeros((0, 3), int))
+    halves = Compartments("superior", ("lower", "upper"))
+    muscles = tuple(
+        Muscle(name, nothing, x, 0 * x, 50 * x, compartments=halves) for name in model.muscle_names
+    )
+    fibres = np.where(model.weights.indices[:, None] > 0, x, 0.0)
+    mesh = model.rest, model.tets, model.weights
+    divided = divide_muscles(
+        model.weights, muscles, number_compartments(*mesh, fibres, muscles, 25.0)
+    )
+    return replace(
+        model,
+        weights=divided.weights,
+        muscle_names=divided.names,
+        wholes=divided.wholes,
+        fibres=fibres,
+    )

@@ -63,9 +63,9 @@ export class Preview {
   }
 }
 
-const SIDE = /(^|[\s_])(left|right|l|r)(?=$|[\s_])/gi;
+const SIDE = /(^|[\s_.])(left|right|l|r)(?=$|[\s_.])/gi;
 
 /** Return a muscle's name without its side: "left buccinator" and "buccinator_l" are "buccinator". */
 export function withoutSide(name) {
-  return name.replace(SIDE, " ").replaceAll("_", " ").replace(/\s+/g, " ").trim();
+  return name.replace(SIDE, " ").replace(/[\s_.]+/g, " ").trim();
 }
