@@ -123,6 +123,7 @@ def template_figures(template: Template) -> dict[str, Any]:
         "cranium_cm3": round(enclosed_volume(template.cranium) / 1000.0, 1),
         "mandible_cm3": round(enclosed_volume(template.mandible) / 1000.0, 1),
         "muscles": len(template.muscles),
+        "compartments": sum(len(muscle.compartment_names) for muscle in template.muscles),
         "muscle_cm3": {
             muscle.name: round(enclosed_volume(muscle.surface) / 1000.0, 3)
             for muscle in template.muscles

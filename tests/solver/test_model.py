@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.model import SubjectModel
-from tests.solver.block import block_model
+from solver.model import SubjectModel, by_muscle, find_muscles
+from solver.surface import Surface
+from tests.solver.block import block_model, divided_block
 
 
 def test_a_model_comes_back_as_it_was(tmp_path: Path) -> None:
@@ -23,6 +25,34 @@ def test_a_model_comes_back_as_it_was(tmp_path: Path) -> None:
         kept, read = getattr(model, field), getattr(found, field)
         np.testing.assert_array_equal(read.indices, kept.indices)
         np.testing.assert_array_equal(read.data, kept.data)
+
+
+def test_compartments_and_their_wholes_come_back(tmp_path: Path) -> None:
+    model = divided_block()
+    model.save(tmp_path / "model.npz")
+    found = SubjectModel.load(tmp_path / "model.npz")
+    assert found.sha256 == model.sha256
+    assert found.muscle_groups == ("left", "left", "right", "right")
+    whole = block_model()
+    assert whole.muscle_groups == whole.muscle_names == ("left", "right")
+    assert "wholes" not in whole.archive().header  # older models keep their hash
+
+
+def test_a_compartment_has_the_part_of_the_surface_around_it() -> None:
+    low, high = (np.array([[0.0, y, 5], [9, y, 5], [9, y, 9]]) for y in (5.0, 35.0))
+    sheet = Surface(np.vstack([low, high]), np.array([[0, 1, 2], [3, 4, 5]]))
+    found = replace(divided_block(), muscles={"left": sheet}).muscle_surfaces
+    np.testing.assert_array_equal(found["left.lower"].vertices, low)
+    np.testing.assert_array_equal(found["left.upper"].vertices, high)
+
+
+def test_the_name_of_a_whole_muscle_means_its_parts() -> None:
+    names = ("frontalis_l.medial", "frontalis_l.lateral.1", "frontalis_lower", "frontalis_r")
+    assert find_muscles("frontalis_l", names) == [0, 1]
+    assert find_muscles("frontalis_r", names) == [3]
+    assert find_muscles("frontalis", names) == []
+    given = {"frontalis_l.medial": 1, "frontalis_l": 2, "procerus": 3}
+    assert by_muscle(given, names) == {"frontalis_l.medial": 1, "frontalis_l.lateral.1": 2}
 
 
 @pytest.mark.parametrize("content", ["nothing", "text", "cut zip", "array", "other header"])

@@ -26,7 +26,7 @@ from solver.fitting.objective import LEAST_STRETCH
 from solver.fitting.stretches import matrices
 from solver.mechanics.flesh import IDENTITY
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
-from tests.solver.block import block_model, head_block
+from tests.solver.block import block_model, divided_block, head_block
 
 MODEL = block_model()
 REST = np.tile(IDENTITY, (2, 1))
@@ -82,6 +82,21 @@ def test_keys_pass_through_their_values_and_never_beyond() -> None:
     assert (np.diff(between) <= 0.0).all()
     linear = KeyedDrives(keys, POSES, MODEL, np.zeros(1), interpolation="linear")
     assert linear(0.75).a[0, 0] == pytest.approx(0.8)
+
+
+def test_a_whole_muscle_moves_its_compartments() -> None:
+    model, squeezed = divided_block(), np.array([0.8, 0.0, 0.0, 1.0, 0.0, 1.0])
+    keys = [PoseKey(0.0, {}, {"left.upper": IDENTITY, "left": squeezed})]
+    a = KeyedDrives(keys, {}, model, np.zeros(1))(0.0).a
+    np.testing.assert_array_equal(a, [squeezed, IDENTITY, IDENTITY, IDENTITY])
+    contracted = [PoseKey(0.0, fibres={"right": 0.5})]
+    names = model.muscle_names
+    assert KeyedDrives(contracted, {}, model, np.zeros(1), fibres=names)(0.0).a.tolist() == [
+        0,
+        0,
+        0.5,
+        0.5,
+    ]
 
 
 @pytest.mark.parametrize(

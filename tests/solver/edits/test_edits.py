@@ -21,7 +21,7 @@ from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.mechanics.flesh import shape_gradients
 from solver.surface import Surface
-from tests.solver.block import head_block
+from tests.solver.block import block_model, divided_block, head_block
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +99,17 @@ def test_a_paralysed_muscle_is_passive_flesh(model):
     np.testing.assert_allclose(edited.S.sum(axis=1), 1.0)
     np.testing.assert_array_equal(edited.S.indices, before.indices)
     np.testing.assert_array_equal(before.data, model.weights.data)  # not changed in place
+
+
+def test_a_whole_muscle_is_paralysed_in_all_its_compartments():
+    whole, divided = block_model(), divided_block()
+    both = [Paralysis(("left",), strength=0.25), Paralysis(("right",), side="left")]
+    expected = apply(both, whole, whole.weights).S
+    found = apply(both, divided, divided.weights).S
+    np.testing.assert_array_equal(found.data, expected.data)
+    upper = apply([Paralysis(("left.upper",))], divided, divided.weights).S
+    assert upper[:, [2]].sum() == 0.0
+    np.testing.assert_array_equal(upper[:, [1]].data, divided.weights[:, [1]].data)
 
 
 def test_a_paralysed_side_ends_at_the_middle(model):

@@ -14,8 +14,8 @@ from solver.fitting.geometry import GeometryOptions
 from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
-from solver.fitting.simplex import mirror_structure, replace_values, transfer
-from tests.solver.block import block_model, poses
+from solver.fitting.simplex import mirror_structure, replace_values, smooth_structure, transfer
+from tests.solver.block import block_model, divided_block, poses
 
 
 @pytest.fixture(scope="module")
@@ -130,6 +130,26 @@ def test_symmetric_option_leaves_changes_alike():
         )
         unlike.append(np.linalg.norm(structure @ (fitted.S.data - start.model.weights.data)))
     assert unlike[1] < 0.2 * unlike[0]
+
+
+def test_smoothness_holds_neighbouring_compartments_together():
+    model = divided_block()
+    structure = smooth_structure(model, 4.0)
+    of_muscle = np.where(model.weights.indices > 2, 2, model.weights.indices > 0)
+    assert np.abs(structure @ of_muscle).max() == 0.0  # as every muscle for itself may change
+    upper = np.isin(model.weights.indices, [2, 4]).astype(float)
+    np.testing.assert_allclose(np.abs(structure @ upper), 2.0)
+    assert smooth_structure(block_model(), 4.0).shape[0] == 0
+    mirrored = mirror_structure(model, 1.0)
+    assert np.abs(mirrored @ upper).max() == 0.0
+
+
+def test_weights_go_over_between_whole_muscles_and_compartments():
+    whole, divided = block_model(), divided_block()
+    onto = transfer(whole.weights, whole, divided)
+    np.testing.assert_allclose(onto.data, divided.weights.data, atol=1e-12)
+    back = transfer(divided.weights, divided, whole)
+    np.testing.assert_allclose(back.data, whole.weights.data, atol=1e-12)
 
 
 def test_transferred_weights_follow_tets_and_names(face):

@@ -1,12 +1,15 @@
 """Scenes as documents: what is refused, and what is said of it."""
 
 import jsonschema
+import numpy as np
 import pytest
 
 from solver.errors import InputError
 from solver.kinds.document import json_schema
 from solver.kinds.scene import AnimateScene, EditScene, SimulateScene
-from solver.scene.document import document_of, read_scene
+from solver.mechanics.flesh import IDENTITY
+from solver.scene.document import document_of, drives_of, read_scene
+from tests.solver.block import divided_block
 
 EVERYTHING = {
     "fps": 24,
@@ -41,6 +44,17 @@ EVERYTHING = {
     ],
     "edits": [{"kind": "paralysis", "side": "left"}],
 }
+
+
+def test_a_stretch_of_a_whole_muscle_is_that_of_each_compartment():
+    model = divided_block()
+    scene = read_scene({"keys": [{"time": 0, "muscles": {"left": 0.8}}]}, SimulateScene)
+    found = drives_of(scene, {}, model, model.weights)(0.0).a
+    np.testing.assert_allclose(found[:2, 0], 0.8, atol=1e-9)
+    np.testing.assert_array_equal(found[2:], [IDENTITY, IDENTITY])
+    scene = read_scene({"keys": [{"time": 0, "muscles": {"tongue": 0.8}}]}, SimulateScene)
+    with pytest.raises(InputError, match="'tongue'"):
+        drives_of(scene, {}, model, model.weights)
 
 
 def test_the_schema_is_one_and_defaults_are_allowed():

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solver.anatomy.template import Depth, Muscle, ShapeBasis, Template
+from solver.anatomy.template import Compartments, Depth, Muscle, ShapeBasis, Template
 from solver.errors import InputError
 from solver.meshio.obj import write_obj
 from solver.surface import Floats, Surface
@@ -40,6 +40,7 @@ def template() -> Template:
         np.array([0.6, 0.0, 0.8]),
         np.array([30.0, 0.0, 32.0]),
         np.array([30.1, 0.0, 48.0]),
+        compartments=Compartments("lateral", ("inner", "outer")),
     )
     return Template(
         name="ball",
@@ -138,7 +139,7 @@ def test_unit_and_axes_of_the_whole_folder(folder: Path, template: Template) -> 
     expected = replace(
         template,
         shapes=None,
-        muscles=tuple(replace(muscle, fibre=along) for muscle in template.muscles),
+        muscles=tuple(replace(muscle, fibre=along) for muscle in template.undivided.muscles),
     )
     found = read_template(folder)
     assert np.abs(found.parting - template.parting).max() < 2e-3  # OBJ has six decimals of a metre
@@ -186,6 +187,7 @@ FAULTS = [
     ("muscles.csv", ",30.0,0.0,32.0,", ",30.0,0.0,thirty,", "template.table", "line 2: origin_z"),
     ("muscles.csv", ",30.0,0.0,32.0,", ",,,,", "template.table", "given together"),
     ("muscles.csv", ",no,", ",maybe,", "template.table", "neither yes nor no"),
+    ("muscles.csv", "lateral", "upwards", "template.table", "line 2: cut is none of sectors"),
     ("muscles.csv", "left_smiler.ply", "gone.ply", "template.missing", r"gone\.ply"),
     ("muscles.csv", "muscles/", "../muscles/", "template.table", "outside the folder"),
     ("parts.json", '"6-11"', '"6-12"', "template.vertex", "vertex 12 is none"),
