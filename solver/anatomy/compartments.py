@@ -126,16 +126,16 @@ def _across(
     wanted = unit_rows(direction - (fibres @ direction)[:, None] * fibres)
     load = options.slip * sizes[:, None] * np.einsum("evi,ei->ev", gradients, wanted)
     pull = options.pull * np.bincount(corners.ravel(), np.repeat(sizes / 4.0, 4), len(used))
-    right = np.bincount(corners.ravel(), load.ravel(), len(used))
-    right += pull * (vertices[used] @ direction)
+    place = vertices[used] @ direction
+    right = pull * place + np.bincount(corners.ravel(), load.ravel(), len(used))
     u = splu((K + sp.diags_array(pull)).tocsc()).solve(right)
     return np.asarray(u[corners].mean(axis=1))
 
 
 def _direction(cut: str, places: Floats, options: CutOptions) -> Floats:
     """Return the direction (3,) of a cut for a muscle with ``places`` (k, 3) from the middle."""
-    axis = np.eye(3)[("lateral", "superior", "anterior").index(cut)]
-    return axis * _outward(places, options) if cut == "lateral" else axis
+    length = _outward(places, options) if cut == "lateral" else 1.0
+    return np.asarray(length * np.eye(3)[("lateral", "superior", "anterior").index(cut)])
 
 
 def _outward(places: Floats, options: CutOptions) -> float:

@@ -7,7 +7,7 @@ import pytest
 
 from solver.anatomy import build
 from solver.anatomy.build import build_subject_model, model_summary
-from solver.anatomy.template import Template
+from solver.anatomy.template import Compartments, Template
 from solver.errors import InputError, SolveError
 from tests.solver.ball import EDGE_MM, meshed_ball
 
@@ -64,6 +64,23 @@ def test_bone_vertices_stay_on_their_bones(model):
 def test_the_same_person_gets_the_same_model(template, neutral, model):
     again = build_subject_model(template, neutral, edge_mm=EDGE_MM)
     assert again.sha256 == model.sha256
+
+
+def test_everybody_has_the_same_compartments(template, neutral):
+    halves = Compartments("lateral", ("right", "left"))
+    muscle = replace(template.muscles[0], compartments=halves)
+    divided = replace(template, muscles=(muscle,))
+    one, other = (
+        build_subject_model(divided, skin, edge_mm=EDGE_MM, compartments=True)
+        for skin in (template.skin.vertices, neutral)
+    )
+    assert one.muscle_names == other.muscle_names == ("frontalis.right", "frontalis.left")
+    assert np.array_equal(one.weights.toarray(), other.weights.toarray())
+    figures = model_summary(other)
+    assert figures["muscle_volume_kept"].keys() == {"frontalis"}
+    right, left = figures["muscle_volume_cm3"].values()
+    assert abs(np.log(right / left)) < 0.3  # of few tets
+    assert build_subject_model(divided, neutral, edge_mm=EDGE_MM).muscle_names == ("frontalis",)
 
 
 def test_a_person_who_can_not_be_reached_is_meshed_anew(template, neutral, monkeypatch):
