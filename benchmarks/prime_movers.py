@@ -26,8 +26,8 @@ from solver.fitting.admissible import AdmissibleLimits
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.model import SubjectModel
-from solver.rig.certificate import muscles
-from solver.rig.prime_movers import MoverOptions, movers, ranked
+from solver.rig.certificate import contractions, muscles
+from solver.rig.prime_movers import MoverOptions, movers
 from solver.rig.rig import Rig
 from solver.surface import Surface
 from solver.templates.builtin.build import builtin_template
@@ -113,7 +113,7 @@ def _shape(fits: Fits, name: str) -> Figures:
     face = fits.face
     a = fits.states[name].pose.a
     of = muscles(face.model, face.flesh.volumes, face.S, a)
-    found = movers(ranked(face.model.muscle_names, of.fibres, of.judged), actions_of(name))
+    found = movers(contractions(face.model, of), actions_of(name))
     judged = [check for check in found.actions if check.is_judged]
     named = sorted({muscle for check in judged for muscle in check.muscles})
     ahead = sorted({muscle for check in judged for muscle in check.ahead[: MoverOptions.places]})

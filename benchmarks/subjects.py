@@ -34,6 +34,7 @@ def add_folders(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--anatomy", type=Path, help="folder of BodyParts3D meshes")
     parser.add_argument("--faces", type=Path, help="folder of ICT-FaceKit")
     parser.add_argument("--capture-sets", type=Path, help="capture-sets file (default: in --faces)")
+    parser.add_argument("--compartments", action="store_true", help="divide muscles into theirs")
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,8 @@ def each(options: argparse.Namespace, names: Sequence[str], edge_mm: float) -> I
         template = build_ict_template(options.anatomy, options.faces)
     template = find_or_make_mesh(template, edge_mm)
     for name, scans in captures.items():
-        model = build_subject_model(template, scans.neutral.vertices, edge_mm=edge_mm)
+        neutral, divided = scans.neutral.vertices, options.compartments
+        model = build_subject_model(template, neutral, edge_mm=edge_mm, compartments=divided)
         strong = replace(scans, train=strong_scans(template, scans.neutral))
         sets = dict(zip(SETS, (scans, strong), strict=True))
         yield Subject(name, model, sets, jaw_tracks(template, model))

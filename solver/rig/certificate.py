@@ -96,6 +96,18 @@ def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) ->
     return Muscles(shortest, longest, determinants(a), fibres, flesh)
 
 
+def contractions(model: SubjectModel, found: Muscles) -> dict[str, float]:
+    """Return whole muscle -> contraction, most first; of compartments the mean over their flesh."""
+    wholes = tuple(dict.fromkeys(model.muscle_groups))
+    group = np.array([wholes.index(name) for name in model.muscle_groups])
+    known = np.isfinite(found.fibres)
+    flesh = np.where(known, found.flesh_mm3, 0.0)
+    total = np.bincount(group, flesh, len(wholes))
+    stretch = np.bincount(group, flesh * np.where(known, found.fibres, 0.0), len(wholes))
+    fibres = np.divide(stretch, total, out=np.full(len(wholes), np.nan), where=total > 0.0)
+    return ranked(wholes, fibres, total >= found.limits.least_flesh_mm3)
+
+
 # from rest, in degrees and mm; see JAW_SOURCE
 JAW_RANGES = {
     "opening_deg": (-6.0, 51.0),
@@ -268,10 +280,9 @@ def _check(
 ) -> ExpressionCheck:
     a = face.tet_activations(fit.activations)
     found = muscles(face.model, face.flesh.volumes, face.S, fit.activations)
-    contractions = ranked(face.model.muscle_names, found.fibres, found.judged)
     return ExpressionCheck(
         found,
-        movers(contractions, actions_of(fit.name)),
+        movers(contractions(face.model, found), actions_of(fit.name)),
         jaw_motion(face.model, FreeJaw(face.model.jaw).matrix(fit.jaw)),
         None if fit.x is None else check_flesh(face, a, fit.x, linear),
         None if mouth is None else crossing(mouth, fit.skin),

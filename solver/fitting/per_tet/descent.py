@@ -36,6 +36,9 @@ class TetDescentOptions:
 
     largest_step: float = 0.5  # a tet's change |dS(a_i)|, relative
     largest_jaw_step: float = 2.0  # mm
+    # motion of the mandible, mm, from which it is put in place before tets move: they reach a wide
+    # open mouth without it otherwise, and it has no reason to follow
+    wide_jaw: float = 10.0
     tets: DampingOptions = field(default_factory=lambda: DampingOptions(1.0, least=1e-7, grow=8.0))
     jaw: DampingOptions = field(default_factory=lambda: DampingOptions(1e-2, least=1e-7, grow=8.0))
     refused: float = 16.0  # factor for all when a step and its half are refused
@@ -298,15 +301,15 @@ class PerTetFit:
     status: Status
 
 
-def _with_jaw(face: Face, tissue: Tissue, data: Term) -> PosedFace:
-    """Return the tissue at rest with the jaw where a fit by whole muscles has it.
-
-    Tets near the skin reach a wide open mouth without the jaw, which then has no reason to follow.
-    """
+def _with_jaw(face: Face, tissue: Tissue, data: Term, options: TetDescentOptions) -> PosedFace:
+    """Return the tissue at rest with the jaw where a fit by muscles opens it wide."""
     rest = tissue.face.rest
     try:
-        whole = activation.fit(face, data, unseen_regulariser(face), options=UNSEEN_STOP).state
-        return tissue.face.continuation(rest, replace(rest.pose, b=whole.pose.b))
+        jaw = activation.fit(face, data, unseen_regulariser(face), options=UNSEEN_STOP).state.pose.b
+        motion = np.linalg.norm(face.mandible(jaw) - face.mandible(rest.pose.b), axis=1)
+        if motion.max() < options.wide_jaw:
+            return rest
+        return tissue.face.continuation(rest, replace(rest.pose, b=jaw))
     except (SolveError, np.linalg.LinAlgError):
         return rest
 
@@ -326,7 +329,7 @@ def fit(
     ``start.activations``) and :class:`SolveError` if the face cannot be settled.
     """
     tissue = tissues.of_face(face)
-    state = start or _with_jaw(face, tissue, data)
+    state = start or _with_jaw(face, tissue, data, way)
     if state.pose.layout is not tissue.face.layout:
         raise InputError("start.activations", "the start has not six activations per active tet")
     objective = Objective(tissue, data, options, state.pose.b)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from solver.anatomy.action_units import actions_of
+from solver.rig.certificate import Muscles, contractions
 from solver.rig.prime_movers import Movers, movers, ranked
+from tests.solver.block import block_model
 
 
 def test_muscles_are_ranked_by_how_much_they_shorten() -> None:
@@ -72,3 +76,17 @@ def test_a_unit_without_its_muscle_is_not_judged_but_its_antagonist_is() -> None
     assert left.missing == ("digastric", "lateral pterygoid")
     assert found.contradictions() == ["masseter_deep_l contracts by 20 %, against AU 26"]
     assert right.opposed == ()
+
+
+def test_a_whole_muscle_contracts_as_its_compartments_do_on_average() -> None:
+    model = replace(
+        block_model(),
+        muscle_names=("frontalis_l.medial", "frontalis_l.lateral"),
+        wholes=("frontalis_l", "frontalis_l"),
+    )
+    stretches, one = np.array([0.6, 0.9]), np.ones(2)
+    found = Muscles(one, one, one, stretches, flesh_mm3=np.array([100.0, 300.0]))
+    assert contractions(model, found) == {"frontalis_l": pytest.approx(0.175)}
+    unknown = replace(found, fibres=np.array([np.nan, 0.9]))
+    assert contractions(model, unknown) == {"frontalis_l": pytest.approx(0.1)}
+    assert contractions(model, replace(found, flesh_mm3=np.array([1.0, 2.0]))) == {}
