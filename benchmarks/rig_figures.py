@@ -14,6 +14,7 @@ from benchmarks.subject_fits import Fits, Method, rig_of
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.rig.certificate import Muscles, certify
 from solver.rig.checks import Judgement, expression_verdict, judge
+from solver.rig.prime_movers import ranked
 from solver.rig.round_trip import activation_error
 
 
@@ -59,12 +60,13 @@ def rig_figures(train: Fits, test: Fits, tracks: JawTracks) -> Figures:
     for name, found in expressions.items():
         fits = train if name in train.states else test
         motion = fits.face.jaw.matrix(fits.states[name].pose.b)
+        muscles = checks[name].muscles
         found |= {
             "verdict": expression_verdict(judgements, name),
             "beyond": beyond[name].value,
-            **muscle_figures([checks[name].muscles]),
+            **muscle_figures([muscles]),
             "condyle_out_mm": tracks.departure(motion),
-            "contractions": contractions(rig.model.muscle_names, checks[name].muscles),
+            "contractions": ranked(rig.model.muscle_names, muscles.fibres, muscles.judged),
         }
     failed = {**train.failed, **test.failed}
     bad = sum(found["verdict"] == "bad" for found in expressions.values())
@@ -113,12 +115,6 @@ def muscle_figures(expressions: Sequence[Muscles]) -> Figures:
         known = values[np.isfinite(values)]
         figures[key] = float(known.max()) if len(known) else None
     return figures
-
-
-def contractions(names: Sequence[str], muscles: Muscles) -> dict[str, float]:
-    """Return by how much the fibres of each judged muscle shorten, as part of their length."""
-    known = muscles.judged & np.isfinite(muscles.fibres)
-    return {names[k]: float(1.0 - muscles.fibres[k]) for k in np.flatnonzero(known).tolist()}
 
 
 def same_muscle_other_person(people: Sequence[Figures]) -> float | None:

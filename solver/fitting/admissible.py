@@ -20,6 +20,7 @@ plays, blends and draws them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -110,11 +111,11 @@ class AdmissibleSet:
         """Return T_j : S(a_j), (m,); 1 without fibres."""
         return np.where(self._has_fibres, (self._along * a).sum(axis=1), 1.0)
 
-    @property
+    @cached_property
     def _has_fibres(self) -> Floats:
         return np.isfinite(self.tensors[:, 0, 0])
 
-    @property
+    @cached_property
     def _along(self) -> Floats:
         """The derivative (m, 6) of T_j : S(a_j)."""
         return np.asarray(FROBENIUS * np.nan_to_num(self.tensors)[:, ROW, COLUMN])
