@@ -15,7 +15,6 @@ from solver.contact.mouth import Mouth
 from solver.errors import SolveError
 from solver.fitting import fallback, geometry, per_tet
 from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
-from solver.fitting.admissible import AdmissibleLimits
 from solver.fitting.contact import terms
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit, Status
@@ -185,7 +184,7 @@ class Method:
 
 
 def _by_admissible(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
-    return by_geometry(face.with_limits(AdmissibleLimits()), scans, schedule)
+    return by_geometry(face.within_anatomy(), scans, schedule)
 
 
 CONTROLS = {  # by what muscles and jaw may do

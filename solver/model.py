@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -35,16 +35,38 @@ ARRAYS = (
 
 
 @dataclass(frozen=True)
+class CondyleTracks:
+    """Ways of the condyles in their sockets: straight, and alike on both sides."""
+
+    slope: float  # below the jaw frame's third axis, rad
+    apart: float  # distance of the condyles, mm
+    length: float  # the furthest slide, mm
+    opening: float  # the greatest rotation of the hinge, rad
+
+
+@dataclass(frozen=True)
 class JawFrame:
     """The mandible's five degrees of freedom b (ARCHITECTURE.md, the equations: jaw).
 
     ``origin`` (3,) lies half way between the condyles; ``axes`` (3, 3) has rows: the unit vector
     through the condyles (to the subject's left), the vertical axis, and their cross product.
-    b = (rotation about row 0, rotation about row 1, translation along rows 0, 1, 2), rad and mm.
+    b = (rotation about row 0, rotation sideways, translation along rows 0, 1, 2), rad and mm.
+
+    Sideways the mandible turns in the plane of the ``tracks``, so that b can say all motions along
+    them (:mod:`solver.mechanics.jaw_tracks`); about row 1 in models made before they had tracks.
     """
 
     origin: Floats
     axes: Floats
+    tracks: CondyleTracks | None = None
+
+    @property
+    def turning(self) -> Floats:
+        """Return the axes (3, 3) that rotations are about: hinge, sideways, their cross product."""
+        across, up, ahead = self.axes
+        slope = self.tracks.slope if self.tracks else 0.0
+        sideways = np.cos(slope) * up + np.sin(slope) * ahead
+        return np.stack([across, sideways, np.cross(across, sideways)])
 
 
 def lower_teeth(regions: Mapping[str, Ints], attached_mandible: Ints) -> Ints:
@@ -229,6 +251,8 @@ class SubjectModel:
             header["size_from"] = self.size_from
         if self.wholes:
             header["wholes"] = self.wholes
+        if self.jaw.tracks:
+            header["condyle_tracks"] = asdict(self.jaw.tracks)
         return Archive(header, arrays)
 
     @classmethod
@@ -242,14 +266,14 @@ class SubjectModel:
                 for number, name in enumerate(header[f"{kind}s"])
             }
 
-        names = tuple(header["muscle_names"])
+        names, tracks = tuple(header["muscle_names"]), header.get("condyle_tracks")
         return cls(
             **{name: data[name] for name in ARRAYS},
             muscle_names=names,
             weights=csr_from("weights", data, len(names) + 1),
             skin=Surface(data["skin_vertices"], data["skin_faces"]),
             embedding=csr_from("embedding", data, len(data["rest"])),
-            jaw=JawFrame(data["jaw_origin"], data["jaw_axes"]),
+            jaw=JawFrame(data["jaw_origin"], data["jaw_axes"], tracks and CondyleTracks(**tracks)),
             muscles=surfaces("muscle"),
             bones=surfaces("bone"),
             regions=with_prefix(data, "region_"),

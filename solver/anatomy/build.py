@@ -19,7 +19,7 @@ from solver.anatomy.tetrahedra import dihedral_angles, volumes
 from solver.anatomy.transfer import carry, skin_warp, transport
 from solver.errors import InputError, SolveError
 from solver.mechanics.jaw_tracks import TRACKS, JawTracks, TrackOptions, tracks_of_shapes
-from solver.model import SubjectModel, lower_teeth
+from solver.model import CondyleTracks, JawFrame, SubjectModel, lower_teeth
 from solver.progress import Progress, Step, silent
 from solver.similarity import fit_similarity
 from solver.surface import Floats, Surface, join_surfaces, part_of
@@ -96,7 +96,7 @@ def _assemble(template: Template, person: Template, made_by: str) -> SubjectMode
         offset=skin[mesh.embedded] - embedding @ mesh.vertices,
         attached_mandible=mesh.attached_mandible,
         face=person.face_vertices,
-        jaw=jaw_frame(person.condyles),
+        jaw=_with_tracks(jaw_frame(person.condyles), template, person.skin.vertices),
         muscles={muscle.name: muscle.surface for muscle in person.muscles},
         bones={"cranium": person.cranium, "mandible": person.mandible},
         regions=person.regions,
@@ -126,17 +126,25 @@ def jaw_tracks(
 
     They keep their slope against the frame of the condyles, and grow with the head.
     """
+    return _tracks(template, model.jaw, model.skin.vertices, options)
+
+
+def _with_tracks(frame: JawFrame, template: Template, neutral: Floats) -> JawFrame:
+    found = _tracks(template, frame, neutral, TRACKS)
+    sizes = CondyleTracks(found.slope, found.apart, found.length, found.opening)
+    return replace(frame, tracks=sizes)
+
+
+def _tracks(
+    template: Template, frame: JawFrame, neutral: Floats, options: TrackOptions
+) -> JawTracks:
     skin, teeth = template.skin.vertices, lower_teeth(template.regions, template.attached_mandible)
     apart = float(np.linalg.norm(template.condyles[0] - template.condyles[1]))
     shapes = [] if template.shapes is None else list(template.shapes.expressions[:, teeth])
     found = tracks_of_shapes(jaw_frame(template.condyles), apart, skin[teeth], shapes, options)
-    size = fit_similarity(skin, model.skin.vertices).scale
+    size = fit_similarity(skin, neutral).scale
     return replace(
-        found,
-        frame=model.jaw,
-        apart=size * apart,
-        length=size * found.length,
-        bend=found.bend / size,
+        found, frame=frame, apart=size * apart, length=size * found.length, bend=found.bend / size
     )
 
 

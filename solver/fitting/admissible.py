@@ -62,6 +62,7 @@ class AdmissibleLimits:
         )
 
 
+ADMISSIBLE = AdmissibleLimits()
 # far beyond what free fits ask for
 FREE = AdmissibleLimits(fibre=4.0, shortest=0.01, longest=4.5, volume=50.0)
 

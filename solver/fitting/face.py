@@ -13,11 +13,18 @@ import scipy.sparse as sp
 from solver.anatomy.bones import skull_planes
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import InputError, SolveError
-from solver.fitting.admissible import AdmissibleLimits, AdmissibleSet
+from solver.fitting.admissible import ADMISSIBLE, AdmissibleLimits, AdmissibleSet
 from solver.fitting.checks import check_pose, check_weights
-from solver.fitting.controls import Block, Layout, activation_block, jaw_block, pose_layout
+from solver.fitting.controls import (
+    Block,
+    Layout,
+    activation_block,
+    jaw_block,
+    pose_layout,
+    track_block,
+)
 from solver.fitting.stretches import fibre_tensors
-from solver.mechanics.boundary import FreeJaw, JawMotion
+from solver.mechanics.boundary import FreeJaw, JawMotion, five_numbers
 from solver.mechanics.equilibrium import (
     Equilibrium,
     PredictorOptions,
@@ -25,6 +32,7 @@ from solver.mechanics.equilibrium import (
     solve_equilibrium,
 )
 from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
+from solver.mechanics.jaw_tracks import JawTracks, nearest_jaw
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
 from solver.mechanics.terms import EnergyTerm, check_entries, no_planes
@@ -194,6 +202,19 @@ class Face:
     def with_jaw(self, jaw: JawMotion, block: Block) -> Face:
         """Return this face with a jaw that moves by the numbers of ``block``."""
         return self._with(jaw=jaw, _jaw_block=block)
+
+    def with_free_jaw(self) -> Face:
+        """Return this face with a jaw of five numbers, which is what rigs hold."""
+        return self.with_jaw(FreeJaw(self.model.jaw), jaw_block())
+
+    def within_anatomy(self, limits: AdmissibleLimits = ADMISSIBLE) -> Face:
+        """Return this face with muscles within ``limits``, its condyles on the model's tracks.
+
+        The jaw stays free in models made before they had tracks. Raises as :meth:`with_limits`.
+        """
+        tracks = JawTracks.of(self.model.jaw)
+        face = self.with_jaw(tracks, track_block(tracks)) if tracks else self
+        return face.with_limits(limits)
 
     def _with(
         self, **changes: sp.csr_array | Flesh | JawMotion | Block | AdmissibleLimits | None
@@ -376,6 +397,14 @@ class Face:
     def mandible(self, b: Floats) -> Floats:
         """Return where the mandible's vertices are for b, (k, 3)."""
         return self.jaw.move(self._held_rest[self.model.mandible], b)
+
+    def five_jaw_numbers(self, b: Floats) -> Floats:
+        """Return the free jaw (5,) that comes nearest to the mandible at b."""
+        if isinstance(self.jaw, FreeJaw):
+            return b
+        points, free = self._held_rest[self.model.mandible], FreeJaw(self.model.jaw)
+        start = five_numbers(self.model.jaw, self.jaw.matrix(b))
+        return nearest_jaw(free, points, self.jaw.move(points, b), start)
 
     def held_positions(self, b: Floats) -> Floats:
         """Return where the held vertices are for b, (h, 3) in the order of ``flesh.held``."""

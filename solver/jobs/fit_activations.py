@@ -18,9 +18,9 @@ from solver.jobs.fits import (
     describe_fit,
     find_oddities,
     leave_rig,
-    limits_of,
     read_scans,
     refuse_failures,
+    with_controls,
 )
 from solver.kinds.fit_activations import FitActivations
 from solver.mechanics.linear import fastest
@@ -42,7 +42,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     subject, carried = parent.model, parent.expressions
     scans = read_scans(subject, task.captures)
     face = Face(subject, parent.weights, linear=given.linear_solver or fastest())
-    face = face.with_limits(limits_of(given))
+    face = with_controls(face, given)
     check_held(face)
     log = WarningLog(subject, progress)
     oddities = find_oddities(face, scans)

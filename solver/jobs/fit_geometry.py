@@ -25,9 +25,9 @@ from solver.jobs.fits import (
     describe_fit,
     find_oddities,
     leave_rig,
-    limits_of,
     read_scans,
     refuse_failures,
+    with_controls,
 )
 from solver.kinds.fit_geometry import FitGeometry
 from solver.model import SubjectModel
@@ -44,7 +44,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
     subject = SubjectModel.load(task.inputs["model"])
     scans = read_scans(subject, task.captures)
-    face = Face(subject, linear=given.linear_solver).with_limits(limits_of(given))
+    face = with_controls(Face(subject, linear=given.linear_solver), given)
     check_held(face)
     schedule = GeometryOptions(rounds=given.rounds)
     if given.solver == "ipopt":

@@ -29,7 +29,7 @@ from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted, wr
 from solver.kinds.fit_markers import FitMarkers
 from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.flesh import MOONEY_RIVLIN
-from solver.mechanics.jaw_tracks import nearest_jaw
+from solver.mechanics.jaw_tracks import JawTracks, nearest_jaw
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.progress import Step
@@ -165,7 +165,7 @@ def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Fac
     else:
         face = Face(model, rig.weights, linear=given.linear_solver or fastest())
     if given.jaw == "tracks":
-        tracks = jaw_tracks(_template(task), model)
+        tracks = JawTracks.of(model.jaw) or jaw_tracks(_template(task), model)
         face = face.with_jaw(tracks, track_block(tracks))
     return face, names
 

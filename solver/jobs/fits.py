@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from solver.errors import Finding, InputError, SolveError
-from solver.fitting.admissible import AdmissibleLimits
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
@@ -28,9 +27,9 @@ from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 
-def limits_of(options: ExpressionFitOptions) -> AdmissibleLimits | None:
-    """Return the limits of activations that a job asks for; None if they are free."""
-    return AdmissibleLimits() if options.controls == "admissible" else None
+def with_controls(face: Face, options: ExpressionFitOptions) -> Face:
+    """Return a face with the controls that a job asks for."""
+    return face.within_anatomy() if options.controls == "admissible" else face
 
 
 def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str, RegisteredScan]:
@@ -91,7 +90,7 @@ def describe_fit(
         name=name,
         role=role,
         activations=state.pose.a,
-        jaw=state.pose.b,
+        jaw=face.five_jaw_numbers(state.pose.b),
         skin=face.whole_skin(state.x, state.pose.b),
         target=scan.vertices,
         error_mm=error,

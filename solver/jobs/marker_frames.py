@@ -20,8 +20,7 @@ from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior
 from solver.fitting.markers.tracker import MarkerFit, MarkerMemory, MarkerTracker
 from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
-from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
-from solver.mechanics.jaw_tracks import nearest_jaw
+from solver.mechanics.boundary import FreeJaw
 from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
 from solver.rig.marker_view import MarkerView
@@ -162,14 +161,10 @@ def _frame(number: int, status: Status, fit: MarkerFit, face: Face, seconds: flo
 
 def _pose_values(face: Face, pose: Pose) -> dict[str, Any]:
     """Return what a frame holds of a pose."""
-    jaw, mandible = pose.b, face.jaw.matrix(pose.b)
-    on_tracks = not isinstance(face.jaw, FreeJaw)
-    if on_tracks:
-        points, free = face.model.rest[face.model.mandible], FreeJaw(face.model.jaw)
-        jaw = nearest_jaw(free, points, face.jaw.move(points, pose.b), np.zeros(JAW_FREEDOM))
+    mandible, on_tracks = face.jaw.matrix(pose.b), not isinstance(face.jaw, FreeJaw)
     return {
         "activations": pose.a.round(DECIMALS),
-        "jaw": jaw.round(DECIMALS),
+        "jaw": face.five_jaw_numbers(pose.b).round(DECIMALS),
         "tracks": pose.b.round(DECIMALS) if on_tracks else np.zeros(0),
         "mandible": mandible.round(DECIMALS),
     }

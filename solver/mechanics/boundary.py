@@ -25,7 +25,8 @@ def rotation(axis: Floats, angle: float) -> tuple[Floats, Floats]:
 
 def jaw_rotation(frame: JawFrame, b: Floats) -> Floats:
     """Return the mandible's rotation (3, 3) for b (5,): hinge first, then sideways."""
-    return rotation(frame.axes[1], b[1])[0] @ rotation(frame.axes[0], b[0])[0]
+    hinge, sideways, _ = frame.turning
+    return rotation(sideways, b[1])[0] @ rotation(hinge, b[0])[0]
 
 
 def move_jaw(frame: JawFrame, points: Floats, b: Floats) -> Floats:
@@ -40,8 +41,9 @@ def move_jaw_back(frame: JawFrame, points: Floats, b: Floats) -> Floats:
 
 def jaw_jacobian(frame: JawFrame, points: Floats, b: Floats) -> Floats:
     """Return d move_jaw / db, shape (k, 3, 5)."""
-    hinge, hinge_rate = rotation(frame.axes[0], b[0])
-    side, side_rate = rotation(frame.axes[1], b[1])
+    about_hinge, sideways, _ = frame.turning
+    hinge, hinge_rate = rotation(about_hinge, b[0])
+    side, side_rate = rotation(sideways, b[1])
     arms = points - frame.origin
     out = np.empty((len(points), 3, JAW_FREEDOM))
     out[:, :, 0] = arms @ (side @ hinge_rate).T
@@ -66,10 +68,10 @@ class JawMotion(Protocol):
 def five_numbers(frame: JawFrame, motion: Floats) -> Floats:
     """Return the b (5,) nearest to a rigid motion (4, 4) of the mandible.
 
-    They are the motion itself where its axis through the condyles stays level in the frame: both
-    condyles may go forward by different ways, but not down.
+    They are the motion itself where its axis through the condyles stays in the plane of their
+    tracks, as it does where these are straight.
     """
-    turned = frame.axes @ motion[:3, :3] @ frame.axes.T
+    turned = frame.turning @ motion[:3, :3] @ frame.turning.T
     hinge, side = np.arctan2(-turned[1, 2], turned[1, 1]), np.arctan2(-turned[2, 0], turned[0, 0])
     place = motion[:3, :3] @ frame.origin + motion[:3, 3] - frame.origin
     return np.concatenate([[hinge, side], frame.axes @ place])

@@ -11,13 +11,14 @@ and l their distance,
 
 with R_ua the shortest rotation of u to a. So the condyles stay l apart, half way between them
 nothing moves along u, and with straight tracks nothing leaves the plane of u and v: the published
-equalities hold by construction, and its inequalities are bounds on q.
+equalities hold by construction, and its inequalities are bounds on q. Then R_ua turns about n, so
+that the five numbers of a free jaw (:class:`~solver.model.JawFrame`) can say every such motion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -61,6 +62,11 @@ class JawTracks:
     opening: float  # the greatest theta, rad
     bend: float = 0.0  # k, 1/mm
     retrusion: float = 0.0  # how far a condyle may go behind its rest, mm
+
+    @classmethod
+    def of(cls, frame: JawFrame) -> JawTracks | None:
+        """Return the tracks that a model's jaw has of its own; None in models made before them."""
+        return cls(frame, **asdict(frame.tracks)) if frame.tracks else None
 
     @property
     def lower(self) -> Floats:

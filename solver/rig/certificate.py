@@ -230,7 +230,7 @@ def with_round_trips(
             admissible = face.layout.admissible
             # what was fitted freely is fitted freely again
             is_free = admissible is None or not admissible.contains(fit.activations)
-            own = face.with_limits(None) if is_free else face
+            own = face.with_limits(None).with_free_jaw() if is_free else face
             done[number] = replace(fit, round_trip=round_trip(own, pose, skin))
     return tuple(done)
 
@@ -242,7 +242,7 @@ def certify(
 
     ``information`` is that of a rig of the same S and training scans, where there is one.
     """
-    face = face.with_weights(rig.weights)
+    face = face.with_weights(rig.weights).with_free_jaw()
     mouth = Mouth.of(face.model)
     # the signs of pivots near buckling take double precision, whatever the fit had
     linear = analyse(face.flesh.hessian(face.model.rest, face.flesh.passive()))

@@ -53,9 +53,13 @@ class RoundTrip:
 def round_trip(
     face: Face, pose: Pose, fitted_face: Floats, options: RoundTripOptions = RoundTripOptions()
 ) -> RoundTrip:
-    """Simulate ``pose`` from rest, and fit it again; ``fitted_face`` (k, 3) is its skin in mm."""
+    """Simulate ``pose`` from rest, and fit it again; ``fitted_face`` (k, 3) is its skin in mm.
+
+    The pose has a free jaw, the fit the jaw of ``face``.
+    """
+    free = face.with_free_jaw()
     try:
-        simulated = face.continuation(face.rest, pose)
+        simulated = free.continuation(free.rest, pose)
     except SolveError:
         return RoundTrip()
     points = face.face_points(simulated.x)

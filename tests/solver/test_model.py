@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.model import SubjectModel, by_muscle, find_muscles
+from solver.model import CondyleTracks, SubjectModel, by_muscle, find_muscles
 from solver.surface import Surface
 from tests.solver.block import block_model, divided_block
 
@@ -36,6 +36,15 @@ def test_compartments_and_their_wholes_come_back(tmp_path: Path) -> None:
     whole = block_model()
     assert whole.muscle_groups == whole.muscle_names == ("left", "right")
     assert "wholes" not in whole.archive().header  # older models keep their hash
+
+
+def test_tracks_of_the_condyles_come_back(tmp_path: Path) -> None:
+    older = block_model()
+    tracks = CondyleTracks(0.6, 60.0, 20.0, 0.9)
+    model = replace(older, jaw=replace(older.jaw, tracks=tracks))
+    model.save(tmp_path / "model.npz")
+    assert SubjectModel.load(tmp_path / "model.npz").jaw.tracks == tracks
+    assert "condyle_tracks" not in older.archive().header
 
 
 def test_a_compartment_has_the_part_of_the_surface_around_it() -> None:

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from solver.anatomy.build import build_subject_model, model_summary
+from solver.anatomy.build import build_subject_model, jaw_tracks, model_summary
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import InputError
+from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
 from tests.solver.ball import ball_template
 
@@ -60,6 +61,10 @@ def test_jaw_axis_goes_from_right_to_left_condyle(model):
     assert np.linalg.det(model.jaw.axes) == pytest.approx(1)
     assert model.jaw.axes[0, 0] > 0.99
     assert np.allclose(model.jaw.origin, np.array([0, 0.5, 0]) + LOWER, atol=0.5)
+
+
+def test_the_jaw_has_the_templates_tracks(model, template):
+    assert JawTracks.of(model.jaw) == jaw_tracks(template, model)
 
 
 def test_muscle_volume_is_kept(model):

@@ -15,8 +15,11 @@ from solver.fitting import fallback, geometry
 from solver.fitting.face import Face, Pose
 from solver.fitting.reference import NotConvergedError, Reference
 from solver.jobs import run_job
+from solver.mechanics.boundary import FreeJaw
+from solver.mechanics.jaw_tracks import JawTracks
 from solver.meshio.obj import write_obj
 from solver.meshio.registered import read_registered
+from solver.model import CondyleTracks
 from solver.progress import Step
 from solver.rig.rig import Rig
 from solver.surface import Floats, Surface
@@ -83,10 +86,11 @@ def test_an_artifact_is_named_with_region_and_vertex(files: Path, tmp_path: Path
 def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_path: Path) -> None:
     face = Face(MODEL)
     swollen = np.tile([1.7, 0.0, 0.0, 1.4, 0.0, 1.0], (2, 1))
-    state = face.continuation(face.rest, Pose(swollen, np.zeros(5)))
+    state = face.continuation(face.rest, Pose(swollen, np.array([0.04, 0.0, 0.0, -0.5, -0.5])))
     scan = {"swollen": write(tmp_path / "swollen.obj", face.face_points(state.x))}
     fibres = np.where(MODEL.weights.indices[:, None] > 0, [1.0, 0.0, 0.0], 0.0)
-    replace(MODEL, fibres=fibres).save(tmp_path / "model.npz")
+    jaw = replace(MODEL.jaw, tracks=CondyleTracks(0.6, 60.0, 2.0, 0.3))
+    replace(MODEL, fibres=fibres, jaw=jaw).save(tmp_path / "model.npz")
     beyond = {}
     for controls in ("free", "admissible"):
         out, options = tmp_path / controls, {"controls": controls, "rounds": 3}
@@ -97,8 +101,13 @@ def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_p
         muscles = report["expressions"]["swollen"]["muscles"]
         beyond[controls] = [name for name, found in muscles.items() if found["faults"]]
         volume = {name: found["volume"] for name, found in muscles.items()}
+        (fit,) = Rig.load({"rig": out / "rig.npz"}).expressions
+        off_track = JawTracks.of(jaw).departure(FreeJaw(jaw).matrix(fit.jaw))
         if controls == "admissible":
             assert all(0.9 < each <= 1.1 for each in volume.values())
+            assert off_track < 1e-6
+        else:
+            assert off_track > 0.05
     assert beyond == {"free": ["left", "right"], "admissible": []}
 
 

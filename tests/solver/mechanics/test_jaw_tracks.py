@@ -13,6 +13,7 @@ from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.jaw_tracks import JawTracks, TrackOptions, nearest_jaw, tracks_of_shapes
+from solver.model import CondyleTracks
 from tests.fixtures import small_model
 from tests.solver.block import block_model
 
@@ -84,19 +85,41 @@ def test_condyles_on_curved_tracks_stay_apart_and_go_down_the_steeper():
     np.testing.assert_allclose(nearly, STRAIGHT.move(teeth(), q), atol=1e-5)
 
 
-def test_five_numbers_say_even_slides_and_miss_a_one_sided_one():
+def missed(frame, q):
+    """Return how far a free jaw (n,) is from one on its tracks, at the lower teeth."""
+    points = teeth()
+    b = five_numbers(frame, STRAIGHT.matrix(q))
+    return np.linalg.norm(FreeJaw(frame).move(points, b) - STRAIGHT.move(points, q), axis=1)
+
+
+@pytest.mark.parametrize("q", [*POSES, np.array([0.3, 8.0, 0.0])])
+def test_five_numbers_say_every_motion_along_straight_tracks(q):
+    frame = replace(STRAIGHT.frame, tracks=CondyleTracks(0.6, 100.0, 20.0, 0.9))
+    assert missed(frame, q).max() < 1e-10
+    assert JawTracks.of(frame) == replace(STRAIGHT, frame=frame)
+
+
+def test_five_numbers_of_old_models_say_even_slides_and_miss_a_one_sided_one():
     """As the note has it: a condyle 8 mm ahead leaves about a millimetre at the lower teeth."""
-    points, free = teeth(), FreeJaw(STRAIGHT.frame)
-    for q, most in ((POSES[0], 1e-10), (np.array([0.3, 8.0, 0.0]), np.inf)):
-        b = five_numbers(STRAIGHT.frame, STRAIGHT.matrix(q))
-        missed = np.linalg.norm(free.move(points, b) - STRAIGHT.move(points, q), axis=1)
-        assert missed.max() < most
-    assert 0.3 < np.sqrt((missed**2).mean()) < 3.0
-    b = np.array([0.3, 0.1, 2.0, -3.0, 4.0])
-    np.testing.assert_allclose(five_numbers(STRAIGHT.frame, free.matrix(b)), b, atol=1e-12)
+    assert missed(STRAIGHT.frame, POSES[0]).max() < 1e-10
+    one_sided = missed(STRAIGHT.frame, np.array([0.3, 8.0, 0.0]))
+    assert 0.3 < np.sqrt((one_sided**2).mean()) < 3.0
+
+
+@pytest.mark.parametrize("tracks", [None, CondyleTracks(0.6, 100.0, 20.0, 0.9)])
+def test_five_numbers_of_a_free_jaw_are_its_own(tracks):
+    free = FreeJaw(replace(STRAIGHT.frame, tracks=tracks))
+    points, b = teeth(), np.array([0.3, 0.1, 2.0, -3.0, 4.0])
+    np.testing.assert_allclose(five_numbers(free.frame, free.matrix(b)), b, atol=1e-12)
     np.testing.assert_allclose(
         np.c_[points, np.ones(len(points))] @ free.matrix(b)[:3].T, free.move(points, b), atol=1e-11
     )
+    exact, h = free.jacobian(points, b), 1e-6
+    for k in range(5):
+        step = h * np.eye(5)[k]
+        numeric = (free.move(points, b + step) - free.move(points, b - step)) / (2 * h)
+        assert np.abs(numeric).max() > 0.3
+        np.testing.assert_allclose(exact[:, :, k], numeric, atol=1e-6)
 
 
 def test_tracks_are_found_in_a_templates_shapes():
