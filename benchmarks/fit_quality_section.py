@@ -16,7 +16,7 @@ DISTANCES = {
     "inverted": "inverted tets",
     "det_least": "flattest tet",
     "lip_crossing_max_mm": "lips crossing, mm",
-    "bite_max_mm": "teeth in teeth, mm",
+    "bite_max_mm": "teeth in teeth beyond the neutral, mm",
     "condyle_out_mm": "condyles off their tracks, mm",
     "snap_max_mm": "simulated from rest, greatest, mm",
     "certificates_bad": "bad certificates",

@@ -25,11 +25,11 @@ from solver.surface import Floats, Ints
 class InteriorPointOptions:
     """Weights of the barrier, and Newton's method for each."""
 
-    fall: float = 0.25  # of the weight, from that at which all bounds weigh as much as the model
-    short: float = 1e-6  # part of its gain that a step may be short of at the end
+    fall: float = 0.1  # of the weight, from that at which all bounds weigh as much as the model
+    short: float = 1e-5  # part of its gain that a step may be short of at the end
     weights: int = 40  # at most
     steps: int = 15  # for one weight
-    decrement: float = 0.1  # of the last step for a weight, by that weight
+    decrement: float = 0.5  # of the last step for a weight, by that weight
     entered: float = 0.05  # distance to every bound at the start, by that at rest
     one_sided: float = 1.0  # room within a bound without another one opposite
     kept: float = 0.1  # part of the distance to a bound that a step leaves
