@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from solver.errors import Finding, InputError, SolveError
-from solver.fitting.admissible import AdmissibleLimits
+from solver.fitting.admissible import AdmissibleLimits, limits_by_plausibility
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
@@ -30,7 +30,9 @@ from solver.surface import Floats, Ints, Surface, vertex_normals
 
 def limits_of(options: ExpressionFitOptions) -> AdmissibleLimits | None:
     """Return the limits of activations that a job asks for; None if they are free."""
-    return AdmissibleLimits() if options.controls == "admissible" else None
+    if options.controls == "free":
+        return None
+    return limits_by_plausibility(options.plausibility)
 
 
 def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str, RegisteredScan]:
