@@ -162,6 +162,37 @@ def bars(
         save(figure, path)
 
 
+@dataclass(frozen=True)
+class Tradeoff:
+    """A value that falls, at every step of something that is given up for it."""
+
+    y: Sequence[float]
+    x: Mapping[str, Sequence[float]]  # what is given up by its words, a panel each
+
+
+def tradeoff(
+    path: Path, title: str, y_label: str, steps: Sequence[str], lines: Mapping[str, Tradeoff]
+) -> None:
+    """Plot the curves of a choice between two ends, its ``steps`` written beside the first line."""
+    panels = list(next(iter(lines.values())).x)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
+        for place, words in zip(
+            figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True
+        ):
+            for name, colour in _colours(lines).items():
+                line = lines[name]
+                place.plot(line.x[words], line.y, "o-", color=colour, label=name)
+            first = next(iter(lines.values()))
+            for step, x, y in zip(steps, first.x[words], first.y, strict=True):
+                place.annotate(step, (x, y), (3, 4), textcoords="offset points", fontsize=7.0)
+            place.set(xlabel=words)
+        figure.axes[0].set(title=title, ylabel=y_label)
+        figure.axes[0].set_ylim(bottom=0.0)
+        _legend_beside(figure.axes[-1])
+        save(figure, path)
+
+
 def _colours(names: Mapping[str, object]) -> dict[str, str]:
     others = iter(OTHERS * len(names))
     return {name: COLOURS.get(name) or next(others) for name in names}

@@ -68,6 +68,26 @@ FREE = AdmissibleLimits(fibre=4.0, shortest=0.01, longest=4.5, volume=50.0)
 
 
 @dataclass(frozen=True)
+class PlausibilityOptions:
+    """How far limits are loosened, as a part of the way to :data:`FREE`.
+
+    Half of what loose bounds gain comes in the first eighth of the way; the power spreads that over
+    the scale, so that the skin comes nearer evenly.
+    """
+
+    loosest: float = 0.5  # part at plausibility 0: muscles reach it in hardly any fit
+    power: float = 3.0  # of what plausibility lacks to 1
+
+
+def limits_by_plausibility(
+    plausibility: float, options: PlausibilityOptions = PlausibilityOptions()
+) -> AdmissibleLimits:
+    """Return limits for a plausibility from 0, nearly free, to 1, the limits as they are."""
+    part = options.loosest * (1.0 - plausibility) ** options.power
+    return AdmissibleLimits().loosened(part)
+
+
+@dataclass(frozen=True)
 class ProjectionOptions:
     """Effort to bring activations into the set."""
 

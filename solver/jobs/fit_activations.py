@@ -75,7 +75,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     asked = given.model_dump(include={"distance", "solver", "controls"})
     settings = {**UNSEEN, **asdict(stop), **asked}
     if face.limits is not None:
-        settings["limits"] = asdict(face.limits)
+        settings |= {"plausibility": given.plausibility, "limits": asdict(face.limits)}
     # the expressions that S was fitted to share its time
     trained = [fit for fit in carried if fit.role == "train"]
     together = [fit.seconds for fit in trained]

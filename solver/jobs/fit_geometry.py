@@ -88,7 +88,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if face.limits is None:
         del settings["tightening"]
     else:
-        settings["limits"] = asdict(face.limits)
+        settings |= {"plausibility": given.plausibility, "limits": asdict(face.limits)}
     rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, log.general)
     return leave_rig(face, rig, settings, task.out, part_of(progress, 0.8))
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from solver.errors import Finding, InputError, SolveError
+from solver.fitting.admissible import limits_by_plausibility
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
@@ -29,7 +30,9 @@ from solver.surface import Floats, Ints, Surface, vertex_normals
 
 def with_controls(face: Face, options: ExpressionFitOptions) -> Face:
     """Return a face with the controls that a job asks for."""
-    return face.within_anatomy() if options.controls == "admissible" else face
+    if options.controls == "free":
+        return face
+    return face.within_anatomy(limits_by_plausibility(options.plausibility))
 
 
 def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str, RegisteredScan]:

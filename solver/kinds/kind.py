@@ -170,6 +170,22 @@ class ExpressionFitOptions(FitOptions):
         "what muscles can: fibres up to 1.05 of their length, any direction from half to one and "
         "a half, the volume within 10 %",
     )
+    plausibility: float = Field(
+        default=1.0,
+        ge=0,
+        le=1,
+        allow_inf_nan=False,
+        description="how much admissible controls keep to what muscles can: 1, all of it; less, "
+        "looser bounds and a skin nearer to the scans; 0, nearly free",
+    )
+
+    @field_validator("plausibility")
+    @classmethod
+    def _has_bounds(cls, value: float, info: ValidationInfo) -> float:
+        if value < 1.0 and info.data.get("controls") == "free":
+            message = "loosens bounds, which free controls do not have: use admissible ones"
+            raise PydanticCustomError("no_bounds", message)
+        return value
 
     @field_validator("solver", check_fields=False)
     @classmethod

@@ -154,7 +154,7 @@ def _muscles(model: SubjectModel, found: Muscles) -> dict[str, dict[str, Any]]:
     columns = ("fibres", "shortest", "longest", "volume", "flesh_mm3")
     return {
         name: {column: _round(getattr(found, column)[number]) for column in columns}
-        | {"faults": found.faults(number)}
+        | {"whole": model.muscle_groups[number], "faults": found.faults(number)}
         for number, name in enumerate(model.muscle_names)
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterable
 from html import escape
 from importlib import resources
 from io import BytesIO
@@ -261,13 +262,47 @@ def _rows(expressions: dict[str, Any], anchors: dict[str, str]) -> str:
 
 
 def _muscles(expressions: dict[str, Any]) -> str:
-    """Return the rows of muscles by expressions, both sides of a muscle together."""
-    names = next(iter(expressions.values()))["muscles"] if expressions else []
-    rows = []
-    for muscle in sorted(names, key=lambda name: (both_sides(name), name)):
-        cells = [_muscle_cell(found["muscles"][muscle]) for found in expressions.values()]
-        rows.append(_element("tr", _element("th", escape(muscle), scope="row"), *cells))
-    return "\n".join(rows)
+    """Return the bodies of muscles by expressions, both sides of a muscle together.
+
+    Compartments are folded under their whole.
+    """
+    names = next(iter(expressions.values()))["muscles"] if expressions else {}
+    bodies = []
+    for whole, parts in _by_whole(names, sorted(names, key=lambda name: (both_sides(name), name))):
+        of_each = [[found["muscles"][name] for name in parts] for found in expressions.values()]
+        heading = escape(whole)
+        rows = []
+        if len(parts) > 1:
+            heading = _fold(heading, "")
+            for part, *cells in zip(parts, *of_each, strict=True):
+                name = _element("th", escape(part.removeprefix(f"{whole}.")), scope="row")
+                rows.append(_element("tr", name, *map(_muscle_cell, cells), class_="part"))
+        cells = [_muscle_cell(_whole_muscle(parts, each)) for each in of_each]
+        first = _element("tr", _element("th", heading, scope="row"), *cells)
+        bodies.append(_element("tbody", first, *rows))
+    return "\n".join(bodies)
+
+
+def _by_whole(muscles: dict[str, Any], names: Iterable[str]) -> list[tuple[str, list[str]]]:
+    """Return each whole among the ``names`` of muscles with its parts; alone it is its own."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        # reports from before compartments have whole muscles only
+        found.setdefault(muscles[name].get("whole", name), []).append(name)
+    return list(found.items())
+
+
+def _whole_muscle(names: list[str], parts: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return what is shown of a whole: the mean over the flesh of its parts, and all faults."""
+    if len(parts) == 1:
+        return parts[0]
+    known = [part for part in parts if part["fibres"] is not None]
+    flesh = sum(part["flesh_mm3"] for part in known)
+    fibres = sum(part["flesh_mm3"] * part["fibres"] for part in known) / flesh if flesh else None
+    faults = [
+        f"{name} {each}" for name, part in zip(names, parts, strict=True) for each in part["faults"]
+    ]
+    return {"fibres": fibres, "faults": faults}
 
 
 def _muscle_cell(muscle: dict[str, Any]) -> str:
@@ -403,7 +438,11 @@ def _movers(found: dict[str, Any] | None) -> str:
 
 
 def _faults(muscles: dict[str, Any]) -> str:
-    faults = {name: muscle["faults"] for name, muscle in muscles.items() if muscle["faults"]}
-    lines = [_element("li", escape(f"{name} {', '.join(each)}")) for name, each in faults.items()]
-    summary = f"{len(lines)} muscles beyond what muscles can do"
+    """Return the fold of what muscles cannot do, a line for each whole muscle."""
+    faulty = [name for name, muscle in muscles.items() if muscle["faults"]]
+    lines = []
+    for _, parts in _by_whole(muscles, faulty):
+        words = "; ".join(f"{name} {', '.join(muscles[name]['faults'])}" for name in parts)
+        lines.append(_element("li", escape(words)))
+    summary = f"{len(faulty)} muscles beyond what muscles can do"
     return _fold(summary, _element("ul", *lines)) if lines else ""

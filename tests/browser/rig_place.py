@@ -137,7 +137,7 @@ def until(condition: Callable[[], bool]) -> None:
 def _sequence(folder: Path, sample: Sample) -> tuple[Path, Floats]:
     """Write a sequence from neutral through two expressions, and return its skins (f, n, 3)."""
     still = SequenceFrame(
-        0, "fitted", np.zeros((1, 6)), np.zeros(5), np.zeros(6), 0.1, 0.2, 0.3, 1.0, 0, 1, 0.1
+        *(0, np.zeros((1, 6)), np.zeros(5), np.zeros(6), 0, 1, 0.1), *("fitted", 0.1, 0.2, 0.3, 1.0)
     )
     skin = AnimatedSkin(sample.neutral)
     shares = np.linspace(0, 1, 9)

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from solver.anatomy.template import Muscle
 from solver.rig.container import write_container
-from solver.surface import Floats, Ints, Surface, adjacency, vertex_normals
+from solver.surface import Floats, Ints, Surface, adjacency, part_of, vertex_normals
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
 from solver.templates.export import CaptureSet
 from solver.templates.ict_facekit import ict_capture_set
@@ -31,6 +32,7 @@ FLESH_MM = 34.0
 REACH_MM = 16.0
 SHAPES = 32
 NO_MUSCLE = 255
+DIVIDED = "frontalis"  # the muscle that is in compartments
 CUBE = np.array(
     [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]]
 )
@@ -45,6 +47,7 @@ class Sample:
     skin: Floats
     error: Floats
     muscles: tuple[str, ...]
+    stretches: Floats  # (k, m) of the fibres
     linear: Floats
     quadratic: Floats
     basis: Floats
@@ -82,9 +85,12 @@ def write_sample(folder: Path, *, whole: bool = False, subject: str = "A") -> Sa
     anatomy = builtin_template()
     names, pulls = _pulls(skin)
     linear, quadratic, basis = _preview(pulls)
-    sample = Sample(skin, tuple(scans), fitted, error, names, linear, quadratic, basis)
+    stretches = np.random.default_rng(2).random((len(scans), len(names)))
+    sample = Sample(skin, tuple(scans), fitted, error, names, stretches, linear, quadratic, basis)
     _write_view(folder / "view.bin", sample, target)
-    muscles = {muscle.name: muscle.surface for muscle in anatomy.muscles}
+    muscles = {
+        name: surface for muscle in anatomy.muscles for name, surface in _strips(muscle).items()
+    }
     bones = {"cranium": anatomy.cranium, "mandible": anatomy.mandible}
     _write_inside(folder / "inside.bin", sample, muscles, bones)
     _write_preview(folder / "preview.bin", sample)
@@ -109,16 +115,30 @@ def _smoothed(fields: Floats, faces: Ints, rounds: int = 12) -> Floats:
     return np.array(out)
 
 
+def _strips(muscle: Muscle) -> dict[str, Surface]:
+    """Return the compartments of a frontalis, cut from the middle to the side; others are whole."""
+    if not muscle.name.startswith(DIVIDED):
+        return {muscle.name: muscle.surface}
+    across = np.abs(muscle.surface.vertices[muscle.surface.faces].mean(axis=1)[:, 0])
+    strips = np.array_split(np.argsort(across), len(muscle.compartment_names))
+    surfaces = [part_of(muscle.surface, np.sort(faces)) for faces in strips]
+    return dict(zip(muscle.compartment_names, surfaces, strict=True))
+
+
 def _pulls(skin: Surface) -> tuple[tuple[str, ...], Floats]:
     """Return the muscles and how each pulls the skin (m, n, 3), mm, when fully tense."""
-    muscles = builtin_template().muscles
-    pulls = []
-    for muscle in muscles:
+    names, pulls = [], []
+    for muscle in builtin_template().muscles:
         way = np.asarray(muscle.origin) - np.asarray(muscle.insertion)
         way = way / (np.linalg.norm(way) or 1.0)
-        off = skin.vertices - np.asarray(muscle.insertion)
-        pulls.append(5.0 * np.exp(-((off / REACH_MM) ** 2).sum(axis=1))[:, None] * way)
-    return tuple(muscle.name for muscle in muscles), np.array(pulls)
+        for name, surface in _strips(muscle).items():
+            place = np.array(muscle.insertion)
+            if name != muscle.name:
+                place[0] = surface.vertices[:, 0].mean()
+            off = skin.vertices - place
+            names.append(name)
+            pulls.append(5.0 * np.exp(-((off / REACH_MM) ** 2).sum(axis=1))[:, None] * way)
+    return tuple(names), np.array(pulls)
 
 
 def _preview(pulls: Floats) -> tuple[Floats, Floats, Floats]:
@@ -141,17 +161,21 @@ def _write_view(path: Path, sample: Sample, target: Floats) -> None:
         }
         for name, error in zip(sample.names, sample.error, strict=True)
     ]
-    random = np.random.default_rng(2)
     arrays = {
         "neutral": sample.neutral.vertices.astype(np.float32),
         "faces": sample.neutral.faces.astype(np.uint32),
-        "activation": random.random((len(figures), len(sample.muscles))).astype(np.float32),
+        "activation": sample.stretches.astype(np.float32),
     }
     for k in range(len(figures)):
         arrays[f"skin/{k}"] = sample.skin[k].astype(np.float16)
         arrays[f"scan/{k}"] = target[k].astype(np.float16)
         arrays[f"error/{k}"] = sample.error[k].astype(np.float16)
-    header = {"expressions": figures, "muscles": list(sample.muscles)}
+    header = {
+        "expressions": figures,
+        "muscles": list(sample.muscles),
+        "wholes": [name.split(".")[0] for name in sample.muscles],
+        "flesh_mm3": [1.0 + number for number in range(len(sample.muscles))],
+    }
     write_container(path, header, arrays)
 
 

@@ -115,12 +115,12 @@ def test_muscle_sliders_move_the_skin_by_the_basis(place: Place, rig: Callable[.
     page.get_by_role("tab", name="Muscles").click()
     words = "approximation: mean 0.12 mm, at most 0.90 mm on 24 unseen poses"
     page.get_by_text(words).wait_for()
-    name = sample.muscles[5]
+    name = sample.muscles[9]
     title = name.replace("_", " ").capitalize()
     page.get_by_label("both sides together").uncheck()
     _slide(page, title, 0.7)
     controls = np.zeros(len(sample.muscles))
-    controls[5] = 0.7
+    controls[9] = 0.7
     _assert_close(_posed(page), sample.neutral.vertices + sample.preview(controls))
     page.get_by_label("both sides together").check()
     _slide(page, title, 1)
@@ -140,6 +140,46 @@ def test_muscle_sliders_move_the_skin_by_the_basis(place: Place, rig: Callable[.
     page.get_by_label("Set the muscles as in an expression").select_option("Smile")
     _settled(page)
     assert page.url.count("m=") > 3
+
+
+def test_a_whole_muscle_folds_its_compartments(place: Place, rig: Callable[..., Page]) -> None:
+    page = rig("?m=frontalis_l:0.5")  # an address of the time before compartments
+    sample = place.sample
+    parts = [f"frontalis_l.{part}" for part in ("medial", "middle", "lateral")]
+    numbers = [sample.muscles.index(part) for part in parts]
+    whole = page.get_by_role("slider", name="Frontalis l", exact=True)
+    medial = page.get_by_role("slider", name="Frontalis l.medial")
+    until(lambda: whole.input_value() == "0.5")
+    assert not medial.is_visible()
+    page.get_by_label("both sides together").uncheck()
+    _slide(page, "Frontalis l", 0.9)
+    controls = np.zeros(len(sample.muscles))
+    controls[numbers] = 0.9
+    _assert_close(_posed(page), sample.neutral.vertices + sample.preview(controls))
+    page.get_by_role("button", name="Parts of Frontalis l").click()
+    assert medial.input_value() == "0.9"
+    _slide(page, "Frontalis l.medial", 0.3)
+    controls[numbers[0]] = 0.3
+    _assert_close(_posed(page), sample.neutral.vertices + sample.preview(controls))
+    assert whole.input_value() == "0.7"
+    _settled(page)
+    assert (
+        _query(page)
+        == "m=frontalis_l.medial:0.3&m=frontalis_l.middle:0.9&m=frontalis_l.lateral:0.9"
+    )
+    # the whole stands out by all its parts, and its fibres are their mean over the flesh
+    page.get_by_role("button", name="Frontalis l", exact=True).click()
+    page.locator(".stage-picked", has_text="Frontalis l").wait_for()
+    page.get_by_role("tab", name="Expressions").click()
+    _slide(page, "Smile", 1)
+    page.get_by_role("tab", name="Muscles").click()
+    flesh = 1.0 + np.array(numbers)
+    length = sample.stretches[sample.names.index("smile"), numbers] @ flesh / flesh.sum()
+    row = page.locator("li", has=whole)
+    until(lambda: f"{100 * length:.0f} %" in row.inner_text())
+    page.get_by_placeholder("Find a muscle").fill("lateral")
+    assert page.get_by_role("slider", name="Frontalis r.lateral").is_visible()
+    assert not medial.is_visible()
 
 
 def test_sliders_that_are_missing_can_be_made(place: Place, rig: Callable[..., Page]) -> None:

@@ -86,6 +86,12 @@ def test_contracts_load_no_numerics() -> None:
             "'rslab-single' is not one of 'rslab', 'cholmod', 'superlu' or None",
         ),
         (
+            "fit_geometry",
+            {"controls": "free", "plausibility": 0.5},
+            "options.plausibility",
+            "0.5 loosens bounds, which free controls do not have: use admissible ones",
+        ),
+        (
             "check_scan",
             {"unit": "mile"},
             "options.unit",

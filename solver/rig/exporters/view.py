@@ -30,12 +30,15 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     neutral = rig.model.skin.vertices
     told = [figures["expressions"][fit.name] for fit in rig.expressions]
     names = rig.model.muscle_names
+    flesh = [told[0]["muscles"][name]["flesh_mm3"] for name in names] if told else []
     header = {
         "expressions": [
             {"name": fit.name, **{key: each[key] for key in ("mean_mm", "p95_mm", "max_mm")}}
             for fit, each in zip(rig.expressions, told, strict=True)
         ],
         "muscles": list(names),
+        "wholes": list(rig.model.muscle_groups),
+        "flesh_mm3": flesh,
     }
     stretches = [[each["muscles"][name]["fibres"] for name in names] for each in told]
     arrays: dict[str, np.ndarray] = {

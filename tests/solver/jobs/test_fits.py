@@ -109,6 +109,26 @@ def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_p
         else:
             assert off_track > 0.05
     assert beyond == {"free": ["left", "right"], "admissible": []}
+    # the less plausible, the nearer the skin and the larger the muscles
+    means, volumes = [], []
+    for plausibility in (1.0, 0.5, 0.0):
+        out = tmp_path / f"by_{plausibility}"
+        options = {"controls": "admissible", "plausibility": plausibility}
+        run_job(
+            "fit_activations",
+            out,
+            options=options,
+            captures=scan,
+            rig=tmp_path / "free" / "rig.npz",
+        )
+        report = json.loads((out / "report.json").read_text())
+        found = report["expressions"]["swollen"]
+        means.append(found["mean_mm"])
+        volumes.append(max(each["volume"] for each in found["muscles"].values()))
+        limits = report["settings"]["limits"]
+        assert volumes[-1] <= limits["volume"]
+    assert means == sorted(means, reverse=True)
+    assert volumes == sorted(volumes)
 
 
 def fail(*_args: object, **_more: object) -> None:

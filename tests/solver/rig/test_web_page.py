@@ -17,7 +17,7 @@ from solver.rig.certificate import certify
 from solver.rig.report import report
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.web_page import write_page
-from tests.solver.block import block_model
+from tests.solver.block import block_model, divided_block
 
 EVIL = "<b>sad & 'so'"
 VOID = {"meta", "img", "path", "circle"}
@@ -138,3 +138,37 @@ def test_it_marks_what_contradicts_the_name(tmp_path: Path) -> None:
     assert "By its name: AU 12 lip corner puller." in words
     assert "left zygomaticus major −7 % makes AU 12; lengthens in AU 12" in words
     assert "The expression's name speaks for no action unit" in words
+
+
+def test_compartments_fold_under_their_whole(tmp_path: Path) -> None:
+    face = Face(divided_block())
+    wholes = list(dict.fromkeys(face.model.muscle_groups))
+    lengths = np.array([0.8, 0.9, 1.0, 1.2])
+    a = np.array([[f, 0.0, 0.0, f**-0.5, 0.0, f**-0.5] for f in lengths])
+    smile = replace(fit(face, "smile", 0.2), activations=a, x=None)
+    rig = Rig(face.model, face.model.weights, (smile,))
+    figures = report(rig, certify(face, rig, {}))
+    write_page(tmp_path / "report.html", figures)
+    found = figures["expressions"]["smile"]["muscles"]
+    table = read_rows(tmp_path / "report.html", "muscles")
+    assert [row[0] for row in table] == [
+        *(wholes[0], "lower", "upper"),
+        *(wholes[1], "lower", "upper"),
+    ]
+    flesh = np.array([each["flesh_mm3"] for each in found.values()])
+    shown = [row[1] for row in table]
+    for number, parts in enumerate((slice(0, 2), slice(2, 4))):
+        mean = 100.0 * (lengths[parts] @ flesh[parts] / flesh[parts].sum() - 1.0)
+        assert shown[3 * number] == f"{mean:+.0f}".replace("-", "−")
+    assert [shown[1], shown[2], shown[4], shown[5]] == ["−20", "−10", "0", "+20"]
+    words = " ".join(" ".join(read(tmp_path / "report.html").text).split())
+    assert f"{wholes[1]}.upper pushes: its fibres lengthen to 120 %" in words
+
+
+def read_rows(path: Path, table: str) -> list[list[str]]:
+    """Return the texts of the body's cells of the table of a class."""
+    markup = path.read_text(encoding="utf-8").split(f'<table class="{table}">')[1]
+    body = markup.split("</thead>")[1].split("</table>")[0]
+    rows = re.findall(r"<tr.*?</tr>", body, re.DOTALL)
+    cells = [re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL) for row in rows]
+    return [[re.sub(r"<.*?>", "", cell) for cell in row] for row in cells]

@@ -5,12 +5,16 @@ import { Container } from "./container.js";
 /** What `view.bin` holds. Places are flat arrays of x, y, z in mm. */
 export class Face {
   #file;
+  #flesh;
 
   constructor(buffer) {
     this.#file = new Container(buffer);
-    const { expressions, muscles } = this.#file.header;
+    // a file from before compartments has whole muscles only
+    const { expressions, muscles, wholes = muscles, flesh_mm3: flesh = muscles.map(() => 1) } = this.#file.header;
     this.expressions = expressions;
     this.muscles = muscles;
+    this.wholes = wholes;
+    this.#flesh = flesh;
     this.neutral = this.#file.array("neutral");
     this.faces = this.#file.array("faces");
     this.count = this.neutral.length / 3;
@@ -33,10 +37,24 @@ export class Face {
     return this.#file.array(`error/${k}`);
   }
 
-  /** Return the length of each muscle's fibres in expression `k` by that at rest, NaN where unknown. */
-  stretches(k) {
-    const count = this.muscles.length;
-    return this.#file.array("activation").subarray(k * count, (k + 1) * count);
+  /** Return the muscles that a name means: its own, or all compartments of a whole. */
+  meant(name) {
+    return this.muscles.filter((muscle, m) => name === muscle || name === this.wholes[m]);
+  }
+
+  /**
+   * Return the length of a muscle's fibres in expression `k` by that at rest, NaN where unknown; of a
+   * whole it is the mean over the flesh of its compartments.
+   */
+  stretch(k, name) {
+    const stretches = this.#file.array("activation").subarray(k * this.muscles.length);
+    let [sum, flesh] = [0, 0];
+    for (const m of this.meant(name).map((muscle) => this.muscles.indexOf(muscle))) {
+      if (Number.isNaN(stretches[m])) continue;
+      sum += this.#flesh[m] * stretches[m];
+      flesh += this.#flesh[m];
+    }
+    return sum / flesh;
   }
 
   /** Return the greatest distance per vertex over all expressions, NaN where nothing was seen. */

@@ -14,7 +14,7 @@ const PALE = 0.25; // how much colour is left to the muscles that are not chosen
 /** What `inside.bin` holds; `group` is to be added to a scene. */
 export class Inside {
   #file;
-  #chosen = null;
+  #chosen = [];
 
   constructor(buffer) {
     this.#file = new Container(buffer);
@@ -49,13 +49,14 @@ export class Inside {
     this.jaw = jaw;
   }
 
-  /** Make one muscle, by its name, stand out; null: none. */
-  choose(name) {
-    this.#chosen = name;
+  /** Make muscles, by their names, stand out; without any, none is pale. */
+  choose(names) {
+    this.#chosen = names;
     for (const muscle of this.muscles) {
-      const share = name && muscle.name !== name ? PALE : 1;
+      const isChosen = names.includes(muscle.name);
+      const share = names.length && !isChosen ? PALE : 1;
       muscle.mesh.material.color.setRGB(...this.colours.get(muscle.name).map((value) => share * value + (1 - share) * 0.5));
-      muscle.mesh.material.emissive.setRGB(...this.colours.get(muscle.name).map((value) => (muscle.name === name ? 0.35 * value : 0)));
+      muscle.mesh.material.emissive.setRGB(...this.colours.get(muscle.name).map((value) => (isChosen ? 0.35 * value : 0)));
       muscle.mesh.material.opacity = share < 1 ? 0.35 : 1;
       muscle.mesh.material.transparent = share < 1;
       muscle.mesh.material.depthWrite = share === 1;

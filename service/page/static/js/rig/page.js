@@ -156,7 +156,7 @@ export class RigPage extends EventTarget {
     this.#showScan(weights);
     if (this.#inside) {
       this.#inside.setWeights(weights);
-      this.#inside.choose(state.muscle);
+      this.#inside.choose(this.#face.meant(state.muscle));
       this.#figure.showInside(this.#inside, state.inside, state.section);
     }
     this.#showHeat(weights);
@@ -253,10 +253,18 @@ export class RigPage extends EventTarget {
         this.#preview = new Preview(buffer);
         this.#muscles.setPreview(this.#preview);
         const names = this.#preview.controls.map(({ name }) => name);
-        this.state = { ...this.state, controls: among(this.state.controls, names) };
+        this.state = { ...this.state, controls: among(this.#ofParts(this.state.controls), names) };
       });
     } else this.#muscles.setMissing(await missingPreview(this.#rig, this.#signal));
     this.#update();
+  }
+
+  /** Return values with those of whole muscles given to their compartments. */
+  #ofParts(values) {
+    return new Map([...values].flatMap(([name, value]) => {
+      const meant = this.#face.meant(name);
+      return (meant.length ? meant : [name]).map((each) => [each, value]);
+    }));
   }
 
   async #readTake(job) {
@@ -318,7 +326,7 @@ function possible(state, face, hasInside) {
     heat: heatsOf(face).some(([of]) => of === state.heat?.of) ? state.heat : null,
     scan: face.hasScans ? state.scan : null,
     inside: hasInside && state.inside,
-    muscle: face.muscles.includes(state.muscle) ? state.muscle : null,
+    muscle: face.meant(state.muscle).length ? state.muscle : null,
     section: hasInside ? state.section : null,
   };
 }

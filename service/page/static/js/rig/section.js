@@ -27,8 +27,8 @@ export class Section {
    * closed surfaces whose outline is drawn, the matrix null where they stand as they are.
    */
   cut(axis, at, inside, outlines) {
-    const { chosen } = inside; // if a muscle is, it alone has its colour
-    const colours = inside.names.map((name) => (chosen && name !== chosen ? FLESH : inside.colours.get(name)));
+    const { chosen } = inside; // if muscles are, they alone have their colours
+    const colours = inside.names.map((name) => (chosen.length && !chosen.includes(name) ? FLESH : inside.colours.get(name)));
     colours.push(FLESH);
     const face = cutTets(inside.x, inside.tets, AXES[axis], at, (tet) => {
       const number = inside.mainMuscle[tet];
