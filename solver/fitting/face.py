@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from solver.anatomy.bones import skull_planes
 from solver.anatomy.embedding import LooseSkin
-from solver.errors import InputError, SolveError
+from solver.errors import SolveError
 from solver.fitting.admissible import ADMISSIBLE, AdmissibleLimits, AdmissibleSet
 from solver.fitting.checks import check_pose, check_weights
 from solver.fitting.controls import (
@@ -192,11 +192,8 @@ class Face:
         """Return this face with the activations of S within ``limits``, or free for None.
 
         The fibres are those of the face's own S: another S shifts the bounds. Controls of another
-        sort have their own. Raises :class:`InputError` (``model.no_fibres``) without fibres.
+        sort have their own. In models without fibres nothing keeps muscles from pushing.
         """
-        if limits is not None and self.model.fibres is None:
-            message = "the model has no fibres, which bound what muscles do: build it again"
-            raise InputError("model.no_fibres", message)
         return self._with(limits=limits)
 
     def with_jaw(self, jaw: JawMotion, block: Block) -> Face:
@@ -210,7 +207,7 @@ class Face:
     def within_anatomy(self, limits: AdmissibleLimits = ADMISSIBLE) -> Face:
         """Return this face with muscles within ``limits``, its condyles on the model's tracks.
 
-        The jaw stays free in models made before they had tracks. Raises as :meth:`with_limits`.
+        The jaw stays free in models made before they had tracks.
         """
         tracks = JawTracks.of(self.model.jaw)
         face = self.with_jaw(tracks, track_block(tracks)) if tracks else self
@@ -238,7 +235,10 @@ class Face:
         muscles = self.S.shape[1] - 1
         if self.limits is None:
             return activation_block(muscles)
-        tensors = fibre_tensors(self.model, self.flesh.volumes, self.S)
+        if self.model.fibres is None:
+            tensors = np.full((muscles, 3, 3), np.nan)
+        else:
+            tensors = fibre_tensors(self.model, self.flesh.volumes, self.S)
         return activation_block(muscles, AdmissibleSet(self.limits, tensors))
 
     @property

@@ -15,6 +15,7 @@ from solver.jobs import Task
 from solver.jobs.fits import (
     Targets,
     WarningLog,
+    control_settings,
     describe_fit,
     find_oddities,
     leave_rig,
@@ -42,7 +43,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     subject, carried = parent.model, parent.expressions
     scans = read_scans(subject, task.captures)
     face = Face(subject, parent.weights, linear=given.linear_solver or fastest())
-    face = with_controls(face, given)
+    face = with_controls(face, given, carried)
     check_held(face)
     log = WarningLog(subject, progress)
     oddities = find_oddities(face, scans)
@@ -72,10 +73,8 @@ def run(task: Task[FitActivations]) -> list[Path]:
         fitted.append(log.about(expression, done, found.notices))
     refuse_failures(fitted)
     kept = [fit for fit in carried if fit.name not in scans]
-    asked = given.model_dump(include={"distance", "solver", "controls"})
-    settings = {**UNSEEN, **asdict(stop), **asked}
-    if face.limits is not None:
-        settings |= {"plausibility": given.plausibility, "limits": asdict(face.limits)}
+    asked = given.model_dump(include={"distance", "solver"})
+    settings = {**UNSEEN, **asdict(stop), **asked, **control_settings(face, given)}
     # the expressions that S was fitted to share its time
     trained = [fit for fit in carried if fit.role == "train"]
     together = [fit.seconds for fit in trained]

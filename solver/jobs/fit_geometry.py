@@ -22,6 +22,7 @@ from solver.jobs import Task
 from solver.jobs.fits import (
     Targets,
     WarningLog,
+    control_settings,
     describe_fit,
     find_oddities,
     leave_rig,
@@ -83,12 +84,10 @@ def run(task: Task[FitGeometry]) -> list[Path]:
         expression = describe_fit(face, name, "train", scan, targets[name], ending, spent)
         expressions.append(log.about(expression, 0.8, ending.notices))
     refuse_failures(expressions)
-    asked = given.model_dump(include={"symmetry", "smoothness", "distance", "solver", "controls"})
-    settings = asdict(schedule) | asked
+    asked = given.model_dump(include={"symmetry", "smoothness", "distance", "solver"})
+    settings = asdict(schedule) | asked | control_settings(face, given)
     if face.limits is None:
         del settings["tightening"]
-    else:
-        settings |= {"plausibility": given.plausibility, "limits": asdict(face.limits)}
     rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, log.general)
     return leave_rig(face, rig, settings, task.out, part_of(progress, 0.8))
 

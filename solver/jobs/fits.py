@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from solver.errors import Finding, InputError, SolveError
-from solver.fitting.admissible import limits_by_plausibility
+from solver.errors import Finding, InputError, SolveError, make_warning
+from solver.fitting.admissible import AdmissibleSet, limits_by_plausibility
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
@@ -28,11 +28,29 @@ from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 
-def with_controls(face: Face, options: ExpressionFitOptions) -> Face:
-    """Return a face with the controls that a job asks for."""
-    if options.controls == "free":
-        return face
-    return face.within_anatomy(limits_by_plausibility(options.plausibility))
+def with_controls(
+    face: Face, options: ExpressionFitOptions, carried: Sequence[ExpressionFit] = ()
+) -> Face:
+    """Return a face with the controls that a job asks for.
+
+    If it asks for none they are admissible, unless IPOPT is to fit, which knows no bounds, or S was
+    fitted to ``carried`` training expressions that go beyond them.
+    """
+    bounded = face.within_anatomy(limits_by_plausibility(options.plausibility))
+    controls, within = options.controls, cast(AdmissibleSet, bounded.layout.admissible)
+    if controls is None:
+        trained = [fit.activations for fit in carried if fit.role == "train"]
+        is_free = options.solver == "ipopt" or not all(map(within.contains, trained))
+        controls = "free" if is_free else "admissible"
+    return face if controls == "free" else bounded
+
+
+def control_settings(face: Face, options: ExpressionFitOptions) -> dict[str, Any]:
+    """Return the settings that say what muscles may do in a face of :func:`with_controls`."""
+    if face.limits is None:
+        return {"controls": "free"}
+    limits = asdict(face.limits)
+    return {"controls": "admissible", "plausibility": options.plausibility, "limits": limits}
 
 
 def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str, RegisteredScan]:
@@ -62,7 +80,14 @@ def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str,
 
 def find_oddities(face: Face, scans: Mapping[str, RegisteredScan]) -> list[Finding]:
     """Return what is odd about a face and scans before they are fitted."""
-    return [*idle_muscles(face), *before_fit(face.model, scans)]
+    found = [*idle_muscles(face), *before_fit(face.model, scans)]
+    if face.limits is not None and face.model.fibres is None:
+        message = "the model has no fibres, so that muscles may push: build it again"
+        found.append(make_warning("model.no_fibres", message))
+    if face.limits is not None and face.model.jaw.tracks is None:
+        message = "the model has no tracks of its condyles, so that its jaw is free: build it again"
+        found.append(make_warning("model.no_tracks", message))
+    return found
 
 
 def refuse_failures(fits: Sequence[ExpressionFit]) -> None:

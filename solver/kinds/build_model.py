@@ -11,10 +11,10 @@ class BuildModel(JobOptions):
     """Options of a model."""
 
     edge_mm: float = Field(default=9.0, ge=3, le=30, description="edge length of the tetrahedra")
-    muscles: Literal["whole", "compartments"] = Field(
-        default="whole",
-        description="whole: every muscle contracts as one; compartments: in the parts that the "
-        "template divides it into, each by itself",
+    muscles: Literal["compartments", "whole"] = Field(
+        default="compartments",
+        description="compartments: every muscle contracts in the parts that the template divides "
+        "it into, each by itself; whole: as one",
     )
 
 

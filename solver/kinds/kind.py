@@ -162,13 +162,14 @@ class FitOptions(JobOptions):
 
 
 class ExpressionFitOptions(FitOptions):
-    """Options of fits of expressions by six numbers a muscle; ``solver`` is a field of each."""
+    """Options of fits of expressions by six numbers a muscle; each describes its ``solver``."""
 
-    controls: Literal["free", "admissible"] = Field(
-        default="free",
-        description="what a muscle may do: free, any six numbers, as published; admissible, only "
-        "what muscles can: fibres up to 1.05 of their length, any direction from half to one and "
-        "a half, the volume within 10 %",
+    controls: Literal["admissible", "free"] | None = Field(
+        default=None,
+        description="what muscles and jaw may do: admissible, only what they can (fibres up to "
+        "1.05 of their length, any direction from half to one and a half, the volume within 10 %, "
+        "the condyles on their tracks); free, any numbers, as published. If not given: admissible; "
+        "for a rig, those of its training expressions; free by ipopt, which knows no bounds",
     )
     plausibility: float = Field(
         default=1.0,
@@ -187,7 +188,9 @@ class ExpressionFitOptions(FitOptions):
             raise PydanticCustomError("no_bounds", message)
         return value
 
-    @field_validator("solver", check_fields=False)
+    solver: Literal["reduced", "ipopt"] = "reduced"
+
+    @field_validator("solver")
     @classmethod
     def _keeps_bounds(cls, value: str, info: ValidationInfo) -> str:
         if value == "ipopt" and info.data.get("controls") == "admissible":

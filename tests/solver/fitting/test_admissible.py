@@ -125,10 +125,15 @@ def test_limits_that_exclude_rest_are_refused(wrong):
     assert refused.value.code == "limits.rest"
 
 
-def test_limits_need_fibres_and_no_ipopt(face):
-    with pytest.raises(InputError) as refused:
-        Face(block_model()).with_limits(LIMITS)
-    assert refused.value.code == "model.no_fibres"
+def test_without_fibres_volume_is_kept_and_muscles_may_push():
+    admissible = Face(block_model()).with_limits(LIMITS).layout.admissible
+    pushing = np.array([1.2, 0.0, 0.0, 1.2**-0.5, 0.0, 1.2**-0.5])
+    swollen = np.array([1.2, 0.0, 0.0, 1.2, 0.0, 1.2])
+    assert admissible.contains(np.tile(pushing, (2, 1)))
+    assert not admissible.contains(np.stack([pushing, swollen]))
+
+
+def test_limits_are_not_for_ipopt(face):
     weak = Regulariser(w_a=1e-3, w_v=0.0, w_b=1e-6, prior=face.rest_pose())
     data = SkinDistance(face, Target.from_points(face.face_points(face.rest.x)))
     with pytest.raises(InputError) as refused:
