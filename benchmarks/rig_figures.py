@@ -113,7 +113,7 @@ def bite_beyond_neutral(model: SubjectModel, crossings: Sequence[Crossing | None
     Teeth of scanned neutrals lie in each other by half a millimetre and more.
     """
     mouth = Mouth.of(model)
-    rest = mouth and crossing(mouth, model.skin.vertices).bite
+    rest = None if mouth is None else crossing(mouth, model.skin.vertices).bite
     bites = [found.bite for found in crossings if found and found.bite is not None]
     return max(max(bites) - rest, 0.0) if bites and rest is not None else None
 
