@@ -57,10 +57,11 @@ def write(path: Path, vertices: Floats) -> Path:
 def activations(
     files: Path, out: Path, *names: str, **more: Any
 ) -> tuple[dict[str, Any], list[Step]]:
-    """Fit the expressions; return the report and the steps that were told."""
+    """Fit the expressions freely; return the report and the steps that were told."""
     steps: list[Step] = []
     scans = {name: files / f"{name}.obj" for name in names}
     given = {"rig": files / "rig.npz", **more}
+    given["options"] = {"controls": "free", **given.get("options", {})}
     run_job("fit_activations", out, captures=scans, progress=steps.append, **given)
     return json.loads((out / "report.json").read_text()), steps
 
