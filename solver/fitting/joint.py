@@ -43,7 +43,7 @@ from solver.surface import Floats, Ints
 # How near to the bounds a pose is linearised and taken. The best pose for an S has kinks where
 # bounds begin to hold, which a heavier barrier smooths: with an exact one steps on S are too short.
 EXACT = InteriorPointOptions()
-SMOOTH = replace(EXACT, short=1e-2)
+SMOOTH = replace(EXACT, short=0.1)
 
 
 @dataclass(frozen=True)

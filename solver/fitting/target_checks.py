@@ -18,7 +18,7 @@ from solver.fitting.face import Face
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.similarity import robust_motion, weighted_motion
-from solver.surface import Floats, Ints, directed_edges, vertex_areas
+from solver.surface import Floats, Ints, directed_edges, vertex_areas, vertex_normals
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,11 @@ class TargetLimits:
     residual_ratio: float = 5.0
     patch_mm: float = 5.0
     patches: int = 3  # that are named, at most
+    # what stands up from muscles: a patch that is left outside of the fit by this, along its
+    # normals by so much of all that is left, where so much of the scan's own motion is outward, too
+    inflated_mm: float = 1.0
+    outward: float = 0.8
+    outward_motion: float = 0.64
     still_mm: float = 2.0  # skin farther from the head's motion moves by itself ...
     rounds: int = 10  # ... and loses its say in so many rounds
 
@@ -103,6 +108,53 @@ def after_fit(
         more = {"size_mm": round(size, 1)}
         found.append(_notice("fit.unreached", message, name, model, worst, error[worst], **more))
     return sorted(found, key=lambda notice: -notice.context["mm"])[: limits.patches]
+
+
+def find_inflated(
+    model: SubjectModel,
+    name: str,
+    scan: Floats,
+    skin: Floats,
+    limits: TargetLimits = TargetLimits(),
+) -> list[Finding]:
+    """Return where a ``scan`` (V, 3) stands up from its fit ``skin`` as no muscle lifts skin.
+
+    Muscles move skin along it: air in a cheek, filler and bumps move it along its normals, and what
+    a fit leaves of that is one patch outside of it. Unseen vertices are NaN. Of the largest patch.
+    """
+    left, motion = np.zeros_like(scan), np.zeros_like(scan)
+    left[model.face] = np.nan_to_num(scan - skin)[model.face]
+    motion[model.face] = np.nan_to_num(scan - model.skin.vertices)[model.face]
+    height = np.einsum("vi,vi->v", left, vertex_normals(model.skin.moved(skin)))
+    high = height > limits.inflated_mm
+    if not high.any():
+        return []
+    patch = _parts(len(height), (edges := _edges(model))[high[edges].all(axis=1)])
+    area = np.bincount(patch[high], vertex_areas(model.skin.vertices, model.skin.faces)[high])
+    vertices = np.flatnonzero((patch == area.argmax()) & high)
+    size = 2.0 * float(np.sqrt(area.max() / np.pi))
+    worst = int(vertices[height[vertices].argmax()])
+    outward = np.einsum("vi,vi->v", motion, vertex_normals(model.skin))[vertices].sum()
+    is_inflated = (
+        size >= limits.patch_mm
+        and height[worst] >= limits.residual_mm
+        and height[vertices].sum() >= limits.outward * _lengths(left[vertices])
+        and outward >= limits.outward_motion * _lengths(motion[vertices])
+    )
+    if not is_inflated:
+        return []
+    message = (
+        f"{name}: the scan stands up to {height[worst]:.1f} mm out of what muscles make of "
+        f"it around vertex {worst} ({_where(model, worst)}), over {size:.0f} mm: air in the cheek, "
+        "filler, a swelling or a bump of the scan"
+    )
+    more = {"size_mm": round(size, 1)}
+    return [_notice("fit.inflated", message, name, model, worst, height[worst], **more)]
+
+
+def _lengths(vectors: Floats) -> float:
+    """Return the sum of the lengths of ``vectors`` (n, 3)."""
+    return float(np.linalg.norm(vectors, axis=1).sum())
 
 
 def _find_repeated(

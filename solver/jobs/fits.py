@@ -16,7 +16,7 @@ from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
 from solver.fitting.objective import Target
-from solver.fitting.target_checks import after_fit, before_fit, idle_muscles
+from solver.fitting.target_checks import after_fit, before_fit, find_inflated, idle_muscles
 from solver.kinds.kind import Distance, ExpressionFitOptions
 from solver.mechanics.flesh import IDENTITY
 from solver.meshio.registered import RegisteredScan, read_registered
@@ -222,7 +222,8 @@ class WarningLog:
         """Return a fit with the notices of it, of its ``solve`` and of what it leaves."""
         own = {"expression": fit.name}
         self.warn(fraction, [replace(each, context={**own, **each.context}) for each in solve])
-        self.warn(fraction, after_fit(self._model, fit.name, fit.error_mm))
+        inflated = find_inflated(self._model, fit.name, fit.target, fit.skin)
+        self.warn(fraction, inflated or after_fit(self._model, fit.name, fit.error_mm))
         mine = [each for each in self._notices if each.context.get("expression") == fit.name]
         return replace(fit, notices=tuple(mine))
 

@@ -7,11 +7,13 @@ import pytest
 from PIL import Image
 
 from benchmarks import plots
-from benchmarks.plots import Curve
+from benchmarks.plots import Curve, Tradeoff
+
+PLOTS = ("convergence", "descent", "frames", "bars", "tradeoff")
 
 
 def draw_all(folder: Path) -> list[Path]:
-    paths = [folder / f"{name}.png" for name in ("convergence", "descent", "frames", "bars")]
+    paths = [folder / f"{name}.png" for name in PLOTS]
     curves = {
         "A": Curve([4.0, 2.0, 1.0], [0.0, 0.1, 0.2]),
         # infeasible points of IPOPT lie below its end
@@ -23,6 +25,8 @@ def draw_all(folder: Path) -> list[Path]:
     plots.bars(
         paths[3], "Errors", "mm", ["smile", "kiss"], {"S": [0.4, 0.3], "P": [0.2, 0.1]}, 0.45
     )
+    line = Tradeoff([0.5, 0.3], {"stretch": [1.0, 2.0], "volume": [10.0, 70.0]})
+    plots.tradeoff(paths[4], "Skin against muscles", "mm", ["1", "0"], {"Ada": line})
     return paths
 
 

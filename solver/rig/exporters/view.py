@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from solver.anatomy.muscle_weights import muscle_volumes
 from solver.rig.container import write_container
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
@@ -30,7 +31,7 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     neutral = rig.model.skin.vertices
     told = [figures["expressions"][fit.name] for fit in rig.expressions]
     names = rig.model.muscle_names
-    flesh = [told[0]["muscles"][name]["flesh_mm3"] for name in names] if told else []
+    flesh = muscle_volumes(rig.model.rest, rig.model.tets, rig.weights).tolist()
     header = {
         "expressions": [
             {"name": fit.name, **{key: each[key] for key in ("mean_mm", "p95_mm", "max_mm")}}

@@ -13,7 +13,7 @@ from solver.fitting.face import Face
 from solver.fitting.simplex import replace_values
 from solver.fitting.target_checks import check_held, idle_muscles
 from solver.meshio.registered import RegisteredScan
-from solver.surface import Surface
+from solver.surface import Surface, vertex_normals
 from tests.solver.block import head_block
 
 MODEL = head_block()
@@ -104,6 +104,26 @@ def test_what_a_fit_leaves_is_told_by_patch():
     assert target_checks.after_fit(speck, "smile", error) == []
     error[[0, 27, 40, 45, 60]] = 6.0
     assert len(target_checks.after_fit(MODEL, "smile", error)) == 3
+
+
+def test_what_stands_up_from_muscles_is_told():
+    centre = NEUTRAL[[9, 30]].mean(axis=0)
+    away = np.linalg.norm((NEUTRAL - centre)[:, :2], axis=1)
+    normals = vertex_normals(MODEL.skin)
+    puffed = NEUTRAL + 5.0 * np.exp(-((away / 30.0) ** 2))[:, None] * normals
+    fitted = NEUTRAL + 0.3 * (puffed - NEUTRAL)
+    (notice,) = target_checks.find_inflated(MODEL, "puff", puffed, fitted)
+    assert notice.code == "fit.inflated"
+    assert 2.0 < notice.context["mm"] <= 3.5
+    assert "air in the cheek" in notice.message
+    # a smile that is not reached slides along the face; dents and noise stand up nowhere
+    slid = puffed + 6.0 * np.exp(-((away / 30.0) ** 2))[:, None] * [1.0, 0.0, 0.0]
+    dented = 2.0 * NEUTRAL - puffed
+    noisy = NEUTRAL + np.random.default_rng(1).normal(0.0, 0.5, NEUTRAL.shape)
+    for odd in (slid, dented, noisy):
+        assert target_checks.find_inflated(MODEL, "smile", odd, NEUTRAL) == []
+    hidden = np.where(away[:, None] < 50.0, np.nan, puffed)
+    assert target_checks.find_inflated(MODEL, "puff", hidden, NEUTRAL) == []
 
 
 def test_another_face_for_a_known_name():

@@ -73,7 +73,7 @@ def warnings(steps: list[Step]) -> list[str | None]:
 def test_an_artifact_is_named_with_region_and_vertex(files: Path, tmp_path: Path) -> None:
     report, steps = activations(files, tmp_path, "bump", "narrow")
     (warning,) = report["expressions"]["bump"]["warnings"]
-    assert warning["code"] == "fit.unreached"
+    assert warning["code"] == "fit.inflated"
     assert (warning["vertex"], warning["region"]) == (26, "left")
     assert 4.0 < warning["mm"] < 12.0
     assert warnings(steps) == [warning["message"]]

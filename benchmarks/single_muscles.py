@@ -1,0 +1,242 @@
+"""Every muscle of one side pulled alone: where the skin goes, and where it is folded.
+
+Each muscle (with ``--compartments`` each part of one) is contracted by 30 % along its fibres, its
+volume kept, by the S of a ``--rig`` or else the geometric one, the jaw at rest. ``pull_mm`` is how
+far the skin over the insertion goes along the fibres to the origin: below 0 the muscle pushes.
+``insertion_mm`` and ``origin_mm`` are how far the flesh of either end comes to the other one, and
+``held_mm`` how far the origin is from what is held. A ring has none of them. ``fibres`` is the
+length that they reach, by that at rest. ``--pictures`` draws the sheet.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from benchmarks import documents, report, subjects
+from benchmarks.documents import Figures, Plot, Section, Table
+from benchmarks.muscle_sheet import Pulled, draw, least_stretches
+from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
+from solver.drawing.head import muscle_side
+from solver.errors import SolveError
+from solver.fitting.face import Face, Pose
+from solver.fitting.stretches import fibre_tensors, shorten
+from solver.rig.rig import Rig
+from solver.surface import Floats, Ints
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PullOptions:
+    """What is pulled, and what counts as moved."""
+
+    stretch: float = 0.7  # of the fibres
+    least_share: float = 0.2  # of a tet, from which its fibres count
+    end: float = 0.3  # part of a muscle, along its fibres, that is its origin or insertion
+    over_mm: float = 12.0  # from there to the skin that is over it
+    parallel: float = 0.6  # mean of d d^T along its axis, from which fibres have one direction
+    places: int = 2  # regions that are named
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = report.parser(__doc__ or "")
+    subjects.add_options(parser)
+    parser.add_argument("--rig", type=Path, help="rig.npz of the subject, whose S is taken")
+    parser.add_argument("--pictures", type=Path, help="folder for the sheet")
+    parser.add_argument("--muscles", help="names joined by commas; else all of left and middle")
+    options = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
+    report.finish(run(options), options, section)
+
+
+def run(options: argparse.Namespace) -> Figures:
+    """Return the figures of one subject, and draw its sheet."""
+    if options.rig is not None:
+        rig = Rig.load(options.rig)
+        face = Face(rig.model, rig.weights)
+    else:
+        face = Face(subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)[0])
+    model, name = face.model, "built-in" if options.faces is None else options.subject
+    geometry = "geometric" if options.rig is None else "fitted"
+    wanted = options.muscles.split(",") if options.muscles else None
+    found, failed = {}, {}
+    for muscle, state in pull_each(face, wanted):
+        if isinstance(state, SolveError):
+            failed[muscle] = f"{state.code}: {state.message}"
+        else:
+            found[muscle] = state
+        log.info("%s %s", muscle, failed.get(muscle, ""))
+    if options.pictures is not None:
+        person = "the built-in person" if name == "built-in" else f"subject {name}"
+        title = f"Single muscles of {person}, {geometry} S"
+        draw(options.pictures / picture(name), title, model, found)
+    figures = {muscle: measure(face, muscle, pulled) for muscle, pulled in found.items()}
+    return {
+        "subject": name,
+        "S": geometry,
+        "tets": len(model.tets),
+        "muscles": figures,
+        "failed": failed,
+    }
+
+
+def picture(subject: str) -> str:
+    """Return the file name of a subject's sheet."""
+    return f"single_muscles-{subject}.png"
+
+
+def pull_each(
+    face: Face, wanted: list[str] | None = None, options: PullOptions = PullOptions()
+) -> Iterator[tuple[str, Pulled | SolveError]]:
+    """Yield every muscle with the skin when it is pulled, or with why there is none.
+
+    They are those of the left and the middle that have fibres in S, unless others are ``wanted``.
+    """
+    model, rest = face.model, face.rest
+    before = face.whole_skin(rest.x, rest.pose.b)
+    tensors = fibre_tensors(model, face.flesh.volumes, face.S)
+    for number, muscle in enumerate(model.muscle_names):
+        is_wanted = muscle in wanted if wanted else muscle_side(muscle) != "right"
+        if not is_wanted or not np.isfinite(tensors[number]).all():
+            continue
+        pose = Pose(rest.pose.a.copy(), rest.pose.b)
+        pose.a[number] = shorten(tensors[number], options.stretch)
+        try:
+            x = face.continuation(rest, pose).x
+        except SolveError as error:
+            yield muscle, error
+        else:
+            yield muscle, Pulled(before, face.whole_skin(x, pose.b), x)
+
+
+def measure(
+    face: Face, muscle: str, pulled: Pulled, options: PullOptions = PullOptions()
+) -> Figures:
+    """Return what a muscle does to the skin; lengths in mm, fractions of lengths at rest."""
+    model = face.model
+    tets, directions = _fibres(face, muscle, options.least_share)
+    motion = pulled.motion[model.face]
+    size = np.linalg.norm(motion, axis=1)
+    skin = model.skin.vertices[model.face]
+    lengths = np.linalg.norm(_carried(model.rest, pulled.x, model.tets[tets], directions), axis=1)
+    stretch, _ = least_stretches(model, pulled)
+    middle = skin[size.argmax()]
+    lateral, up, forward = motion[size.argmax()] * [np.sign(middle[0]) or 1.0, 1.0, 1.0]
+    return {
+        "max_mm": float(size.max()),
+        "lateral_mm": float(lateral),
+        "up_mm": float(up),
+        "forward_mm": float(forward),
+        "regions": _regions(model.regions, pulled.motion, options.places),
+        **_ends(face, tets, directions, pulled, options),
+        "fibres": float(np.average(lengths, weights=face.flesh.volumes[tets])),
+        "skin_shortest": float(np.min(stretch, where=np.isfinite(stretch), initial=1.0)),
+    }
+
+
+def _fibres(face: Face, muscle: str, least_share: float) -> tuple[Ints, Floats]:
+    """Return the tets that are a muscle's for the most part, and its fibres' directions in them."""
+    model, S = face.model, face.S
+    column = model.muscle_number(muscle) + 1
+    assert model.fibres is not None, "a muscle that is pulled has fibres"
+    entries = np.flatnonzero(S.indices == column)
+    share = S.data[entries]
+    kept = entries[share > min(least_share, 0.5 * share.max())]
+    tets = np.searchsorted(S.indptr, kept, side="right") - 1
+    return tets, np.asarray(model.fibres[kept])
+
+
+def _ends(
+    face: Face, tets: Ints, directions: Floats, pulled: Pulled, options: PullOptions = PullOptions()
+) -> Figures:
+    """Return what the ends of a muscle do, by its tets and their fibres from the origin on.
+
+    None for a ring, and for the skin where there is none over the insertion.
+    """
+    keys = ("pull_mm", "insertion_mm", "origin_mm", "held_mm")
+    values, axes = np.linalg.eigh(directions.T @ directions / len(directions))
+    if values[2] < options.parallel:
+        return dict.fromkeys(keys)
+    model = face.model
+    axis = axes[:, 2] * np.sign(axes[:, 2] @ directions.sum(axis=0))
+    corners = model.rest[model.tets[tets]]
+    middles, gone = corners.mean(axis=1), (pulled.x[model.tets[tets]] - corners).mean(axis=1)
+    along = middles @ axis
+    origin, insertion = (
+        along <= np.quantile(along, options.end),
+        along >= np.quantile(along, 1.0 - options.end),
+    )
+    skin, motion = model.skin.vertices[model.face], pulled.motion[model.face]
+    over, nearest = cKDTree(middles[insertion]).query(skin)
+    near = over < options.over_mm
+    to_origin = -directions[insertion][nearest[near]]
+    pulls = np.einsum("ij,ij->i", motion[near], to_origin)
+    held = model.rest[np.concatenate([model.cranium, model.mandible, model.cut])]
+    found = (
+        pulls.mean() if near.any() else None,
+        -(gone[insertion] @ axis).mean(),
+        (gone[origin] @ axis).mean(),
+        cKDTree(held).query(middles[origin])[0].mean(),
+    )
+    return {
+        key: None if each is None else float(each) for key, each in zip(keys, found, strict=True)
+    }
+
+
+def _carried(rest: Floats, x: Floats, tets: Ints, directions: Floats) -> Floats:
+    """Return F d (n, 3) of directions d in tets (n, 4)."""
+    before, after = (points[tets[:, 1:]] - points[tets[:, :1]] for points in (rest, x))
+    weights = np.linalg.solve(before.transpose(0, 2, 1), directions[..., None])
+    return np.asarray((after.transpose(0, 2, 1) @ weights)[..., 0])
+
+
+def _regions(regions: dict[str, Ints], motion: Floats, count: int) -> list[str]:
+    """Return the regions of the skin that move most."""
+    size = np.linalg.norm(motion, axis=1)
+    means = {name: float(size[ids].mean()) for name, ids in regions.items() if len(ids)}
+    return sorted(means, key=lambda name: -means[name])[:count]
+
+
+def section(figures: Figures) -> Section:
+    """Return the section of docs/science/benchmarks.md."""
+    columns = {
+        "max_mm": "greatest, mm",
+        "lateral_mm": "lateral",
+        "up_mm": "up",
+        "forward_mm": "forward",
+        "pull_mm": "skin pulled, mm",
+        "insertion_mm": "insertion, mm",
+        "origin_mm": "origin, mm",
+        "held_mm": "from held, mm",
+        "fibres": "fibres",
+        "skin_shortest": "shortest skin",
+    }
+    rows = [
+        [muscle, *(found[key] for key in columns), ", ".join(found["regions"])]
+        for muscle, found in figures["muscles"].items()
+    ]
+    sheet = documents.IMAGES / picture(figures["subject"])
+    return Section(
+        title="Single muscles",
+        compared="Every muscle of the left side and the middle contracted alone by 30 %, by the "
+        f"{figures['S']} S: how far the skin goes, and where to at the place that goes farthest, "
+        "in mm; how far it is pulled over the insertion along the fibres to the origin; how far "
+        "the flesh of the insertion and of the origin comes to the other end, and how far from "
+        "what is held the origin lies (no figures: a ring); how short fibres and skin become.",
+        parts=[
+            *([Plot(sheet, "Every muscle of the left side alone")] if sheet.exists() else []),
+            Table(["muscle", *columns.values(), "regions"], rows),
+        ],
+    )
+
+
+if __name__ == "__main__":
+    main()
