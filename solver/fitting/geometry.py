@@ -11,6 +11,7 @@ in worse minima.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -62,7 +63,20 @@ class GeometryOptions:
         """Return how many rounds a fit of ``face`` takes at most."""
         if face.limits is None:
             return self.rounds
-        return self.rounds + len(self.tightening.loosened) + self.tightening.rounds
+        way = self.shortened_tightening
+        return self.rounds + len(way.loosened) + way.rounds
+
+    @property
+    def shortened_tightening(self) -> TighteningOptions:
+        """Return the way to admissible activations, shorter for fewer rounds than usual."""
+        share, way = min(self.rounds / GeometryOptions.rounds, 1.0), self.tightening
+        steps = max(round(share * len(way.loosened)), 1)
+        chosen = np.linspace(0, len(way.loosened) - 1, steps + 1)[1:].astype(int)
+        if steps == len(way.loosened):
+            chosen = np.arange(steps)
+        return TighteningOptions(
+            tuple(way.loosened[number] for number in chosen), math.ceil(share * way.rounds)
+        )
 
 
 @dataclass(frozen=True)
@@ -137,7 +151,8 @@ def _tighten(
     listen: Listener | None,
 ) -> tuple[Iterate, int]:
     """Go on within bounds that close on ``limits``, and count the rounds."""
-    first, parts = options.rounds, options.tightening.loosened
+    first, way = options.rounds, options.shortened_tightening
+    parts = way.loosened
     closed = first + len(parts)
 
     def enter(number: int, now: Iterate) -> Iterate:
@@ -151,7 +166,7 @@ def _tighten(
         return replace(now, states=states)
 
     taken = 0
-    last = range(closed, closed + options.tightening.rounds)
+    last = range(closed, closed + way.rounds)
     # while bounds close a round need not gain anything
     for rounds, tolerance in ((range(first, closed), -np.inf), (last, options.tolerance)):
         rules = joint.RoundOptions(options.retries, tolerance)
