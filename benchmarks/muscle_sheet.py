@@ -18,7 +18,7 @@ from solver.drawing.head import DrawnHead
 from solver.drawing.render import Camera, render
 from solver.drawing.sheet import GREY, HEADER, INK, Sheet
 from solver.model import SubjectModel
-from solver.surface import Floats, Surface, unit_rows, vertex_normals
+from solver.surface import Floats, Ints, Surface, unit_rows, vertex_normals
 
 FOLD = (150, 20, 60)  # sRGB bytes
 
@@ -29,7 +29,7 @@ class MuscleSheetOptions:
 
     cell: tuple[int, int] = (198, 198)
     colours: int = 128  # of the file: half the size
-    caption: int = 54  # height, over a picture
+    caption: int = 68  # height, over a picture
     letters: int = 28  # in a line of it
     columns: int = 8
     span_mm: float = 120.0  # that a picture shows
@@ -157,7 +157,7 @@ def _picture(
         stroke(begin, begin + longer * motion[model.face[point]], INK, arrow=True)
 
 
-def _spaced(points: Floats, chosen: Floats, order: Floats, spacing: float) -> list[int]:
+def _spaced(points: Floats, chosen: Ints, order: Floats, spacing: float) -> list[int]:
     """Return those ``chosen`` in ``order`` that are not near one before them."""
     kept: list[int] = []
     for point in chosen[np.argsort(order[chosen])].tolist():

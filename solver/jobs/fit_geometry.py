@@ -33,6 +33,7 @@ from solver.jobs.fits import (
 from solver.kinds.fit_geometry import FitGeometry
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, part_of
+from solver.rig.neutral_checks import check_neutral
 from solver.rig.rig import Rig
 
 
@@ -84,6 +85,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
         expression = describe_fit(face, name, "train", scan, targets[name], ending, spent)
         expressions.append(log.about(expression, 0.8, ending.notices))
     refuse_failures(expressions)
+    log.warn(0.8, check_neutral(face.with_weights(fitted.S), expressions))
     asked = given.model_dump(include={"symmetry", "smoothness", "distance", "solver"})
     settings = asdict(schedule) | asked | control_settings(face, given)
     if face.limits is None:

@@ -112,21 +112,19 @@ def _check(
 ) -> ActionCheck:
     unit = action.unit
     near = [name for name in contractions if muscle_side(name) in (action.side, "")]
-    mine = [name for name in near if _is_one_of(name, unit.muscles)]
+    mine = [name for name in near if is_one_of(name, unit.muscles)]
     called = [muscle for unit, side in actions if side == action.side for muscle in unit.muscles]
     most = max((contractions[name] for name in mine), default=0.0)
     ahead = [
         name
         for name in near
-        if contractions[name] > max(most, options.least) and not _is_one_of(name, called)
+        if contractions[name] > max(most, options.least) and not is_one_of(name, called)
     ]
     return ActionCheck(
         action,
         muscles=tuple(mine),
         missing=tuple(
-            muscle
-            for muscle in unit.muscles
-            if not any(_is_one_of(name, [muscle]) for name in near)
+            muscle for muscle in unit.muscles if not any(is_one_of(name, [muscle]) for name in near)
         ),
         rank=len(ahead) + 1 if most >= options.least else None,
         ahead=tuple(ahead),
@@ -134,13 +132,13 @@ def _check(
         opposed=tuple(
             name
             for name in ahead
-            if contractions[name] >= options.contrary and _is_one_of(name, unit.antagonists)
+            if contractions[name] >= options.contrary and is_one_of(name, unit.antagonists)
         ),
         places=options.places,
     )
 
 
-def _is_one_of(name: str, muscles: Iterable[str]) -> bool:
+def is_one_of(name: str, muscles: Iterable[str]) -> bool:
     """Whether a template's muscle is one of ``muscles`` of anatomy texts."""
     bare = both_sides(name).lower()
     return any(bare in template_names(muscle) for muscle in muscles)
