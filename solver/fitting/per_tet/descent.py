@@ -43,7 +43,7 @@ class TetDescentOptions:
     jaw: DampingOptions = field(default_factory=lambda: DampingOptions(1e-2, least=1e-7, grow=8.0))
     refused: float = 16.0  # factor for all when a step and its half are refused
     # beside a fold only short steps lead down: so many more are tried, ever more damped, while f is
-    # as many times what viscous flesh came to, which shows that there is a way
+    # at least so many times what viscous flesh came to, if in states that may not hold without drag
     refusals: int = 4
     behind: float = 2.0
 
@@ -173,7 +173,7 @@ class Descent:
     """Minimises f from ``state``, iterations being counted from ``taken``.
 
     ``best`` is the state of the least f, and that; ``listen`` hears of the least f so far;
-    ``reachable`` is an f that viscous flesh came to.
+    ``reachable`` is an f that viscous flesh came to: well above it refused steps are no end.
     """
 
     def __init__(
