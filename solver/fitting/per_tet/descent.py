@@ -42,6 +42,10 @@ class TetDescentOptions:
     tets: DampingOptions = field(default_factory=lambda: DampingOptions(1.0, least=1e-7, grow=8.0))
     jaw: DampingOptions = field(default_factory=lambda: DampingOptions(1e-2, least=1e-7, grow=8.0))
     refused: float = 16.0  # factor for all when a step and its half are refused
+    # beside a fold only short steps lead down: so many more are tried, ever more damped, while f is
+    # at least so many times what viscous flesh came to, if in states that may not hold without drag
+    refusals: int = 4
+    behind: float = 2.0
 
     corrections: int = 8  # Newton steps to an equilibrium nearby
     tries: int = 2  # whole and half steps before the damping grows
@@ -168,7 +172,8 @@ class Status(StrEnum):
 class Descent:
     """Minimises f from ``state``, iterations being counted from ``taken``.
 
-    ``best`` is the state of the least f, and that; ``listen`` hears of the least f so far.
+    ``best`` is the state of the least f, and that; ``listen`` hears of the least f so far;
+    ``reachable`` is an f that viscous flesh came to: well above it refused steps are no end.
     """
 
     def __init__(
@@ -178,8 +183,10 @@ class Descent:
         listen: Listener | None,
         taken: int,
         options: TetDescentOptions,
+        reachable: float = np.inf,
     ) -> None:
         self._objective, self._options, self._listen = objective, options, listen
+        self._reachable = reachable
         self._solver = SaddleSolver(objective.tissue)
         self._first = Damping.start(len(objective.tissue.active), options)
         self._damping = self._first
@@ -189,6 +196,7 @@ class Descent:
         self._since_best = 0  # iterations
         self._small = 0  # gains in turn
         self._snaps = 0
+        self._refusals = 0  # in turn, since the snap that was tried
         self._stuck = False  # a step was refused, and little gained since
         self._slow = False  # the last step gained little
 
@@ -218,14 +226,23 @@ class Descent:
         if found is None and not (self._stuck or crawls):
             self._stuck, self._damping = True, self._damping.after_refusal()
             return True
-        if found is None and self._snaps < self._options.snaps:
+        if found is None and not self._refusals and self._snaps < self._options.snaps:
             self._snaps += 1
             self._stuck = False
             found = self._snap(step)
         if found is None:
-            return False
+            return self._refuse()
         self._take(*found, tolerance)
         return True
+
+    def _refuse(self) -> bool:
+        """Have the next step shorter; False where there is no reason to."""
+        self._refusals += 1
+        self._stuck, self._slow = True, False
+        self._damping = self._damping.after_refusal()
+        options = self._options
+        is_behind = self.best[1] > options.behind * self._reachable
+        return is_behind and self._refusals <= options.refusals
 
     def _snap(self, step: TetStep) -> tuple[PosedFace, Damping] | None:
         """Return the equilibrium at the end of a step, or of its half, where f is not too high."""
@@ -246,6 +263,7 @@ class Descent:
         value = self._objective.value(state)
         gain = self._value - value
         self._state, self._value, self._damping = state, value, damping
+        self._refusals = 0
         self._slow = 0.0 <= gain < self._options.unstuck * value
         self._stuck = self._stuck and self._slow
         self._small = self._small + 1 if 0.0 <= gain <= tolerance * value else 0
@@ -263,10 +281,10 @@ def creep(
     viscosities: Sequence[float],
     steps: int,
     options: TetDescentOptions,
-) -> tuple[PosedFace, int]:
-    """Return an equilibrium near the target, ``start`` at worst, and the steps to it.
+) -> tuple[PosedFace, int, float]:
+    """Return an equilibrium near the target, ``start`` at worst, the steps to it, and the least f.
 
-    They lead through viscous flesh, ``steps`` with each viscosity.
+    They lead through viscous flesh, ``steps`` with each viscosity, and so does that f.
     """
     flesh = tissue.face.flesh
     drag = Drag(flesh)
@@ -274,6 +292,7 @@ def creep(
     objective = Objective(viscous, data, weights, start.pose.b)
     solver, face = SaddleSolver(viscous), viscous.face
     state, damping, taken = start, Damping.start(len(tissue.active), options), 0
+    least = np.inf
     for viscosity in np.repeat(viscosities, steps):
         drag.viscosity, drag.anchor = float(viscosity), state.x
         try:
@@ -284,8 +303,9 @@ def creep(
         taken += 1
         found = step.descend(objective, options.viscous_tries)
         state, damping = found or (state, damping.after_refusal())
+        least = min(least, objective.value(state))
     end = tissue.face.settle(state.pose, state.x)
-    return (start if end is None else min(start, end, key=objective.value)), taken
+    return (start if end is None else min(start, end, key=objective.value)), taken, least
 
 
 @dataclass(frozen=True)
@@ -333,16 +353,16 @@ def fit(
     if state.pose.layout is not tissue.face.layout:
         raise InputError("start.activations", "the start has not six activations per active tet")
     objective = Objective(tissue, data, options, state.pose.b)
-    taken, value = 0, objective.value(state)
+    taken, value, reachable = 0, objective.value(state), np.inf
     for cycle in range(way.cycles):
         if cycle or start is None:
             # half the iterations at most are for the viscous flesh
             left = options.max_iterations - taken
             viscosities = way.viscosities[min(cycle, 1) :]
             steps = min(way.viscous_steps, left // (2 * len(viscosities)))
-            state, crept = creep(tissue, data, options, state, viscosities, steps, way)
-            taken += crept
-        descent = Descent(objective, state, listen, taken, way)
+            state, crept, least = creep(tissue, data, options, state, viscosities, steps, way)
+            taken, reachable = taken + crept, min(reachable, least)
+        descent = Descent(objective, state, listen, taken, way, reachable)
         status = descent.run(options.max_iterations, options.tolerance)
         before = value
         (state, value), taken = descent.best, descent.taken

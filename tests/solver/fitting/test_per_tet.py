@@ -9,8 +9,10 @@ import scipy.optimize
 from solver.errors import InputError
 from solver.fitting import per_tet, stretches
 from solver.fitting.face import Face, Pose, PosedFace
+from solver.fitting.least_squares import DampingOptions
 from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.per_tet import Objective, PerTetOptions, tissue
+from solver.fitting.per_tet.descent import Descent, Status, TetDescentOptions
 from solver.fitting.per_tet.objective import PreferredContraction, contraction
 from solver.fitting.per_tet.saddle import SaddleSolver
 from solver.mechanics.flesh import COROTATED_DET, IDENTITY
@@ -176,6 +178,34 @@ def test_round_trip_reaches_the_skin(divided):
     assert divided.face.flesh.inverted(fit.state.x) == 0
     # muscles contract: their preferred activation is short along the fibres
     assert (fit.gamma > 1.02).all()
+
+
+def test_refused_steps_are_no_minimum_where_viscous_flesh_came_further(divided):
+    """Steps far too long for one Newton step: ever shorter ones still lead down."""
+    rng = np.random.default_rng(8)
+    jaw = np.array([0.2, 0.0, 0.0, -2.0, 1.0])
+    target = target_of(divided, Pose(contracted(divided, rng, 0.5), jaw))
+    weak = PerTetOptions(w_act=1e-4, w_sparse=0.0, w_volume=1e-4, w_b=1e-12)
+    objective = Objective(divided, SkinDistance(divided.face, target), weak, np.zeros(5))
+    way = TetDescentOptions(
+        largest_step=50.0,
+        largest_jaw_step=100.0,
+        tets=DampingOptions(1e-7, least=1e-7, grow=8.0),
+        corrections=1,
+        tries=1,
+        snaps=0,
+    )
+
+    def descend(reachable):
+        found = Descent(objective, divided.face.rest, None, 0, way, reachable)
+        return found.run(8, 2e-3), found.best[1]
+
+    status, stopped = descend(np.inf)
+    assert status == Status.NO_DESCENT
+    _, value = descend(0.4 * stopped)
+    assert value < 0.5 * stopped
+    # no reason to insist this near to it
+    assert descend(0.6 * stopped) == (Status.NO_DESCENT, stopped)
 
 
 def test_a_fit_goes_on_from_its_end(divided):
