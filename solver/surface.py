@@ -125,3 +125,15 @@ def nearest_sphere(points: Floats) -> tuple[Floats, float]:
     solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
     centre = solution[:3]
     return centre, float(np.sqrt(solution[3] + centre @ centre))
+
+
+def distance_to_path(points: Floats, path: Floats) -> Floats:
+    """Return the distance (n,) of points (n, 3) to a polyline (k, 3); one point is one, too."""
+    starts, ends = path[: max(len(path) - 1, 1)], path[min(1, len(path) - 1) :]
+    nearest = np.full(len(points), np.inf)
+    for start, end in zip(starts, ends, strict=True):
+        along = end - start
+        part = (points - start) @ along / max(float(along @ along), 1e-12)
+        foot = start + np.clip(part, 0.0, 1.0)[:, None] * along
+        nearest = np.minimum(nearest, np.linalg.norm(points - foot, axis=1))
+    return nearest

@@ -37,7 +37,6 @@ def ball_head() -> Template:
         cranium=np.zeros(0, np.int64),
         mandible=np.zeros(0, np.int64),
         cut=np.zeros(0, np.int64),
-        sliding=np.zeros(0, np.int64),
         embedded=front,
         embedded_in=np.zeros(count, np.int64),
         shares=np.full((count, 4), 0.25),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
-from solver.anatomy.data import read_table
+from solver.anatomy.data import listed, read_table
 from solver.drawing.head import both_sides
 
 SIDES = ("left", "right")
@@ -44,8 +44,8 @@ def action_units() -> dict[str, ActionUnit]:
         row["unit"]: ActionUnit(
             row["unit"],
             row["name"],
-            _listed(row["muscles"]),
-            _listed(row["antagonists"]),
+            listed(row["muscles"]),
+            listed(row["antagonists"]),
             tuple(row["source"].split()),
         )
         for row in read_table("action_units")
@@ -99,7 +99,7 @@ def template_names(muscle: str) -> frozenset[str]:
 def _template_names() -> dict[str, frozenset[str]]:
     found = {}
     for row in read_table("muscle_names"):
-        names = [row["muscle"], *_listed(row["builtin"]), *_listed(row["bodyparts3d"])]
+        names = [row["muscle"], *listed(row["builtin"]), *listed(row["bodyparts3d"])]
         found[row["muscle"]] = frozenset(both_sides(name) for name in names)
     return found
 
@@ -107,11 +107,7 @@ def _template_names() -> dict[str, frozenset[str]]:
 @cache
 def _expressions() -> dict[str, tuple[str, ...]]:
     rows = read_table("expression_units")
-    return {_plain(row["expression"]): _listed(row["units"]) for row in rows}
-
-
-def _listed(cell: str) -> tuple[str, ...]:
-    return tuple(cell.split("; ")) if cell else ()
+    return {_plain(row["expression"]): listed(row["units"]) for row in rows}
 
 
 def _plain(name: str) -> str:

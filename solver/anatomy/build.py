@@ -12,6 +12,7 @@ import structlog
 from solver.anatomy.bones import jaw_frame
 from solver.anatomy.compartments import divide_muscles, number_compartments
 from solver.anatomy.embedding import barycentric
+from solver.anatomy.facial_spaces import gliding
 from solver.anatomy.meshing import EDGE_MM, make_mesh
 from solver.anatomy.muscle_weights import enclosed_volume, fibre_directions, muscle_volumes
 from solver.anatomy.template import Template, TemplateMesh
@@ -49,12 +50,10 @@ def build_subject_model(
     """
     _check(template, neutral)
     person, made_by = carry_anatomy(template, neutral, edge_mm=edge_mm, progress=progress)
-    model = _assemble(template, person, made_by)
-    if not compartments:
-        return model
-    # on the template's own tets, so that everybody who has them has the same compartments
+    # on the template's own tets: who has them has the same facial spaces and compartments
     shared = person if made_by != "transport" else template
-    return _divide(model, shared)
+    model = _glide(_assemble(template, person, made_by), shared)
+    return _divide(model, shared) if compartments else model
 
 
 def carry_anatomy(
@@ -87,7 +86,7 @@ def _assemble(template: Template, person: Template, made_by: str) -> SubjectMode
         cranium=mesh.cranium,
         mandible=mesh.mandible,
         cut=mesh.cut,
-        sliding=mesh.sliding,
+        sliding=mesh.cranium[:0],
         muscle_names=tuple(muscle.name for muscle in person.muscles),
         weights=mesh.weights,
         skin=person.skin,
@@ -104,6 +103,13 @@ def _assemble(template: Template, person: Template, made_by: str) -> SubjectMode
         mesh_source=made_by,
         fibres=fibre_directions(mesh.vertices, mesh.tets, mesh.weights, person.muscles),
     )
+
+
+def _glide(model: SubjectModel, source: Template) -> SubjectModel:
+    """Return a model held by its cranium with flesh that glides in the spaces of ``source``."""
+    mesh = cast(TemplateMesh, source.mesh)
+    glides = gliding(source, mesh.vertices[mesh.cranium])
+    return replace(model, cranium=mesh.cranium[~glides], sliding=mesh.cranium[glides])
 
 
 def _divide(model: SubjectModel, source: Template) -> SubjectModel:

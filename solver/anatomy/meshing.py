@@ -48,8 +48,6 @@ class MeshOptions:
     jaw_free_mm: float = 15.0
     # So is one this near to the face under the jaw: the throat is drawn along.
     face_free_mm: float = 20.0
-    # Forehead: the skull's vertices this near to the frontalis slide instead of being fixed.
-    frontalis_mm: float = 6.0
     # Skin further from the flesh than this part of the edge length does not follow it.
     embedding: float = 0.25
     # Skin beyond the flesh goes with the jaw this near to it: the mouth's lining, not the neck.
@@ -184,11 +182,7 @@ def _held(head: Template, flesh: MeshedFlesh, options: MeshOptions) -> dict[str,
     cranium = np.setdiff1d(flesh.held[Label.CRANIUM], mandible)
     cut = np.setdiff1d(flesh.held[Label.CUT], np.union1d(mandible, cranium))
     cut = cut[~_drawn_along(head, flesh.vertices[cut], options)]
-    frontalis = [m.surface.vertices for m in head.muscles if "frontalis" in m.name]
-    near = cKDTree(np.vstack([np.empty((0, 3)), *frontalis])).query(flesh.vertices[cranium])[0]
-    slides = near < options.frontalis_mm
-    fixed, sliding = cranium[~slides], cranium[slides]
-    return {"cranium": fixed, "mandible": mandible, "cut": cut, "sliding": sliding}
+    return {"cranium": cranium, "mandible": mandible, "cut": cut}
 
 
 def _drawn_along(head: Template, points: Floats, options: MeshOptions) -> np.ndarray:

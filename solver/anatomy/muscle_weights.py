@@ -328,9 +328,13 @@ def with_axis(name: str, surface: Surface, skull: Floats) -> Muscle:
     return Muscle(name, surface, fibre, origin, insertion)
 
 
-def muscle_ends(surface: Surface, axis: Floats, part: float = 0.1) -> Floats:
-    """Return the centres (2, 3) of both ends along an axis, each ``part`` of the vertices."""
+def muscle_ends(surface: Surface, axis: Floats) -> Floats:
+    """Return the centres (2, 3) of both ends along an axis."""
+    return np.stack([end.mean(axis=0) for end in end_vertices(surface, axis)])
+
+
+def end_vertices(surface: Surface, axis: Floats, part: float = 0.1) -> tuple[Floats, Floats]:
+    """Return the vertices, (j, 3) and (k, 3), at both ends along an axis, each ``part`` of all."""
     along = surface.vertices @ axis
     low, high = np.quantile(along, [part, 1 - part])
-    ends = (surface.vertices[along <= low], surface.vertices[along >= high])
-    return np.stack([end.mean(axis=0) for end in ends])
+    return surface.vertices[along <= low], surface.vertices[along >= high]

@@ -105,7 +105,7 @@ def check_arrays(template: Template, file: str) -> None:
         weights, count = mesh.weights, len(mesh.vertices)
         check.points("mesh vertices", mesh.vertices, (None, 3))
         check.numbers("mesh tets", mesh.tets, count, columns=4)
-        limits = dict.fromkeys(("cranium", "mandible", "cut", "sliding"), count)
+        limits = dict.fromkeys(("cranium", "mandible", "cut"), count)
         limits |= {"embedded": skin, "attached_mandible": skin, "embedded_in": len(mesh.tets)}
         for name, limit in limits.items():
             check.numbers(f"mesh {name}", getattr(mesh, name), limit)
@@ -162,8 +162,9 @@ class TemplateMesh:
         The edge length on the face that was asked for.
     vertices, tets
         (p, 3) at rest, and (n, 4) vertex numbers, every volume positive.
-    cranium, mandible, cut, sliding
-        Vertex numbers, disjoint; see :class:`solver.model.SubjectModel`.
+    cranium, mandible, cut
+        Vertices on the bones and on the cut planes, disjoint; on some of the cranium's the flesh
+        glides (:mod:`solver.anatomy.facial_spaces`).
     embedded, embedded_in, shares
         (e,) skin vertices that follow the flesh, the tets (e,) under them, and the (e, 4)
         barycentric coordinates of their nearest point on the flesh's outside, none negative.
@@ -179,7 +180,6 @@ class TemplateMesh:
     cranium: Ints
     mandible: Ints
     cut: Ints
-    sliding: Ints
     embedded: Ints
     embedded_in: Ints
     shares: Floats
@@ -207,6 +207,8 @@ class TemplateMesh:
         """Return the mesh that :meth:`arrays` described."""
         plain: dict[str, Any] = {f.name: arrays[f.name] for f in fields(cls)[:-1]}
         plain["edge_mm"] = float(plain["edge_mm"])
+        if "sliding" in arrays:  # files of before there were facial spaces
+            plain["cranium"] = np.union1d(plain["cranium"], arrays["sliding"])
         return cls(**plain, weights=csr_from("weights", arrays, muscle_count + 1))
 
 

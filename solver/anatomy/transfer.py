@@ -195,14 +195,14 @@ def transport(
     tet with a dihedral angle below the least of ``options``.
     """
     start = warp(mesh.vertices)
-    place, cranium = start.copy(), np.concatenate([mesh.cranium, mesh.sliding])
+    place = start.copy()
     for ids, before, after in (
-        (cranium, template.cranium, person.cranium),
+        (mesh.cranium, template.cranium, person.cranium),
         (mesh.mandible, template.mandible, person.mandible),
     ):
         points = mesh.vertices[ids]
         place[ids] = points + at_nearest(points, before, after.vertices - before.vertices)
-    held = np.concatenate([cranium, mesh.mandible, mesh.cut])
+    held = np.concatenate([mesh.cranium, mesh.mandible, mesh.cut])
     guides = guidance(
         person, person.skin.vertices, mesh.embedded, mesh.surface_rows, held, place[held], start
     )

@@ -21,7 +21,15 @@ from solver.anatomy.tetrahedra import ML, volumes
 from solver.edits.edit import Edited
 from solver.errors import InputError
 from solver.model import SubjectModel, find_muscles
-from solver.surface import Floats, Ints, Surface, adjacency, vertex_areas, vertex_normals
+from solver.surface import (
+    Floats,
+    Ints,
+    Surface,
+    adjacency,
+    distance_to_path,
+    vertex_areas,
+    vertex_normals,
+)
 
 STEEPEST = 8.0 / (3.0 * np.sqrt(3.0))  # the greatest slope of (1 - t^2)^2
 
@@ -124,18 +132,6 @@ def under_skin(model: SubjectModel, points: Floats, depths_mm: Floats) -> Floats
     """Return points (k, 3) at depths (k,) under ``points`` (k, 3) of the face."""
     nearest = model.face[cKDTree(model.skin.vertices[model.face]).query(points)[1]]
     return np.asarray(points - depths_mm[:, None] * vertex_normals(model.skin)[nearest])
-
-
-def distance_to_path(points: Floats, path: Floats) -> Floats:
-    """Return the distance (n,) of points (n, 3) to a polyline (k, 3); one point is one, too."""
-    starts, ends = path[: max(len(path) - 1, 1)], path[min(1, len(path) - 1) :]
-    nearest = np.full(len(points), np.inf)
-    for start, end in zip(starts, ends, strict=True):
-        along = end - start
-        part = (points - start) @ along / max(float(along @ along), 1e-12)
-        foot = start + np.clip(part, 0.0, 1.0)[:, None] * along
-        nearest = np.minimum(nearest, np.linalg.norm(points - foot, axis=1))
-    return nearest
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,8 @@
 """Fat compartments of the face: where a person gains or loses when their weight changes.
 
 ``fat_compartments.csv`` in ``solver/anatomy/data`` places each by landmarks that the built-in
-template and that of ICT-FaceKit share. A point of its ``path`` is a mean of landmarks
-(``exocanthion*2+cheilion`` is a third of the way from the first to the second), brought onto the
-face. Its share of a change is the mean change of the soft-tissue depths at its ``sites``
+template and that of ICT-FaceKit share: by a path (:mod:`solver.anatomy.landmark_paths`), brought
+onto the face. Its share of a change is the mean change of the soft-tissue depths at its ``sites``
 (``depths_by_weight.csv``), over that of the compartment with the most. Nose, lips and lids are rows
 without sites: they have no compartment, and a share of 0.
 """
@@ -18,14 +17,14 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
+from solver.anatomy import landmark_paths
 from solver.anatomy.data import read_table
-from solver.edits.changes import distance_to_path
+from solver.anatomy.landmark_paths import SIDES, LandmarkPath
 from solver.model import SubjectModel
-from solver.surface import Floats
+from solver.surface import Floats, distance_to_path
 
 Sex = Literal["female", "male"]
 SEXES: tuple[Sex, ...] = ("female", "male")
-SIDES = ("_l", "_r")
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class FatCompartment:
 
     name: str
     paired: bool  # whether there is one on each side
-    path: tuple[Mapping[str, float], ...]  # for each point, weights of landmarks that sum to 1
+    path: LandmarkPath
     radius_mm: float  # from the path, where it weighs 1/e
     sites: tuple[str, ...]  # of the depths that tell its share
 
@@ -58,7 +57,7 @@ def read_compartments() -> tuple[FatCompartment, ...]:
         FatCompartment(
             row["name"],
             row["paired"] == "yes",
-            tuple(_mean(point) for point in row["path"].split()),
+            LandmarkPath.read(row["path"]),
             float(row["radius_mm"]),
             tuple(row["sites"].split()),
         )
@@ -66,17 +65,9 @@ def read_compartments() -> tuple[FatCompartment, ...]:
     )
 
 
-def _mean(point: str) -> Mapping[str, float]:
-    terms = [term.partition("*") for term in point.split("+")]
-    counts = {name: float(count or 1) for name, _, count in terms}
-    return {name: count / sum(counts.values()) for name, count in counts.items()}
-
-
 def missing_landmarks(landmarks: Mapping[str, int]) -> list[str]:
     """Return what compartments are placed by that is not among ``landmarks``, without sides."""
-    names = {name for each in read_compartments() for point in each.path for name in point}
-    both = {name for name in names if all(f"{name}{side}" in landmarks for side in SIDES)}
-    return sorted(names - both - landmarks.keys())
+    return landmark_paths.missing_landmarks([each.path for each in read_compartments()], landmarks)
 
 
 def shares(*, gain: bool, sex: Sex | None = None) -> dict[str, float]:
@@ -116,20 +107,9 @@ def fat_map(
     weighed, weights = np.zeros(len(skin)), np.full(len(skin), options.bare)
     for each in read_compartments():
         for sides in [(side,) for side in SIDES] if each.paired else [SIDES]:
-            points = np.array([_place(skin, landmarks, point, sides) for point in each.path])
+            points = each.path.places(skin, landmarks, sides)
             path = skin[model.face[nearest.query(points)[1]]]
             weight = np.exp(-((distance_to_path(skin, path) / each.radius_mm) ** 2))
             weighed += taken[each.name] * weight
             weights += weight
     return np.asarray(weighed / weights)
-
-
-def _place(
-    skin: Floats, landmarks: Mapping[str, int], weights: Mapping[str, float], sides: Sequence[str]
-) -> Floats:
-    """Return the mean (3,) of landmarks by ``weights``, of paired ones those of ``sides``."""
-    place = np.zeros(3)
-    for name, weight in weights.items():
-        names = [name] if name in landmarks else [f"{name}{side}" for side in sides]
-        place += weight * skin[[landmarks[each] for each in names]].mean(axis=0)
-    return place

@@ -250,7 +250,7 @@ def _bind(template: Template, person: Template) -> Template:
     """Return the template with its skin bound to the tets of ``person``, with parted lips."""
     mesh = person.mesh
     assert mesh is not None
-    held = np.concatenate([mesh.cranium, mesh.sliding, mesh.mandible, mesh.cut])
+    held = np.concatenate([mesh.cranium, mesh.mandible, mesh.cut])
     parted, place = person.parted_skin.vertices, mesh.vertices[held]
     rows, start = mesh.surface_rows, mesh.vertices
     guides = guidance(person, parted, mesh.embedded, rows, held, place, start)

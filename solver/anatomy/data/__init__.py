@@ -14,6 +14,11 @@ def read_table(name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+def listed(cell: str) -> tuple[str, ...]:
+    """Return what a cell lists between semicolons."""
+    return tuple(cell.split("; ")) if cell else ()
+
+
 def read_json(name: str) -> Any:
     """Return one of the folder's JSON files."""
     return json.loads(resources.files(__name__).joinpath(f"{name}.json").read_text())

@@ -11,7 +11,6 @@ from solver.edits.changes import (
     Filler,
     Paralysis,
     Scaling,
-    distance_to_path,
     into_volume,
     spots,
     under_skin,
@@ -20,7 +19,7 @@ from solver.edits.edit import DENSITY, apply
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.mechanics.flesh import shape_gradients
-from solver.surface import Surface
+from solver.surface import Surface, distance_to_path
 from tests.solver.block import block_model, divided_block, head_block
 
 

@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 
 from solver.anatomy.data import read_table
-from solver.edits.fat_compartments import (
-    SIDES,
-    fat_map,
-    missing_landmarks,
-    read_compartments,
-    shares,
-)
+from solver.anatomy.landmark_paths import SIDES
+from solver.edits.fat_compartments import fat_map, missing_landmarks, read_compartments, shares
 from solver.scene.places import Places
 from solver.surface import directed_edges
 from tests.fixtures import small_model
