@@ -41,6 +41,7 @@ class TighteningOptions:
     # parts of the way from the limits to those that bind nobody
     loosened: tuple[float, ...] = (0.3, 0.2, 0.12, 0.08, 0.05, 0.02)
     rounds: int = 14  # at most, within the limits as they are asked for
+    tolerance: float = 1e-3  # as that of the other rounds, which would end here far from the minimum
 
 
 @dataclass(frozen=True)
@@ -74,9 +75,8 @@ class GeometryOptions:
         chosen = np.linspace(0, len(way.loosened) - 1, steps + 1)[1:].astype(int)
         if steps == len(way.loosened):
             chosen = np.arange(steps)
-        return TighteningOptions(
-            tuple(way.loosened[number] for number in chosen), math.ceil(share * way.rounds)
-        )
+        loosened = tuple(way.loosened[number] for number in chosen)
+        return replace(way, loosened=loosened, rounds=math.ceil(share * way.rounds))
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def _tighten(
     taken = 0
     last = range(closed, closed + way.rounds)
     # while bounds close a round need not gain anything
-    for rounds, tolerance in ((range(first, closed), -np.inf), (last, options.tolerance)):
+    for rounds, tolerance in ((range(first, closed), -np.inf), (last, way.tolerance)):
         rules = joint.RoundOptions(options.retries, tolerance)
         now, more = joint.minimise_rounds(lambda _: problem, now, rounds, rules, listen, enter)
         taken += more
