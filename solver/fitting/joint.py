@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -31,7 +31,7 @@ import scipy.sparse.linalg
 from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.face import Face, Pose, PosedFace
-from solver.fitting.interior_point import InteriorPointOptions, InteriorStep, interior_step
+from solver.fitting.interior_point import InteriorStep, interior_step
 from solver.fitting.least_squares import DampingOptions, bounded_step
 from solver.fitting.objective import Regulariser, Term, sparse
 from solver.fitting.sensitivity import Sensitivity
@@ -39,11 +39,6 @@ from solver.fitting.simplex import minimise_on_simplex, replace_values
 from solver.mechanics.equilibrium import PredictorOptions
 from solver.mechanics.response import Controls
 from solver.surface import Floats, Ints
-
-# How near to the bounds a pose is linearised and taken. The best pose for an S has kinks where
-# bounds begin to hold, which a heavier barrier smooths: with an exact one steps on S are too short.
-EXACT = InteriorPointOptions()
-SMOOTH = replace(EXACT, short=0.1)
 
 
 @dataclass(frozen=True)
@@ -287,7 +282,7 @@ class _Linearised:
         # at a bound that the step would leave, the pose does not follow
         self._open: slice | Ints = slice(None)
         if self._layout.admissible is not None:
-            damped = damped + self._interior_step(self._by_pose, SMOOTH).curvature
+            damped = damped + self._interior_step(self._by_pose).curvature
         elif self._layout.is_bounded:
             limits = self._layout.limits(self._q, 1.0)
             ahead = bounded_step(damped, self._by_pose, limits)
@@ -318,7 +313,7 @@ class _Linearised:
         if self._layout.admissible is None:
             by_pose = -self._solve(self._by_pose + coupled)
         else:
-            by_pose = self._interior_step(self._by_pose + coupled, EXACT).change
+            by_pose = self._interior_step(self._by_pose + coupled).change
         by_pose *= fraction / max(self._layout.reach(by_pose), 1.0)
         if self._layout.is_limited:
             by_pose = self._layout.clip(self._q + by_pose) - self._q
@@ -343,8 +338,8 @@ class _Linearised:
             return face.predict_and_solve(self._state, response, pose)
         return None
 
-    def _interior_step(self, gradient: Floats, options: InteriorPointOptions) -> InteriorStep:
-        return interior_step(self._layout, self._damped, gradient, self._q, options)
+    def _interior_step(self, gradient: Floats) -> InteriorStep:
+        return interior_step(self._layout, self._damped, gradient, self._q)
 
     def _couple(self, flesh: Floats) -> Floats:
         return np.asarray(self._coupling.T @ flesh[self._touched])
