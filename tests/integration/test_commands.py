@@ -142,7 +142,7 @@ def test_an_unknown_name_is_refused_with_those_there_are(myoface: Command, tmp_p
 def test_the_kinds_of_job_and_their_options(myoface: Command) -> None:
     assert "build_model" in myoface("jobs", "kinds").output
     line, other = myoface("jobs", "kinds", "build_model").output.splitlines()[1:]
-    assert other.split()[:2] == ["muscles", '"whole"']
+    assert other.split()[:2] == ["muscles", '"compartments"']
     assert line.split(maxsplit=6) == [
         *("edge_mm", "9.0", ">=", "3,", "<=", "30"),
         "edge length of the tetrahedra",
