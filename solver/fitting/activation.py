@@ -71,7 +71,6 @@ class DescentOptions:
     products: int = 16  # with J^T C J for a step, at most
     # length of the correction that a step is left without, relative to it in the model's own norm
     accuracy: float = 0.1
-    nudge: float = 0.05  # reach up to which a state is moved within bounds as if nothing else moved
 
 
 @dataclass(frozen=True)
@@ -319,20 +318,13 @@ def enter(
 ) -> PosedFace:
     """Bring a state within the bounds of ``face``, other muscles making up for what is cut.
 
-    It goes where f's model at ``state`` is least, unless it is all but inside; the neutral face
-    where that cannot be reached.
+    It goes where f's model at ``state`` is least, however near the bounds are: clipped states make
+    the next step on S a poor one. The neutral face where that cannot be reached.
     """
-    layout, admissible = face.layout, face.layout.admissible
-    state = replace(state, pose=replace(state.pose, form=layout))
+    admissible = face.layout.admissible
+    state = replace(state, pose=replace(state.pose, form=face.layout))
     if admissible is None or admissible.contains(state.pose.a):
         return state
-    inside = Pose.of(layout, layout.clip(state.pose.vector()))
-    change = inside.vector() - state.pose.vector()
-    with suppress(SolveError):
-        if layout.reach(change) <= options.nudge:
-            sensitivity = Sensitivity(face, state)
-            response = sensitivity.response.free_motion(sensitivity.pose, change)
-            return face.newton_continuation(state, response, inside)
     with suppress(SolveError):
         model = _whole_model(face, data, regulariser, state)
         step = model.step(options.damping.start, np.inf)

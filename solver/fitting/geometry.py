@@ -40,7 +40,7 @@ class TighteningOptions:
 
     # parts of the way from the limits to those that bind nobody
     loosened: tuple[float, ...] = (0.3, 0.2, 0.12, 0.08, 0.05, 0.02)
-    rounds: int = 18  # at most, within the limits as they are asked for
+    rounds: int = 14  # at most, within the limits as they are asked for
     tolerance: float = 1e-3  # of these: with that of the others they end far from the minimum
 
 

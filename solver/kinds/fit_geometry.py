@@ -16,7 +16,7 @@ class FitGeometry(ExpressionFitOptions):
         ge=1,
         le=50,
         description="at most so many rounds of Gauss-Newton on S and all poses; admissible "
-        "controls take up to twice as many more, to close their bounds",
+        "controls take up to 1.7 times as many more, to close their bounds",
     )
     symmetry: float = Field(
         default=0.0,
