@@ -202,6 +202,8 @@ class Face:
 
     def with_free_jaw(self) -> Face:
         """Return this face with a jaw of five numbers, which is what rigs hold."""
+        if isinstance(self.jaw, FreeJaw):
+            return self  # with the rest it knows
         return self.with_jaw(FreeJaw(self.model.jaw), jaw_block())
 
     def within_anatomy(self, limits: AdmissibleLimits = ADMISSIBLE) -> Face:

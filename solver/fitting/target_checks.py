@@ -129,7 +129,8 @@ def find_inflated(
     high = height > limits.inflated_mm
     if not high.any():
         return []
-    patch = _parts(len(height), (edges := _edges(model))[high[edges].all(axis=1)])
+    edges = _edges(model)
+    patch = _parts(len(height), edges[high[edges].all(axis=1)])
     area = np.bincount(patch[high], vertex_areas(model.skin.vertices, model.skin.faces)[high])
     vertices = np.flatnonzero((patch == area.argmax()) & high)
     size = 2.0 * float(np.sqrt(area.max() / np.pi))

@@ -36,13 +36,15 @@ def with_controls(
     If it asks for none they are admissible, unless IPOPT is to fit, which knows no bounds, or S was
     fitted to ``carried`` training expressions that go beyond them.
     """
+    by_ipopt = options.controls is None and options.solver == "ipopt"
+    if options.controls == "free" or by_ipopt:
+        return face
     bounded = face.within_anatomy(limits_by_plausibility(options.plausibility))
-    controls, within = options.controls, cast(AdmissibleSet, bounded.layout.admissible)
-    if controls is None:
-        trained = [fit.activations for fit in carried if fit.role == "train"]
-        is_free = options.solver == "ipopt" or not all(map(within.contains, trained))
-        controls = "free" if is_free else "admissible"
-    return face if controls == "free" else bounded
+    if options.controls == "admissible":
+        return bounded
+    within = cast(AdmissibleSet, bounded.layout.admissible)
+    trained = [fit.activations for fit in carried if fit.role == "train"]
+    return bounded if all(map(within.contains, trained)) else face
 
 
 def control_settings(face: Face, options: ExpressionFitOptions) -> dict[str, Any]:

@@ -221,7 +221,8 @@ def with_round_trips(
     face: Face, fits: tuple[ExpressionFit, ...], listen: Listener | None = None
 ) -> tuple[ExpressionFit, ...]:
     """Return the fits with their round trips; those that have one keep it."""
-    done = list(fits)
+    # one for all, which knows its rest
+    done, free = list(fits), (face.with_limits(None) if face.limits else face).with_free_jaw()
     for number, fit in enumerate(fits):
         if fit.round_trip is None:
             if listen:
@@ -230,7 +231,7 @@ def with_round_trips(
             admissible = face.layout.admissible
             # what was fitted freely is fitted freely again
             is_free = admissible is None or not admissible.contains(fit.activations)
-            own = face.with_limits(None).with_free_jaw() if is_free else face
+            own = free if is_free else face
             done[number] = replace(fit, round_trip=round_trip(own, pose, skin))
     return tuple(done)
 
