@@ -164,8 +164,7 @@ def _performance(options: argparse.Namespace, face: Face) -> Figures | None:
 
 def _against_ipopt(count: int | None) -> list[Figures]:
     """Compare with IPOPT on the built-in face, which is small enough for it."""
-    builtin = argparse.Namespace(anatomy=None, faces=None, capture_sets=None, subject="built-in")
-    model, captures = subjects.load(builtin, COARSE_EDGE_MM)
+    model, captures = subjects.load(subjects.builtin_options(), COARSE_EDGE_MM)
     face = Face(model, linear=fastest())
     scans = {**captures.train, **captures.test}
     targets = {name: Target.from_points(scan.vertices[model.face]) for name, scan in scans.items()}

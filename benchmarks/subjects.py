@@ -37,6 +37,13 @@ def add_folders(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--compartments", action="store_true", help="divide muscles into theirs")
 
 
+def builtin_options() -> argparse.Namespace:
+    """Return what these options are where nothing is given: the built-in person, as in jobs."""
+    parser = argparse.ArgumentParser()
+    add_options(parser)
+    return parser.parse_args([])
+
+
 @dataclass(frozen=True)
 class Subject:
     """A person to be fitted, with the sets of scans by their names (:data:`SETS`)."""
