@@ -31,6 +31,7 @@ def main() -> None:
     """Run from the command line."""
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
+    subjects.add_controls(parser)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     report.finish(run(options), options, section)
@@ -41,7 +42,8 @@ def run(options: argparse.Namespace) -> Figures:
     quick = options.quick
     model, captures = subjects.load(options, COARSE_EDGE_MM if quick else EDGE_MM)
     schedule = GeometryOptions(rounds=QUICK_ROUNDS) if quick else GeometryOptions()
-    fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
+    face = subjects.bounded(Face(model), options)
+    fits = subject_fits.by_geometry(face, captures.train, schedule)
     fitted = fits.expressions("train")
     face = Face(model, fits.face.S, linear=fastest(), tolerance=TOLERANCE)
     start = time.perf_counter()

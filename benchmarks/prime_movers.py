@@ -17,7 +17,7 @@ from pathlib import Path
 
 from benchmarks import report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
-from benchmarks.subject_fits import CONTROLS, Fits
+from benchmarks.subject_fits import Fits
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.action_units import actions_of, joined_codes
 from solver.anatomy.template import ShapeBasis, split_side
@@ -41,7 +41,7 @@ def main() -> None:
     subjects.add_options(parser)
     parser.add_argument("--rig", type=Path, help="rig.npz of the template (of --faces, if given)")
     parser.add_argument("--shapes", help="ARKit's names without sides, joined by commas; else all")
-    parser.add_argument("--controls", choices=CONTROLS, default="free")
+    subjects.add_controls(parser)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     report.finish(run(options), options, section)
@@ -64,13 +64,11 @@ def run(options: argparse.Namespace) -> Figures:
 def _face(options: argparse.Namespace) -> Face:
     if options.rig is not None:
         rig = Rig.load(options.rig)
-        face = Face(rig.model, rig.weights)
-        return face.within_anatomy() if options.controls == "admissible" else face
+        return subjects.bounded(Face(rig.model, rig.weights), options)
     model, captures = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
     rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
-    face = Face(model)
-    train = CONTROLS[options.controls].train
-    return train(face, captures.train, GeometryOptions(rounds=rounds)).face
+    face = subjects.bounded(Face(model), options)
+    return subject_fits.by_geometry(face, captures.train, GeometryOptions(rounds=rounds)).face
 
 
 def single_units(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Surface]:

@@ -140,8 +140,9 @@ def carried(made: Rebased, template: Template, captures: CaptureSet) -> CaptureS
 def _figures(based: Template, captures: CaptureSet, options: argparse.Namespace) -> Figures:
     checked = report_template(based)
     mesh = checked.figures["mesh"]
-    model = build_subject_model(based, captures.neutral.vertices)
-    face = Face(model)
+    # as jobs do: muscles divided, and within what they can do
+    model = build_subject_model(based, captures.neutral.vertices, compartments=True)
+    face = Face(model).within_anatomy()
     schedule = GeometryOptions(rounds=QUICK_ROUNDS) if options.quick else GeometryOptions()
     train = subject_fits.by_geometry(face, captures.train, schedule)
     test = subject_fits.by_activations(train.face, captures.test)
