@@ -20,6 +20,12 @@ from myoface.resources import Job, Progress
 if TYPE_CHECKING:
     from solver.progress import Step
 
+# The exit code of a check whose verdict is bad; 1 says that there was no verdict.
+BAD = 3
+
+# Kinds of job that say what a file is worth, and what it is
+JUDGED = {"check_scan": "scan", "check_markers": "take", "register_scan": "scan"}
+
 VERDICTS = {
     "good": ("green", "good"),
     "usable": ("yellow", "usable, with flaws"),
@@ -174,8 +180,23 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None
         out.print(text if number else Painted(text, "bold"))
 
 
-def show_verdict(title: str, check: Mapping[str, Any]) -> None:
-    """Show the verdict of a check of a scan, and each finding with its advice."""
+def show_outcome(kind: str, report: Mapping[str, Any], title: str | None = None) -> int:
+    """Show what a check or registration came to; return its exit code, :data:`BAD` for a bad one.
+
+    Of other kinds of job it shows nothing. ``title`` names the scan or take.
+    """
+    if kind not in JUDGED:
+        return 0
+    title = title or JUDGED[kind]
+    if "verdict" not in report:
+        show_registration(title, report)
+        return 0
+    _show_verdict(title, report)
+    return BAD if report["verdict"] == "bad" else 0
+
+
+def _show_verdict(title: str, check: Mapping[str, Any]) -> None:
+    """Show the verdict of a check, and each finding with its advice."""
     style, words = VERDICTS[check["verdict"]]
     out.print(f"{title}: ", Painted(words, style))
     judged = check.get("judged", [])  # checks of before have none

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from myoface.cli.app import (
-    BAD_SCAN,
     LandmarksFile,
     NewFile,
     NewFolder,
@@ -21,7 +20,7 @@ from myoface.cli.app import (
     read_scene,
 )
 from myoface.cli.commands import Argument, Group, Option, UsageError
-from myoface.cli.console import JobView, out, show_registration, show_verdict
+from myoface.cli.console import JobView, out, show_outcome
 from myoface.names import name_scans
 from solver.jobs import run_job
 from solver.kinds import KINDS, Kind
@@ -231,23 +230,13 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
             **files,
         )
     report = json.loads((folder / kind.report).read_text(encoding="utf-8"))
+    judged = files.get("scan") or files.get("markers")
+    code = show_outcome(kind.name, report, judged and judged.name)
     if kind.leaves in SUMMARIES:
         SUMMARIES[kind.leaves](report, given)
     out.print(f"{folder / kind.result}")
-    if kind.leaves in ("check", "marker_check") and report["verdict"] == "bad":
-        raise SystemExit(BAD_SCAN)
-
-
-def _show_check(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
-    show_verdict(given["scan"].name, report)
-
-
-def _show_marker_check(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
-    show_verdict(given["take"].name, report)
-
-
-def _show_registration(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
-    show_registration(given["scan"].name, report)
+    if code:
+        raise SystemExit(code)
 
 
 def _show_sequence(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:
@@ -284,9 +273,6 @@ def _show_export(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
 
 # What is said of a job, by what it leaves.
 SUMMARIES: Mapping[str, Callable[[Mapping[str, Any], Mapping[str, Any]], None]] = {
-    "check": _show_check,
-    "marker_check": _show_marker_check,
-    "registration": _show_registration,
     "sequence": _show_sequence,
     "animation": _show_animation,
     "edit": _show_edit,

@@ -6,7 +6,7 @@ import { state } from "./state.js";
 /** Return the verdict on a rig as an element; null for a rig that was made without. */
 export function verdictOf(summary) {
   const { verdict } = summary;
-  return verdict ? state(verdict, verdict === "bad" ? "Bad" : null) : null;
+  return verdict ? state(verdict) : null;
 }
 
 /** Return what is not good about a rig, the worst first, as `findingList` shows it. */
