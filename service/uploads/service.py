@@ -1,7 +1,7 @@
 """Receiving bytes: the offset in the table counts, under a lock per upload.
 
 Bytes are written and flushed before the offset moves, so a service that dies in between has lost
-at most the request that was under way, and a later request overwrites its bytes.
+at most the last `COUNT_EVERY` bytes, and a later request overwrites what was not counted.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import fcntl
 import hashlib
 import os
 import re
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import BinaryIO
 
 import structlog
 from anyio import to_thread
+from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 from starlette.requests import ClientDisconnect
 
@@ -31,6 +32,8 @@ from service.uploads import repository
 from service.uploads.schemas import Checksum
 
 BUFFER = 1 << 20
+# Bytes of a request after which those that have arrived are counted
+COUNT_EVERY = 16 << 20
 
 # The name of an unfinished upload's file: its id
 PART = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
@@ -148,8 +151,15 @@ class UploadService:
             digest = hashlib.new(checksum.algorithm) if checksum else None
             part.seek(offset)
             part.truncate()
-            received = await _write(part, body, digest, upload.size - offset)
+
+            async def count(received: int) -> None:
+                await to_thread.run_sync(self._count_so_far, upload, offset + received)
+
+            # of what a checksum is to prove, nothing counts before
+            counting = None if digest else count
+            received = await _write(part, body, digest, upload.size - offset, counting)
             if received is None:
+                await to_thread.run_sync(self._count, upload, offset)
                 raise Problem(
                     413,
                     "upload.overflow",
@@ -173,6 +183,13 @@ class UploadService:
             upload = repository.get(session, upload.id)
             upload.offset = offset
         return self._complete(upload) if offset == upload.size else upload
+
+    def _count_so_far(self, upload: Upload, offset: int) -> None:
+        """Count bytes of a request that goes on; the end counts them if the database is busy."""
+        try:
+            self._count(upload, offset)
+        except SQLAlchemyError as error:
+            log.warning("uploads.not_counted", error=str(error))
 
     def _complete(self, upload: Upload) -> Upload:
         part = self._part(upload.id)
@@ -244,10 +261,17 @@ def _check_offset(upload: Upload, offset: int) -> None:
 
 
 async def _write(
-    part: BinaryIO, body: AsyncIterator[bytes], digest: hashlib._Hash | None, room: int
+    part: BinaryIO,
+    body: AsyncIterator[bytes],
+    digest: hashlib._Hash | None,
+    room: int,
+    count: Callable[[int], Awaitable[None]] | None,
 ) -> int | None:
-    """Write ``body``; returns the number of bytes, None if they are more than ``room``."""
-    received = 0
+    """Write ``body``; returns the number of bytes, None if they are more than ``room``.
+
+    ``count`` is told now and then how many are safe on the disk, never that they are all.
+    """
+    received = counted = 0
     buffer = bytearray()
 
     def flush() -> None:
@@ -255,6 +279,10 @@ async def _write(
             digest.update(buffer)
         part.write(buffer)
         buffer.clear()
+
+    def secure() -> None:
+        part.flush()
+        os.fsync(part.fileno())
 
     try:
         async for chunk in body:
@@ -264,11 +292,14 @@ async def _write(
             buffer += chunk
             if len(buffer) >= BUFFER:
                 await to_thread.run_sync(flush)
+                if count and counted + COUNT_EVERY <= received < room:
+                    await to_thread.run_sync(secure)
+                    await count(received)
+                    counted = received
     except ClientDisconnect:
         pass  # what has arrived counts, unless a checksum says that it is not whole
     await to_thread.run_sync(flush)
-    part.flush()
-    await to_thread.run_sync(os.fsync, part.fileno())
+    await to_thread.run_sync(secure)
     return received
 
 
