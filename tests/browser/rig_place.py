@@ -191,6 +191,7 @@ def _marker_view(path: Path, markers: MarkerSet, frames: Floats) -> None:
             marker_state=tuple(states),
             sd=np.ones(23),
             information=np.ones(23),
+            contraction_sd=np.full(3, 0.1),
             held=np.array([0.0, 0.0, float(number > 5)]),
             tracks=np.zeros(0),
             mandible=np.eye(4),
