@@ -25,8 +25,8 @@ from solver.animation.blendshapes import CORRECTED, expression_targets
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.model import SubjectModel
-from solver.rig.certificate import contractions, muscles
-from solver.rig.prime_movers import MoverOptions, movers
+from solver.rig.certificate import muscles
+from solver.rig.prime_movers import MoverOptions, movers, ranked
 from solver.rig.rig import Rig
 from solver.surface import Surface
 from solver.templates.builtin.build import builtin_template
@@ -109,8 +109,10 @@ def _part(answers: Iterable[bool]) -> float | None:
 def _shape(fits: Fits, name: str) -> Figures:
     face = fits.face
     a = fits.states[name].pose.a
-    of = muscles(face.model, face.flesh.volumes, face.S, a)
-    found = movers(contractions(face.model, of), actions_of(name))
+    model = face.model
+    of = muscles(model, face.flesh.volumes, face.S, a)
+    wholes = dict(zip(model.muscle_names, model.muscle_groups, strict=True))
+    found = movers(ranked(model.muscle_names, of.contraction, of.judged), wholes, actions_of(name))
     judged = [check for check in found.actions if check.is_judged]
     named = sorted({muscle for check in judged for muscle in check.muscles})
     ahead = sorted({muscle for check in judged for muscle in check.ahead[: MoverOptions.places]})
@@ -121,7 +123,8 @@ def _shape(fits: Fits, name: str) -> Figures:
         "named": {muscle: round(found.contractions[muscle], 3) for muscle in named},
         "ahead": {muscle: round(found.contractions[muscle], 3) for muscle in ahead},
         "missing": sorted({muscle for check in found.actions for muscle in check.missing}),
-        "contradictions": found.contradictions(),
+        "contradictions": [str(each) for each in found.contradictions()],
+        "idle": [str(each) for each in found.idle()],
         "mean_mm": float(fits.distances(name).mean()),
     }
 

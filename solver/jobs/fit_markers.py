@@ -13,6 +13,7 @@ from solver.anatomy.template import Template
 from solver.errors import Finding, InputError, make_warning
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, load_muscles, with_fibres
+from solver.fitting.contraction import Contraction
 from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose
 from solver.fitting.markers.filter import FilterOptions
@@ -91,7 +92,8 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     progress(Step("export", 0.96))
     report = sequence_report(done, rate, take.file) | marker_report(done, source.labels)
     report |= carried | {"notices": [notice.as_dict() for notice in notices]}
-    files = write_sequence(out, done, muscles, rate, report, take.first)
+    contraction = Contraction.of_face(face)
+    files = write_sequence(out, done, muscles, rate, report, contraction, take.first)
     files += [out / "markers.json"] if given.refine and not given.actor else []
     files += write_animated(out, drawing.skin, rig.model, rate, take.first)
     files.append(out / VIEW_FILE)

@@ -16,7 +16,7 @@ import numpy as np
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose
 from solver.fitting.markers.filter import KnownControls
-from solver.fitting.markers.smooth import TracedFrame, smooth
+from solver.fitting.markers.smooth import SmoothFrame, TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior
 from solver.fitting.markers.tracker import MarkerFit, MarkerMemory, MarkerTracker
 from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
@@ -155,6 +155,7 @@ def _frame(number: int, status: Status, fit: MarkerFit, face: Face, seconds: flo
         marker_state=tuple(judged.states.tolist()),
         sd=fit.sd.round(DECIMALS),
         information=fit.information.round(DECIMALS),
+        contraction_sd=fit.contraction_sd.round(DECIMALS),
         held=fit.held.astype(np.float64),
     )
 
@@ -197,13 +198,13 @@ def smooth_frames(
         pose = face.rest_pose().add(after.controls - layout.rest)
         with suppress(SolveError):  # out of reach: as the frame beside it
             tracker.tracker.go_to(pose)
-        found.append(_smooth_frame(tracker, frame, source, after.sd))
+        found.append(_smooth_frame(tracker, frame, source, after))
         show(found[-1], tracker.tracker.state.x)
     return found
 
 
 def _smooth_frame(
-    tracker: MarkerTracker, frame: MarkerFrame, source: BoundTake, sd: Floats
+    tracker: MarkerTracker, frame: MarkerFrame, source: BoundTake, after: SmoothFrame
 ) -> MarkerFrame:
     """Return a frame with the tracker's pose, and the head and distances that come of it."""
     state, seen = tracker.tracker.state, source.points(frame.frame)
@@ -224,7 +225,8 @@ def _smooth_frame(
         status="fitted" if frame.status == "fitted" else "smoothed",
         head=placed.head.twist.round(DECIMALS),
         marker_mm=off.round(DECIMALS),
-        sd=sd.round(DECIMALS),
+        sd=after.sd.round(DECIMALS),
+        contraction_sd=after.contraction_sd.round(DECIMALS),
         inverted=tracker.face.flesh.inverted(state.x),
     )
 

@@ -16,7 +16,7 @@ from solver.errors import Verdict
 from solver.fitting.geometry_information import MuscleInformation
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, JawMotion, Muscles
-from solver.rig.checks import Judgement, expression_verdict, judge, overall, use
+from solver.rig.checks import Judgement, expression_verdict, judge, limits_of, overall, ready, use
 from solver.rig.measures import measured_regions
 from solver.rig.prime_movers import ActionCheck, Movers
 from solver.rig.rig import ExpressionFit, Rig
@@ -50,6 +50,8 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
     return {
         "verdict": verdict,
         "use": use(judgements, list(expressions)),
+        "ready": ready(judgements, list(expressions)),
+        "limits": [asdict(limit) for limit in limits_of(judgements)],
         "checks": [_judgement(judgement, certificate.settings) for judgement in judgements],
         "expressions": expressions,
         "information": found and information_figures(model, found),
@@ -131,6 +133,7 @@ def _expression(
         "jaw_motion": {**_plain_fields(check.jaw), "faults": check.jaw.faults()},
         "muscles": _muscles(model, check.muscles),
         "movers": _movers(check.movers),
+        "asymmetry_mm": None if check.asymmetry_mm is None else _round(check.asymmetry_mm),
         "round_trip": trip and {"reached": trip.is_reached, **_plain_fields(trip)},
     }
 
@@ -166,12 +169,12 @@ def _movers(found: Movers) -> dict[str, Any]:
             for name, each in found.contractions.items()
         ],
         "actions": [_action(check) for check in found.actions],
-        "contradictions": found.contradictions(),
+        "contradictions": [str(each) for each in found.contradictions()],
     }
 
 
 def _action(check: ActionCheck) -> dict[str, Any]:
-    lists = ("muscles", "missing", "ahead", "lengthened", "opposed")
+    lists = ("muscles", "missing", "ahead", "idle", "lengthened", "opposed")
     return {
         "unit": check.action.unit.code,
         "name": check.action.unit.name,
@@ -272,7 +275,7 @@ def expression_words(found: dict[str, Any]) -> dict[str, str]:
     if jaw["faults"]:
         motion += f". Not anatomical: {', '.join(jaw['faults'])}"
     mean, p95, most = millimetres(found)
-    facts = {
+    return {
         "Skin": f"mean {mean} mm, 95 % below {p95} mm, greatest {most} mm; "
         f"{100 * found['coverage']:.0f} % of the face seen",
         "Flesh": _flesh_words(found["flesh"], found["inverted"]),
@@ -282,9 +285,6 @@ def expression_words(found: dict[str, Any]) -> dict[str, str]:
         "Solver": f"{SOLVERS[found['solver']]} {ENDINGS.get(found['status'], 'ending not known')}; "
         f"{found['iterations']} steps, {found['seconds']:.1f} s",
     }
-    if found["warnings"]:
-        facts["Warnings"] = "; ".join(warning["message"] for warning in found["warnings"])
-    return facts
 
 
 def _flesh_words(flesh: dict[str, Any] | None, inverted: int) -> str:
@@ -325,7 +325,7 @@ def _trip_words(trip: dict[str, Any] | None) -> str:
 
 def mover_words(actions: list[dict[str, Any]]) -> str:
     """Return which action units an expression's name speaks for, and which are not judged."""
-    words = "Who contracts most: shortening of the fibres."
+    words = "Who contracts most, by compartment: shortening of the fibres."
     if not actions:
         return f"{words} The expression's name speaks for no action unit that it is compared with."
     judged = {each["unit"] for each in actions if each["muscles"]}
@@ -352,8 +352,9 @@ def mover_notes(actions: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
     notes = {}
     for name in dict.fromkeys(muscles):
         makes, lengthens = units(name, "muscles"), units(name, "lengthened")
-        against = units(name, "opposed")
+        against, idle = units(name, "opposed"), units(name, "idle")
         faults = [f"lengthens in {lengthens}"] if lengthens else []
+        faults += [f"holds still in {idle}"] if idle else []
         faults += [f"works against {against}"] if against else []
         notes[name] = (f"makes {makes}{places.get(name, '')}" if makes else "", "; ".join(faults))
     return notes

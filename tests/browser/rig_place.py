@@ -20,6 +20,7 @@ from service.settings import Settings
 from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Artifact, Job, Rig, Subject
 from solver.rig.animation_gltf import AnimatedSkin
+from solver.rig.container import write_container
 from solver.rig.frames import MarkerFrame, SequenceFrame
 from solver.rig.marker_view import MarkerView
 from solver.scans.markers.marker_set import Marker, MarkerSet
@@ -93,7 +94,8 @@ def served_rigs(folder: Path) -> Iterator[Place]:
     _, second = put_rig(store, "Berta", files, other.summary())
     _, old = put_rig(store, "Cleo", [], {})
     glb, frames = _sequence(folder, sample)
-    take = put_job(store, subject, "fit_sequence", [glb], {"performance": "take 7"}, first)
+    pulls = _contractions(folder / "contractions.bin", sample, len(frames))
+    take = put_job(store, subject, "fit_sequence", [glb, pulls], {"performance": "take 7"}, first)
     markers = _marker_set(sample)
     markers.save(folder / "markers.json")
     _marker_view(folder / "markers.bin", markers, frames)
@@ -154,6 +156,16 @@ def _sequence(folder: Path, sample: Sample) -> tuple[Path, Floats]:
     return path, frames
 
 
+def _contractions(path: Path, sample: Sample, frames: int) -> Path:
+    """Write a take in which one side's muscle contracts, the other one's is at its bound."""
+    found = np.zeros((frames, len(sample.muscles)), np.float32)
+    found[:, sample.muscles.index("zygomaticus_major_l")] = np.linspace(0.0, 0.2, frames)
+    found[:, sample.muscles.index("zygomaticus_major_r")] = -0.05
+    arrays = {"contraction": found, "jaw": np.zeros((frames, 5), np.float32)}
+    write_container(path, {"muscles": list(sample.muscles)}, arrays)
+    return path
+
+
 def _marker_set(sample: Sample, count: int = 24) -> MarkerSet:
     """Return markers on triangles over the front of the face, two millimetres off the skin."""
     surface = sample.neutral
@@ -191,6 +203,7 @@ def _marker_view(path: Path, markers: MarkerSet, frames: Floats) -> None:
             marker_state=tuple(states),
             sd=np.ones(23),
             information=np.ones(23),
+            contraction_sd=np.full(3, 0.1),
             held=np.array([0.0, 0.0, float(number > 5)]),
             tracks=np.zeros(0),
             mandible=np.eye(4),

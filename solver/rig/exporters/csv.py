@@ -1,4 +1,4 @@
-"""``activations.csv``: every muscle's activation in every expression, for spreadsheets."""
+"""``activations.csv``: every muscle in every expression, for spreadsheets; who pulls is first."""
 
 from __future__ import annotations
 
@@ -27,11 +27,14 @@ def write(rig: Rig, path: Path, options: Options = Options()) -> None:
     decimals = options.decimals
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
-        rows.writerow(["expression", "role", "muscle", "fibres", *ENTRIES, *JAW])
+        heads = ["expression", "role", "muscle", "contraction", "fibres", *ENTRIES, *JAW]
+        rows.writerow(heads)
         for fit in rig.expressions:
             muscles = figures["expressions"][fit.name]["muscles"]
             jaw = [f"{value:.{decimals}f}" for value in fit.jaw]
             for muscle, activation in zip(rig.model.muscle_names, fit.activations, strict=True):
                 values = [f"{value:.{decimals}f}" for value in activation]
                 fibres = muscles[muscle]["fibres"]  # None is an empty cell
-                rows.writerow([fit.name, fit.role, muscle, fibres, *values, *jaw])
+                contraction = None if fibres is None else round(1.0 - fibres, 4)
+                own = [fit.name, fit.role, muscle, contraction, fibres]
+                rows.writerow([*own, *values, *jaw])

@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from solver.anatomy.muscle_weights import muscle_volumes
+from solver.fitting.contraction import STILL
 from solver.rig.container import write_container
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
@@ -40,6 +41,7 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
         "muscles": list(names),
         "wholes": list(rig.model.muscle_groups),
         "flesh_mm3": flesh,
+        "still": [-STILL.lengthened, STILL.least],
     }
     stretches = [[each["muscles"][name]["fibres"] for name in names] for each in told]
     arrays: dict[str, np.ndarray] = {

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
+from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face, Pose
 from solver.fitting.markers.term import MarkerPlaces
 from solver.jobs import fit_markers, run_job
@@ -126,6 +127,23 @@ def test_a_take_is_fitted(whole: tuple[Path, dict], files: Path) -> None:
         rows = list(csv.DictReader(stream))
     spread = [float(rows[5][f"jaw.{number}.sd"]) for number in range(1, 6)]
     np.testing.assert_allclose(spread, found["sd"][5][-5:], atol=1e-6)
+    # who pulls comes first, with its deviation; then the six numbers of each muscle
+    names = [f"{name}.contraction" for name in model.muscle_names]
+    told = [*names, *(f"{name}.sd" for name in names), "jaw.1"]
+    assert list(rows[0])[: 4 + len(told)] == ["frame", "time", "status", "mean_mm", *told]
+    contraction = Contraction.of_face(Face(model))
+    assert contraction is not None
+    table = [[float(row[name] or "nan") for name in names] for row in rows]
+    np.testing.assert_allclose(table, contraction(found["activations"]), atol=1e-6)
+    np.testing.assert_allclose(found["contraction"], table, atol=1e-6)
+    assert np.nanmax(table) > 0.02
+    assert found["contraction_sd"].shape == found["contraction"].shape
+    grown = found["contraction_sd"][5] > found["contraction_sd"][3]  # no marker tells of it
+    assert grown[np.isfinite(table[0])].mean() > 0.9
+    shown = read_container(out / "contractions.bin")
+    assert shown.header["muscles"] == list(model.muscle_names)
+    np.testing.assert_allclose(shown.arrays["contraction"], table, atol=1e-6)
+    np.testing.assert_allclose(shown.arrays["jaw"], found["jaw"], atol=1e-5)
 
 
 def test_a_point_that_is_nowhere_at_all_is_an_outlier(files: Path, tmp_path: Path) -> None:

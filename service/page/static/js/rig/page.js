@@ -134,7 +134,7 @@ export class RigPage extends EventTarget {
       this.#read(INSIDE, (buffer) => { this.#inside = new Inside(buffer); });
     }
     if (state.take && state.take.job !== this.#take?.job) this.#readTake(state.take.job);
-    for (const panel of this.#panels) panel.show(state, this.#take?.take);
+    for (const panel of this.#panels) panel.show(state, this.#shownTake);
     this.#isStale = true;
     this.#box.stage.invalidate();
     this.#settleSoon();
