@@ -249,8 +249,8 @@ def run(task: Task[FitSequence]) -> list[Path]:
     refuse_unfitted(done, source.name)
     progress(Step("export", 0.96))
     report = sequence_report(done, given.fps, source.name)
-    files = write_sequence(out, done, subject.muscle_names, given.fps, report)
-    files += write_animated(out, fitter.skin, subject, given.fps)
+    animated, report["files"] = write_animated(out, fitter.skin, subject, given.fps)
+    files = write_sequence(out, done, subject.muscle_names, given.fps, report) + animated
     if fitter.shots:
         files.append(out / "sequence.png")
         words = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average"
