@@ -92,10 +92,11 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     progress(Step("export", 0.96))
     report = sequence_report(done, rate, take.file) | marker_report(done, source.labels)
     report |= carried | {"notices": [notice.as_dict() for notice in notices]}
+    animated, report["files"] = write_animated(out, drawing.skin, rig.model, rate, take.first)
     contraction = Contraction.of_face(face)
     files = write_sequence(out, done, muscles, rate, report, contraction, take.first)
     files += [out / "markers.json"] if given.refine and not given.actor else []
-    files += write_animated(out, drawing.skin, rig.model, rate, take.first)
+    files += animated
     files.append(out / VIEW_FILE)
     drawing.view.write(files[-1], rate)
     progress(Step("done", 1.0))

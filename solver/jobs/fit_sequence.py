@@ -250,9 +250,10 @@ def run(task: Task[FitSequence]) -> list[Path]:
     refuse_unfitted(done, source.name)
     progress(Step("export", 0.96))
     report = sequence_report(done, given.fps, source.name)
+    animated, report["files"] = write_animated(out, fitter.skin, subject, given.fps)
     contraction = Contraction.of_face(face)
     files = write_sequence(out, done, subject.muscle_names, given.fps, report, contraction)
-    files += write_animated(out, fitter.skin, subject, given.fps)
+    files += animated
     if fitter.shots:
         files.append(out / "sequence.png")
         words = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average"

@@ -22,8 +22,8 @@ from solver.mechanics.equilibrium import CorrectorOptions
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step
 from solver.rig.frames import ChunkOptions, read_frames
+from solver.rig.growing_basis import SEQUENCE_BASIS
 from solver.rig.rig import Rig
-from solver.rig.skin_basis import SEQUENCE_BASIS
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model
 from tests.solver.glb import shown_skins

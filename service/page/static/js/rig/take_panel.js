@@ -31,6 +31,7 @@ export class TakePanel {
     oninput: () => this.#go(this.#shown, Number(this.#scrub.value)),
   });
   #place = h("output", {}, "");
+  #about = h("p", { class: "fine" }, "");
   #lanes = new Lanes((frame) => this.#go(this.#shown, frame));
   #pulls = new ContractionLanes((frame) => this.#go(this.#shown, frame));
 
@@ -63,7 +64,8 @@ export class TakePanel {
       h("div", { class: "scrubber" }, this.#scrub, this.#place),
       this.#pulls.element,
       this.#lanes.element,
-      h("p", { class: "fine" }, "The skin of the fit within 0.2 mm, in the head's own frame; the muscles' sliders follow. Muscles and bones stay at rest in the picture. Arrows go from the fit to where markers were seen, five times as long."));
+      this.#about);
+    this.#tell();
   }
 
   /** Return the take of a job, read when it is first asked for; null if there is none. */
@@ -96,6 +98,7 @@ export class TakePanel {
     }
     this.#shown = state.take.job;
     this.#pick.value = state.take.job;
+    this.#tell();
     this.#scrub.max = take.frames - 1;
     this.#lanes.element.hidden = !take.markers;
     if (take.markers) this.#lanes.show(take.markers, state.take.frame);
@@ -103,6 +106,13 @@ export class TakePanel {
     if (take.contractions) this.#pulls.show(take, state.take.frame);
     if (Number(this.#scrub.value) !== state.take.frame) this.#scrub.value = state.take.frame;
     setText(this.#place, `${state.take.frame + 1} of ${take.frames}, ${take.times[state.take.frame].toFixed(2)} s`);
+  }
+
+  /** Tell how far what is played is off the fit, as the job measured it in the file. */
+  #tell() {
+    const written = this.#jobs.get(this.#pick.value)?.job.result.summary?.files?.[FILE];
+    const off = written ? `, at most ${written.max_mm.toFixed(2)} mm off it (frame ${written.frame})` : "";
+    setText(this.#about, `The skin of the fit${off}, in the head's own frame; the muscles' sliders follow. Muscles and bones stay at rest in the picture. Arrows go from the fit to where markers were seen, five times as long.`);
   }
 
   /** Stop playing. */
