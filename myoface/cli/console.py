@@ -203,7 +203,7 @@ def _show_verdict(title: str, check: Mapping[str, Any]) -> None:
     for each in judged:
         if each["about"] == "size" and each["judged"]:
             out.print(f"  {each['words']}")
-    _show_findings(check["findings"])
+    show_findings(check["findings"])
     for each in judged:
         if not each["judged"]:
             out.print(f"  not judged: {each['about']}: {each['words']}")
@@ -215,10 +215,11 @@ def show_registration(title: str, registration: Mapping[str, Any]) -> None:
     if registration["mean_mm"] is not None:
         words += f", {registration['mean_mm']:.2f} mm off the scan on average"
     out.print(f"{title}: {words}")
-    _show_findings(registration["findings"])
+    show_findings(registration["findings"])
 
 
-def _show_findings(findings: Iterable[Mapping[str, str]]) -> None:
+def show_findings(findings: Iterable[Mapping[str, Any]]) -> None:
+    """Show each finding with its advice."""
     for finding in findings:
         out.print(f"  - {finding['message']}")
         if finding.get("advice"):

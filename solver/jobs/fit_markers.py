@@ -111,10 +111,11 @@ def _bound(
     What stands still or was drawn is missing. A marker that moved is another one from then on.
     """
     given, given_set, skin = task.options, task.inputs.get("marker_set"), model_face(model)
-    rows = frames_about(take, given.neutral, rate)
+    rows, notices = frames_about(take, given.neutral, rate), list[Finding]()
     if given_set is None:
         found = bind(take, model, rows, actor=given.actor)
         markers = found.markers
+        notices.extend(found.findings)
         if given.actor:
             rows = found.neutral  # the motions count from the frames whose places they are
     else:
@@ -123,7 +124,6 @@ def _bound(
         message = "the marker set is of another model: bind it again"
         raise InputError("markers.other_model", message)
     report: dict[str, Any] = {}
-    notices: list[Finding] = []
     if given.actor:
         carried = carry(take, markers, skin, rate, rows)
         take, markers, report = carried.take, carried.markers, {"actor": carried.report}
@@ -132,7 +132,7 @@ def _bound(
     if not given.actor:
         motion, spans = faults.motion, [rows] if rows else []
         # people are still in expressions, too
-        spans = spans or [each.rows for each in still_seconds(motion, rate, FACE.seconds)]
+        spans = spans or [each.rows for each in still_seconds(motion, rate, FACE.rest.seconds)]
         off_mm, rows = min((off_places(take, markers, motion, skin, each), each) for each in spans)
         notices.extend(_other_person(take, rows, off_mm))
     measured = replace(take, positions=faults.hide_unmeasured(take.positions))

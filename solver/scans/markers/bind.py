@@ -14,7 +14,7 @@ import igl
 import numpy as np
 
 from solver.anatomy.embedding import barycentric
-from solver.errors import InputError
+from solver.errors import Finding, InputError
 from solver.mechanics.boundary import move_jaw, move_jaw_back
 from solver.model import JawFrame, SubjectModel
 from solver.registration.search import nose_tip
@@ -26,8 +26,10 @@ from solver.scans.markers.face_take import (
     choose_face,
     locate_take,
 )
+from solver.scans.markers.findings import MarkerCheck
 from solver.scans.markers.locate import Located, LocateOptions, heights_over
 from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, places_over
+from solver.scans.markers.rest_findings import report_mouth, report_off_skin, report_rest
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity
 from solver.surface import Floats, Surface, area_normals, unit_rows
@@ -114,6 +116,7 @@ class Binding:
     markers: MarkerSet
     pose: Located
     neutral: tuple[int, int]  # first and last row of the take at rest
+    findings: tuple[Finding, ...] = ()  # what to look at before the set is used
 
 
 def bind(
@@ -127,10 +130,10 @@ def bind(
 ) -> Binding:
     """Return where the markers of a take sit on ``model``, at rest in the ``neutral`` rows.
 
-    Without these one of the stillest seconds is taken, in which the markers lie most like the
-    face. With an ``expression`` the face shows that instead. An ``actor`` is another person: see
-    :func:`place_take`. Raises :class:`InputError`: ``markers.few``, not enough of them are seen in
-    these frames, or ``markers.too_large``.
+    Without these a still second is taken, to which the face comes back most, or in which the
+    markers lie most like the face. With an ``expression`` the face shows that instead. An ``actor``
+    is another person: see :func:`place_take`. Raises :class:`InputError`: ``markers.few``, not
+    enough of them are seen in these frames, or ``markers.too_large``.
     """
     reference, face = Reference.of(model, expression=expression), choose_face(take, options.face)
     if len(face.numbers) < options.face.least:
@@ -140,8 +143,12 @@ def bind(
         seen = int(np.isfinite(located.points[:, 0]).sum())
         raise _few_error(take.file, seen, "seen at rest", options.face)
     markers = place_take(located, located.pose, reference.face, options, actor=actor)
-    bound = reference.bind(markers, located.pose.session)
-    return Binding(bound, located.pose, located.neutral)
+    bound, check = reference.bind(markers, located.pose.session), MarkerCheck()
+    report_rest(check, located, is_given=neutral is not None)
+    report_off_skin(check, located, bound)
+    if expression is None:
+        report_mouth(check, located, None)
+    return Binding(bound, located.pose, located.neutral, tuple(check.findings))
 
 
 def _few_error(file: str, found: int, where: str, options: FaceOptions) -> InputError:

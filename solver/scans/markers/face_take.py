@@ -1,7 +1,7 @@
 """The markers of one face in a take, and where they lie on a person at rest.
 
 The labels of one face are chosen among those of bodies and of other faces (``choose_face``); that
-face is found on the person's skin (:mod:`.locate`) in one of the seconds in which it is stillest.
+face is found on the person's skin (:mod:`.locate`) in a second at rest (:mod:`.rest`).
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from solver.errors import InputError
 from solver.registration.units import likely_unit
 from solver.scans.markers.faults import Faults, find_faults
 from solver.scans.markers.locate import Located, LocateOptions, locate
-from solver.scans.markers.motion import Mask, Motion, Second, median_of_seen, still_seconds
+from solver.scans.markers.motion import Mask, Motion, median_of_seen
 from solver.scans.markers.names import Named, read_names
+from solver.scans.markers.rest import REST, Rest, RestOptions, likely_rests, rivals
 from solver.scans.markers.take import Take
 from solver.surface import Floats, Ints, Surface
 
@@ -33,8 +34,9 @@ class FaceOptions:
     linked: float = 100.0  # markers of one head lie no farther apart, one to the next
     second: float = 0.4  # of the first face's markers make another face ...
     least_second: int = 6  # ... if they are so many
-    seconds: int = 10  # in which the face is still, to compare with the person
-    off_skin: float = LocateOptions.off_skin  # a marker counts for no more in that
+    off_skin: float = LocateOptions.off_skin  # a marker counts for no more, of likeness to a person
+    resembles: float = 0.5  # of it: a pose that is so much more like the person is the rest
+    rest: RestOptions = REST
 
 
 FACE = FaceOptions()
@@ -68,6 +70,8 @@ class LocatedTake:
     neutral: tuple[int, int]  # first and last row of the take at rest
     points: Floats  # (n, 3) at rest, in the axes and the unit of the take
     pose: Located | None  # where the face is under them; None if they are too few
+    rest: Rest | None = None  # the pose at rest; None if its rows were given
+    rival: Rest | None = None  # another, that may be rest as well
 
     @property
     def distinct(self) -> int:
@@ -164,26 +168,34 @@ def locate_take(
 ) -> LocatedTake:
     """Return where a face's markers lie on a ``skin``, at rest in the ``neutral`` rows.
 
-    Without these the stillest second is taken, or of some that are ``compared`` that in which the
-    markers lie most like the skin: people are still with the mouth open, too.
+    Without these the likeliest rest is taken, or of the few likeliest that are ``compared`` that in
+    which the markers lie most like the skin.
     """
     faults = find_faults(face.mm * face.take.positions[:, face.numbers], face.rate)
-    motion = faults.motion
     if neutral:
-        seconds = [Second(neutral)]
-    else:
-        seconds = still_seconds(motion, face.rate, options.seconds if compared else 1)
-    found, least = None, np.inf
-    for second in seconds:
-        points = _rest_points(motion, second.rows) / face.mm
-        here = LocatedTake(face, faults, second.rows, points, None)
-        if here.distinct >= options.least:
-            here = replace(here, pose=locate(points, face.names, skin))
-        cost = second.unrest + _unlikeness(here.pose, options)
-        if found is None or cost < least:
-            found, least = here, cost
-    assert found is not None, "every take has a second"
-    return found
+        return _locate_at(face, skin, faults, neutral, options)
+    rests = likely_rests(faults, face.names, face.rate, options.rest)
+    tried = rests if compared else rests[:1]
+    found = [_locate_at(face, skin, faults, each.rows, options) for each in tried]
+    unlike = [_unlikeness(each.pose, options) for each in found]
+    costs = [each.second.unrest + miss for each, miss in zip(tried, unlike, strict=True)]
+    best = int(np.argmin(costs))
+    others = rivals(rests[best], rests, options.rest)
+    if compared:
+        much = unlike[best] + options.resembles
+        others = [each for each in others if unlike[rests.index(each)] < much]
+    return replace(found[best], rest=rests[best], rival=others[0] if others else None)
+
+
+def _locate_at(
+    face: FaceTake, skin: Surface, faults: Faults, rows: tuple[int, int], options: FaceOptions
+) -> LocatedTake:
+    """Return where a face's markers lie on a ``skin``, at rest in some rows."""
+    points = _rest_points(faults.motion, rows) / face.mm
+    here = LocatedTake(face, faults, rows, points, None)
+    if here.distinct < options.least:
+        return here
+    return replace(here, pose=locate(points, face.names, skin))
 
 
 def _unlikeness(pose: Located | None, options: FaceOptions) -> float:

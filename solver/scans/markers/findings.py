@@ -48,6 +48,8 @@ ADVICE = {
     "markers.wrong": "Clean the take, or take it again: too much of it is wrong.",
     # the person
     "markers.neutral": "Name frames with a relaxed face, lips closed, or the expression they show.",
+    "markers.unclear_rest": "Look at both, and name a frame with the face at rest: --neutral.",
+    "markers.off_skin": "Name other frames at rest if the mouth is open in these; else do nothing.",
     "markers.other_person": "Take this person's own rig, or fit it as another actor's: --actor.",
 }
 
@@ -66,6 +68,8 @@ class CheckLimits:
     repeated: float = 0.05  # of the frames
     person: float = 3.0  # rms off the rig's skin, or off the places of a marker set
     open_mouth: float = 5.0  # rms of the jaw's markers, when the others fit
+    lips_apart: float = 6.0  # more than at the places of a marker set: the mouth is open
+    named_lips_apart: float = 12.0  # the same by names, which are less sure
     misplaced: float = 4.0  # off the place in the set, when the others fit
     fills: float = 4.0  # an unlabelled track so near to where a missing marker is expected
     share_filled: float = 0.5  # of a track's frames
