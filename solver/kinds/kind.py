@@ -81,12 +81,13 @@ class Kind:
     asks: tuple[Input, ...] = ()
     folder: str = "result"  # that a command line fills by default
     frames: bool = False
+    seconds: int | None = None  # that it may last, where others of its queue last much longer
     name: str = ""
 
     @property
     def max_seconds(self) -> int:
         """Seconds after which an attempt at it is ended, where an installation sets no others."""
-        return QUEUE_SECONDS[self.queue]
+        return self.seconds or QUEUE_SECONDS[self.queue]
 
     @property
     def max_bytes(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,18 +15,20 @@ from benchmarks.bad_takes import BAD_TAKES
 from solver.errors import Finding, InputError, judge_findings
 from solver.fitting.markers.term import MarkerPlaces
 from solver.mechanics.boundary import move_jaw
+from solver.registration.search import FacePoints, FacePose
+from solver.scans.markers import locate as locate_module
 from solver.scans.markers.bind import Reference, bind, model_face, rest_places
 from solver.scans.markers.check import check_take
 from solver.scans.markers.face_take import choose_face, locate_take
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import ADVICE, MarkerCheck
-from solver.scans.markers.locate import FLIP, locate
+from solver.scans.markers.locate import FLIP, LocateOptions, locate
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.motion import find_neutral
 from solver.scans.markers.moved import split_moved
 from solver.scans.markers.take import Take, read_take
 from solver.similarity import Similarity
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, vertex_normals
 from tests.fixtures import data_folder, small_capture, small_model
 from tests.solver.scans.markers.made_take import (
     LABELS,
@@ -166,6 +169,31 @@ def test_points_without_any_unit_are_refused_at_once(person: Reference, clean: F
     why = Finding("markers.unit", "error", "no unit", "")
     check = check_take(made_take(1e-9 * clean, findings=(why,)), person)
     assert check.findings == [why]
+
+
+def test_of_many_markers_some_that_are_spread_over_the_face_slide(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Time grows with those that do, and anybody may send 400."""
+    face, slid = model_face(small_model()), []
+    refine = locate_module.refine_pose
+
+    def counted(cloud: FacePoints, *more: Any, **named: Any) -> FacePose:
+        slid.append(len(cloud.points))
+        return refine(cloud, *more, **named)
+
+    monkeypatch.setattr(locate_module, "refine_pose", counted)
+    chosen = np.unique(face.faces)[::4][:400]
+    points = face.vertices[chosen] + 2.0 * vertex_normals(face)[chosen]
+    turn = Rotation.from_euler("y", 30, degrees=True).as_matrix()
+    found = locate(points @ turn.T, [None] * len(points), face)
+    assert len(points) > 200 >= 2 * max(slid)
+    assert found.off_skin.shape == points.shape[:1]
+    assert np.linalg.norm(found.session(points @ turn.T) - points, axis=1).max() < 1.0
+    slid.clear()
+    random = np.random.default_rng(0).normal((10.0, 800.0, 30.0), (45.0, 55.0, 25.0), (60, 3))
+    assert locate(random, [None] * len(random), face).miss() > 15.0
+    assert len(slid) == 2 * LocateOptions.rounds  # at one height: none brings it to the skin
 
 
 def test_points_that_no_way_of_lying_brings_near_a_face_are_located_nowhere_near() -> None:
