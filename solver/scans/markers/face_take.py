@@ -6,15 +6,16 @@ face is found on the person's skin (:mod:`.locate`) in one of the seconds in whi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from solver.errors import InputError
-from solver.registration.units import likely_unit
+from solver.registration.units import choose_unit, likely_unit
 from solver.scans.markers.faults import Faults, find_faults
-from solver.scans.markers.locate import Located, LocateOptions, locate
+from solver.scans.markers.locate import NAMES_UNIT, Located, LocateOptions, locate
 from solver.scans.markers.motion import Mask, Motion, Second, median_of_seen, still_seconds
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.take import Take
@@ -50,7 +51,7 @@ class FaceTake:
     another: Ints  # those of them on a second face; none if there is no such face
     dead: Ints  # labels that are never seen
     names: tuple[Named | None, ...]  # (n,) places by the face's labels
-    mm: float  # a unit of the take, by how far neighbours lie apart
+    mm: float  # a unit of the take, by how far markers lie apart
     rate: float  # frames a second; the usual where the take has none
 
     @property
@@ -95,6 +96,10 @@ def choose_face(take: Take, options: FaceOptions = FACE) -> FaceTake:
     mm = _neighbours_unit(take.positions[:, alive], options)
     is_body = np.array([each is not None and each.part == "ignore" for each in named], bool)
     on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
+    by_names = _unit_by_names(take, on_face, named, options)
+    if by_names not in (None, mm):
+        mm = by_names
+        on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
     numbers = np.flatnonzero(on_face)
     return FaceTake(
         take,
@@ -143,6 +148,28 @@ def _neighbours_unit(positions: Floats, options: FaceOptions) -> float:
     return likely_unit(spacing, options.spacing, (1.0, 1000.0, 10.0, 0.1, 0.001)) or 1.0
 
 
+def _unit_by_names(
+    take: Take, on_face: Mask, named: Sequence[Named | None], options: FaceOptions
+) -> float | None:
+    """Return the mm a unit that puts a face's markers as far apart as their names; None if none."""
+    places = {
+        number: each.place
+        for number, each in enumerate(named)
+        if each is not None and each.part == "face" and on_face[number]
+    }
+    if len(places) < options.least:
+        return None
+    apart = _usual_distances(take.positions[:, list(places)])
+    at = np.array(list(places.values()))
+    by_name = np.linalg.norm(at[:, None] - at[None], axis=2)
+    known = (by_name > 0) & (apart > 0)
+    if not known.any():
+        return None
+    scale = float(np.median(by_name[known] / apart[known]))
+    unit = choose_unit(scale, None, None, NAMES_UNIT, read_mm=take.unit_mm)
+    return None if unit.source == "template" else unit.mm_per_unit
+
+
 def _usual_distances(positions: Floats, frames: int = 40) -> Floats:
     """Return the median distances (k, k) of markers, NaN for those never seen together."""
     some = positions[np.unique(np.linspace(0, len(positions) - 1, frames).astype(int))]
@@ -178,7 +205,7 @@ def locate_take(
         points = _rest_points(motion, second.rows) / face.mm
         here = LocatedTake(face, faults, second.rows, points, None)
         if here.distinct >= options.least:
-            here = replace(here, pose=locate(points, face.names, skin))
+            here = replace(here, pose=locate(points, face.names, skin, read_mm=face.take.unit_mm))
         cost = second.unrest + _unlikeness(here.pose, options)
         if found is None or cost < least:
             found, least = here, cost
