@@ -88,7 +88,7 @@ def check_take(
     report_location(check, located, located.pose)
     if reference.model_sha256:
         _check_person(check, located, reference, actor=actor, limits=limits)
-        markers = place_take(located, located.pose, reference.face, actor=actor)
+        markers = place_take(located, located.pose, reference, actor=actor)
         check.bound = reference.bind(markers, located.pose.session)
     return check
 
