@@ -13,7 +13,7 @@ Axis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
 
 SubjectId = Annotated[str, Argument(help="subject: its id, the start of it, or the name")]
 OfSubject = Annotated[str | None, Option("--subject", help="subject: id, start of it, or name")]
-UNITS = ("auto", "mm", "cm", "m", "inch")
+UNITS = ("auto", "mm", "cm", "m", "inch", "foot")
 
 
 def read_unit(word: str) -> str | float:

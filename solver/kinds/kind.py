@@ -207,7 +207,7 @@ class PlayOptions(JobOptions):
     linear_solver: LinearSolver = None
 
 
-UnitName = Literal["auto", "mm", "cm", "m", "inch"]
+UnitName = Literal["auto", "mm", "cm", "m", "inch", "foot"]
 
 
 def find_unit(value: Any) -> str | None:
@@ -219,7 +219,7 @@ def find_unit(value: Any) -> str | None:
 
 Unit = Annotated[
     Annotated[UnitName, Tag("<name>")] | Annotated[float, Field(ge=1e-6, le=1e6), Tag("<number>")],
-    tell_forms(find_unit, "is not auto, mm, cm, m, inch or a number of mm"),
+    tell_forms(find_unit, "is not auto, mm, cm, m, inch, foot or a number of mm"),
 ]
 
 
@@ -228,8 +228,8 @@ class FrameOptions(JobOptions):
 
     unit: Unit = Field(
         default="auto",
-        description="unit of the file's coordinates: mm, cm, m, inch or a number, the mm of a "
-        "unit; auto: what the format says, else what makes it a head",
+        description="unit of the file's coordinates: mm, cm, m, inch, foot or a number, the mm of "
+        "a unit; auto: what the format says, else what makes it a head",
     )
     eye_distance_mm: float | None = Field(
         default=None,

@@ -95,7 +95,7 @@ def test_contracts_load_no_numerics() -> None:
             "check_scan",
             {"unit": "mile"},
             "options.unit",
-            "'mile' is not auto, mm, cm, m, inch or a number of mm",
+            "'mile' is not auto, mm, cm, m, inch, foot or a number of mm",
         ),
         ("check_scan", {"unit": -3}, "options.unit", "-3 is less than the minimum of 1e-06"),
         ("register_scan", {"unit": float("nan")}, "options.unit", "nan is not a number"),
@@ -103,7 +103,7 @@ def test_contracts_load_no_numerics() -> None:
             "check_scan",
             {"unit": True},
             "options.unit",
-            "True is not auto, mm, cm, m, inch or a number of mm",
+            "True is not auto, mm, cm, m, inch, foot or a number of mm",
         ),
         (
             "check_scan",

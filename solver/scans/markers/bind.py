@@ -6,8 +6,8 @@ lies: to the skin with a height over it, or to the bone that it rides on. A chec
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import igl
@@ -29,6 +29,7 @@ from solver.scans.markers.face_take import (
 from solver.scans.markers.findings import MarkerCheck
 from solver.scans.markers.locate import Located, LocateOptions, heights_over
 from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, places_over
+from solver.scans.markers.orbits import Rim, clear_lids, find_rims
 from solver.scans.markers.rest_findings import report_mouth, report_off_skin, report_rest
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity
@@ -72,6 +73,7 @@ class Reference:
     model_sha256: str = ""  # of the person's model; empty for a face that is nobody's
     markers: MarkerSet | None = None
     jaw: tuple[JawFrame, Floats] | None = None  # and its b (5,), if it is not at rest
+    rims: Mapping[int, Rim] = field(default_factory=dict)  # of its orbits, by side
 
     @classmethod
     def of(
@@ -82,10 +84,11 @@ class Reference:
     ) -> Reference:
         """Return a person at rest, or in an expression."""
         face = model_face(model)
-        if expression is None:
-            return cls(face, model.sha256, markers)
-        jaw = model.jaw, expression.jaw
-        return cls(face.moved(expression.skin), model.sha256, markers, jaw)
+        jaw = None
+        if expression is not None:
+            face, jaw = face.moved(expression.skin), (model.jaw, expression.jaw)
+        rims = find_rims(face.vertices, model.regions)
+        return cls(face, model.sha256, markers, jaw, rims)
 
     def places(self, markers: MarkerSet) -> Floats:
         """Return where the markers (k, 3) of a set lie on this face, NaN for those without."""
@@ -142,7 +145,7 @@ def bind(
     if located.pose is None:
         seen = int(np.isfinite(located.points[:, 0]).sum())
         raise _few_error(take.file, seen, "seen at rest", options.face)
-    markers = place_take(located, located.pose, reference.face, options, actor=actor)
+    markers = place_take(located, located.pose, reference, options, actor=actor)
     bound, check = reference.bind(markers, located.pose.session), MarkerCheck()
     report_rest(check, located, is_given=neutral is not None)
     report_off_skin(check, located, bound)
@@ -169,7 +172,7 @@ def model_face(model: SubjectModel) -> Surface:
 def place_take(
     located: LocatedTake,
     pose: Located,
-    skin: Surface,
+    reference: Reference,
     options: BindOptions = BIND,
     *,
     actor: bool = False,
@@ -177,13 +180,16 @@ def place_take(
     """Return a marker for every label of a take whose face has a ``pose``.
 
     Those of an ``actor`` are brought to the person's size by their names, and lie on the skin as
-    markers do: how far they then are from it is how unlike the two faces are.
+    markers do: how far they then are from it is how unlike the two faces are. Of the orbit, they
+    lie on its rim.
     """
     session, height = pose.session, None
     if actor:
         session, height = pose.similar or session, options.usual_height
     placed = session(located.points)
-    return place_markers(located.face, placed, skin, options, height)
+    if actor:
+        placed = clear_lids(placed, located.face.names, reference.rims)
+    return place_markers(located.face, placed, reference.face, options, height)
 
 
 def place_markers(

@@ -87,7 +87,7 @@ def check_take(
         return check
     report_location(check, located, located.pose)
     if reference.model_sha256:
-        markers = place_take(located, located.pose, reference.face, actor=actor)
+        markers = place_take(located, located.pose, reference, actor=actor)
         check.bound = reference.bind(markers, located.pose.session)
         _check_person(check, located, reference, actor=actor, limits=limits)
         if not any(each.code == "markers.other_person" for each in check.findings):

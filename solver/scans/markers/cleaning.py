@@ -161,12 +161,12 @@ def settle_unit(
         return named, []
     words = f"says '{quote(unit)}'" if unit else "does not say its unit"
     for bounds in (options.face_mm, options.seen_mm):
-        mm = likely_unit(spread, bounds, [UNITS[name] for name in COMMON])
+        mm = likely_unit(spread, bounds, UNITS.values())
         if mm is None:
             continue
         name = ScanUnit(mm, "found").name
         size = f"in which points spread {spread * mm:.0f} mm about their middle"
-        is_plain = not unit and bounds == options.face_mm
+        is_plain = not unit and bounds == options.face_mm and name in COMMON
         figures = {"file": file, "unit": name, "spread_mm": round(spread * mm, 1)}
         severity: Severity = "info" if is_plain else "warning"
         message = f"{file} {words}; it is read in {name}, {size}."

@@ -6,15 +6,16 @@ face is found on the person's skin (:mod:`.locate`) in a second at rest (:mod:`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from solver.errors import InputError
-from solver.registration.units import likely_unit
+from solver.registration.units import choose_unit, likely_unit
 from solver.scans.markers.faults import Faults, find_faults
-from solver.scans.markers.locate import Located, LocateOptions, locate
+from solver.scans.markers.locate import NAMES_UNIT, Located, LocateOptions, locate
 from solver.scans.markers.motion import Mask, Motion, median_of_seen
 from solver.scans.markers.names import Named, read_names
 from solver.scans.markers.rest import REST, Rest, RestOptions, likely_rests, rivals
@@ -52,7 +53,7 @@ class FaceTake:
     another: Ints  # those of them on a second face; none if there is no such face
     dead: Ints  # labels that are never seen
     names: tuple[Named | None, ...]  # (n,) places by the face's labels
-    mm: float  # a unit of the take, by how far neighbours lie apart
+    mm: float  # a unit of the take, by how far markers lie apart
     rate: float  # frames a second; the usual where the take has none
 
     @property
@@ -99,6 +100,10 @@ def choose_face(take: Take, options: FaceOptions = FACE) -> FaceTake:
     mm = _neighbours_unit(take.positions[:, alive], options)
     is_body = np.array([each is not None and each.part == "ignore" for each in named], bool)
     on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
+    by_names = _unit_by_names(take, on_face, named, options)
+    if by_names not in (None, mm):
+        mm = by_names
+        on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
     numbers = np.flatnonzero(on_face)
     return FaceTake(
         take,
@@ -145,6 +150,28 @@ def _neighbours_unit(positions: Floats, options: FaceOptions) -> float:
     np.fill_diagonal(apart, np.inf)
     spacing = float(np.median(np.sort(apart, axis=1)[:, 1]))  # the second: labels may be double
     return likely_unit(spacing, options.spacing, (1.0, 1000.0, 10.0, 0.1, 0.001)) or 1.0
+
+
+def _unit_by_names(
+    take: Take, on_face: Mask, named: Sequence[Named | None], options: FaceOptions
+) -> float | None:
+    """Return the mm a unit that puts a face's markers as far apart as their names; None if none."""
+    places = {
+        number: each.place
+        for number, each in enumerate(named)
+        if each is not None and each.part == "face" and on_face[number]
+    }
+    if len(places) < options.least:
+        return None
+    apart = _usual_distances(take.positions[:, list(places)])
+    at = np.array(list(places.values()))
+    by_name = np.linalg.norm(at[:, None] - at[None], axis=2)
+    known = (by_name > 0) & (apart > 0)
+    if not known.any():
+        return None
+    scale = float(np.median(by_name[known] / apart[known]))
+    unit = choose_unit(scale, None, None, NAMES_UNIT, read_mm=take.unit_mm)
+    return None if unit.source == "template" else unit.mm_per_unit
 
 
 def _usual_distances(positions: Floats, frames: int = 40) -> Floats:
@@ -195,7 +222,7 @@ def _locate_at(
     here = LocatedTake(face, faults, rows, points, None)
     if here.distinct < options.least:
         return here
-    return replace(here, pose=locate(points, face.names, skin))
+    return replace(here, pose=locate(points, face.names, skin, read_mm=face.take.unit_mm))
 
 
 def _unlikeness(pose: Located | None, options: FaceOptions) -> float:

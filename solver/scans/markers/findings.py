@@ -13,6 +13,7 @@ import numpy as np
 
 from solver.errors import MOST_NAMES, Finding, Severity, advise, quote, quote_names
 from solver.registration.locate import nearest_axis
+from solver.registration.units import ScanUnit
 from solver.scans.markers.face_take import LocatedTake
 from solver.scans.markers.faults import WRONG, Span
 from solver.scans.markers.locate import Located
@@ -256,10 +257,12 @@ def report_location(check: MarkerCheck, located: LocatedTake, pose: Located) -> 
     """Add unit and axes, and what is mirrored or exchanged."""
     take, labels = located.face.take, located.face.labels
     rotation = pose.session.rotation
+    read = ScanUnit(take.unit_mm, "assumed")
+    unit = ScanUnit(take.unit_mm * pose.unit.mm_per_unit, pose.unit.source)  # of the file
     up, forward = nearest_axis(rotation[1]), nearest_axis(rotation[2])
     check.figures |= {
-        "unit": pose.unit.name,
-        "mm_per_unit": pose.unit.mm_per_unit,
+        "unit": unit.name,
+        "mm_per_unit": unit.mm_per_unit,
         "up": up,
         "forward": forward,
         "left_handed": pose.mirrored,
@@ -267,12 +270,12 @@ def report_location(check: MarkerCheck, located: LocatedTake, pose: Located) -> 
         "height_mm": round(pose.height_mm, 1),
         "off_skin_mm": round(pose.miss(), 2),
     }
-    if pose.unit.source != "assumed":
+    if unit.source != "assumed":
         times = pose.unit.mm_per_unit
-        message = f"Read as the file says, the face would be {times:.3g} times too small."
-        if times < 1:
-            message = f"Read as the file says, the face would be {1 / times:.3g} times too large."
-        add(check, "markers.unit", "warning", message, found=times)
+        off = f"{times:.3g} times too small" if times > 1 else f"{1 / times:.3g} times too large"
+        message = f"Read {read.words}, the face would be {off}; it is read {unit.words}."
+        figures = {"expected": read.mm_per_unit, "found": unit.mm_per_unit, "unit": unit.name}
+        add(check, "markers.unit", "warning", message, **figures)
     if pose.mirrored:
         message = f"{take.file} is mirrored: its axes are left-handed."
         add(check, "markers.mirrored", "warning", message)

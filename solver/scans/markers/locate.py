@@ -83,8 +83,13 @@ def locate(
     named: Sequence[Named | None],
     face: Surface,
     options: LocateOptions = LocateOptions(),
+    *,
+    read_mm: float = 1.0,
 ) -> Located | None:
-    """Return where ``face`` lies under markers (k, 3), NaN where not seen; None if they are few."""
+    """Return where ``face`` lies under markers (k, 3), NaN where not seen; None if they are few.
+
+    ``read_mm`` are the mm that a unit of their file was read as: it may be another unit.
+    """
     seen = np.isfinite(points[:, 0])
     may_be = np.array([each is None or each.part == "face" for each in named], bool)
     used = np.flatnonzero(seen & may_be)
@@ -95,7 +100,7 @@ def locate(
     by_names = _by_names(points, named, face, options)
     if by_names is not None:
         starts, turned = by_names
-        unit = choose_unit(starts[0].scale, None, None, NAMES_UNIT)
+        unit = choose_unit(starts[0].scale, None, None, NAMES_UNIT, read_mm=read_mm)
     else:
         unit, turned = _unit_of(points[used], options), False
         starts = _by_shape(points[few], skin, unit.mm_per_unit)

@@ -41,10 +41,7 @@ class TakeOptions:
     most_tracks: int = 10_000
     longest_line: int = 4 << 20  # characters of a line of text
     farthest_mm: float = 1e5  # a point beyond it is no place in a studio
-    face_mm: tuple[float, float] = (
-        25.0,
-        120.0,
-    )  # markers of a face spread as far, root mean square
+    face_mm: tuple[float, float] = (30.0, 120.0)  # markers of a face spread as far, rms
     seen_mm: tuple[float, float] = (12.0, 1500.0)  # a child's few to a body's many
     most_rate: float = 10_000.0  # Hz
     rate_slack: float = 0.005  # by which two rates in a file may differ

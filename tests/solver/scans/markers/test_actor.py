@@ -270,3 +270,15 @@ def test_an_actor_is_bound_by_names_in_the_person_s_size(actor: Take, markers: M
     found = carry(actor, scaled.markers, SKIN, RATE, REST)
     similar = fit_similarity(actor.positions[0], rest_places(markers, SKIN))
     assert found.report["scale"] == pytest.approx(similar.scale, rel=0.05)
+
+
+def test_markers_of_the_orbit_are_proposed_on_its_rim(actor: Take) -> None:
+    """The names of the made take put the upper ones on the lids."""
+    model = small_model()
+    found = bind(actor, model, REST, actor=True).markers
+    lids = np.concatenate([each for name, each in model.regions.items() if name.endswith("_lid")])
+    eyes = [each for each in found.markers if each.label[1:4] == "Eye"]
+    assert len(eyes) == 6
+    assert [each.label for each in eyes if np.isin(each.vertices, lids).any()] == []
+    own = bind(made_take(made_positions(240)), model, REST).markers  # where they were seen
+    assert np.isin(own.vertices[own.labels.index("LEye_Up")], lids).any()

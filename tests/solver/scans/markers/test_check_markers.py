@@ -102,6 +102,19 @@ def test_axes_units_and_rates_are_found_and_told(
     assert check.figures["off_skin_mm"] < 0.5
 
 
+@pytest.mark.parametrize(("mm", "read_mm"), [(25.4, 10.0), (25.4, 1.0), (304.8, 10.0), (10, 25.4)])
+def test_a_unit_that_is_read_wrongly_is_found_by_the_face(
+    person: Reference, mm: float, read_mm: float
+) -> None:
+    clean = made_positions(240)
+    check = check_take(made_take(clean * (read_mm / mm), unit_mm=read_mm), person)
+    assert [each.code for each in told(check)] == ["markers.unit"]
+    assert check.figures["mm_per_unit"] == pytest.approx(mm)
+    assert check.located is not None
+    assert check.located.face.mm == pytest.approx(mm / read_mm)
+    assert check.figures["off_skin_mm"] < 0.1
+
+
 def test_the_neutral_is_the_person_s_and_not_the_stillest_second() -> None:
     """People hold expressions more still than they rest."""
     rng = np.random.default_rng(3)

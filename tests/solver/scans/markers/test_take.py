@@ -243,6 +243,8 @@ def test_a_take_of_unlabelled_tracks_only(tmp_path: Path) -> None:
         ("cm", 0.1, 10.0, []),
         (None, 1.0, 1.0, [("unit", "info")]),
         (None, 1e-3, 1000.0, [("unit", "info")]),
+        (None, 1 / 25.4, 25.4, [("unit", "warning")]),
+        (None, 1 / 304.8, 304.8, [("unit", "warning")]),
         ("mm", 1e-3, 1000.0, [("unit", "warning")]),
         ("parsec", 0.1, 10.0, [("unit", "warning")]),
         ("mm", 1e-6, 1.0, [("unit", "error")]),
