@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from myoface.cli.app import BAD_SCAN, NewFile
+from myoface.cli.app import NewFile
 from myoface.cli.commands import Argument, Group, Option
-from myoface.cli.console import out, show_findings
+from myoface.cli.console import BAD, out, show_findings
 from myoface.cli.offline import Take, make_command
 from solver.kinds import KINDS
 
@@ -55,4 +55,4 @@ def bind(
     show_findings([each.to_dict() for each in found.findings])
     out.print(f"{output}")
     if found.findings:
-        raise SystemExit(BAD_SCAN)
+        raise SystemExit(BAD)
