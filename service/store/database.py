@@ -6,6 +6,7 @@ import copy
 import fcntl
 import sqlite3
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from datetime import UTC, datetime
@@ -54,6 +55,9 @@ PATIENCE = {
     "keepalives_count": 3,
 }
 
+
+# Of a transaction that others wait for: no statement comes from its process for so long
+MOST_IDLE_MS = 10_000
 
 # Seconds for which a process that nobody waits for tries to begin a write
 PATIENT = 30.0
@@ -230,6 +234,18 @@ def clock(session: Session) -> datetime:
         return now()
     moment: datetime = session.execute(select(func.clock_timestamp())).scalar_one()
     return moment.astimezone(UTC)
+
+
+def one_at_a_time(session: Session, name: str) -> None:
+    """Let one transaction at a time go on from here, until it ends, of those that say this name.
+
+    On SQLite writers are alone anyway. On PostgreSQL one whose process is frozen, or cut off, is
+    ended by the server: nobody else would go on for hours.
+    """
+    if session.get_bind().dialect.name != "sqlite":
+        session.execute(text(f"SET LOCAL idle_in_transaction_session_timeout = {MOST_IDLE_MS}"))
+        number = zlib.crc32(name.encode())
+        session.execute(select(func.pg_advisory_xact_lock(number)))
 
 
 def _engine(url: str, sqlite: bool) -> Engine:

@@ -45,7 +45,7 @@ def _locked(studio: Studio) -> Iterator[None]:
 def test_writers_that_wait_leave_readers_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(writers, "PATIENCE", 10.0)
+    monkeypatch.setattr(writers, "PATIENCE", 600.0)
     with served(Settings(data_dir=tmp_path)) as studio, ThreadPoolExecutor(CALLERS) as callers:
         with _locked(studio):
             asked = [
