@@ -30,6 +30,7 @@ from service.store.database import Store, clock
 from service.store.models import Upload, now
 from service.uploads import repository
 from service.uploads.schemas import Checksum
+from service.writers import Writers
 
 BUFFER = 1 << 20
 # Bytes of a request after which those that have arrived are counted
@@ -129,9 +130,16 @@ class UploadService:
             session.delete(repository.get(session, upload_id))
 
     async def receive(
-        self, upload_id: str, offset: int, checksum: Checksum | None, body: AsyncIterator[bytes]
+        self,
+        upload_id: str,
+        offset: int,
+        checksum: Checksum | None,
+        body: AsyncIterator[bytes],
+        writers: Writers,
     ) -> Upload:
         """Append ``body`` at ``offset``; what arrives before a client breaks off counts.
+
+        A place among ``writers`` is taken whenever bytes are counted.
 
         Raises
         ------
@@ -147,19 +155,22 @@ class UploadService:
             _check_offset(upload, offset)
             if (found := part.seek(0, os.SEEK_END)) < offset:
                 # a power cut took bytes that were counted
-                _check_offset(await to_thread.run_sync(self._count, upload, found), offset)
+                _check_offset(await self._count_in_turn(upload, found, writers), offset)
             digest = hashlib.new(checksum.algorithm) if checksum else None
             part.seek(offset)
             part.truncate()
 
             async def count(received: int) -> None:
-                await to_thread.run_sync(self._count_so_far, upload, offset + received)
+                try:
+                    await self._count_in_turn(upload, offset + received, writers)
+                except (SQLAlchemyError, Problem) as error:  # the end of the request counts them
+                    log.warning("uploads.not_counted", error=str(error))
 
             # of what a checksum is to prove, nothing counts before
             counting = None if digest else count
             received = await _write(part, body, digest, upload.size - offset, counting)
             if received is None:
-                await to_thread.run_sync(self._count, upload, offset)
+                await self._count_in_turn(upload, offset, writers)
                 raise Problem(
                     413,
                     "upload.overflow",
@@ -176,20 +187,18 @@ class UploadService:
                     expected=checksum.digest.hex(),
                     found=digest.hexdigest(),
                 )
-            return await to_thread.run_sync(self._count, upload, offset + received)
+            return await self._count_in_turn(upload, offset + received, writers)
+
+    async def _count_in_turn(self, upload: Upload, offset: int, writers: Writers) -> Upload:
+        async with writers.place() as until:
+            hasty = UploadService(self._store.by(until), self._settings)
+            return await to_thread.run_sync(hasty._count, upload, offset)
 
     def _count(self, upload: Upload, offset: int) -> Upload:
         with self._store.write() as session:
             upload = repository.get(session, upload.id)
             upload.offset = offset
         return self._complete(upload) if offset == upload.size else upload
-
-    def _count_so_far(self, upload: Upload, offset: int) -> None:
-        """Count bytes of a request that goes on; the end counts them if the database is busy."""
-        try:
-            self._count(upload, offset)
-        except SQLAlchemyError as error:
-            log.warning("uploads.not_counted", error=str(error))
 
     def _complete(self, upload: Upload) -> Upload:
         part = self._part(upload.id)

@@ -17,8 +17,9 @@ import pytest
 import redis
 
 from myoface.stack import Stack
+from service.settings import Settings
 from service.uploads.service import COUNT_EVERY
-from tests.service_client import OFFSET_STREAM, ROOT, Studio, eventually, running
+from tests.service_client import OFFSET_STREAM, ROOT, Studio, eventually, running, served
 
 LEASE = 2.0
 LAUNCH = """
@@ -67,6 +68,21 @@ def test_a_killed_broker_costs_nothing(stack_and_studio: tuple[Stack, Studio]) -
         assert done["state"] == "succeeded", done
         assert [a["outcome"] for a in done["attempts"]] == ["succeeded"]
         _check_once(studio, done)
+
+
+@pytest.mark.slow
+def test_a_broker_s_damaged_file_costs_no_start_and_no_job(tmp_path: Path) -> None:
+    """Zeros in a file of the broker's, as a power cut leaves them: releases before kept some."""
+    with served(Settings(data_dir=tmp_path)) as studio:
+        jobs = [studio.submit("build_model", studio.subject()) for _ in range(3)]
+    kept = tmp_path / "broker" / "appendonlydir"
+    kept.mkdir(parents=True)
+    (kept / "appendonly.aof.manifest").write_bytes(bytes(64))
+    with running(tmp_path, lease=LEASE) as (_, studio):
+        for job in jobs:
+            done = studio.finished(job)
+            assert [a["outcome"] for a in done["attempts"]] == ["succeeded"]
+            _check_once(studio, done)
 
 
 def test_a_killed_api_keeps_what_has_arrived_of_an_upload(
