@@ -93,9 +93,19 @@ def _muscles_and_jaw(model: SubjectModel, check: ExpressionCheck) -> dict[str, M
         "muscles.idle": _count([[each] for each in movers.idle()]),
         "jaw.range": Measure(len(jaw), ", ".join(jaw)),
     }
-    if check.asymmetry_mm is not None and check.asymmetry_mm <= SYMMETRY.most_mm:
-        found["muscles.sides"] = _sides(movers.uneven())
+    if _is_symmetric(check):
+        found["muscles.sides"] = _sides(movers.uneven(), uneven_sides(check))
     return found
+
+
+def _is_symmetric(check: ExpressionCheck) -> bool:
+    return check.asymmetry_mm is not None and check.asymmetry_mm <= SYMMETRY.most_mm
+
+
+def uneven_sides(check: ExpressionCheck, most: float = MoverOptions.uneven) -> list[Said]:
+    """Return the muscles that contract more than the other side's, where the scan is symmetric."""
+    uneven = check.movers.uneven() if _is_symmetric(check) else []
+    return [each for each in uneven if each.amount > most]
 
 
 def _count(found: Sequence[Sequence[Said]]) -> Measure:
@@ -107,14 +117,14 @@ def _count(found: Sequence[Sequence[Said]]) -> Measure:
     return Measure(len(found), "; ".join(words), worst, muscles)
 
 
-def _sides(uneven: Sequence[Said], most: float = MoverOptions.uneven) -> Measure:
-    """Return the greatest difference of both sides, in percent; ``uneven`` begins with it."""
+def _sides(uneven: Sequence[Said], beyond: Sequence[Said]) -> Measure:
+    """Return the greatest difference of both sides, in percent, and what is beyond the limit."""
     if not uneven:
         return Measure(0.0)
-    beyond = [each for each in uneven if each.amount > most]
     words = "; ".join(map(str, beyond or uneven[:1]))
-    muscles = tuple(each.muscle for each in beyond)
-    return Measure(100.0 * uneven[0].amount, words, uneven[0], muscles)
+    return Measure(
+        100.0 * uneven[0].amount, words, uneven[0], tuple(each.muscle for each in beyond)
+    )
 
 
 def _contact(fitted: Crossing | None, scan: Crossing | None) -> dict[str, Measure]:

@@ -17,8 +17,8 @@ from solver.fitting.geometry_information import MuscleInformation
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, JawMotion, Muscles
 from solver.rig.checks import Judgement, expression_verdict, judge, limits_of, overall, ready, use
-from solver.rig.measures import measured_regions
-from solver.rig.prime_movers import ActionCheck, Movers
+from solver.rig.measures import measured_regions, uneven_sides
+from solver.rig.prime_movers import ActionCheck
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats
@@ -96,6 +96,7 @@ def _judgement(judgement: Judgement, settings: dict[str, Any]) -> dict[str, Any]
         "least": limits.least,
         "worst": judgement.worst,
         "detail": worst.detail,
+        "says": str(worst.worst or worst.detail),
         "failed": [name for name in judgement.measures if judgement.of(name) != "good"],
         "meaning": check.meaning,
         "advice": check.advise(settings),
@@ -132,7 +133,7 @@ def _expression(
         "scan_crossing": _crossing(check.scan_crossing),
         "jaw_motion": {**_plain_fields(check.jaw), "faults": check.jaw.faults()},
         "muscles": _muscles(model, check.muscles),
-        "movers": _movers(check.movers),
+        "movers": _movers(check),
         "asymmetry_mm": None if check.asymmetry_mm is None else _round(check.asymmetry_mm),
         "round_trip": trip and {"reached": trip.is_reached, **_plain_fields(trip)},
     }
@@ -162,7 +163,8 @@ def _muscles(model: SubjectModel, found: Muscles) -> dict[str, dict[str, Any]]:
     }
 
 
-def _movers(found: Movers) -> dict[str, Any]:
+def _movers(check: ExpressionCheck) -> dict[str, Any]:
+    found = check.movers
     return {
         "contractions": [
             {"muscle": name, "contraction": _round(each)}
@@ -170,6 +172,7 @@ def _movers(found: Movers) -> dict[str, Any]:
         ],
         "actions": [_action(check) for check in found.actions],
         "contradictions": [str(each) for each in found.contradictions()],
+        "uneven": [str(each) for each in uneven_sides(check)],
     }
 
 

@@ -218,7 +218,8 @@ def _todo(figures: dict[str, Any], anchors: dict[str, str]) -> str:
 
 
 def _advice(check: dict[str, Any], anchors: dict[str, str]) -> str:
-    detail = f": {escape(check['detail'])}" if 0 < len(check["detail"]) < LONG else ""
+    told = check["detail"] if len(check["detail"]) < LONG else check.get("says", "")
+    detail = f": {escape(told)}" if 0 < len(told) < LONG else ""
     code = check["code"]
     others = [_link(name, anchors, code) for name in check["failed"] if name != check["worst"]]
     more = f" Also in {', '.join(others)}." if others else ""
@@ -404,7 +405,11 @@ def _article(anchor: str, name: str, found: dict[str, Any], picture: Path) -> st
         _element("dl", _definitions(expression_words(found))),
         _element("div", _warnings(found["warnings"]), id=f"{anchor}-warnings"),
         _element(
-            "div", _movers(found.get("movers")), _faults(found["muscles"]), id=f"{anchor}-muscles"
+            "div",
+            _movers(found.get("movers")),
+            _uneven((found.get("movers") or {}).get("uneven", [])),
+            _faults(found["muscles"]),
+            id=f"{anchor}-muscles",
         ),
         _regions(found["by_region"]),
         id=anchor,
@@ -476,6 +481,13 @@ def _movers(found: dict[str, Any] | None) -> str:
         )
     caption = _element("caption", escape(mover_words(found["actions"])))
     return _element("table", caption, _element("tbody", *rows), class_="movers")
+
+
+def _uneven(words: list[str]) -> str:
+    """Return the fold of muscles that contract more than those of the other side."""
+    lines = [_element("li", escape(each)) for each in words]
+    summary = "Left against right, where the scan moves alike on both"
+    return _fold(summary, _element("ul", *lines)) if lines else ""
 
 
 def _faults(muscles: dict[str, Any]) -> str:

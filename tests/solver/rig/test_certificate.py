@@ -187,7 +187,10 @@ def test_left_is_judged_against_right_where_the_scan_is_alike(face: Face) -> Non
     side = np.sign((skin - model.jaw.origin) @ model.jaw.axes[0])[:, None]
     twisted = replace(kiss, name="smirk", target=skin + side * [0.0, 2.0, 0.0])
     rig = Rig(model, model.weights, (kiss, twisted), {})
-    judged = {each.check.code: each for each in judge(rig, certify(pulled, rig, {}))}
+    certificate = certify(pulled, rig, {})
+    judged = {each.check.code: each for each in judge(rig, certificate)}
+    told = report(rig, certificate)["expressions"]
+    assert [len(told[name]["movers"]["uneven"]) for name in ("kiss", "smirk")] == [1, 0]
     sides = judged["muscles.sides"]
     assert set(sides.measures) == {"kiss"}
     assert (sides.verdict, sides.measures["kiss"].value) == ("usable", pytest.approx(24.0))

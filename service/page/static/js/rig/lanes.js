@@ -60,7 +60,7 @@ export class Lanes {
 export class ContractionLanes {
   #of = null;
   #go;
-  #list = h("ul", { class: "lanes", "aria-label": "Who contracts" });
+  #list = h("ul", { class: "lanes pulls", "aria-label": "Who contracts" });
 
   constructor(go) {
     this.#go = go;
