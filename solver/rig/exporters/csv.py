@@ -5,7 +5,11 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from solver.errors import SolveError
 from solver.rig.rig import ENTRIES, Rig
 
 FILE = "activations.csv"
@@ -35,3 +39,19 @@ def write(rig: Rig, path: Path, options: Options = Options()) -> None:
                 values = [f"{value:.{decimals}f}" for value in activation]
                 fibres = muscles[muscle]["fibres"]  # None is an empty cell
                 rows.writerow([fit.name, fit.role, muscle, fibres, *values, *jaw])
+
+
+def read_back(rig: Rig, path: Path, options: Options = Options()) -> dict[str, Any]:
+    """Return how far an activation in the file is off the rig's, at most: by its decimals."""
+    wanted = np.array([fit.activations for fit in rig.expressions]).reshape(-1, len(ENTRIES))
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = [[float(row[entry]) for entry in ENTRIES] for row in csv.DictReader(stream)]
+    shown, message = np.array(rows).reshape(-1, len(ENTRIES)), f"{path.name}, read back, has"
+    if shown.shape != wanted.shape:
+        words = f"{message} {len(shown)} rows, not {len(wanted)}"
+        raise SolveError("file.differs", words, file=path.name)
+    found, most = float(np.abs(shown - wanted).max(initial=0.0)), 10.0**-options.decimals
+    if not found <= most:
+        words = f"{message} an activation that is {found:g} off"
+        raise SolveError("file.differs", words, file=path.name, expected=most)
+    return {"max_activation": found}
