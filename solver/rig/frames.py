@@ -21,12 +21,14 @@ import numpy as np
 
 from solver.errors import InputError
 from solver.mechanics.boundary import JAW_FREEDOM
+from solver.rig.read_back import compare_activations
 from solver.rig.rig import ENTRIES
 from solver.storage import write_json
 from solver.surface import Floats
 
 FORMAT = 1  # of files of frames, of reports and of sequence.npz; 2 has what markers add
 FRAMES = "frames"  # name of the folder
+TABLE_DECIMALS = 6  # of activations.csv
 
 
 @dataclass(frozen=True)
@@ -242,7 +244,9 @@ def write_sequence(
 ) -> list[Path]:
     """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths.
 
-    The frame with the number ``first`` is at 0 s.
+    The frame with the number ``first`` is at 0 s. ``report``, which has the ``files`` that were
+    compared, gets these: how far their activations are off, read back. Raises
+    :class:`~solver.errors.SolveError` (``file.differs``).
     """
     files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
     kinds: dict[str, Any] = dict.fromkeys(("frame", "inverted", "iterations"), np.int64)
@@ -261,8 +265,17 @@ def write_sequence(
         "time": (arrays["frame"] - first) / fps,
     }
     np.savez_compressed(files[0], allow_pickle=False, **arrays)
-    _write_table(files[1], frames, muscles, arrays["time"])
-    write_json(files[2], report)
+    entries = _write_table(files[1], frames, muscles, arrays["time"])
+    wanted = arrays["activations"].reshape(len(frames), -1)
+    with np.load(files[0], allow_pickle=False) as stored:
+        packed = stored["activations"].reshape(len(frames), -1)
+    with files[1].open(newline="", encoding="utf-8") as stream:
+        table = np.array([[float(row[e]) for e in entries] for row in csv.DictReader(stream)])
+    compared = {
+        files[0].name: compare_activations(files[0], packed, wanted, 0.0),
+        files[1].name: compare_activations(files[1], table, wanted, 10.0**-TABLE_DECIMALS),
+    }
+    write_json(files[2], {**report, "files": {**report.get("files", {}), **compared}})
     return files
 
 
@@ -299,7 +312,8 @@ def _round(statistic: Any, values: Sequence[float]) -> float | None:
 
 def _write_table(
     path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], times: Floats
-) -> None:
+) -> list[str]:
+    """Write the table; returns the names of its columns of activations."""
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
     head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]
     entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
@@ -320,5 +334,6 @@ def _write_table(
             error = "" if frame.mean_mm is None else f"{frame.mean_mm:.4f}"
             rows.writerow(
                 [frame.frame, f"{time:.4f}", frame.status, error]
-                + [f"{value:.6f}" for value in values]
+                + [f"{value:.{TABLE_DECIMALS}f}" for value in values]
             )
+    return entries

@@ -68,6 +68,26 @@ class Comparison:
         return SolveError("file.differs", message, file=self.file, frame=frame, **context)
 
 
+def compare_activations(
+    path: Path, shown: np.ndarray, wanted: np.ndarray, most: float
+) -> dict[str, Any]:
+    """Return how far activations in a file are off those ``wanted``, ``most`` at most.
+
+    Raises :class:`SolveError` ``file.differs`` where they are further off, or others.
+    """
+    message = f"{path.name}, read back, has"
+    if shown.shape != wanted.shape:
+        words = f"{message} activations {shown.shape}, not {wanted.shape}"
+        raise SolveError("file.differs", words, file=path.name)
+    off = np.abs(shown - wanted)
+    found = float(off.max(initial=0.0))
+    if not found <= most:
+        row = int(np.unravel_index(np.nanargmax(off), off.shape)[0])
+        words = f"{message} in row {row} an activation that is {found:g} off"
+        raise SolveError("file.differs", words, file=path.name, row=row, expected=most)
+    return {"max_activation": found}
+
+
 @dataclass(frozen=True)
 class MorphedSkin:
     """A skin with morph targets as a file has it; lengths in mm.

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.errors import SolveError
+from solver.rig.read_back import compare_activations
 from solver.rig.rig import ENTRIES, Rig
 
 FILE = "activations.csv"
@@ -46,12 +46,5 @@ def read_back(rig: Rig, path: Path, options: Options = Options()) -> dict[str, A
     wanted = np.array([fit.activations for fit in rig.expressions]).reshape(-1, len(ENTRIES))
     with path.open(newline="", encoding="utf-8") as stream:
         rows = [[float(row[entry]) for entry in ENTRIES] for row in csv.DictReader(stream)]
-    shown, message = np.array(rows).reshape(-1, len(ENTRIES)), f"{path.name}, read back, has"
-    if shown.shape != wanted.shape:
-        words = f"{message} {len(shown)} rows, not {len(wanted)}"
-        raise SolveError("file.differs", words, file=path.name)
-    found, most = float(np.abs(shown - wanted).max(initial=0.0)), 10.0**-options.decimals
-    if not found <= most:
-        words = f"{message} an activation that is {found:g} off"
-        raise SolveError("file.differs", words, file=path.name, expected=most)
-    return {"max_activation": found}
+    shown = np.array(rows).reshape(-1, len(ENTRIES))
+    return compare_activations(path, shown, wanted, 10.0**-options.decimals)

@@ -67,7 +67,9 @@ def test_a_simulated_performance_is_followed(files: Path, tmp_path: Path) -> Non
     report = json.loads((tmp_path / "sequence.json").read_text())
     assert (report["frames"], report["fitted"], report["inverted"]) == (FRAMES, FRAMES, 0)
     assert report["median_mm"] < 0.02
-    assert {"sequence.glb"} <= set(report["files"]) <= {"sequence.glb", "sequence.usdc"}
+    files = {"sequence.glb", "sequence.npz", "activations.csv"}
+    assert files <= set(report["files"]) <= files | {"sequence.usdc"}
+    assert report["files"]["activations.csv"]["max_activation"] < 1e-6
     assert 0.0 < report["files"]["sequence.glb"]["max_mm"] < LIMIT_MM
     with np.load(tmp_path / "sequence.npz") as found:
         assert found["activations"].shape == (FRAMES, 2, 6)
