@@ -23,6 +23,7 @@ from solver.errors import InputError
 from solver.fitting.contraction import Contraction
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.rig.container import write_container
+from solver.rig.read_back import compare_activations
 from solver.rig.rig import ENTRIES
 from solver.storage import write_json
 from solver.surface import Floats
@@ -30,6 +31,7 @@ from solver.surface import Floats
 FORMAT = 1  # of files of frames, of reports and of sequence.npz; 2 has what markers add
 FRAMES = "frames"  # name of the folder
 CONTRACTIONS = "contractions.bin"  # what the page moves its sliders by
+TABLE_DECIMALS = 6  # of activations.csv
 
 
 @dataclass(frozen=True)
@@ -252,7 +254,9 @@ def write_sequence(
     """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths.
 
     With ``contraction``, that of blended muscles, there is ``contractions.bin``, too. The frame
-    with the number ``first`` is at 0 s.
+    with the number ``first`` is at 0 s. ``report``, which has the ``files`` that were compared,
+    gets these: how far their activations are off, read back. Raises
+    :class:`~solver.errors.SolveError` (``file.differs``).
     """
     files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
     kinds: dict[str, Any] = dict.fromkeys(("frame", "inverted", "iterations"), np.int64)
@@ -276,8 +280,19 @@ def write_sequence(
         found = {name: arrays[name].astype(np.float32) for name in ("contraction", "jaw")}
         write_container(files[-1], {"muscles": list(muscles)}, found)
     np.savez_compressed(files[0], allow_pickle=False, **arrays)
-    _write_table(files[1], frames, arrays, _columns(muscles, arrays))
-    write_json(files[2], report)
+    columns = _columns(muscles, arrays)
+    _write_table(files[1], frames, arrays, columns)
+    wanted = arrays["activations"].reshape(len(frames), -1)
+    with np.load(files[0], allow_pickle=False) as stored:
+        packed = stored["activations"].reshape(len(frames), -1)
+    entries = _entries(muscles, arrays)
+    with files[1].open(newline="", encoding="utf-8") as stream:
+        table = np.array([[float(row[e]) for e in entries] for row in csv.DictReader(stream)])
+    compared = {
+        files[0].name: compare_activations(files[0], packed, wanted, 0.0),
+        files[1].name: compare_activations(files[1], table, wanted, 10.0**-TABLE_DECIMALS),
+    }
+    write_json(files[2], {**report, "files": {**report.get("files", {}), **compared}})
     return files
 
 
@@ -312,6 +327,13 @@ def _round(statistic: Any, values: Sequence[float]) -> float | None:
     return round(float(statistic(values)), 4) if values else None
 
 
+def _entries(muscles: Sequence[str], arrays: Mapping[str, Any]) -> list[str]:
+    """Return the names of the table's columns of activations."""
+    if arrays["activations"].ndim == 2:
+        return [*muscles]
+    return [f"{name}.{entry}" for name in muscles for entry in ENTRIES]
+
+
 def _columns(muscles: Sequence[str], arrays: Mapping[str, Any]) -> dict[str, Floats]:
     """Return the table's columns (f,) of numbers by their names: what tells who pulls comes first.
 
@@ -320,8 +342,7 @@ def _columns(muscles: Sequence[str], arrays: Mapping[str, Any]) -> dict[str, Flo
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
     head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]
     activations, is_fibre = arrays["activations"], arrays["activations"].ndim == 2
-    entries = [*muscles] if is_fibre else [f"{name}.{e}" for name in muscles for e in ENTRIES]
-    controls = _named(entries, activations.reshape(len(activations), -1))
+    controls = _named(_entries(muscles, arrays), activations.reshape(len(activations), -1))
     spread: dict[str, Floats] = {}
     if "sd" in arrays:
         on_tracks = [f"tracks.{name}" for name in ("opening", "left", "right")]
@@ -361,5 +382,5 @@ def _write_table(
             error = "" if frame.mean_mm is None else f"{frame.mean_mm:.4f}"
             rows.writerow(
                 [frame.frame, f"{time:.4f}", frame.status, error]
-                + ["" if np.isnan(value) else f"{value:.6f}" for value in row]
+                + ["" if np.isnan(value) else f"{value:.{TABLE_DECIMALS}f}" for value in row]
             )

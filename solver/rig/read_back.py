@@ -8,7 +8,7 @@ goes into the job's report, with its frame and vertex. A file that is further of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from solver.rig.skin_basis import Singles
 from solver.surface import Floats
 
 LIMIT_MM = 0.2
+NEUTRAL = "neutral"  # the skin at rest, among expressions
 BLOCK = 16  # frames that are looked at together
 METRE = 1e3  # mm
 
@@ -67,6 +68,26 @@ class Comparison:
         return SolveError("file.differs", message, file=self.file, frame=frame, **context)
 
 
+def compare_activations(
+    path: Path, shown: np.ndarray, wanted: np.ndarray, most: float
+) -> dict[str, Any]:
+    """Return how far activations in a file are off those ``wanted``, ``most`` at most.
+
+    Raises :class:`SolveError` ``file.differs`` where they are further off, or others.
+    """
+    message = f"{path.name}, read back, has"
+    if shown.shape != wanted.shape:
+        words = f"{message} activations {shown.shape}, not {wanted.shape}"
+        raise SolveError("file.differs", words, file=path.name)
+    off = np.abs(shown - wanted)
+    found = float(off.max(initial=0.0))
+    if not found <= most:
+        row = int(np.unravel_index(np.nanargmax(off), off.shape)[0])
+        words = f"{message} in row {row} an activation that is {found:g} off"
+        raise SolveError("file.differs", words, file=path.name, row=row, expected=most)
+    return {"max_activation": found}
+
+
 @dataclass(frozen=True)
 class MorphedSkin:
     """A skin with morph targets as a file has it; lengths in mm.
@@ -85,21 +106,19 @@ class MorphedSkin:
         change = weights.astype(np.float32) @ self.shapes
         return np.asarray(self.neutral + change.reshape(len(weights), *self.neutral.shape))
 
-    def expressions(self) -> Iterator[tuple[str, Singles]]:
-        """Yield the neutral and every shape, whole, by its name."""
-        yield "neutral", self.neutral
-        for name, change in zip(self.names, self.shapes, strict=True):
-            yield name, self.neutral + change.reshape(self.neutral.shape)
+    def expressions(self) -> dict[str, Singles]:
+        """Return the neutral and every shape, whole, by its name."""
+        whole = self.neutral + self.shapes.reshape(-1, *self.neutral.shape)
+        return {NEUTRAL: self.neutral, **dict(zip(self.names, whole, strict=True))}
 
 
 def compare_expressions(
-    path: Path, shown: MorphedSkin, wanted: Mapping[str, Floats]
+    path: Path, shown: Mapping[str, np.ndarray], wanted: Mapping[str, np.ndarray]
 ) -> dict[str, Any]:
-    """Return how far the file's neutral and shapes are off skins (v, 3), mm, by name."""
+    """Return how far the points (v, 3), mm, that a file has by name are off those ``wanted``."""
     found = Comparison(path.name)
-    places = dict(shown.expressions())
-    for name, skin in wanted.items():
-        found.add(name, places.get(name, np.zeros((0, 3), np.float32)), skin)
+    for name, points in wanted.items():
+        found.add(name, shown.get(name, np.zeros((0, 3))), points)
     return found.figures()
 
 
@@ -108,7 +127,7 @@ def compare_motion(
     shown: MorphedSkin,
     numbers: Sequence[int],
     times: Floats,
-    skins: Singles,
+    skins: np.ndarray,
     heads: Floats,
 ) -> dict[str, Any]:
     """Return how far the file's frames are off ``skins`` (f, v, 3) that ``heads`` (f, 6) move.
@@ -143,7 +162,7 @@ def read_glb(path: Path, node: int = 0) -> MorphedSkin:
     moved = document["nodes"][node]
     mesh = document["meshes"][moved["mesh"]]
     part = mesh["primitives"][0]
-    neutral = METRE * values(part["attributes"]["POSITION"])
+    neutral = (METRE * values(part["attributes"]["POSITION"])).astype(np.float32)
     targets = part.get("targets", [])
     shapes = np.empty((len(targets), neutral.size), np.float32)
     for row, target in zip(shapes, targets, strict=True):

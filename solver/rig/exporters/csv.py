@@ -5,7 +5,11 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from solver.rig.read_back import compare_activations
 from solver.rig.rig import ENTRIES, Rig
 
 FILE = "activations.csv"
@@ -38,3 +42,12 @@ def write(rig: Rig, path: Path, options: Options = Options()) -> None:
                 contraction = None if fibres is None else round(1.0 - fibres, 4)
                 own = [fit.name, fit.role, muscle, contraction, fibres]
                 rows.writerow([*own, *values, *jaw])
+
+
+def read_back(rig: Rig, path: Path, options: Options = Options()) -> dict[str, Any]:
+    """Return how far an activation in the file is off the rig's, at most: by its decimals."""
+    wanted = np.array([fit.activations for fit in rig.expressions]).reshape(-1, len(ENTRIES))
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = [[float(row[entry]) for entry in ENTRIES] for row in csv.DictReader(stream)]
+    shown = np.array(rows).reshape(-1, len(ENTRIES))
+    return compare_activations(path, shown, wanted, 10.0**-options.decimals)

@@ -34,6 +34,7 @@ from solver.rig.animation_gltf import SEQUENCE_SHAPES, AnimatedSkin
 from solver.rig.frames import MarkerFrame
 from solver.rig.gltf import DEFAULTS, MATERIALS, worst_error
 from solver.rig.gltf import ShapeOptions as Options
+from solver.rig.read_back import compare_expressions
 from solver.rig.rig import Rig
 from solver.rig.usd_check import read_usd
 from solver.similarity import IDENTITY, Similarity, small_motion
@@ -76,6 +77,11 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     places = [*skins, *(_bones(model, each) for each in (keys[0], *held))]
     _animate(stage, model, list(shapes), keys, FRAMES_PER_SECOND, np.vstack(places))
     stage.GetRootLayer().Export(str(path))
+
+
+def read_back(rig: Rig, path: Path, _options: Options = DEFAULTS) -> dict[str, Any]:
+    """Return how far the file's skins are off the rig's."""
+    return compare_expressions(path, read_usd(path).expressions(), rig.skins())
 
 
 def write_sequence(

@@ -19,6 +19,7 @@ from solver.mechanics.boundary import move_jaw
 from solver.progress import Step
 from solver.rig.container import read_container
 from solver.rig.frames import MarkerFrame, read_chunks
+from solver.rig.read_back import LIMIT_MM
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.scans.markers.take import Take
@@ -118,7 +119,8 @@ def test_a_take_is_fitted(whole: tuple[Path, dict], files: Path) -> None:
     report = json.loads((out / "sequence.json").read_text())
     assert report["predicted"] == [FIRST + row for row in GONE]
     assert report["markers"]["M3"]["outlier"] == pytest.approx(1 / FRAMES)
-    assert (out / "sequence.glb").stat().st_size > 1000
+    assert report["files"]["sequence.glb"]["max_mm"] < LIMIT_MM
+    assert report["files"]["markers.bin"]["max_mm"] < 1e-3
     view = read_container(out / "markers.bin")
     off = np.linalg.norm(view.arrays["off"].astype(float), axis=2)
     np.testing.assert_allclose(off, found["marker_mm"], atol=0.02)
