@@ -89,7 +89,8 @@ def run(task: Task[FitMarkers]) -> list[Path]:
         drawing = TakeDrawing(tracker, source, muscles)
         done = smooth_frames(tracker, done, source, drawing.add)
     progress(Step("export", 0.96))
-    report = sequence_report(done, rate, take.file) | marker_report(done, source.labels)
+    report = sequence_report(done, rate, take.file)
+    report |= marker_report(done, source.labels, notices)
     report |= carried | {"notices": [notice.as_dict() for notice in notices]}
     files = write_sequence(out, done, muscles, rate, report, take.first)
     files += [out / "markers.json"] if given.refine and not given.actor else []
@@ -105,7 +106,8 @@ def _bound(
 ) -> tuple[BoundTake, dict[str, Any], list[Finding]]:
     """Return the take read by its marker set, what was carried of an actor, and what is odd.
 
-    What stands still or was drawn is missing. A marker that moved is another one from then on.
+    What stands still or was drawn is missing, labels that are swapped are exchanged. A marker that
+    moved is another one from then on.
     """
     given, given_set, skin = task.options, task.inputs.get("marker_set"), model_face(model)
     rows, notices = frames_about(take, given.neutral, rate), list[Finding]()
@@ -132,9 +134,9 @@ def _bound(
         spans = spans or [each.rows for each in still_seconds(motion, rate, FACE.rest.seconds)]
         off_mm, rows = min((off_places(take, markers, motion, skin, each), each) for each in spans)
         notices.extend(_other_person(take, rows, off_mm))
-    measured = replace(take, positions=faults.hide_unmeasured(take.positions))
-    take, markers = split_moved(measured, markers, faults, skin)
-    return BoundTake(take, markers, OPTIONS.least), report, notices
+    positions, exchanged = faults.put_right(faults.hide_unmeasured(take.positions))
+    take, markers = split_moved(replace(take, positions=positions), markers, faults, skin)
+    return BoundTake(take, markers, OPTIONS.least, exchanged), report, notices
 
 
 def _other_person(take: Take, rows: tuple[int, int], off_mm: float) -> list[Finding]:
