@@ -44,6 +44,7 @@ from solver.scans.markers.findings import LIMITS
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.motion import still_seconds
 from solver.scans.markers.moved import split_moved
+from solver.scans.markers.shape import is_motionless, refuse_flat
 from solver.scans.markers.take import Take, read_take
 from solver.templates.builtin.build import builtin_template
 
@@ -128,6 +129,10 @@ def _bound(
         take, markers, report = carried.take, carried.markers, {"actor": carried.report}
         notices.extend(carried.notices)
     faults = find_faults(markers.session.scale * take.positions, rate)
+    refuse_flat(take.file, faults.motion.middle)
+    if is_motionless(faults.motion):
+        message = f"no marker of {take.file} moves against the others: there is no motion to fit"
+        notices.append(make_warning("markers.motionless", message))
     if not given.actor:
         motion, spans = faults.motion, [rows] if rows else []
         # people are still in expressions, too
