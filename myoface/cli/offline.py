@@ -239,11 +239,21 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
         raise SystemExit(code)
 
 
-def _show_sequence(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:
+def _show_sequence(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
     out.print(
         f"{report['fitted']} of {report['frames']} frames fitted, {report['mean_mm']:.2f} mm off "
         f"on average, {report['frame_ms']:.0f} ms a frame"
     )
+    if "all_markers" not in report:  # of scans
+        return
+    every = report["all_markers"]
+    if every["mean_mm"] is not None:
+        out.print(
+            f"with the {every['rejected']:.1%} of points that were rejected {every['mean_mm']:.2f} "
+            f"mm, at most {every['max_mm']:.1f} mm"
+        )
+    findings = [*report["notices"], *report["findings"]]
+    show_verdict(given["take"].name, {"verdict": report["verdict"], "findings": findings})
 
 
 def _show_animation(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:

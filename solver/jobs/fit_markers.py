@@ -45,6 +45,7 @@ from solver.scans.markers.findings import LIMITS
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.motion import still_seconds
 from solver.scans.markers.moved import split_moved
+from solver.scans.markers.shape import is_motionless, refuse_flat
 from solver.scans.markers.take import Take, read_take
 from solver.templates.builtin.build import builtin_template
 
@@ -90,7 +91,8 @@ def run(task: Task[FitMarkers]) -> list[Path]:
         drawing = TakeDrawing(tracker, source, muscles)
         done = smooth_frames(tracker, done, source, drawing.add)
     progress(Step("export", 0.96))
-    report = sequence_report(done, rate, take.file) | marker_report(done, source.labels)
+    report = sequence_report(done, rate, take.file)
+    report |= marker_report(done, source.labels, notices)
     report |= carried | {"notices": [notice.as_dict() for notice in notices]}
     animated, report["files"] = write_animated(out, drawing.skin, rig.model, rate, take.first)
     view, contraction = out / VIEW_FILE, Contraction.of_face(face)
@@ -107,7 +109,8 @@ def _bound(
 ) -> tuple[BoundTake, dict[str, Any], list[Finding]]:
     """Return the take read by its marker set, what was carried of an actor, and what is odd.
 
-    What stands still or was drawn is missing. A marker that moved is another one from then on.
+    What stands still or was drawn is missing, labels that are swapped are exchanged. A marker that
+    moved is another one from then on.
     """
     given, given_set, skin = task.options, task.inputs.get("marker_set"), model_face(model)
     rows, notices = frames_about(take, given.neutral, rate), list[Finding]()
@@ -128,15 +131,19 @@ def _bound(
         take, markers, report = carried.take, carried.markers, {"actor": carried.report}
         notices.extend(carried.notices)
     faults = find_faults(markers.session.scale * take.positions, rate)
+    refuse_flat(take.file, faults.motion.middle)
+    if is_motionless(faults.motion):
+        message = f"no marker of {take.file} moves against the others: there is no motion to fit"
+        notices.append(make_warning("markers.motionless", message))
     if not given.actor:
         motion, spans = faults.motion, [rows] if rows else []
         # people are still in expressions, too
         spans = spans or [each.rows for each in still_seconds(motion, rate, FACE.rest.seconds)]
         off_mm, rows = min((off_places(take, markers, motion, skin, each), each) for each in spans)
         notices.extend(_other_person(take, rows, off_mm))
-    measured = replace(take, positions=faults.hide_unmeasured(take.positions))
-    take, markers = split_moved(measured, markers, faults, skin)
-    return BoundTake(take, markers, OPTIONS.least), report, notices
+    positions, exchanged = faults.put_right(faults.hide_unmeasured(take.positions))
+    take, markers = split_moved(replace(take, positions=positions), markers, faults, skin)
+    return BoundTake(take, markers, OPTIONS.least, exchanged), report, notices
 
 
 def _other_person(take: Take, rows: tuple[int, int], off_mm: float) -> list[Finding]:

@@ -346,7 +346,7 @@ def _columns(muscles: Sequence[str], arrays: Mapping[str, Any]) -> dict[str, Flo
     spread: dict[str, Floats] = {}
     if "sd" in arrays:
         on_tracks = [f"tracks.{name}" for name in ("opening", "left", "right")]
-        names = [*entries, *(on_tracks if arrays["tracks"].size else jaw)]
+        names = [*controls, *(on_tracks if arrays["tracks"].size else jaw)]
         spread = _named(_spread_of(names), arrays["sd"])
     first = {}
     if is_fibre:

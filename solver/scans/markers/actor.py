@@ -32,6 +32,7 @@ from solver.scans.markers.motion import Mask, Motion, median_of_seen, rms_of_see
 from solver.scans.markers.names import read_names
 from solver.scans.markers.rest import likely_rests, rivals
 from solver.scans.markers.rest_findings import compare_rests
+from solver.scans.markers.shape import refuse_flat
 from solver.scans.markers.take import Take
 from solver.similarity import IDENTITY, Similarity, robust_motion_of_seen
 from solver.surface import Floats, Surface
@@ -101,8 +102,8 @@ def carry(
     """Carry a take of another person, at rest in the ``neutral`` rows, to the places of a set.
 
     Without these rows the likeliest rest is taken (:mod:`.rest`). Raises :class:`InputError`:
-    ``markers.few``, ``markers.mirrored``, or ``markers.other_person`` where the markers at rest do
-    not lie like these places, in any size.
+    ``markers.few``, ``markers.flat``, ``markers.mirrored``, or ``markers.other_person`` where the
+    markers at rest do not lie like these places, in any size.
     """
     used = {each.label: each for each in markers.markers if each.part != "ignore"}
     take = take.pick([n for n, label in enumerate(take.labels) if label in used])
@@ -190,6 +191,7 @@ def fit_warp(
     known = np.isfinite(rest[:, 0]) & np.isfinite(goal[:, 0]) & ~on_bone
     if known.sum() < options.least:
         raise _few_error(file, int(known.sum()), options)
+    refuse_flat(file, rest[known])
     turned = rest @ turn.T
     similar, misfit = fit_most(turned[known], goal[known])
     _check_similar(file, similar, misfit, fit_most(turned[known] @ FLIP, goal[known])[1], options)

@@ -31,6 +31,7 @@ from solver.scans.markers.locate import Located, LocateOptions, heights_over
 from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, places_over
 from solver.scans.markers.orbits import Rim, clear_lids, find_rims
 from solver.scans.markers.rest_findings import report_mouth, report_off_skin, report_rest
+from solver.scans.markers.shape import refuse_flat
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity
 from solver.surface import Floats, Surface, area_normals, unit_rows
@@ -136,7 +137,7 @@ def bind(
     Without these a still second is taken, to which the face comes back most, or in which the
     markers lie most like the face. With an ``expression`` the face shows that instead. An ``actor``
     is another person: see :func:`place_take`. Raises :class:`InputError`: ``markers.few``, not
-    enough of them are seen in these frames, or ``markers.too_large``.
+    enough of them are seen in these frames, ``markers.flat`` or ``markers.too_large``.
     """
     reference, face = Reference.of(model, expression=expression), choose_face(take, options.face)
     if len(face.numbers) < options.face.least:
@@ -145,6 +146,7 @@ def bind(
     if located.pose is None:
         seen = int(np.isfinite(located.points[:, 0]).sum())
         raise _few_error(take.file, seen, "seen at rest", options.face)
+    refuse_flat(take.file, located.points)
     markers = place_take(located, located.pose, reference, options, actor=actor)
     bound, check = reference.bind(markers, located.pose.session), MarkerCheck()
     report_rest(check, located, is_given=neutral is not None)

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from solver.errors import InputError, Severity, quote, quote_names
+from solver.errors import Finding, InputError, Severity, quote, quote_names
+from solver.scans.markers.actor import ActorWarp, fit_warp
 from solver.scans.markers.bind import Reference, place_take
 from solver.scans.markers.face_take import (
     FACE,
@@ -22,6 +23,8 @@ from solver.scans.markers.face_take import (
     locate_take,
 )
 from solver.scans.markers.findings import (
+    ACTOR_ADVICE,
+    ADVICE,
     LIMITS,
     CheckLimits,
     MarkerCheck,
@@ -33,10 +36,11 @@ from solver.scans.markers.findings import (
     report_location,
     report_unlabelled,
 )
-from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.marker_set import BONY, MarkerSet
 from solver.scans.markers.motion import rms_of_seen
 from solver.scans.markers.names import LOWER
 from solver.scans.markers.rest_findings import report_mouth, report_off_skin, report_rest
+from solver.scans.markers.shape import is_motionless, refuse_flat
 from solver.scans.markers.take import Take
 from solver.similarity import robust_motion
 from solver.surface import Floats, Ints
@@ -85,6 +89,14 @@ def check_take(
         message = f"Frames {take.numbers[first]} to {take.numbers[last]} show too few markers."
         add(check, "markers.neutral", "warning", message)
         return check
+    try:
+        refuse_flat(take.file, located.points)
+    except InputError as error:
+        add(check, error.code, "error", error.message, **error.context)
+        return check
+    if is_motionless(located.faults.motion):
+        message = "No marker moves against the others: the take shows one pose."
+        add(check, "markers.motionless", "info", message)
     report_location(check, located, located.pose)
     if reference.model_sha256:
         markers = place_take(located, located.pose, reference, actor=actor)
@@ -171,13 +183,60 @@ def _check_person(
             f"are {jaw:.1f} mm off, the others {others:.1f} mm."
         )
         add(check, "markers.neutral", "warning", message, found=round(jaw, 1))
+    elif actor:
+        _check_actor(check, located, reference)
     elif max(others, all_) > limits.person:
         message = (
             f"At rest the markers of {located.face.take.file} are {all_:.1f} mm off this person."
         )
-        severity: Severity = "info" if actor else "error"
+        severity: Severity = "warning" if _may_be_actor(located, reference) else "error"
         figures = {"found": round(all_, 2), "expected": limits.person}
         add(check, "markers.other_person", severity, message, **figures)
+
+
+def _check_actor(check: MarkerCheck, located: LocatedTake, reference: Reference) -> None:
+    """Add how the markers are carried to the person, or why the fit will refuse to."""
+    markers = reference.markers or check.bound
+    assert markers is not None, "bound before"
+    try:
+        warp = _warp_to(located, reference, markers)
+    except InputError as error:
+        advice = ACTOR_ADVICE.get(error.code, ADVICE.get(error.code, ""))
+        check.findings.append(Finding(error.code, "error", error.message, advice, error.context))
+        return
+    scale, missed, left = warp.similarity.scale, rms_of_seen(warp.missed), rms_of_seen(warp.left)
+    message = (
+        f"The fit carries the motion to this person, at {scale:.2f} times the actor's size: the "
+        f"markers at rest are {missed:.1f} mm off by that, {left:.1f} mm by the warp."
+    )
+    figures = {"scale": round(scale, 4), "missed_mm": round(missed, 2), "left_mm": round(left, 2)}
+    add(check, "markers.actor", "info", message, **figures)
+
+
+def _may_be_actor(located: LocatedTake, reference: Reference) -> bool:
+    """Tell whether the markers could be carried to the person as another actor's."""
+    pose, markers = located.pose, reference.markers
+    assert pose is not None
+    if markers is None:
+        if pose.similar is None:
+            return False  # the labels do not name their places
+        placed = place_take(located, pose, reference.face, actor=True)
+        markers = reference.bind(placed, pose.session)
+    try:
+        _warp_to(located, reference, markers)
+    except InputError:
+        return False
+    return True
+
+
+def _warp_to(located: LocatedTake, reference: Reference, markers: MarkerSet) -> ActorWarp:
+    """Return the way of the markers at rest to a set's places, as the fit of an actor goes."""
+    face, session = located.face, markers.session
+    bony = {each.label for each in markers.markers if each.part in BONY}
+    on_bone = np.array([label in bony for label in face.labels], bool)
+    goal = _places_of(face.labels, reference, markers)
+    rest = session.scale * located.points
+    return fit_warp(face.take.file, rest, goal, on_bone, session.rotation)
 
 
 def _check_mouth(

@@ -51,7 +51,14 @@ ADVICE = {
     "markers.neutral": "Name frames with a relaxed face, lips closed, or the expression they show.",
     "markers.unclear_rest": "Look at both, and name a frame with the face at rest: --neutral.",
     "markers.off_skin": "Name other frames at rest if the mouth is open in these; else do nothing.",
+    "markers.flat": "Export points in space, of markers all over the face.",
+    "markers.motionless": "Nothing to do, if it is to be a take of the face at rest.",
+    "markers.actor": "Nothing to do: the take is fitted as another actor's.",
     "markers.other_person": "Take this person's own rig, or fit it as another actor's: --actor.",
+}
+# Of what an actor's take is refused for: that it is an actor's is known.
+ACTOR_ADVICE = {
+    "markers.other_person": "Bind the take again with --actor, or name a frame at rest: --neutral."
 }
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from solver.errors import InputError, quote
@@ -183,14 +184,18 @@ class MarkerSet:
 class BoundTake:
     """A take read by a marker set: points of its markers, in the model's axes and mm.
 
-    Raises :class:`InputError` ``markers.few`` where the take has fewer than ``least`` of them.
+    ``exchanged`` (f, labels of the take) are points that were another label's in the file. Raises
+    :class:`InputError` ``markers.few`` where the take has fewer than ``least`` of the set's labels.
     """
 
-    def __init__(self, take: Take, markers: MarkerSet, least: int) -> None:
+    def __init__(
+        self, take: Take, markers: MarkerSet, least: int, exchanged: NDArray[np.bool_] | None = None
+    ) -> None:
         self.markers: tuple[Marker, ...] = tuple(
             marker for marker in markers.markers if marker.part != "ignore"
         )
         self._take, self._set, self._session = take, markers, markers.session
+        self._exchanged = exchanged
         number = {label: column for column, label in enumerate(take.labels)}
         self._columns = np.array([number.get(each.label, -1) for each in self.markers], np.int64)
         known = int(np.sum(self._columns >= 0))
@@ -220,6 +225,14 @@ class BoundTake:
         """Return the points (k, 3) of the frame with a number, NaN where one is missing."""
         found = self._session(self._take.positions[self.frames.index(frame)][self._columns])
         return np.where(self._columns[:, None] < 0, np.nan, found)
+
+    def exchanged(self, frame: int) -> NDArray[np.bool_]:
+        """Return which of a frame's points (k,) were another label's in the file."""
+        if self._exchanged is None:
+            return np.zeros(len(self.markers), bool)
+        here = self._exchanged[self.frames.index(frame)]
+        known = (self._columns >= 0) & (self._columns < len(here))  # not those of moved markers
+        return np.asarray(known & here[np.where(known, self._columns, 0)])
 
     def unlabelled(self, frame: int) -> Floats:
         """Return a frame's points (u, 3) without a label."""

@@ -419,7 +419,12 @@ def test_a_marker_that_moved_has_a_place_for_each_span(clean: Floats, late: bool
     assert split_moved(made_take(clean), found, find_faults(clean, RATE), skin)[1].labels == LABELS
 
 
-# Real takes: nothing is told of them, whoever checks.
+# Real takes: nothing is told of them, whoever checks, but that the rest of one is unclear: the jaw
+# goes back and the chin with it, by 8 mm, for a third of the time.
+
+
+def told_but_rest(check: MarkerCheck) -> list[Finding]:
+    return [each for each in told(check) if each.code != "markers.unclear_rest"]
 
 
 @pytest.fixture(scope="module", params=["jaw", "nose"])
@@ -439,15 +444,15 @@ def real_person() -> Surface:
 
 def test_real_takes_have_no_false_alarm(real: Take) -> None:
     check = check_take(real, Reference(real_person(), "0" * 64))
-    assert told(check) == []
+    assert told_but_rest(check) == []
     assert check.figures["off_skin_mm"] < 2.0
     assert check.figures["markers"] == 40
 
 
 def test_real_takes_are_another_person_s_than_the_small_one(real: Take, person: Reference) -> None:
     check = check_take(real, person)
-    assert [each.code for each in told(check)] == ["markers.other_person"]
-    assert told(check_take(real, Reference(person.face))) == []
+    assert [each.code for each in told_but_rest(check)] == ["markers.other_person"]
+    assert told_but_rest(check_take(real, Reference(person.face))) == []
 
 
 def test_a_set_for_a_model_is_one_that_can_be_read_again(
