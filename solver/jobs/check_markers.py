@@ -78,7 +78,7 @@ def _reference(task: Task[CheckMarkers]) -> Reference:
     files = task.inputs
     if "rig" in files or "model" in files:
         model = SubjectModel.load(files.get("model", files.get("rig", Path())))
-        markers = MarkerSet.load(files["marker_set"]) if "marker_set" in files else None
+        markers = MarkerSet.load(files["marker_set"], model) if "marker_set" in files else None
         shown = task.options.expression
         expression = None if shown is None else Rig.load(files).expression(shown)
         return Reference.of(model, markers, expression)

@@ -39,7 +39,7 @@ from solver.rig.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
 from solver.scans.markers.actor import carry, off_places
 from solver.scans.markers.bind import bind, model_face
-from solver.scans.markers.face_take import FACE, count_tracks, frames_about
+from solver.scans.markers.face_take import FACE, count_tracks, frames_about, living_labels
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import LIMITS
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
@@ -113,6 +113,7 @@ def _bound(
     moved is another one from then on.
     """
     given, given_set, skin = task.options, task.inputs.get("marker_set"), model_face(model)
+    take = take.pick(living_labels(take).tolist())
     rows, notices = frames_about(take, given.neutral, rate), list[Finding]()
     if given_set is None:
         found = bind(take, model, rows, actor=given.actor)
@@ -121,10 +122,7 @@ def _bound(
         if given.actor:
             rows = found.neutral  # the motions count from the frames whose places they are
     else:
-        markers = MarkerSet.load(given_set)
-    if markers.model_sha256 != model.sha256:
-        message = "the marker set is of another model: bind it again"
-        raise InputError("markers.other_model", message)
+        markers = MarkerSet.load(given_set, model)
     report: dict[str, Any] = {}
     if given.actor:
         carried = carry(take, markers, skin, rate, rows)

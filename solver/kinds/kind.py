@@ -207,6 +207,7 @@ class PlayOptions(JobOptions):
     linear_solver: LinearSolver = None
 
 
+MM_A_UNIT = (1e-6, 1e6)  # least and most
 UnitName = Literal["auto", "mm", "cm", "m", "inch", "foot"]
 
 
@@ -218,7 +219,8 @@ def find_unit(value: Any) -> str | None:
 
 
 Unit = Annotated[
-    Annotated[UnitName, Tag("<name>")] | Annotated[float, Field(ge=1e-6, le=1e6), Tag("<number>")],
+    Annotated[UnitName, Tag("<name>")]
+    | Annotated[float, Field(ge=MM_A_UNIT[0], le=MM_A_UNIT[1]), Tag("<number>")],
     tell_forms(find_unit, "is not auto, mm, cm, m, inch, foot or a number of mm"),
 ]
 

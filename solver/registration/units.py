@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from math import isclose
 from typing import Any, Literal
 
-import numpy as np
-
 from solver.errors import Finding, InputError, advise
+from solver.kinds.kind import MM_A_UNIT
 from solver.model import SIZE_WORDS, SizeFrom
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4, "foot": 304.8}  # name -> mm
@@ -146,9 +145,10 @@ def check_frame(frame: Mapping[str, Any]) -> None:
         known = ["auto", *UNITS]
         message = f"unit is {unit!r}, not one of {', '.join(known)}, nor a number of mm"
         raise InputError("options.unit", message, expected=known)
+    least, most = MM_A_UNIT
     for name, number in (("unit", unit), ("eye_distance_mm", eyes)):
-        if isinstance(number, (int, float)) and not 0 < number < np.inf:
-            message = f"{name} is {number}, not a number of mm above 0"
+        if isinstance(number, (int, float)) and not least <= number <= most:
+            message = f"{name} is {number}, not a number of mm from {least:g} to {most:g}"
             raise InputError("options.unit", message, found=str(number))
     if unit != "auto" and eyes is not None:
         raise InputError("options.unit", "give unit or eye_distance_mm, not both")

@@ -25,6 +25,7 @@ from scipy.interpolate import RBFInterpolator
 
 from solver.errors import Finding, InputError, make_warning, quote_names
 from solver.scans.markers.bind import places_of
+from solver.scans.markers.face_take import living_labels
 from solver.scans.markers.faults import Faults, find_faults
 from solver.scans.markers.locate import FLIP, fit_most
 from solver.scans.markers.marker_set import BONY, MarkerSet
@@ -106,7 +107,8 @@ def carry(
     markers at rest do not lie like these places, in any size.
     """
     used = {each.label: each for each in markers.markers if each.part != "ignore"}
-    take = take.pick([n for n, label in enumerate(take.labels) if label in used])
+    living = living_labels(take).tolist()
+    take = take.pick([number for number in living if take.labels[number] in used])
     on_bone = np.array([used[label].part in BONY for label in take.labels], bool)
     scale = markers.session.scale
     if np.sum(~on_bone) < options.least:

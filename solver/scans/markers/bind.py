@@ -83,7 +83,12 @@ class Reference:
         markers: MarkerSet | None = None,
         expression: Expression | None = None,
     ) -> Reference:
-        """Return a person at rest, or in an expression."""
+        """Return a person at rest, or in an expression.
+
+        Raises :class:`InputError` as :meth:`MarkerSet.check_model`.
+        """
+        if markers is not None:
+            markers.check_model(model)
         face = model_face(model)
         jaw = None
         if expression is not None:

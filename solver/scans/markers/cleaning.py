@@ -52,7 +52,7 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
     A label that stands there twice gets a number. Where two subjects have the same labels all keep
     their subject's name, as ``Jane:LBRO1``.
     """
-    plain = [_tidy(name) for name in names[:count]] + [""] * (count - len(names))
+    plain = [tidy_label(name) for name in names[:count]] + [""] * (count - len(names))
     parts = [tuple(map(str.strip, name.rpartition(":")[::2])) for name in plain]
     labelled = [at for at, (_, label) in enumerate(parts) if label and not _is_unlabelled(label)]
     others = sorted(set(range(count)) - set(labelled))
@@ -89,7 +89,7 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
     )
 
 
-def _tidy(name: str) -> str:
+def tidy_label(name: str) -> str:
     """Return a name in one form of Unicode, with single blanks and nothing that does not print."""
     text = " ".join(unicodedata.normalize("NFC", name[: 4 * LONGEST_LABEL]).split())
     return "".join(each for each in text if each.isprintable())[:LONGEST_LABEL].strip(" :")

@@ -92,11 +92,8 @@ def choose_face(take: Take, options: FaceOptions = FACE) -> FaceTake:
     """
     take = count_tracks(take, options)
     named = read_names(take.labels)
-    alive = np.asarray(np.isfinite(take.positions[..., 0]).any(axis=0))
-    if alive.sum() > options.most:
-        message = f"{take.file} has {alive.sum()} markers, {options.most} can be bound"
-        figures = {"found": int(alive.sum()), "expected": options.most}
-        raise InputError("markers.too_large", message, file=take.file, **figures)
+    alive = np.zeros(len(take.labels), bool)
+    alive[living_labels(take, options)] = True
     mm = _neighbours_unit(take.positions[:, alive], options)
     is_body = np.array([each is not None and each.part == "ignore" for each in named], bool)
     on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
@@ -115,6 +112,20 @@ def choose_face(take: Take, options: FaceOptions = FACE) -> FaceTake:
         mm,
         take.rate if take.rate > 0 else USUAL_RATE,
     )
+
+
+def living_labels(take: Take, options: FaceOptions = FACE) -> Ints:
+    """Return the numbers of the labels that are ever seen.
+
+    Raises :class:`InputError` ``markers.too_large`` for more of them than a face has: what takes a
+    take apart compares all of them with each other.
+    """
+    alive = np.flatnonzero(np.isfinite(take.positions[..., 0]).any(axis=0))
+    if len(alive) > options.most:
+        message = f"{take.file} has {len(alive)} markers, {options.most} can be bound"
+        figures = {"found": len(alive), "expected": options.most}
+        raise InputError("markers.too_large", message, file=take.file, **figures)
+    return alive
 
 
 def count_tracks(take: Take, options: FaceOptions = FACE) -> Take:

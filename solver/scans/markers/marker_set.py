@@ -17,16 +17,18 @@ from pydantic import ValidationError
 from solver.errors import InputError, quote
 from solver.kinds.document import find_faults
 from solver.kinds.marker_set import LONGEST_LABEL, MarkerEntry, MarkerSetDocument, Part, SkinPoint
+from solver.model import SubjectModel
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity
 from solver.storage import write_json
-from solver.surface import Floats, Ints, unit_rows
+from solver.surface import Floats, Ints, area_normals, unit_rows
 
 Triple = tuple[float, float, float]
 
 MOST_BYTES = 4 << 20  # of a marker set's file
 ROUNDING = 1e-3  # off which weights may sum to 1, and a rotation be orthogonal
 LONGEST_NUMBER = 12  # characters behind the label of a marker that moved
+LEAST_AREA = 1e-6  # mm2, of a triangle that has a normal
 BONY: tuple[Part, ...] = ("head", "upper_teeth", "lower_teeth")  # parts that ride on a bone
 
 SPAN = re.compile("(.+@)-?[0-9]+")
@@ -120,12 +122,33 @@ class MarkerSet:
         """Write the set as JSON."""
         write_json(path, self.to_document())
 
+    def check_model(self, model: SubjectModel) -> None:
+        """Refuse a set that is not bound to the skin of a model.
+
+        Raises :class:`InputError`: ``markers.other_model``, or ``markers.set_schema`` for vertices
+        that the skin does not have or that make no triangle.
+        """
+        if self.model_sha256 != model.sha256:
+            message = "the marker set is of another model: bind it again"
+            raise InputError("markers.other_model", message)
+        count = len(model.skin.vertices)
+        for number, marker in enumerate(self.markers):
+            if marker.part != "face":
+                continue
+            where = f"markers.markers[{number}].at.vertices"
+            if max(marker.vertices) >= count:
+                message = f"{max(marker.vertices)} is no vertex of the skin, which has {count}"
+                raise _schema_error(where, message)
+            area = np.linalg.norm(area_normals(model.skin.vertices, np.array([marker.vertices])))
+            if not area > LEAST_AREA:
+                raise _schema_error(where, "are no triangle")
+
     @classmethod
-    def load(cls, path: Path) -> MarkerSet:
-        """Read a set.
+    def load(cls, path: Path, model: SubjectModel | None = None) -> MarkerSet:
+        """Read a set, which is of a ``model`` if that is given.
 
         Raises :class:`InputError`: ``markers.set_unreadable`` with ``file``, or what
-        :meth:`from_document` finds.
+        :meth:`from_document` and :meth:`check_model` find.
         """
         file = path.name
         try:
@@ -133,7 +156,10 @@ class MarkerSet:
                 content = stream.read(MOST_BYTES + 1)
             if len(content) > MOST_BYTES:
                 raise ValueError(f"it has more than {MOST_BYTES} bytes")
-            return cls.from_document(json.loads(content))
+            found = cls.from_document(json.loads(content))
+            if model is not None:
+                found.check_model(model)
+            return found
         except InputError as error:
             error.context["file"] = file
             raise

@@ -359,6 +359,8 @@ def test_fibre_muscles_and_a_jaw_on_tracks_play_in_other_programs(
         ("markers.few", {"markers": [0, 1, 2]}),
         ("markers.other_model", {"model_sha256": "0" * 64}),
         ("markers.few", {"markers": [0, 1, 2], "options": {"actor": True}}),
+        ("markers.too_large", {"labels": 401}),
+        ("markers.too_large", {"labels": 401, "options": {"actor": True}}),
         ("markers.neutral", {"options": {"neutral": 100}}),
         ("options.frames", {"options": {"start": 100}}),
         ("options.frames", {"options": {"end": 112}}),
@@ -371,12 +373,20 @@ def test_what_cannot_be_used(code: str, change: dict, files: Path, tmp_path: Pat
     if "model_sha256" in change:
         markers = replace(markers, model_sha256=change["model_sha256"])
     markers.save(tmp_path / "markers.json")
+    take = Take.load(files / "take.npz")
+    if "labels" in change:
+        count = change["labels"]
+        others = tuple(f"other {number}" for number in range(count - len(take.labels)))
+        take = replace(
+            take.pick(np.resize(np.arange(len(take.labels)), count)), labels=take.labels + others
+        )
+    take.save(tmp_path / "take.npz")
     with pytest.raises(InputError) as caught:
         run_job(
             "fit_markers",
             tmp_path / "out",
             options={"prior": "scans"} | change.get("options", {}),
-            markers=files / "take.npz",
+            markers=tmp_path / "take.npz",
             marker_set=tmp_path / "markers.json",
             rig=files / "rig.npz",
         )
