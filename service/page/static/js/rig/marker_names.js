@@ -20,14 +20,14 @@ export class MarkerNames {
    */
   show(labels, points, size, first = []) {
     const middle = size.width / 2;
-    const taken = points.filter(Boolean).map(([x, y]) => [x - DOT, y - DOT, x + DOT, y + DOT]);
+    const taken = points.filter(Boolean).map(([x, y]) => square(x, y, DOT));
     const order = labels.map((_, k) => k).filter((k) => points[k])
       .sort((a, b) => first.includes(b) - first.includes(a) || away(b) - away(a));
     const drawn = [];
     for (const k of order) {
       const spot = this.#spot(labels[k], points[k], middle, size, taken, first.includes(k));
       if (!spot) continue;
-      taken.push(spot.box);
+      taken.push(spot.box, ...spot.line);
       drawn.push(svg("g", { class: first.includes(k) ? "chosen" : null },
         spot.gap > GAPS[0] && svg("line", { x1: points[k][0], y1: points[k][1], x2: spot.from[0], y2: spot.from[1] }),
         svg("text", { x: spot.box[0], y: spot.box[1] + HIGH - 3 }, labels[k])));
@@ -39,7 +39,10 @@ export class MarkerNames {
     }
   }
 
-  /** Return a free box for a name, how far it is from its dot, and where a line to it ends; null if none is free. */
+  /**
+   * Return a free `box` for a name, its `gap` to the dot, where a line `from` the dot to it ends, and the `line` as
+   * boxes; null if none is free.
+   */
   #spot(label, [x, y], middle, size, taken, isFirst) {
     const wide = this.#width(label);
     const outward = x < middle ? -1 : 1;
@@ -52,8 +55,9 @@ export class MarkerNames {
         const top = from[1] - HIGH * (0.5 - 0.5 * dy);
         const box = [left, top, left + wide, top + HIGH];
         if (left < 0 || top < 0 || box[2] > size.width || box[3] > size.height) continue;
-        const spot = { box, gap, from };
-        if (!taken.some((other) => overlap(box, other))) return spot;
+        const line = gap > GAPS[0] ? along([x, y], from) : [];
+        const spot = { box, gap, from, line };
+        if (!taken.some((other) => [box, ...line].some((each) => overlap(each, other)))) return spot;
         nearest ??= spot;
       }
     }
@@ -67,6 +71,18 @@ export class MarkerNames {
     }
     return this.#widths.get(label);
   }
+}
+
+function square(x, y, half) {
+  return [x - half, y - half, x + half, y + half];
+}
+
+/** Return boxes along a line, from beyond the dot that it begins at. */
+function along([x, y], [toX, toY]) {
+  const length = Math.hypot(toX - x, toY - y);
+  const boxes = [];
+  for (let at = DOT + 4; at < length; at += 4) boxes.push(square(x + ((toX - x) * at) / length, y + ((toY - y) * at) / length, 1));
+  return boxes;
 }
 
 function overlap(a, b) {
