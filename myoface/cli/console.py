@@ -34,6 +34,8 @@ VERDICTS = {
 
 # Between two lines about one phase, where there is no terminal to show a live bar.
 NEWS_SECONDS = 10.0
+# Of a job that are done before it is said how long the rest takes.
+LEAST_FRACTION, LEAST_SECONDS = 0.1, 3.0
 
 # Characters that do something to a terminal, or to the order of what it shows (C0, C1, bidi), but
 # for the end of a line; and halves of surrogate pairs, which cannot be written
@@ -191,11 +193,11 @@ def show_outcome(kind: str, report: Mapping[str, Any], title: str | None = None)
     if "verdict" not in report:
         show_registration(title, report)
         return 0
-    _show_verdict(title, report)
+    show_verdict(title, report)
     return BAD if report["verdict"] == "bad" else 0
 
 
-def _show_verdict(title: str, check: Mapping[str, Any]) -> None:
+def show_verdict(title: str, check: Mapping[str, Any]) -> None:
     """Show the verdict of a check, and each finding with its advice."""
     style, words = VERDICTS[check["verdict"]]
     out.print(f"{title}: ", Painted(words, style))
@@ -260,6 +262,7 @@ class JobView:
         self.title = title
         self.phases: dict[str, float] = {}
         self._phase = "queued"
+        self._started: float | None = None  # when it told its first step
         self._since = self._began = time.monotonic()
         self._last_line = ("", 0.0)
         self._warned: set[str | None] = set()
@@ -279,6 +282,7 @@ class JobView:
     def watch(self, job: Job) -> None:
         """Take a job's news (a :data:`myoface.client.Watcher`)."""
         if job.state == "queued" or job.progress is None:
+            self._started = None
             self._show(Progress(phase=job.state, fraction=0.0))
         else:
             self._show(job.progress)
@@ -294,20 +298,32 @@ class JobView:
                 out.print(f"{self.title}: warning: {step.message}")
             return
         words, turns = summary(step), step.phase != self._phase
+        far = self._far(step.fraction)
         if turns:
             self._turn(step.phase)
         if not out.is_terminal:
-            self._print(words, at_once=turns)
+            self._print(words, far, at_once=turns)
         passed = time.strftime("%H:%M:%S", time.gmtime(time.monotonic() - self._began))
-        out.show_bar(self.title, step.fraction, f"{step.fraction:.0%} {passed} {words}")
+        out.show_bar(self.title, step.fraction, f"{far or '0%'} {passed} {words}")
 
-    def _print(self, words: str, *, at_once: bool) -> None:
+    def _far(self, fraction: float) -> str:
+        """Return how much is done and about how long the rest takes; empty at the beginning."""
+        now = time.monotonic()
+        if not fraction:
+            return ""
+        self._started = self._started or now
+        passed = now - self._started
+        if fraction < LEAST_FRACTION or passed < LEAST_SECONDS or fraction >= 1.0:
+            return f"{fraction:.0%}"
+        return f"{fraction:.0%}, about {span(passed * (1.0 - fraction) / fraction)} left"
+
+    def _print(self, words: str, far: str, *, at_once: bool) -> None:
         """Print a line, unless it says nothing new or the one before is not old yet."""
         before, moment = self._last_line
         now = time.monotonic()
         if at_once or (words != before and now - moment >= NEWS_SECONDS):
             self._last_line = (words, now)
-            out.print(f"{self.title}: {words}")
+            out.print(f"{self.title}: {words}", f" · {far}" if far else "")
 
     def _turn(self, phase: str) -> None:
         moment = time.monotonic()

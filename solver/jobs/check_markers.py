@@ -95,8 +95,14 @@ def _report_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
     found = reach(face, markers, _prior(task, rig, face))
     names = rig.model.muscle_names
     known = rest_places(replace(check.bound, markers=tuple(markers)), rig.model.skin)
-    check.figures |= {"muscles": len(names), "muscles_determined": found.known_muscles}
+    check.figures |= {
+        "muscles": len(names),
+        "muscles_determined": found.known_muscles,
+        "muscles_following": found.following_muscles,
+    }
     words = f"{len(markers)} markers determine {found.known_muscles} of {len(names)} muscles"
+    if found.following_muscles:
+        words += f", and {found.following_muscles} more as they go along in known expressions"
     information = {
         name: round(float(each), 3) for name, each in zip(names, found.information, strict=True)
     }

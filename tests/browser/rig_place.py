@@ -72,6 +72,8 @@ class Place:
     markers: MarkerSet
     check: str  # a job that proposed them
     marked: str  # a job that fitted a take of them
+    store: Store
+    sliders: Path  # a preview.bin for the second
 
 
 @contextmanager
@@ -108,7 +110,8 @@ def served_rigs(folder: Path) -> Iterator[Place]:
     try:
         key = settings.admin_key.read_text()
         rigs = first, second, old
-        yield Place(url, key, sample, *rigs, take, frames, markers, check, marked)
+        jobs = take, frames, markers, check, marked
+        yield Place(url, key, sample, *rigs, *jobs, store, folder / "b" / PARTS[2])
     finally:
         server.should_exit = True
         thread.join(10)
@@ -175,8 +178,9 @@ def _marker_set(sample: Sample, count: int = 24) -> MarkerSet:
     while len(chosen) < count:
         away = np.linalg.norm(centres[front][:, None] - centres[chosen][None], axis=2).min(axis=1)
         chosen.append(int(front[np.argmax(away)]))
+    labels = [f"M{number:02d}" for number in range(count - 2)] + ["LCheek", "RCheek"]
     markers = tuple(
-        Marker(f"M{number:02d}", tuple(surface.faces[face].tolist()), (0.4, 0.3, 0.3), 2.0)
+        Marker(labels[number], tuple(surface.faces[face].tolist()), (0.4, 0.3, 0.3), 2.0)
         for number, face in enumerate(chosen)
     )
     return MarkerSet(markers, IDENTITY, "0" * 64)
@@ -262,12 +266,25 @@ def put_job(
         )
         table.create(session, job)
         job_id = job.id
-    with store.write() as session:
-        claim = table.take(session, job_id, "test", 10)
-        assert claim
-        left = [_artifact(store, job_id, path) for path in files]
-        assert table.succeed(session, job_id, claim.attempt, left, summary=summary)
+    end_job(store, job_id, start_job(store, job_id), files, summary)
     return job_id
+
+
+def start_job(store: Store, job_id: str) -> int:
+    """Take a job as a worker does; returns the attempt."""
+    with store.write() as session:
+        claim = table.take(session, job_id, "test", 60)
+        assert claim
+        return claim.attempt
+
+
+def end_job(
+    store: Store, job_id: str, attempt: int, files: Iterable[Path], summary: dict[str, Any]
+) -> None:
+    """Let a job that runs succeed and leave ``files``."""
+    with store.write() as session:
+        left = [_artifact(store, job_id, path) for path in files]
+        assert table.succeed(session, job_id, attempt, left, summary=summary)
 
 
 def _artifact(store: Store, job_id: str, path: Path) -> Artifact:

@@ -12,8 +12,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from service.queue import table
 from solver.surface import Floats
-from tests.browser.rig_place import SECONDS, Place, drawing_browser, served_rigs, until
+from tests.browser.rig_place import (
+    SECONDS,
+    Place,
+    drawing_browser,
+    end_job,
+    served_rigs,
+    start_job,
+    until,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -181,19 +190,36 @@ def test_a_whole_muscle_folds_its_compartments(place: Place, rig: Callable[..., 
     assert not medial.is_visible()
 
 
-def test_sliders_that_are_missing_can_be_made(place: Place, rig: Callable[..., Page]) -> None:
+def test_sliders_that_are_missing_can_be_made_and_come_by_themselves(
+    place: Place, rig: Callable[..., Page]
+) -> None:
     page = rig(identifier=place.second)
     page.get_by_role("tab", name="Muscles").click()
     page.get_by_text("This rig has no muscle sliders yet.").wait_for()
     assert page.get_by_role("button", name="Procerus").is_visible()
     page.get_by_role("button", name="Make the sliders").click()
-    link = page.get_by_role("link", name="their job")
+    link = page.get_by_role("link", name="a job")
     link.wait_for()
+    page.get_by_text("Next in line.").wait_for()
     again = rig(identifier=place.second)
     again.get_by_role("tab", name="Muscles").click()
-    known = again.get_by_role("link", name="their job")
+    known = again.get_by_role("link", name="a job")
     known.wait_for()
     assert known.get_attribute("href") == link.get_attribute("href")
+
+    job_id = link.get_attribute("href").removeprefix("/jobs/")
+    attempt = start_job(place.store, job_id)
+    time.sleep(3.5)  # before that no rest is told
+    with place.store.write() as session:
+        step = {"phase": "poses", "fraction": 0.5}
+        assert table.beat(session, job_id, attempt, 60, steps=[step])
+    for each in (page, again):
+        each.get_by_text(re.compile(r"^Poses")).wait_for()
+        each.get_by_text(re.compile(r"about \d+ s left")).wait_for()
+    end_job(place.store, job_id, attempt, [place.sliders], {})
+    for each in (page, again):
+        each.get_by_role("slider", name="Procerus").wait_for()
+        assert not each.get_by_role("link", name="a job").is_visible()
 
 
 def test_an_old_rig_is_told_of_and_leads_on(place: Place, look: Callable[..., Page]) -> None:

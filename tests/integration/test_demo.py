@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 import signal
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -29,8 +30,13 @@ def test_scans_in_rig_and_report_out(tmp_path: Path, monkeypatch: pytest.MonkeyP
     command = [*PROGRAM, "demo", "--quick", "--output", str(tmp_path), "--json", str(figures_file)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    for promised in ("training mean", "inverted tets", "report.html", "myoface up --data"):
+    promises = "watch it on the page http", "training mean", "inverted tets", "report.html"
+    for promised in (*promises, "sliders", "myoface up --data"):
         assert promised in done.stdout
+    assert re.search(r"fit_geometry: .* \d+%, about ", done.stdout)
+    with sqlite3.connect(tmp_path / "service" / "myoface.db") as database:
+        jobs = dict(database.execute("SELECT kind, state FROM jobs"))
+    assert jobs["build_preview"] == "queued"  # the service that is started next makes them
 
     figures = json.loads(figures_file.read_text())
     assert figures["glb_faults"] == []

@@ -33,7 +33,7 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     figures = rig.known_figures()
     neutral = rig.model.skin.vertices
     told = [figures["expressions"][fit.name] for fit in rig.expressions]
-    names = rig.model.muscle_names
+    names, jaw = rig.model.muscle_names, rig.model.jaw
     flesh = muscle_volumes(rig.model.rest, rig.model.tets, rig.weights).tolist()
     header = {
         "expressions": [
@@ -44,6 +44,7 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
         "wholes": list(rig.model.muscle_groups),
         "flesh_mm3": flesh,
         "still": [-STILL.lengthened, STILL.least],
+        "sagittal": {"at": jaw.origin.tolist(), "across": jaw.axes[0].tolist()},
     }
     stretches = [[each["muscles"][name]["fibres"] for name in names] for each in told]
     arrays: dict[str, np.ndarray] = {

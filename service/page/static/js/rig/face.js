@@ -11,13 +11,15 @@ export class Face {
   constructor(buffer) {
     this.#file = new Container(buffer);
     // a file from before compartments has whole muscles only
-    const { expressions, muscles, wholes = muscles, still = STILL } = this.#file.header;
+    const { expressions, muscles, wholes = muscles, still = STILL, sagittal } = this.#file.header;
     this.expressions = expressions;
     this.muscles = muscles;
     this.wholes = wholes;
     this.still = still;
     this.neutral = this.#file.array("neutral");
     this.faces = this.#file.array("faces");
+    /** The plane that takes each side to the other: a point `at` in it, and the way `across`, of length 1. */
+    this.sagittal = sagittal ?? { at: [0, 0, 0], across: [1, 0, 0] };
     this.count = this.neutral.length / 3;
     this.names = expressions.map((expression) => expression.name);
     this.hasScans = expressions.some((_, k) => this.#file.has(`scan/${k}`));
