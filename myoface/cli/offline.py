@@ -20,7 +20,7 @@ from myoface.cli.app import (
     read_scene,
 )
 from myoface.cli.commands import Argument, Group, Option, UsageError
-from myoface.cli.console import JobView, out, show_outcome
+from myoface.cli.console import JobView, out, show_outcome, show_verdict
 from myoface.names import name_scans
 from solver.jobs import run_job
 from solver.kinds import KINDS, Kind
