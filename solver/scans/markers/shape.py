@@ -18,6 +18,7 @@ class ShapeOptions:
     line: float = 0.05  # of markers' extent along a line: their second extent; four on a brow 0.5
     plane: float = 0.01  # the same of the third one ...
     least: int = 6  # ... of so many markers; faces have 0.2
+    far: float = 5.0  # times the usual distance from the middle: a marker is thrown, and left out
     still_mm: float = 0.3  # no marker goes farther from its middle place: nothing moves
     usual: float = 0.98  # quantile of its frames in that
 
@@ -28,6 +29,10 @@ SHAPE = ShapeOptions()
 def refuse_flat(file: str, points: Floats, options: ShapeOptions = SHAPE) -> None:
     """Raise :class:`InputError` ``markers.flat`` for markers (k, 3) on a line or in a plane."""
     seen = points[np.isfinite(points[:, 0])]
+    if not len(seen):
+        return
+    away = np.linalg.norm(seen - np.median(seen, axis=0), axis=1)
+    seen = seen[away <= options.far * np.median(away)]  # a thrown one makes a line of any
     if len(seen) < 3:
         return
     extents = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
