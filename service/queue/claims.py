@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, Row, func, or_, select
+from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session, aliased
 
 from service.queue.states import HELD, State
@@ -118,8 +118,8 @@ def _keeps_last(session: Session, queue: str, alive: datetime) -> bool:
 
 def _tenants(
     session: Session, queue: str, fits: Sequence[ColumnElement[bool]]
-) -> Sequence[Row[tuple[str, int]]]:
-    """Return tenants with a runnable job and the jobs they have running, in fair-share order."""
+) -> Iterator[tuple[str, int]]:
+    """Give tenants with a runnable job and the jobs they have running, in fair-share order."""
     next_job = (
         select(Job.id)
         .where(Job.tenant_id == Tenant.id, *fits)
@@ -139,11 +139,12 @@ def _tenants(
         Tenant.id.label("tenant_id"), next_job.label("job_id"), load.label("load")
     ).subquery()
     waiting = aliased(Job)
-    return session.execute(
+    order = (
         select(turns.c.tenant_id, turns.c.load)
         .join(waiting, waiting.id == turns.c.job_id)
         .order_by(turns.c.load, waiting.created_at, waiting.id)
-    ).all()
+    )
+    yield from session.execute(order).tuples().all()
 
 
 def _waits(queue: str, moment: datetime) -> ColumnElement[bool]:

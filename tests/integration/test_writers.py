@@ -28,14 +28,14 @@ CALLERS = 45
 
 @contextmanager
 def _locked(studio: Studio) -> Iterator[None]:
-    """Hold what every new subject needs: SQLite's right to write, or PostgreSQL's table."""
+    """Hold what writers need: SQLite's right to write, or tables of PostgreSQL's."""
     store: Store = studio.http.app.state.store  # type: ignore[attr-defined]
     with store.database.engine.connect() as connection:
         if store.database.is_sqlite:
             connection.rollback()
             connection.connection.driver_connection.execute("BEGIN IMMEDIATE")  # type: ignore[union-attr]
         else:
-            connection.execute(text("LOCK TABLE subjects IN SHARE MODE"))
+            connection.execute(text("LOCK TABLE subjects, jobs, uploads IN SHARE MODE"))
         try:
             yield
         finally:

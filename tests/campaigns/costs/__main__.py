@@ -131,7 +131,7 @@ def _stand_behind_a_lock(folder: Path, seconds: float) -> bool:
         customer = Customer("reading behind a lock", url, key, stop, READS)
 
         def write(until: float) -> list[tuple[int, float]]:
-            answers = []
+            answers: list[tuple[int, float]] = []
             while not answers or time.monotonic() < until:
                 begun = time.monotonic()
                 status = http.post("/v1/subjects", json={"name": "Alex"}).status_code
