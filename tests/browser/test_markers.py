@@ -120,8 +120,9 @@ def test_names_stand_beside_dots_and_twins_move_together(
                 or top >= other[3] - 2
                 or (other[1] >= bottom - 2)
             )
-    page.get_by_label("Label LCheek").hover()  # wherever it lies, and however many are about it
-    until(lambda: "LCheek" in names.all_inner_texts())
+    foremost = place.markers.labels[int(_places(place)[:, 2].argmax())]
+    page.get_by_label(f"Label {foremost}").hover()  # however many are about it
+    until(lambda: foremost in names.all_text_contents())
 
     page.evaluate(
         "document.querySelector('.rig').addEventListener('placed', (event) => {"
