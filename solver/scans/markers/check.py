@@ -220,7 +220,7 @@ def _may_be_actor(located: LocatedTake, reference: Reference) -> bool:
     if markers is None:
         if pose.similar is None:
             return False  # the labels do not name their places
-        placed = place_take(located, pose, reference.face, actor=True)
+        placed = place_take(located, pose, reference, actor=True)
         markers = reference.bind(placed, pose.session)
     try:
         _warp_to(located, reference, markers)
