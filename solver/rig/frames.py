@@ -287,10 +287,10 @@ def write_sequence(
         packed = stored["activations"].reshape(len(frames), -1)
     entries = _entries(muscles, arrays)
     with files[1].open(newline="", encoding="utf-8") as stream:
-        table = np.array([[float(row[e]) for e in entries] for row in csv.DictReader(stream)])
+        rows = [[float(row[e] or "nan") for e in entries] for row in csv.DictReader(stream)]
     compared = {
         files[0].name: compare_activations(files[0], packed, wanted, 0.0),
-        files[1].name: compare_activations(files[1], table, wanted, 10.0**-TABLE_DECIMALS),
+        files[1].name: compare_activations(files[1], np.array(rows), wanted, 10.0**-TABLE_DECIMALS),
     }
     write_json(files[2], {**report, "files": {**report.get("files", {}), **compared}})
     return files
