@@ -51,10 +51,11 @@ def run(task: Task[CheckMarkers]) -> list[Path]:
     except InputError as error:
         advice = ADVICE.get(error.code, ADVICE["markers.unreadable"])
         found = MarkerCheck([Finding(error.code, "error", error.message, advice, error.context)])
-    if "rig" in task.inputs and found.bound is not None:
+    judged = judge_findings(found.findings)
+    # a take that cannot be used determines no muscles
+    if "rig" in task.inputs and found.bound is not None and judged != "bad":
         progress(Step("muscles", 0.5))
         _report_reach(task, found)
-    judged = judge_findings(found.findings)
     progress(Step("pictures", 0.8))
     files = [task.out / "check.json", task.out / "check.png"]
     check_picture(found, reference.face, f"{path.name}: {judged}", files[1])
