@@ -33,8 +33,8 @@ from solver.errors import SolveError
 from solver.fitting import geometry, prior
 from solver.fitting.activation import unseen_regulariser
 from solver.fitting.contact import terms
-from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose
+from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import KnownControls
 from solver.fitting.markers.places import refine_by_take
 from solver.fitting.markers.term import MarkerPlaces
@@ -163,7 +163,7 @@ def _jaw(face: Face, truth: Truth, shapes: Floats, options: argparse.Namespace) 
     """Return how far the lower incisors are off, the jaw being free and on its tracks."""
     tracks = jaw_tracks(build_ict_template(options.anatomy, options.faces), face.model)
     found = {}
-    for name, each in (("free", face), ("tracks", face.with_jaw(tracks, track_block(tracks)))):
+    for name, each in (("free", face), ("tracks", face.with_joint(jaw_on_tracks(tracks)))):
         bench = Bench(each, truth, SETS[0])
         known, take = prior.from_fitted_shapes(each, shapes), bench.clean()
         fitted = bench.refined(known, take).fit(known, take)

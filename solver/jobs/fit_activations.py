@@ -9,19 +9,19 @@ from pathlib import Path
 from solver.fitting import fallback
 from solver.fitting.activation import UNSEEN, UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
-from solver.fitting.face import Face
+from solver.fitting.face import Face, Pose
 from solver.fitting.target_checks import check_held, check_replaced
 from solver.jobs import Task
 from solver.jobs.fits import (
     Targets,
     WarningLog,
+    asked_limits,
     control_settings,
     describe_fit,
     find_oddities,
     leave_rig,
     read_scans,
     refuse_failures,
-    with_controls,
 )
 from solver.kinds.fit_activations import FitActivations
 from solver.mechanics.linear import fastest
@@ -43,10 +43,19 @@ def run(task: Task[FitActivations]) -> list[Path]:
     subject, carried = parent.model, parent.expressions
     scans = read_scans(subject, task.captures)
     face = Face(subject, parent.weights, linear=given.linear_solver or fastest())
-    face = with_controls(face, given, carried)
+    limits = asked_limits(given)
+    if limits is not None:
+        bounded = face.within_anatomy(limits)
+        trained = [fit for fit in carried if fit.role == "train"]
+        # S may have been fitted to muscles that go beyond them
+        inside = [
+            bounded.layout.bounds.contains(Pose(f.activations, f.jaw).vector()) for f in trained
+        ]
+        limits = limits if given.controls == "admissible" or all(inside) else None
+        face = face if limits is None else bounded
     check_held(face)
     log = WarningLog(subject, progress)
-    oddities = find_oddities(face, scans)
+    oddities = find_oddities(face, scans, limits)
     for fit in carried:
         if fit.name in scans:
             oddities += check_replaced(subject, fit.name, fit.target, scans[fit.name])
@@ -74,7 +83,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     refuse_failures(fitted)
     kept = [fit for fit in carried if fit.name not in scans]
     asked = given.model_dump(include={"distance", "solver"})
-    settings = {**UNSEEN, **asdict(stop), **asked, **control_settings(face, given)}
+    settings = {**UNSEEN, **asdict(stop), **asked, **control_settings(limits, given)}
     # the expressions that S was fitted to share its time
     trained = [fit for fit in carried if fit.role == "train"]
     together = [fit.seconds for fit in trained]

@@ -6,12 +6,12 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from solver.errors import Finding, InputError, SolveError, make_warning
-from solver.fitting.admissible import AdmissibleSet, limits_by_plausibility
+from solver.fitting.drives.admissible import AdmissibleLimits, limits_by_plausibility
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
@@ -28,31 +28,25 @@ from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 
-def with_controls(
-    face: Face, options: ExpressionFitOptions, carried: Sequence[ExpressionFit] = ()
-) -> Face:
-    """Return a face with the controls that a job asks for.
+def asked_limits(options: ExpressionFitOptions) -> AdmissibleLimits | None:
+    """Return the limits of muscles that a job asks for, None for free ones.
 
-    If it asks for none they are admissible, unless IPOPT is to fit, which knows no bounds, or S was
-    fitted to ``carried`` training expressions that go beyond them.
+    If it asks for none they are admissible, unless IPOPT is to fit, which knows no bounds.
     """
     by_ipopt = options.controls is None and options.solver == "ipopt"
     if options.controls == "free" or by_ipopt:
-        return face
-    bounded = face.within_anatomy(limits_by_plausibility(options.plausibility))
-    if options.controls == "admissible":
-        return bounded
-    within = cast(AdmissibleSet, bounded.layout.admissible)
-    trained = [fit.activations for fit in carried if fit.role == "train"]
-    return bounded if all(map(within.contains, trained)) else face
+        return None
+    return limits_by_plausibility(options.plausibility)
 
 
-def control_settings(face: Face, options: ExpressionFitOptions) -> dict[str, Any]:
-    """Return the settings that say what muscles may do in a face of :func:`with_controls`."""
-    if face.limits is None:
+def control_settings(
+    limits: AdmissibleLimits | None, options: ExpressionFitOptions
+) -> dict[str, Any]:
+    """Return the settings that say what muscles may do."""
+    if limits is None:
         return {"controls": "free"}
-    limits = asdict(face.limits)
-    return {"controls": "admissible", "plausibility": options.plausibility, "limits": limits}
+    plausibility = options.plausibility
+    return {"controls": "admissible", "plausibility": plausibility, "limits": asdict(limits)}
 
 
 def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str, RegisteredScan]:
@@ -80,13 +74,15 @@ def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str,
     return scans
 
 
-def find_oddities(face: Face, scans: Mapping[str, RegisteredScan]) -> list[Finding]:
-    """Return what is odd about a face and scans before they are fitted."""
+def find_oddities(
+    face: Face, scans: Mapping[str, RegisteredScan], limits: AdmissibleLimits | None
+) -> list[Finding]:
+    """Return what is odd about a face and scans before they are fitted within ``limits``."""
     found = [*idle_muscles(face), *before_fit(face.model, scans)]
-    if face.limits is not None and face.model.fibres is None:
+    if limits is not None and face.model.fibres is None:
         message = "the model has no fibres, so that muscles may push: build it again"
         found.append(make_warning("model.no_fibres", message))
-    if face.limits is not None and face.model.jaw.tracks is None:
+    if limits is not None and face.model.jaw.tracks is None:
         message = "the model has no tracks of its condyles, so that its jaw is free: build it again"
         found.append(make_warning("model.no_tracks", message))
     return found

@@ -21,8 +21,8 @@ import scipy.optimize
 from numpy.typing import NDArray
 
 from solver.fitting.activation import rest_curvature
-from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose
+from solver.fitting.joints import JAW_UNITS
 from solver.fitting.prior import fitted_changes
 from solver.fitting.stretches import FROBENIUS, fibre_tensors, shorten
 from solver.mechanics.flesh import IDENTITY
