@@ -22,6 +22,7 @@ from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.action_units import actions_of, joined_codes
 from solver.anatomy.template import ShapeBasis, split_side
 from solver.animation.blendshapes import CORRECTED, expression_targets
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.model import SubjectModel
@@ -65,7 +66,7 @@ def _face(options: argparse.Namespace) -> Face:
     if options.rig is not None:
         rig = Rig.load(options.rig)
         face = Face(rig.model, rig.weights)
-        return face.within_anatomy() if options.controls == "admissible" else face
+        return face.driven_as(Admissible()) if options.controls == "admissible" else face
     model, captures = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
     rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
     face = Face(model)

@@ -16,7 +16,6 @@ from solver.errors import SolveError
 from solver.fitting.checks import check_pose, check_weights
 from solver.fitting.controls import Layout
 from solver.fitting.drives import MuscleDrive
-from solver.fitting.drives.admissible import ADMISSIBLE, Admissible, AdmissibleLimits
 from solver.fitting.drives.six_numbers import SixNumbers, activation_block
 from solver.fitting.joints import Joint, free_jaw, jaw_block, jaw_on_tracks
 from solver.fitting.tet_forces import TetForces
@@ -206,9 +205,13 @@ class Face:
         tracks = JawTracks.of(self.model.jaw)
         return self.with_joint(jaw_on_tracks(tracks)) if tracks else self
 
-    def within_anatomy(self, limits: AdmissibleLimits = ADMISSIBLE) -> Face:
-        """Return this face with muscles within ``limits``, its condyles on the model's tracks."""
-        return self.with_jaw_on_tracks().driven_by(Admissible(limits))
+    def driven_as(self, drive: MuscleDrive) -> Face:
+        """Return this face with a drive, and with the jaw that goes with it.
+
+        A jaw is free with muscles that have no bounds, else it is on the model's tracks.
+        """
+        driven = self.driven_by(drive)
+        return driven if driven.layout.bounds.is_free else driven.with_jaw_on_tracks()
 
     def _with(self, **changes: sp.csr_array | Flesh | MuscleDrive | Joint) -> Face:
         other = copy.copy(self)

@@ -23,7 +23,7 @@ from solver.jobs import Task
 from solver.jobs.fits import (
     Targets,
     WarningLog,
-    asked_limits,
+    asked_drive,
     control_settings,
     describe_fit,
     find_oddities,
@@ -47,7 +47,9 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
     subject = SubjectModel.load(task.inputs["model"])
     scans = read_scans(subject, task.captures)
-    face, limits = Face(subject, linear=given.linear_solver), asked_limits(given)
+    drive = asked_drive(given)
+    limits = drive.limits if isinstance(drive, Admissible) else None
+    face = Face(subject, linear=given.linear_solver)
     if limits is not None:
         face = face.with_jaw_on_tracks()
     check_held(face)
@@ -66,7 +68,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if structures:
         priors["structure"] = sp.csr_array(sp.vstack(structures))
     log = WarningLog(subject, progress)
-    oddities = find_oddities(face, scans, limits)
+    oddities = find_oddities(face, scans, drive)
     if len(scans) == 1:
         message = (
             "the muscle geometry is fitted to one expression: it will follow that one and say "
@@ -84,19 +86,18 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     seconds = time.perf_counter() - begin
     expressions = []
     for name, ending in fitted.endings.items():
-        spent, scan = seconds / len(targets), scans[name]
-        expression = describe_fit(face, name, "train", scan, targets[name], ending, spent)
+        each, scan = seconds / len(targets), scans[name]
+        expression = describe_fit(face, name, "train", scan, targets[name], ending, each)
         expressions.append(log.about(expression, 0.8, ending.notices))
     refuse_failures(expressions)
     log.warn(0.8, check_neutral(face.with_weights(fitted.S), expressions))
     asked = given.model_dump(include={"symmetry", "smoothness", "distance", "solver"})
-    settings = asdict(schedule) | asked | control_settings(limits, given)
+    settings = asdict(schedule) | asked | control_settings(drive)
     if limits is None:
         del settings["tightening"], settings["limits"]
-    else:
-        face = face.driven_by(Admissible(limits))
-    rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, log.general)
-    return leave_rig(face, rig, settings, task.out, part_of(progress, 0.8))
+    spent = {"geometry": seconds}
+    rig = Rig(subject, fitted.S, tuple(expressions), spent, log.general, drive=drive)
+    return leave_rig(fitted.face, rig, settings, task.out, part_of(progress, 0.8))
 
 
 def _geometry(

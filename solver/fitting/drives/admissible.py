@@ -243,9 +243,5 @@ class Admissible(SixNumbers):
 
     def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
         """See :class:`~solver.fitting.drives.MuscleDrive`."""
-        muscles = S.shape[1] - 1
-        if model.fibres is None:
-            tensors = np.full((muscles, 3, 3), np.nan)
-        else:
-            tensors = fibre_tensors(model, flesh.volumes, S)
-        return activation_block(muscles, AdmissibleSet(self.limits, tensors))
+        tensors = fibre_tensors(model, flesh.volumes, S)
+        return activation_block(len(tensors), AdmissibleSet(self.limits, tensors))
