@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.build import jaw_tracks
-from solver.anatomy.template import Template
 from solver.errors import Finding, InputError, make_warning
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, load_muscles, with_fibres
@@ -26,6 +25,7 @@ from solver.fitting.target_checks import check_held
 from solver.jobs import Task, hash_files
 from solver.jobs.marker_frames import TakeDrawing, TakeFitter, marker_report, smooth_frames
 from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted, write_animated
+from solver.jobs.templates import read_template
 from solver.kinds.fit_markers import FitMarkers
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.jaw_tracks import JawTracks
@@ -44,7 +44,6 @@ from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.motion import still_seconds
 from solver.scans.markers.moved import split_moved
 from solver.scans.markers.take import Take, read_take
-from solver.templates.builtin.build import builtin_template
 
 
 @dataclass(frozen=True)
@@ -164,14 +163,9 @@ def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Fac
     else:
         face = Face(model, rig.weights, linear=given.linear_solver or fastest())
     if given.jaw == "tracks":
-        tracks = JawTracks.of(model.jaw) or jaw_tracks(_template(task), model)
+        tracks = JawTracks.of(model.jaw) or jaw_tracks(read_template(task), model)
         face = face.with_joint(jaw_on_tracks(tracks))
     return face, names
-
-
-def _template(task: Task[FitMarkers]) -> Template:
-    given = task.inputs.get("template")
-    return builtin_template() if given is None else Template.load(given)
 
 
 def _tracker(
@@ -224,7 +218,7 @@ def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
         return prior.from_expressions(
             face, [face.pose_of(each.activations, each.jaw) for each in good]
         )
-    shapes = _template(task).shapes
+    shapes = read_template(task).shapes
     if shapes is None or shapes.expressions.shape[1] != len(face.model.skin.vertices):
         message = "the template has no expressions of this skin: use the prior scans or none"
         raise InputError("markers.prior", message)
