@@ -299,7 +299,8 @@ class _Linearised:
         coupled = self._couple(flesh)
         by_pose = self._steps.best(self._by_pose + coupled)
         by_pose *= fraction / max(self._layout.reach(by_pose), 1.0)
-        by_pose = self._layout.bounds.clip(self._q + by_pose) - self._q
+        if not self._layout.bounds.is_free:
+            by_pose = self._layout.bounds.clip(self._q + by_pose) - self._q
         # the undamped model's gain
         first = self._by_x @ flesh + self._by_pose @ by_pose
         second = flesh @ (self._curvature @ flesh) + by_pose @ (self._hessian @ by_pose)

@@ -350,7 +350,7 @@ def fit(
     """
     tissue = tissues.of_face(face)
     state = start or _with_jaw(face, tissue, data, way)
-    if state.pose.layout is not tissue.face.layout:
+    if state.pose.a.shape != tissue.face.layout.drive.rest.shape:
         raise InputError("start.activations", "the start has not six activations per active tet")
     objective = Objective(tissue, data, options, state.pose.b)
     taken, value, reachable = 0, objective.value(state), np.inf
