@@ -19,7 +19,7 @@ quick: setup-dev ## style, types, and unit tests that need no data and no proces
 	@$(BIN)/mypy
 	@$(TESTS) --quick --quiet -n $(WORKERS)
 
-test: check fast-servers ## what CI runs: the checks and all tests that are not slow (6 minutes)
+test: check fast-servers ## what CI runs: the checks and all tests that are not slow (how long: docs/develop/development.md)
 	@$(TESTS) -n $(WORKERS) -m "not slow or end_to_end and not servers"
 
 test-all: servers ## also the slow tests: all on the servers, the browser, campaigns (30 minutes)

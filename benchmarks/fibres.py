@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import logging
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -82,9 +81,9 @@ class Person:
 
 def main() -> None:
     """Run from the command line."""
-    data = Path(os.environ.get("MYOFACE_DATA", Path(__file__).parents[2] / "shared" / "data"))
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
+    subjects.add_controls(parser)
     parser.add_argument("--rig", type=Path, help="the subject's rig; else S is fitted first")
     parser.add_argument("--muscles", type=Path, help="calibrated muscles: read if there, else left")
     parser.add_argument("--only", nargs="*", choices=PARTS, default=list(PARTS))
@@ -92,12 +91,7 @@ def main() -> None:
     parser.add_argument("--exaggerated", default="smile", help="expressions, with commas between")
     parser.add_argument("--recording", type=Path, help="Live Link Face recording")
     parser.add_argument("--large", action="store_true", help="frames of 370,000 tets too")
-    if data.is_dir():
-        parser.set_defaults(
-            anatomy=data / "bodyparts3d",
-            faces=data / "ict_facekit",
-            recording=data / "performance" / "alex_rom_3.csv",
-        )
+    subjects.default_to_data(parser)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     report.finish(run(options), options, section)

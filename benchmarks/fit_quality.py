@@ -23,7 +23,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -97,10 +97,14 @@ def main() -> None:
     """Run from the command line."""
     parser = report.parser(__doc__ or "")
     subjects.add_folders(parser)
-    parser.add_argument("--subjects", type=_names, default=["A", "B", "C"], metavar="LIST")
+    parser.add_argument(
+        "--subjects", type=report.list_of(), default=["A", "B", "C"], metavar="LIST"
+    )
     for name, known in (("--sets", SETS), ("--controls", CONTROLS)):
         words = f"of {', '.join(known)} (default: all)"
-        parser.add_argument(name, type=_of(known), default=list(known), metavar="LIST", help=words)
+        parser.add_argument(
+            name, type=report.list_of(known), default=list(known), metavar="LIST", help=words
+        )
     parser.add_argument(
         "--per-tet", action=argparse.BooleanOptionalAction, default=True, help="fit P, too: slow"
     )
@@ -111,27 +115,6 @@ def main() -> None:
     except InputError as fault:
         raise SystemExit(f"{fault.code}: {fault.message}") from None
     report.finish(figures, options, section)
-
-
-def _names(text: str) -> list[str]:
-    names = [word.strip() for word in text.split(",") if word.strip()]
-    if not names:
-        raise argparse.ArgumentTypeError("at least one name")
-    return list(dict.fromkeys(names))
-
-
-def _of(known: Iterable[str]) -> Callable[[str], list[str]]:
-    """Return a reader of a list of ``known`` names."""
-
-    def read(text: str) -> list[str]:
-        names = _names(text)
-        for name in names:
-            if name not in known:
-                message = f"{name} is none of {', '.join(known)}"
-                raise argparse.ArgumentTypeError(message)
-        return names
-
-    return read
 
 
 def run(options: argparse.Namespace) -> Figures:

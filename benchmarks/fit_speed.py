@@ -1,17 +1,20 @@
-"""How long fits and simulations take, all in one run on one subject; ratios are of this run.
+"""How long fits and simulations take on one subject; ratios are of one run.
 
-Wall times on the threads that the machine gives, kernels compiled. Subject A of the data at 9 mm
-tets: ``geometry_seconds`` and ``peak_memory_gib`` of the fit of S; ``activation_ms``, the median of
-cold fits of single expressions until a step gains less than 1e-4 of the objective (the resting face
-with its Gauss-Newton matrix, ``prepared_ms``, is known: all of them begin with it), and
-``ratio_per_tet``, the time of the per-tet model for the same expressions over it; ``frame_ms``, the
-median over a recorded performance, with ``frame_mean_mm`` and ``frame_loss`` against frames fitted
-alone; the forward problem cold and warm; and the exponents of time by vertices over meshes of
-several sizes, for fitting the milder unseen expressions half of the way and for simulating random
-plausible poses, which on all of them are the same well-posed problems.
-``ratio_ipopt``: (A) by IPOPT over the reduced solver, the median over the expressions of the
-built-in face with coarse tets for which both find the same objective within 0.1 %, each to its own
-tolerance, and ``ratio_ipopt_same`` until each is within 0.1 % of its end.
+Wall times on the threads that the machine gives, kernels compiled; ``--parts`` chooses what is
+timed, so that no run takes long, and with ``--rig`` S is fitted once for several runs. Muscles are
+divided and expressions fitted within what muscles can do, as in jobs, unless ``--whole`` and
+``--controls free`` say otherwise; the comparison with IPOPT and that of meshes fit freely. Subject
+A of the data at 9 mm tets: ``geometry_seconds`` and ``peak_memory_gib`` of the fit of S;
+``activation_ms``, the median of cold fits of single expressions until a step gains less than 1e-4
+of the objective (the resting face with its Gauss-Newton matrix, ``prepared_ms``, is known: all of
+them begin with it), and ``ratio_per_tet``, the time of the per-tet model for the same expressions
+over it; ``frame_ms``, the median over a recorded performance, with ``frame_mean_mm`` and
+``frame_loss`` against frames fitted alone; the forward problem cold and warm; and the exponents of
+time by vertices over meshes of several sizes, for fitting the milder unseen expressions half of the
+way and for simulating random plausible poses, which on all of them are the same well-posed
+problems. ``ratio_ipopt``: (A) by IPOPT over the reduced solver, the median over the expressions of
+the built-in face with coarse tets for which both find the same objective within 0.1 %, each to its
+own tolerance, and ``ratio_ipopt_same`` until each is within 0.1 % of its end.
 
 Without the data it runs on the built-in person, and without a performance.
 """
@@ -21,7 +24,8 @@ from __future__ import annotations
 import argparse
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from pathlib import Path
 from statistics import median
 
@@ -31,17 +35,17 @@ from benchmarks import plots, report, subjects
 from benchmarks.documents import IMAGES, Figures, Plot, Section, Table
 from benchmarks.round_trip import plausible_pose
 from benchmarks.speed import forward, ipopt, solvers
-from benchmarks.speed.clock import Stopwatch, peak_gib
+from benchmarks.speed.clock import peak_gib
 from benchmarks.speed.frames import frames
+from benchmarks.subject_fits import by_geometry
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
-from solver.fitting import geometry
-from solver.fitting.contact import terms
-from solver.fitting.face import Face
-from solver.fitting.objective import Target, distances
+from solver.fitting.face import Face, Pose
+from solver.fitting.geometry import GeometryOptions
+from solver.fitting.objective import Target
 from solver.mechanics.flesh import COROTATED_DET
 from solver.mechanics.linear import fastest
+from solver.rig.rig import Rig
 from solver.scans.live_link import read_live_link
-from solver.templates.export import CaptureSet
 from solver.templates.ict_facekit import drive, ict_neutral, read_facekit
 
 SIZES_MM = (19.0, 13.0, 9.0, 5.5)
@@ -57,6 +61,8 @@ COMPARED = 12
 PER_TETS = 3
 """Expressions that the per-tet model, which is slow, is timed on."""
 
+QUICK_ROUNDS, QUICK_FRAMES = 4, 60
+
 FRAME_LIMIT_MS = 60.0
 
 log = logging.getLogger(__name__)
@@ -64,126 +70,183 @@ log = logging.getLogger(__name__)
 
 def main() -> None:
     """Run from the command line."""
-    data = Path(os.environ.get("MYOFACE_DATA", Path(__file__).parents[2] / "shared" / "data"))
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
+    subjects.add_controls(parser)
+    report.add_list(parser, "--parts", PARTS)
+    parser.add_argument("--rig", type=Path, help="rig of S: read if there, else S is left in it")
     parser.add_argument("--recording", type=Path, help="Live Link Face recording")
     parser.add_argument("--first-frame", type=int, default=FIRST_FRAME)
-    if data.is_dir():
-        parser.set_defaults(
-            anatomy=data / "bodyparts3d",
-            faces=data / "ict_facekit",
-            recording=data / "performance" / "alex_rom_3.csv",
-        )
+    subjects.default_to_data(parser)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     report.finish(run(options), options, section)
 
 
 def run(options: argparse.Namespace) -> Figures:
-    """Measure everything and return the figures."""
-    quick = options.quick
-    model, captures = subjects.load(options, COARSE_EDGE_MM if quick else EDGE_MM)
-    precise, phace = Face(model), Face(model, material=COROTATED_DET)
-    # single expressions do with less precision, in jobs too
-    face = Face(model, linear=fastest())
-    train, test = (
-        {name: Target.from_points(scan.vertices[model.face]) for name, scan in scans.items()}
-        for scans in (captures.train, captures.test)
-    )
-    solvers.compile_kernels(face, phace, next(iter(test.values())))
-    log.info("geometry")
-    with Stopwatch() as watch:
-        fitted = geometry.fit(precise, terms(face, train), first_terms=distances(face, train))
-    memory = peak_gib()
-    log.info("geometry: %.1f s, %.2f GiB", watch.seconds, memory)
-    face = face.with_weights(fitted.S)
-    preparing = solvers.prepared(face)
-    by_a = solvers.activations(face, _first(test, 2 if quick else len(test)))
-    log.info("activations: %s", [round(e["seconds"], 2) for e in by_a])
-    by_p = solvers.per_tets(phace, _first(test, 1 if quick else PER_TETS))
-    log.info("per tet: %s", [round(e["seconds"], 1) for e in by_p])
-    poses = {name: state.pose for name, state in fitted.states.items()}
-    forwards = forward.forward(face, poses)
-    log.info("forward: %s", [round(e["cold_seconds"], 2) for e in forwards])
-    sequence = _performance(options, face)
-    compared = _against_ipopt(2 if quick else None)
-    log.info("IPOPT: %s", [e.get("ratio") for e in compared])
-    sizes = _scaling(options, captures, quick)
-    log.info("scaling: %s", [round(e["activation_seconds"], 2) for e in sizes])
-    seconds = {e["name"]: e["seconds"] for e in by_a}
-    same = [e for e in compared if e.get("same")]
-    return {
-        "vertices": len(model.rest),
-        "tets": len(model.tets),
-        "muscles": model.muscle_count,
+    """Measure the parts that were asked for and return their figures."""
+    person = Person(options)
+    figures: Figures = {
+        "vertices": len(person.model.rest),
+        "tets": len(person.model.tets),
+        "muscles": person.model.muscle_count,
+        "controls": options.controls,
         "threads": os.environ.get("NUMBA_NUM_THREADS", str(os.cpu_count())),
-        "geometry_seconds": watch.seconds,
-        "peak_memory_gib": memory,
-        "geometry_mean_mm": geometry.mean_error(face, train, fitted.states),
+    }
+    for part in options.parts:
+        found = PARTS[part](person)
+        log.info("%s: %s", part, {k: v for k, v in found.items() if not isinstance(v, list | dict)})
+        figures |= found
+    seconds = {e["name"]: e["seconds"] for e in figures.get("activations", ())}
+    ratios = [
+        e["seconds"] / seconds[e["name"]]
+        for e in figures.get("per_tets", ())
+        if e["name"] in seconds
+    ]
+    return {**figures, "ratio_per_tet": median(ratios)} if ratios else figures
+
+
+class Person:
+    """The subject, whose S is fitted once, by the first part that asks for it."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+        self.model, self.captures = subjects.load(
+            options, COARSE_EDGE_MM if options.quick else EDGE_MM
+        )
+
+    def targets(self, count: int) -> dict[str, Target]:
+        """Return the first of the unseen expressions; two at most in a quick run."""
+        chosen = list(self.captures.test.items())[: 2 if self.options.quick else count]
+        return {n: Target.from_points(scan.vertices[self.model.face]) for n, scan in chosen}
+
+    @cached_property
+    def fitted(self) -> tuple[Rig, Figures]:
+        """The rig of the training scans, and the figures of its fit if it was fitted here."""
+        path = self.options.rig
+        if path is not None and path.is_file():
+            return Rig.load(path), {}
+        face = self.compile(Face(self.model))
+        rounds = QUICK_ROUNDS if self.options.quick else GeometryOptions.rounds
+        fits = by_geometry(face, self.captures.train, subjects.schedule(self.options, rounds))
+        rig = Rig(self.model, fits.face.S, tuple(fits.expressions("train")))
+        if path is not None:
+            rig.save(path)
+        return rig, {
+            "geometry_seconds": fits.seconds,
+            "peak_memory_gib": peak_gib(),
+            "geometry_mean_mm": fits.mean_mm,
+        }
+
+    @cached_property
+    def face(self) -> Face:
+        """The fitted face, free; single expressions do with less precision, in jobs too."""
+        return Face(self.model, self.fitted[0].weights, linear=fastest())
+
+    def compile(self, face: Face, phace: Face | None = None) -> Face:
+        """Return the face after its kernels, and those of the per-tet model's, are compiled."""
+        solvers.compile_kernels(face, phace, next(iter(self.targets(1).values())))
+        return face
+
+
+def _geometry(person: Person) -> Figures:
+    return person.fitted[1]
+
+
+def _activations(person: Person) -> Figures:
+    face = person.compile(subjects.bounded(person.face, person.options))
+    preparing = solvers.prepared(face)
+    found = solvers.activations(face, person.targets(len(person.captures.test)))
+    return {
         "prepared_ms": 1e3 * preparing,
-        "activation_ms": 1e3 * median(seconds.values()),
-        "ratio_per_tet": median(e["seconds"] / seconds[e["name"]] for e in by_p),
-        "ratio_ipopt": median(e["ratio"] for e in same) if same else None,
-        "ratio_ipopt_same": median(e["ratio_same"] for e in same) if same else None,
-        "ipopt_failed": [e["name"] for e in compared if "failed" in e],
-        "frame_ms": sequence and sequence["median_ms"],
-        "frame_mean_mm": sequence and sequence["mean_mm"],
-        "frame_loss": sequence and sequence["loss"],
-        "forward_cold_s": median(e["cold_seconds"] for e in forwards),
-        "forward_warm_s": median(e["warm_seconds"] for e in forwards),
-        "forward_exponent": exponent(sizes, "forward_seconds"),
-        "activation_exponent": exponent(sizes, "activation_seconds"),
-        "forward_fitted_exponent": exponent(sizes, "forward_fitted_seconds"),
-        "activation_iteration_exponent": exponent(sizes, "activation_iteration_seconds"),
-        "activations": by_a,
-        "per_tets": by_p,
-        "forwards": forwards,
-        "ipopt": compared,
-        "sizes": sizes,
-        "sequence": sequence,
+        "activation_ms": 1e3 * median(e["seconds"] for e in found),
+        "activations": found,
     }
 
 
-def _first(targets: dict[str, Target], count: int) -> dict[str, Target]:
-    return dict(list(targets.items())[:count])
+def _per_tets(person: Person) -> Figures:
+    phace = Face(person.model, material=COROTATED_DET)
+    person.compile(Face(person.model), phace)
+    return {"per_tets": solvers.per_tets(phace, person.targets(PER_TETS))}
 
 
-def _performance(options: argparse.Namespace, face: Face) -> Figures | None:
+def _forward(person: Person) -> Figures:
+    poses = {each.name: Pose(each.activations, each.jaw) for each in person.fitted[0].expressions}
+    found = forward.forward(person.face, poses)
+    return {
+        "forward_cold_s": median(e["cold_seconds"] for e in found),
+        "forward_warm_s": median(e["warm_seconds"] for e in found),
+        "forwards": found,
+    }
+
+
+def _performance(person: Person) -> Figures:
+    options = person.options
     if options.recording is None:
-        return None
+        return {}
     kit = read_facekit(options.faces)
     neutral = ict_neutral(kit, options.faces, options.subject, options.capture_sets).vertices
     take = drive(kit, neutral, read_live_link(options.recording))
-    count, compared = (60, 2) if options.quick else (FRAMES, COMPARED)
+    count, compared = (QUICK_FRAMES, 2) if options.quick else (FRAMES, COMPARED)
     numbers = range(options.first_frame, min(options.first_frame + count, len(take)))
-    found = frames(face, take, numbers, compared)
-    log.info("frames: median %.0f ms, %.3f mm", found["median_ms"], found["mean_mm"])
-    return found
+    # as in jobs, which fit sequences freely whatever the rig's expressions may do
+    found = frames(person.compile(person.face), take, numbers, compared)
+    return {
+        "frame_ms": found["median_ms"],
+        "frame_mean_mm": found["mean_mm"],
+        "frame_loss": found["loss"],
+        "sequence": found,
+    }
 
 
-def _against_ipopt(count: int | None) -> list[Figures]:
-    """Compare with IPOPT on the built-in face, which is small enough for it."""
-    builtin = argparse.Namespace(anatomy=None, faces=None, capture_sets=None, subject="built-in")
-    model, captures = subjects.load(builtin, COARSE_EDGE_MM)
+def _against_ipopt(person: Person) -> Figures:
+    """Compare with IPOPT, which knows no bounds, on the built-in face, small enough for it."""
+    model, captures = subjects.load(subjects.builtin_options(), COARSE_EDGE_MM)
     face = Face(model, linear=fastest())
     scans = {**captures.train, **captures.test}
-    targets = {name: Target.from_points(scan.vertices[model.face]) for name, scan in scans.items()}
-    targets = _first(targets, count or len(targets))
-    solvers.compile_kernels(face, None, next(iter(targets.values())))
-    return ipopt.against_ipopt(face, targets)
+    names = list(scans)[: 2 if person.options.quick else None]
+    targets = {name: Target.from_points(scans[name].vertices[model.face]) for name in names}
+    solvers.compile_kernels(face, None, targets[names[0]])
+    found = ipopt.against_ipopt(face, targets)
+    same = [e for e in found if e.get("same")]
+    return {
+        "ratio_ipopt": median(e["ratio"] for e in same) if same else None,
+        "ratio_ipopt_same": median(e["ratio_same"] for e in same) if same else None,
+        "ipopt_failed": [e["name"] for e in found if "failed" in e],
+        "ipopt": found,
+    }
 
 
-def _scaling(options: argparse.Namespace, captures: CaptureSet, quick: bool) -> list[Figures]:
-    edges = SIZES_MM[:2] if quick else SIZES_MM
+def _scaling(person: Person) -> Figures:
+    """Fit and simulate on meshes of several sizes, freely: the same problem on all of them."""
+    options = person.options
+    edges = SIZES_MM[:2] if options.quick else SIZES_MM
     models = {edge: subjects.load(options, edge)[0] for edge in edges}
-    names = forward.mildest(captures)[: 2 if quick else None]
-    common = EDGE_MM if not quick else edges[-1]
+    names = forward.mildest(person.captures)[: 2 if options.quick else None]
+    common = edges[-1] if options.quick else EDGE_MM
     face = Face(models[common])
     plausible = {
         str(seed): plausible_pose(face, np.random.default_rng(seed)) for seed in range(PLAUSIBLE)
     }
-    return forward.scaling(models, captures, names, plausible, common)
+    sizes = forward.scaling(models, person.captures, names, plausible, common)
+    return {
+        "forward_exponent": exponent(sizes, "forward_seconds"),
+        "activation_exponent": exponent(sizes, "activation_seconds"),
+        "forward_fitted_exponent": exponent(sizes, "forward_fitted_seconds"),
+        "activation_iteration_exponent": exponent(sizes, "activation_iteration_seconds"),
+        "sizes": sizes,
+    }
+
+
+PARTS: dict[str, Callable[[Person], Figures]] = {
+    "geometry": _geometry,
+    "activation": _activations,
+    "per_tet": _per_tets,
+    "forward": _forward,
+    "frames": _performance,
+    "ipopt": _against_ipopt,
+    "scaling": _scaling,
+}
 
 
 def exponent(sizes: Sequence[Figures], key: str) -> float:
@@ -194,15 +257,14 @@ def exponent(sizes: Sequence[Figures], key: str) -> float:
 def section(figures: Figures) -> Section:
     """Return the document's section."""
     mesh = f"{figures['vertices']:,} vertices and {figures['tets']:,} tets"
-    parts: list[Table | Plot | str] = [
-        Table(["what", "figure"], [[words, figures[key]] for key, words in HEADLINES.items()]),
-        _by_solver(figures),
-        Plot(
-            _scaling_plot(figures),
-            "Seconds by vertices: a plausible pose simulated, half an expression fitted",
-        ),
-    ]
-    if figures["sequence"]:
+    headlines = [[words, figures[key]] for key, words in HEADLINES.items() if key in figures]
+    parts: list[Table | Plot | str] = [Table(["what", "figure"], headlines)]
+    if "activations" in figures:
+        parts.append(_by_solver(figures))
+    if "sizes" in figures:
+        caption = "Seconds by vertices: a plausible pose simulated, half an expression fitted"
+        parts.append(Plot(_scaling_plot(figures), caption))
+    if "sequence" in figures:
         sequence = figures["sequence"]
         path = IMAGES / "fit_speed-frames.png"
         title = f"{sequence['frames']} frames from frame {sequence['first']}"
@@ -211,10 +273,11 @@ def section(figures: Figures) -> Section:
     return Section(
         title="Fit speed",
         compared=(
-            f"One subject with {mesh} and {figures['muscles']} muscles, {figures['threads']} "
-            "threads, everything in one run: the fit of S, of single expressions with S (A) and "
-            "by the per-tet model (P), of a performance's frames, and simulation. IPOPT and the "
-            "reduced solver are compared on the built-in face with coarse tets."
+            f"One subject with {mesh} and {figures['muscles']} muscles, {figures['controls']} "
+            f"controls, {figures['threads']} threads, in one run: the fit of S, of single "
+            "expressions with S (A) and by the per-tet model (P), of a performance's frames, and "
+            "simulation. IPOPT and the reduced solver are compared with free controls on the "
+            "built-in face with coarse tets, and so are meshes of several sizes."
         ),
         parts=parts,
     )
@@ -241,7 +304,7 @@ HEADLINES = {
 
 
 def _by_solver(figures: Figures) -> Table:
-    by_p = {e["name"]: e for e in figures["per_tets"]}
+    by_p = {e["name"]: e for e in figures.get("per_tets", ())}
     rows = [
         [
             e["name"],

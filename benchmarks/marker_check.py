@@ -1,9 +1,10 @@
 """The check of takes of markers: how long it takes, what it finds, and what it tells falsely.
 
-Real takes have nothing wrong that matters, so that all told of them is false. Twenty faults are
-planted into a copy of each that is long enough, one at a time, and have to be named with the right
-label and frame (``bad_takes.py``). A made take of the template's face, 80 markers in 60 s of
-expressions with a turning head, is written as TRC, the slowest format, and checked as a job.
+Real takes have nothing wrong that matters but an unclear rest, so that all else told of them is
+false. Twenty faults are planted into a copy of each that is long enough, one at a time, and have to
+be named with the right label and frame (``bad_takes.py``). A made take of the template's face, 80
+markers in 60 s of expressions with a turning head, is written as TRC, the slowest format, and
+checked as a job.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ MARKERS, SECONDS, RATE = 80, 60, 60
 HEIGHT_MM, NOISE_MM, TURN_DEG = 2.0, 0.15, 15.0
 SHAPES = 12  # expressions that the made face moves through
 LEAST_FRAMES = 960  # of a real take in which faults are planted
+TRUE = ("markers.unclear_rest",)  # of real takes: the jaw goes back for a third of one
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +66,7 @@ def run(options: argparse.Namespace) -> Figures:
         f"{file}: {each.message}"
         for file, findings in clean.items()
         for each in findings
-        if each.severity != "info"
+        if each.severity != "info" and each.code not in TRUE
     ]
     log.info("false: %s", told)
     faults: dict[str, dict[str, bool]] = {name: {} for name in BAD_TAKES}
@@ -75,7 +77,8 @@ def run(options: argparse.Namespace) -> Figures:
         for name, bad in BAD_TAKES.items():
             findings = check_take(bad.spoil(take), reference).findings
             faults[name][take.file] = bad.is_found(take, findings)
-            beside += [f"{take.file}, {name}: {each.message}" for each in bad.others(findings)]
+            others = [each for each in bad.others(findings) if each.code not in TRUE]
+            beside += [f"{take.file}, {name}: {each.message}" for each in others]
             if not faults[name][take.file]:
                 log.info("%s: %s not found: %s", take.file, name, [e.message for e in findings])
     return {

@@ -14,13 +14,12 @@ from __future__ import annotations
 
 import argparse
 import logging
-import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks import report, subjects
+from benchmarks import report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.held import measure_held
 from benchmarks.made_takes import FRAMES, QUICK_FRAMES, REFINING, Bench, Truth, make_truth, rms
@@ -30,23 +29,22 @@ from solver.anatomy.build import build_subject_model, jaw_tracks
 from solver.anatomy.meshing import find_or_make_mesh
 from solver.anatomy.template import ShapeBasis
 from solver.errors import SolveError
-from solver.fitting import geometry, prior
+from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
-from solver.fitting.contact import terms
 from solver.fitting.face import Face, Pose
 from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import KnownControls
 from solver.fitting.markers.places import refine_by_take
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.markers.tracker import MarkerTracker
-from solver.fitting.objective import Target, distances
+from solver.fitting.objective import Target
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.sequence import Tracker
 from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
 from solver.rig.preview import make_live_preview
 from solver.rig.preview.live import LiveTracker
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig.rig import Rig
 from solver.scans.live_link import read_live_link
 from solver.scans.markers.bind import bind
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
@@ -68,22 +66,16 @@ log = logging.getLogger(__name__)
 
 def main() -> None:
     """Run from the command line."""
-    data = Path(os.environ.get("MYOFACE_DATA", Path(__file__).parents[2] / "shared" / "data"))
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
+    subjects.add_controls(parser)
     parser.add_argument("--recording", type=Path, help="Live Link Face recording")
     parser.add_argument("--takes", type=Path, help="folder of real takes")
     parser.add_argument("--rig", type=Path, help="the subject's rig; else it is fitted first")
     parser.add_argument("--frames", type=int, help="of each take")
     parser.add_argument("--sets", default=",".join(map(str, SETS)), help="numbers of markers")
-    if data.is_dir():
-        parser.set_defaults(
-            anatomy=data / "bodyparts3d",
-            faces=data / "ict_facekit",
-            recording=data / "performance" / "alex_rom_3.csv",
-            takes=data / "markers" / "animface",
-        )
-    parser.add_argument("--parts", default=",".join(PARTS), help="of the benchmark")
+    subjects.default_to_data(parser)
+    report.add_list(parser, "--parts", PARTS)
     parser.add_argument("--first", type=int, help="frame of the recording to begin with")
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
@@ -289,19 +281,9 @@ def _rig(options: argparse.Namespace) -> Rig:
         return Rig.load({"rig": options.rig})
     edge = COARSE_EDGE_MM if options.quick else EDGE_MM
     model, captures = subjects.load(options, edge)
-    face = Face(model)
-    targets = {
-        name: Target.from_points(scan.vertices[model.face]) for name, scan in captures.train.items()
-    }
-    fitted = geometry.fit(face, terms(face, targets), first_terms=distances(face, targets))
-    expressions = []
-    for name, state in fitted.states.items():
-        skin, scan = face.whole_skin(state.x, state.pose.b), captures.train[name].vertices
-        pose, none = state.pose, np.full(len(skin), np.nan)
-        expressions.append(
-            ExpressionFit(name, "train", pose.a, pose.b, skin, scan, none, 0, 0, 0.0, 0.0)
-        )
-    return Rig(model, fitted.S, tuple(expressions))
+    schedule = subjects.schedule(options)
+    fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
+    return Rig(model, fits.face.S, tuple(fits.expressions("train")))
 
 
 def _dense(face: Face, truth: Truth) -> Figures:

@@ -31,6 +31,7 @@ def main() -> None:
     """Run from the command line."""
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
+    subjects.add_controls(parser)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
     report.finish(run(options), options, section)
@@ -40,7 +41,7 @@ def run(options: argparse.Namespace) -> Figures:
     """Fit, make the preview and return the figures."""
     quick = options.quick
     model, captures = subjects.load(options, COARSE_EDGE_MM if quick else EDGE_MM)
-    schedule = GeometryOptions(rounds=QUICK_ROUNDS) if quick else GeometryOptions()
+    schedule = subjects.schedule(options, QUICK_ROUNDS if quick else GeometryOptions.rounds)
     fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
     fitted = fits.expressions("train")
     face = Face(model, fits.face.S, linear=fastest(), tolerance=TOLERANCE)

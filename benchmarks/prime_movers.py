@@ -17,17 +17,16 @@ from pathlib import Path
 
 from benchmarks import report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
-from benchmarks.subject_fits import CONTROLS, Fits
+from benchmarks.subject_fits import Fits
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.action_units import actions_of, joined_codes
 from solver.anatomy.template import ShapeBasis, split_side
 from solver.animation.blendshapes import CORRECTED, expression_targets
-from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.model import SubjectModel
-from solver.rig.certificate import contractions, muscles
-from solver.rig.prime_movers import MoverOptions, movers
+from solver.rig.certificate import muscles
+from solver.rig.prime_movers import MoverOptions, movers, ranked
 from solver.rig.rig import Rig
 from solver.surface import Surface
 from solver.templates.builtin.build import builtin_template
@@ -42,7 +41,7 @@ def main() -> None:
     subjects.add_options(parser)
     parser.add_argument("--rig", type=Path, help="rig.npz of the template (of --faces, if given)")
     parser.add_argument("--shapes", help="ARKit's names without sides, joined by commas; else all")
-    parser.add_argument("--controls", choices=CONTROLS, default="free")
+    subjects.add_controls(parser)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     report.finish(run(options), options, section)
@@ -65,13 +64,11 @@ def run(options: argparse.Namespace) -> Figures:
 def _face(options: argparse.Namespace) -> Face:
     if options.rig is not None:
         rig = Rig.load(options.rig)
-        face = Face(rig.model, rig.weights)
-        return face.driven_as(Admissible()) if options.controls == "admissible" else face
+        return subjects.bounded(Face(rig.model, rig.weights), options)
     model, captures = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
     rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
-    face = Face(model)
-    train = CONTROLS[options.controls].train
-    return train(face, captures.train, GeometryOptions(rounds=rounds)).face
+    schedule = subjects.schedule(options, rounds)
+    return subject_fits.by_geometry(Face(model), captures.train, schedule).face
 
 
 def single_units(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Surface]:
@@ -112,8 +109,10 @@ def _part(answers: Iterable[bool]) -> float | None:
 def _shape(fits: Fits, name: str) -> Figures:
     face = fits.face
     a = fits.states[name].pose.a
-    of = muscles(face.model, face.flesh.volumes, face.S, a)
-    found = movers(contractions(face.model, of), actions_of(name))
+    model = face.model
+    of = muscles(model, face.flesh.volumes, face.S, a)
+    wholes = dict(zip(model.muscle_names, model.muscle_groups, strict=True))
+    found = movers(ranked(model.muscle_names, of.contraction, of.judged), wholes, actions_of(name))
     judged = [check for check in found.actions if check.is_judged]
     named = sorted({muscle for check in judged for muscle in check.muscles})
     ahead = sorted({muscle for check in judged for muscle in check.ahead[: MoverOptions.places]})
@@ -124,7 +123,8 @@ def _shape(fits: Fits, name: str) -> Figures:
         "named": {muscle: round(found.contractions[muscle], 3) for muscle in named},
         "ahead": {muscle: round(found.contractions[muscle], 3) for muscle in ahead},
         "missing": sorted({muscle for check in found.actions for muscle in check.missing}),
-        "contradictions": found.contradictions(),
+        "contradictions": [str(each) for each in found.contradictions()],
+        "idle": [str(each) for each in found.idle()],
         "mean_mm": float(fits.distances(name).mean()),
     }
 

@@ -7,6 +7,7 @@ import importlib
 import json
 import os
 import sys
+from collections.abc import Callable, Collection, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -25,6 +26,30 @@ def parser(description: str) -> argparse.ArgumentParser:
         help="write the section in docs/science/benchmarks.md too",
     )
     return arguments
+
+
+def add_list(arguments: argparse.ArgumentParser, option: str, known: Iterable[str]) -> None:
+    """Add an ``option`` that chooses among ``known`` names, such as the parts of a benchmark."""
+    names = list(known)
+    words = f"some of {', '.join(names)}, joined by commas (default: all)"
+    read = list_of(names)
+    arguments.add_argument(option, type=read, default=names, metavar="LIST", help=words)
+
+
+def list_of(known: Collection[str] | None = None) -> Callable[[str], list[str]]:
+    """Return a reader of names joined by commas, ``known`` ones if those are given."""
+
+    def read(text: str) -> list[str]:
+        names = list(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+        if not names:
+            raise argparse.ArgumentTypeError("at least one name")
+        for name in names:
+            if known is not None and name not in known:
+                message = f"{name} is none of {', '.join(known)}"
+                raise argparse.ArgumentTypeError(message)
+        return names
+
+    return read
 
 
 def finish(figures: Figures, options: argparse.Namespace, section: SectionOf) -> None:

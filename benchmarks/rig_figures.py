@@ -68,7 +68,7 @@ def rig_figures(train: Fits, test: Fits, tracks: JawTracks) -> Figures:
             "beyond": beyond[name].value,
             **muscle_figures([muscles]),
             "condyle_out_mm": tracks.departure(motion),
-            "contractions": ranked(rig.model.muscle_names, muscles.fibres, muscles.judged),
+            "contractions": ranked(rig.model.muscle_names, muscles.contraction, muscles.judged),
         }
     failed = {**train.failed, **test.failed}
     bad = sum(found["verdict"] == "bad" for found in expressions.values())

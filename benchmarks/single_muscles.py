@@ -1,6 +1,6 @@
 """Every muscle of one side pulled alone: where the skin goes, and where it is folded.
 
-Each muscle (with ``--compartments`` each part of one) is contracted by 30 % along its fibres, its
+Each compartment (with ``--whole`` each muscle) is contracted by 30 % along its fibres, its
 volume kept, by the S of a ``--rig`` or else the geometric one, the jaw at rest. ``pull_mm`` is how
 far the skin over the insertion goes along the fibres to the origin: below 0 the muscle pushes.
 ``insertion_mm`` and ``origin_mm`` are how far the flesh of either end comes to the other one, and

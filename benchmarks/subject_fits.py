@@ -110,7 +110,8 @@ class Fits:
 
 
 def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
-    """Fit S, activations and jaws to all scans."""
+    """Fit S, activations and jaws to all scans; within limits the jaw is on its tracks."""
+    face = face if schedule.limits is None else face.with_jaw_on_tracks()
     targets, rounds = _targets(face, scans), 0
 
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
@@ -184,7 +185,7 @@ class Method:
 
 
 def _by_admissible(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
-    return by_geometry(face.with_jaw_on_tracks(), scans, replace(schedule, limits=ADMISSIBLE))
+    return by_geometry(face, scans, replace(schedule, limits=ADMISSIBLE))
 
 
 CONTROLS = {  # by what muscles and jaw may do

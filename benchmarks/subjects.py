@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,9 @@ from pathlib import Path
 from benchmarks.strong import strong_scans
 from solver.anatomy.build import build_subject_model, jaw_tracks
 from solver.anatomy.meshing import find_or_make_mesh
+from solver.fitting.drives.admissible import ADMISSIBLE, Admissible
+from solver.fitting.face import Face
+from solver.fitting.geometry import GeometryOptions
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
@@ -34,7 +38,42 @@ def add_folders(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--anatomy", type=Path, help="folder of BodyParts3D meshes")
     parser.add_argument("--faces", type=Path, help="folder of ICT-FaceKit")
     parser.add_argument("--capture-sets", type=Path, help="capture-sets file (default: in --faces)")
-    parser.add_argument("--compartments", action="store_true", help="divide muscles into theirs")
+    parser.add_argument("--whole", action="store_true", help="leave muscles whole, undivided")
+
+
+def add_controls(parser: argparse.ArgumentParser) -> None:
+    """Add the option that says what muscles and jaw may do in fits; by default as in jobs."""
+    parser.add_argument("--controls", choices=("admissible", "free"), default="admissible")
+
+
+def bounded(face: Face, options: argparse.Namespace) -> Face:
+    """Return the face with the controls of :func:`add_controls`."""
+    return face.driven_as(Admissible()) if options.controls == "admissible" else face
+
+
+def schedule(options: argparse.Namespace, rounds: int = GeometryOptions.rounds) -> GeometryOptions:
+    """Return the schedule of fits of S that end with these controls."""
+    limits = ADMISSIBLE if options.controls == "admissible" else None
+    return GeometryOptions(rounds=rounds, limits=limits)
+
+
+def default_to_data(parser: argparse.ArgumentParser) -> None:
+    """Take folders, recording and takes from the data where they are not given, if it is there."""
+    data = Path(os.environ.get("MYOFACE_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    if data.is_dir():
+        parser.set_defaults(
+            anatomy=data / "bodyparts3d",
+            faces=data / "ict_facekit",
+            recording=data / "performance" / "alex_rom_3.csv",
+            takes=data / "markers" / "animface",
+        )
+
+
+def builtin_options() -> argparse.Namespace:
+    """Return what these options are where nothing is given: the built-in person, as in jobs."""
+    parser = argparse.ArgumentParser()
+    add_options(parser)
+    return parser.parse_args([])
 
 
 @dataclass(frozen=True)
@@ -73,7 +112,7 @@ def each(options: argparse.Namespace, names: Sequence[str], edge_mm: float) -> I
         template = build_ict_template(options.anatomy, options.faces)
     template = find_or_make_mesh(template, edge_mm)
     for name, scans in captures.items():
-        neutral, divided = scans.neutral.vertices, options.compartments
+        neutral, divided = scans.neutral.vertices, not options.whole
         model = build_subject_model(template, neutral, edge_mm=edge_mm, compartments=divided)
         strong = replace(scans, train=strong_scans(template, scans.neutral))
         sets = dict(zip(SETS, (scans, strong), strict=True))

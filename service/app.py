@@ -40,6 +40,7 @@ from service.templates.routes import router as templates
 from service.uploads.routes import router as uploads
 from service.uploads.service import UploadCleaner
 from service.webhooks.routes import router as webhooks
+from service.writers import Writers
 
 DESCRIPTION = """
 Registered 3D scans of one person in, a muscle-driven face out.
@@ -128,6 +129,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.master = master
     app.state.rates = rates
     app.state.signer = Signer(master)
+    app.state.writers = Writers()
     app.state.sender = Sender(settings.webhook_timeout, settings.webhook_allow)
     errors.install(app)
     for router in (

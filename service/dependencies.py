@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterator
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from functools import cache
 from typing import Annotated, Any
 
@@ -16,6 +17,10 @@ from service.schemas import Label
 from service.settings import Settings
 from service.store.ballast import Ballast
 from service.store.database import Store
+from service.writers import PATIENCE, Writers
+
+# Methods that write nothing, or hardly ever
+READING = frozenset({"GET", "HEAD"})
 
 # What does not wait is `async`: FastAPI would run each in a thread of its own, many a request.
 # The makers are cached: one dependency a name and scope, which a test can override by them.
@@ -54,30 +59,47 @@ ReadsDep = Annotated[ReadLog, Depends(part("reads"))]
 WholeStore = Annotated[Store, Depends(part("store"))]
 
 
+async def _take_turn(
+    request: Request, writers: Annotated[Writers, Depends(part("writers"))]
+) -> AsyncIterator[float]:
+    """Give the moment by which a request's writes must begin; one that is to write has a place."""
+    if request.method in READING:
+        yield time.monotonic() + PATIENCE
+        return
+    async with writers.place() as until:
+        yield until
+
+
+Turn = Annotated[float, Depends(_take_turn, scope="function")]
+
+
 @cache
-def own_store(scope: Scope) -> Callable[[Store, Caller], Awaitable[Store]]:
+def own_store(scope: Scope) -> Callable[[Store, Caller, float], Awaitable[Store]]:
     """Return the dependency that gives the data of a caller whose key has ``scope``."""
 
-    async def own(store: WholeStore, who: Caller) -> Store:
-        return store.of(require(scope, who).tenant_id)
+    async def own(store: WholeStore, who: Caller, until: Turn) -> Store:
+        return store.of(require(scope, who).tenant_id).by(until)
 
     return own
 
 
 @cache
-def own_session(scope: Scope) -> Callable[[Store, Caller, Ballast, Request], Iterator[Session]]:
-    """Return the dependency that gives a session of it, which only `read` does not commit.
+def own_session(
+    scope: Scope,
+) -> Callable[[Store, Caller, float, Ballast, Request], Iterator[Session]]:
+    """Return the dependency that gives a session of it, which only reading does not commit.
 
     Whatever deletes finds room on a full disk: a key that leaked must be revoked then, too.
     """
 
     def session(
-        store: WholeStore, who: Caller, ballast: BallastDep, request: Request
+        store: WholeStore, who: Caller, until: Turn, ballast: BallastDep, request: Request
     ) -> Iterator[Session]:
-        own = store.of(require(scope, who).tenant_id)
+        own = store.of(require(scope, who).tenant_id).by(until)
         if request.method == "DELETE":
             ballast.drop()
-        with own.read() if scope is Scope.READ else own.write() as session:
+        reads = scope is Scope.READ or request.method in READING
+        with own.read() if reads else own.write() as session:
             yield session
 
     return session
@@ -87,9 +109,15 @@ async def _for_downloading(store: WholeStore, who: FileReader) -> Store:
     return store.of(who.tenant_id)
 
 
+async def _for_receiving(store: WholeStore, who: Caller) -> Store:
+    return store.of(require(Scope.WRITE, who).tenant_id)
+
+
 ReadStore = Annotated[Store, Depends(own_store(Scope.READ))]
 # For a file alone: a signed URL is as good as a key
 FileStore = Annotated[Store, Depends(_for_downloading)]
+# For bytes that take their time: a place is taken when they count
+ReceivingStore = Annotated[Store, Depends(_for_receiving)]
 WriteStore = Annotated[Store, Depends(own_store(Scope.WRITE))]
 
 # "function": the commit, and the wake-up calls after it, come before the response.

@@ -32,6 +32,7 @@ FULL_OF_SQLITE = frozenset(
     }
 )
 FULL_OF_POSTGRESQL = "53100"
+LOCKED_OF_POSTGRESQL = "55P03"
 # Faults of a request that are told
 MOST_FAULTS = 20
 # What pydantic calls a fault -> words
@@ -83,6 +84,13 @@ def faulty(
 def lost(what: str, fault: str, **context: Any) -> Problem:
     """Return the problem of a stored file that the service has ``lost`` or ``damaged``."""
     return Problem(410, "files.lost", f"{what} is {fault} in the file store", **context)
+
+
+def busy() -> Problem:
+    """Return the problem of a request that came to no write in time, because of others' writes."""
+    problem = Problem(503, "database.busy", "others are writing to the database; try again")
+    problem.headers = {"Retry-After": "5"}
+    return problem
 
 
 class ProblemDocument(BaseModel):
@@ -139,9 +147,19 @@ def render(request_id: str, problem: Problem) -> Response:
 
 def is_full(error: Exception) -> bool:
     """Return whether a database's error is that of a disk without room, or that is read only."""
+    sqlite, postgresql = _codes(error)
+    return sqlite in FULL_OF_SQLITE or postgresql == FULL_OF_POSTGRESQL
+
+
+def is_locked(error: Exception) -> bool:
+    """Return whether a database's error is that others had a lock for too long."""
+    sqlite, postgresql = _codes(error)
+    return sqlite == sqlite3.SQLITE_BUSY or postgresql == LOCKED_OF_POSTGRESQL
+
+
+def _codes(error: Exception) -> tuple[int | None, str | None]:
     cause = getattr(error, "orig", None)
-    code = getattr(cause, "sqlite_errorcode", None)
-    return code in FULL_OF_SQLITE or getattr(cause, "sqlstate", None) == FULL_OF_POSTGRESQL
+    return getattr(cause, "sqlite_errorcode", None), getattr(cause, "sqlstate", None)
 
 
 def _title(status: int) -> str:
@@ -201,6 +219,9 @@ async def _on_database_error(request: Request, error: Exception) -> Response:
         log.warning("database.full", error=str(error))
         problem = Problem(507, "storage.full", "there is no room left for the database")
         return render(request.state.request_id, problem)
+    if is_locked(error):
+        log.warning("database.busy", error=str(error))
+        return render(request.state.request_id, busy())
     log.warning("database.unreachable", error=str(error))
     problem = Problem(503, "database.unreachable", "the database does not answer; try again")
     problem.headers = {"Retry-After": "5"}

@@ -125,7 +125,9 @@ class Settings(BaseSettings):
     max_ingest_seconds: int | None = Field(
         default=None, ge=1, description="after which an attempt is ended; default: its kind's, 120"
     )
-    max_short_seconds: int | None = Field(default=None, ge=1, description="default: 3600")
+    max_short_seconds: int | None = Field(
+        default=None, ge=1, description="default: 3600, of a check of markers 300"
+    )
     max_long_seconds: int | None = Field(default=None, ge=1, description="default: 86400")
     min_read_rate: float = Field(
         default=1024**2,

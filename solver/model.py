@@ -5,6 +5,7 @@ It is what ``build_model`` makes, what every fit reads, and is stored as one NPZ
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -93,6 +94,19 @@ def find_muscles(name: str, muscles: Sequence[str]) -> list[int]:
     return [k for k, each in enumerate(muscles) if each == name or each.startswith(parts)]
 
 
+def tell_muscles(name: str, muscles: Sequence[str]) -> str:
+    """Return the ``muscles`` that somebody who wrote ``name`` may have meant, in words."""
+    wholes = list(dict.fromkeys(each.partition(".")[0] for each in muscles))
+    near = difflib.get_close_matches(name, [*muscles, *wholes], 4)
+    near += [each for each in wholes if each.startswith(f"{name}_")]
+    if not near:
+        return f"it has {', '.join(wholes)}"
+    whole = near[0].partition(".")[0]
+    parts = [muscles[number] for number in find_muscles(whole, muscles)]
+    words = f"did you mean {', '.join(dict.fromkeys(near))}?"
+    return words if parts == [whole] else f"{words} {whole} has the parts {', '.join(parts)}"
+
+
 def by_muscle(given: Mapping[str, Value], muscles: Sequence[str]) -> dict[str, Value]:
     """Return muscle -> the value ``given`` for it by its own name, else for its whole's."""
     return {
@@ -179,16 +193,27 @@ class SubjectModel:
         return found
 
     def muscle_number(self, name: str) -> int:
-        """Return the row of a muscle in a pose's activations, one less than its column in S.
+        """Return the row of one muscle in a pose's activations, one less than its column in S.
 
-        Raises :class:`InputError` (``model.muscle``) with the names there are.
+        Raises as :meth:`muscle_numbers`, and for a whole muscle of several parts.
         """
-        if name not in self.muscle_names:
-            message = (
-                f"the model has no muscle {quote(name)!r}; it has {', '.join(self.muscle_names)}"
-            )
+        first, *others = self.muscle_numbers(name)
+        if others:
+            parts = ", ".join(self.muscle_names[number] for number in (first, *others))
+            message = f"{name} has the parts {parts}: name one, or take all by muscle_numbers"
             raise InputError("model.muscle", message)
-        return self.muscle_names.index(name)
+        return int(first)
+
+    def muscle_numbers(self, name: str) -> Ints:
+        """Return the rows (k,) of all that a name means: a muscle, or all parts of a whole one.
+
+        Raises :class:`InputError` (``model.muscle``) with names that are near.
+        """
+        found = find_muscles(name, self.muscle_names)
+        if not found:
+            told = tell_muscles(name, self.muscle_names)
+            raise InputError("model.muscle", f"the model has no muscle {quote(name)!r}; {told}")
+        return np.array(found)
 
     @property
     def anatomy(self) -> dict[str, str]:

@@ -88,7 +88,8 @@ class Supervisor:
     def run_next(self, queue: str) -> bool:
         """Claim the best job of a queue, do it and commit; False: there is none to be had."""
         with self._store.write() as session:
-            claim = claim_next(session, queue, self._can, self._settings.lease)
+            settings = self._settings
+            claim = claim_next(session, queue, self._can, settings.lease, settings.sweeper_term)
         if claim is None:
             return False
         self._renewed = time.monotonic()

@@ -8,7 +8,7 @@
 // makes it, and so does .NET 8. Each folder in C:\scans is a person, each OBJ, PLY, GLB or STL in it a raw
 // scan, named like its file; one with neutral, neutre, rest or relaxed as a word of its name is the
 // neutral. Scan again into the same file, and the new one takes the old one's place. With --once it looks once, and ends;
-// the scans' unit is --unit cm (mm, cm, m, inch, or how many mm it has), or --eye-distance 62, in mm.
+// the scans' unit is --unit cm (mm, cm, m, inch, foot, or how many mm it has), or --eye-distance 62, in mm.
 using System;
 using System.Collections.Generic;
 using System.Globalization;

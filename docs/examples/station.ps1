@@ -10,7 +10,7 @@
 param(
     [Parameter(Mandatory = $true)][string]$Folder,
     [string]$Url = 'http://127.0.0.1:8765',
-    [string]$Unit, # of the scans: mm, cm, m, inch, or how many mm it has
+    [string]$Unit, # of the scans: mm, cm, m, inch, foot, or how many mm it has
     [double]$EyeDistance, # or how far apart the person's pupils are, in mm
     [switch]$Once
 )

@@ -139,7 +139,9 @@ def main() -> None:
     parser.add_argument("--url", default="http://127.0.0.1:8765")
     parser.add_argument("--once", action="store_true", help="look once, and end")
     size = parser.add_mutually_exclusive_group()
-    size.add_argument("--unit", type=read_unit, help="of the scans: mm, cm, m, inch, or its mm")
+    size.add_argument(
+        "--unit", type=read_unit, help="of the scans: mm, cm, m, inch, foot, or its mm"
+    )
     size.add_argument("--eye-distance", type=float, help="or between the person's pupils, in mm")
     given = parser.parse_args()
     options = {"unit": given.unit, "eye_distance_mm": given.eye_distance}

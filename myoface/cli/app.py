@@ -9,14 +9,11 @@ from typing import Annotated, Any, Literal
 
 from myoface.cli.commands import Argument, Option, UsageError
 
-# The exit code of a check whose verdict is bad; 1 says that there was no verdict.
-BAD_SCAN = 3
-
 Axis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
 
 SubjectId = Annotated[str, Argument(help="subject: its id, the start of it, or the name")]
 OfSubject = Annotated[str | None, Option("--subject", help="subject: id, start of it, or name")]
-UNITS = ("auto", "mm", "cm", "m", "inch")
+UNITS = ("auto", "mm", "cm", "m", "inch", "foot")
 
 
 def read_unit(word: str) -> str | float:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 from myoface.cli.app import (
-    BAD_SCAN,
     EyeDistance,
     Forward,
     Labels,
@@ -26,14 +25,14 @@ from myoface.cli.app import (
 )
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import (
+    BAD,
     JobView,
     complain,
     err,
     label_words,
     out,
-    show_registration,
+    show_outcome,
     show_table,
-    show_verdict,
     transfer_bar,
 )
 from myoface.cli.lookup import find_subject, matching
@@ -225,7 +224,7 @@ def register(
                 complain(f"{capture.name}: {error}")
                 failed = True
             else:
-                show_registration(capture.name, _result(job).summary or {})
+                show_outcome(job.kind, _result(job).summary or {}, capture.name)
     if failed:
         raise SystemExit(1)
 
@@ -348,7 +347,7 @@ def _check(
     output: Path | None,
 ) -> None:
     """Check scans one after the other; a check that fails keeps no other back."""
-    verdicts: set[str | None] = set()
+    codes: set[int] = set()
     for capture in captures:
         try:
             job = _solve(client, "check_scan", subject, capture, options, output)
@@ -356,15 +355,11 @@ def _check(
             if error.code == UNREACHABLE:
                 raise
             complain(f"{capture.name}: {error}")
-            verdicts.add(None)
+            codes.add(1)
         else:
-            summary = _result(job).summary or {}
-            show_verdict(capture.name, summary)
-            verdicts.add(summary["verdict"])
-    if "bad" in verdicts:
-        raise SystemExit(BAD_SCAN)
-    if None in verdicts:
-        raise SystemExit(1)
+            codes.add(show_outcome(job.kind, _result(job).summary or {}, capture.name))
+    if ending := next((code for code in (BAD, 1) if code in codes), 0):
+        raise SystemExit(ending)
 
 
 def _solve(

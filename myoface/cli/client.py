@@ -33,8 +33,8 @@ from myoface.cli.console import (
     moment,
     out,
     printable,
+    show_outcome,
     show_table,
-    show_verdict,
     span,
     transfer_bar,
 )
@@ -258,10 +258,10 @@ def _follow(client: Client, job: Job) -> None:
     attempts = "" if ended.attempt == 1 else f" at attempt {ended.attempt}"
     out.print(f"{ended.kind} succeeded{attempts}")
     result = ended.result or Result()
-    if ended.kind == "check_scan" and result.summary:
-        show_verdict("scan", result.summary)
     if result.rig_id:
         out.print(f"rig {result.rig_id}")
+    if result.summary and (code := show_outcome(ended.kind, result.summary)):
+        raise SystemExit(code)
 
 
 @jobs.command("log")

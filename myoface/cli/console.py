@@ -20,6 +20,12 @@ from myoface.resources import Job, Progress
 if TYPE_CHECKING:
     from solver.progress import Step
 
+# The exit code of a check whose verdict is bad; 1 says that there was no verdict.
+BAD = 3
+
+# Kinds of job that say what a file is worth, and what it is
+JUDGED = {"check_scan": "scan", "check_markers": "take", "register_scan": "scan"}
+
 VERDICTS = {
     "good": ("green", "good"),
     "usable": ("yellow", "usable, with flaws"),
@@ -28,6 +34,8 @@ VERDICTS = {
 
 # Between two lines about one phase, where there is no terminal to show a live bar.
 NEWS_SECONDS = 10.0
+# Of a job that are done before it is said how long the rest takes.
+LEAST_FRACTION, LEAST_SECONDS = 0.1, 3.0
 
 # Characters that do something to a terminal, or to the order of what it shows (C0, C1, bidi), but
 # for the end of a line; and halves of surrogate pairs, which cannot be written
@@ -174,15 +182,30 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None
         out.print(text if number else Painted(text, "bold"))
 
 
+def show_outcome(kind: str, report: Mapping[str, Any], title: str | None = None) -> int:
+    """Show what a check or registration came to; return its exit code, :data:`BAD` for a bad one.
+
+    Of other kinds of job it shows nothing. ``title`` names the scan or take.
+    """
+    if kind not in JUDGED:
+        return 0
+    title = title or JUDGED[kind]
+    if "verdict" not in report:
+        show_registration(title, report)
+        return 0
+    show_verdict(title, report)
+    return BAD if report["verdict"] == "bad" else 0
+
+
 def show_verdict(title: str, check: Mapping[str, Any]) -> None:
-    """Show the verdict of a check of a scan, and each finding with its advice."""
+    """Show the verdict of a check, and each finding with its advice."""
     style, words = VERDICTS[check["verdict"]]
     out.print(f"{title}: ", Painted(words, style))
     judged = check.get("judged", [])  # checks of before have none
     for each in judged:
         if each["about"] == "size" and each["judged"]:
             out.print(f"  {each['words']}")
-    _show_findings(check["findings"])
+    show_findings(check["findings"])
     for each in judged:
         if not each["judged"]:
             out.print(f"  not judged: {each['about']}: {each['words']}")
@@ -194,10 +217,11 @@ def show_registration(title: str, registration: Mapping[str, Any]) -> None:
     if registration["mean_mm"] is not None:
         words += f", {registration['mean_mm']:.2f} mm off the scan on average"
     out.print(f"{title}: {words}")
-    _show_findings(registration["findings"])
+    show_findings(registration["findings"])
 
 
-def _show_findings(findings: Iterable[Mapping[str, str]]) -> None:
+def show_findings(findings: Iterable[Mapping[str, Any]]) -> None:
+    """Show each finding with its advice."""
     for finding in findings:
         out.print(f"  - {finding['message']}")
         if finding.get("advice"):
@@ -238,6 +262,7 @@ class JobView:
         self.title = title
         self.phases: dict[str, float] = {}
         self._phase = "queued"
+        self._started: float | None = None  # when it told its first step
         self._since = self._began = time.monotonic()
         self._last_line = ("", 0.0)
         self._warned: set[str | None] = set()
@@ -257,6 +282,7 @@ class JobView:
     def watch(self, job: Job) -> None:
         """Take a job's news (a :data:`myoface.client.Watcher`)."""
         if job.state == "queued" or job.progress is None:
+            self._started = None
             self._show(Progress(phase=job.state, fraction=0.0))
         else:
             self._show(job.progress)
@@ -272,20 +298,32 @@ class JobView:
                 out.print(f"{self.title}: warning: {step.message}")
             return
         words, turns = summary(step), step.phase != self._phase
+        far = self._far(step.fraction)
         if turns:
             self._turn(step.phase)
         if not out.is_terminal:
-            self._print(words, at_once=turns)
+            self._print(words, far, at_once=turns)
         passed = time.strftime("%H:%M:%S", time.gmtime(time.monotonic() - self._began))
-        out.show_bar(self.title, step.fraction, f"{step.fraction:.0%} {passed} {words}")
+        out.show_bar(self.title, step.fraction, f"{far or '0%'} {passed} {words}")
 
-    def _print(self, words: str, *, at_once: bool) -> None:
+    def _far(self, fraction: float) -> str:
+        """Return how much is done and about how long the rest takes; empty at the beginning."""
+        now = time.monotonic()
+        if not fraction:
+            return ""
+        self._started = self._started or now
+        passed = now - self._started
+        if fraction < LEAST_FRACTION or passed < LEAST_SECONDS or fraction >= 1.0:
+            return f"{fraction:.0%}"
+        return f"{fraction:.0%}, about {span(passed * (1.0 - fraction) / fraction)} left"
+
+    def _print(self, words: str, far: str, *, at_once: bool) -> None:
         """Print a line, unless it says nothing new or the one before is not old yet."""
         before, moment = self._last_line
         now = time.monotonic()
         if at_once or (words != before and now - moment >= NEWS_SECONDS):
             self._last_line = (words, now)
-            out.print(f"{self.title}: {words}")
+            out.print(f"{self.title}: {words}", f" · {far}" if far else "")
 
     def _turn(self, phase: str) -> None:
         moment = time.monotonic()

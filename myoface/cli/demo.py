@@ -117,7 +117,7 @@ def _service(url: str | None, data: Path) -> Iterator[Client]:
     remove_stale()
     stack = Stack(read_settings(data_dir=data, port=0))
     with stack, Client(stack.url, stack.key) as client:
-        out.print(f"service on {stack.url}")
+        out.print(f"watch it on the page {_signed_in(stack.url + '/', stack.key)}")
         compile_kernels(niceness=0)  # nobody else asks for anything
         yield client
 
@@ -150,8 +150,12 @@ def _print_page(path: str, url: str | None, data: Path) -> None:
         return
     settings = read_settings()
     key = read_settings(data_dir=data).admin_key.read_text()
-    page = f"http://{settings.host}:{settings.port}{path}"
-    if out.is_terminal:  # never into a log
-        page += f"#key={key}"
+    page = _signed_in(f"http://{settings.host}:{settings.port}{path}", key)
+    out.print("sliders        are made once it runs, in two to ten minutes; the page shows how far")
     out.print(f"in the browser myoface up --data {shlex.quote(str(data))}")
     out.print(f"               and open {page}")
+
+
+def _signed_in(page: str, key: str) -> str:
+    """Return a page's address with the key, which never goes into a log."""
+    return f"{page}#key={key}" if out.is_terminal else page

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from myoface.cli.app import NewFile
 from myoface.cli.commands import Argument, Group, Option
-from myoface.cli.console import out
+from myoface.cli.console import BAD, out, show_findings
 from myoface.cli.offline import Take, make_command
 from solver.kinds import KINDS
 
@@ -32,7 +32,10 @@ def bind(
     ] = False,
     output: NewFile = Path("markers.json"),
 ) -> None:
-    """Propose where each label of a take sits on a person: the marker set of a session."""
+    """Propose where each label of a take sits on a person: the marker set of a session.
+
+    Ends with 3 if there is something to look at before the set is used.
+    """
     from solver.model import SubjectModel
     from solver.rig.rig import Rig
     from solver.scans.markers.bind import bind
@@ -49,4 +52,7 @@ def bind(
     counted = ", ".join(f"{parts.count(part)} {part}" for part in dict.fromkeys(parts))
     out.print(f"{expression or 'at rest'} in frames {first} to {last}: {counted}")
     out.print(f"{found.pose.miss():.1f} mm off the skin")
+    show_findings([each.to_dict() for each in found.findings])
     out.print(f"{output}")
+    if found.findings:
+        raise SystemExit(BAD)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from myoface.cli.app import (
-    BAD_SCAN,
     LandmarksFile,
     NewFile,
     NewFolder,
@@ -20,7 +20,7 @@ from myoface.cli.app import (
     read_scene,
 )
 from myoface.cli.commands import Argument, Group, Option, UsageError
-from myoface.cli.console import JobView, out, show_registration, show_verdict
+from myoface.cli.console import JobView, out, show_outcome, show_verdict
 from myoface.names import name_scans
 from solver.jobs import run_job
 from solver.kinds import KINDS, Kind
@@ -36,96 +36,87 @@ Resume = Annotated[bool, Option("--resume", help="go on after the frames in the 
 Take = Annotated[
     Path, Argument(exists=True, dir_okay=False, help="markers: C3D, TRC, Motive CSV or NPZ")
 ]
+Scans = Annotated[list[Path], Argument(exists=True, dir_okay=False, help="expression scans")]
+Performance = Annotated[
+    Path, Argument(exists=True, help="frames (.npy), or a folder of registered scans")
+]
+Assets = Annotated[
+    list[str] | None, Option("--asset", help="NAME=FILE, a file that the scene names; repeatable")
+]
+Role = Annotated[
+    Literal["unknown", "neutral", "expression"], Option(help="what the scan is meant to be")
+]
+START = "rig to start from, also of another person"
 RIG = "rig.npz, or a rig's folder or ZIP; to one of 0.1 copy its model.npz"
 
+
+@dataclass(frozen=True)
+class Input:
+    """An input of a contract on the command line: a parameter, and the role that its file has.
+
+    Without a ``role`` it is more than one file, or none.
+    """
+
+    parameter: str
+    annotation: Any
+    role: str | None = None
+    default: Any = None
+    is_argument: bool = False
+
+
+def _file(words: str, *flags: str) -> Any:
+    return Annotated[Path | None, Option(*flags, exists=True, dir_okay=False, help=words)]
+
+
+def _argument(name: str, annotation: Any, role: str | None) -> Input:
+    return Input(name, annotation, role, Parameter.empty, is_argument=True)
+
+
 # What each input of a contract is on the command line.
-ARGUMENTS: Mapping[str, Mapping[str, Any]] = {
-    "capture": {"scan": RawScan},
-    "neutral": {"neutral": Scan},
-    "model": {"model": Model},
-    "rig": {"rig": Annotated[Path, Argument(exists=True, help=RIG)]},
-    "captures": {
-        "scans": Annotated[
-            list[Path], Argument(exists=True, dir_okay=False, help="expression scans")
-        ]
-    },
-    "performance": {
-        "performance": Annotated[
-            Path, Argument(exists=True, help="frames (.npy), or a folder of registered scans")
-        ]
-    },
-    "markers": {"take": Take},
+INPUTS: Mapping[str, tuple[Input, ...]] = {
+    "capture": (_argument("scan", RawScan, "scan"), Input("landmarks", LandmarksFile, "landmarks")),
+    "neutral": (_argument("neutral", Scan, "neutral"),),
+    "neutral of an expression": (
+        Input("neutral", _file("of an expression: registered neutral"), "neutral"),
+    ),
+    "model": (_argument("model", Model, "model"),),
+    "rig": (_argument("rig", Annotated[Path, Argument(exists=True, help=RIG)], "rig"),),
+    "any_rig": (
+        Input("rig", Annotated[Path | None, Option("--rig", exists=True, help=RIG)], "rig"),
+    ),
+    "captures": (_argument("scans", Scans, None),),
+    "performance": (_argument("performance", Performance, "performance"),),
+    "markers": (
+        _argument("take", Take, "markers"),
+        Input("marker_set", _file("the session's marker set, JSON", "--set"), "marker_set"),
+    ),
+    "template": (
+        Input(
+            "template",
+            Annotated[Path | None, Option(exists=True, help="template NPZ; default: built-in")],
+            "template",
+        ),
+    ),
+    "assets": (Input("asset", Assets),),
+    "blendshapes": (
+        Input("blendshapes", _file("blendshapes.npz of an earlier animation"), "blendshapes"),
+    ),
+    "fibre_muscles": (Input("fibres", _file("fibre_muscles.npz of fit-fibres"), "fibre_muscles"),),
+    "role": (Input("role", Role, default="unknown"),),
+    "start": (
+        Input(
+            "start_rig", Annotated[Path | None, Option("--start", exists=True, help=START)], "start"
+        ),
+    ),
 }
-OPTIONS: Mapping[str, Mapping[str, tuple[Any, Any]]] = {
-    "capture": {"landmarks": (LandmarksFile, None)},
-    "template": {
-        "template": (
-            Annotated[
-                Path | None,
-                Option("--template", exists=True, help="template NPZ; default: built-in"),
-            ],
-            None,
-        )
-    },
-    "any_rig": {"any_rig": (Annotated[Path | None, Option("--rig", exists=True, help=RIG)], None)},
-    "markers": {
-        "marker_set": (
-            Annotated[
-                Path | None,
-                Option("--set", exists=True, dir_okay=False, help="the session's marker set, JSON"),
-            ],
-            None,
-        )
-    },
-    "assets": {
-        "asset": (
-            Annotated[
-                list[str] | None,
-                Option("--asset", help="NAME=FILE, a file that the scene names; repeatable"),
-            ],
-            None,
-        )
-    },
-    "blendshapes": {
-        "blendshapes": (
-            Annotated[
-                Path | None,
-                Option(exists=True, dir_okay=False, help="blendshapes.npz of an earlier animation"),
-            ],
-            None,
-        )
-    },
-    "fibre_muscles": {
-        "fibres": (
-            Annotated[
-                Path | None,
-                Option(exists=True, dir_okay=False, help="fibre_muscles.npz of fit-fibres"),
-            ],
-            None,
-        )
-    },
-    "role": {
-        "role": (
-            Annotated[
-                Literal["unknown", "neutral", "expression"],
-                Option(help="what the scan is meant to be"),
-            ],
-            "unknown",
-        )
-    },
-    "start": {
-        "start_rig": (
-            Annotated[
-                Path | None,
-                Option("--start", exists=True, help="rig to start from, also of another person"),
-            ],
-            None,
-        )
-    },
-}
-NEUTRAL_OF_EXPRESSION = Annotated[
-    Path | None, Option(exists=True, dir_okay=False, help="of an expression: registered neutral")
-]
+
+
+def _inputs(kind: Kind) -> list[Input]:
+    """Return a kind's inputs; the neutral of a scan that may be one is an option."""
+    names: list[str] = [*kind.reads, *kind.asks]
+    if "capture" in names:
+        names = ["neutral of an expression" if name == "neutral" else name for name in names]
+    return [each for name in names for each in INPUTS.get(name, ())]
 
 
 def make_command(kind: Kind) -> Callable[..., None]:
@@ -151,24 +142,22 @@ def _parameters(kind: Kind) -> list[Parameter]:
     found: dict[str, Parameter] = {}
 
     def add(name: str, annotation: Any, default: Any = Parameter.empty) -> None:
+        assert name not in found, f"{kind.name} has an input and an option called {name}"
         found[name] = Parameter(
             name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation
         )
 
-    for name in (*kind.reads, *kind.asks):
-        if name == "neutral" and "capture" in kind.reads:
-            add(name, NEUTRAL_OF_EXPRESSION, None)
-            continue
-        for argument, annotation in ARGUMENTS.get(name, {}).items():
-            add(argument, annotation)
-    properties = kind.schema["properties"]
+    properties, inputs = kind.schema["properties"], _inputs(kind)
+    for each in inputs:
+        if each.is_argument:
+            add(each.parameter, each.annotation)
     for name, rules in properties.items():
         if _is_document(rules):
             add(name, SceneFile)
     add("output", NewFolder, Path(kind.folder))
-    for name in (*kind.reads, *kind.asks):
-        for option, (annotation, default) in OPTIONS.get(name, {}).items():
-            add(option, annotation, default)
+    for each in inputs:
+        if not each.is_argument:
+            add(each.parameter, each.annotation, each.default)
     for name, rules in properties.items():
         if not _is_document(rules):
             add(name, _option(name, rules), rules.get("default", Parameter.empty))
@@ -223,18 +212,12 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
         name: read_scene(given[name]) if _is_document(rules) else given[name]
         for name, rules in properties.items()
     }
-    inputs: dict[str, Any] = {
-        name: given.get(name)
-        for name in ("scan", "landmarks", "neutral", "template", "model", "performance")
-    }
-    inputs |= {"blendshapes": given.get("blendshapes"), "fibre_muscles": given.get("fibres")}
-    inputs |= {"start": given.get("start_rig")}
-    inputs |= {"markers": given.get("take"), "marker_set": given.get("marker_set")}
-    rig = given.get("rig") or given.get("any_rig")
-    if rig is not None:
+    # by what the kind reads: an option may be called as the input of another kind
+    files = {each.role: given[each.parameter] for each in _inputs(kind) if each.role}
+    if (rig := files.pop("rig", None)) is not None:
         from solver.rig.rig import find_files
 
-        inputs |= find_files(rig)
+        files |= find_files(rig)
     with JobView(_name(kind)) as view, _made(folder):
         run_job(
             kind.name,
@@ -244,33 +227,33 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
             role=given.get("role", "unknown"),
             resume=given.get("resume", False),
             progress=view,
-            **inputs,
+            **files,
         )
     report = json.loads((folder / kind.report).read_text(encoding="utf-8"))
+    judged = files.get("scan") or files.get("markers")
+    code = show_outcome(kind.name, report, judged and judged.name)
     if kind.leaves in SUMMARIES:
         SUMMARIES[kind.leaves](report, given)
     out.print(f"{folder / kind.result}")
-    if kind.leaves in ("check", "marker_check") and report["verdict"] == "bad":
-        raise SystemExit(BAD_SCAN)
+    if code:
+        raise SystemExit(code)
 
 
-def _show_check(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
-    show_verdict(given["scan"].name, report)
-
-
-def _show_marker_check(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
-    show_verdict(given["take"].name, report)
-
-
-def _show_registration(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
-    show_registration(given["scan"].name, report)
-
-
-def _show_sequence(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:
+def _show_sequence(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
     out.print(
         f"{report['fitted']} of {report['frames']} frames fitted, {report['mean_mm']:.2f} mm off "
         f"on average, {report['frame_ms']:.0f} ms a frame"
     )
+    if "all_markers" not in report:  # of scans
+        return
+    every = report["all_markers"]
+    if every["mean_mm"] is not None:
+        out.print(
+            f"with the {every['rejected']:.1%} of points that were rejected {every['mean_mm']:.2f} "
+            f"mm, at most {every['max_mm']:.1f} mm"
+        )
+    findings = [*report["notices"], *report["findings"]]
+    show_verdict(given["take"].name, {"verdict": report["verdict"], "findings": findings})
 
 
 def _show_animation(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:
@@ -300,9 +283,6 @@ def _show_export(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
 
 # What is said of a job, by what it leaves.
 SUMMARIES: Mapping[str, Callable[[Mapping[str, Any], Mapping[str, Any]], None]] = {
-    "check": _show_check,
-    "marker_check": _show_marker_check,
-    "registration": _show_registration,
     "sequence": _show_sequence,
     "animation": _show_animation,
     "edit": _show_edit,

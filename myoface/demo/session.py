@@ -42,6 +42,8 @@ class Session:
     ) -> dict[str, Any]:
         """Upload the scans, build the model, fit training and unseen scans, download everything.
 
+        The rig's sliders are ordered at the end: the service makes them while it runs.
+
         Returns the rig's ``report.json``; the files are in ``folder``. Raises :class:`ApiError`.
         """
         template_id = None
@@ -67,6 +69,8 @@ class Session:
             # A demonstration takes the place of the one before
             (self.folder / RIG_NOTE).unlink(missing_ok=True)
             self.client.download_rig(self.rig_id, self.folder, progress=progress)
+        # Nobody waits for them: they are on their way when the page is opened
+        self.client.submit("build_preview", subject.id, rig_id=self.rig_id)
         report: dict[str, Any] = json.loads((self.folder / "report.json").read_text())
         return report
 

@@ -149,8 +149,9 @@ def limits(settings: Settings) -> Diagnosis:
 
 
 def _kinds() -> dict[str, Kind]:
-    """Return a kind of each queue."""
-    return {kind.queue: kind for kind in KINDS.values()}
+    """Return the kind of each queue that may last longest."""
+    by_length = sorted(KINDS.values(), key=lambda kind: kind.max_seconds)
+    return {kind.queue: kind for kind in by_length}
 
 
 def tenant_caches(settings: Settings) -> Diagnosis:

@@ -39,7 +39,7 @@ def broker(settings: Settings) -> Diagnosis:
     """Check that the broker answers, or that there is one to start."""
     if settings.broker_url is None:
         try:
-            return Diagnosis("broker", "ok", find_server())
+            return Diagnosis("broker", "ok", f"{find_server()}; it keeps nothing on the disk")
         except BrokerNotFoundError as error:
             return Diagnosis("broker", "fault", "none", str(error))
     try:

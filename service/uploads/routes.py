@@ -8,12 +8,13 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Request, Response
 
 from service.access.principal import Scope, need_scope
-from service.dependencies import BallastDep, SettingsDep, WriteStore
+from service.dependencies import BallastDep, ReceivingStore, SettingsDep, WriteStore, part
 from service.errors import CHECKSUM_MISMATCH, Problem, problems
 from service.schemas import Id, Position
 from service.store.models import Upload
 from service.uploads.schemas import UploadView, parse_checksum, parse_metadata
 from service.uploads.service import UploadService
+from service.writers import Writers
 
 VERSION = "1.0.0"
 ALGORITHMS = ("sha256", "sha1")
@@ -135,7 +136,9 @@ async def receive(
     upload_id: Id,
     request: Request,
     response: Response,
-    service: Service,
+    store: ReceivingStore,
+    settings: SettingsDep,
+    writers: Annotated[Writers, Depends(part("writers"))],
     offset: Offset,
     checksum: ChunkChecksum = None,
 ) -> None:
@@ -143,7 +146,9 @@ async def receive(
     if request.headers.get("content-type") != CONTENT_TYPE:
         raise Problem(415, "upload.content_type", f"send bytes as {CONTENT_TYPE}")
     expected = parse_checksum(checksum, ALGORITHMS)
-    _headers(response, await service.receive(upload_id, offset, expected, request.stream()))
+    service = UploadService(store, settings)
+    received = await service.receive(upload_id, offset, expected, request.stream(), writers)
+    _headers(response, received)
 
 
 @router.delete(

@@ -1,7 +1,7 @@
 """Receiving bytes: the offset in the table counts, under a lock per upload.
 
 Bytes are written and flushed before the offset moves, so a service that dies in between has lost
-at most the request that was under way, and a later request overwrites its bytes.
+at most the last `COUNT_EVERY` bytes, and a later request overwrites what was not counted.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import fcntl
 import hashlib
 import os
 import re
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import BinaryIO
 
 import structlog
 from anyio import to_thread
+from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 from starlette.requests import ClientDisconnect
 
@@ -29,8 +30,11 @@ from service.store.database import Store, clock
 from service.store.models import Upload, now
 from service.uploads import repository
 from service.uploads.schemas import Checksum
+from service.writers import Writers
 
 BUFFER = 1 << 20
+# Bytes of a request after which those that have arrived are counted
+COUNT_EVERY = 16 << 20
 
 # The name of an unfinished upload's file: its id
 PART = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
@@ -126,9 +130,16 @@ class UploadService:
             session.delete(repository.get(session, upload_id))
 
     async def receive(
-        self, upload_id: str, offset: int, checksum: Checksum | None, body: AsyncIterator[bytes]
+        self,
+        upload_id: str,
+        offset: int,
+        checksum: Checksum | None,
+        body: AsyncIterator[bytes],
+        writers: Writers,
     ) -> Upload:
         """Append ``body`` at ``offset``; what arrives before a client breaks off counts.
+
+        A place among ``writers`` is taken whenever bytes are counted.
 
         Raises
         ------
@@ -144,12 +155,22 @@ class UploadService:
             _check_offset(upload, offset)
             if (found := part.seek(0, os.SEEK_END)) < offset:
                 # a power cut took bytes that were counted
-                _check_offset(await to_thread.run_sync(self._count, upload, found), offset)
+                _check_offset(await self._count_in_turn(upload, found, writers), offset)
             digest = hashlib.new(checksum.algorithm) if checksum else None
             part.seek(offset)
             part.truncate()
-            received = await _write(part, body, digest, upload.size - offset)
+
+            async def count(received: int) -> None:
+                try:
+                    await self._count_in_turn(upload, offset + received, writers)
+                except (SQLAlchemyError, Problem) as error:  # the end of the request counts them
+                    log.warning("uploads.not_counted", error=str(error))
+
+            # of what a checksum is to prove, nothing counts before
+            counting = None if digest else count
+            received = await _write(part, body, digest, upload.size - offset, counting)
             if received is None:
+                await self._count_in_turn(upload, offset, writers)
                 raise Problem(
                     413,
                     "upload.overflow",
@@ -166,7 +187,12 @@ class UploadService:
                     expected=checksum.digest.hex(),
                     found=digest.hexdigest(),
                 )
-            return await to_thread.run_sync(self._count, upload, offset + received)
+            return await self._count_in_turn(upload, offset + received, writers)
+
+    async def _count_in_turn(self, upload: Upload, offset: int, writers: Writers) -> Upload:
+        async with writers.place() as until:
+            hasty = UploadService(self._store.by(until), self._settings)
+            return await to_thread.run_sync(hasty._count, upload, offset)
 
     def _count(self, upload: Upload, offset: int) -> Upload:
         with self._store.write() as session:
@@ -244,10 +270,17 @@ def _check_offset(upload: Upload, offset: int) -> None:
 
 
 async def _write(
-    part: BinaryIO, body: AsyncIterator[bytes], digest: hashlib._Hash | None, room: int
+    part: BinaryIO,
+    body: AsyncIterator[bytes],
+    digest: hashlib._Hash | None,
+    room: int,
+    count: Callable[[int], Awaitable[None]] | None,
 ) -> int | None:
-    """Write ``body``; returns the number of bytes, None if they are more than ``room``."""
-    received = 0
+    """Write ``body``; returns the number of bytes, None if they are more than ``room``.
+
+    ``count`` is told now and then how many are safe on the disk, never that they are all.
+    """
+    received = counted = 0
     buffer = bytearray()
 
     def flush() -> None:
@@ -255,6 +288,10 @@ async def _write(
             digest.update(buffer)
         part.write(buffer)
         buffer.clear()
+
+    def secure() -> None:
+        part.flush()
+        os.fsync(part.fileno())
 
     try:
         async for chunk in body:
@@ -264,11 +301,14 @@ async def _write(
             buffer += chunk
             if len(buffer) >= BUFFER:
                 await to_thread.run_sync(flush)
+                if count and counted + COUNT_EVERY <= received < room:
+                    await to_thread.run_sync(secure)
+                    await count(received)
+                    counted = received
     except ClientDisconnect:
         pass  # what has arrived counts, unless a checksum says that it is not whole
     await to_thread.run_sync(flush)
-    part.flush()
-    await to_thread.run_sync(os.fsync, part.fileno())
+    await to_thread.run_sync(secure)
     return received
 
 

@@ -27,6 +27,7 @@ class ActionUnit:
     name: str
     muscles: tuple[str, ...]  # that make it
     antagonists: tuple[str, ...]  # that work against it, or must relax for it
+    by_relaxing: bool  # whether these make it by relaxing, without its muscles
     sources: tuple[str, ...]  # keys of ``sources.csv``
 
 
@@ -46,6 +47,7 @@ def action_units() -> dict[str, ActionUnit]:
             row["name"],
             listed(row["muscles"]),
             listed(row["antagonists"]),
+            row["by_relaxing"] == "yes",
             tuple(row["source"].split()),
         )
         for row in read_table("action_units")

@@ -14,7 +14,7 @@ from solver.animation.blendshapes import Blend, Blendshapes, unfold
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY
-from solver.model import SubjectModel, by_muscle, find_muscles
+from solver.model import SubjectModel, by_muscle, find_muscles, tell_muscles
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
 from solver.similarity import Similarity
 from solver.surface import Floats, nearest_sphere
@@ -270,8 +270,11 @@ def check_known(
 
 def check_muscles(names: Iterable[str], muscles: Sequence[str], where: str, **context: Any) -> None:
     """Raise :class:`InputError` (``scene.muscle``) for the first name that means no muscle."""
-    unknown = [name for name in names if not find_muscles(name, muscles)]
-    check_known(unknown, muscles, "scene.muscle", where, **context)
+    for name in names:
+        if not find_muscles(name, muscles):
+            told = tell_muscles(name, muscles)
+            reason = f"{where} names the muscle {name!r}, which is not one of the face's; {told}"
+            raise InputError("scene.muscle", reason, found=name, expected=list(muscles), **context)
 
 
 class RecordedDrives:

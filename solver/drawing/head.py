@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+import re
 from dataclasses import dataclass
 
 import igl
@@ -65,6 +66,11 @@ def muscle_side(muscle: str) -> str:
     """Return the side in a muscle's name, ``left`` or ``right``; "" for one in the middle."""
     words = (word.lower() for word in name_words(muscle))
     return next((_SIDES[word] for word in words if word in _SIDES), "")
+
+
+def other_side(muscle: str) -> str:
+    """Return the muscle's name on the other side: ``left buccinator`` -> ``right buccinator``."""
+    return re.sub(r"[^\s_.]+", lambda word: OTHER_SIDE.get(word[0].lower(), word[0]), muscle)
 
 
 def muscle_colours(names: tuple[str, ...]) -> dict[str, tuple[float, ...]]:

@@ -20,7 +20,7 @@ from solver.anatomy.embedding import LooseSkin
 from solver.anatomy.tetrahedra import ML, volumes
 from solver.edits.edit import Edited
 from solver.errors import InputError
-from solver.model import SubjectModel, find_muscles
+from solver.model import SubjectModel, find_muscles, tell_muscles
 from solver.surface import (
     Floats,
     Ints,
@@ -196,7 +196,7 @@ class Paralysis:
         found = {name: find_muscles(name, names) for name in self.muscles}
         unknown = [name for name, numbers in found.items() if not numbers]
         if unknown:
-            reason = f"the subject has no muscle {unknown[0]!r}; it has {', '.join(names)}"
+            reason = f"the subject has no muscle {unknown[0]!r}; {tell_muscles(unknown[0], names)}"
             raise InputError("scene.muscle", reason, found=unknown, expected=list(names))
         return np.array([k + 1 for numbers in found.values() for k in numbers], dtype=np.int64)
 

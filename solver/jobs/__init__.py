@@ -13,7 +13,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
-from solver.errors import InputError
+from numpy.linalg import LinAlgError
+
+from solver.errors import InputError, SolveError
 from solver.kinds import KINDS, JobOptions, Kind, OptionsError
 from solver.progress import Progress, silent
 
@@ -55,13 +57,18 @@ def run_job(
 
     ``jobs`` is the package with a module for each kind. Raises :class:`InputError` for options
     (``options.*``, ``scene.schema``) and files that cannot be used, and
-    :class:`~solver.errors.SolveError` where there is no solution.
+    :class:`~solver.errors.SolveError` where there is no solution (``solve.singular`` where a job
+    has no word of its own for that).
     """
     given = _read_options(KINDS[kind], options or {})
     files = {name: path for name, path in inputs.items() if path is not None}
     out.mkdir(parents=True, exist_ok=True)
     task = Task(out, given, files, captures or {}, role, resume, progress)
-    return cast(list[Path], import_module(f"{jobs}.{kind}").run(task))
+    try:
+        return cast(list[Path], import_module(f"{jobs}.{kind}").run(task))
+    except LinAlgError as error:
+        message = f"{KINDS[kind].title.lower()}: what was given has no one solution ({error})"
+        raise SolveError("solve.singular", message) from error
 
 
 def hash_files(files: Mapping[str, Path]) -> dict[str, str]:

@@ -11,7 +11,7 @@ from solver.jobs import Task
 from solver.kinds.build_preview import BuildPreview
 from solver.mechanics.linear import fastest
 from solver.progress import Step
-from solver.rig.preview import make_preview, preview_picture, write_preview
+from solver.rig.preview import make_preview, preview_picture, read_back, write_preview
 from solver.rig.rig import Rig
 from solver.storage import write_json
 
@@ -41,9 +41,12 @@ def run(task: Task[BuildPreview]) -> list[Path]:
     )
     files = [out / "preview.bin", out / "preview.json", out / "preview.png"]
     write_preview(files[0], preview)
+    skin, shown = rig.model.skin.vertices, rig.model.face
+    preview, measured = read_back(files[0], preview, skin, shown)
     progress(Step("pictures", 0.96))
     preview_picture(rig.model, preview, files[2])
     seconds = round(time.perf_counter() - begin, 1)
-    write_json(files[1], {**preview.figures(), "seconds": seconds})
+    told = {"seconds": seconds, "files": {files[0].name: measured}}
+    write_json(files[1], {**preview.figures(), **told})
     progress(Step("done", 1.0))
     return files

@@ -77,7 +77,7 @@ def _reference(task: Task[CheckMarkers]) -> Reference:
     files = task.inputs
     if "rig" in files or "model" in files:
         model = SubjectModel.load(files.get("model", files.get("rig", Path())))
-        markers = MarkerSet.load(files["marker_set"]) if "marker_set" in files else None
+        markers = MarkerSet.load(files["marker_set"], model) if "marker_set" in files else None
         shown = task.options.expression
         expression = None if shown is None else Rig.load(files).expression(shown)
         return Reference.of(model, markers, expression)
@@ -93,8 +93,14 @@ def _report_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
     found = reach(face, markers, _prior(task, rig, face))
     names = rig.model.muscle_names
     known = rest_places(replace(check.bound, markers=tuple(markers)), rig.model.skin)
-    check.figures |= {"muscles": len(names), "muscles_determined": found.known_muscles}
+    check.figures |= {
+        "muscles": len(names),
+        "muscles_determined": found.known_muscles,
+        "muscles_following": found.following_muscles,
+    }
     words = f"{len(markers)} markers determine {found.known_muscles} of {len(names)} muscles"
+    if found.following_muscles:
+        words += f", and {found.following_muscles} more as they go along in known expressions"
     information = {
         name: round(float(each), 3) for name, each in zip(names, found.information, strict=True)
     }

@@ -7,7 +7,7 @@ from pathlib import Path
 from solver.jobs import Task
 from solver.kinds.export_rig import ExportRig
 from solver.progress import Step
-from solver.rig.exporters import export, exporter
+from solver.rig.exporters import export_measured, exporter
 from solver.rig.rig import Rig
 from solver.storage import write_json
 
@@ -24,7 +24,8 @@ def run(task: Task[ExportRig]) -> list[Path]:
     rig = Rig.load(task.inputs)
     progress(Step("export", 0.3, message=given.format))
     made, report = task.out / file, task.out / "export.json"
-    export(rig, given.format, made, given.settings)
-    write_json(report, {"format": given.format, "file": file, "bytes": made.stat().st_size})
+    figures = export_measured(rig, given.format, made, given.settings).figures
+    told = {"format": given.format, "file": file, "bytes": made.stat().st_size}
+    write_json(report, {**told, "files": {file: figures}})
     progress(Step("done", 1.0))
     return [made, report]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -132,16 +132,16 @@ def _figures(
     endings: Mapping[str, FallbackFit],
 ) -> dict[str, Any]:
     """Return the figures of fits ``before`` and after calibration."""
+    names = strip_names(face.model.muscle_names, muscles)
     expressions = {
         name: {
             "role": scans.roles[name],
-            **_fit_figures(face, target, endings[name]),
+            **_fit_figures(face, names, target, endings[name]),
             "uncalibrated_mm": _error(face, target, before[name]),
             "blended_mm": round(scans.blended_mm[name], DECIMALS),
         }
         for name, target in scans.targets.items()
     }
-    names = strip_names(face.model.muscle_names, muscles)
     strengths = (muscles.strengths / face.flesh.material.mu).round(2).tolist()
     return {
         "means": {
@@ -160,13 +160,15 @@ def _error(face: Face, target: Target, ending: FallbackFit) -> float:
     return round(float(np.nanmean(target.distances(points))), DECIMALS)
 
 
-def _fit_figures(face: Face, target: Target, ending: FallbackFit) -> dict[str, Any]:
+def _fit_figures(
+    face: Face, names: Sequence[str], target: Target, ending: FallbackFit
+) -> dict[str, Any]:
     state = ending.state
     return {
         "fibre_mm": _error(face, target, ending),
         "status": ending.status,
         "inverted": face.flesh.inverted(state.x),
-        "activations": state.pose.a.round(DECIMALS).tolist(),
+        "activations": dict(zip(names, state.pose.a.round(DECIMALS).tolist(), strict=True)),
         "jaw": state.pose.b.round(DECIMALS).tolist(),
     }
 

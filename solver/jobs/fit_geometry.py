@@ -37,6 +37,9 @@ from solver.progress import Progress, Step, part_of
 from solver.rig.neutral_checks import check_neutral
 from solver.rig.rig import Rig
 
+# of rounds whose mean grows
+CLOSING = "muscles are brought within what muscles can do: the mean rises meanwhile"
+
 
 def run(task: Task[FitGeometry]) -> list[Path]:
     """Fit S, activations and jaw to several registered expression scans; write the rig's files.
@@ -110,7 +113,9 @@ def _geometry(
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
         done = 0.02 + 0.78 * number / schedule.most_rounds
         error = geometry.mean_error(face, targets, states)
-        progress(Step("geometry", done, number + 1, mean_error_mm=error))
+        closing = schedule.limits is not None and number >= schedule.rounds
+        message = CLOSING if closing else None
+        progress(Step("geometry", done, number + 1, mean_error_mm=error, message=message))
 
     data, first_terms = terms(face, targets), distances(face, targets)
     return geometry.fit(face, data, schedule, first_terms=first_terms, listen=listen, **priors)

@@ -12,6 +12,7 @@ from solver.anatomy.build import jaw_tracks
 from solver.errors import Finding, InputError, make_warning
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, load_muscles, with_fibres
+from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face
 from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import FilterOptions
@@ -37,12 +38,13 @@ from solver.rig.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
 from solver.scans.markers.actor import carry, off_places
 from solver.scans.markers.bind import bind, model_face
-from solver.scans.markers.face_take import FACE, count_tracks, frames_about
+from solver.scans.markers.face_take import FACE, count_tracks, frames_about, living_labels
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import LIMITS
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.motion import still_seconds
 from solver.scans.markers.moved import split_moved
+from solver.scans.markers.shape import is_motionless, refuse_flat
 from solver.scans.markers.take import Take, read_take
 
 
@@ -87,13 +89,15 @@ def run(task: Task[FitMarkers]) -> list[Path]:
         drawing = TakeDrawing(tracker, source, muscles)
         done = smooth_frames(tracker, done, source, drawing.add)
     progress(Step("export", 0.96))
-    report = sequence_report(done, rate, take.file) | marker_report(done, source.labels)
+    report = sequence_report(done, rate, take.file)
+    report |= marker_report(done, source.labels, notices)
     report |= carried | {"notices": [notice.as_dict() for notice in notices]}
-    files = write_sequence(out, done, muscles, rate, report, take.first)
+    animated, report["files"] = write_animated(out, drawing.skin, rig.model, rate, take.first)
+    view, contraction = out / VIEW_FILE, Contraction.of_face(face)
+    report["files"][VIEW_FILE] = drawing.view.write(view, rate)
+    files = write_sequence(out, done, muscles, rate, report, contraction, take.first)
     files += [out / "markers.json"] if given.refine and not given.actor else []
-    files += write_animated(out, drawing.skin, rig.model, rate, take.first)
-    files.append(out / VIEW_FILE)
-    drawing.view.write(files[-1], rate)
+    files += [*animated, view]
     progress(Step("done", 1.0))
     return files
 
@@ -103,36 +107,39 @@ def _bound(
 ) -> tuple[BoundTake, dict[str, Any], list[Finding]]:
     """Return the take read by its marker set, what was carried of an actor, and what is odd.
 
-    What stands still or was drawn is missing. A marker that moved is another one from then on.
+    What stands still or was drawn is missing, labels that are swapped are exchanged. A marker that
+    moved is another one from then on.
     """
     given, given_set, skin = task.options, task.inputs.get("marker_set"), model_face(model)
-    rows = frames_about(take, given.neutral, rate)
+    take = take.pick(living_labels(take).tolist())
+    rows, notices = frames_about(take, given.neutral, rate), list[Finding]()
     if given_set is None:
         found = bind(take, model, rows, actor=given.actor)
         markers = found.markers
+        notices.extend(found.findings)
         if given.actor:
             rows = found.neutral  # the motions count from the frames whose places they are
     else:
-        markers = MarkerSet.load(given_set)
-    if markers.model_sha256 != model.sha256:
-        message = "the marker set is of another model: bind it again"
-        raise InputError("markers.other_model", message)
+        markers = MarkerSet.load(given_set, model)
     report: dict[str, Any] = {}
-    notices: list[Finding] = []
     if given.actor:
         carried = carry(take, markers, skin, rate, rows)
         take, markers, report = carried.take, carried.markers, {"actor": carried.report}
         notices.extend(carried.notices)
     faults = find_faults(markers.session.scale * take.positions, rate)
+    refuse_flat(take.file, faults.motion.middle)
+    if is_motionless(faults.motion):
+        message = f"no marker of {take.file} moves against the others: there is no motion to fit"
+        notices.append(make_warning("markers.motionless", message))
     if not given.actor:
         motion, spans = faults.motion, [rows] if rows else []
         # people are still in expressions, too
-        spans = spans or [each.rows for each in still_seconds(motion, rate, FACE.seconds)]
+        spans = spans or [each.rows for each in still_seconds(motion, rate, FACE.rest.seconds)]
         off_mm, rows = min((off_places(take, markers, motion, skin, each), each) for each in spans)
         notices.extend(_other_person(take, rows, off_mm))
-    measured = replace(take, positions=faults.hide_unmeasured(take.positions))
-    take, markers = split_moved(measured, markers, faults, skin)
-    return BoundTake(take, markers, OPTIONS.least), report, notices
+    positions, exchanged = faults.put_right(faults.hide_unmeasured(take.positions))
+    take, markers = split_moved(replace(take, positions=positions), markers, faults, skin)
+    return BoundTake(take, markers, OPTIONS.least, exchanged), report, notices
 
 
 def _other_person(take: Take, rows: tuple[int, int], off_mm: float) -> list[Finding]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from solver.errors import InputError, SolveError
 from solver.fitting.activation import unseen_regulariser
+from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Target
 from solver.fitting.sequence import Tracker, stillness
@@ -249,8 +250,10 @@ def run(task: Task[FitSequence]) -> list[Path]:
     refuse_unfitted(done, source.name)
     progress(Step("export", 0.96))
     report = sequence_report(done, given.fps, source.name)
-    files = write_sequence(out, done, subject.muscle_names, given.fps, report)
-    files += write_animated(out, fitter.skin, subject, given.fps)
+    animated, report["files"] = write_animated(out, fitter.skin, subject, given.fps)
+    contraction = Contraction.of_face(face)
+    files = write_sequence(out, done, subject.muscle_names, given.fps, report, contraction)
+    files += animated
     if fitter.shots:
         files.append(out / "sequence.png")
         words = "{fitted} of {frames} frames fitted, {mean_mm:.2f} mm off on average"

@@ -13,17 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from solver.errors import InputError, SolveError
+from solver.errors import Finding, InputError, SolveError
 from solver.fitting.face import Face, Pose
 from solver.fitting.markers.filter import KnownControls
-from solver.fitting.markers.smooth import TracedFrame, smooth
+from solver.fitting.markers.smooth import SmoothFrame, TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior
 from solver.fitting.markers.tracker import MarkerFit, MarkerMemory, MarkerTracker
+from solver.jobs.marker_verdict import judge_fit
 from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
 from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
 from solver.rig.marker_view import MarkerView
 from solver.scans.markers.marker_set import BoundTake
+from solver.scans.markers.motion import rms_of_seen
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats
 
@@ -96,7 +98,10 @@ class TakeFitter(FrameFitter[MarkerFrame]):
         points, free = source.points(number), source.unlabelled(number)
         fit = self._tracker.fit(points, free, source.sigma(number))
         status: Status = "kept" if fit.kept else "predicted" if fit.predicted else "fitted"
-        return _frame(number, status, fit, self._tracker.face, time.perf_counter() - start)
+        frame = _frame(number, status, fit, self._tracker.face, time.perf_counter() - start)
+        states = np.array(frame.marker_state)
+        states[source.exchanged(number) & (states == "seen")] = "swapped"
+        return replace(frame, marker_state=tuple(states.tolist()))
 
     def show(self, frame: MarkerFrame, position: int) -> None:  # noqa: ARG002
         """See :class:`~.sequences.FrameFitter`."""
@@ -154,6 +159,7 @@ def _frame(number: int, status: Status, fit: MarkerFit, face: Face, seconds: flo
         marker_state=tuple(judged.states.tolist()),
         sd=fit.sd.round(DECIMALS),
         information=fit.information.round(DECIMALS),
+        contraction_sd=fit.contraction_sd.round(DECIMALS),
         held=fit.held.astype(np.float64),
     )
 
@@ -196,13 +202,13 @@ def smooth_frames(
         pose = face.rest_pose().add(after.controls - layout.rest)
         with suppress(SolveError):  # out of reach: as the frame beside it
             tracker.tracker.go_to(pose)
-        found.append(_smooth_frame(tracker, frame, source, after.sd))
+        found.append(_smooth_frame(tracker, frame, source, after))
         show(found[-1], tracker.tracker.state.x)
     return found
 
 
 def _smooth_frame(
-    tracker: MarkerTracker, frame: MarkerFrame, source: BoundTake, sd: Floats
+    tracker: MarkerTracker, frame: MarkerFrame, source: BoundTake, after: SmoothFrame
 ) -> MarkerFrame:
     """Return a frame with the tracker's pose, and the head and distances that come of it."""
     state, seen = tracker.tracker.state, source.points(frame.frame)
@@ -223,24 +229,36 @@ def _smooth_frame(
         status="fitted" if frame.status == "fitted" else "smoothed",
         head=placed.head.twist.round(DECIMALS),
         marker_mm=off.round(DECIMALS),
-        sd=sd.round(DECIMALS),
+        sd=after.sd.round(DECIMALS),
+        contraction_sd=after.contraction_sd.round(DECIMALS),
         inverted=tracker.face.flesh.inverted(state.x),
     )
 
 
-def marker_report(frames: Sequence[MarkerFrame], labels: Sequence[str]) -> dict[str, Any]:
-    """Return what became of every label, and how many muscles were held; shares of frames."""
+def marker_report(
+    frames: Sequence[MarkerFrame], labels: Sequence[str], notices: Sequence[Finding] = ()
+) -> dict[str, Any]:
+    """Return what became of every label and of the take, and how many muscles were held.
+
+    Shares are of frames; ``notices`` count in the verdict.
+    """
     states = np.array([frame.marker_state for frame in frames])
     off = np.array([frame.marker_mm for frame in frames])
     counted = np.array([frame.marker_weight for frame in frames]) > 0.0
     found = {}
     for column, label in enumerate(labels):
-        mine = off[counted[:, column], column]
         shares = {
             state: round(float(np.mean(states[:, column] == state)), 4)
             for state in ("missing", "outlier", "swapped", "relabelled")
         }
-        rms = round(float(np.sqrt(np.mean(mine**2))), 4) if len(mine) else None
-        found[label] = {**shares, "rms_mm": rms}
+        kept = off[counted[:, column], column]
+        found[label] = {**shares, "rms_mm": _rms(kept), "rms_all_mm": _rms(off[:, column])}
     held = np.array([frame.held for frame in frames])
-    return {"markers": found, "held": round(float(held.mean()), 4)}
+    numbers = [frame.frame for frame in frames]
+    judged = judge_fit(labels, numbers, states, off, notices)
+    return {**judged, "markers": found, "held": round(float(held.mean()), 4)}
+
+
+def _rms(distances: Floats) -> float | None:
+    """Return the root mean square of what is not NaN, None if nothing is."""
+    return round(rms_of_seen(distances), 4) if np.isfinite(distances).any() else None

@@ -120,14 +120,19 @@ def refuse_unfitted(frames: Sequence[SequenceFrame], name: str) -> None:
 
 def write_animated(
     out: Path, skin: AnimatedSkin, model: SubjectModel, fps: float, first: int = 0
-) -> list[Path]:
-    """Write ``sequence.glb``, the frame ``first`` at 0 s, and with the extra ``sequence.usdc``."""
+) -> tuple[list[Path], dict[str, Any]]:
+    """Write ``sequence.glb``, the frame ``first`` at 0 s, and with the extra ``sequence.usdc``.
+
+    Returns them, and by their names how far they are off what was fitted, read back. Raises
+    :class:`~solver.errors.SolveError` ``file.differs`` where that is too far.
+    """
     files = [out / "sequence.glb"]
-    skin.write(files[0], fps, first)
+    figures = {files[0].name: skin.write(files[0], fps, first)}
     if find_spec("pxr") is not None:
         files.append(out / "sequence.usdc")
-        import_module("solver.rig.exporters.usd").write_sequence(files[1], model, skin, fps)
-    return files
+        usd = import_module("solver.rig.exporters.usd")
+        figures[files[1].name] = usd.write_sequence(files[1], model, skin, fps)
+    return files, figures
 
 
 def distance_figures(distances: Floats) -> dict[str, Any]:

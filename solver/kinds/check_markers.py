@@ -32,6 +32,7 @@ KIND = Kind(
     description="Whether a take of markers can be used: verdict, findings with label, frames and "
     "advice, and a picture; with a rig also where each label sits on it.",
     queue="short",
+    seconds=300,
     reads=("markers", "any_rig", "template"),
     leaves="marker_check",
     report="check.json",

@@ -30,7 +30,7 @@ class FitMarkers(JobOptions):
     )
     rate: float | None = Field(
         default=None,
-        gt=0,
+        ge=0.01,
         le=10_000,
         description="frames of the take per second; null: what the file says, else 60",
     )
@@ -50,7 +50,7 @@ class FitMarkers(JobOptions):
     )
     temporal: float = Field(
         default=1.0,
-        gt=0,
+        ge=0.001,
         le=1000,
         description="seconds in which a control that no marker tells of fades to the resting face",
     )
@@ -61,11 +61,11 @@ class FitMarkers(JobOptions):
         description="part of a muscle's spread that a frame must take away, or it counts as held",
     )
     sigma_mm: float = Field(
-        default=0.2, gt=0, le=20, description="standard deviation of a seen point, mm"
+        default=0.2, ge=0.001, le=20, description="standard deviation of a seen point, mm"
     )
     robust_mm: float = Field(
         default=1.8,
-        gt=0,
+        ge=0.001,
         le=50,
         description="distance at which a point has a quarter of its weight: two and a half times "
         "as far it is wrong",

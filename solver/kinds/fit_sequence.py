@@ -12,7 +12,7 @@ class FitSequence(FitOptions):
     """Options of a fit of frames."""
 
     fps: float = Field(
-        default=30.0, gt=0, le=1000, description="frames of the performance per second"
+        default=30.0, ge=0.01, le=1000, description="frames of the performance per second"
     )
     start: Whole = Field(default=0, ge=0, description="first frame to fit")
     end: Annotated[int, Field(ge=1), Integral] | None = Field(

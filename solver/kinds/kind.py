@@ -81,12 +81,13 @@ class Kind:
     asks: tuple[Input, ...] = ()
     folder: str = "result"  # that a command line fills by default
     frames: bool = False
+    seconds: int | None = None  # that it may last, where others of its queue last much longer
     name: str = ""
 
     @property
     def max_seconds(self) -> int:
         """Seconds after which an attempt at it is ended, where an installation sets no others."""
-        return QUEUE_SECONDS[self.queue]
+        return self.seconds or QUEUE_SECONDS[self.queue]
 
     @property
     def max_bytes(self) -> int:
@@ -206,7 +207,8 @@ class PlayOptions(JobOptions):
     linear_solver: LinearSolver = None
 
 
-UnitName = Literal["auto", "mm", "cm", "m", "inch"]
+MM_A_UNIT = (1e-6, 1e6)  # least and most
+UnitName = Literal["auto", "mm", "cm", "m", "inch", "foot"]
 
 
 def find_unit(value: Any) -> str | None:
@@ -217,8 +219,9 @@ def find_unit(value: Any) -> str | None:
 
 
 Unit = Annotated[
-    Annotated[UnitName, Tag("<name>")] | Annotated[float, Field(ge=1e-6, le=1e6), Tag("<number>")],
-    tell_forms(find_unit, "is not auto, mm, cm, m, inch or a number of mm"),
+    Annotated[UnitName, Tag("<name>")]
+    | Annotated[float, Field(ge=MM_A_UNIT[0], le=MM_A_UNIT[1]), Tag("<number>")],
+    tell_forms(find_unit, "is not auto, mm, cm, m, inch, foot or a number of mm"),
 ]
 
 
@@ -227,8 +230,8 @@ class FrameOptions(JobOptions):
 
     unit: Unit = Field(
         default="auto",
-        description="unit of the file's coordinates: mm, cm, m, inch or a number, the mm of a "
-        "unit; auto: what the format says, else what makes it a head",
+        description="unit of the file's coordinates: mm, cm, m, inch, foot or a number, the mm of "
+        "a unit; auto: what the format says, else what makes it a head",
     )
     eye_distance_mm: float | None = Field(
         default=None,

@@ -51,14 +51,17 @@ class MarkerEntry(Document):
         default=0.0, ge=-50, le=50, description="of the marker's centre over the skin"
     )
     sigma_mm: float = Field(
-        default=0.5, gt=0, le=50, description="how surely its place is known, a standard deviation"
+        default=0.5,
+        ge=0.001,
+        le=50,
+        description="how surely its place is known, a standard deviation",
     )
 
 
 class SessionEntry(Document):
     """What takes a take's coordinates, in mm, to the model's: scale * rotation x + shift."""
 
-    scale: float = Field(default=1.0, gt=0, le=1e6)
+    scale: float = Field(default=1.0, ge=0.001, le=1e6)
     rotation: list[Row] = Field(
         min_length=3, max_length=3, description="rows of an orthogonal matrix; it may mirror"
     )

@@ -238,7 +238,7 @@ class PullEntry(Document):
     kind: Literal["point"]
     at: Place
     mn: Vector = Field(description="millinewtons, in the head's frame")
-    radius_mm: float = Field(default=5.0, gt=0, le=100)
+    radius_mm: float = Field(default=5.0, ge=0.001, le=100)
     ramp: float = Field(
         default=0.0, ge=0, le=600, description="seconds from 0 on in which it grows"
     )
@@ -263,13 +263,13 @@ class AssetMesh(Document):
 class Box(Document):
     """A box."""
 
-    box_mm: list[Annotated[float, Field(gt=0, le=1000)]] = Field(min_length=3, max_length=3)
+    box_mm: list[Annotated[float, Field(ge=0.001, le=1000)]] = Field(min_length=3, max_length=3)
 
 
 class Ball(Document):
     """A ball."""
 
-    ball_mm: float = Field(gt=0, le=500, description="its radius")
+    ball_mm: float = Field(ge=0.001, le=500, description="its radius")
 
 
 class Rod(Document):
@@ -327,7 +327,7 @@ class SpotMap(Document):
     """A map of soft round spots."""
 
     spots: list[Place] = Field(min_length=1, max_length=64, description="their centres")
-    radius_mm: float = Field(gt=0, le=200)
+    radius_mm: float = Field(ge=0.001, le=200)
 
 
 SkinMap = Annotated[
@@ -376,9 +376,9 @@ class FillerEntry(Document):
 
     kind: Literal["filler"]
     path: list[Stop] = Field(min_length=1, max_length=64)
-    ml: float = Field(gt=0, le=100)
+    ml: float = Field(ge=0.001, le=100)
     radius_mm: float = Field(
-        default=2.5, gt=0, le=50, description="how far it spreads from the path"
+        default=2.5, ge=0.001, le=50, description="how far it spreads from the path"
     )
 
 
@@ -388,7 +388,7 @@ class BoneEntry(Document):
     kind: Literal["bone"]
     bone: Literal["cranium", "mandible"]
     at: Place
-    radius_mm: float = Field(gt=0, le=200)
+    radius_mm: float = Field(ge=0.001, le=200)
     move_mm: Vector
 
 

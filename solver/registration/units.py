@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from math import isclose
 from typing import Any, Literal
 
-import numpy as np
-
 from solver.errors import Finding, InputError, advise
+from solver.kinds.kind import MM_A_UNIT
 from solver.model import SIZE_WORDS, SizeFrom
 
-UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}  # name -> mm
+UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4, "foot": 304.8}  # name -> mm
 COMMON = ("mm", "cm", "m")  # units that a scanner's software writes without being asked
+LIKELY = (*COMMON, "inch")  # units that a scan is tried in first
 AXES = {  # name -> direction in the file's frame
     "x": (1.0, 0.0, 0.0),
     "-x": (-1.0, 0.0, 0.0),
@@ -68,7 +69,8 @@ class ScanUnit:
     @property
     def name(self) -> str | None:
         """Return the unit's name, if it has one."""
-        return next((name for name, mm in UNITS.items() if mm == self.mm_per_unit), None)
+        found = (name for name, mm in UNITS.items() if isclose(mm, self.mm_per_unit))
+        return next(found, None)
 
     @property
     def words(self) -> str:
@@ -143,9 +145,10 @@ def check_frame(frame: Mapping[str, Any]) -> None:
         known = ["auto", *UNITS]
         message = f"unit is {unit!r}, not one of {', '.join(known)}, nor a number of mm"
         raise InputError("options.unit", message, expected=known)
+    least, most = MM_A_UNIT
     for name, number in (("unit", unit), ("eye_distance_mm", eyes)):
-        if isinstance(number, (int, float)) and not 0 < number < np.inf:
-            message = f"{name} is {number}, not a number of mm above 0"
+        if isinstance(number, (int, float)) and not least <= number <= most:
+            message = f"{name} is {number}, not a number of mm from {least:g} to {most:g}"
             raise InputError("options.unit", message, found=str(number))
     if unit != "auto" and eyes is not None:
         raise InputError("options.unit", "give unit or eye_distance_mm, not both")
@@ -176,7 +179,7 @@ def candidate_scales(
     """
     low, high = options.extent_mm
     first = declared if given is None else given
-    known = [first] if first is not None else list(UNITS.values())
+    known = [first] if first is not None else [UNITS[name] for name in LIKELY]
     slips = {(first or 1.0) * factor for factor in options.slips}
     odd = sorted((slips | set(UNITS.values())) - set(known))
     ladder = [size / extent for size in options.ladder_mm]
@@ -196,19 +199,26 @@ def likely_unit(
 
 
 def choose_unit(
-    scale: float, given: float | None, declared: float | None, options: UnitOptions = UNIT_OPTIONS
+    scale: float,
+    given: float | None,
+    declared: float | None,
+    options: UnitOptions = UNIT_OPTIONS,
+    *,
+    read_mm: float = 1.0,
 ) -> ScanUnit:
     """Return the unit of a scan whose face gets the template's size at ``scale`` mm a unit.
 
     What was given comes first, then what the format declares, else mm, if it makes a face of a
     person's size; then what makes one of about the template's: a unit, or a decimal slip of what
-    comes first. If nothing does, it is ``scale``.
+    comes first. If nothing does, it is ``scale``. The mm are those of a unit of the points, which
+    are ``read_mm`` of the file's.
     """
     low, high = options.face_sizes
     first = given or declared or 1.0
     if low <= first / scale <= high:
         return ScanUnit(first, "given" if given else "declared" if declared else "assumed")
-    others = [*UNITS.values(), *(factor * first for factor in options.slips)]
+    others = [mm / read_mm for mm in UNITS.values()]
+    others += [factor * first for factor in options.slips]
     if not given:  # what contradicts a given unit may be a child's face, what is guessed may not
         low, high = 1.0 - options.unusual, 1.0 + options.unusual
     unit = likely_unit(1.0 / scale, (low, high), others)

@@ -24,6 +24,7 @@ from solver.rig.animation_gltf import write_animation_glb
 from solver.rig.gltf import Solid
 from solver.rig.motion import MotionRecord
 from solver.rig.pictures import THREE_QUARTER, face_camera
+from solver.rig.read_back import Comparison
 from solver.rig.skin_basis import Singles
 from solver.scene.objects import SceneObject
 from solver.similarity import small_motion
@@ -63,6 +64,24 @@ def write_animation_npz(
             for frame, skin in zip(frames, skins, strict=True):
                 placed = small_motion(frame.head)(skin[vertices].astype(np.float64))
                 stream.write(placed.astype("<f4").tobytes())
+
+
+def compare_animation_npz(
+    path: Path, frames: Sequence[MotionRecord], skins: Singles, vertices: Ints
+) -> dict[str, Any]:
+    """Return how far the skins of ``animation.npz`` are off, read back frame by frame.
+
+    Raises :class:`~solver.errors.SolveError` (``file.differs``) where that is too far; a frame is
+    its position among all, a vertex its position among ``vertices``.
+    """
+    found, size = Comparison(path.name), 12 * len(vertices)
+    with ZipFile(path) as archive, archive.open("skin.npy") as stream:
+        np.lib.format.read_magic(stream)
+        np.lib.format.read_array_header_1_0(stream)
+        for number, (frame, skin) in enumerate(zip(frames, skins, strict=True)):
+            shown = np.frombuffer(stream.read(size), "<f4").reshape(-1, 3)
+            found.add(number, shown, frame.into_world(skin[vertices].astype(np.float64)))
+    return found.figures()
 
 
 # Frames as pictures, with what the face meets.
@@ -200,7 +219,8 @@ def write_animation(
     ]
     written = write_animation_glb(glb, model.skin, skins, heads, times - times[0], solids)
     write_animation_npz(arrays, muscles or model.muscle_names, frames, skins, vertices)
-    figures = {**report, "glb": {**asdict(written), "bytes": glb.stat().st_size}}
+    measured = {arrays.name: compare_animation_npz(arrays, frames, skins, vertices)}
+    figures = {**report, "glb": {**asdict(written), "bytes": glb.stat().st_size}, "files": measured}
     write_json(table, figures)
     filming = Filming(model)
 

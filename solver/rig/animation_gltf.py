@@ -9,18 +9,23 @@ meets are nodes of their own.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any
 
 import numpy as np
 import pygltflib as gl
 from scipy.spatial.transform import Rotation, Slerp
 
+from solver.errors import SolveError
 from solver.rig.frames import SequenceFrame
 from solver.rig.gltf import (
     METRES,
     Buffer,
+    ShapeOptions,
     Solid,
     Tracks,
     animation,
@@ -28,16 +33,9 @@ from solver.rig.gltf import (
     write_face,
     write_morphed,
 )
-from solver.rig.skin_basis import (
-    SEQUENCE_BASIS,
-    Basis,
-    BasisOptions,
-    GrowingBasis,
-    Singles,
-    greatest_error,
-    normal_shapes,
-    span_skins,
-)
+from solver.rig.growing_basis import SEQUENCE_BASIS, GrowingBasis, GrowingOptions
+from solver.rig.read_back import MorphedSkin, between, compare_motion, read_glb
+from solver.rig.skin_basis import Basis, BasisOptions, Singles, normal_shapes, span_skins
 from solver.similarity import small_motion
 from solver.surface import Floats, Ints, Surface
 
@@ -73,15 +71,29 @@ class AnimationOptions:
     # small shapes are stored so many times as large at most, and their weights as much smaller:
     # whole numbers are as far apart in small shapes as in large ones
     most_stretch: float = 30.0
+    # what was left out, rounded and moved adds up: where a file is too far off, it is written again
+    # with these parts of the distances
+    parts: tuple[float, ...] = (1.0, 0.5, 0.25)
+
+    def closer(self, part: float) -> AnimationOptions:
+        """Return the options with so small a part of the distances."""
+        basis = replace(self.basis, within_mm=part * self.basis.within_mm)
+        return replace(self, basis=basis, keys_mm=part * self.keys_mm)
 
 
 @dataclass(frozen=True)
 class AnimatedGlb:
-    """Figures of what was written: ``shapes``, ``keys``, how far a vertex is off, at most, mm."""
+    """Figures of what was written, read back from the file.
+
+    They are numbers of ``shapes`` and ``keys``, and how far a ``vertex`` is off in a ``frame`` (its
+    position among all), at most, mm.
+    """
 
     shapes: int
     keys: int
     max_error_mm: float
+    frame: int
+    vertex: int
 
 
 def write_animation_glb(
@@ -96,8 +108,37 @@ def write_animation_glb(
     """Write ``skins`` (f, v, 3), mm in the head's frame, of the moments ``times`` (f,) in s.
 
     ``heads`` (f, 6) are rotation vectors in rad and shifts in mm, which the face's node carries;
-    ``solids`` have nodes beside it. Lengths in the file are in metres.
+    ``solids`` have nodes beside it. Lengths in the file are in metres. Raises
+    :class:`~solver.errors.SolveError` ``file.differs`` where what was written is too far off.
     """
+    for part in options.parts:
+        limits = options.closer(part)
+        shapes, keys = _write_animation(path, neutral, skins, heads, times, solids, limits)
+        try:
+            found = compare_motion(path, read_glb(path), range(len(times)), times, skins, heads)
+            for node, each in enumerate(solids, start=1):
+                still = np.broadcast_to(
+                    each.shape.vertices, (len(times), *each.shape.vertices.shape)
+                )
+                shown = read_glb(path, node)
+                compare_motion(path, shown, range(len(times)), times, still, each.places)
+            break
+        except SolveError:
+            if part == options.parts[-1]:
+                raise
+    return AnimatedGlb(shapes, keys, found["max_mm"], found["frame"], found["vertex"])
+
+
+def _write_animation(
+    path: Path,
+    neutral: Surface,
+    skins: Singles,
+    heads: Floats,
+    times: Floats,
+    solids: Sequence[Solid],
+    options: AnimationOptions,
+) -> tuple[int, int]:
+    """Write the file; returns the numbers of its shapes and its keys."""
     basis = span_skins(neutral, skins, options.basis)
     normals = normal_shapes(neutral, skins, basis, options.basis)
     stretch = np.clip(1.0 / np.maximum(_greatest(normals), 1e-9), 1.0, options.most_stretch)
@@ -129,9 +170,7 @@ def write_animation_glb(
 
     names = ["start", *(f"shape_{number}" for number in range(1, len(basis.shapes)))]
     write_morphed(path, neutral, names, targets, animate, extensions=[QUANTISATION], solids=solids)
-    shown = _between(rounded.weights[keys], times[keys], times)
-    error = greatest_error(neutral, skins, replace(rounded, weights=shown))
-    return AnimatedGlb(len(names), len(keys), error)
+    return len(names), len(keys)
 
 
 def _skin_error(basis: Basis, times: Floats) -> Error:
@@ -139,7 +178,7 @@ def _skin_error(basis: Basis, times: Floats) -> Error:
 
     def error(first: int, last: int, frames: Ints) -> Floats:
         ends = [first, last]
-        shown = _between(basis.weights[ends], times[ends], times[frames])
+        shown = between(times[ends], basis.weights[ends], times[frames])
         off = (shown - basis.weights[frames]).astype(np.float32)
         return np.array([_greatest((row @ shapes).reshape(-1, 3)) for row in off])
 
@@ -154,12 +193,12 @@ def _rigid_error(shape: Surface, places: Floats, times: Floats) -> Error:
 
     def error(first: int, last: int, frames: Ints) -> Floats:
         ends, now = times[[first, last]], times[frames]
-        shifts = _between(places[[first, last], 3:], ends, now) - places[frames, 3:]
+        shifts = between(ends, places[[first, last], 3:], now) - places[frames, 3:]
         quaternions = turns[[first, last]].as_quat()
         quaternions[1] *= np.copysign(1.0, quaternions[0] @ quaternions[1])
         # by glTF it turns steadily, Blender draws quaternions' entries as lines: both count
         steady = Slerp(ends, turns[[first, last]])(now)
-        straight = Rotation.from_quat(_between(quaternions, ends, now))
+        straight = Rotation.from_quat(between(ends, quaternions, now))
         apart = [
             way[number].apply(corners) - turns[frame].apply(corners) + shifts[number]
             for number, frame in enumerate(frames)
@@ -175,40 +214,45 @@ def _greatest(vectors: Singles) -> Floats:
     return np.asarray(np.linalg.norm(vectors, axis=-1).max(axis=-1), np.float64)
 
 
-def _between(values: Floats, keys: Floats, times: Floats) -> Floats:
-    """Return ``values`` (k, c) at ``keys`` (k,) at other ``times`` (f,), on straight lines."""
-    return np.array([np.interp(times, keys, column) for column in values.T]).T
+# a frame has many shapes at once: what each leaves out for a still vertex adds up
+SEQUENCE_SHAPES = ShapeOptions(still_mm=1e-4)
 
 
 class AnimatedSkin:
     """``sequence.glb``: takes the skins (v, 3), mm, of a fitted sequence's frames as they come.
 
     ``neutral`` is the skin at rest, ``frames`` lists those that were taken, and ``extent`` (2, 3)
-    has the least and the greatest coordinates of their skins, in the world.
+    has the least and the greatest coordinates of their skins, in the world. Skins lie in a file
+    without a name until what is written has been compared with them.
     """
 
-    def __init__(self, neutral: Surface, options: BasisOptions = SEQUENCE_BASIS) -> None:
+    def __init__(self, neutral: Surface, options: GrowingOptions = SEQUENCE_BASIS) -> None:
         self.neutral, self._basis = neutral, GrowingBasis(neutral, options)
         self.frames: list[SequenceFrame] = []
         self.extent = np.array([[np.inf] * 3, [-np.inf] * 3])
+        self._morphs: tuple[dict[str, Floats], Floats] | None = None
+        self._skins = TemporaryFile()  # noqa: SIM115
+        weakref.finalize(self, self._skins.close)
 
     def add(self, frame: SequenceFrame, skin: Floats) -> None:
         """Take a frame, fitted or not."""
         self._basis.add(skin)
+        self._skins.write(skin.astype(np.float32).tobytes())
+        self._morphs = None
         self.frames.append(frame)
         placed = small_motion(frame.head)(skin)
         self.extent[0] = np.minimum(self.extent[0], placed.min(axis=0))
         self.extent[1] = np.maximum(self.extent[1], placed.max(axis=0))
 
-    def write(self, path: Path, fps: float, first: int = 0) -> None:
+    def write(self, path: Path, fps: float, first: int = 0) -> dict[str, Any]:
         """Write the animation, in metres; a node carries the motion of the head.
 
         The frame with the number ``first`` is at 0 s. If neither face nor head moves, it is the
-        neutral.
+        neutral. Returns as :meth:`compare`.
         """
         shapes, table = self.morphs()
         times = np.array([(frame.frame - first) / fps for frame in self.frames])
-        heads = np.array([frame.head for frame in self.frames])
+        heads = self.heads
 
         def animate(buffer: Buffer, _count: int) -> gl.Animation | None:
             moved = {}
@@ -219,19 +263,40 @@ class AnimatedSkin:
                 moved |= rigid_tracks(buffer, times, heads)
             return animation("sequence", moved) if moved else None
 
-        write_face(path, self.neutral, shapes, animate)
+        write_face(path, self.neutral, shapes, animate, options=SEQUENCE_SHAPES)
+        return self.compare(path, read_glb(path), times)
+
+    def compare(self, path: Path, shown: MorphedSkin, times: Floats) -> dict[str, Any]:
+        """Return how far a file is off the skins, see :func:`~.read_back.compare_motion`.
+
+        The frames are in it at ``times`` (f,).
+        """
+        self._skins.flush()
+        shape = (len(self.frames), *self.neutral.vertices.shape)
+        skins = np.memmap(self._skins, np.float32, "r", shape=shape)
+        numbers = [frame.frame for frame in self.frames]
+        found = compare_motion(path, shown, numbers, times, skins, self.heads)
+        return {"shapes": len(shown.names), **found}
+
+    @property
+    def heads(self) -> Floats:
+        """Return the motion of the head (f, 6) in the frames, as they have it."""
+        return np.array([frame.head for frame in self.frames])
 
     def morphs(self) -> tuple[dict[str, Floats], Floats]:
         """Return shapes (v, 3), mm, by name, and their weights (f, s) in every frame.
 
         A shape that is needed both ways is two: animation tools hold weights between 0 and 1.
         """
-        weights = self._basis.weights
-        shapes, tracks = {}, [np.zeros((len(weights), 0))]
-        for number, (track, shape) in enumerate(zip(weights.T, self._basis.shapes, strict=True)):
-            for name, way in ((f"shape_{number}", 1.0), (f"shape_{number}_back", -1.0)):
-                one_way = np.maximum(way * track, 0.0)
-                if (most := one_way.max()) > 0.0:
-                    shapes[name] = self.neutral.vertices + (way * most * shape).reshape(-1, 3)
-                    tracks.append(one_way[:, None] / most)
-        return shapes, np.hstack(tracks)
+        if self._morphs is None:
+            turned, weights = self._basis.turned()
+            shapes, tracks = {}, [np.zeros((len(weights), 0))]
+            for number, (track, shape) in enumerate(zip(weights.T, turned, strict=True)):
+                for name, way in ((f"shape_{number}", 1.0), (f"shape_{number}_back", -1.0)):
+                    one_way = np.maximum(way * track, 0.0)
+                    if (most := one_way.max()) > 0.0:
+                        change = (way * most * shape).reshape(-1, 3)
+                        shapes[name] = self.neutral.vertices + change
+                        tracks.append(one_way[:, None] / most)
+            self._morphs = shapes, np.hstack(tracks)
+        return self._morphs

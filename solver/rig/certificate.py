@@ -15,17 +15,19 @@ from solver.anatomy.action_units import actions_of
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError
+from solver.fitting.contraction import Contraction
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry_information import Linearisation, MuscleInformation
-from solver.fitting.stretches import determinants, fibre_tensors, matrices
+from solver.fitting.stretches import determinants, matrices
 from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization
 from solver.model import SubjectModel
-from solver.rig.prime_movers import Movers, movers, ranked
+from solver.rig.prime_movers import Movers, Said, movers, ranked
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import round_trip
+from solver.rig.symmetry import asymmetry_mm
 from solver.surface import Floats, Ints
 
 # Muscles and jaw of a fit against those of a living face.
@@ -64,22 +66,38 @@ class Muscles:
         """Return which muscles (m,) have flesh enough to be judged."""
         return np.asarray(self.flesh_mm3 >= self.limits.least_flesh_mm3)
 
+    @property
+    def contraction(self) -> Floats:
+        """Return the contractions (m,) of :mod:`solver.fitting.contraction`."""
+        return 1.0 - self.fibres
+
     def faults(self, muscle: int) -> list[str]:
         """Return in plain words what a muscle does that muscles cannot do."""
+        return [each.words for each in self.said("", muscle)]
+
+    def said(self, name: str, muscle: int) -> list[Said]:
+        """Return what a muscle does that muscles cannot do, under its ``name``.
+
+        The amount is by how much a limit is passed, as a logarithm of the stretch or the volume.
+        """
         limits = self.limits
         if not self.judged[muscle]:
             return []
         least, most = self.shortest[muscle], self.longest[muscle]
         fibres, volume = self.fibres[muscle], self.volume[muscle]
         low, high = limits.volumes
-        faults = (
-            (least <= 0.0, "is turned inside out"),
-            (0.0 < least < limits.shortest, f"shrinks to {100 * least:.0f} % in one direction"),
-            (most > limits.longest, f"stretches to {100 * most:.0f} % in one direction"),
-            (fibres > limits.longest_fibre, f"pushes: its fibres lengthen to {100 * fibres:.0f} %"),
-            (least > 0.0 and not low <= volume <= high, f"has {100 * volume:.0f} % of its volume"),
+        if least <= 0.0:
+            shrunk, sized = (np.inf, "is turned inside out"), (0.0, "")
+        else:
+            shrunk = limits.shortest / least, f"shrinks to {100 * least:.0f} % in one direction"
+            sized = max(volume / high, low / volume), f"has {100 * volume:.0f} % of its volume"
+        passed = (
+            shrunk,
+            (most / limits.longest, f"stretches to {100 * most:.0f} % in one direction"),
+            (fibres / limits.longest_fibre, f"pushes: its fibres lengthen to {100 * fibres:.0f} %"),
+            sized,
         )
-        return [words for is_so, words in faults if is_so]
+        return [Said(name, words, float(np.log(by))) for by, words in passed if by > 1.0]
 
     @property
     def inside_out(self) -> Ints:
@@ -91,22 +109,10 @@ def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) ->
     """Return the figures of activations ``a`` (m, 6); ``volumes`` (n,) are the tets' at rest."""
     tensors = matrices(a)
     shortest, _, longest = np.asarray(np.linalg.eigvalsh(tensors), np.float64).T
-    fibres = np.einsum("jkl,jkl->j", fibre_tensors(model, volumes, S), tensors)
+    fibres = 1.0 - Contraction.of(model, volumes, S)(a)
     of_entries = S.data * np.repeat(volumes, np.diff(S.indptr))
     flesh = np.asarray(np.bincount(S.indices, of_entries, len(a) + 1)[1:], np.float64)
     return Muscles(shortest, longest, determinants(a), fibres, flesh)
-
-
-def contractions(model: SubjectModel, found: Muscles) -> dict[str, float]:
-    """Return whole muscle -> contraction, most first; of compartments the mean over their flesh."""
-    wholes = tuple(dict.fromkeys(model.muscle_groups))
-    group = np.array([wholes.index(name) for name in model.muscle_groups])
-    known = np.isfinite(found.fibres)
-    flesh = np.where(known, found.flesh_mm3, 0.0)
-    total = np.bincount(group, flesh, len(wholes))
-    stretch = np.bincount(group, flesh * np.where(known, found.fibres, 0.0), len(wholes))
-    fibres = np.divide(stretch, total, out=np.full(len(wholes), np.nan), where=total > 0.0)
-    return ranked(wholes, fibres, total >= found.limits.least_flesh_mm3)
 
 
 # from rest, in degrees and mm; see JAW_SOURCE
@@ -196,6 +202,7 @@ class ExpressionCheck:
 
     muscles: Muscles
     movers: Movers  # who contracts, by the actions that the expression's name speaks for
+    asymmetry_mm: float | None  # of the scan's motion; None where it shows nothing
     jaw: JawMotion
     flesh: FleshCheck | None  # None where the rig does not hold the tets
     crossing: Crossing | None  # of the fitted skin; None where the model names no lips
@@ -283,7 +290,12 @@ def _check(
     found = muscles(face.model, face.flesh.volumes, face.S, fit.activations)
     return ExpressionCheck(
         found,
-        movers(contractions(face.model, found), actions_of(fit.name)),
+        movers(
+            ranked(face.model.muscle_names, found.contraction, found.judged),
+            dict(zip(face.model.muscle_names, face.model.muscle_groups, strict=True)),
+            actions_of(fit.name),
+        ),
+        asymmetry_mm(face.model, np.where(np.isfinite(fit.error_mm)[:, None], fit.target, np.nan)),
         jaw_motion(face.model, FreeJaw(face.model.jaw).matrix(fit.jaw)),
         None if fit.x is None else check_flesh(face, a, fit.x, linear),
         None if mouth is None else crossing(mouth, fit.skin),

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from solver.errors import Verdict
+from solver.fitting.contraction import STILL
 from solver.mechanics.newton import NewtonOptions
 from solver.rig.certificate import Certificate
 from solver.rig.measures import Measure, measures
+from solver.rig.prime_movers import MoverOptions
 from solver.rig.rig import Rig
 
 ORDER: tuple[Verdict, ...] = ("good", "usable", "bad")
@@ -172,7 +174,25 @@ CHECKS = (
         CheckLimits(0, np.inf),
         "by the action units of its name, as FACS and anatomy texts have their muscles",
         "The skin is right, by other muscles than a living face takes for it: do not read these "
-        "activations as effort. See who contracts, with the expression.",
+        "activations as effort.",
+    ),
+    RigCheck(
+        "muscles.idle",
+        "Muscles of the expression that hold still",
+        CheckLimits(0, np.inf),
+        f"that its name calls for, and that contract by less than {100 * STILL.least:g} %",
+        "The skin is right, by other muscles than a living face takes for it, or the person made "
+        "it otherwise than the name says: look at the picture, give the capture the name of what "
+        "it shows, and do not read its activations as effort.",
+    ),
+    RigCheck(
+        "muscles.sides",
+        "Left against right",
+        CheckLimits(100.0 * MoverOptions.uneven, np.inf, "%"),
+        "how much more a muscle contracts than that of the other side, where the scan moves alike "
+        "on both",
+        "The scan gives no reason for it: read the mean of both sides. A fit_geometry with a "
+        "greater weight of symmetry keeps S alike on both.",
     ),
     RigCheck(
         "jaw.range",
@@ -252,15 +272,17 @@ CHECKS = (
         "Warnings",
         CheckLimits(0, np.inf),
         "what the solver noticed about scan, model or solve",
-        "Read them with the expression.",
+        "Each stands with its expression, under Warnings; docs/reference/errors.md says of its "
+        "code what to do.",
     ),
 )
 
 
+EFFORT = "not to be read as effort"
 # A check's code, or its beginning -> what a rig that fails it is not good for, but animation is
 SPOILED = {
-    "muscles": "single muscles are not to be read as effort",
-    "trip.activations": "single muscles are not to be read as effort",
+    "muscles": f"single muscles are {EFFORT}",
+    "trip.activations": f"single muscles are {EFFORT}",
     "jaw": "the jaw's angles are not to be measured",
     "flesh.volume": "masses and volumes are not to be taken from it",
     "flesh.flattest": "simulations are not to start from every expression",
@@ -304,25 +326,80 @@ def expression_verdict(judgements: Sequence[Judgement], expression: str) -> Verd
     return overall([each.of(expression) for each in judgements if expression in each.measures])
 
 
+@dataclass(frozen=True)
+class Limit:
+    """Something that a rig is not good for, and the worst reason: a check in an expression."""
+
+    words: str
+    code: str
+    expression: str
+
+
+def limits_of(judgements: Sequence[Judgement]) -> list[Limit]:
+    """Return what a rig is not good for besides animation, each with its worst reason."""
+    spoiling: dict[str, list[Judgement]] = {}
+    for each in judgements:
+        if each.verdict != "good" and each.spoils:
+            spoiling.setdefault(each.spoils, []).append(each)
+    return [_limit(spoiled, failed) for spoiled, failed in spoiling.items()]
+
+
+def _limit(spoiled: str, failed: Sequence[Judgement]) -> Limit:
+    """Return what failed checks spoil, by the worst of them in its worst expression."""
+    worst = max(failed, key=lambda each: ORDER.index(each.verdict))
+    found = {name: worst.measures[name].worst for name in worst.measures}
+    amounts = {
+        name: said.amount for name, said in found.items() if said and worst.of(name) != "good"
+    }
+    expression = max(amounts, key=lambda name: amounts[name], default=worst.worst)
+    muscles = [
+        (name, muscle)
+        for each in failed
+        for name, measure in each.measures.items()
+        if each.of(name) != "good"
+        for muscle in measure.muscles
+    ]
+    if count := len({muscle for _, muscle in muscles}):
+        spoiled = f"{'one muscle is' if count == 1 else f'{count} muscles are'} {EFFORT}"
+    among = "worst in" if len(set(muscles)) > 1 else "in"
+    reason = _reason(worst.check, worst.measures[expression])
+    return Limit(f"{spoiled} ({among} {expression}: {reason})", worst.check.code, expression)
+
+
+def _reason(check: RigCheck, found: Measure) -> str:
+    """Return the worst that a check found in an expression, in words."""
+    if found.worst is not None:
+        return str(found.worst)
+    if check.code == "jaw.range" or not np.isfinite(found.value):
+        return found.detail
+    figure = f" {found.value:.3g} {check.limits.unit}" if check.limits.unit else ""
+    return f"{check.title[0].lower()}{check.title[1:]}{figure}"
+
+
 def use(judgements: Sequence[Judgement], expressions: Sequence[str]) -> str:
-    """Say what a rig is good for, and what not."""
+    """Say what a rig is good for, and what not, as :func:`ready` and :func:`limits_of`."""
+    words = [ready(judgements, expressions), *(each.words for each in limits_of(judgements))]
+    return f"{'; '.join(words)}."
+
+
+def ready(judgements: Sequence[Judgement], expressions: Sequence[str]) -> str:
+    """Say whether a rig is ready for animation, and which expressions are not."""
     failed = [each for each in judgements if each.verdict != "good"]
     if not failed:
-        return "Ready for animation and simulation: all checks are good."
+        return "Ready for animation and simulation: all checks are good"
     shown = [each for each in failed if not each.spoils]
     bad = [
         name
         for name in expressions
         if any(name in each.measures and each.of(name) == "bad" for each in shown)
     ]
-    is_spoiled = any(each.spoils and each.verdict == "bad" for each in failed)
-    ready = "To be used for animation alone" if is_spoiled else "Ready for animation"
-    if bad:
-        ready += f"{',' if is_spoiled else ''} without {', '.join(bad)}"
     if bad and len(bad) == len(expressions):
-        ready = "Not ready for animation, since every expression fails a check"
-    spoiled = dict.fromkeys(each.spoils for each in failed if each.spoils)
-    return f"{'; '.join([ready, *spoiled])}. What to do says more."
+        return "Not ready for animation, since every expression fails a check"
+    is_spoiled = any(each.spoils and each.verdict == "bad" for each in failed)
+    words = "To be used for animation alone" if is_spoiled else "Ready for animation"
+    if bad:
+        words += f"{',' if is_spoiled else ''} without {', '.join(bad)}"
+    return words
 
 
 def judge(rig: Rig, certificate: Certificate) -> list[Judgement]:

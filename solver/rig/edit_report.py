@@ -17,7 +17,8 @@ from solver.edits.edit import Edited, Replayed
 from solver.model import SubjectModel
 from solver.rig.gltf import in_turn, write_face
 from solver.rig.pictures import SIDE, THREE_QUARTER, face_camera
-from solver.storage import csr_arrays, write_json
+from solver.rig.read_back import NEUTRAL, compare_expressions, read_glb
+from solver.storage import csr_arrays, read_arrays, write_json
 from solver.surface import Floats, vertex_areas, vertex_normals
 
 FORMAT = 1  # of edit.json and edit.npz
@@ -87,11 +88,11 @@ def edit_report(person: EditedPerson) -> dict[str, Any]:
 def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[Path]:
     """Write ``edit.json``, ``edit.npz`` and ``edit.glb`` and return their paths.
 
-    The GLB is the edited person at rest; its morph targets are the person before the edits and
-    every expression after them. The NPZ has them all, and what the edits came to.
+    The report gets ``files``: how far both, read back, are off the skins. The GLB is the edited
+    person at rest; its morph targets are the person before the edits and every expression after
+    them. The NPZ has them all, and what the edits came to.
     """
     files = [out / "edit.json", out / "edit.npz", out / "edit.glb"]
-    write_json(files[0], report)
     edited = person.edited
     reached = [(each.name, each.after) for each in person.expressions if each.after is not None]
     poses = [person.after, *(after for _, after in reached)]
@@ -110,6 +111,16 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
     )
     shapes = {"unedited": person.before.skin, **{name: after.skin for name, after in reached}}
     write_face(files[2], edited.model.skin.moved(person.after.skin), shapes, in_turn)
+    stored = read_arrays(files[1])
+    packed = dict(zip(stored["names"].tolist(), stored["skin"], strict=True))
+    skins = {NEUTRAL: person.after.skin, **{name: after.skin for name, after in reached}}
+    measured = {
+        files[1].name: compare_expressions(files[1], packed, skins),
+        files[2].name: compare_expressions(
+            files[2], read_glb(files[2]).expressions(), {NEUTRAL: person.after.skin, **shapes}
+        ),
+    }
+    write_json(files[0], {**report, "files": measured})
     return files
 
 

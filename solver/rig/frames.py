@@ -20,13 +20,18 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 import numpy as np
 
 from solver.errors import InputError
+from solver.fitting.contraction import Contraction
 from solver.mechanics.boundary import JAW_FREEDOM
+from solver.rig.container import write_container
+from solver.rig.read_back import compare_activations
 from solver.rig.rig import ENTRIES
 from solver.storage import write_json
 from solver.surface import Floats
 
 FORMAT = 1  # of files of frames, of reports and of sequence.npz; 2 has what markers add
 FRAMES = "frames"  # name of the folder
+CONTRACTIONS = "contractions.bin"  # what the page moves its sliders by
+TABLE_DECIMALS = 6  # of activations.csv
 
 
 @dataclass(frozen=True)
@@ -208,6 +213,7 @@ class MarkerFrame(SequenceFrame):
     marker_state: tuple[str, ...]  # (k,) seen, missing, outlier, swapped or relabelled
     sd: Floats  # (q,) standard deviations
     information: Floats  # (q,) in [0, 1]: part of the variance that this frame takes away
+    contraction_sd: Floats  # (m,) of the contractions, NaN without fibres; (0,) of fibre muscles
     held: Floats  # (m,) 1 where the frame tells too little of a muscle
     tracks: Floats  # (3,) of a jaw on its tracks, (0,) of a free one
     mandible: Floats  # (4, 4) its motion in the head's frame: x -> R x + t, mm
@@ -215,13 +221,17 @@ class MarkerFrame(SequenceFrame):
     FORMAT: ClassVar[int] = 2
     ARRAYS: ClassVar[tuple[str, ...]] = (
         *FrameRecord.ARRAYS,
-        *("marker_mm", "marker_weight", "sd", "information", "held", "tracks", "mandible"),
+        *("marker_mm", "marker_weight", "sd", "information", "contraction_sd", "held"),
+        *("tracks", "mandible"),
     )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the frame as JSON values, null where a marker was not seen."""
-        off = [None if np.isnan(each) else each for each in self.marker_mm.tolist()]
-        return super().as_dict() | {"marker_mm": off, "marker_state": list(self.marker_state)}
+        """Return the frame as JSON values, null where a marker was not seen or nothing is known."""
+        known = {
+            name: [None if np.isnan(each) else each for each in getattr(self, name).tolist()]
+            for name in ("marker_mm", "contraction_sd")
+        }
+        return super().as_dict() | known | {"marker_state": list(self.marker_state)}
 
 
 def read_frames(folder: Path, muscles: int) -> list[SequenceFrame]:
@@ -238,11 +248,15 @@ def write_sequence(
     muscles: Sequence[str],
     fps: float,
     report: dict[str, Any],
+    contraction: Contraction | None = None,
     first: int = 0,
 ) -> list[Path]:
     """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths.
 
-    The frame with the number ``first`` is at 0 s.
+    With ``contraction``, that of blended muscles, there is ``contractions.bin``, too. The frame
+    with the number ``first`` is at 0 s. ``report``, which has the ``files`` that were compared,
+    gets these: how far their activations are off, read back. Raises
+    :class:`~solver.errors.SolveError` (``file.differs``).
     """
     files = [out / "sequence.npz", out / "activations.csv", out / "sequence.json"]
     kinds: dict[str, Any] = dict.fromkeys(("frame", "inverted", "iterations"), np.int64)
@@ -260,9 +274,25 @@ def write_sequence(
         "fps": fps,
         "time": (arrays["frame"] - first) / fps,
     }
+    if contraction is not None:
+        arrays["contraction"] = contraction(arrays["activations"])
+        files.append(out / CONTRACTIONS)
+        found = {name: arrays[name].astype(np.float32) for name in ("contraction", "jaw")}
+        write_container(files[-1], {"muscles": list(muscles)}, found)
     np.savez_compressed(files[0], allow_pickle=False, **arrays)
-    _write_table(files[1], frames, muscles, arrays["time"])
-    write_json(files[2], report)
+    columns = _columns(muscles, arrays)
+    _write_table(files[1], frames, arrays, columns)
+    wanted = arrays["activations"].reshape(len(frames), -1)
+    with np.load(files[0], allow_pickle=False) as stored:
+        packed = stored["activations"].reshape(len(frames), -1)
+    entries = _entries(muscles, arrays)
+    with files[1].open(newline="", encoding="utf-8") as stream:
+        table = np.array([[float(row[e]) for e in entries] for row in csv.DictReader(stream)])
+    compared = {
+        files[0].name: compare_activations(files[0], packed, wanted, 0.0),
+        files[1].name: compare_activations(files[1], table, wanted, 10.0**-TABLE_DECIMALS),
+    }
+    write_json(files[2], {**report, "files": {**report.get("files", {}), **compared}})
     return files
 
 
@@ -297,28 +327,60 @@ def _round(statistic: Any, values: Sequence[float]) -> float | None:
     return round(float(statistic(values)), 4) if values else None
 
 
-def _write_table(
-    path: Path, frames: Sequence[SequenceFrame], muscles: Sequence[str], times: Floats
-) -> None:
+def _entries(muscles: Sequence[str], arrays: Mapping[str, Any]) -> list[str]:
+    """Return the names of the table's columns of activations."""
+    if arrays["activations"].ndim == 2:
+        return [*muscles]
+    return [f"{name}.{entry}" for name in muscles for entry in ENTRIES]
+
+
+def _columns(muscles: Sequence[str], arrays: Mapping[str, Any]) -> dict[str, Floats]:
+    """Return the table's columns (f,) of numbers by their names: what tells who pulls comes first.
+
+    That is a muscle's contraction, or the activation of a fibre muscle; NaN where it is not known.
+    """
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
     head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]
-    entries = [f"{muscle}.{entry}" for muscle in muscles for entry in ENTRIES]
-    if frames[0].activations.ndim == 1:
-        entries = list(muscles)
-    spread = []
-    if isinstance(frames[0], MarkerFrame):
+    activations, is_fibre = arrays["activations"], arrays["activations"].ndim == 2
+    controls = _named(_entries(muscles, arrays), activations.reshape(len(activations), -1))
+    spread: dict[str, Floats] = {}
+    if "sd" in arrays:
         on_tracks = [f"tracks.{name}" for name in ("opening", "left", "right")]
-        names = [*entries, *(on_tracks if frames[0].tracks.size else jaw)]
-        spread = [f"{name}.sd" for name in names]
+        names = [*controls, *(on_tracks if arrays["tracks"].size else jaw)]
+        spread = _named(_spread_of(names), arrays["sd"])
+    first = {}
+    if is_fibre:
+        first = controls | {name: spread[name] for name in _spread_of(muscles) if name in spread}
+    elif "contraction" in arrays:
+        own = [f"{name}.contraction" for name in muscles]
+        first = _named(own, arrays["contraction"])
+        if spread:
+            first |= _named(_spread_of(own), arrays["contraction_sd"])
+    placed = _named(jaw, arrays["jaw"]) | _named(head, arrays["head"])
+    return first | placed | controls | spread
+
+
+def _named(names: Sequence[str], values: Floats) -> dict[str, Floats]:
+    return dict(zip(names, values.T, strict=True))
+
+
+def _spread_of(names: Sequence[str]) -> list[str]:
+    return [f"{name}.sd" for name in names]
+
+
+def _write_table(
+    path: Path,
+    frames: Sequence[SequenceFrame],
+    arrays: Mapping[str, Any],
+    columns: Mapping[str, Floats],
+) -> None:
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
-        rows.writerow(["frame", "time", "status", "mean_mm", *jaw, *head, *entries, *spread])
-        for frame, time in zip(frames, times, strict=True):
-            values = [*frame.jaw, *frame.head, *frame.activations.ravel()]
-            if isinstance(frame, MarkerFrame):
-                values += frame.sd.tolist()
+        rows.writerow(["frame", "time", "status", "mean_mm", *columns])
+        values = np.array([*columns.values()]).T
+        for frame, time, row in zip(frames, arrays["time"], values, strict=True):
             error = "" if frame.mean_mm is None else f"{frame.mean_mm:.4f}"
             rows.writerow(
                 [frame.frame, f"{time:.4f}", frame.status, error]
-                + [f"{value:.6f}" for value in values]
+                + ["" if np.isnan(value) else f"{value:.{TABLE_DECIMALS}f}" for value in row]
             )

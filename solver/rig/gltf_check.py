@@ -1,4 +1,4 @@
-"""Structural checks of a ``rig.glb``, for places without the Khronos validator."""
+"""Reading of GLB files, and structural checks for places without the Khronos validator."""
 
 from __future__ import annotations
 
@@ -21,20 +21,29 @@ def validate_glb(path: Path, names: list[str]) -> list[str]:
     Checked are the container, every accessor (bounds of memory, finite values, min and max), the
     triangles' indices, the morph targets ``names`` in order, and the animation of their weights.
     """
-    content = path.read_bytes()
-    if content[:4] != b"glTF" or len(content) < 20:
-        return ["not a binary glTF file"]
-    if int.from_bytes(content[8:12], "little") != len(content):
-        return ["the header's length is not the file's"]
-    end = 20 + int.from_bytes(content[12:16], "little")
     try:
-        return list(_faults(json.loads(content[20:end]), content[end + 8 :], names))
+        document, binary = split_glb(path)
+    except ValueError as error:
+        return [str(error)]
+    try:
+        return list(_faults(document, binary, names))
     except (KeyError, IndexError, TypeError, ValueError) as error:
         return [f"the description does not fit the data: {error!r}"]
 
 
-def _faults(document: dict[str, Any], binary: bytes, names: list[str]) -> Iterator[str]:
-    values = [_values(document, binary, accessor) for accessor in document["accessors"]]
+def split_glb(path: Path) -> tuple[dict[str, Any], memoryview]:
+    """Return the description and the binary of a file; raises :class:`ValueError` if it is none."""
+    content = path.read_bytes()
+    if content[:4] != b"glTF" or len(content) < 20:
+        raise ValueError("not a binary glTF file")
+    if int.from_bytes(content[8:12], "little") != len(content):
+        raise ValueError("the header's length is not the file's")
+    end = 20 + int.from_bytes(content[12:16], "little")
+    return json.loads(content[20:end]), memoryview(content)[end + 8 :]
+
+
+def _faults(document: dict[str, Any], binary: memoryview, names: list[str]) -> Iterator[str]:
+    values = [accessor_values(document, binary, accessor) for accessor in document["accessors"]]
     for number, (accessor, table) in enumerate(zip(document["accessors"], values, strict=True)):
         if not np.isfinite(table).all():
             yield f"accessor {number} holds what is not finite"
@@ -66,8 +75,10 @@ def _faults(document: dict[str, Any], binary: bytes, names: list[str]) -> Iterat
                 yield "the animation does not set every value at every time"
 
 
-def _values(document: dict[str, Any], binary: bytes, accessor: dict[str, Any]) -> np.ndarray:
-    """Return an accessor's table, its sparse values put in."""
+def accessor_values(
+    document: dict[str, Any], binary: memoryview, accessor: dict[str, Any]
+) -> np.ndarray:
+    """Return an accessor's table as it is stored, its sparse values put in."""
 
     def read(view: int, kind: str, *shape: int) -> np.ndarray:
         place = document["bufferViews"][view]

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from solver.rig.container import write_container
+from solver.rig.container import read_container, write_container
 from solver.rig.frames import MarkerFrame
+from solver.rig.read_back import Comparison
 from solver.similarity import small_motion
 from solver.surface import Floats
 
@@ -39,8 +41,8 @@ class MarkerView:
         self._off.append(back(seen) - places)
         self._frames.append(frame)
 
-    def write(self, path: Path, fps: float) -> None:
-        """Write the file."""
+    def write(self, path: Path, fps: float) -> dict[str, Any]:
+        """Write the file; returns how far its places, read back, are off, by frame and marker."""
         states = np.array([[STATES.index(each) for each in f.marker_state] for f in self._frames])
         header = {
             "labels": self._labels,
@@ -57,3 +59,8 @@ class MarkerView:
             "held": np.array([frame.held for frame in self._frames]).astype(np.uint8),
         }
         write_container(path, header, arrays)
+        found = Comparison(path.name)
+        stored = read_container(path).arrays["places"]
+        for frame, shown, wanted in zip(self._frames, stored, self._places, strict=True):
+            found.add(frame.frame, shown, wanted)
+        return found.figures()

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,17 +13,24 @@ import numpy as np
 from solver.contact.crossing import Crossing
 from solver.model import SubjectModel
 from solver.rig.certificate import ExpressionCheck, FleshCheck
+from solver.rig.prime_movers import MoverOptions, Said
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
+from solver.rig.symmetry import SYMMETRY
 from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A check's figure for one expression, with ``detail`` in words where there is more to say."""
+    """A check's figure for one expression, with ``detail`` in words where there is more to say.
+
+    ``worst`` is the worst of the ``muscles`` that a check of muscles finds fault with.
+    """
 
     value: float
     detail: str = ""
+    worst: Said | None = None
+    muscles: tuple[str, ...] = ()
 
 
 def measured_regions(model: SubjectModel, fit: ExpressionFit) -> dict[str, tuple[Ints, Floats]]:
@@ -73,23 +81,50 @@ def _flesh(fit: ExpressionFit, flesh: FleshCheck | None) -> dict[str, Measure]:
 
 
 def _muscles_and_jaw(model: SubjectModel, check: ExpressionCheck) -> dict[str, Measure]:
-    names = model.muscle_names
-    faults = [
-        f"{name} {', '.join(faults)}"
-        for number, name in enumerate(names)
-        if (faults := check.muscles.faults(number))
-    ]
-    movers = check.movers.contradictions()
-    inside_out = [names[muscle] for muscle in check.muscles.inside_out]
-    return {
-        code: Measure(len(found), between.join(found))
-        for code, found, between in (
-            ("muscles.inside_out", inside_out, ", "),
-            ("muscles.beyond", faults, "; "),
-            ("muscles.movers", movers, "; "),
-            ("jaw.range", check.jaw.faults(), ", "),
-        )
+    names, movers = model.muscle_names, check.movers
+    faults = [said for j, name in enumerate(names) if (said := check.muscles.said(name, j))]
+    inside_out = tuple(names[muscle] for muscle in check.muscles.inside_out)
+    worst = Said(inside_out[0], "is turned inside out", np.inf) if inside_out else None
+    jaw = check.jaw.faults()
+    found = {
+        "muscles.inside_out": Measure(len(inside_out), ", ".join(inside_out), worst, inside_out),
+        "muscles.beyond": _count(faults),
+        "muscles.movers": _count([[each] for each in movers.contradictions()]),
+        "muscles.idle": _count([[each] for each in movers.idle()]),
+        "jaw.range": Measure(len(jaw), ", ".join(jaw)),
     }
+    if _is_symmetric(check):
+        found["muscles.sides"] = _sides(movers.uneven(), uneven_sides(check))
+    return found
+
+
+def _is_symmetric(check: ExpressionCheck) -> bool:
+    return check.asymmetry_mm is not None and check.asymmetry_mm <= SYMMETRY.most_mm
+
+
+def uneven_sides(check: ExpressionCheck, most: float = MoverOptions.uneven) -> list[Said]:
+    """Return the muscles that contract more than the other side's, where the scan is symmetric."""
+    uneven = check.movers.uneven() if _is_symmetric(check) else []
+    return [each for each in uneven if each.amount > most]
+
+
+def _count(found: Sequence[Sequence[Said]]) -> Measure:
+    """Return how many muscles something is said about; each entry has all of one muscle."""
+    words = [", ".join([str(said[0]), *(each.words for each in said[1:])]) for said in found]
+    every = [each for said in found for each in said]
+    worst = max(every, key=lambda each: each.amount, default=None)
+    muscles = tuple(dict.fromkeys(each.muscle for each in every))
+    return Measure(len(found), "; ".join(words), worst, muscles)
+
+
+def _sides(uneven: Sequence[Said], beyond: Sequence[Said]) -> Measure:
+    """Return the greatest difference of both sides, in percent, and what is beyond the limit."""
+    if not uneven:
+        return Measure(0.0)
+    words = "; ".join(map(str, beyond or uneven[:1]))
+    return Measure(
+        100.0 * uneven[0].amount, words, uneven[0], tuple(each.muscle for each in beyond)
+    )
 
 
 def _contact(fitted: Crossing | None, scan: Crossing | None) -> dict[str, Measure]:

@@ -19,7 +19,7 @@ from solver.errors import Finding, make_warning
 from solver.fitting.face import Face
 from solver.mechanics.boundary import FreeJaw
 from solver.model import SubjectModel
-from solver.rig.certificate import contractions, jaw_motion, muscles
+from solver.rig.certificate import jaw_motion, muscles
 from solver.rig.prime_movers import is_one_of
 from solver.rig.rig import ExpressionFit
 
@@ -86,15 +86,14 @@ def _find_smile(
     face: Face, fits: Sequence[ExpressionFit], options: NeutralOptions
 ) -> list[Finding]:
     """Find a unit whose muscles lengthen in most expressions and contract in none."""
-    unit, found = action_units()[options.unit], {}
+    unit, found, model = action_units()[options.unit], {}, face.model
+    of_unit = np.array([is_one_of(whole, unit.muscles) for whole in model.muscle_groups])
     for fit in fits:
-        each = contractions(
-            face.model, muscles(face.model, face.flesh.volumes, face.S, fit.activations)
-        )
-        mine = [by for name, by in each.items() if is_one_of(name, unit.muscles)]
-        if not mine:
+        each = muscles(model, face.flesh.volumes, face.S, fit.activations)
+        mine = each.contraction[of_unit & each.judged & np.isfinite(each.contraction)]
+        if not len(mine):
             return []
-        found[fit.name] = float(np.mean(mine))
+        found[fit.name] = float(mine.mean())
     names = [name for name, by in found.items() if by <= -options.lengthened]
     if max(found.values()) > options.contracted or len(names) < options.most * len(fits):
         return []

@@ -1,10 +1,11 @@
 """Prime movers: the muscles that contract in an expression, against those that literature names.
 
-A muscle's contraction is 1 - the mean stretch of its fibres: positive where it shortens. An action
-unit of the expression is judged on its side of the face, with the muscles of that side and of the
-middle: the first of its muscles should be among the few that contract most, apart from those that
-other units of the expression call for. A muscle of the unit that lengthens contradicts it, and so
-does an antagonist that contracts more than its muscles do.
+A muscle's contraction is that of :mod:`solver.fitting.contraction`; a whole one counts by the
+compartment that contracts most. An action unit of the expression is judged on its side of the face,
+with the muscles of that side and of the middle: the first of its muscles should be among the few
+that contract most, apart from those that other units of the expression call for. A unit none of
+whose muscles contracts is not what the expression's name says. A muscle of the unit that lengthens
+contradicts it, and so does an antagonist that contracts more than its muscles do.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.anatomy.action_units import Action, template_names
-from solver.drawing.head import both_sides, muscle_side
+from solver.drawing.head import both_sides, muscle_side, other_side
+from solver.fitting.contraction import STILL
 from solver.surface import Floats
 
 
@@ -24,18 +26,21 @@ from solver.surface import Floats
 class MoverOptions:
     """What counts as contracting, and as a prime mover."""
 
-    least: float = 0.02  # contraction below it counts as rest
-    contrary: float = 0.05  # lengthening, or an antagonist's contraction, that contradicts
+    least: float = STILL.least  # contraction below it counts as rest
+    lengthened: float = STILL.lengthened  # lengthening from which it contradicts
+    opposed: float = 0.05  # contraction of an antagonist that contradicts
     places: int = 3  # a prime mover is among so many that contract most
+    uneven: float = 0.1  # difference of both sides that a scan alike on both does not speak for
 
 
 @dataclass(frozen=True)
 class ActionCheck:
-    """An action's muscles in one expression; muscles have the template's names.
+    """An action's muscles in one expression.
 
-    ``rank`` is the place of the first of ``muscles`` among those that contract, from 1; None where
-    none of them contracts, and where the template has none of them (``muscles`` is empty then, and
-    the action is not judged).
+    Muscles have the template's names; one of several compartments is named by that which contracts
+    most. ``rank`` is the place of the first of ``muscles`` among those that contract, from 1; None
+    where none of them contracts, and where the template has none of them (``muscles`` is empty
+    then, and the action is not judged).
     """
 
     action: Action
@@ -43,6 +48,7 @@ class ActionCheck:
     missing: tuple[str, ...]  # muscles of the unit that the template lacks
     rank: int | None
     ahead: tuple[str, ...]  # that contract more than the first of ``muscles``, strongest first
+    idle: tuple[str, ...]  # ``muscles``, where all hold still and only they make the unit
     lengthened: tuple[str, ...]  # of ``muscles``
     opposed: tuple[str, ...]  # antagonists that contract, and more than ``muscles`` do
     places: int
@@ -59,45 +65,93 @@ class ActionCheck:
 
 
 @dataclass(frozen=True)
+class Said:
+    """Something odd about a muscle: its name, what it does in words, and how much of it."""
+
+    muscle: str
+    words: str
+    amount: float
+
+    def __str__(self) -> str:
+        """Return all of it in words."""
+        return f"{self.muscle} {self.words}"
+
+
+@dataclass(frozen=True)
 class Movers:
-    """Who contracts in an expression (muscle -> contraction, most first), and its actions."""
+    """Who contracts in an expression, and its actions.
+
+    ``contractions`` are muscle or compartment -> contraction, most first, and ``wholes`` the muscle
+    that each is a compartment of, or itself.
+    """
 
     contractions: dict[str, float]
+    wholes: dict[str, str]
     actions: tuple[ActionCheck, ...]
 
-    def contradictions(self) -> list[str]:
-        """Return in words what contradicts the literature."""
-        words = []
+    def contradictions(self) -> list[Said]:
+        """Return what contradicts the literature."""
+        found = []
         for check in self.actions:
             code = check.action.unit.code
             for muscle in check.lengthened:
-                percent = -100.0 * self.contractions[muscle]
-                words.append(f"{muscle} lengthens by {percent:.0f} %, which makes {code}")
+                by = -self.contractions[muscle]
+                words = f"lengthens by {100.0 * by:.0f} %, which makes {code}"
+                found.append(Said(muscle, words, by))
             for muscle in check.opposed:
-                percent = 100.0 * self.contractions[muscle]
-                words.append(f"{muscle} contracts by {percent:.0f} %, against {code}")
-        return list(dict.fromkeys(words))
+                by = self.contractions[muscle]
+                words = f"contracts by {100.0 * by:.0f} %, against {code}"
+                found.append(Said(muscle, words, by))
+        return list(dict.fromkeys(found))
+
+    def idle(self) -> list[Said]:
+        """Return the muscles that should make an action, and hold still."""
+        found = []
+        for check in self.actions:
+            for muscle in check.idle:
+                by = max(self.contractions[muscle], 0.0)
+                unit = check.action.unit
+                words = f"does not contract ({100.0 * by:.0f} %), which makes {unit.code}"
+                found.append(Said(self.wholes[muscle], f"{words}, {unit.name}", -by))
+        return list(dict.fromkeys(found))
+
+    def uneven(self) -> list[Said]:
+        """Return the muscles that contract more than their partners do, the most uneven first."""
+        found = []
+        for muscle, by in self.contractions.items():
+            partner = other_side(muscle)
+            less = max(self.contractions.get(partner, by), 0.0)
+            if by > less:
+                words = f"contracts by {100.0 * by:.0f} %, {partner} by {100.0 * less:.0f} %"
+                found.append(Said(muscle, words, by - less))
+        return sorted(found, key=lambda each: -each.amount)
 
 
 def movers(
     contractions: Mapping[str, float],
+    wholes: Mapping[str, str],
     actions: Iterable[Action],
     options: MoverOptions = MoverOptions(),
 ) -> Movers:
     """Judge the ``actions`` of an expression by the ``contractions`` of :func:`ranked`."""
     actions = tuple(actions)
+    strongest: dict[str, tuple[str, float]] = {}
+    for name, by in contractions.items():
+        strongest.setdefault(wholes[name], (name, by))
     return Movers(
         dict(contractions),
-        tuple(_check(contractions, action, actions, options) for action in actions),
+        {name: wholes[name] for name in contractions},
+        tuple(_check(strongest, action, actions, options) for action in actions),
     )
 
 
-def ranked(names: Sequence[str], fibres: Floats, judged: NDArray[np.bool_]) -> dict[str, float]:
-    """Return muscle -> contraction, most first; ``fibres`` (m,) are mean stretches.
+def ranked(
+    names: Sequence[str], contraction: Floats, judged: NDArray[np.bool_]
+) -> dict[str, float]:
+    """Return muscle or compartment -> ``contraction`` (m,), most first.
 
     Muscles that are not ``judged`` (m,) are left out, and those without fibres (NaN).
     """
-    contraction = 1.0 - fibres
     order = np.argsort(-contraction, kind="stable")
     return {
         names[j]: float(contraction[j]) for j in order if judged[j] and np.isfinite(contraction[j])
@@ -105,40 +159,48 @@ def ranked(names: Sequence[str], fibres: Floats, judged: NDArray[np.bool_]) -> d
 
 
 def _check(
-    contractions: Mapping[str, float],
+    strongest: Mapping[str, tuple[str, float]],
     action: Action,
     actions: tuple[Action, ...],
     options: MoverOptions,
 ) -> ActionCheck:
+    """Judge an action by whole muscle -> its strongest compartment and that one's contraction."""
     unit = action.unit
-    near = [name for name in contractions if muscle_side(name) in (action.side, "")]
-    mine = [name for name in near if is_one_of(name, unit.muscles)]
+    near = {
+        whole: each for whole, each in strongest.items() if muscle_side(whole) in (action.side, "")
+    }
+    mine = [each for whole, each in near.items() if is_one_of(whole, unit.muscles)]
     called = [muscle for unit, side in actions if side == action.side for muscle in unit.muscles]
-    most = max((contractions[name] for name in mine), default=0.0)
-    ahead = [
-        name
-        for name in near
-        if contractions[name] > max(most, options.least) and not is_one_of(name, called)
-    ]
+    most = max((by for _, by in mine), default=0.0)
+    ahead = {
+        whole: each
+        for whole, each in near.items()
+        if each[1] > max(most, options.least) and not is_one_of(whole, called)
+    }
+    lengthened = tuple(name for name, by in mine if by <= -options.lengthened)
+    holds = most < options.least and not lengthened and not unit.by_relaxing
     return ActionCheck(
         action,
-        muscles=tuple(mine),
+        muscles=tuple(name for name, _ in mine),
         missing=tuple(
-            muscle for muscle in unit.muscles if not any(is_one_of(name, [muscle]) for name in near)
+            muscle
+            for muscle in unit.muscles
+            if not any(is_one_of(whole, [muscle]) for whole in near)
         ),
         rank=len(ahead) + 1 if most >= options.least else None,
-        ahead=tuple(ahead),
-        lengthened=tuple(name for name in mine if contractions[name] <= -options.contrary),
+        ahead=tuple(name for name, _ in ahead.values()),
+        idle=tuple(name for name, _ in mine) if holds else (),
+        lengthened=lengthened,
         opposed=tuple(
             name
-            for name in ahead
-            if contractions[name] >= options.contrary and is_one_of(name, unit.antagonists)
+            for whole, (name, by) in ahead.items()
+            if by >= options.opposed and is_one_of(whole, unit.antagonists)
         ),
         places=options.places,
     )
 
 
-def is_one_of(name: str, muscles: Iterable[str]) -> bool:
-    """Whether a template's muscle is one of ``muscles`` of anatomy texts."""
-    bare = both_sides(name).lower()
+def is_one_of(whole: str, muscles: Iterable[str]) -> bool:
+    """Whether a template's whole muscle is one of ``muscles`` of anatomy texts."""
+    bare = both_sides(whole).lower()
     return any(bare in template_names(muscle) for muscle in muscles)

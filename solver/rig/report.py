@@ -16,9 +16,9 @@ from solver.errors import Verdict
 from solver.fitting.geometry_information import MuscleInformation
 from solver.model import SubjectModel
 from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, JawMotion, Muscles
-from solver.rig.checks import Judgement, expression_verdict, judge, overall, use
-from solver.rig.measures import measured_regions
-from solver.rig.prime_movers import ActionCheck, Movers
+from solver.rig.checks import Judgement, expression_verdict, judge, limits_of, overall, ready, use
+from solver.rig.measures import measured_regions, uneven_sides
+from solver.rig.prime_movers import ActionCheck
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats
@@ -50,6 +50,8 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
     return {
         "verdict": verdict,
         "use": use(judgements, list(expressions)),
+        "ready": ready(judgements, list(expressions)),
+        "limits": [asdict(limit) for limit in limits_of(judgements)],
         "checks": [_judgement(judgement, certificate.settings) for judgement in judgements],
         "expressions": expressions,
         "information": found and information_figures(model, found),
@@ -94,6 +96,7 @@ def _judgement(judgement: Judgement, settings: dict[str, Any]) -> dict[str, Any]
         "least": limits.least,
         "worst": judgement.worst,
         "detail": worst.detail,
+        "says": str(worst.worst or worst.detail),
         "failed": [name for name in judgement.measures if judgement.of(name) != "good"],
         "meaning": check.meaning,
         "advice": check.advise(settings),
@@ -130,7 +133,8 @@ def _expression(
         "scan_crossing": _crossing(check.scan_crossing),
         "jaw_motion": {**_plain_fields(check.jaw), "faults": check.jaw.faults()},
         "muscles": _muscles(model, check.muscles),
-        "movers": _movers(check.movers),
+        "movers": _movers(check),
+        "asymmetry_mm": None if check.asymmetry_mm is None else _round(check.asymmetry_mm),
         "round_trip": trip and {"reached": trip.is_reached, **_plain_fields(trip)},
     }
 
@@ -159,19 +163,21 @@ def _muscles(model: SubjectModel, found: Muscles) -> dict[str, dict[str, Any]]:
     }
 
 
-def _movers(found: Movers) -> dict[str, Any]:
+def _movers(check: ExpressionCheck) -> dict[str, Any]:
+    found = check.movers
     return {
         "contractions": [
             {"muscle": name, "contraction": _round(each)}
             for name, each in found.contractions.items()
         ],
         "actions": [_action(check) for check in found.actions],
-        "contradictions": found.contradictions(),
+        "contradictions": [str(each) for each in found.contradictions()],
+        "uneven": [str(each) for each in uneven_sides(check)],
     }
 
 
 def _action(check: ActionCheck) -> dict[str, Any]:
-    lists = ("muscles", "missing", "ahead", "lengthened", "opposed")
+    lists = ("muscles", "missing", "ahead", "idle", "lengthened", "opposed")
     return {
         "unit": check.action.unit.code,
         "name": check.action.unit.name,
@@ -272,7 +278,7 @@ def expression_words(found: dict[str, Any]) -> dict[str, str]:
     if jaw["faults"]:
         motion += f". Not anatomical: {', '.join(jaw['faults'])}"
     mean, p95, most = millimetres(found)
-    facts = {
+    return {
         "Skin": f"mean {mean} mm, 95 % below {p95} mm, greatest {most} mm; "
         f"{100 * found['coverage']:.0f} % of the face seen",
         "Flesh": _flesh_words(found["flesh"], found["inverted"]),
@@ -282,9 +288,6 @@ def expression_words(found: dict[str, Any]) -> dict[str, str]:
         "Solver": f"{SOLVERS[found['solver']]} {ENDINGS.get(found['status'], 'ending not known')}; "
         f"{found['iterations']} steps, {found['seconds']:.1f} s",
     }
-    if found["warnings"]:
-        facts["Warnings"] = "; ".join(warning["message"] for warning in found["warnings"])
-    return facts
 
 
 def _flesh_words(flesh: dict[str, Any] | None, inverted: int) -> str:
@@ -325,7 +328,7 @@ def _trip_words(trip: dict[str, Any] | None) -> str:
 
 def mover_words(actions: list[dict[str, Any]]) -> str:
     """Return which action units an expression's name speaks for, and which are not judged."""
-    words = "Who contracts most: shortening of the fibres."
+    words = "Who contracts most, by compartment: shortening of the fibres."
     if not actions:
         return f"{words} The expression's name speaks for no action unit that it is compared with."
     judged = {each["unit"] for each in actions if each["muscles"]}
@@ -352,8 +355,9 @@ def mover_notes(actions: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
     notes = {}
     for name in dict.fromkeys(muscles):
         makes, lengthens = units(name, "muscles"), units(name, "lengthened")
-        against = units(name, "opposed")
+        against, idle = units(name, "opposed"), units(name, "idle")
         faults = [f"lengthens in {lengthens}"] if lengthens else []
+        faults += [f"holds still in {idle}"] if idle else []
         faults += [f"works against {against}"] if against else []
         notes[name] = (f"makes {makes}{places.get(name, '')}" if makes else "", "; ".join(faults))
     return notes

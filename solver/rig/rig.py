@@ -105,6 +105,13 @@ class Rig:
             return self.notices
         return (make_warning("model.size", SIZE_WORDS[self.model.size_from]), *self.notices)
 
+    def skins(self) -> dict[str, Floats]:
+        """Return the skin at rest, ``neutral``, and in every expression, (v, 3), mm."""
+        return {
+            "neutral": self.model.skin.vertices,
+            **{fit.name: fit.skin for fit in self.expressions},
+        }
+
     def known_figures(self) -> dict[str, Any]:
         """Return the figures; raises :class:`InputError` (``export.figures``) if there are none."""
         if self.figures is None:

@@ -3,8 +3,8 @@
 Where all skins are there (:func:`span_skins`), a truncated singular value decomposition has the
 least mean error; what shows is the greatest. So vertices that are furthest off are weighed up until
 the greatest error is small enough (iteratively reweighted least squares), and where that does not
-help a few shapes more are taken. Where skins come one by one (:class:`GrowingBasis`), one that the
-shapes so far do not reach adds what is left of it, and nothing waits for the last.
+help a few shapes more are taken. Skins that come one by one have another
+(:mod:`solver.rig.growing_basis`).
 """
 
 from __future__ import annotations
@@ -30,13 +30,15 @@ class BasisOptions:
     """Number and accuracy of the shapes that span many skins."""
 
     within_mm: float = 0.1  # a vertex may be so far off
-    most_shapes: int = 64  # with so many it may be further off
+    most_shapes: int = 256  # with so many it may be further off: 0.2 GB of 27,000 vertices
     first_shapes: int = 6  # tried first
     more_shapes: float = 1.4  # so many times as many are tried next
     reweightings: int = 2  # before there are more shapes
     last_reweightings: int = 8  # where there may be no more shapes
     least_importance: float = 1e-3  # of a coordinate, by the mean: all of them count
     most_samples: int = 400  # frames that shapes are made of, evenly taken; they make all frames
+    more_samples: int = 50  # that are further off are taken in then, the furthest first
+    samplings: int = 8  # times that shapes are made at most
     still_mm: float = 1e-3  # what moves less is left out, a vertex or a shape
     smallest_shape: float = 1e-9  # square of a shape, by the greatest, that counts as none
     ridge: float = 1e-6  # of the weights' greatest variance: keeps normals small where shapes hide
@@ -62,6 +64,22 @@ def span_skins(neutral: Surface, skins: Singles, options: BasisOptions = BasisOp
     """
     moving = _moving(neutral, skins, options.still_mm)
     chosen = _samples(len(skins), options)
+    for _ in range(options.samplings):
+        basis = _span(neutral, skins, moving, chosen, options)
+        errors = _errors(neutral, skins, basis)
+        errors[chosen] = 0.0  # of these the shapes were made
+        worst = np.argsort(errors)[::-1][: options.more_samples]
+        beyond = worst[errors[worst] > options.within_mm]
+        if not len(beyond):
+            break
+        chosen = np.union1d(chosen, beyond)
+    return basis
+
+
+def _span(
+    neutral: Surface, skins: Singles, moving: Ints, chosen: Ints, options: BasisOptions
+) -> Basis:
+    """Return a basis of all skins by shapes that are made of those ``chosen`` (k,)."""
     samples = _motion(neutral, skins[chosen], moving)
     directions, importance = _directions(samples, options)
     towards = (directions * importance).astype(np.float64)
@@ -99,17 +117,14 @@ def normal_shapes(
     return changes.reshape(-1, *at_rest.shape).astype(np.float32)
 
 
-def greatest_error(neutral: Surface, skins: Singles, basis: Basis) -> float:
-    """Return how far a vertex of ``skins`` (f, v, 3) is off what the basis makes of them, mm."""
-    still = np.setdiff1d(np.arange(skins.shape[1]), basis.moving)
+def _errors(neutral: Surface, skins: Singles, basis: Basis) -> Floats:
+    """Return how far a vertex of each of ``skins`` (f, v, 3) is off what the basis makes, mm."""
     shapes = basis.shapes.reshape(len(basis.shapes), -1)
-    worst = 0.0
+    found = []
     for block, weights in zip(_blocks(skins), _blocks(basis.weights), strict=True):
         off = _motion(neutral, block, basis.moving) - weights.astype(np.float32) @ shapes
-        for motion in (off, _motion(neutral, block, still)):
-            lengths = np.linalg.norm(motion.reshape(len(motion), -1, 3), axis=2)
-            worst = max(worst, float(lengths.max(initial=0.0)))
-    return worst
+        found.append(np.linalg.norm(off.reshape(len(off), -1, 3), axis=2).max(axis=1))
+    return np.concatenate(found).astype(np.float64)
 
 
 def _directions(samples: Singles, options: BasisOptions) -> tuple[Singles, Singles]:
@@ -157,39 +172,6 @@ def _motion(neutral: Surface, skins: Singles, vertices: Ints) -> Singles:
 
 def _blocks(frames: np.ndarray) -> Iterator[np.ndarray]:
     return (frames[first : first + BLOCK] for first in range(0, len(frames), BLOCK))
-
-
-# a sequence's shapes are fewer and coarser than a simulation's: fits are some 0.5 mm off
-SEQUENCE_BASIS = BasisOptions(within_mm=0.2, most_shapes=48)
-
-
-class GrowingBasis:
-    """Orthonormal ``shapes`` (s, 3 v) of skins that come one by one, and their weights."""
-
-    def __init__(self, neutral: Surface, options: BasisOptions) -> None:
-        self._neutral, self._options = neutral.vertices, options
-        self._weights: list[Floats] = []
-        self.shapes: Singles = np.zeros((0, neutral.vertices.size), np.float32)
-
-    @property
-    def weights(self) -> Floats:
-        """Return the weights (f, s) of all skins."""
-        table = np.zeros((len(self._weights), len(self.shapes)))
-        for row, values in zip(table, self._weights, strict=True):
-            row[: len(values)] = values
-        return table
-
-    def add(self, skin: Floats) -> None:
-        """Take a skin (v, 3), mm; a shape more if those so far do not reach it."""
-        motion = (skin - self._neutral).astype(np.float32).ravel()
-        weights = self.shapes @ motion
-        rest = motion - weights @ self.shapes
-        off = np.linalg.norm(rest.reshape(-1, 3), axis=1).max()
-        if len(weights) < self._options.most_shapes and off > self._options.within_mm:
-            length = np.linalg.norm(rest)
-            self.shapes = np.vstack([self.shapes, rest / length])
-            weights = np.append(weights, length)
-        self._weights.append(weights.astype(np.float64))
 
 
 # The skin reduced for sliders: modes of simulated motions, their amounts quadratic in the sliders.

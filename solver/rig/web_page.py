@@ -14,6 +14,7 @@ from typing import Any
 from PIL import Image
 
 from solver.drawing.head import both_sides
+from solver.fitting.contraction import STILL
 from solver.rig.certificate import JAW_RANGES, JAW_SOURCE, MUSCLE_SOURCE
 from solver.rig.checks import overall
 from solver.rig.report import expression_words, figure, millimetres, mover_notes, mover_words
@@ -46,6 +47,10 @@ PICTURE_WIDTH, JPEG_QUALITY = 1400, 86  # of a fit's picture: sharp on a large s
 FEW = 4  # expressions that are named one by one, even where a check fails in all of them
 LITTLE = 0.5  # information of a muscle below which most of what is to be known is not
 MOST = 6  # muscles that contract most, shown with an expression
+PARTS = {  # a check's code, or its beginning -> the part of an expression that has more of it
+    "muscles": "muscles",
+    "solver.warnings": "warnings",
+}
 LONG = 200  # letters of a detail that is only told with its expression
 
 
@@ -66,7 +71,6 @@ def _words(figures: dict[str, Any]) -> dict[str, str]:
     )
     return {
         "verdict": figures["verdict"],
-        "use": figures["use"],
         "expression_count": f"{len(figures['expressions'])}",
         "muscle_count": f"{figures['muscles']}",
         "tet_count": f"{figures['tets']:,}",
@@ -94,6 +98,7 @@ def _markup(figures: dict[str, Any], anchors: dict[str, str], folder: Path) -> d
     there = {name: words for name, words in FILES.items() if (folder / name).exists()}
     return {
         "tag": _tag(figures["verdict"]),
+        "use": _use(figures, anchors),
         "groups": _groups(figures["checks"]),
         "tiles": _tiles(figures),
         "todo": _todo(figures, anchors),
@@ -144,11 +149,28 @@ def _tag(verdict: str) -> str:
     return _element("span", sign, WORDS[verdict], class_=f"tag {verdict}")
 
 
-def _link(name: str, anchors: dict[str, str]) -> str:
-    return _element("a", escape(name), href=f"#{anchors[name]}")
+def _link(name: str, anchors: dict[str, str], code: str = "") -> str:
+    """Return a link to an expression, to the part of it that a check's ``code`` speaks of."""
+    return _element("a", escape(name), href=_place(name, anchors, code))
+
+
+def _place(name: str, anchors: dict[str, str], code: str) -> str:
+    parts = [part for start, part in PARTS.items() if code.startswith(start)]
+    return "-".join([f"#{anchors[name]}", *parts])
 
 
 # The rig as a whole.
+
+
+def _use(figures: dict[str, Any], anchors: dict[str, str]) -> str:
+    """Return what the rig is good for; each limit leads to the worst of it."""
+    if "ready" not in figures:  # a certificate from before limits were named
+        return escape(figures["use"])
+    limits = [
+        _element("a", escape(each["words"]), href=_place(each["expression"], anchors, each["code"]))
+        for each in figures["limits"]
+    ]
+    return f"{'; '.join([escape(figures['ready']), *limits])}."
 
 
 def _groups(checks: list[dict[str, Any]]) -> str:
@@ -184,7 +206,10 @@ def _todo(figures: dict[str, Any], anchors: dict[str, str]) -> str:
     failed = [check for check in figures["checks"] if check["verdict"] != "good"]
     failed.sort(key=lambda check: check["verdict"] != "bad")
     told = [(check["verdict"], _advice(check, anchors)) for check in failed]
-    warnings = [_element("p", escape(warning["message"])) for warning in figures["warnings"]]
+    warnings = [
+        _element("p", escape(each["message"]), " ", _element("code", escape(each["code"])))
+        for each in figures["warnings"]
+    ]
     told += [("usable", words) for words in warnings]
     if not told:
         return _element("p", "Nothing. Use the rig.")
@@ -193,13 +218,15 @@ def _todo(figures: dict[str, Any], anchors: dict[str, str]) -> str:
 
 
 def _advice(check: dict[str, Any], anchors: dict[str, str]) -> str:
-    detail = f": {escape(check['detail'])}" if 0 < len(check["detail"]) < LONG else ""
-    others = [_link(name, anchors) for name in check["failed"] if name != check["worst"]]
+    told = check["detail"] if len(check["detail"]) < LONG else check.get("says", "")
+    detail = f": {escape(told)}" if 0 < len(told) < LONG else ""
+    code = check["code"]
+    others = [_link(name, anchors, code) for name in check["failed"] if name != check["worst"]]
     more = f" Also in {', '.join(others)}." if others else ""
     if len(check["failed"]) == len(anchors) > FEW:
         more = " So in every expression."
-    where = f": {_value(check)} in {_link(check['worst'], anchors)}{detail}.{more}"
-    title = _element("b", escape(check["title"]))
+    where = f": {_value(check)} in {_link(check['worst'], anchors, code)}{detail}.{more}"
+    title = _element("b", _element("a", escape(check["title"]), href=f"#{code}"))
     return _element("p", title, where) + _element("p", escape(check["advice"]))
 
 
@@ -212,10 +239,14 @@ def _checks(checks: list[dict[str, Any]], anchors: dict[str, str]) -> str:
             lines.append(_element("tr", heading))
         lines.append(
             _row(
-                escape(check["title"]) + _element("small", escape(check["meaning"])),
+                _element("span", escape(check["title"]), id=check["code"])
+                + _element("small", escape(check["meaning"])),
                 ("left", _tag(check["verdict"])),
                 ("nowrap", _value(check)),
-                ("left", "" if check["value"] == 0 else _link(check["worst"], anchors)),
+                (
+                    "left",
+                    "" if check["value"] == 0 else _link(check["worst"], anchors, check["code"]),
+                ),
                 ("nowrap", _limit(check, "good")),
                 ("nowrap", _limit(check, "usable")),
             )
@@ -293,12 +324,10 @@ def _by_whole(muscles: dict[str, Any], names: Iterable[str]) -> list[tuple[str, 
 
 
 def _whole_muscle(names: list[str], parts: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return what is shown of a whole: the mean over the flesh of its parts, and all faults."""
+    """Return what is shown of a whole: its part that contracts most, and the faults of all."""
     if len(parts) == 1:
         return parts[0]
-    known = [part for part in parts if part["fibres"] is not None]
-    flesh = sum(part["flesh_mm3"] for part in known)
-    fibres = sum(part["flesh_mm3"] * part["fibres"] for part in known) / flesh if flesh else None
+    fibres = min((part["fibres"] for part in parts if part["fibres"] is not None), default=None)
     faults = [
         f"{name} {each}" for name, part in zip(names, parts, strict=True) for each in part["faults"]
     ]
@@ -308,15 +337,17 @@ def _whole_muscle(names: list[str], parts: list[dict[str, Any]]) -> dict[str, An
 def _muscle_cell(muscle: dict[str, Any]) -> str:
     if muscle["fibres"] is None:
         return _element("td")
-    percent = 100.0 * (muscle["fibres"] - 1.0)
+    contraction = 1.0 - muscle["fibres"]
+    percent = 100.0 * contraction
     strength = 0.75 * min(abs(percent) / STRONG_PERCENT, 1.0)
-    colour = "pull" if percent < 0 else "push"
+    colour = "pull" if contraction > 0 else "push"
+    is_still = STILL.is_still(contraction)
     return _element(
         "td",
-        f"{percent:+.0f}".replace("-", "−") if abs(percent) >= 0.5 else "0",
+        f"{percent:.0f}".replace("-", "−") if not is_still else "·",
         class_="fault" if muscle["faults"] else "",
         title="; ".join(muscle["faults"]),
-        style=f"background:rgba(var(--{colour}),{strength:.2f})",
+        style="" if is_still else f"background:rgba(var(--{colour}),{strength:.2f})",
     )
 
 
@@ -372,11 +403,26 @@ def _article(anchor: str, name: str, found: dict[str, Any], picture: Path) -> st
         _element("header", _element("h3", escape(name)), _tag(found["verdict"])),
         _picture(picture, name),
         _element("dl", _definitions(expression_words(found))),
-        _movers(found.get("movers")),
+        _element("div", _warnings(found["warnings"]), id=f"{anchor}-warnings"),
+        _element(
+            "div",
+            _movers(found.get("movers")),
+            _uneven((found.get("movers") or {}).get("uneven", [])),
+            _faults(found["muscles"]),
+            id=f"{anchor}-muscles",
+        ),
         _regions(found["by_region"]),
-        _faults(found["muscles"]),
         id=anchor,
     )
+
+
+def _warnings(warnings: list[dict[str, Any]]) -> str:
+    """Return warnings, each with the code by which the handbook of errors has it."""
+    lines = [
+        _element("li", escape(each["message"]), " ", _element("code", escape(each["code"])))
+        for each in warnings
+    ]
+    return _element("p", "Warnings") + _element("ul", *lines) if lines else ""
 
 
 def _picture(picture: Path, name: str) -> str:
@@ -437,6 +483,13 @@ def _movers(found: dict[str, Any] | None) -> str:
     return _element("table", caption, _element("tbody", *rows), class_="movers")
 
 
+def _uneven(words: list[str]) -> str:
+    """Return the fold of muscles that contract more than those of the other side."""
+    lines = [_element("li", escape(each)) for each in words]
+    summary = "Left against right, where the scan moves alike on both"
+    return _fold(summary, _element("ul", *lines)) if lines else ""
+
+
 def _faults(muscles: dict[str, Any]) -> str:
     """Return the fold of what muscles cannot do, a line for each whole muscle."""
     faulty = [name for name, muscle in muscles.items() if muscle["faults"]]
@@ -444,5 +497,6 @@ def _faults(muscles: dict[str, Any]) -> str:
     for _, parts in _by_whole(muscles, faulty):
         words = "; ".join(f"{name} {', '.join(muscles[name]['faults'])}" for name in parts)
         lines.append(_element("li", escape(words)))
-    summary = f"{len(faulty)} muscles beyond what muscles can do"
+    muscles_words = "1 muscle" if len(faulty) == 1 else f"{len(faulty)} muscles"
+    summary = f"{muscles_words} beyond what muscles can do"
     return _fold(summary, _element("ul", *lines)) if lines else ""

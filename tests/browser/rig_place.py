@@ -20,6 +20,7 @@ from service.settings import Settings
 from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Artifact, Job, Rig, Subject
 from solver.rig.animation_gltf import AnimatedSkin
+from solver.rig.container import write_container
 from solver.rig.frames import MarkerFrame, SequenceFrame
 from solver.rig.marker_view import MarkerView
 from solver.scans.markers.marker_set import Marker, MarkerSet
@@ -71,6 +72,8 @@ class Place:
     markers: MarkerSet
     check: str  # a job that proposed them
     marked: str  # a job that fitted a take of them
+    store: Store
+    sliders: Path  # a preview.bin for the second
 
 
 @contextmanager
@@ -93,7 +96,8 @@ def served_rigs(folder: Path) -> Iterator[Place]:
     _, second = put_rig(store, "Berta", files, other.summary())
     _, old = put_rig(store, "Cleo", [], {})
     glb, frames = _sequence(folder, sample)
-    take = put_job(store, subject, "fit_sequence", [glb], {"performance": "take 7"}, first)
+    pulls = _contractions(folder / "contractions.bin", sample, len(frames))
+    take = put_job(store, subject, "fit_sequence", [glb, pulls], {"performance": "take 7"}, first)
     markers = _marker_set(sample)
     markers.save(folder / "markers.json")
     _marker_view(folder / "markers.bin", markers, frames)
@@ -106,7 +110,8 @@ def served_rigs(folder: Path) -> Iterator[Place]:
     try:
         key = settings.admin_key.read_text()
         rigs = first, second, old
-        yield Place(url, key, sample, *rigs, take, frames, markers, check, marked)
+        jobs = take, frames, markers, check, marked
+        yield Place(url, key, sample, *rigs, *jobs, store, folder / "b" / PARTS[2])
     finally:
         server.should_exit = True
         thread.join(10)
@@ -154,6 +159,16 @@ def _sequence(folder: Path, sample: Sample) -> tuple[Path, Floats]:
     return path, frames
 
 
+def _contractions(path: Path, sample: Sample, frames: int) -> Path:
+    """Write a take in which one side's muscle contracts, the other one's is at its bound."""
+    found = np.zeros((frames, len(sample.muscles)), np.float32)
+    found[:, sample.muscles.index("zygomaticus_major_l")] = np.linspace(0.0, 0.2, frames)
+    found[:, sample.muscles.index("zygomaticus_major_r")] = -0.05
+    arrays = {"contraction": found, "jaw": np.zeros((frames, 5), np.float32)}
+    write_container(path, {"muscles": list(sample.muscles)}, arrays)
+    return path
+
+
 def _marker_set(sample: Sample, count: int = 24) -> MarkerSet:
     """Return markers on triangles over the front of the face, two millimetres off the skin."""
     surface = sample.neutral
@@ -163,8 +178,9 @@ def _marker_set(sample: Sample, count: int = 24) -> MarkerSet:
     while len(chosen) < count:
         away = np.linalg.norm(centres[front][:, None] - centres[chosen][None], axis=2).min(axis=1)
         chosen.append(int(front[np.argmax(away)]))
+    labels = [f"M{number:02d}" for number in range(count - 2)] + ["LCheek", "RCheek"]
     markers = tuple(
-        Marker(f"M{number:02d}", tuple(surface.faces[face].tolist()), (0.4, 0.3, 0.3), 2.0)
+        Marker(labels[number], tuple(surface.faces[face].tolist()), (0.4, 0.3, 0.3), 2.0)
         for number, face in enumerate(chosen)
     )
     return MarkerSet(markers, IDENTITY, "0" * 64)
@@ -191,6 +207,7 @@ def _marker_view(path: Path, markers: MarkerSet, frames: Floats) -> None:
             marker_state=tuple(states),
             sd=np.ones(23),
             information=np.ones(23),
+            contraction_sd=np.full(3, 0.1),
             held=np.array([0.0, 0.0, float(number > 5)]),
             tracks=np.zeros(0),
             mandible=np.eye(4),
@@ -249,12 +266,25 @@ def put_job(
         )
         table.create(session, job)
         job_id = job.id
-    with store.write() as session:
-        claim = table.take(session, job_id, "test", 10)
-        assert claim
-        left = [_artifact(store, job_id, path) for path in files]
-        assert table.succeed(session, job_id, claim.attempt, left, summary=summary)
+    end_job(store, job_id, start_job(store, job_id), files, summary)
     return job_id
+
+
+def start_job(store: Store, job_id: str) -> int:
+    """Take a job as a worker does; returns the attempt."""
+    with store.write() as session:
+        claim = table.take(session, job_id, "test", 60)
+        assert claim
+        return claim.attempt
+
+
+def end_job(
+    store: Store, job_id: str, attempt: int, files: Iterable[Path], summary: dict[str, Any]
+) -> None:
+    """Let a job that runs succeed and leave ``files``."""
+    with store.write() as session:
+        left = [_artifact(store, job_id, path) for path in files]
+        assert table.succeed(session, job_id, attempt, left, summary=summary)
 
 
 def _artifact(store: Store, job_id: str, path: Path) -> Artifact:

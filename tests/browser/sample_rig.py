@@ -269,7 +269,10 @@ def _jaw(sample: Sample, mandible: Surface) -> Floats:
 
 def _write_preview(path: Path, sample: Sample) -> None:
     controls = [
-        {"name": name, "muscle": name, "kind": "muscle", "title": name.replace("_", " ")}
+        {
+            **{"name": name, "muscle": name, "kind": "muscle"},
+            **{"title": name.replace("_", " "), "full": 0.4},
+        }
         for name in sample.muscles
     ]
     design = sample.linear.T

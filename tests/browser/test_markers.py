@@ -18,6 +18,10 @@ from tests.service_client import Studio
 pytestmark = pytest.mark.slow
 
 Page = Any
+BOXES = """(selector) => [...document.querySelectorAll(selector)].map((each) => {
+  const { left, top, right, bottom } = each.getBoundingClientRect();
+  return [left, top, right, bottom];
+})"""
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +102,46 @@ def test_a_marker_is_dragged_renamed_and_the_set_saved(
     foot = np.array(at["weights"]) @ skin[at["vertices"]]
     assert np.linalg.norm(foot - dragged[2]) == pytest.approx(2.0, abs=1e-2)
     assert found["session"] == place.markers.to_document()["session"]
+
+
+def test_names_stand_beside_dots_and_twins_move_together(
+    place: Place, look: Callable[[str], Page]
+) -> None:
+    page = look(f"/markers/{place.check}")
+    page.get_by_label("Label M00").wait_for()
+    names = page.locator(".marker-names text")
+    until(lambda: names.count() > 8)
+    boxes = page.evaluate(BOXES, ".marker-names text")
+    for number, (left, top, right, bottom) in enumerate(boxes):
+        for other in boxes[:number]:
+            assert (
+                left >= other[2]
+                or other[0] >= right
+                or top >= other[3] - 2
+                or (other[1] >= bottom - 2)
+            )
+    foremost = place.markers.labels[int(_places(place)[:, 2].argmax())]
+    page.get_by_label(f"Label {foremost}").hover()  # however many are about it
+    until(lambda: foremost in names.all_text_contents())
+
+    page.evaluate(
+        "document.querySelector('.rig').addEventListener('placed', (event) => {"
+        "  window.placed = event.detail; })"
+    )
+    page.get_by_label("both sides together").check()
+    page.get_by_label("Label LCheek").focus()
+    page.keyboard.press("Alt+ArrowUp")
+    left, right = place.markers.labels.index("LCheek"), place.markers.labels.index("RCheek")
+    until(lambda: page.evaluate("window.placed?.chosen") == left)
+    found = np.array(page.evaluate("Array.from(window.placed.places)")).reshape(-1, 3)
+    assert np.linalg.norm(found[left] - _places(place)[left]) > 0.3
+    assert np.linalg.norm(found[right] - found[left] * [-1.0, 1.0, 1.0]) < 6.0
+    others = [left, right]
+    np.testing.assert_allclose(
+        np.delete(found, others, axis=0), np.delete(_places(place), others, axis=0), atol=1e-3
+    )
+    page.get_by_label("names", exact=True).uncheck()
+    until(lambda: names.count() <= 2)  # what is chosen keeps its own, and its twin
 
 
 def test_a_take_of_markers_plays_with_its_lanes(place: Place, look: Callable[[str], Page]) -> None:

@@ -321,6 +321,16 @@ def test_a_job_is_watched_canceled_and_run_again(show: Show, studio: Studio) -> 
     page.get_by_text(re.compile("wrong take")).wait_for()
 
 
+def test_what_is_bad_about_a_take_is_said_as_of_a_take(show: Show, studio: Studio) -> None:
+    subject_id = studio.subject()
+    take = studio.raw(subject_id, "smile", "markers", verdict="bad")
+    job = studio.done("check_markers", subject_id, captures=[take])["id"]
+    for path in (f"/jobs/{job}", f"/?subject_id={subject_id}", f"/subjects/{subject_id}"):
+        page = show(path)
+        page.get_by_text("Bad: it cannot be used").first.wait_for()
+        assert page.get_by_text("scan again").count() == 0
+
+
 def test_a_failure_is_told_in_words_and_lists_are_filtered(show: Show, studio: Studio) -> None:
     subject_id = studio.subject(verdict="usable")
     bad = studio.raw(subject_id, "brows", fault="nan")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import jsonschema
 import pytest
@@ -18,6 +19,7 @@ from service.captures import service as captures
 from service.queue.wakeups import QUEUES
 from solver.kinds import KINDS, OptionsError
 from solver.kinds.kind import FrameOptions, UnitName
+from solver.kinds.marker_set import MarkerSetDocument
 from solver.mechanics.linear import DOUBLE, SOLVERS
 from solver.meshio import raw, registered
 from solver.registration import units
@@ -95,7 +97,7 @@ def test_contracts_load_no_numerics() -> None:
             "check_scan",
             {"unit": "mile"},
             "options.unit",
-            "'mile' is not auto, mm, cm, m, inch or a number of mm",
+            "'mile' is not auto, mm, cm, m, inch, foot or a number of mm",
         ),
         ("check_scan", {"unit": -3}, "options.unit", "-3 is less than the minimum of 1e-06"),
         ("register_scan", {"unit": float("nan")}, "options.unit", "nan is not a number"),
@@ -103,7 +105,7 @@ def test_contracts_load_no_numerics() -> None:
             "check_scan",
             {"unit": True},
             "options.unit",
-            "True is not auto, mm, cm, m, inch or a number of mm",
+            "True is not auto, mm, cm, m, inch, foot or a number of mm",
         ),
         (
             "check_scan",
@@ -117,7 +119,7 @@ def test_contracts_load_no_numerics() -> None:
             "options.eye_distance_mm",
             "62 is given beside a unit: give one of the two",
         ),
-        ("fit_sequence", {"fps": 0}, "options.fps", "0 is less than or equal to the minimum of 0"),
+        ("fit_sequence", {"fps": 0}, "options.fps", "0 is less than the minimum of 0.01"),
         ("fit_sequence", {"start": 1.5}, "options.start", "1.5 is not of type 'integer'"),
         ("edit", {}, "options", "'scene' is a required property"),
         (
@@ -184,3 +186,20 @@ def test_the_units_of_a_scan_are_the_same_for_jobs_solver_and_command_line() -> 
     assert {(option.min, option.max)} == {
         (each["minimum"], each["maximum"]) for each in rules["anyOf"] if "minimum" in each
     }
+
+
+def _bounds(rules: Any) -> Iterator[str]:
+    if isinstance(rules, dict):
+        yield from (name for name in rules if not isinstance(rules[name], dict | list))
+        for part in rules.values():
+            yield from _bounds(part)
+    elif isinstance(rules, list):
+        for part in rules:
+            yield from _bounds(part)
+
+
+def test_what_has_to_be_above_0_has_a_floor() -> None:
+    """1e-320 is above 0, and its inverse is infinite."""
+    schemas = {name: kind.schema for name, kind in KINDS.items()}
+    schemas["marker set"] = MarkerSetDocument.model_json_schema()
+    assert [name for name in schemas if "exclusiveMinimum" in set(_bounds(schemas[name]))] == []

@@ -22,8 +22,8 @@ from solver.rig.animation_gltf import AnimatedSkin, AnimationOptions, write_anim
 from solver.rig.exporters import glb
 from solver.rig.frames import SequenceFrame
 from solver.rig.gltf import Solid
+from solver.rig.growing_basis import SEQUENCE_BASIS
 from solver.rig.rig import ExpressionFit, Rig
-from solver.rig.skin_basis import SEQUENCE_BASIS
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
 from tests.solver.block import block_model

@@ -24,6 +24,7 @@ from solver.templates.builtin.build import builtin_capture_set
 from tests.command_line import invoke
 
 ROOT = Path(__file__).parents[2]
+GUIDES = ROOT / "docs" / "guide"
 pytestmark = pytest.mark.slow
 
 
@@ -70,6 +71,30 @@ def _python(document: Path) -> str:
     return "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
 
 
+def fibres() -> str:
+    """Return the guide to fibre muscles, after what it takes for granted; the face has a rest."""
+    begin = """
+from pathlib import Path
+from solver import Rig
+from solver.fitting.calibration import fibre_muscles, save_muscles
+from solver.fitting.face import Face
+from solver.mechanics.flesh import MOONEY_RIVLIN
+
+model, path = Rig.load("demo-output").model, Path("fibre_muscles.npz")
+made = Face(model, material=MOONEY_RIVLIN)
+save_muscles(path, made, fibre_muscles(made))
+"""
+    return (
+        begin
+        + _python(GUIDES / "fibre-muscles.md")
+        + "face.solve_equilibrium(face.rest.pose, face.rest.x)\n"
+    )
+
+
+def anatomy() -> str:
+    return _python(GUIDES / "builtin-anatomy.md")
+
+
 def notebook() -> str:
     cells = json.loads(
         (ROOT / "docs" / "examples" / "researcher.ipynb").read_text(encoding="utf-8")
@@ -77,7 +102,9 @@ def notebook() -> str:
     return "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
 
 
-@pytest.mark.parametrize("script", [readme, guide, notebook], ids=["readme", "guide", "notebook"])
+@pytest.mark.parametrize(
+    "script", [readme, guide, fibres, anatomy, notebook], ids=lambda script: script.__name__
+)
 def test_the_snippets_run(script: Callable[[], str], rig: Path, tmp_path: Path) -> None:
     shutil.copytree(rig, tmp_path / "demo-output")
     code = script()

@@ -167,7 +167,8 @@ def marker_frame(row: int) -> MarkerFrame:
     markers = {"marker_mm": np.zeros(2), "marker_weight": np.ones(2), "held": np.zeros(3)}
     figures = {"mean_mm": 0.1, "p95_mm": 0.2, "max_mm": 0.3, "coverage": 1.0, "seconds": 0.1}
     counts = {"inverted": 0, "iterations": 1, "marker_state": ("seen", "missing")}
-    spread = {"sd": np.ones(6), "information": np.ones(6), "mandible": mandible, "head": head}
+    spread = {"sd": np.ones(6), "information": np.ones(6), "contraction_sd": np.zeros(0)}
+    spread |= {"mandible": mandible, "head": head}
     return MarkerFrame(
         frame=2 * row - 3, status=STATUS[row], **pose, **markers, **figures, **counts, **spread
     )

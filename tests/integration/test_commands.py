@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
+from myoface.cli.console import JUDGED
 from myoface.client import Client
 from myoface.client.credentials import KEY_VARIABLE
 from myoface.stack import Stack
@@ -103,6 +106,35 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
             "options": {"unit": "cm", "up": "auto", "forward": "auto", "role": "neutral"},
         },
     }
+
+
+def test_a_check_ends_alike_here_and_at_a_service(
+    myoface: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("solver.jobs.import_module", _standin)
+    subject = myoface("subjects", "add", "Ada").output.strip()
+    for kind, role, ending in (("check_markers", "markers", "trc"), ("check_scan", "raw", "obj")):
+        for verdict, code in (("good", 0), ("usable", 0), ("bad", 3)):
+            name = f"{role}_{verdict}"
+            file = scan(tmp_path, name, f"verdict {verdict}").rename(tmp_path / f"{name}.{ending}")
+            myoface("captures", "add", subject, file, f"--{role}")
+            submit = ("jobs", "submit", kind, subject, "--capture", name)
+            there = myoface(*submit, code=code).output
+            job = there.split()[0]
+            assert myoface("jobs", "wait", job, code=code).output in there
+            here = invoke(["solve", kind.replace("_", "-"), str(file), "-o", str(tmp_path / name)])
+            assert here.exit_code == code
+            told = (
+                here.output.replace(f"{tmp_path}/", "")
+                .split(f"{name}.{ending}: ")[1]
+                .splitlines()[:-1]
+            )
+            assert there.splitlines()[-len(told) :] == [f"{JUDGED[kind]}: {told[0]}", *told[1:]]
+            assert len(told) == (1 if verdict == "good" else 3)
+
+
+def _standin(name: str) -> ModuleType:
+    return import_module(name.replace("solver.jobs", "tests.standin.jobs"))
 
 
 def test_a_check_that_fails_keeps_no_other_back(myoface: Command, tmp_path: Path) -> None:

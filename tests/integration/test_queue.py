@@ -7,6 +7,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from service.queue import sweep, table
 from service.queue.claims import Abilities, claim_next, positions
 from service.queue.states import State
 from service.store.database import WAKE, Store, clock
-from service.store.models import Attempt, Event, Job, Subject, Tenant, now
+from service.store.models import ApiKey, Attempt, Event, Job, Subject, Tenant, Worker, now
 from tests.stores import open_store
 
 pytestmark = pytest.mark.telling
@@ -71,6 +72,14 @@ class Shop:
             "created_at": self.begin + timedelta(seconds=number),
             **more,
         }
+
+    def keep(self, tenant: str, since: timedelta = timedelta(), scope: str = "write") -> None:
+        """Let a tenant have sent a request."""
+        owner, _ = self.subjects[tenant]
+        with self.store.write() as session:
+            key = ApiKey(name="x", hash="x", scopes=[scope], last_used_at=now() - since)
+            key.id, key.tenant_id = uuid.uuid4().hex[:12], owner
+            session.add(key)
 
     def take(self, who: Abilities = ANYTHING, lease: float = 60) -> str | None:
         with self.store.write() as session:
@@ -145,6 +154,67 @@ def test_a_tenant_at_its_quota_is_passed_over(store: Store) -> None:
         owner, _ = shop.subjects["a"]
         session.execute(update(Tenant).where(Tenant.id == owner).values(max_running=1))
     assert shop.take_all() == ["a0", "b10"]
+
+
+def _add_workers(store: Store, *slots: int) -> None:
+    with store.write() as session:
+        for number, each in enumerate(slots):
+            session.add(Worker(name=f"worker {number}", queue="short", slots=each))
+
+
+@pytest.mark.parametrize(
+    ("slots", "present", "taken"),
+    [
+        ((1, 1), {"b": {}}, ["a0"]),
+        ((2, 2), {"b": {}}, ["a0", "a1", "a2"]),
+        ((1, 1), {}, ["a0", "a1"]),
+        ((1, 1), {"a": {}}, ["a0", "a1"]),
+        ((1, 1), {"b": {"since": timedelta(hours=1)}}, ["a0", "a1"]),
+        ((1, 1), {"b": {"scope": "metrics"}}, ["a0", "a1"]),
+        ((1,), {"b": {}}, ["a0"]),
+    ],
+)
+def test_the_last_free_worker_is_kept_for_a_tenant_that_may_need_it(
+    store: Store, slots: tuple[int, ...], present: dict[str, Any], taken: list[str]
+) -> None:
+    shop = Shop(store)
+    shop.queue("a", *range(9))
+    shop.queue("b", 20, queue="long")
+    _add_workers(store, *slots)
+    for tenant, how in present.items():
+        shop.keep(tenant, **how)
+    assert [shop.take() for _ in range(len(taken))] == taken
+    if len(taken) < sum(slots):
+        assert shop.take() is None
+        shop.queue("b", 10)
+        assert shop.take() == "b10"
+
+
+def test_no_worker_is_kept_from_those_who_all_have_one(store: Store) -> None:
+    shop = Shop(store)
+    shop.queue("a", 0, 1)
+    shop.queue("b", 10, 11)
+    _add_workers(store, 3)
+    for tenant in "ab":
+        shop.keep(tenant)
+    assert [shop.take() for _ in range(3)] == ["a0", "b10", "a1"]
+
+
+def test_workers_that_ask_at_once_keep_one_as_well(store: Store) -> None:
+    shop = Shop(store)
+    shop.queue("a", *range(9))
+    shop.queue("b", 20, queue="long")
+    _add_workers(store, 4)
+    shop.keep("b")
+    ready = threading.Barrier(4)
+
+    def work(_number: int) -> str | None:
+        ready.wait()
+        return shop.take()
+
+    with ThreadPoolExecutor(4) as workers:
+        taken = list(workers.map(work, range(4)))
+    assert sorted(filter(None, taken)) == ["a0", "a1", "a2"]
 
 
 def test_a_job_whose_worker_is_silent_is_taken_again(store: Store) -> None:

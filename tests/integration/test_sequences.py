@@ -137,6 +137,7 @@ def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
     assert [FrameView.model_validate(each).frame for each in left["frames"]] == [2]
     assert {artifact.name for artifact in folder.store(store)} == {
         "activations.csv",
+        "contractions.bin",
         "sequence.glb",
         "sequence.json",
         "sequence.npz",

@@ -9,17 +9,22 @@ import socket
 import threading
 import time
 import uuid
+from collections.abc import AsyncIterator
+from contextlib import nullcontext
 from pathlib import Path
 
+import anyio
 import httpx
 import pytest
 import uvicorn
 
 from service.app import create_app
+from service.errors import Problem
 from service.settings import Settings
 from service.store.files import files_at
-from service.store.models import Upload
-from service.uploads.service import UploadService
+from service.store.models import DEFAULT_TENANT, Upload
+from service.uploads.service import BUFFER, UploadService
+from service.writers import Writers
 from tests.service_client import OFFSET_STREAM, Studio, eventually, served
 
 SCAN = b"".join(f"v {i} 0 0\n".encode() for i in range(50_000))
@@ -64,6 +69,38 @@ def test_bytes_that_a_power_cut_took_are_sent_again(settings: Settings, counted:
         assert studio.http.head(location).headers["Upload-Offset"] == "600"
         assert studio.send(location, 600, SCAN[600:]).status_code == 204
         assert studio.get(location)["sha256"] == SHA256
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_what_counts_on_the_way_is_no_more_than_the_end_says(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, more: int
+) -> None:
+    """Bytes count a megabyte at a time here; a request with too many takes them back."""
+    monkeypatch.setattr("service.uploads.service.COUNT_EVERY", BUFFER)
+    counted: list[int] = []
+    count = UploadService._count
+
+    def note(service: UploadService, upload: Upload, offset: int) -> Upload:
+        counted.append(offset)
+        return count(service, upload, offset)
+
+    monkeypatch.setattr(UploadService, "_count", note)
+    scan = SCAN * 6
+
+    async def pieces() -> AsyncIterator[bytes]:
+        for first in range(0, len(scan), 100_000):
+            yield scan[first : first + 100_000]
+
+    with served(settings) as studio:
+        location = studio.start_upload("smile.obj", len(scan) - more)
+        store = studio.http.app.state.store  # type: ignore[attr-defined]
+        uploads = UploadService(store.of(DEFAULT_TENANT), settings)
+        with pytest.raises(Problem) if more else nullcontext():
+            anyio.run(uploads.receive, location.rsplit("/", 1)[1], 0, None, pieces(), Writers())
+        assert counted[:-1] == sorted(counted[:-1])
+        assert len(counted) == len(scan) // BUFFER + 1
+        assert counted[-1] == (0 if more else len(scan))
+        assert studio.get(location)["offset"] == counted[-1]
 
 
 def test_wrong_requests_change_nothing(settings: Settings) -> None:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
 import pytest
 import redis
 
 from myoface.stack import Stack
-from tests.service_client import ROOT, Studio, eventually, running
+from service.settings import Settings
+from service.uploads.service import COUNT_EVERY
+from tests.service_client import OFFSET_STREAM, ROOT, Studio, eventually, running, served
 
 LEASE = 2.0
 LAUNCH = """
@@ -62,6 +68,49 @@ def test_a_killed_broker_costs_nothing(stack_and_studio: tuple[Stack, Studio]) -
         assert done["state"] == "succeeded", done
         assert [a["outcome"] for a in done["attempts"]] == ["succeeded"]
         _check_once(studio, done)
+
+
+@pytest.mark.slow
+def test_a_broker_s_damaged_file_costs_no_start_and_no_job(tmp_path: Path) -> None:
+    """Zeros in a file of the broker's, as a power cut leaves them: releases before kept some."""
+    with served(Settings(data_dir=tmp_path)) as studio:
+        jobs = [studio.submit("build_model", studio.subject()) for _ in range(3)]
+    kept = tmp_path / "broker" / "appendonlydir"
+    kept.mkdir(parents=True)
+    (kept / "appendonly.aof.manifest").write_bytes(bytes(64))
+    with running(tmp_path, lease=LEASE) as (_, studio):
+        for job in jobs:
+            done = studio.finished(job)
+            assert [a["outcome"] for a in done["attempts"]] == ["succeeded"]
+            _check_once(studio, done)
+
+
+def test_a_killed_api_keeps_what_has_arrived_of_an_upload(
+    stack_and_studio: tuple[Stack, Studio],
+) -> None:
+    stack, studio = stack_and_studio
+    scan = os.urandom(3 * COUNT_EVERY)
+    sent = 2 * COUNT_EVERY + COUNT_EVERY // 2
+    location = studio.start_upload("smile.obj", len(scan), hashlib.sha256(scan).hexdigest())
+
+    def offset() -> int:
+        with contextlib.suppress(httpx.TransportError):  # the API starts anew
+            return int(studio.http.get(location).json()["offset"])
+        return -1
+
+    with socket.create_connection((stack.settings.host, stack.settings.port)) as connection:
+        head = (
+            f"PATCH {location} HTTP/1.1\r\nHost: 127.0.0.1\r\nUpload-Offset: 0\r\n"
+            f"Authorization: Bearer {studio.key}\r\n"
+            f"Content-Type: {OFFSET_STREAM}\r\nContent-Length: {len(scan)}\r\n\r\n"
+        )
+        connection.sendall(head.encode() + scan[:sent])
+        eventually(lambda: offset() >= 2 * COUNT_EVERY, seconds=20)
+        os.kill(stack.pid("api"), signal.SIGKILL)
+    eventually(lambda: offset() >= 0, seconds=60)
+    assert 2 * COUNT_EVERY <= (found := offset()) <= sent
+    assert studio.send(location, found, scan[found:]).status_code == 204
+    assert studio.get(location)["state"] == "complete"
 
 
 @pytest.mark.slow

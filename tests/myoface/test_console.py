@@ -44,10 +44,10 @@ def test_a_log_has_news_of_a_long_phase_now_and_then(
         view(Step("export", 0.9))
     assert capsys.readouterr().out.splitlines() == [
         "simulate: read · [model].npz",
-        "simulate: simulate · frame 1 of 30",
-        "simulate: simulate · frame 11 of 30",
-        "simulate: simulate · frame 21 of 30",
-        "simulate: export",
+        "simulate: simulate · frame 1 of 30 · 2%",
+        "simulate: simulate · frame 11 of 30 · 28%, about 26 s left",
+        "simulate: simulate · frame 21 of 30 · 52%, about 18 s left",
+        "simulate: export · 90%, about 10 s left",
     ]
     assert view.phases["simulate"] == 90.0
 

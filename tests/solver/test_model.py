@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +26,27 @@ def test_a_model_comes_back_as_it_was(tmp_path: Path) -> None:
         kept, read = getattr(model, field), getattr(found, field)
         np.testing.assert_array_equal(read.indices, kept.indices)
         np.testing.assert_array_equal(read.data, kept.data)
+
+
+def test_a_name_of_a_whole_muscle_means_its_parts_and_a_wrong_one_is_told_the_near() -> None:
+    names = ("zygo_l.inferior", "zygo_l.superior", "risorius_l")
+    wholes = ("zygo_l", "zygo_l", "risorius_l")
+    model = replace(block_model(), muscle_names=names, wholes=wholes)
+    assert model.muscle_numbers("zygo_l").tolist() == [0, 1]
+    assert model.muscle_numbers("zygo_l.superior").tolist() == [1]
+    assert model.muscle_number("risorius_l") == 2
+    with pytest.raises(InputError, match="name one, or take all"):
+        model.muscle_number("zygo_l")
+    parts = "zygo_l has the parts zygo_l.inferior, zygo_l.superior"
+    for wrong, words in (
+        ("zygo_r", parts),
+        ("zygo", parts),
+        ("risorius", "did you mean risorius_l?"),
+        ("brow", "it has zygo_l, risorius_l"),
+    ):
+        with pytest.raises(InputError, match=re.escape(words)) as caught:
+            model.muscle_numbers(wrong)
+        assert caught.value.code == "model.muscle"
 
 
 def test_compartments_and_their_wholes_come_back(tmp_path: Path) -> None:

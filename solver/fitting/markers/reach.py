@@ -1,7 +1,9 @@
 """Find the muscles that a marker set determines at rest, and places for further markers.
 
 The posterior of the controls after a frame of all markers, the head unknown, by the face's linear
-response (:mod:`solver.fitting.information`). Candidates are points of the face; for these the head
+response (:mod:`solver.fitting.information`). A muscle that lies too deep for any marker still goes
+along with others in every expression that a prior knows: that counts apart, as markers determine
+what they tell of a muscle by itself. Candidates are points of the face; for these the head
 counts as known, which overestimates their gain a little.
 """
 
@@ -14,12 +16,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.face import Face
-from solver.fitting.information import Posterior
+from solver.fitting.information import Posterior, inverse_of_positive
 from solver.fitting.markers.term import MarkerPlaces, MarkerTerm
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.sensitivity import Sensitivity
 from solver.scans.markers.marker_set import Marker
-from solver.surface import Floats
+from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,8 @@ class FurtherMarker:
 class Reach:
     """Information (m,) of each muscle, in [0, 1], and what more markers would add."""
 
-    information: Floats
+    information: Floats  # by what the markers tell of the muscle itself
+    by_expressions: Floats  # and by how it goes along with others in expressions
     further: tuple[FurtherMarker, ...]
     options: ReachOptions
 
@@ -55,6 +58,12 @@ class Reach:
     def known_muscles(self) -> int:
         """Return the number of muscles that the markers determine."""
         return int((self.information > self.options.known).sum())
+
+    @property
+    def following_muscles(self) -> int:
+        """Return the number of the others that are known as they go along in expressions."""
+        is_known = np.maximum(self.information, self.by_expressions) > self.options.known
+        return int(is_known.sum()) - self.known_muscles
 
 
 def reach(
@@ -72,8 +81,10 @@ def reach(
     term = MarkerTerm(places, places.at(x), precision)
     rows = jacobian.motion(places.jacobian(x))
     normal = rows.T @ term.inner(term.place(places.at(x))) @ rows
-    now = Posterior.of_normal(normal, prior.precision)
     muscles = face.layout.muscles
+    by_expressions = Posterior.of_normal(normal, prior.precision).information_of(muscles)
+    apart = inverse_of_positive(_uncorrelated(prior.covariance, muscles))
+    now = Posterior.of_normal(normal, apart)
     information = now.information_of(muscles)
     points = face.face_points(x)
     chosen = np.unique(np.linspace(0, len(points) - 1, options.candidates).astype(int))
@@ -88,4 +99,11 @@ def reach(
         named = tuple(most[: options.named].tolist())
         further.append(FurtherMarker(points[chosen[number]], gain, named))
         now = after
-    return Reach(information, tuple(further), options)
+    return Reach(information, by_expressions, tuple(further), options)
+
+
+def _uncorrelated(covariance: Floats, muscles: Ints) -> Floats:
+    """Return a covariance (k, k) in which no muscle (m, g) tells of another, or of the jaw."""
+    group = np.full(len(covariance), -1)
+    group[muscles] = np.arange(len(muscles))[:, None]
+    return np.where(group[:, None] == group[None], covariance, 0.0)

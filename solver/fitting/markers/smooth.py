@@ -47,6 +47,7 @@ class SmoothFrame:
 
     controls: Floats  # (q,)
     sd: Floats  # (q,)
+    contraction_sd: Floats  # (m,) of the muscles' contractions, (0,) of fibre muscles
 
 
 def smooth(
@@ -74,7 +75,8 @@ def smooth(
                 after = here + gain @ (after - spread) @ gain.T
             else:
                 mean, after = own, here
-            found.append(SmoothFrame(mean, np.sqrt(np.maximum(np.diag(after), 0.0))))
+            sd = np.sqrt(np.maximum(np.diag(after), 0.0))
+            found.append(SmoothFrame(mean, sd, tracker.contraction_sd(after)))
     return found[::-1]
 
 

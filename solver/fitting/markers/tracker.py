@@ -18,6 +18,7 @@ import numpy as np
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError
 from solver.fitting.contact import NearContact
+from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.information import Posterior
 from solver.fitting.least_squares import StopOptions
@@ -98,6 +99,7 @@ class MarkerFit:
     judged: JudgedFrame
     sd: Floats  # (k,) of the controls
     information: Floats  # (k,) of this frame alone, or one before whose markers counted alike
+    contraction_sd: Floats  # (m,) of the muscles' contractions, (0,) of fibre muscles
     held: np.ndarray  # (m,) muscles
     predicted: bool
     kept: bool
@@ -129,6 +131,7 @@ class MarkerTracker:
     ) -> None:
         self.face, self.places, self.prior = face, places, prior
         self.filter = ControlFilter(prior, seconds, options.filter)
+        self._contraction = Contraction.of_face(face)
         self._sigma, self.seconds, self.options = sigma, seconds, options
         self._penalties = Regulariser(
             w_a=0.0, w_v=options.w_v, w_b=0.0, prior=face.rest_pose(), w_e=options.w_e
@@ -140,6 +143,16 @@ class MarkerTracker:
         if prior.shapes is not None:
             self._regression = ShapeRegression(face, places, prior.shapes, options.regression)
         self.begin(face.rest, None)
+
+    def contraction_sd(self, covariance: Floats) -> Floats:
+        """Return the standard deviations (m,) of contractions by the controls' covariance (q, q).
+
+        They are NaN for muscles without fibres, and (0,) of fibre muscles.
+        """
+        if self._contraction is None:
+            return np.zeros(0)
+        own = self.face.layout["activations"]
+        return self._contraction.sd(covariance[own, own])
 
     def begin(self, state: PosedFace, memory: MarkerMemory | None) -> None:
         """Go on from a frame: its state and what it left, None before the first."""
@@ -327,6 +340,7 @@ class MarkerTracker:
             judged,
             sd=np.sqrt(np.diag(known.spread)),
             information=alone.information,
+            contraction_sd=self.contraction_sd(known.spread),
             held=self._held(alone),
             predicted=ending == "predicted",
             kept=ending == "kept",

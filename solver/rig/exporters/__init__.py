@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -34,6 +34,12 @@ class Exporter(Protocol):
 
     def write(self, rig: Rig, path: Path, options: Any) -> None:
         """Write the rig as ``path``; raises :class:`InputError` where it cannot."""
+
+    def read_back(self, rig: Rig, path: Path, options: Any) -> dict[str, Any]:
+        """Return how far the file is off the rig, as JSON values.
+
+        Raises :class:`~solver.errors.SolveError` (``file.differs``) where that is too far.
+        """
 
 
 @dataclass(frozen=True)
@@ -61,8 +67,23 @@ def export(
     """Write a rig as the exporter ``name`` does, and return the file: by default its ``FILE``.
 
     Raises :class:`InputError`: as :func:`exporter`, ``export.options`` for what its ``Options`` do
-    not take, and as the exporter.
+    not take, and as the exporter; :class:`~solver.errors.SolveError` (``file.differs``) for a file
+    that shows another face than the rig.
     """
+    return export_measured(rig, name, path, options).path
+
+
+class Exported(NamedTuple):
+    """A file that was written, and how far it is off its rig."""
+
+    path: Path
+    figures: dict[str, Any]
+
+
+def export_measured(
+    rig: Rig, name: str, path: Path | None = None, options: Mapping[str, Any] | None = None
+) -> Exported:
+    """Write a rig as :func:`export` does, and return what reading back has found, too."""
     chosen = exporter(name)
     file = path or Path(chosen.FILE)
     try:
@@ -72,11 +93,15 @@ def export(
         raise InputError("export.options", f"options of {name}: {error}") from error
     file.parent.mkdir(parents=True, exist_ok=True)
     chosen.write(rig, file, given)
-    return file
+    return Exported(file, chosen.read_back(rig, file, given))
 
 
 def write_all(rig: Rig, folder: Path) -> list[Path]:
     """Write what belongs to every rig into its folder, unless its extra is missing."""
+    return [each.path for each in _export_all(rig, folder)]
+
+
+def _export_all(rig: Rig, folder: Path) -> list[Exported]:
     files = []
     for name in FORMATS:
         try:
@@ -84,7 +109,7 @@ def write_all(rig: Rig, folder: Path) -> list[Path]:
         except InputError:
             continue
         if module.WITH_EVERY_RIG:
-            files.append(export(rig, name, folder / module.FILE))
+            files.append(export_measured(rig, name, folder / module.FILE))
     return files
 
 
@@ -100,10 +125,12 @@ def write_rig(rig: Rig, certificate: Certificate, out: Path) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     figures = report(rig, certificate)
     figures_file, page = out / "report.json", out / "report.html"
-    write_json(figures_file, figures)
-    exported = [*write_all(replace(rig, figures=figures), out), *rig.save_as_0_1(out)]
+    exported = _export_all(replace(rig, figures=figures), out)
+    measured = {each.path.name: each.figures for each in exported}
+    write_json(figures_file, {**figures, "files": measured})
+    files = [*(each.path for each in exported), *rig.save_as_0_1(out)]
     pictures = [out / f"fit_{fit.name}.png" for fit in rig.expressions]
     for fit, picture in zip(rig.expressions, pictures, strict=True):
         fit_picture(rig.model, fit, picture)
     write_page(page, figures)
-    return [*exported, figures_file, page, *pictures]
+    return [*files, figures_file, page, *pictures]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from solver.rig.gltf import DEFAULTS, ERROR_ATTRIBUTE, in_turn, worst_error, write_face
 from solver.rig.gltf import ShapeOptions as Options
+from solver.rig.read_back import compare_expressions, read_glb
 from solver.rig.rig import Rig
 
 FILE = "rig.glb"
@@ -24,3 +26,8 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     worst = worst_error(rig.expressions, len(rig.model.skin.vertices))
     animate = partial(in_turn, options=options)
     write_face(path, rig.model.skin, shapes, animate, {ERROR_ATTRIBUTE: worst}, options)
+
+
+def read_back(rig: Rig, path: Path, _options: Options = DEFAULTS) -> dict[str, Any]:
+    """Return how far the file's skins are off the rig's."""
+    return compare_expressions(path, read_glb(path).expressions(), rig.skins())

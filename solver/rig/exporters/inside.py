@@ -7,6 +7,7 @@ up to 16 mm and 0.016 mm up to 64 mm.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,9 +15,10 @@ import scipy.sparse as sp
 from solver.anatomy.embedding import tet_binder
 from solver.mechanics.boundary import jaw_rotation, move_jaw
 from solver.model import JawFrame, SubjectModel
-from solver.rig.container import write_container
+from solver.rig.container import read_container, write_container
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
+from solver.rig.read_back import NEUTRAL, compare_expressions
 from solver.rig.rig import Rig
 from solver.storage import Arrays
 from solver.surface import Floats, Surface
@@ -56,6 +58,18 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     for i, bone in enumerate(model.bones.values()):
         arrays |= _surface(f"bone/{i}", bone)
     write_container(path, header, arrays | _muscles(model))
+
+
+def read_back(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> dict[str, Any]:
+    """Return how far the flesh's vertices in the file are off the rig's."""
+    arrays = read_container(path).arrays
+    rest, wanted, shown = arrays["rest"], {NEUTRAL: rig.model.rest}, {NEUTRAL: arrays["rest"]}
+    for k, fit in enumerate(rig.expressions):
+        if fit.x is not None:
+            wanted[fit.name] = fit.x
+            if (moved := arrays.get(f"at/{k}")) is not None:
+                shown[fit.name] = rest + moved
+    return compare_expressions(path, shown, wanted)
 
 
 def _surface(name: str, surface: Surface) -> Arrays:

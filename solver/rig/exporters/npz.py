@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
+from solver.rig.read_back import compare_expressions
 from solver.rig.rig import FILE as FILE
 from solver.rig.rig import Rig
 
@@ -16,3 +18,8 @@ WITH_EVERY_RIG = True
 def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     """Write model, S, expressions and figures."""
     rig.save(path)
+
+
+def read_back(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> dict[str, Any]:
+    """Return how far the file's skins are off the rig's."""
+    return compare_expressions(path, Rig.load(path).skins(), rig.skins())

@@ -30,11 +30,13 @@ from solver.drawing.head import skin_parts
 from solver.errors import InputError
 from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
 from solver.model import SubjectModel
-from solver.rig.animation_gltf import AnimatedSkin
+from solver.rig.animation_gltf import SEQUENCE_SHAPES, AnimatedSkin
 from solver.rig.frames import MarkerFrame
 from solver.rig.gltf import DEFAULTS, MATERIALS, worst_error
 from solver.rig.gltf import ShapeOptions as Options
+from solver.rig.read_back import compare_expressions
 from solver.rig.rig import Rig
+from solver.rig.usd_check import read_usd
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.surface import Floats, Surface, vertex_normals
 
@@ -77,10 +79,22 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     stage.GetRootLayer().Export(str(path))
 
 
+def read_back(rig: Rig, path: Path, _options: Options = DEFAULTS) -> dict[str, Any]:
+    """Return how far the file's skins are off the rig's."""
+    return compare_expressions(path, read_usd(path).expressions(), rig.skins())
+
+
 def write_sequence(
-    path: Path, model: SubjectModel, skin: AnimatedSkin, fps: float, options: Options = DEFAULTS
-) -> None:
-    """Write the frames of a performance that ``skin`` has taken, ``fps`` a second."""
+    path: Path,
+    model: SubjectModel,
+    skin: AnimatedSkin,
+    fps: float,
+    options: Options = SEQUENCE_SHAPES,
+) -> dict[str, Any]:
+    """Write the frames of a performance that ``skin`` has taken, ``fps`` a second.
+
+    Returns how far the file is off them, as :meth:`.AnimatedSkin.compare`.
+    """
     shapes, weights = skin.morphs()
     stage = _stage(model, shapes, options.still_mm)
     keys, places = [], [skin.extent]
@@ -95,6 +109,7 @@ def write_sequence(
             places.append(np.stack([moved.min(axis=0), moved.max(axis=0)]))
     _animate(stage, model, list(shapes), keys, fps, np.vstack(places))
     stage.GetRootLayer().Export(str(path))
+    return skin.compare(path, read_usd(path), np.array([key.time for key in keys], np.float64))
 
 
 class _Key(NamedTuple):

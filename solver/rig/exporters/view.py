@@ -11,13 +11,16 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 from solver.anatomy.muscle_weights import muscle_volumes
-from solver.rig.container import write_container
+from solver.fitting.contraction import STILL
+from solver.rig.container import read_container, write_container
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
+from solver.rig.read_back import NEUTRAL, compare_expressions
 from solver.rig.rig import Rig
 
 FILE = "view.bin"
@@ -30,7 +33,7 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
     figures = rig.known_figures()
     neutral = rig.model.skin.vertices
     told = [figures["expressions"][fit.name] for fit in rig.expressions]
-    names = rig.model.muscle_names
+    names, jaw = rig.model.muscle_names, rig.model.jaw
     flesh = muscle_volumes(rig.model.rest, rig.model.tets, rig.weights).tolist()
     header = {
         "expressions": [
@@ -40,6 +43,8 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
         "muscles": list(names),
         "wholes": list(rig.model.muscle_groups),
         "flesh_mm3": flesh,
+        "still": [-STILL.lengthened, STILL.least],
+        "sagittal": {"at": jaw.origin.tolist(), "across": jaw.axes[0].tolist()},
     }
     stretches = [[each["muscles"][name]["fibres"] for name in names] for each in told]
     arrays: dict[str, np.ndarray] = {
@@ -52,6 +57,15 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
         arrays[f"scan/{k}"] = (fit.target - neutral).astype(np.float16)
         arrays[f"error/{k}"] = fit.error_mm.astype(np.float16)
     write_container(path, header, arrays)
+
+
+def read_back(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> dict[str, Any]:
+    """Return how far the file's skins are off the rig's."""
+    archive = read_container(path)
+    arrays, told = archive.arrays, archive.header["expressions"]
+    neutral = arrays["neutral"]
+    shown = {each["name"]: neutral + arrays[f"skin/{k}"] for k, each in enumerate(told)}
+    return compare_expressions(path, {NEUTRAL: neutral, **shown}, rig.skins())
 
 
 @dataclass(frozen=True)

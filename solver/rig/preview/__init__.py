@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.model import SubjectModel
-from solver.rig.container import write_container
+from solver.rig.container import read_container, write_container
 from solver.rig.pictures import face_camera
 from solver.rig.preview.poses import (
     Responses,
@@ -31,6 +31,7 @@ from solver.rig.preview.poses import (
     shape_poses_to_measure,
 )
 from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of, controls_of_shapes
+from solver.rig.read_back import Comparison
 from solver.rig.rig import ExpressionFit
 from solver.rig.skin_basis import (
     ReducedSkin,
@@ -281,6 +282,26 @@ def write_preview(path: Path, preview: Preview) -> None:
     }
     arrays = {"basis": skin.basis, "linear": skin.linear, "quadratic": skin.quadratic}
     write_container(path, header, arrays)
+
+
+def read_back(
+    path: Path, preview: Preview, neutral: Floats, face: Ints
+) -> tuple[Preview, dict[str, Any]]:
+    """Return the preview that ``preview.bin`` holds, its error measured by what is in the file.
+
+    With it comes how far the file's skins are off those of ``preview``, at the poses that it was
+    measured on; a frame is one of them. Raises :class:`SolveError` (``file.differs``).
+    """
+    arrays = read_container(path).arrays
+    skin = ReducedSkin(arrays["basis"], arrays["linear"], arrays["quadratic"])
+    found = Comparison(path.name)
+    for number, sample in enumerate(preview.unseen.samples):
+        values = sample.slid.values
+        found.add(number, skin.motion(values), preview.skin.motion(values))
+    unseen, fitted = (
+        PreviewError(skin, each.samples, neutral, face) for each in (preview.unseen, preview.fitted)
+    )
+    return replace(preview, skin=skin, unseen=unseen, fitted=fitted), found.figures()
 
 
 LEGEND = (

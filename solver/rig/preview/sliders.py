@@ -16,15 +16,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import scipy.linalg
-import scipy.optimize
 from numpy.typing import NDArray
 
-from solver.fitting.activation import rest_curvature
+from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face, Pose
 from solver.fitting.joints import JAW_UNITS
 from solver.fitting.prior import fitted_changes
-from solver.fitting.stretches import FROBENIUS, fibre_tensors, shorten
+from solver.fitting.stretches import shorten
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.rig import ExpressionFit
 from solver.surface import Floats
@@ -32,52 +30,32 @@ from solver.surface import Floats
 # What a muscle's slider does: the muscle shortens along its fibres, as muscles do.
 #
 # A fit has six numbers a muscle, and uses them freely: seen by itself, a fitted activation may push
-# where the muscle would pull. So a slider is not the fit's but the muscle's: C_j, its contraction.
-# The amounts of an expression's activations A_e (m, 6), as differences from rest, are those that
-# come nearest to it,
-#
-#     min over 0 <= c <= 1 of |sum_j c_j C_j - A_e|^2 in the norm J^T J + w I,
-#
-# J being the skin's linear response at rest: what matters of an activation is what is seen of it.
-# The small w keeps what is hardly seen near the fits too.
+# where the muscle would pull. So a slider is not the fit's but the muscle's. What it tells of an
+# expression is how much the muscle contracts in it (solver.fitting.contraction), by how much it
+# does at 1: the certificate, the tables of takes and the sliders say the same of who pulls.
 
 
 @dataclass(frozen=True)
 class SliderOptions:
-    """Ends of the sliders, and weights that split fits between them."""
+    """Ends of the sliders."""
 
     # length to which a slider at 1 shortens a muscle's fibres: well within what muscles can (half:
     # solver.rig.certificate.MUSCLE_SOURCE), and on the straight line from rest to there the
     # muscle's volume is never off by more than 5 %
     full_stretch: float = 0.6
-    unseen: float = 1e-2  # the weight w, mm^2
-    jitter: float = 1e-9  # part of the mean diagonal that makes a Gram matrix definite
-    margin: float = 1.25  # the jaw's sliders go so many times as far as the fitted expressions
-    least_opening: float = 0.2  # rad, by which the jaw opens at least
+    margin: float = 1.25  # the jaw's sliders go so many times as far as the fitted expressions ...
+    # ... and at least so far, rad and mm, each way of JAW_WAYS: near half of what adults' jaws do,
+    # so that a jaw which an expression hardly moves is hardly moved on its slider
+    least_ranges: tuple[tuple[float, float], ...] = (
+        (0.2, 0.05),
+        (0.1, 0.1),
+        (5.0, 5.0),
+        (2.0, 5.0),
+        (10.0, 2.0),
+    )
     # way of the condyles per radian of opening (Muto and Kanazawa 1996: 20.5 mm and 39.1 degrees)
     condyle_path_mm: float = 30.0
     least_jaw_mm: float = 0.3  # motion of the chin from which on a degree of freedom is used
-
-
-def nearest_amounts(
-    activations: Floats,
-    contractions: Floats,
-    seen: Floats,
-    options: SliderOptions = SliderOptions(),
-) -> Floats:
-    """Return the amounts (e, k), from 0 to 1, that come nearest to fitted activations.
-
-    ``activations`` (e, 6 m) are differences from rest, ``contractions`` (6 m, k) the changes at 1,
-    ``seen`` (6 m, 6 m) is J^T J in mm^2.
-    """
-    if not contractions.size:
-        return np.zeros((len(activations), 0))
-    norm = seen + options.unseen * np.diag(np.tile(FROBENIUS, len(seen) // 6))
-    gram = contractions.T @ norm @ contractions
-    jitter = np.eye(len(gram)) * options.jitter * np.trace(gram) / len(gram)
-    root = np.linalg.cholesky(gram + jitter).T
-    right = scipy.linalg.solve_triangular(root, contractions.T @ norm @ activations.T, trans="T")
-    return np.array([scipy.optimize.lsq_linear(root, each, (0.0, 1.0)).x for each in right.T])
 
 
 # b's entries, and where each leads when it grows and when it falls
@@ -94,12 +72,18 @@ Kind = Literal["muscle", "jaw", "expression"]
 
 @dataclass(frozen=True)
 class Control:
-    """One slider; ``muscle`` is the name of the muscle that a control of that kind contracts."""
+    """One slider; ``muscle`` is the name of the muscle that a control of that kind contracts.
+
+    A muscle that contracts by c is at c / ``full`` on its slider, a jaw with the numbers b on those
+    of its ways at ``by_jaw`` . b, both between 0 and 1.
+    """
 
     name: str
     kind: Kind
     title: str
     muscle: str | None = None
+    full: float | None = None
+    by_jaw: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -132,9 +116,7 @@ def controls_of(
     in_a, in_b = layout["activations"], layout["jaw"]
     fitted = np.array([Pose(fit.activations, fit.jaw).vector() for fit in fits]) - layout.rest
     muscles, changes = _muscles(face, options.full_stretch)
-    # the curvature of a mean square is twice J^T J
-    seen = 0.5 * rest_curvature(face)[in_a, in_a]
-    contracted = nearest_amounts(fitted[:, in_a], changes, seen, options)
+    contracted = _contracted(face, fits, muscles)
     jaws, ways, opened = _jaw(fitted[:, in_b], options)
     directions = np.zeros((layout.size, len(muscles) + len(jaws)))
     directions[in_a, : len(muscles)] = changes
@@ -176,14 +158,27 @@ def controls_of_shapes(
 
 def _muscles(face: Face, full_stretch: float) -> tuple[list[Control], Floats]:
     """Return controls and changes of a (6 m, .) of the muscles that have fibres in S."""
-    model, count = face.model, face.model.muscle_count
-    tensors = fibre_tensors(model, face.flesh.volumes, face.S)
-    kept = np.flatnonzero(np.isfinite(tensors).all(axis=(1, 2)))
-    changes = np.zeros((count, 6, len(kept)))
+    names, contraction = face.model.muscle_names, Contraction.of_face(face)
+    assert contraction is not None, "the sliders of a rig contract muscles by S"
+    kept = np.flatnonzero(np.isfinite(contraction.tensors).all(axis=(1, 2)))
+    changes = np.zeros((len(names), 6, len(kept)))
+    pulled = np.tile(IDENTITY, (len(names), 1))
     for column, muscle in enumerate(kept):
-        changes[muscle, :, column] = shorten(tensors[muscle], full_stretch) - IDENTITY
-    names = [model.muscle_names[muscle] for muscle in kept]
-    return [Control(name, "muscle", name, name) for name in names], changes.reshape(6 * count, -1)
+        pulled[muscle] = shorten(contraction.tensors[muscle], full_stretch)
+        changes[muscle, :, column] = pulled[muscle] - IDENTITY
+    full = contraction(pulled)
+    listed = [Control(names[j], "muscle", names[j], names[j], full=float(full[j])) for j in kept]
+    return listed, changes.reshape(6 * len(names), -1)
+
+
+def _contracted(face: Face, fits: Sequence[ExpressionFit], muscles: Sequence[Control]) -> Floats:
+    """Return the values (e, .) of the ``muscles`` in fitted expressions; 0 where they lengthen."""
+    numbers = [face.model.muscle_number(str(control.muscle)) for control in muscles]
+    contraction = Contraction.of_face(face)
+    assert contraction is not None, "the sliders of a rig contract muscles by S"
+    found = contraction(np.array([fit.activations for fit in fits]))[:, numbers]
+    full = np.array([control.full for control in muscles], float)
+    return np.asarray(np.clip(found / full, 0.0, 1.0))
 
 
 def _jaw(fitted: Floats, options: SliderOptions) -> tuple[list[Control], Floats, Floats]:
@@ -191,15 +186,18 @@ def _jaw(fitted: Floats, options: SliderOptions) -> tuple[list[Control], Floats,
     along = np.eye(5)
     # an opening jaw takes its condyles along: the fits count from there
     along[4, 0] = options.condyle_path_mm
-    places = fitted @ np.linalg.inv(along).T
+    reads = np.linalg.inv(along)
+    places = fitted @ reads.T
     listed, columns, values = [], [], []
-    for axis, ways in enumerate(JAW_WAYS):
-        for sign, title in zip((1.0, -1.0), ways, strict=True):
+    for axis, (ways, ranges) in enumerate(zip(JAW_WAYS, options.least_ranges, strict=True)):
+        for sign, title, least in zip((1.0, -1.0), ways, ranges, strict=True):
             there = np.maximum(sign * places[:, axis], 0.0)
-            least = options.least_opening if title == "jaw opens" else 0.0
-            most = max(options.margin * there.max(initial=0.0), least)
-            if most * JAW_UNITS[axis] >= options.least_jaw_mm:
-                listed.append(Control(title.replace(" ", "_"), "jaw", title.capitalize()))
+            used = options.margin * there.max(initial=0.0)
+            most = max(used, least)
+            if used * JAW_UNITS[axis] >= options.least_jaw_mm or title == "jaw opens":
+                by_jaw = tuple((sign / most * reads[axis]).tolist())
+                name = title.replace(" ", "_")
+                listed.append(Control(name, "jaw", title.capitalize(), by_jaw=by_jaw))
                 columns.append(sign * most * along[:, axis])
                 values.append(there / most)
     return listed, np.array(columns).T, np.array(values).T

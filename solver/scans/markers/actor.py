@@ -25,10 +25,15 @@ from scipy.interpolate import RBFInterpolator
 
 from solver.errors import Finding, InputError, make_warning, quote_names
 from solver.scans.markers.bind import places_of
+from solver.scans.markers.face_take import living_labels
 from solver.scans.markers.faults import Faults, find_faults
 from solver.scans.markers.locate import FLIP, fit_most
 from solver.scans.markers.marker_set import BONY, MarkerSet
-from solver.scans.markers.motion import Mask, Motion, find_neutral, median_of_seen, rms_of_seen
+from solver.scans.markers.motion import Mask, Motion, median_of_seen, rms_of_seen
+from solver.scans.markers.names import read_names
+from solver.scans.markers.rest import likely_rests, rivals
+from solver.scans.markers.rest_findings import compare_rests
+from solver.scans.markers.shape import refuse_flat
 from solver.scans.markers.take import Take
 from solver.similarity import IDENTITY, Similarity, robust_motion_of_seen
 from solver.surface import Floats, Surface
@@ -97,18 +102,20 @@ def carry(
 ) -> CarriedTake:
     """Carry a take of another person, at rest in the ``neutral`` rows, to the places of a set.
 
-    Without these rows the stillest second is taken. Raises :class:`InputError`: ``markers.few``,
-    ``markers.mirrored``, or ``markers.other_person`` where the markers at rest do not lie like
-    these places, in any size.
+    Without these rows the likeliest rest is taken (:mod:`.rest`). Raises :class:`InputError`:
+    ``markers.few``, ``markers.flat``, ``markers.mirrored``, or ``markers.other_person`` where the
+    markers at rest do not lie like these places, in any size.
     """
     used = {each.label: each for each in markers.markers if each.part != "ignore"}
-    take = take.pick([n for n, label in enumerate(take.labels) if label in used])
+    living = living_labels(take).tolist()
+    take = take.pick([number for number in living if take.labels[number] in used])
     on_bone = np.array([used[label].part in BONY for label in take.labels], bool)
     scale = markers.session.scale
     if np.sum(~on_bone) < options.least:
         raise _few_error(take.file, int(np.sum(~on_bone)), options)
     faults = find_faults(scale * take.positions, rate)
-    motion, rows = faults.motion, neutral or find_neutral(faults.motion, rate)
+    motion = faults.motion
+    rows, unclear = (neutral, []) if neutral else _find_rest(take, faults, rate)
     rest, goal = _at_rest(motion, rows), places_of(take.labels, markers, skin)
     warp = fit_warp(take.file, rest, goal, on_bone, markers.session.rotation, options)
     turns, shifts = _head_motions(motion, warp.similarity, sum(rows) // 2)
@@ -128,7 +135,8 @@ def carry(
     report = _report(take.labels, warp, often)
     report["neutral"] = [take.numbers[row] for row in rows]
     read = replace(markers, session=IDENTITY)
-    return CarriedTake(carried, read, report, _notices(take.labels, warp, often, options))
+    notices = (*unclear, *_notices(take.labels, warp, often, options))
+    return CarriedTake(carried, read, report, notices)
 
 
 def off_places(
@@ -149,6 +157,17 @@ def off_places(
 
 
 # Rest, and the warp from one face to the other.
+
+
+def _find_rest(take: Take, faults: Faults, rate: float) -> tuple[tuple[int, int], list[Finding]]:
+    """Return the rows of the likeliest rest, and a notice if another pose may be rest as well."""
+    rests = likely_rests(faults, read_names(take.labels), rate)
+    others = rivals(rests[0], rests)
+    if not others:
+        return rests[0].rows, []
+    compared = compare_rests(rests[0], others[0], take.labels, take.numbers)
+    message = compared.pop("message")
+    return rests[0].rows, [make_warning("markers.unclear_rest", message, compared)]
 
 
 def _at_rest(motion: Motion, rows: tuple[int, int]) -> Floats:
@@ -174,6 +193,7 @@ def fit_warp(
     known = np.isfinite(rest[:, 0]) & np.isfinite(goal[:, 0]) & ~on_bone
     if known.sum() < options.least:
         raise _few_error(file, int(known.sum()), options)
+    refuse_flat(file, rest[known])
     turned = rest @ turn.T
     similar, misfit = fit_most(turned[known], goal[known])
     _check_similar(file, similar, misfit, fit_most(turned[known] @ FLIP, goal[known])[1], options)

@@ -6,15 +6,15 @@ lies: to the skin with a height over it, or to the bone that it rides on. A chec
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import igl
 import numpy as np
 
 from solver.anatomy.embedding import barycentric
-from solver.errors import InputError
+from solver.errors import Finding, InputError
 from solver.mechanics.boundary import move_jaw, move_jaw_back
 from solver.model import JawFrame, SubjectModel
 from solver.registration.search import nose_tip
@@ -26,8 +26,12 @@ from solver.scans.markers.face_take import (
     choose_face,
     locate_take,
 )
+from solver.scans.markers.findings import MarkerCheck
 from solver.scans.markers.locate import Located, LocateOptions, heights_over
 from solver.scans.markers.marker_set import Marker, MarkerSet, Triple, places_over
+from solver.scans.markers.orbits import Rim, clear_lids, find_rims
+from solver.scans.markers.rest_findings import report_mouth, report_off_skin, report_rest
+from solver.scans.markers.shape import refuse_flat
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity
 from solver.surface import Floats, Surface, area_normals, unit_rows
@@ -70,6 +74,7 @@ class Reference:
     model_sha256: str = ""  # of the person's model; empty for a face that is nobody's
     markers: MarkerSet | None = None
     jaw: tuple[JawFrame, Floats] | None = None  # and its b (5,), if it is not at rest
+    rims: Mapping[int, Rim] = field(default_factory=dict)  # of its orbits, by side
 
     @classmethod
     def of(
@@ -78,12 +83,18 @@ class Reference:
         markers: MarkerSet | None = None,
         expression: Expression | None = None,
     ) -> Reference:
-        """Return a person at rest, or in an expression."""
+        """Return a person at rest, or in an expression.
+
+        Raises :class:`InputError` as :meth:`MarkerSet.check_model`.
+        """
+        if markers is not None:
+            markers.check_model(model)
         face = model_face(model)
-        if expression is None:
-            return cls(face, model.sha256, markers)
-        jaw = model.jaw, expression.jaw
-        return cls(face.moved(expression.skin), model.sha256, markers, jaw)
+        jaw = None
+        if expression is not None:
+            face, jaw = face.moved(expression.skin), (model.jaw, expression.jaw)
+        rims = find_rims(face.vertices, model.regions)
+        return cls(face, model.sha256, markers, jaw, rims)
 
     def places(self, markers: MarkerSet) -> Floats:
         """Return where the markers (k, 3) of a set lie on this face, NaN for those without."""
@@ -114,6 +125,7 @@ class Binding:
     markers: MarkerSet
     pose: Located
     neutral: tuple[int, int]  # first and last row of the take at rest
+    findings: tuple[Finding, ...] = ()  # what to look at before the set is used
 
 
 def bind(
@@ -127,10 +139,10 @@ def bind(
 ) -> Binding:
     """Return where the markers of a take sit on ``model``, at rest in the ``neutral`` rows.
 
-    Without these one of the stillest seconds is taken, in which the markers lie most like the
-    face. With an ``expression`` the face shows that instead. An ``actor`` is another person: see
-    :func:`place_take`. Raises :class:`InputError`: ``markers.few``, not enough of them are seen in
-    these frames, or ``markers.too_large``.
+    Without these a still second is taken, to which the face comes back most, or in which the
+    markers lie most like the face. With an ``expression`` the face shows that instead. An ``actor``
+    is another person: see :func:`place_take`. Raises :class:`InputError`: ``markers.few``, not
+    enough of them are seen in these frames, ``markers.flat`` or ``markers.too_large``.
     """
     reference, face = Reference.of(model, expression=expression), choose_face(take, options.face)
     if len(face.numbers) < options.face.least:
@@ -139,9 +151,14 @@ def bind(
     if located.pose is None:
         seen = int(np.isfinite(located.points[:, 0]).sum())
         raise _few_error(take.file, seen, "seen at rest", options.face)
-    markers = place_take(located, located.pose, reference.face, options, actor=actor)
-    bound = reference.bind(markers, located.pose.session)
-    return Binding(bound, located.pose, located.neutral)
+    refuse_flat(take.file, located.points)
+    markers = place_take(located, located.pose, reference, options, actor=actor)
+    bound, check = reference.bind(markers, located.pose.session), MarkerCheck()
+    report_rest(check, located, is_given=neutral is not None)
+    report_off_skin(check, located, bound)
+    if expression is None:
+        report_mouth(check, located, None)
+    return Binding(bound, located.pose, located.neutral, tuple(check.findings))
 
 
 def _few_error(file: str, found: int, where: str, options: FaceOptions) -> InputError:
@@ -162,7 +179,7 @@ def model_face(model: SubjectModel) -> Surface:
 def place_take(
     located: LocatedTake,
     pose: Located,
-    skin: Surface,
+    reference: Reference,
     options: BindOptions = BIND,
     *,
     actor: bool = False,
@@ -170,13 +187,16 @@ def place_take(
     """Return a marker for every label of a take whose face has a ``pose``.
 
     Those of an ``actor`` are brought to the person's size by their names, and lie on the skin as
-    markers do: how far they then are from it is how unlike the two faces are.
+    markers do: how far they then are from it is how unlike the two faces are. Of the orbit, they
+    lie on its rim.
     """
     session, height = pose.session, None
     if actor:
         session, height = pose.similar or session, options.usual_height
     placed = session(located.points)
-    return place_markers(located.face, placed, skin, options, height)
+    if actor:
+        placed = clear_lids(placed, located.face.names, reference.rims)
+    return place_markers(located.face, placed, reference.face, options, height)
 
 
 def place_markers(

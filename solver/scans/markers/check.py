@@ -7,12 +7,12 @@ what to do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from solver.errors import InputError, Severity, quote, quote_names
+from solver.errors import Finding, InputError, Severity, quote, quote_names
+from solver.scans.markers.actor import ActorWarp, fit_warp
 from solver.scans.markers.bind import Reference, place_take
 from solver.scans.markers.face_take import (
     FACE,
@@ -23,6 +23,8 @@ from solver.scans.markers.face_take import (
     locate_take,
 )
 from solver.scans.markers.findings import (
+    ACTOR_ADVICE,
+    ADVICE,
     LIMITS,
     CheckLimits,
     MarkerCheck,
@@ -34,9 +36,11 @@ from solver.scans.markers.findings import (
     report_location,
     report_unlabelled,
 )
-from solver.scans.markers.marker_set import MarkerSet
-from solver.scans.markers.motion import find_neutral, rms_of_seen
+from solver.scans.markers.marker_set import BONY, MarkerSet
+from solver.scans.markers.motion import rms_of_seen
 from solver.scans.markers.names import LOWER
+from solver.scans.markers.rest_findings import report_mouth, report_off_skin, report_rest
+from solver.scans.markers.shape import is_motionless, refuse_flat
 from solver.scans.markers.take import Take
 from solver.similarity import robust_motion
 from solver.surface import Floats, Ints
@@ -79,17 +83,28 @@ def check_take(
     report_unlabelled(check, located, limits)
     first, last = located.neutral
     check.figures["neutral"] = [take.numbers[first], take.numbers[last]]
-    _check_rest(check, located, is_given=neutral is not None, limits=limits)
+    report_rest(check, located, is_given=neutral is not None, limits=limits)
     check.labels = label_rows(located)
     if located.pose is None:
         message = f"Frames {take.numbers[first]} to {take.numbers[last]} show too few markers."
         add(check, "markers.neutral", "warning", message)
         return check
+    try:
+        refuse_flat(take.file, located.points)
+    except InputError as error:
+        add(check, error.code, "error", error.message, **error.context)
+        return check
+    if is_motionless(located.faults.motion):
+        message = "No marker moves against the others: the take shows one pose."
+        add(check, "markers.motionless", "info", message)
     report_location(check, located, located.pose)
     if reference.model_sha256:
-        _check_person(check, located, reference, actor=actor, limits=limits)
-        markers = place_take(located, located.pose, reference.face, actor=actor)
+        markers = place_take(located, located.pose, reference, actor=actor)
         check.bound = reference.bind(markers, located.pose.session)
+        _check_person(check, located, reference, actor=actor, limits=limits)
+        if not any(each.code == "markers.other_person" for each in check.findings):
+            report_off_skin(check, located, check.bound)
+    _check_mouth(check, located, reference, limits)
     return check
 
 
@@ -144,35 +159,6 @@ def _are_few(check: MarkerCheck, take: Take, count: int) -> bool:
 # Where the face is, and whose.
 
 
-def _check_rest(
-    check: MarkerCheck, located: LocatedTake, *, is_given: bool, limits: CheckLimits
-) -> None:
-    """Check that the frames at rest show most of the markers, and these lie still."""
-    motion, (first, last) = located.faults.motion, located.neutral
-    numbers = located.face.take.numbers
-    places = motion.places[first : last + 1]
-    seen = np.isfinite(places[..., 0])
-    hidden = np.flatnonzero(~seen.any(axis=0))
-    frames = f"frames {numbers[first]} to {numbers[last]}"
-    figures: dict[str, Any] = {"frames": [numbers[first], numbers[last]]}
-    stillest = ""
-    if is_given:
-        one, other = (numbers[row] for row in find_neutral(motion, located.face.rate))
-        figures["stillest"] = [one, other]
-        stillest = f" The stillest are {one} to {other}."
-    if len(hidden) > (1.0 - limits.at_rest) * seen.shape[1]:
-        names = quote_names([located.face.labels[each] for each in hidden.tolist()])
-        message = f"{len(hidden)} of {seen.shape[1]} markers are not seen in {frames}.{stillest}"
-        add(check, "markers.neutral", "warning", message, labels=names, **figures)
-        return
-    spread = np.sqrt(np.nanvar(places[:, seen.any(axis=0)], axis=0).sum(axis=1))
-    unrest = float(np.median(spread))
-    if unrest > limits.unrest:
-        which = "these" if is_given else "taken for rest"
-        message = f"The face moves in {frames}, {which}, by {unrest:.1f} mm.{stillest}"
-        add(check, "markers.neutral", "warning", message, found=round(unrest, 2), **figures)
-
-
 def _check_person(
     check: MarkerCheck,
     located: LocatedTake,
@@ -197,13 +183,80 @@ def _check_person(
             f"are {jaw:.1f} mm off, the others {others:.1f} mm."
         )
         add(check, "markers.neutral", "warning", message, found=round(jaw, 1))
+    elif actor:
+        _check_actor(check, located, reference)
     elif max(others, all_) > limits.person:
         message = (
             f"At rest the markers of {located.face.take.file} are {all_:.1f} mm off this person."
         )
-        severity: Severity = "info" if actor else "error"
+        severity: Severity = "warning" if _may_be_actor(located, reference) else "error"
         figures = {"found": round(all_, 2), "expected": limits.person}
         add(check, "markers.other_person", severity, message, **figures)
+
+
+def _check_actor(check: MarkerCheck, located: LocatedTake, reference: Reference) -> None:
+    """Add how the markers are carried to the person, or why the fit will refuse to."""
+    markers = reference.markers or check.bound
+    assert markers is not None, "bound before"
+    try:
+        warp = _warp_to(located, reference, markers)
+    except InputError as error:
+        advice = ACTOR_ADVICE.get(error.code, ADVICE.get(error.code, ""))
+        check.findings.append(Finding(error.code, "error", error.message, advice, error.context))
+        return
+    scale, missed, left = warp.similarity.scale, rms_of_seen(warp.missed), rms_of_seen(warp.left)
+    message = (
+        f"The fit carries the motion to this person, at {scale:.2f} times the actor's size: the "
+        f"markers at rest are {missed:.1f} mm off by that, {left:.1f} mm by the warp."
+    )
+    figures = {"scale": round(scale, 4), "missed_mm": round(missed, 2), "left_mm": round(left, 2)}
+    add(check, "markers.actor", "info", message, **figures)
+
+
+def _may_be_actor(located: LocatedTake, reference: Reference) -> bool:
+    """Tell whether the markers could be carried to the person as another actor's."""
+    pose, markers = located.pose, reference.markers
+    assert pose is not None
+    if markers is None:
+        if pose.similar is None:
+            return False  # the labels do not name their places
+        placed = place_take(located, pose, reference, actor=True)
+        markers = reference.bind(placed, pose.session)
+    try:
+        _warp_to(located, reference, markers)
+    except InputError:
+        return False
+    return True
+
+
+def _warp_to(located: LocatedTake, reference: Reference, markers: MarkerSet) -> ActorWarp:
+    """Return the way of the markers at rest to a set's places, as the fit of an actor goes."""
+    face, session = located.face, markers.session
+    bony = {each.label for each in markers.markers if each.part in BONY}
+    on_bone = np.array([label in bony for label in face.labels], bool)
+    goal = _places_of(face.labels, reference, markers)
+    rest = session.scale * located.points
+    return fit_warp(face.take.file, rest, goal, on_bone, session.rotation)
+
+
+def _check_mouth(
+    check: MarkerCheck, located: LocatedTake, reference: Reference, limits: CheckLimits
+) -> None:
+    """Check that the mouth is closed at rest, if nothing was found odd with that yet."""
+    if any(each.code == "markers.neutral" for each in check.findings):
+        return
+    if reference.markers is not None:
+        labels = located.face.labels
+        report_mouth(check, located, _places_of(labels, reference, reference.markers), limits)
+    elif reference.jaw is None:  # names tell of closed lips
+        report_mouth(check, located, None, limits)
+
+
+def _places_of(labels: Sequence[str], reference: Reference, markers: MarkerSet) -> Floats:
+    """Return the places (n, 3) of labels in a set on the face, NaN for those not in it."""
+    row = {label: number for number, label in enumerate(markers.labels)}
+    places = np.vstack([reference.places(markers), np.full(3, np.nan)])
+    return np.asarray(places[[row.get(label, -1) for label in labels]])
 
 
 def _off_places(
@@ -221,16 +274,13 @@ def _off_places(
     """
     placed, labels = located.places, located.face.labels
     assert placed is not None
-    goal = reference.places(markers)
-    number = {label: row for row, label in enumerate(markers.labels)}
-    rows = np.array([number.get(label, -1) for label in labels])
-    known = np.flatnonzero((rows >= 0) & np.isfinite(placed[:, 0]))
-    known = known[np.isfinite(goal[rows[known], 0])]
+    goal = _places_of(labels, reference, markers)
+    known = np.flatnonzero(np.isfinite(goal[:, 0]) & np.isfinite(placed[:, 0]))
     off = np.full(len(labels), np.nan)
     _check_labels(check, markers, labels, len(known), limits)
     if len(known) < FACE.least:
         return off
-    there = goal[rows[known]]
+    there = goal[known]
     motion = robust_motion(placed[known], there, np.ones(len(known)), 3.0, 12)
     apart = np.linalg.norm(motion(placed[known])[:, None] - there[None], axis=2)
     _, chosen = linear_sum_assignment(apart**2)

@@ -52,7 +52,7 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
     A label that stands there twice gets a number. Where two subjects have the same labels all keep
     their subject's name, as ``Jane:LBRO1``.
     """
-    plain = [_tidy(name) for name in names[:count]] + [""] * (count - len(names))
+    plain = [tidy_label(name) for name in names[:count]] + [""] * (count - len(names))
     parts = [tuple(map(str.strip, name.rpartition(":")[::2])) for name in plain]
     labelled = [at for at, (_, label) in enumerate(parts) if label and not _is_unlabelled(label)]
     others = sorted(set(range(count)) - set(labelled))
@@ -89,7 +89,7 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
     )
 
 
-def _tidy(name: str) -> str:
+def tidy_label(name: str) -> str:
     """Return a name in one form of Unicode, with single blanks and nothing that does not print."""
     text = " ".join(unicodedata.normalize("NFC", name[: 4 * LONGEST_LABEL]).split())
     return "".join(each for each in text if each.isprintable())[:LONGEST_LABEL].strip(" :")
@@ -161,12 +161,12 @@ def settle_unit(
         return named, []
     words = f"says '{quote(unit)}'" if unit else "does not say its unit"
     for bounds in (options.face_mm, options.seen_mm):
-        mm = likely_unit(spread, bounds, [UNITS[name] for name in COMMON])
+        mm = likely_unit(spread, bounds, UNITS.values())
         if mm is None:
             continue
         name = ScanUnit(mm, "found").name
         size = f"in which points spread {spread * mm:.0f} mm about their middle"
-        is_plain = not unit and bounds == options.face_mm
+        is_plain = not unit and bounds == options.face_mm and name in COMMON
         figures = {"file": file, "unit": name, "spread_mm": round(spread * mm, 1)}
         severity: Severity = "info" if is_plain else "warning"
         message = f"{file} {words}; it is read in {name}, {size}."

@@ -1,22 +1,24 @@
 """The markers of one face in a take, and where they lie on a person at rest.
 
 The labels of one face are chosen among those of bodies and of other faces (``choose_face``); that
-face is found on the person's skin (:mod:`.locate`) in one of the seconds in which it is stillest.
+face is found on the person's skin (:mod:`.locate`) in a second at rest (:mod:`.rest`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from solver.errors import InputError
-from solver.registration.units import likely_unit
+from solver.registration.units import choose_unit, likely_unit
 from solver.scans.markers.faults import Faults, find_faults
-from solver.scans.markers.locate import Located, LocateOptions, locate
-from solver.scans.markers.motion import Mask, Motion, Second, median_of_seen, still_seconds
+from solver.scans.markers.locate import NAMES_UNIT, Located, LocateOptions, locate
+from solver.scans.markers.motion import Mask, Motion, median_of_seen
 from solver.scans.markers.names import Named, read_names
+from solver.scans.markers.rest import REST, Rest, RestOptions, likely_rests, rivals
 from solver.scans.markers.take import Take
 from solver.surface import Floats, Ints, Surface
 
@@ -33,8 +35,9 @@ class FaceOptions:
     linked: float = 100.0  # markers of one head lie no farther apart, one to the next
     second: float = 0.4  # of the first face's markers make another face ...
     least_second: int = 6  # ... if they are so many
-    seconds: int = 10  # in which the face is still, to compare with the person
-    off_skin: float = LocateOptions.off_skin  # a marker counts for no more in that
+    off_skin: float = LocateOptions.off_skin  # a marker counts for no more, of likeness to a person
+    resembles: float = 0.5  # of it: a pose that is so much more like the person is the rest
+    rest: RestOptions = REST
 
 
 FACE = FaceOptions()
@@ -50,7 +53,7 @@ class FaceTake:
     another: Ints  # those of them on a second face; none if there is no such face
     dead: Ints  # labels that are never seen
     names: tuple[Named | None, ...]  # (n,) places by the face's labels
-    mm: float  # a unit of the take, by how far neighbours lie apart
+    mm: float  # a unit of the take, by how far markers lie apart
     rate: float  # frames a second; the usual where the take has none
 
     @property
@@ -68,6 +71,8 @@ class LocatedTake:
     neutral: tuple[int, int]  # first and last row of the take at rest
     points: Floats  # (n, 3) at rest, in the axes and the unit of the take
     pose: Located | None  # where the face is under them; None if they are too few
+    rest: Rest | None = None  # the pose at rest; None if its rows were given
+    rival: Rest | None = None  # another, that may be rest as well
 
     @property
     def distinct(self) -> int:
@@ -87,14 +92,15 @@ def choose_face(take: Take, options: FaceOptions = FACE) -> FaceTake:
     """
     take = count_tracks(take, options)
     named = read_names(take.labels)
-    alive = np.asarray(np.isfinite(take.positions[..., 0]).any(axis=0))
-    if alive.sum() > options.most:
-        message = f"{take.file} has {alive.sum()} markers, {options.most} can be bound"
-        figures = {"found": int(alive.sum()), "expected": options.most}
-        raise InputError("markers.too_large", message, file=take.file, **figures)
+    alive = np.zeros(len(take.labels), bool)
+    alive[living_labels(take, options)] = True
     mm = _neighbours_unit(take.positions[:, alive], options)
     is_body = np.array([each is not None and each.part == "ignore" for each in named], bool)
     on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
+    by_names = _unit_by_names(take, on_face, named, options)
+    if by_names not in (None, mm):
+        mm = by_names
+        on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
     numbers = np.flatnonzero(on_face)
     return FaceTake(
         take,
@@ -106,6 +112,20 @@ def choose_face(take: Take, options: FaceOptions = FACE) -> FaceTake:
         mm,
         take.rate if take.rate > 0 else USUAL_RATE,
     )
+
+
+def living_labels(take: Take, options: FaceOptions = FACE) -> Ints:
+    """Return the numbers of the labels that are ever seen.
+
+    Raises :class:`InputError` ``markers.too_large`` for more of them than a face has: what takes a
+    take apart compares all of them with each other.
+    """
+    alive = np.flatnonzero(np.isfinite(take.positions[..., 0]).any(axis=0))
+    if len(alive) > options.most:
+        message = f"{take.file} has {len(alive)} markers, {options.most} can be bound"
+        figures = {"found": len(alive), "expected": options.most}
+        raise InputError("markers.too_large", message, file=take.file, **figures)
+    return alive
 
 
 def count_tracks(take: Take, options: FaceOptions = FACE) -> Take:
@@ -143,6 +163,28 @@ def _neighbours_unit(positions: Floats, options: FaceOptions) -> float:
     return likely_unit(spacing, options.spacing, (1.0, 1000.0, 10.0, 0.1, 0.001)) or 1.0
 
 
+def _unit_by_names(
+    take: Take, on_face: Mask, named: Sequence[Named | None], options: FaceOptions
+) -> float | None:
+    """Return the mm a unit that puts a face's markers as far apart as their names; None if none."""
+    places = {
+        number: each.place
+        for number, each in enumerate(named)
+        if each is not None and each.part == "face" and on_face[number]
+    }
+    if len(places) < options.least:
+        return None
+    apart = _usual_distances(take.positions[:, list(places)])
+    at = np.array(list(places.values()))
+    by_name = np.linalg.norm(at[:, None] - at[None], axis=2)
+    known = (by_name > 0) & (apart > 0)
+    if not known.any():
+        return None
+    scale = float(np.median(by_name[known] / apart[known]))
+    unit = choose_unit(scale, None, None, NAMES_UNIT, read_mm=take.unit_mm)
+    return None if unit.source == "template" else unit.mm_per_unit
+
+
 def _usual_distances(positions: Floats, frames: int = 40) -> Floats:
     """Return the median distances (k, k) of markers, NaN for those never seen together."""
     some = positions[np.unique(np.linspace(0, len(positions) - 1, frames).astype(int))]
@@ -164,26 +206,34 @@ def locate_take(
 ) -> LocatedTake:
     """Return where a face's markers lie on a ``skin``, at rest in the ``neutral`` rows.
 
-    Without these the stillest second is taken, or of some that are ``compared`` that in which the
-    markers lie most like the skin: people are still with the mouth open, too.
+    Without these the likeliest rest is taken, or of the few likeliest that are ``compared`` that in
+    which the markers lie most like the skin.
     """
     faults = find_faults(face.mm * face.take.positions[:, face.numbers], face.rate)
-    motion = faults.motion
     if neutral:
-        seconds = [Second(neutral)]
-    else:
-        seconds = still_seconds(motion, face.rate, options.seconds if compared else 1)
-    found, least = None, np.inf
-    for second in seconds:
-        points = _rest_points(motion, second.rows) / face.mm
-        here = LocatedTake(face, faults, second.rows, points, None)
-        if here.distinct >= options.least:
-            here = replace(here, pose=locate(points, face.names, skin))
-        cost = second.unrest + _unlikeness(here.pose, options)
-        if found is None or cost < least:
-            found, least = here, cost
-    assert found is not None, "every take has a second"
-    return found
+        return _locate_at(face, skin, faults, neutral, options)
+    rests = likely_rests(faults, face.names, face.rate, options.rest)
+    tried = rests if compared else rests[:1]
+    found = [_locate_at(face, skin, faults, each.rows, options) for each in tried]
+    unlike = [_unlikeness(each.pose, options) for each in found]
+    costs = [each.second.unrest + miss for each, miss in zip(tried, unlike, strict=True)]
+    best = int(np.argmin(costs))
+    others = rivals(rests[best], rests, options.rest)
+    if compared:
+        much = unlike[best] + options.resembles
+        others = [each for each in others if unlike[rests.index(each)] < much]
+    return replace(found[best], rest=rests[best], rival=others[0] if others else None)
+
+
+def _locate_at(
+    face: FaceTake, skin: Surface, faults: Faults, rows: tuple[int, int], options: FaceOptions
+) -> LocatedTake:
+    """Return where a face's markers lie on a ``skin``, at rest in some rows."""
+    points = _rest_points(faults.motion, rows) / face.mm
+    here = LocatedTake(face, faults, rows, points, None)
+    if here.distinct < options.least:
+        return here
+    return replace(here, pose=locate(points, face.names, skin, read_mm=face.take.unit_mm))
 
 
 def _unlikeness(pose: Located | None, options: FaceOptions) -> float:

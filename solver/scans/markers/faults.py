@@ -1,17 +1,19 @@
 """Faults of single markers of a take: frozen, filled, swapped, moved, thrown, missing.
 
 A marker is wrong where it is far from where most others put it (``motion.py``) and came or went
-there at once, as no skin does; two are swapped where each lies where the other is expected.
+there at once, as no skin does; two are swapped where each lies where the other is expected, or from
+the frame in which they cross on, until they cross back (``crossings.py``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
+from solver.scans.markers.crossings import Swap, exchange, find_swaps
 from solver.scans.markers.motion import (
     MOTION,
     Mask,
@@ -113,6 +115,15 @@ class Faults:
             shown[span.first : span.last + 1, span.marker] = np.nan
         return shown
 
+    def put_right(self, positions: Floats) -> tuple[Floats, Mask]:
+        """Return ``positions`` (f, k, 3) with swapped labels exchanged, and which (f, k) were."""
+        right, exchanged = positions.copy(), np.zeros(positions.shape[:2], bool)
+        for span in self.of("swapped"):
+            rows = slice(span.first, span.last + 1)
+            right[rows, span.marker] = positions[rows, span.other]
+            exchanged[rows, span.marker] = True
+        return right, exchanged
+
     def blanks(self, least: int) -> list[tuple[int, int]]:
         """Return first and last frames of spans of ``least`` frames in which nothing is seen."""
         seen = np.asarray(np.isfinite(self.motion.places[..., 0]).any(axis=1))
@@ -132,8 +143,13 @@ def find_faults(
     measured = np.where(frozen[..., None], np.nan, positions)
     _find_filled(measured, rate, options, spans)
     motion = take_apart(measured, rate, motion_options)
+    pairs, leap = list(_neighbours(motion.middle, options)), options.jump(rate)
+    swaps = find_swaps(motion.places, motion.expected, pairs, leap, rate)
+    if swaps:  # they bend what is expected of all markers
+        motion = take_apart(exchange(measured, swaps), rate, motion_options)
+        motion = replace(motion, places=exchange(motion.places, swaps))
     residuals = motion.residuals
-    taken = _find_exchanged(motion, residuals, rate, options, spans)
+    taken = _find_exchanged(motion, residuals, rate, options, swaps, spans)
     residuals = np.where(taken[..., None], np.nan, residuals)
     moved = _find_moved(residuals, rate, options)
     spans += moved.values()
@@ -206,22 +222,35 @@ def _resolution(positions: Floats) -> float:
 
 
 def _find_exchanged(
-    motion: Motion, residuals: Floats, rate: float, options: FaultOptions, spans: list[Span]
+    motion: Motion,
+    residuals: Floats,
+    rate: float,
+    options: FaultOptions,
+    crossed: Sequence[Swap],
+    spans: list[Span],
 ) -> Mask:
-    """Return which points (f, k) lie where another marker is expected that does not lie there."""
+    """Return which points (f, k) lie where another marker is expected that does not lie there.
+
+    Labels that have ``crossed`` are swapped.
+    """
     off = np.linalg.norm(residuals, axis=2)
     missing = np.isnan(off)
     bad = np.nan_to_num(off) > options.wrong
     taken = np.zeros(bad.shape, bool)
     found: dict[tuple[int, int, str], list[Ints]] = {}
 
-    def add_swaps(where: Mask, lies_at: Ints | None = None) -> None:
-        for a, b, swapped in _swaps(motion, off, where, options, lies_at):
-            taken[swapped, a] = taken[swapped, b] = True
-            found.setdefault((a, b, "swapped"), []).append(swapped)
-            found.setdefault((b, a, "swapped"), []).append(swapped)
+    def add_swap(a: int, b: int, rows: Ints) -> None:
+        taken[rows, a] = taken[rows, b] = True
+        found.setdefault((a, b, "swapped"), []).append(rows)
+        found.setdefault((b, a, "swapped"), []).append(rows)
 
-    add_swaps(bad)
+    def add_swaps(where: Mask, lies_at: Ints | None = None) -> None:
+        for a, b, rows in _swaps(motion, off, where, options, lies_at):
+            add_swap(a, b, rows)
+
+    for each in crossed:
+        add_swap(each.a, each.b, each.rows)
+    add_swaps(bad & ~taken)
     frames, markers = np.nonzero(bad & ~taken)
     free = (missing | bad) & ~taken
     others, near = _nearest_expected(motion, frames, markers, free)

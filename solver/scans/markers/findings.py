@@ -13,6 +13,7 @@ import numpy as np
 
 from solver.errors import MOST_NAMES, Finding, Severity, advise, quote, quote_names
 from solver.registration.locate import nearest_axis
+from solver.registration.units import ScanUnit
 from solver.scans.markers.face_take import LocatedTake
 from solver.scans.markers.faults import WRONG, Span
 from solver.scans.markers.locate import Located
@@ -48,7 +49,16 @@ ADVICE = {
     "markers.wrong": "Clean the take, or take it again: too much of it is wrong.",
     # the person
     "markers.neutral": "Name frames with a relaxed face, lips closed, or the expression they show.",
+    "markers.unclear_rest": "Look at both, and name a frame with the face at rest: --neutral.",
+    "markers.off_skin": "Name other frames at rest if the mouth is open in these; else do nothing.",
+    "markers.flat": "Export points in space, of markers all over the face.",
+    "markers.motionless": "Nothing to do, if it is to be a take of the face at rest.",
+    "markers.actor": "Nothing to do: the take is fitted as another actor's.",
     "markers.other_person": "Take this person's own rig, or fit it as another actor's: --actor.",
+}
+# Of what an actor's take is refused for: that it is an actor's is known.
+ACTOR_ADVICE = {
+    "markers.other_person": "Bind the take again with --actor, or name a frame at rest: --neutral."
 }
 
 
@@ -66,6 +76,8 @@ class CheckLimits:
     repeated: float = 0.05  # of the frames
     person: float = 3.0  # rms off the rig's skin, or off the places of a marker set
     open_mouth: float = 5.0  # rms of the jaw's markers, when the others fit
+    lips_apart: float = 6.0  # more than at the places of a marker set: the mouth is open
+    named_lips_apart: float = 12.0  # the same by names, which are less sure
     misplaced: float = 4.0  # off the place in the set, when the others fit
     fills: float = 4.0  # an unlabelled track so near to where a missing marker is expected
     share_filled: float = 0.5  # of a track's frames
@@ -252,10 +264,12 @@ def report_location(check: MarkerCheck, located: LocatedTake, pose: Located) -> 
     """Add unit and axes, and what is mirrored or exchanged."""
     take, labels = located.face.take, located.face.labels
     rotation = pose.session.rotation
+    read = ScanUnit(take.unit_mm, "assumed")
+    unit = ScanUnit(take.unit_mm * pose.unit.mm_per_unit, pose.unit.source)  # of the file
     up, forward = nearest_axis(rotation[1]), nearest_axis(rotation[2])
     check.figures |= {
-        "unit": pose.unit.name,
-        "mm_per_unit": pose.unit.mm_per_unit,
+        "unit": unit.name,
+        "mm_per_unit": unit.mm_per_unit,
         "up": up,
         "forward": forward,
         "left_handed": pose.mirrored,
@@ -263,12 +277,12 @@ def report_location(check: MarkerCheck, located: LocatedTake, pose: Located) -> 
         "height_mm": round(pose.height_mm, 1),
         "off_skin_mm": round(pose.miss(), 2),
     }
-    if pose.unit.source != "assumed":
+    if unit.source != "assumed":
         times = pose.unit.mm_per_unit
-        message = f"Read as the file says, the face would be {times:.3g} times too small."
-        if times < 1:
-            message = f"Read as the file says, the face would be {1 / times:.3g} times too large."
-        add(check, "markers.unit", "warning", message, found=times)
+        off = f"{times:.3g} times too small" if times > 1 else f"{1 / times:.3g} times too large"
+        message = f"Read {read.words}, the face would be {off}; it is read {unit.words}."
+        figures = {"expected": read.mm_per_unit, "found": unit.mm_per_unit, "unit": unit.name}
+        add(check, "markers.unit", "warning", message, **figures)
     if pose.mirrored:
         message = f"{take.file} is mirrored: its axes are left-handed."
         add(check, "markers.mirrored", "warning", message)

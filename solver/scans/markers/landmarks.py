@@ -41,18 +41,20 @@ def arrange_landmarks(file: str, arrays: Arrays, options: TakeOptions) -> RawTak
     points = points.astype(float)
     points[~points.any(axis=-1)] = np.nan  # exactly 0, 0, 0
     labels = names.tolist()
-    sigma = _sigma(file, arrays["sigma"], points, labels) if "sigma" in arrays else None
+    sigma = _sigma(file, arrays["sigma"], points, labels, options) if "sigma" in arrays else None
     number = _number(file, arrays, "rate")
     rate, findings = choose_rate(file, [] if number is None else [("rate", number)], options)
     first = _number(file, arrays, "first")
     if first is not None and not abs(first) <= MOST_FRAME:
         raise unreadable_error(file, f"'first' is {first:g}, not the number of a frame")
-    unit = _unit(file, arrays)
+    unit = _unit(file, arrays, options)
     number = 1 if first is None else int(first)
     return RawTake(labels, points, rate, number, unit, sigma=sigma, findings=findings)
 
 
-def _sigma(file: str, given: np.ndarray, points: Floats, labels: list[str]) -> Floats:
+def _sigma(
+    file: str, given: np.ndarray, points: Floats, labels: list[str], options: TakeOptions
+) -> Floats:
     """Return sigma (f, k, 3); a point of which it is not finite becomes missing."""
     by_point = given[..., None] if given.shape in (points.shape[:2], points.shape[1:2]) else given
     try:
@@ -64,11 +66,11 @@ def _sigma(file: str, given: np.ndarray, points: Floats, labels: list[str]) -> F
         raise unreadable_error(file, f"sigma holds {quote(spread.dtype)}, not numbers")
     sigma = spread.astype(float)
     points[~np.isfinite(sigma).all(axis=-1)] = np.nan
-    is_bad = (~(sigma > 0)).any(axis=-1) & np.isfinite(points).all(axis=-1)
+    is_bad = (~(sigma >= options.least_sigma)).any(axis=-1) & np.isfinite(points).all(axis=-1)
     if is_bad.any():
         frame, track = map(int, np.argwhere(is_bad)[0])
         label = quote(labels[track])
-        reason = f"sigma of {label} in frame {frame} is not above 0"
+        reason = f"sigma of {label} in frame {frame} is not above {options.least_sigma:g}"
         raise unreadable_error(file, reason, label=label, frame=frame)
     return sigma
 
@@ -82,11 +84,12 @@ def _number(file: str, arrays: Arrays, name: str) -> float | None:
     return float(value.reshape(-1)[0])
 
 
-def _unit(file: str, arrays: Arrays) -> str | float | None:
+def _unit(file: str, arrays: Arrays, options: TakeOptions) -> str | float | None:
     value = arrays.get("unit")
     if value is None or value.dtype.kind != "U":
         mm = _number(file, arrays, "unit")
-        if mm is not None and not 0 < mm < np.inf:
-            raise unreadable_error(file, f"'unit' is {mm:g}, not mm above 0")
+        least, most = options.units_mm
+        if mm is not None and not least <= mm <= most:
+            raise unreadable_error(file, f"'unit' is {mm:g}, not {least:g} to {most:g} mm")
         return mm
     return str(value.reshape(-1)[0]) if value.size == 1 else None

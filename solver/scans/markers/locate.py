@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
 from solver.anatomy.embedding import barycentric
+from solver.anatomy.warp import spread
 from solver.registration.scan_surface import Samples, sample
 from solver.registration.search import (
     FacePoints,
@@ -38,7 +39,8 @@ NAMES_UNIT = UnitOptions(face_sizes=(0.65, 1.5), unusual=0.35)
 class LocateOptions:
     """Limits and rounds of locating; lengths in mm."""
 
-    least: int = 4  # markers that locate a face
+    least: int = 4  # markers that locate a face ...
+    most: int = 100  # ... and of more these, spread over it: time grows with them
     trims: int = 5  # rounds in which names that fit badly lose their weight
     kept: float = 2.0  # times the median misfit of names: what counts
     name_misfit: float = 22.0  # of most names; with more the shape is looked for
@@ -52,7 +54,8 @@ class LocateOptions:
     rounds: int = 3  # of normals and motion
     extents: tuple[float, float] = (60.0, 420.0)  # of the markers of one head
     usual_extent: float = 180.0  # where no unit gives any of these
-    off_skin: float = 15.0  # farther from the skin it is no marker of the face
+    off_skin: float = 15.0  # farther from the skin it is no marker of the face ...
+    on_skin: float = 0.75  # ... and with fewer of all on it no other height is tried
 
 
 @dataclass(frozen=True)
@@ -80,22 +83,28 @@ def locate(
     named: Sequence[Named | None],
     face: Surface,
     options: LocateOptions = LocateOptions(),
+    *,
+    read_mm: float = 1.0,
 ) -> Located | None:
-    """Return where ``face`` lies under markers (k, 3), NaN where not seen; None if they are few."""
+    """Return where ``face`` lies under markers (k, 3), NaN where not seen; None if they are few.
+
+    ``read_mm`` are the mm that a unit of their file was read as: it may be another unit.
+    """
     seen = np.isfinite(points[:, 0])
     may_be = np.array([each is None or each.part == "face" for each in named], bool)
     used = np.flatnonzero(seen & may_be)
     if len(used) < options.least:
         return None
+    few = used[np.sort(spread(points[used], options.most))]
     skin = sample(face.vertices, face.faces, None, options.samples)
     by_names = _by_names(points, named, face, options)
     if by_names is not None:
         starts, turned = by_names
-        unit = choose_unit(starts[0].scale, None, None, NAMES_UNIT)
+        unit = choose_unit(starts[0].scale, None, None, NAMES_UNIT, read_mm=read_mm)
     else:
         unit, turned = _unit_of(points[used], options), False
-        starts = _by_shape(points[used], skin, unit.mm_per_unit)
-    found = [_slide(start, unit, points, used, face, skin, options) for start in starts]
+        starts = _by_shape(points[few], skin, unit.mm_per_unit)
+    found = [_slide(start, unit, points, (few, used), face, skin, options) for start in starts]
     best = 0
     if len(found) > 1:  # a mirrored face, or sides exchanged: the first, unless it fits worse
         best = int(found[1].miss() < options.clearly * found[0].miss())
@@ -190,24 +199,30 @@ def _slide(
     start: Similarity,
     unit: ScanUnit,
     points: Floats,
-    used: Ints,
+    chosen: tuple[Ints, Ints],
     face: Surface,
     skin: Samples,
     options: LocateOptions,
 ) -> Located:
-    """Return ``start`` after its markers slid onto the skin, all at one height over it."""
+    """Return ``start`` after its markers slid onto the skin, all at one height over it.
+
+    Of the numbers that are ``chosen`` the first slide, and all of the second lie on the skin.
+    """
+    few, used = chosen
     size = start.scale if unit.source == "template" else unit.mm_per_unit
-    rough = start(points[used])
-    begin = robust_motion(points[used] * size @ _hand(start), rough, np.ones(len(used)), 10.0, 3)
+    rough = start(points[few])
+    begin = robust_motion(points[few] * size @ _hand(start), rough, np.ones(len(few)), 10.0, 3)
     begin = Similarity(size, begin.rotation @ _hand(start), begin.shift)
     tries = []
-    for height in options.heights:
+    for height in sorted(options.heights, key=lambda each: abs(each - options.usual_height)):
         raised = Samples(skin.points + height * skin.normals, skin.normals, True)
-        session = _onto(begin, points[used], raised, options)
-        over = heights_over(session(points[used]), face) - height
+        session = _onto(begin, points[few], raised, options)
+        over = heights_over(session(points[few]), face) - height
         near = over[np.abs(over) <= options.off_skin]
         miss = float(np.sqrt(np.median(near**2))) if len(near) else np.inf
         tries.append((miss, height, session))
+        if len(near) < options.on_skin * len(over):
+            break
     least = min(miss for miss, _, _ in tries)
     alike = [each for each in tries if each[0] <= least + options.flat]
     _, height, session = min(alike, key=lambda each: abs(each[1] - options.usual_height))

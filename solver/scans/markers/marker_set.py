@@ -11,21 +11,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from solver.errors import InputError, quote
 from solver.kinds.document import find_faults
 from solver.kinds.marker_set import LONGEST_LABEL, MarkerEntry, MarkerSetDocument, Part, SkinPoint
+from solver.model import SubjectModel
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity
 from solver.storage import write_json
-from solver.surface import Floats, Ints, unit_rows
+from solver.surface import Floats, Ints, area_normals, unit_rows
 
 Triple = tuple[float, float, float]
 
 MOST_BYTES = 4 << 20  # of a marker set's file
 ROUNDING = 1e-3  # off which weights may sum to 1, and a rotation be orthogonal
 LONGEST_NUMBER = 12  # characters behind the label of a marker that moved
+LEAST_AREA = 1e-6  # mm2, of a triangle that has a normal
 BONY: tuple[Part, ...] = ("head", "upper_teeth", "lower_teeth")  # parts that ride on a bone
 
 SPAN = re.compile("(.+@)-?[0-9]+")
@@ -119,12 +122,33 @@ class MarkerSet:
         """Write the set as JSON."""
         write_json(path, self.to_document())
 
+    def check_model(self, model: SubjectModel) -> None:
+        """Refuse a set that is not bound to the skin of a model.
+
+        Raises :class:`InputError`: ``markers.other_model``, or ``markers.set_schema`` for vertices
+        that the skin does not have or that make no triangle.
+        """
+        if self.model_sha256 != model.sha256:
+            message = "the marker set is of another model: bind it again"
+            raise InputError("markers.other_model", message)
+        count = len(model.skin.vertices)
+        for number, marker in enumerate(self.markers):
+            if marker.part != "face":
+                continue
+            where = f"markers.markers[{number}].at.vertices"
+            if max(marker.vertices) >= count:
+                message = f"{max(marker.vertices)} is no vertex of the skin, which has {count}"
+                raise _schema_error(where, message)
+            area = np.linalg.norm(area_normals(model.skin.vertices, np.array([marker.vertices])))
+            if not area > LEAST_AREA:
+                raise _schema_error(where, "are no triangle")
+
     @classmethod
-    def load(cls, path: Path) -> MarkerSet:
-        """Read a set.
+    def load(cls, path: Path, model: SubjectModel | None = None) -> MarkerSet:
+        """Read a set, which is of a ``model`` if that is given.
 
         Raises :class:`InputError`: ``markers.set_unreadable`` with ``file``, or what
-        :meth:`from_document` finds.
+        :meth:`from_document` and :meth:`check_model` find.
         """
         file = path.name
         try:
@@ -132,7 +156,10 @@ class MarkerSet:
                 content = stream.read(MOST_BYTES + 1)
             if len(content) > MOST_BYTES:
                 raise ValueError(f"it has more than {MOST_BYTES} bytes")
-            return cls.from_document(json.loads(content))
+            found = cls.from_document(json.loads(content))
+            if model is not None:
+                found.check_model(model)
+            return found
         except InputError as error:
             error.context["file"] = file
             raise
@@ -183,14 +210,18 @@ class MarkerSet:
 class BoundTake:
     """A take read by a marker set: points of its markers, in the model's axes and mm.
 
-    Raises :class:`InputError` ``markers.few`` where the take has fewer than ``least`` of them.
+    ``exchanged`` (f, labels of the take) are points that were another label's in the file. Raises
+    :class:`InputError` ``markers.few`` where the take has fewer than ``least`` of the set's labels.
     """
 
-    def __init__(self, take: Take, markers: MarkerSet, least: int) -> None:
+    def __init__(
+        self, take: Take, markers: MarkerSet, least: int, exchanged: NDArray[np.bool_] | None = None
+    ) -> None:
         self.markers: tuple[Marker, ...] = tuple(
             marker for marker in markers.markers if marker.part != "ignore"
         )
         self._take, self._set, self._session = take, markers, markers.session
+        self._exchanged = exchanged
         number = {label: column for column, label in enumerate(take.labels)}
         self._columns = np.array([number.get(each.label, -1) for each in self.markers], np.int64)
         known = int(np.sum(self._columns >= 0))
@@ -220,6 +251,14 @@ class BoundTake:
         """Return the points (k, 3) of the frame with a number, NaN where one is missing."""
         found = self._session(self._take.positions[self.frames.index(frame)][self._columns])
         return np.where(self._columns[:, None] < 0, np.nan, found)
+
+    def exchanged(self, frame: int) -> NDArray[np.bool_]:
+        """Return which of a frame's points (k,) were another label's in the file."""
+        if self._exchanged is None:
+            return np.zeros(len(self.markers), bool)
+        here = self._exchanged[self.frames.index(frame)]
+        known = (self._columns >= 0) & (self._columns < len(here))  # not those of moved markers
+        return np.asarray(known & here[np.where(known, self._columns, 0)])
 
     def unlabelled(self, frame: int) -> Floats:
         """Return a frame's points (u, 3) without a label."""

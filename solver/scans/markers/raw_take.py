@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from solver.errors import Finding, InputError, advise
+from solver.kinds.kind import MM_A_UNIT
 from solver.surface import Floats
 
 ADVICE = {
@@ -41,12 +42,11 @@ class TakeOptions:
     most_tracks: int = 10_000
     longest_line: int = 4 << 20  # characters of a line of text
     farthest_mm: float = 1e5  # a point beyond it is no place in a studio
-    face_mm: tuple[float, float] = (
-        25.0,
-        120.0,
-    )  # markers of a face spread as far, root mean square
+    face_mm: tuple[float, float] = (30.0, 120.0)  # markers of a face spread as far, rms
     seen_mm: tuple[float, float] = (12.0, 1500.0)  # a child's few to a body's many
-    most_rate: float = 10_000.0  # Hz
+    rates: tuple[float, float] = (0.01, 10_000.0)  # Hz
+    units_mm: tuple[float, float] = MM_A_UNIT  # of a file that says it as a number
+    least_sigma: float = 1e-9  # standard deviation in units of the file: no point is surer
     rate_slack: float = 0.005  # by which two rates in a file may differ
     most_gaps: float = 1.0  # frames that are left out, for each that is there
 
@@ -141,7 +141,8 @@ def choose_rate(
     ``sources`` are rates by the names of their places in the file; a finding where they differ.
     """
     rates = list(sources)
-    usable = [(place, rate) for place, rate in rates if 0.0 < rate <= options.most_rate]
+    least, most = options.rates
+    usable = [(place, rate) for place, rate in rates if least <= rate <= most]
     if not usable:
         words = ", ".join(f"{place} {rate:g}" for place, rate in rates) or "nothing"
         message = f"{file} has no usable frame rate ({words})."

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 
-from solver.errors import Finding, InputError
-from solver.scans.markers.c3d import KEY, read_c3d
-from solver.scans.markers.cleaning import check_seen, drop_far, read_labels, settle_unit
+from solver.errors import Finding, InputError, Severity, quote
+from solver.registration.units import AXES
+from solver.scans.markers.c3d import KEY, MOST_EVENTS, read_c3d
+from solver.scans.markers.cleaning import check_seen, drop_far, read_labels, settle_unit, tidy_label
 from solver.scans.markers.landmarks import arrange_landmarks
 from solver.scans.markers.motive import read_motive
 from solver.scans.markers.raw_take import (
+    ADVICE,
     MOST_FRAME,
     TAKE_OPTIONS,
     Event,
     RawTake,
     TakeOptions,
+    check_room,
     unreadable_error,
 )
 from solver.scans.markers.trc import read_trc
@@ -26,6 +32,7 @@ from solver.storage import Archive, read_arrays
 from solver.surface import Floats
 
 FORMAT = 1  # of takes as NPZ
+LONGEST_FINDING = 8000  # characters of JSON
 BEGIN = 4096  # bytes by which the reader of a file is chosen
 
 
@@ -108,15 +115,16 @@ class Take:
 
     @classmethod
     def load(cls, path: Path) -> Take:
-        """Read a take that :meth:`save` wrote.
+        """Read a take that :meth:`save` wrote, checked as those of other programs are.
 
-        Raises :class:`InputError`: ``markers.unreadable`` or ``markers.format``.
+        Findings of reading it that are none of this release's are left out. Raises
+        :class:`InputError` as :func:`read_take`.
         """
         archive = Archive.read(path, "markers", "a take", FORMAT)
         header, arrays = archive.header, archive.arrays
         try:
             take = cls(
-                str(header["file"]),
+                quote(header["file"]),
                 tuple(map(str, header["labels"])),
                 arrays["positions"],
                 float("nan") if header["rate"] is None else float(header["rate"]),
@@ -126,10 +134,13 @@ class Take:
                 arrays.get("residual"),
                 arrays["unlabelled"],
                 tuple(map(str, header["unlabelled_names"])),
-                str(header["subject"]),
-                header["up"],
-                tuple(Event(**event) for event in header["events"]),
-                tuple(Finding.from_dict(finding) for finding in header["findings"]),
+                quote(header["subject"]),
+                header["up"] if header["up"] in (*AXES, None) else None,
+                tuple(
+                    Event(quote(event["name"]), float(event["time"]))
+                    for event in header["events"][:MOST_EVENTS]
+                ),
+                tuple(filter(None, map(_known_finding, header["findings"]))),
             )
         except (AttributeError, LookupError, OverflowError, TypeError, ValueError) as error:
             raise unreadable_error(path.name, f"it is not a take: {error}") from error
@@ -144,10 +155,46 @@ class Take:
         return take
 
 
+def _known_finding(values: Any) -> Finding | None:
+    """Return what reading a take once found, as it may stand in a report; None of what may not."""
+    try:
+        code, severity = values["code"], values["severity"]
+        text = json.dumps(values, allow_nan=False)
+        if code not in ADVICE or severity not in get_args(Severity) or len(text) > LONGEST_FINDING:
+            return None
+        found = Finding.from_dict(values)
+        return replace(found, message=str(found.message), advice=ADVICE[code])
+    except (LookupError, RecursionError, TypeError, ValueError):
+        return None
+
+
 def _check_bounds(file: str, take: Take, options: TakeOptions) -> None:
-    """Refuse a take of numbers that :func:`read_take` gives none of."""
-    if not (np.isnan(take.rate) or 0.0 < take.rate <= options.most_rate):
+    """Refuse a take of labels and numbers that :func:`read_take` gives none of."""
+    names = (*take.labels, *take.unlabelled_names)
+    check_room(file, len(take), len(names), options)
+    least, most = options.rates
+    if not (np.isnan(take.rate) or least <= take.rate <= most):
         raise unreadable_error(file, f"its rate is {take.rate:g}")
+    least, most = options.units_mm
+    if not least <= take.unit_mm <= most:
+        raise unreadable_error(file, f"its unit is {take.unit_mm:g} mm")
+    for name in names:
+        if not name or tidy_label(name) != name:
+            raise unreadable_error(file, f"'{quote(name)}' is no label as readers leave them")
+    if len(set(take.labels)) < len(take.labels):
+        twice = next(name for name, count in Counter(take.labels).items() if count > 1)
+        raise unreadable_error(file, f"it has the label '{quote(twice)}' twice")
+    if not np.isfinite([event.time for event in take.events]).all():
+        raise unreadable_error(file, "it has an event at no time")
+    for points in (take.positions, take.unlabelled):
+        points[np.isnan(points).any(axis=-1)] = np.nan
+    if not any(np.isfinite(each).any() for each in (take.positions, take.unlabelled)):
+        raise InputError("markers.none", f"{file} has no point that is ever seen", file=file)
+    seen = np.isfinite(take.positions[..., 0])
+    if take.sigma is not None:
+        sigma, least = take.sigma[seen], options.least_sigma * take.unit_mm
+        if not ((sigma >= least) & (sigma < np.inf)).all():
+            raise unreadable_error(file, f"it has a sigma that is not above {least:g} mm")
     if not abs(take.first) <= MOST_FRAME:
         raise unreadable_error(file, "'first' is not the number of a frame")
     if any(

@@ -93,7 +93,7 @@ class _Hammer:
 
         @seed(number)
         @settings(
-            max_examples=inputs,
+            max_examples=min(inputs, self.target.most_inputs or inputs),
             database=None,
             report_multiple_bugs=False,
             deadline=None,

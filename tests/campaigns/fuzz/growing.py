@@ -15,6 +15,7 @@ from solver.scans.live_link import ARKIT_NAMES
 from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.similarity import IDENTITY
 from tests import take_files
+from tests.campaigns.fuzz import seeds
 
 Make = Callable[[int], bytes]
 
@@ -90,6 +91,14 @@ def _records(count: int) -> bytes:
     blocks = -(-len(section) // take_files.BLOCK)
     head = head[:16] + min(2 + blocks, 65535).to_bytes(2, "little") + head[18:]
     return head + section.ljust(blocks * take_files.BLOCK, b"\0")
+
+
+def _cloud(frames: int, count: int, seen: int | None = None) -> np.ndarray:
+    """Return points (f, k, 3) that lie on no face and jump; some labels are never ``seen``."""
+    size = (frames, count, 3)
+    points = np.random.default_rng(count).normal((10.0, 800.0, 30.0), (45.0, 55.0, 25.0), size)
+    points[:, seen if seen is not None else count :] = np.nan
+    return points
 
 
 def _alike(count: int) -> list[str]:
@@ -201,6 +210,15 @@ OTHERS: dict[str, dict[str, Make]] = {
         "markers": _set,
         "deep": lambda n: b"[" * n,
         "members": lambda n: b"{" + b",".join(b'"%d":1' % k for k in range(n)) + b"}",
+    },
+    "markers check": {
+        "markers": lambda n: take_files.c3d_bytes(_cloud(40, max(4, n // 20)), rate=1.0),
+        "frames": lambda n: take_files.c3d_bytes(_cloud(n, 20)),
+        "labels": lambda n: take_files.npz_bytes(_cloud(4, 20 + n, seen=20)),
+    },
+    "sequence": {
+        "frames": lambda n: seeds.sequence_bytes(n, 2),
+        "muscles": lambda n: seeds.sequence_bytes(2, n),
     },
     "template": {
         "members": lambda n: _packed({f"{k}.obj": b"" for k in range(n)}),

@@ -14,12 +14,21 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 import numpy as np
 import trimesh
 
+from solver.animation.performance import FORMATS
+from solver.mechanics.boundary import JAW_FREEDOM
+from solver.model import SubjectModel
 from solver.scans.live_link import ARKIT_NAMES
 from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.scans.markers.take import Take
 from solver.similarity import IDENTITY
 from tests import take_files
 from tests.ball_head import ball_head
+
+
+@cache
+def person() -> SubjectModel:
+    """Return a small person, to whom marker sets are bound."""
+    return SubjectModel.load(Path(__file__).parents[2] / "fixtures" / "small_model.npz")
 
 
 @cache
@@ -151,7 +160,30 @@ def marker_set() -> list[bytes]:
     """Return a marker set with a marker of the skin and one of a bone."""
     skin = Marker("LBRO1", (1, 2, 3), (0.2, 0.3, 0.5), 2.0)
     bone = Marker("HEAD1", part="head", place_mm=(1.0, 2.0, 3.0))
-    return [json.dumps(MarkerSet((skin, bone), IDENTITY, "0" * 64).to_document()).encode()]
+    markers = MarkerSet((skin, bone), IDENTITY, person().sha256)
+    return [json.dumps(markers.to_document()).encode()]
+
+
+def sequence() -> list[bytes]:
+    """Return fitted sequences of two frames, with blended and with fibre muscles."""
+    return [sequence_bytes(2, 2, entries) for entries in ((6,), ())]
+
+
+def sequence_bytes(frames: int, muscles: int, entries: tuple[int, ...] = (6,)) -> bytes:
+    """Return a fitted sequence at rest."""
+    numbers, stream = np.arange(frames), io.BytesIO()
+    np.savez(
+        stream,
+        format=np.array(FORMATS[-1]),
+        muscles=np.array([f"m{number}" for number in range(muscles)]),
+        frame=numbers,
+        time=numbers / 60.0,
+        status=np.full(frames, "fitted"),
+        activations=np.ones((frames, muscles, *entries)),
+        jaw=np.zeros((frames, JAW_FREEDOM)),
+        head=np.zeros((frames, 6)),
+    )
+    return stream.getvalue()
 
 
 def npy() -> list[bytes]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +13,16 @@ from service.errors import Problem
 from service.http import bodies
 from service.uploads.schemas import parse_checksum, parse_metadata
 from solver.anatomy.template import Template
+from solver.animation.performance import FittedSequence
 from solver.errors import InputError
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
 from solver.registration.landmarks import read_landmarks
 from solver.scans.live_link import read_live_link
+from solver.scans.markers.bind import Reference
+from solver.scans.markers.check import check_take
+from solver.scans.markers.face_take import USUAL_RATE, living_labels
+from solver.scans.markers.faults import find_faults
 from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.take import read_take
 from solver.scans.performance import open_performance
@@ -44,6 +49,7 @@ class Target:
     run: Callable[[bytes, Path], object]
     refusal: type[Exception]
     most_bytes: int = GrowthOptions.most_bytes
+    most_inputs: int | None = None  # small ones, of a reader that takes seconds for each
 
 
 def _surface() -> Surface:
@@ -64,6 +70,23 @@ def _performance(path: Path) -> None:
     performance = open_performance(path, _surface(), np.arange(10))
     for number in range(min(3, len(performance))):
         performance.frame(number)
+
+
+def _marker_set(path: Path) -> None:
+    MarkerSet.load(path, seeds.person())
+
+
+def _check(path: Path) -> None:
+    take = read_take(path)
+    check_take(take, Reference.of(seeds.person()))
+    faults = find_faults(take.positions[:, living_labels(take)], USUAL_RATE)  # as a fit does
+    faults.hide_unmeasured(faults.motion.places)
+
+
+def _sequence(path: Path) -> None:
+    found = FittedSequence.load(path, "asset")
+    found.check_values()
+    found.of_muscles(found.muscles)
 
 
 def _archive(path: Path) -> None:
@@ -101,7 +124,14 @@ def _markers() -> list[Target]:
         "npz": seeds.markers_npz(),
     }
     readers = (_file(f"markers {kind}", known, kind, read_take) for kind, known in takes.items())
-    return [*readers, _file("marker set", seeds.marker_set(), "json", MarkerSet.load)]
+    checked = [content for known in takes.values() for content in known]
+    return [
+        *readers,
+        _file("marker set", seeds.marker_set(), "json", _marker_set),
+        # a check looks for a face: what costs it the most is made for it
+        replace(_file("markers check", checked, "dat", _check), most_inputs=40),
+        _file("sequence", seeds.sequence(), "npz", _sequence),
+    ]
 
 
 def targets() -> list[Target]:

@@ -341,6 +341,18 @@ def test_markers_reach_fibre_muscles_too(markers):
     assert gains == sorted(gains, reverse=True)
 
 
+def test_a_muscle_that_only_goes_along_in_expressions_is_not_determined(face, markers):
+    """Of an expression in which the deep ones move with what is seen."""
+    loose = reach(face, markers, prior.from_changes(face.layout, [], prior.LOOSE)).information
+    hidden, seen = int(loose.argmin()), int(loose.argmax())
+    change = np.zeros(face.layout.size)
+    change[face.layout.muscles[[hidden, seen]]] = 0.5
+    tied = prior.from_changes(face.layout, [change], prior.PriorOptions(other_floor=0.05))
+    found = reach(face, markers, tied)
+    assert found.by_expressions[hidden] > 0.5 > found.information[hidden]
+    assert found.following_muscles >= 1
+
+
 def test_held_muscles_keep_still_while_others_move(face, places, take):
     """Of a face whose left markers are gone the muscles there fade to rest, and do no more."""
     points = take[2].copy()

@@ -14,8 +14,9 @@ from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.jobs import run_job
 from solver.rig.rig import ExpressionFit, Rig
-from solver.scans.markers.bind import rest_places
-from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.bind import Reference, rest_places
+from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.similarity import IDENTITY
 from tests.fixtures import small_capture, small_model
 from tests.solver.scans.markers.made_take import LABELS, made_positions, made_take, on_skin
 from tests.take_files import c3d_bytes
@@ -43,6 +44,29 @@ def test_a_take_is_checked_against_a_person_and_against_nobody(tmp_path: Path, t
     files = {"markers": take, "model": model, "marker_set": bound}
     report, *_ = run_job("check_markers", tmp_path / "set", options={"neutral": 40}, **files)
     assert json.loads(report.read_text())["verdict"] == "good"
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        ({"model_sha256": "0" * 64}, "markers.other_model", "bind it again"),
+        ({"vertices": (0, 1, 5_000_000)}, "markers.set_schema", "no vertex of the skin"),
+        ({"vertices": (7, 7, 7)}, "markers.set_schema", "no triangle"),
+    ],
+)
+def test_a_set_that_is_not_of_the_person_is_refused(
+    change: dict, code: str, words: str, tmp_path: Path, take: Path
+) -> None:
+    model, given = small_model(), tmp_path / "markers.json"
+    model.save(tmp_path / "model.npz")
+    marker = Marker("Chin", change.get("vertices", (4, 8, 15)))
+    MarkerSet((marker,), IDENTITY, change.get("model_sha256", model.sha256)).save(given)
+    files = {"markers": take, "model": tmp_path / "model.npz", "marker_set": given}
+    with pytest.raises(InputError, match=words) as caught:
+        run_job("check_markers", tmp_path / "out", **files)
+    assert caught.value.code == code
+    with pytest.raises(InputError, match=words):  # and where a program of its own reads it
+        Reference.of(model, MarkerSet.load(given))
 
 
 def test_a_take_without_labels_is_checked_by_its_tracks(tmp_path: Path) -> None:

@@ -54,6 +54,8 @@ def test_a_paralysed_side_stays_and_the_other_moves(rig: Path, tmp_path: Path) -
     assert [step.fraction for step in steps] == sorted(step.fraction for step in steps)
     assert (steps[0].phase, steps[-1].phase, steps[-1].fraction) == ("read", "done", 1.0)
     report = json.loads((tmp_path / "edit.json").read_text())
+    assert {"edit.npz", "edit.glb"} == set(report["files"])
+    assert max(each["max_mm"] for each in report["files"].values()) < 2e-3
     [wide] = report["expressions"]
     assert wide["status"] == "found"
     assert wide["inverted"] == 0

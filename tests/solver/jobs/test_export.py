@@ -35,6 +35,7 @@ def export(out: Path, files: dict[str, Path], **options: object) -> Path:
     told = json.loads(report.read_text())
     assert (report.name, told["file"]) == ("export.json", made.name)
     assert told["bytes"] == made.stat().st_size > 0
+    assert list(told["files"]) == [made.name]
     return made
 
 

@@ -60,7 +60,8 @@ def test_muscles_are_calibrated_and_unseen_expressions_gain(real, tmp_path):
     assert means["test_blended_mm"] == 0.5
     for fit in report["expressions"].values():
         assert fit["inverted"] == 0
-        assert all(0.0 <= a <= 1.0 for a in fit["activations"])
+        assert all(0.0 <= a <= 1.0 for a in fit["activations"].values())
+        assert set(fit["activations"]) == set(report["strengths"])
     # the rig's certificate has them beside S
     certificate = json.loads(files[2].read_text())
     fibres = {key: report[key] for key in ("means", "expressions", "strengths")}

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
+from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face, Pose
 from solver.fitting.markers.term import MarkerPlaces
 from solver.jobs import fit_markers, run_job
@@ -18,6 +19,7 @@ from solver.mechanics.boundary import move_jaw
 from solver.progress import Step
 from solver.rig.container import read_container
 from solver.rig.frames import MarkerFrame, read_chunks
+from solver.rig.read_back import LIMIT_MM
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.scans.markers.take import Take
@@ -117,7 +119,8 @@ def test_a_take_is_fitted(whole: tuple[Path, dict], files: Path) -> None:
     report = json.loads((out / "sequence.json").read_text())
     assert report["predicted"] == [FIRST + row for row in GONE]
     assert report["markers"]["M3"]["outlier"] == pytest.approx(1 / FRAMES)
-    assert (out / "sequence.glb").stat().st_size > 1000
+    assert report["files"]["sequence.glb"]["max_mm"] < LIMIT_MM
+    assert report["files"]["markers.bin"]["max_mm"] < 1e-3
     view = read_container(out / "markers.bin")
     off = np.linalg.norm(view.arrays["off"].astype(float), axis=2)
     np.testing.assert_allclose(off, found["marker_mm"], atol=0.02)
@@ -126,6 +129,23 @@ def test_a_take_is_fitted(whole: tuple[Path, dict], files: Path) -> None:
         rows = list(csv.DictReader(stream))
     spread = [float(rows[5][f"jaw.{number}.sd"]) for number in range(1, 6)]
     np.testing.assert_allclose(spread, found["sd"][5][-5:], atol=1e-6)
+    # who pulls comes first, with its deviation; then the six numbers of each muscle
+    names = [f"{name}.contraction" for name in model.muscle_names]
+    told = [*names, *(f"{name}.sd" for name in names), "jaw.1"]
+    assert list(rows[0])[: 4 + len(told)] == ["frame", "time", "status", "mean_mm", *told]
+    contraction = Contraction.of_face(Face(model))
+    assert contraction is not None
+    table = [[float(row[name] or "nan") for name in names] for row in rows]
+    np.testing.assert_allclose(table, contraction(found["activations"]), atol=1e-6)
+    np.testing.assert_allclose(found["contraction"], table, atol=1e-6)
+    assert np.nanmax(table) > 0.02
+    assert found["contraction_sd"].shape == found["contraction"].shape
+    grown = found["contraction_sd"][5] > found["contraction_sd"][3]  # no marker tells of it
+    assert grown[np.isfinite(table[0])].mean() > 0.9
+    shown = read_container(out / "contractions.bin")
+    assert shown.header["muscles"] == list(model.muscle_names)
+    np.testing.assert_allclose(shown.arrays["contraction"], table, atol=1e-6)
+    np.testing.assert_allclose(shown.arrays["jaw"], found["jaw"], atol=1e-5)
 
 
 def test_a_point_that_is_nowhere_at_all_is_an_outlier(files: Path, tmp_path: Path) -> None:
@@ -339,6 +359,8 @@ def test_fibre_muscles_and_a_jaw_on_tracks_play_in_other_programs(
         ("markers.few", {"markers": [0, 1, 2]}),
         ("markers.other_model", {"model_sha256": "0" * 64}),
         ("markers.few", {"markers": [0, 1, 2], "options": {"actor": True}}),
+        ("markers.too_large", {"labels": 401}),
+        ("markers.too_large", {"labels": 401, "options": {"actor": True}}),
         ("markers.neutral", {"options": {"neutral": 100}}),
         ("options.frames", {"options": {"start": 100}}),
         ("options.frames", {"options": {"end": 112}}),
@@ -351,12 +373,20 @@ def test_what_cannot_be_used(code: str, change: dict, files: Path, tmp_path: Pat
     if "model_sha256" in change:
         markers = replace(markers, model_sha256=change["model_sha256"])
     markers.save(tmp_path / "markers.json")
+    take = Take.load(files / "take.npz")
+    if "labels" in change:
+        count = change["labels"]
+        others = tuple(f"other {number}" for number in range(count - len(take.labels)))
+        take = replace(
+            take.pick(np.resize(np.arange(len(take.labels)), count)), labels=take.labels + others
+        )
+    take.save(tmp_path / "take.npz")
     with pytest.raises(InputError) as caught:
         run_job(
             "fit_markers",
             tmp_path / "out",
             options={"prior": "scans"} | change.get("options", {}),
-            markers=files / "take.npz",
+            markers=tmp_path / "take.npz",
             marker_set=tmp_path / "markers.json",
             rig=files / "rig.npz",
         )

@@ -5,17 +5,19 @@ from __future__ import annotations
 import itertools
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from solver.errors import InputError
+from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose
 from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
 from solver.rig.container import read_container
+from solver.rig.preview import Preview, write_preview
 from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import head_block
 
@@ -71,6 +73,7 @@ def test_a_page_that_evaluates_the_file_shows_the_fits(
         assert off < 0.05 * moved
         assert preset["mean_mm"] == pytest.approx(off, abs=1e-3)
     figures = json.loads((out / "preview.json").read_text())
+    assert figures["files"]["preview.bin"]["max_mm"] == 0.0
     error = held.header["error_mm"]
     assert {key: error[key] for key in figures["error_mm"]} == figures["error_mm"]
     assert error["mean"] < 0.05 * error["moved"]
@@ -110,3 +113,17 @@ def test_a_rig_without_a_fit_is_refused(files: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         build(tmp_path, tmp_path / "out")
     assert caught.value.code == "preview.nothing"
+
+
+def test_sliders_that_were_written_wrong_end_the_job(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def spoil(path: Path, preview: Preview) -> None:
+        skin = replace(preview.skin, linear=1.5 * preview.skin.linear)
+        write_preview(path, replace(preview, skin=skin))
+
+    monkeypatch.setattr("solver.jobs.build_preview.write_preview", spoil)
+    with pytest.raises(SolveError, match=r"preview\.bin, read back") as caught:
+        build(files, tmp_path)
+    assert caught.value.code == "file.differs"
+    assert not (tmp_path / "preview.json").exists()

@@ -20,6 +20,7 @@ from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
 from solver.rig.gltf_check import validate_glb
+from solver.rig.read_back import LIMIT_MM
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.live_link import ARKIT_NAMES
 from tests.solver.block import head_block
@@ -53,6 +54,8 @@ def play(
     files = run_job("simulate", out, options=options, captures=assets, rig=rig, **how)
     assert all(file.stat().st_size > 0 for file in files)
     report: dict[str, Any] = json.loads((out / "animation.json").read_text())
+    assert report["glb"]["max_error_mm"] < LIMIT_MM
+    assert report["files"]["animation.npz"]["max_mm"] < 1e-4
     return report
 
 

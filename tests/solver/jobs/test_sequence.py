@@ -22,8 +22,9 @@ from solver.mechanics.equilibrium import CorrectorOptions
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step
 from solver.rig.frames import ChunkOptions, read_frames
+from solver.rig.growing_basis import SEQUENCE_BASIS
+from solver.rig.read_back import LIMIT_MM
 from solver.rig.rig import Rig
-from solver.rig.skin_basis import SEQUENCE_BASIS
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model
 from tests.solver.glb import shown_skins
@@ -66,6 +67,10 @@ def test_a_simulated_performance_is_followed(files: Path, tmp_path: Path) -> Non
     report = json.loads((tmp_path / "sequence.json").read_text())
     assert (report["frames"], report["fitted"], report["inverted"]) == (FRAMES, FRAMES, 0)
     assert report["median_mm"] < 0.02
+    files = {"sequence.glb", "sequence.npz", "activations.csv"}
+    assert files <= set(report["files"]) <= files | {"sequence.usdc"}
+    assert report["files"]["activations.csv"]["max_activation"] < 1e-6
+    assert 0.0 < report["files"]["sequence.glb"]["max_mm"] < LIMIT_MM
     with np.load(tmp_path / "sequence.npz") as found:
         assert found["activations"].shape == (FRAMES, 2, 6)
         np.testing.assert_allclose(found["time"], np.arange(FRAMES) / 25.0)

@@ -40,6 +40,7 @@ HERE = 1.0  # mm a unit at which a face has the template's size
         (9.5, None, None, 10.0, "found"),
         (22.9, None, None, 25.4, "found"),
         (22.4, None, None, 22.4, "template"),
+        (290.0, None, None, 304.8, "found"),
         (30.0, None, None, 30.0, "template"),
         (0.0437, None, None, 0.0437, "template"),
         (0.0437, 0.0437, None, 0.0437, "given"),

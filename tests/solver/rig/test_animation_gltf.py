@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from solver.rig.animation_gltf import AnimationOptions, needed_keys, write_animation_glb
 from solver.rig.gltf import Solid
 from solver.rig.gltf_check import validate_glb
+from solver.rig.read_back import LIMIT_MM
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=90.0)
@@ -46,12 +47,15 @@ def test_skins_read_back(tmp_path: Path) -> None:
     assert validate_glb(tmp_path / "animation.glb", shown.names) == []
     assert 0.0 <= shown.weights.min() < shown.weights.max() <= 1.0  # where Blender holds them
     assert len(shown.weights) == written.keys < FRAMES
-    off = [
-        np.linalg.norm(shown.skin(time) - skin, axis=1).max()
-        for time, skin in zip(TIMES, skins, strict=True)
-    ]
-    assert max(off) == pytest.approx(written.max_error_mm, abs=2e-3)
-    assert 0.01 < max(off) < SHAPES_MM + KEYS_MM + 0.05
+    off = []
+    for time, skin, head in zip(TIMES, skins, heads, strict=True):
+        away = np.linalg.norm(shown.skin(time) - skin, axis=1).max()
+        assert away < SHAPES_MM + KEYS_MM + 0.05
+        placed = Rotation.from_rotvec(head[:3]).apply(skin) + head[3:]
+        off.append(np.linalg.norm(shown.placed(time) - placed, axis=1))
+    assert np.max(off) == pytest.approx(written.max_error_mm, abs=2e-3)
+    assert off[written.frame][written.vertex] == pytest.approx(np.max(off), abs=2e-3)
+    assert 0.01 < np.max(off) < LIMIT_MM
     for number in (7, 33):
         expected = vertex_normals(NEUTRAL.moved(skins[number].astype(np.float64)))
         at_rest = vertex_normals(NEUTRAL)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,14 +147,55 @@ def test_it_says_which_expressions_may_be_used(face: Face, state: PosedFace) -> 
     assert said(torn).startswith("Not ready for animation, since every expression fails a check")
 
 
-def test_muscles_beyond_what_muscles_can_do_are_no_effort(face: Face, state: PosedFace) -> None:
-    short = np.array([[0.45, 0.0, 0.0, 1.4, 0.0, 1.4], IDENTITY])
-    strained = replace(fitted(face, state), activations=short, jaw=np.zeros(5), x=None)
-    rig = Rig(face.model, face.S, (strained,), {})
-    told = report(rig, certify(face, rig, {}))
-    assert told["verdict"] == "usable"
-    assert told["use"].startswith(
-        "Ready for animation; single muscles are not to be read as effort"
+def test_the_worst_muscle_is_named_with_how_many_are_no_effort(
+    face: Face, state: PosedFace
+) -> None:
+    def told(**activations: list[np.ndarray | list[float]]) -> dict[str, Any]:
+        fits = [
+            replace(fitted(face, state, name), activations=np.array(a), jaw=np.zeros(5), x=None)
+            for name, a in activations.items()
+        ]
+        rig = Rig(face.model, face.S, tuple(fits), {})
+        return report(rig, certify(face, rig, {}))
+
+    short, shorter = ([least, 0.0, 0.0, 1.4, 0.0, 1.4] for least in (0.48, 0.4))
+    one = told(smile=[short, IDENTITY], sad=[IDENTITY, IDENTITY])
+    assert one["verdict"] == "usable"
+    assert one["use"] == (
+        "Ready for animation; one muscle is not to be read as effort "
+        "(in smile: left shrinks to 48 % in one direction)."
+    )
+    many = told(smile=[short, short], sad=[IDENTITY, shorter])
+    assert many["limits"] == [
+        {
+            "words": "2 muscles are not to be read as effort "
+            "(worst in sad: right shrinks to 40 % in one direction)",
+            "code": "muscles.beyond",
+            "expression": "sad",
+        }
+    ]
+
+
+def test_left_is_judged_against_right_where_the_scan_is_alike(face: Face) -> None:
+    model = replace(face.model, muscle_names=("orbicularis_l", "orbicularis_r"))
+    model = replace(model, fibres=np.tile([1.0, 0.0, 0.0], (len(model.weights.data), 1)))
+    pulled = Face(model)
+    a = np.array([[0.87, 0.0, 0.0, 1.0, 0.0, 1.0], [0.63, 0.0, 0.0, 1.0, 0.0, 1.0]])
+    skin = model.skin.vertices
+    kiss = fitted(pulled, pulled.rest, "kiss")
+    kiss = replace(kiss, activations=a, skin=skin, target=skin + np.array([0.0, 2.0, 1.0]), x=None)
+    side = np.sign((skin - model.jaw.origin) @ model.jaw.axes[0])[:, None]
+    twisted = replace(kiss, name="smirk", target=skin + side * [0.0, 2.0, 0.0])
+    rig = Rig(model, model.weights, (kiss, twisted), {})
+    certificate = certify(pulled, rig, {})
+    judged = {each.check.code: each for each in judge(rig, certificate)}
+    told = report(rig, certificate)["expressions"]
+    assert [len(told[name]["movers"]["uneven"]) for name in ("kiss", "smirk")] == [1, 0]
+    sides = judged["muscles.sides"]
+    assert set(sides.measures) == {"kiss"}
+    assert (sides.verdict, sides.measures["kiss"].value) == ("usable", pytest.approx(24.0))
+    assert sides.measures["kiss"].detail == (
+        "orbicularis_r contracts by 37 %, orbicularis_l by 13 %"
     )
 
 

@@ -9,9 +9,10 @@ import pytest
 
 from solver.fitting.face import Face, Pose
 from solver.mechanics.flesh import IDENTITY
+from solver.rig.certificate import certify
 from solver.rig.preview.poses import Responses, SliderSolver, poses_to_learn, poses_to_measure
-from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of, nearest_amounts
-from solver.rig.rig import ExpressionFit
+from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of
+from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.skin_basis import feature_slopes, features
 from tests.solver.block import head_block
 
@@ -81,15 +82,26 @@ def test_muscles_without_fibres_have_no_slider(face: Face) -> None:
     assert [control.kind for control in bare.each] == ["jaw", "expression"]
 
 
-def test_an_expression_tells_its_contractions_and_no_pushing() -> None:
-    rng = np.random.default_rng(1)
-    contractions, amounts = rng.normal(size=(18, 3)), rng.uniform(0.1, 0.9, (4, 3))
-    response = rng.normal(size=(40, 18))
-    seen = response.T @ response
-    found = nearest_amounts(amounts @ contractions.T, contractions, seen)
-    assert np.allclose(found, amounts, atol=1e-5)
-    pushing = amounts * [1.0, -1.0, 1.0]
-    assert np.allclose(nearest_amounts(pushing @ contractions.T, contractions, seen)[:, 1], 0.0)
+def test_a_preset_tells_who_contracts_as_the_certificate_does(face: Face) -> None:
+    a = np.array([[0.8, 0.02, 0, 1.1, 0, 1.1], [1.05, 0, 0, 1, 0.01, 1]])
+    smile = fitted(face, "smile", a, np.array([0.0, 0.0048, 0.0, 0.0, 0.0]))
+    found = controls_of(face, [smile])
+    muscles, [turned] = (
+        found.of_kind("muscle"),
+        [k for k, each in enumerate(found.each) if each.name == "jaw_turns_left"],
+    )
+    judged = certify(face, Rig(MODEL, MODEL.weights, (smile,)), {}).expressions["smile"]
+    told = [judged.movers.contractions[str(found.each[number].muscle)] for number in muscles]
+    full = 1.0 - SliderOptions().full_stretch
+    # one at the bound of its fibres holds still
+    assert told == pytest.approx([0.2, -0.05])
+    values = found.presets["smile"]
+    assert values[muscles] == pytest.approx([0.2 / full, 0.0])
+    # half a millimetre at the chin is no turned jaw
+    assert 0.0 < values[turned] < 0.1
+    of_jaw = [found.each[number] for number in found.of_kind("jaw")]
+    by_jaw = np.clip([np.dot(control.by_jaw or (), smile.jaw) for control in of_jaw], 0.0, 1.0)
+    assert values[found.of_kind("jaw")] == pytest.approx(by_jaw)
 
 
 def test_slopes_of_the_skin_are_its_differences(face: Face, controls: Sliders) -> None:

@@ -213,7 +213,8 @@ def test_the_table_says_what_the_arrays_say(rig: Rig, tmp_path: Path) -> None:
     np.testing.assert_allclose(
         [float(row[f"jaw.{k}"]) for k in range(1, 6)], surprise.jaw, atol=1e-6
     )
-    assert row["fibres"] == ""  # this model has no fibres
+    assert row["contraction"] == row["fibres"] == ""  # this model has no fibres
+    assert list(row)[:4] == ["expression", "role", "muscle", "contraction"]
 
 
 @pytest.mark.long

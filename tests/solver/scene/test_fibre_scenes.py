@@ -37,7 +37,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         for number in range(COUNT)
     ]
     take, table, _ = write_sequence(folder, frames, MODEL.muscle_names, FPS, {})
-    assert table.read_text().splitlines()[0].endswith("head.tz,left,right")
+    assert table.read_text().startswith("frame,time,status,mean_mm,left,right,jaw.1,")
     names = {"rig": "rig.npz", "fibre_muscles": "fibre_muscles.npz"}
     return {**{name: folder / file for name, file in names.items()}, "take": take}
 

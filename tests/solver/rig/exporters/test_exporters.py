@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solver.errors import InputError
+from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.kinds.export_rig import FORMATS
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.certificate import certify
-from solver.rig.exporters import export, exporter, write_all
+from solver.rig.exporters import export, export_measured, exporter, write_all
 from solver.rig.report import report
 from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import block_model
@@ -52,6 +52,24 @@ def test_an_exporter_declares_itself_and_writes_its_file(
     again = export(rig, name, tmp_path / module.FILE)
     if name not in ("npz", "usd"):  # their containers hold times
         assert again.read_bytes() == file.read_bytes()
+
+
+@pytest.mark.parametrize("name", available())
+def test_a_file_of_another_face_is_refused(name: str, rig: Rig, tmp_path: Path) -> None:
+    module = exporter(name)
+    made = export_measured(rig, name, tmp_path / module.FILE)
+    assert 0.0 <= (made.figures.get("max_mm") or 0.0) < 1e-3
+    [fit] = rig.expressions
+    assert fit.x is not None
+    moved, x = fit.skin.copy(), fit.x.copy()
+    moved[7] += 0.3
+    x[7] += 0.3
+    others = replace(fit, skin=moved, x=x, activations=fit.activations + 0.1)
+    with pytest.raises(SolveError, match="read back") as raised:
+        module.read_back(replace(rig, expressions=(others,)), made.path, module.Options())
+    assert (raised.value.code, raised.value.context["file"]) == ("file.differs", module.FILE)
+    if name != "csv":
+        assert (raised.value.context["frame"], raised.value.context["vertex"]) == ("smile", 7)
 
 
 def test_every_rig_has_the_files_that_the_service_serves(rig: Rig, tmp_path: Path) -> None:

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.errors import InputError
+from solver.errors import InputError, judge_findings
 from solver.scans.markers.actor import ACTOR, CarriedTake, carry
-from solver.scans.markers.bind import bind, model_face, place_on, rest_places
+from solver.scans.markers.bind import Reference, bind, model_face, place_on, rest_places
+from solver.scans.markers.check import check_take
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.scans.markers.moved import split_moved
@@ -270,3 +271,61 @@ def test_an_actor_is_bound_by_names_in_the_person_s_size(actor: Take, markers: M
     found = carry(actor, scaled.markers, SKIN, RATE, REST)
     similar = fit_similarity(actor.positions[0], rest_places(markers, SKIN))
     assert found.report["scale"] == pytest.approx(similar.scale, rel=0.05)
+
+
+def test_markers_of_the_orbit_are_proposed_on_its_rim(actor: Take) -> None:
+    """The names of the made take put the upper ones on the lids."""
+    model = small_model()
+    found = bind(actor, model, REST, actor=True).markers
+    lids = np.concatenate([each for name, each in model.regions.items() if name.endswith("_lid")])
+    eyes = [each for each in found.markers if each.label[1:4] == "Eye"]
+    assert len(eyes) == 6
+    assert [each.label for each in eyes if np.isin(each.vertices, lids).any()] == []
+    own = bind(made_take(made_positions(240)), model, REST).markers  # where they were seen
+    assert np.isin(own.vertices[own.labels.index("LEye_Up")], lids).any()
+
+
+# The check goes the way of the fit.
+
+
+def test_the_check_of_an_actor_agrees_with_the_fit(actor: Take, markers: MarkerSet) -> None:
+    person = Reference(SKIN, small_model().sha256, markers)
+    check = check_take(actor, person, REST, actor=True)
+    assert judge_findings(check.findings) == "good"
+    (told,) = (each for each in check.findings if each.code == "markers.actor")
+    carried = carry(actor, markers, SKIN, RATE, REST).report
+    assert told.context["scale"] == pytest.approx(carried["scale"], rel=0.01)
+    assert "--actor" not in told.advice
+    check = check_take(actor, person, REST)
+    assert judge_findings(check.findings) == "usable"
+    (told,) = (each for each in check.findings if each.code == "markers.other_person")
+    assert "--actor" in told.advice
+    order = np.random.default_rng(2).permutation(len(LABELS))
+    shuffled = replace(actor, positions=actor.positions[:, order])
+    for given in (False, True):
+        check = check_take(shuffled, person, REST, actor=given)
+        assert judge_findings(check.findings) == "bad"
+
+
+@pytest.mark.parametrize("shape", ["line", "plane"])
+def test_markers_on_a_line_or_in_a_plane_are_refused(shape: str, markers: MarkerSet) -> None:
+    rng = np.random.default_rng(5)
+    spread = [60.0, 0.0, 0.0] if shape == "line" else [60.0, 50.0, 0.0]
+    points = rng.uniform(-1.0, 1.0, (len(LABELS), 3)) * spread
+    take = made_take(np.repeat(points[None], 90, axis=0))
+    person = Reference(SKIN, small_model().sha256, markers)
+    for given in (False, True):
+        check = check_take(take, person, actor=given)
+        assert "markers.flat" in [each.code for each in check.findings]
+        assert judge_findings(check.findings) == "bad"
+    with pytest.raises(InputError) as caught:
+        carry(take, markers, SKIN, RATE)
+    assert caught.value.code == "markers.flat"
+
+
+def test_a_take_in_which_nothing_moves_is_told(markers: MarkerSet) -> None:
+    person = Reference(SKIN, small_model().sha256, markers)
+    noise = 0.03 * np.random.default_rng(5).standard_normal((90, len(LABELS), 3))
+    take = made_take((on_skin("neutral") + noise) @ TURN)
+    found = [each.code for each in check_take(take, person, actor=True).findings]
+    assert "markers.motionless" in found

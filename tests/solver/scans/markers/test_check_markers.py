@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,18 +15,20 @@ from benchmarks.bad_takes import BAD_TAKES
 from solver.errors import Finding, InputError, judge_findings
 from solver.fitting.markers.term import MarkerPlaces
 from solver.mechanics.boundary import move_jaw
+from solver.registration.search import FacePoints, FacePose
+from solver.scans.markers import locate as locate_module
 from solver.scans.markers.bind import Reference, bind, model_face, rest_places
 from solver.scans.markers.check import check_take
 from solver.scans.markers.face_take import choose_face, locate_take
 from solver.scans.markers.faults import find_faults
 from solver.scans.markers.findings import ADVICE, MarkerCheck
-from solver.scans.markers.locate import FLIP, locate
+from solver.scans.markers.locate import FLIP, LocateOptions, locate
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.motion import find_neutral
 from solver.scans.markers.moved import split_moved
 from solver.scans.markers.take import Take, read_take
 from solver.similarity import Similarity
-from solver.surface import Floats, Surface
+from solver.surface import Floats, Surface, vertex_normals
 from tests.fixtures import data_folder, small_capture, small_model
 from tests.solver.scans.markers.made_take import (
     LABELS,
@@ -99,6 +102,19 @@ def test_axes_units_and_rates_are_found_and_told(
     assert check.figures["off_skin_mm"] < 0.5
 
 
+@pytest.mark.parametrize(("mm", "read_mm"), [(25.4, 10.0), (25.4, 1.0), (304.8, 10.0), (10, 25.4)])
+def test_a_unit_that_is_read_wrongly_is_found_by_the_face(
+    person: Reference, mm: float, read_mm: float
+) -> None:
+    clean = made_positions(240)
+    check = check_take(made_take(clean * (read_mm / mm), unit_mm=read_mm), person)
+    assert [each.code for each in told(check)] == ["markers.unit"]
+    assert check.figures["mm_per_unit"] == pytest.approx(mm)
+    assert check.located is not None
+    assert check.located.face.mm == pytest.approx(mm / read_mm)
+    assert check.figures["off_skin_mm"] < 0.1
+
+
 def test_the_neutral_is_the_person_s_and_not_the_stillest_second() -> None:
     """People hold expressions more still than they rest."""
     rng = np.random.default_rng(3)
@@ -166,6 +182,31 @@ def test_points_without_any_unit_are_refused_at_once(person: Reference, clean: F
     why = Finding("markers.unit", "error", "no unit", "")
     check = check_take(made_take(1e-9 * clean, findings=(why,)), person)
     assert check.findings == [why]
+
+
+def test_of_many_markers_some_that_are_spread_over_the_face_slide(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Time grows with those that do, and anybody may send 400."""
+    face, slid = model_face(small_model()), []
+    refine = locate_module.refine_pose
+
+    def counted(cloud: FacePoints, *more: Any, **named: Any) -> FacePose:
+        slid.append(len(cloud.points))
+        return refine(cloud, *more, **named)
+
+    monkeypatch.setattr(locate_module, "refine_pose", counted)
+    chosen = np.unique(face.faces)[::4][:400]
+    points = face.vertices[chosen] + 2.0 * vertex_normals(face)[chosen]
+    turn = Rotation.from_euler("y", 30, degrees=True).as_matrix()
+    found = locate(points @ turn.T, [None] * len(points), face)
+    assert len(points) > 200 >= 2 * max(slid)
+    assert found.off_skin.shape == points.shape[:1]
+    assert np.linalg.norm(found.session(points @ turn.T) - points, axis=1).max() < 1.0
+    slid.clear()
+    random = np.random.default_rng(0).normal((10.0, 800.0, 30.0), (45.0, 55.0, 25.0), (60, 3))
+    assert locate(random, [None] * len(random), face).miss() > 15.0
+    assert len(slid) == 2 * LocateOptions.rounds  # at one height: none brings it to the skin
 
 
 def test_points_that_no_way_of_lying_brings_near_a_face_are_located_nowhere_near() -> None:
@@ -378,7 +419,12 @@ def test_a_marker_that_moved_has_a_place_for_each_span(clean: Floats, late: bool
     assert split_moved(made_take(clean), found, find_faults(clean, RATE), skin)[1].labels == LABELS
 
 
-# Real takes: nothing is told of them, whoever checks.
+# Real takes: nothing is told of them, whoever checks, but that the rest of one is unclear: the jaw
+# goes back and the chin with it, by 8 mm, for a third of the time.
+
+
+def told_but_rest(check: MarkerCheck) -> list[Finding]:
+    return [each for each in told(check) if each.code != "markers.unclear_rest"]
 
 
 @pytest.fixture(scope="module", params=["jaw", "nose"])
@@ -398,15 +444,15 @@ def real_person() -> Surface:
 
 def test_real_takes_have_no_false_alarm(real: Take) -> None:
     check = check_take(real, Reference(real_person(), "0" * 64))
-    assert told(check) == []
+    assert told_but_rest(check) == []
     assert check.figures["off_skin_mm"] < 2.0
     assert check.figures["markers"] == 40
 
 
 def test_real_takes_are_another_person_s_than_the_small_one(real: Take, person: Reference) -> None:
     check = check_take(real, person)
-    assert [each.code for each in told(check)] == ["markers.other_person"]
-    assert told(check_take(real, Reference(person.face))) == []
+    assert [each.code for each in told_but_rest(check)] == ["markers.other_person"]
+    assert told_but_rest(check_take(real, Reference(person.face))) == []
 
 
 def test_a_set_for_a_model_is_one_that_can_be_read_again(

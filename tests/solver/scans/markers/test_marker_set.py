@@ -58,6 +58,8 @@ def _change(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         ("markers.1.part", "nose", "schema", "markers.markers[1].part"),
         ("markers.1.label", "LBRO1", "labels", None),
         ("markers.0.sigma_mm", 0.0, "schema", "markers.markers[0].sigma_mm"),
+        ("markers.0.sigma_mm", 1e-320, "schema", "markers.markers[0].sigma_mm"),
+        ("session.scale", 1e-320, "schema", "markers.session.scale"),
         ("session.rotation", [[1, 0, 0], [0, 1, 0], [0, 0, 0.9]], "schema",
          "markers.session.rotation"),
         ("session.shift_mm.0", float("nan"), "schema", "markers.session.shift_mm[0]"),

@@ -26,6 +26,8 @@ from solver.scans.markers.names import read_name, read_names
         ("ForeHead_M", "forehead", 0),
         ("LFHD", "head", 1),
         ("LBHD", "back_of_head", 1),
+        ("infraorbital_l", "orbit", 1),
+        ("R_Orb_Up", "orbit", -1),
     ],
 )
 def test_a_label_has_a_region_and_a_side(label: str, region: str, side: int) -> None:
@@ -33,6 +35,17 @@ def test_a_label_has_a_region_and_a_side(label: str, region: str, side: int) -> 
     assert named is not None
     assert (named.region, named.side) == (region, side)
     assert named.place[0] * side >= 0
+
+
+def test_names_of_the_orbit_are_off_the_lids() -> None:
+    by_label = {
+        label: read_name(label)
+        for label in ("LLid_Up", "LLid_Low", "Supraorbital_L", "Infraorbital_L", "LOrbit")
+    }
+    up, low, above, below, rim = (each.place[1] for each in by_label.values() if each)
+    assert above > up + 5.0
+    assert below < low - 5.0
+    assert rim == below
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solver.errors import InputError
-from solver.scans.markers.raw_take import TakeOptions
+from solver.errors import Finding, InputError
+from solver.scans.markers.raw_take import Event, TakeOptions, make_finding
 from solver.scans.markers.take import Take, read_take
 from tests.fixtures import data_folder
 from tests.take_files import (
@@ -164,6 +164,13 @@ def test_npz_of_landmarks_has_sigma_by_axis(tmp_path: Path) -> None:
     np.testing.assert_array_equal(kept.sigma, take.sigma)
     with pytest.raises(InputError, match="sigma of LBRO1 in frame 0"):
         read(tmp_path, npz_bytes(points, sigma=np.zeros((5, 3))))
+    with pytest.raises(InputError, match="sigma of LBRO1 in frame 0"):
+        read(tmp_path, npz_bytes(points, sigma=np.full((5, 3), 1e-320)))
+    with pytest.raises(InputError, match="'unit' is 1e-300"):
+        read(tmp_path, npz_bytes(points, unit=1e-300))
+    slow = read(tmp_path, npz_bytes(points, rate=1e-300, unit="mm"))
+    assert np.isnan(slow.rate)
+    assert ("rate", "warning") in codes(slow)
 
 
 @pytest.mark.parametrize(
@@ -171,8 +178,17 @@ def test_npz_of_landmarks_has_sigma_by_axis(tmp_path: Path) -> None:
     [
         ({"rate": float("inf")}, "rate"),
         ({"rate": -1.0}, "rate"),
+        ({"rate": 1e-300}, "rate"),
+        ({"unit_mm": 0.0}, "unit"),
+        ({"unit_mm": float("nan")}, "unit"),
         ({"first": 10**30}, "frame"),
         ({"positions": np.full((5, 4, 3), 1e30)}, "studio"),
+        ({"labels": ("a", "b", "c", "a")}, "'a' twice"),
+        ({"labels": ("a", "b", "c", "x" * 5000)}, "no label"),
+        ({"labels": ("a", "b", "c", "\x1b[31m")}, "no label"),
+        ({"events": (Event("start", float("nan")),)}, "event"),
+        ({"sigma": np.full((5, 4, 3), 1e-320)}, "sigma"),
+        ({"sigma": np.full((5, 4, 3), np.inf)}, "sigma"),
     ],
 )
 def test_a_kept_take_is_bounded_as_others_are(
@@ -184,6 +200,36 @@ def test_a_kept_take_is_bounded_as_others_are(
     with pytest.raises(InputError, match=words) as caught:
         read_take(path)
     assert caught.value.code == "markers.unreadable"
+
+
+def test_of_a_kept_take_only_known_findings_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "kept.npz"
+    points = face_points(5, 4)
+    points[1, 2, 1] = np.nan
+    known = make_finding("markers.rate", "warning", "no rate", file="a.c3d")
+    forged = (
+        Finding("markers.forged", "error", "call this number"),
+        replace(known, advice="call this number"),
+        replace(known, severity="fatal"),
+        replace(known, message="x" * 10_000),
+        replace(known, context={"found": float("nan")}),
+    )
+    take = Take("a.c3d", ("a", "b", "c", "d"), points, 60.0, up="upwards")
+    replace(take, findings=(known, *forged)).save(path)
+    kept = read_take(path)
+    assert kept.findings == (known, known)
+    assert kept.up is None
+    assert np.isnan(kept.positions[1, 2]).all()  # a point of which a part is missing is none
+    replace(take, positions=np.full((5, 4, 3), np.nan)).save(path)
+    with pytest.raises(InputError) as caught:
+        read_take(path)
+    assert caught.value.code == "markers.none"
+    names = tuple(f"#{number}" for number in range(10_001))
+    more = replace(take, unlabelled=np.zeros((5, 10_001, 3)), unlabelled_names=names)
+    more.save(path)
+    with pytest.raises(InputError) as caught:
+        read_take(path)
+    assert caught.value.code == "markers.too_large"
 
 
 def test_labels_lose_blanks_and_subject_and_those_without_are_kept_apart(tmp_path: Path) -> None:
@@ -243,6 +289,8 @@ def test_a_take_of_unlabelled_tracks_only(tmp_path: Path) -> None:
         ("cm", 0.1, 10.0, []),
         (None, 1.0, 1.0, [("unit", "info")]),
         (None, 1e-3, 1000.0, [("unit", "info")]),
+        (None, 1 / 25.4, 25.4, [("unit", "warning")]),
+        (None, 1 / 304.8, 304.8, [("unit", "warning")]),
         ("mm", 1e-3, 1000.0, [("unit", "warning")]),
         ("parsec", 0.1, 10.0, [("unit", "warning")]),
         ("mm", 1e-6, 1.0, [("unit", "error")]),

@@ -6,15 +6,15 @@ import { state } from "./state.js";
 /** Return the verdict on a rig as an element; null for a rig that was made without. */
 export function verdictOf(summary) {
   const { verdict } = summary;
-  return verdict ? state(verdict, verdict === "bad" ? "Bad" : null) : null;
+  return verdict ? state(verdict) : null;
 }
 
 /** Return what is not good about a rig, the worst first, as `findingList` shows it. */
 export function rigFindings({ checks = [], warnings = [] }) {
   const failed = checks.filter(({ verdict }) => verdict !== "good");
-  const found = failed.map(({ verdict, title, value, unit, worst, meaning, advice }) => ({
+  const found = failed.map(({ verdict, title, value, unit, worst, meaning, says, advice }) => ({
     severity: verdict === "bad" ? "error" : "warning",
-    message: `${title}: ${value === null ? "no figure" : `${figure(value)} ${unit}`.trim()} in ${worst} (${meaning})`,
+    message: `${title}: ${value === null ? "no figure" : `${figure(value)} ${unit}`.trim()} in ${worst} (${says || meaning})`,
     advice,
   }));
   found.sort((a, b) => (b.severity === "error") - (a.severity === "error"));

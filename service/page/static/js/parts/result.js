@@ -5,7 +5,7 @@ import { figure, plain } from "../words.js";
 import { film, picture } from "./files.js";
 import { rigFindings, verdictOf } from "./certificate.js";
 import { findingList, judgedLines } from "./findings.js";
-import { state } from "./state.js";
+import { verdictState } from "./state.js";
 
 /** What the pictures of each kind show. */
 const PICTURES = {
@@ -28,7 +28,7 @@ export function resultPanel(job, signal) {
     ([, value]) => typeof value === "number" || typeof value === "string",
   );
   const content = [
-    summary?.verdict && h("p", { class: "verdict" }, rigId ? verdictOf(summary) : state(summary.verdict)),
+    summary?.verdict && h("p", { class: "verdict" }, rigId ? verdictOf(summary) : verdictState(summary.verdict, job.kind)),
     summary?.findings && findingList(summary.findings),
     summary && judgedLines(summary),
     rigId && summary?.checks && findingList(rigFindings(summary)),

@@ -11,7 +11,7 @@ import { ask } from "./dialog.js";
 import { picture } from "./files.js";
 import { findingList, judgedLines, toMend } from "./findings.js";
 import { meter } from "./meter.js";
-import { state, word } from "./state.js";
+import { state, verdictWords } from "./state.js";
 import { sentence } from "./trouble.js";
 
 const ROLES = [
@@ -199,7 +199,7 @@ export class ScanRow {
     const image = artifacts.find(({ name }) => name === "check.png");
     this.finish(
       summary.verdict,
-      null,
+      verdictWords(summary.verdict, job.kind),
       h(
         "div",
         { class: "judged" },
@@ -212,7 +212,7 @@ export class ScanRow {
           ),
       ),
     );
-    announce(`${this.name.value}: ${word(summary.verdict)}`);
+    announce(`${this.name.value}: ${verdictWords(summary.verdict, job.kind)}`);
   }
 
   finish(key, words, ...content) {

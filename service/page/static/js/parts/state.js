@@ -26,7 +26,7 @@ const LOOKS = {
   // verdicts of a check
   good: ["check", "Good", "good"],
   usable: ["warning", "Usable", "warn"],
-  bad: ["cross", "Bad: scan again", "bad"],
+  bad: ["cross", "Bad", "bad"],
   // parts of the service
   ok: ["check", "OK", "good"],
   // outcomes of an attempt
@@ -53,6 +53,19 @@ export function state(key, words = null) {
   };
   element.set(key, words);
   return element;
+}
+
+/** What to do about what a kind of job calls bad; a rig's certificate says it itself. */
+const BAD = { check_scan: "Bad: scan again", check_markers: "Bad: it cannot be used" };
+
+/** Return the words for the verdict of a job of a kind. */
+export function verdictWords(verdict, kind) {
+  return (verdict === "bad" && BAD[kind]) || word(verdict);
+}
+
+/** Return an element for the verdict of a job of a kind. */
+export function verdictState(verdict, kind) {
+  return state(verdict, verdictWords(verdict, kind));
 }
 
 /** Return a state's word. */

@@ -2,21 +2,24 @@
 
 import { Container } from "./container.js";
 
+const STILL = [-0.06, 0.02]; // of files that do not say between which contractions a muscle holds still
+
 /** What `view.bin` holds. Places are flat arrays of x, y, z in mm. */
 export class Face {
   #file;
-  #flesh;
 
   constructor(buffer) {
     this.#file = new Container(buffer);
     // a file from before compartments has whole muscles only
-    const { expressions, muscles, wholes = muscles, flesh_mm3: flesh = muscles.map(() => 1) } = this.#file.header;
+    const { expressions, muscles, wholes = muscles, still = STILL, sagittal } = this.#file.header;
     this.expressions = expressions;
     this.muscles = muscles;
     this.wholes = wholes;
-    this.#flesh = flesh;
+    this.still = still;
     this.neutral = this.#file.array("neutral");
     this.faces = this.#file.array("faces");
+    /** The plane that takes each side to the other: a point `at` in it, and the way `across`, of length 1. */
+    this.sagittal = sagittal ?? { at: [0, 0, 0], across: [1, 0, 0] };
     this.count = this.neutral.length / 3;
     this.names = expressions.map((expression) => expression.name);
     this.hasScans = expressions.some((_, k) => this.#file.has(`scan/${k}`));
@@ -42,19 +45,16 @@ export class Face {
     return this.muscles.filter((muscle, m) => name === muscle || name === this.wholes[m]);
   }
 
-  /**
-   * Return the length of a muscle's fibres in expression `k` by that at rest, NaN where unknown; of a
-   * whole it is the mean over the flesh of its compartments.
-   */
-  stretch(k, name) {
-    const stretches = this.#file.array("activation").subarray(k * this.muscles.length);
-    let [sum, flesh] = [0, 0];
-    for (const m of this.meant(name).map((muscle) => this.muscles.indexOf(muscle))) {
-      if (Number.isNaN(stretches[m])) continue;
-      sum += this.#flesh[m] * stretches[m];
-      flesh += this.#flesh[m];
-    }
-    return sum / flesh;
+  /** Return how much each muscle contracts in expression `k`: the part of its fibres' length; NaN where unknown. */
+  contractions(k) {
+    const count = this.muscles.length;
+    return this.#file.array("activation").subarray(k * count, (k + 1) * count).map((stretch) => 1 - stretch);
+  }
+
+  /** Return what a muscle has of values, one a muscle; a whole has that of its compartment with most. */
+  of(name, values) {
+    const known = this.meant(name).map((muscle) => values[this.muscles.indexOf(muscle)]).filter(Number.isFinite);
+    return known.length ? Math.max(...known) : NaN;
   }
 
   /** Return the greatest distance per vertex over all expressions, NaN where nothing was seen. */

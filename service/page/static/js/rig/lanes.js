@@ -1,4 +1,4 @@
-// Lanes of a fitted take: what became of every label, and when each muscle was held.
+// Lanes of a fitted take: what became of every label, when each muscle was held, and who contracts.
 
 import { h, setText, show } from "../dom.js";
 import { count, plain } from "../words.js";
@@ -6,6 +6,10 @@ import { STATES } from "./marker_solids.js";
 
 const HELD = "#c98a12";
 const MOST_NAMED = 4;
+const PULL = "33, 102, 172";
+const FULL = 0.4; // contraction that has the full colour, as a slider at 1
+const MOST_PULLS = 12;
+const LEAST_PULL = 0.05; // of a muscle at its most that has a lane
 
 /** Lanes over time; `go(frame)` is called where one is clicked. */
 export class Lanes {
@@ -46,17 +50,60 @@ export class Lanes {
     setText(this.#rest, free.length ? `${count(free.length, "muscle is", "muscles are")} never held.` : "");
   }
 
-  #row({ name, words, canvas, marked, frames }) {
-    const share = Math.round((100 * marked) / frames);
-    canvas.addEventListener("click", (event) => {
-      const { left, width } = canvas.getBoundingClientRect();
-      this.#go(Math.max(0, Math.min(frames - 1, Math.floor((frames * (event.clientX - left)) / width))));
-    });
-    return h("li", {},
-      h("span", { class: "lane-name", title: name }, name),
-      h("span", { class: "lane" }, canvas),
-      h("span", { class: "figure" }, marked ? `${share || "<1"} %` : "", h("span", { class: "unseen" }, words)));
+  #row(lane) {
+    const share = Math.round((100 * lane.marked) / lane.frames);
+    return laneRow(lane, this.#go, [lane.marked ? `${share || "<1"} %` : "", h("span", { class: "unseen" }, lane.words)]);
   }
+}
+
+/** Lanes of the muscles that contract most in a take (`Take`); `go(frame)` is called where one is clicked. */
+export class ContractionLanes {
+  #of = null;
+  #go;
+  #list = h("ul", { class: "lanes pulls", "aria-label": "Who contracts" });
+
+  constructor(go) {
+    this.#go = go;
+    this.element = h("div", { class: "stack lanes-box" },
+      h("p", { class: "fine" }, "Who contracts: the darker, the more; at most, in % of the fibres' length."), this.#list);
+  }
+
+  /** Show the frame of a take. */
+  show(take, frame) {
+    if (this.#of !== take) {
+      this.#of = take;
+      show(this.#list, mostPulling(take).map(([m, most]) => laneRow(pullLane(take, m), this.#go, `${Math.round(100 * most)} %`)));
+    }
+    this.element.style.setProperty("--at", `${(100 * (frame + 0.5)) / take.frames}%`);
+  }
+}
+
+/** Return the muscles that contract most, each as its number and its most, the strongest first. */
+function mostPulling({ frames, contractions }) {
+  const most = contractions.muscles.map(() => -Infinity);
+  for (let frame = 0; frame < frames; frame++) {
+    for (const [m, value] of contractions.at(frame).entries()) if (value > most[m]) most[m] = value;
+  }
+  return [...most.entries()].filter(([, value]) => value >= LEAST_PULL).sort((a, b) => b[1] - a[1]).slice(0, MOST_PULLS);
+}
+
+function pullLane(take, m) {
+  return lane(take, plain(take.contractions.muscles[m]), (frame) => {
+    const share = Math.min(take.contractions.at(frame)[m] / FULL, 1);
+    return share > 0 ? { title: "contracts", colour: `rgba(${PULL}, ${share.toFixed(2)})` } : null;
+  });
+}
+
+/** Return a lane's row with what stands behind it; a click on it calls `go(frame)`. */
+function laneRow({ name, canvas, frames }, go, behind) {
+  canvas.addEventListener("click", (event) => {
+    const { left, width } = canvas.getBoundingClientRect();
+    go(Math.max(0, Math.min(frames - 1, Math.floor((frames * (event.clientX - left)) / width))));
+  });
+  return h("li", {},
+    h("span", { class: "lane-name", title: name }, name),
+    h("span", { class: "lane" }, canvas),
+    h("span", { class: "figure" }, behind));
 }
 
 /** Return a lane's canvas, a pixel a frame, with what is in it; `markOf(frame)` has title and colour, or is null. */

@@ -1,6 +1,7 @@
 // A session's marker set that can be changed: where each label sits on a person's skin.
 
 import { cross } from "./marker_solids.js";
+import { twins } from "./marker_twins.js";
 
 export const PARTS = { face: "Face", head: "Head", upper_teeth: "Upper teeth", lower_teeth: "Lower teeth", ignore: "Left out" };
 const LONGEST_LABEL = 64;
@@ -10,14 +11,34 @@ export class MarkerSet {
   #document;
   #neutral;
   #faces;
+  #sagittal;
   #seen;
+  #twins;
 
-  constructor(document, neutral, faces) {
+  constructor(document, { neutral, faces, sagittal }) {
     this.#document = document;
     this.#neutral = neutral;
     this.#faces = faces;
+    this.#sagittal = sagittal;
     this.markers = document.markers.map((each) => structuredClone(each));
     this.#seen = this.markers.map((marker) => this.placeOf(marker));
+    this.#twins = twins(this.markers.map(({ label }) => label), this.#seen, (place) => this.#mirrored(place));
+  }
+
+  /** Return which marker lies on the other side of the face as `k` does, by name or place; -1 if none does. */
+  twin(k) {
+    return this.#twins[k];
+  }
+
+  /** Put the twin of marker `k` where the skin is nearest to the mirror image of `k`. */
+  mirror(k) {
+    if (this.#twins[k] >= 0) this.putNear(this.#twins[k], this.#mirrored(this.placeOf(this.markers[k])));
+  }
+
+  /** Return the way out of the skin under marker `k`, of length 1; null for what rides on bone. */
+  outward(k) {
+    const { at } = this.markers[k];
+    return Array.isArray(at) ? null : this.#normal(at.vertices.map((vertex) => this.#corner(vertex)));
   }
 
   /** Return where a marker is: over the skin, or on its bone. */
@@ -25,7 +46,7 @@ export class MarkerSet {
     if (Array.isArray(at)) return at;
     const corners = at.vertices.map((vertex) => this.#corner(vertex));
     const foot = [0, 1, 2].map((d) => corners.reduce((sum, corner, i) => sum + at.weights[i] * corner[d], 0));
-    const normal = unit(cross(minus(corners[1], corners[0]), minus(corners[2], corners[0])));
+    const normal = this.#normal(corners);
     return foot.map((each, d) => each + height * normal[d]);
   }
 
@@ -89,6 +110,16 @@ export class MarkerSet {
       if (found.away < best.away) best = { vertices, ...found };
     }
     return best;
+  }
+
+  #normal(corners) {
+    return unit(cross(minus(corners[1], corners[0]), minus(corners[2], corners[0])));
+  }
+
+  #mirrored(place) {
+    const { at, across } = this.#sagittal;
+    const off = dot(minus(place, at), across);
+    return place.map((each, d) => each - 2 * off * across[d]);
   }
 
   #corner(vertex) {

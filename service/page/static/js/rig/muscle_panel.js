@@ -8,7 +8,7 @@ import { positive } from "./pose_panel.js";
 import { Slider } from "./slider.js";
 
 const ERROR = "± mm: how far the skin of a slider alone is off the simulation.";
-const FIBRES = "fibres: their length in the expression that is shown, by that at rest; below 100 % the muscle is short.";
+const CONTRACTS = "contracts: how much shorter its fibres are in what is shown, in % of their length; − longer, · the muscle holds still.";
 
 /** Muscles and jaw; `change(patch)` takes a part of a state, or what a function makes of one. */
 export class MusclePanel {
@@ -39,8 +39,8 @@ export class MusclePanel {
   /** Have no sliders; `instead` are elements or texts. */
   setMissing(...instead) {
     show(this.#head, instead);
-    setText(this.#legend, FIBRES);
-    this.#fill(["", "fibres"], this.#face.muscles.map((muscle) => ({ name: muscle, muscle, title: muscle })), (named) => this.#plainRow(named));
+    setText(this.#legend, CONTRACTS);
+    this.#fill(["", "contracts"], this.#face.muscles.map((muscle) => ({ name: muscle, muscle, title: muscle })), (named) => this.#plainRow(named));
   }
 
   /** Have sliders by an approximation. */
@@ -61,32 +61,51 @@ export class MusclePanel {
       h("div", { class: "row" }, presets,
         h("button", { type: "button", onclick: () => this.#pose(new Map()) }, "Relax all"),
         h("label", { class: "check-field" }, this.#bothSides, "both sides together")));
-    setText(this.#legend, `${ERROR} ${FIBRES}`);
-    this.#fill(["± mm", "fibres"], preview.controls, (named, numbers) => this.#sliderRow(named, numbers));
+    setText(this.#legend, `${ERROR} ${CONTRACTS}`);
+    this.#fill(["± mm", "contracts"], preview.controls, (named, numbers) => this.#sliderRow(named, numbers));
   }
 
-  /** Show a state. */
-  show(state) {
-    this.#values = state.controls;
-    const [strongest] = [...state.expressions].sort((a, b) => b[1] - a[1]);
-    const expression = strongest ? this.#face.names.indexOf(strongest[0]) : -1;
-    for (const { muscle, names, slider, button, stretch } of this.#rows) {
-      const values = names.map((name) => state.controls.get(name) ?? 0);
-      slider?.set(values.reduce((sum, value) => sum + value, 0) / values.length);
+  /** Show a state; the sliders follow the frame of the `take` that it names. */
+  show(state, take) {
+    const played = state.take ? take?.contractions : null;
+    const found = played ? this.#inOrder(played, state.take.frame) : this.#ofExpression(state.expressions);
+    this.#values = played && this.#preview
+      ? this.#preview.valuesOf(new Map(this.#face.muscles.map((name, m) => [name, found[m]])), played.jaw(state.take.frame))
+      : state.controls;
+    for (const { muscle, names, slider, button, contracted } of this.#rows) {
+      slider?.set(Math.max(...names.map((name) => this.#values.get(name) ?? 0)));
       if (!muscle) continue;
       button.setAttribute("aria-pressed", String(muscle === state.muscle));
-      const length = expression < 0 ? NaN : this.#face.stretch(expression, muscle);
-      setText(stretch, Number.isFinite(length) ? `${Math.round(100 * length)} %` : "");
+      setText(contracted, found ? this.#inWords(this.#face.of(muscle, found)) : "");
     }
     if (state.muscle !== this.#chosen) this.#folds.get(state.muscle)?.open(true);
     this.#chosen = state.muscle;
   }
 
+  /** Return the contractions of a frame in the order of the face's muscles. */
+  #inOrder(played, frame) {
+    const values = played.at(frame);
+    return this.#face.muscles.map((name) => values[played.muscles.indexOf(name)] ?? NaN);
+  }
+
+  /** Return the contractions of the strongest expression; null without any. */
+  #ofExpression(expressions) {
+    const [strongest] = [...expressions].sort((a, b) => b[1] - a[1]);
+    return strongest ? this.#face.contractions(this.#face.names.indexOf(strongest[0])) : null;
+  }
+
+  #inWords(contraction) {
+    if (!Number.isFinite(contraction)) return "";
+    const [least, most] = this.#face.still;
+    if (contraction > least && contraction < most) return "·";
+    return `${Math.round(100 * contraction)} %`.replace("-", "−");
+  }
+
   #plainRow({ muscle, name, title, lead }) {
     const button = h("button", { type: "button", class: "plain name", "aria-label": title, onclick: () => this.#choose(muscle) }, name);
-    const stretch = stretchFigure();
-    const element = h("li", { class: "slider" }, h("span", { class: "named" }, lead, button), h("span"), h("span"), h("span"), stretch);
-    return { button, stretch, element };
+    const contracted = contractionFigure();
+    const element = h("li", { class: "slider" }, h("span", { class: "named" }, lead, button), h("span"), h("span"), h("span"), contracted);
+    return { button, contracted, element };
   }
 
   #sliderRow({ muscle, name, title, lead }, numbers) {
@@ -100,9 +119,9 @@ export class MusclePanel {
       moved: (value) => this.#move(numbers, value),
       chosen: () => muscle && this.#choose(muscle),
     });
-    const stretch = stretchFigure();
-    slider.element.append(stretch);
-    return { slider, button: slider.button, stretch, element: slider.element };
+    const contracted = contractionFigure();
+    slider.element.append(contracted);
+    return { slider, button: slider.button, contracted, element: slider.element };
   }
 
   #choose(muscle) {
@@ -181,7 +200,7 @@ function partName(muscle, whole) {
   return muscle.startsWith(`${whole}.`) ? muscle.slice(whole.length + 1) : muscle;
 }
 
-/** Room for the length of a muscle's fibres in the expression that is shown, by their length at rest. */
-function stretchFigure() {
-  return h("span", { class: "figure", title: "Length of the fibres in this expression, by that at rest" });
+/** Room for how much a muscle contracts in what is shown. */
+function contractionFigure() {
+  return h("span", { class: "figure", title: "How much shorter its fibres are, in % of their length" });
 }

@@ -12,10 +12,11 @@ import { Legend } from "./heat.js";
 import { Inside } from "./inside.js";
 import { LookBar } from "./look_bar.js";
 import { MarkerSolids, STATES } from "./marker_solids.js";
-import { missingPreview } from "./missing_preview.js";
+import { MissingPreview } from "./missing_preview.js";
 import { MusclePanel } from "./muscle_panel.js";
 import { ExpressionPanel, pose } from "./pose_panel.js";
 import { Preview } from "./preview.js";
+import { rigAndSubject } from "./read.js";
 import { StageBox } from "./stage_box.js";
 import { summary } from "./summary.js";
 import { tabs } from "./tabs.js";
@@ -134,7 +135,7 @@ export class RigPage extends EventTarget {
       this.#read(INSIDE, (buffer) => { this.#inside = new Inside(buffer); });
     }
     if (state.take && state.take.job !== this.#take?.job) this.#readTake(state.take.job);
-    for (const panel of this.#panels) panel.show(state, this.#take?.take);
+    for (const panel of this.#panels) panel.show(state, this.#shownTake);
     this.#isStale = true;
     this.#box.stage.invalidate();
     this.#settleSoon();
@@ -246,17 +247,31 @@ export class RigPage extends EventTarget {
     else this.#box.name(plain(found.name));
   }
 
-  /** Read the sliders' file; without one, say how there can be one. */
+  /** Read the sliders' file; without one, say how there can be one, and wait for it. */
   async #findPreview() {
-    if (this.#has(PREVIEW)) {
-      await this.#read(PREVIEW, (buffer) => {
-        this.#preview = new Preview(buffer);
-        this.#muscles.setPreview(this.#preview);
-        const names = this.#preview.controls.map(({ name }) => name);
-        this.state = { ...this.state, controls: among(this.#ofParts(this.state.controls), names) };
-      });
-    } else this.#muscles.setMissing(await missingPreview(this.#rig, this.#signal));
+    if (this.#has(PREVIEW)) await this.#readPreview();
+    else {
+      const missing = new MissingPreview(this.#rig, () => this.#lookAgain(), this.#signal);
+      this.#muscles.setMissing(missing.element);
+      await missing.find();
+    }
     this.#update();
+  }
+
+  async #readPreview() {
+    await this.#read(PREVIEW, (buffer) => {
+      this.#preview = new Preview(buffer);
+      this.#muscles.setPreview(this.#preview);
+      const names = this.#preview.controls.map(({ name }) => name);
+      this.state = { ...this.state, controls: among(this.#ofParts(this.state.controls), names) };
+    });
+  }
+
+  /** Read the sliders of a rig that has got some since it was opened; returns whether it has. */
+  async #lookAgain() {
+    [this.#rig] = await rigAndSubject(this.#rig.id, this.#signal);
+    if (this.#has(PREVIEW)) await this.#readPreview();
+    return this.#has(PREVIEW);
   }
 
   /** Return values with those of whole muscles given to their compartments. */

@@ -48,6 +48,14 @@ export class Preview {
     return this.#basis[r];
   }
 
+  /** Return control -> value where muscles (name -> contraction) and the jaw's five numbers are these. */
+  valuesOf(contractions, jaw) {
+    return new Map(this.controls.flatMap(({ name, muscle, full, by_jaw: byJaw }) => {
+      const value = muscle ? contractions.get(muscle) / full : byJaw?.reduce((sum, each, i) => sum + each * jaw[i], 0);
+      return value > 0 ? [[name, Math.min(value, 1)]] : [];
+    }));
+  }
+
   /** Return the approximation's error in words. */
   get errorInWords() {
     const { mean, max, poses } = this.error;

@@ -136,6 +136,18 @@ export class Stage extends EventTarget {
       this.#renderer.setScissor(i * wide, 0, wide, height);
       this.#renderer.render(this.panes[i], this.camera);
     }
+    this.dispatchEvent(new Event("drawn"));
+  }
+
+  /** Size of the canvas in pixels of the page. */
+  get size() {
+    return this.#size;
+  }
+
+  /** Return where the first pane shows a point (x, y, z in mm): x and y in pixels of the page. */
+  project(point) {
+    const { x, y } = new Vector3(...point).project(this.camera);
+    return [((x + 1) * this.#size.width) / 2 / this.#shown, ((1 - y) * this.#size.height) / 2];
   }
 
   /** Draw now and wait until it is in the canvas. */

@@ -34,7 +34,7 @@ export class StageBox {
     this.stage.look(view);
   }
 
-  /** Put something over the picture, at its foot. */
+  /** Put something over the picture. */
   overlay(element) {
     this.#room.append(element);
   }

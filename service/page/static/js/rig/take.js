@@ -7,10 +7,11 @@ import { Glb } from "./glb.js";
 export class Take {
   #glb;
 
-  /** `markers` are its `MarkerTake`, of a take of markers. */
-  constructor(buffer, markers = null) {
+  /** `markers` are its `MarkerTake`, of a take of markers, `contractions` those of its muscles, where it has them. */
+  constructor(buffer, markers = null, contractions = null) {
     this.#glb = new Glb(buffer);
     this.markers = markers ?? null;
+    this.contractions = contractions ?? null;
     this.times = this.#glb.tracks.times;
     this.frames = this.times.length;
   }

@@ -4,7 +4,8 @@ import * as api from "../api.js";
 import { h, setText, show } from "../dom.js";
 import { sentence } from "../parts/trouble.js";
 import { when } from "../words.js";
-import { Lanes } from "./lanes.js";
+import { Contractions } from "./contractions.js";
+import { ContractionLanes, Lanes } from "./lanes.js";
 import { MarkerTake } from "./marker_take.js";
 import { artifactsOfJobs } from "./read.js";
 import { Take } from "./take.js";
@@ -12,6 +13,7 @@ import { Take } from "./take.js";
 const KINDS = ["fit_sequence", "fit_markers"];
 const FILE = "sequence.glb";
 const MARKERS = "markers.bin";
+const CONTRACTIONS = "contractions.bin";
 
 /** Sequences of a rig; `change(patch)` takes a part of a state, which names job and frame. */
 export class TakePanel {
@@ -29,7 +31,9 @@ export class TakePanel {
     oninput: () => this.#go(this.#shown, Number(this.#scrub.value)),
   });
   #place = h("output", {}, "");
+  #about = h("p", { class: "fine" }, "");
   #lanes = new Lanes((frame) => this.#go(this.#shown, frame));
+  #pulls = new ContractionLanes((frame) => this.#go(this.#shown, frame));
 
   constructor(count, change, signal) {
     this.#count = count;
@@ -58,8 +62,10 @@ export class TakePanel {
     show(this.element,
       h("div", { class: "row" }, this.#pick, this.#play),
       h("div", { class: "scrubber" }, this.#scrub, this.#place),
+      this.#pulls.element,
       this.#lanes.element,
-      h("p", { class: "fine" }, "The skin of the fit within 0.2 mm, in the head's own frame. Muscles and bones stay at rest. Arrows go from the fit to where markers were seen, five times as long."));
+      this.#about);
+    this.#tell();
   }
 
   /** Return the take of a job, read when it is first asked for; null if there is none. */
@@ -68,10 +74,10 @@ export class TakePanel {
     if (!known) return null;
     if (!this.#takes.has(job)) {
       const read = ({ id }) => api.bytes(`/v1/artifacts/${id}`, { signal: this.#signal });
-      const markers = known.job.result.artifacts.find(({ name }) => name === MARKERS);
-      const [skin, seen] = [read(known.artifact), markers && read(markers)];
-      this.#takes.set(job, Promise.all([skin, seen])
-        .then((found) => new Take(found[0], found[1] && new MarkerTake(found[1]))));
+      const beside = [MARKERS, CONTRACTIONS].map((file) => known.job.result.artifacts.find(({ name }) => name === file));
+      const files = [known.artifact, ...beside].map((each) => each && read(each));
+      this.#takes.set(job, Promise.all(files).then(([skin, markers, contractions]) => (
+        new Take(skin, markers && new MarkerTake(markers), contractions && new Contractions(contractions)))));
     }
     try {
       const take = await this.#takes.get(job);
@@ -92,11 +98,21 @@ export class TakePanel {
     }
     this.#shown = state.take.job;
     this.#pick.value = state.take.job;
+    this.#tell();
     this.#scrub.max = take.frames - 1;
     this.#lanes.element.hidden = !take.markers;
     if (take.markers) this.#lanes.show(take.markers, state.take.frame);
+    this.#pulls.element.hidden = !take.contractions;
+    if (take.contractions) this.#pulls.show(take, state.take.frame);
     if (Number(this.#scrub.value) !== state.take.frame) this.#scrub.value = state.take.frame;
     setText(this.#place, `${state.take.frame + 1} of ${take.frames}, ${take.times[state.take.frame].toFixed(2)} s`);
+  }
+
+  /** Tell how far what is played is off the fit, as the job measured it in the file. */
+  #tell() {
+    const written = this.#jobs.get(this.#pick.value)?.job.result.summary?.files?.[FILE];
+    const off = written ? `, at most ${written.max_mm.toFixed(2)} mm off it (frame ${written.frame})` : "";
+    setText(this.#about, `The skin of the fit${off}, in the head's own frame; the muscles' sliders follow. Muscles and bones stay at rest in the picture. Arrows go from the fit to where markers were seen, five times as long.`);
   }
 
   /** Stop playing. */

@@ -29,7 +29,7 @@ export async function mount(root, { id }) {
   ]);
   const take = job.captures.map((each) => captures.get(each)).find((each) => each && !each.filename.toLowerCase().endsWith(".json"));
   const face = new Face(buffer);
-  const set = new MarkerSet(JSON.parse(new TextDecoder().decode(packed)), face.neutral, face.faces);
+  const set = new MarkerSet(JSON.parse(new TextDecoder().decode(packed)), face);
   title(`Markers of ${subject.name}`);
   const page = new BindingPage(face, set, (changedSet) => save(changedSet, subject, take?.name ?? "take", [...captures.values()]));
   show(root,

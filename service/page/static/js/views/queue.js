@@ -11,7 +11,7 @@ import { verdictOf } from "../parts/certificate.js";
 import { panel, table } from "../parts/frame.js";
 import { meter } from "../parts/meter.js";
 import { refuse } from "../parts/refuse.js";
-import { FINAL, state, word } from "../parts/state.js";
+import { FINAL, state, verdictState, word } from "../parts/state.js";
 import { toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
@@ -314,6 +314,6 @@ function outcomeOf(job) {
     const open = h("a", { href: `/rigs/${job.result.rig_id}` }, "Open the rig");
     return [h("div", { class: "row" }, open, verdictOf(job.result))];
   }
-  if (job.result.verdict) return [state(job.result.verdict)];
+  if (job.result.verdict) return [verdictState(job.result.verdict, job.kind)];
   return [];
 }

@@ -11,7 +11,7 @@ import { panel, table } from "../parts/frame.js";
 import { verdictOf } from "../parts/certificate.js";
 import { askForJob } from "../parts/new_job.js";
 import { refuse } from "../parts/refuse.js";
-import { state } from "../parts/state.js";
+import { state, verdictState } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
@@ -345,7 +345,7 @@ function isMarkerSet({ role, filename }) {
 /** The verdict of the newest check, or where it stands. */
 function checkOf({ check }, job) {
   if (job && job.state !== "succeeded") return link(job.id, state(job.state));
-  return check ? link(check.job_id, state(check.verdict)) : "not checked";
+  return check ? link(check.job_id, verdictState(check.verdict, job?.kind ?? "check_scan")) : "not checked";
 }
 
 function registrationOf({ registration }) {

@@ -1,0 +1,58 @@
+"""The verdict of a fitted take: what was rejected is counted, and told with label and frames."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from solver.errors import make_warning
+from solver.jobs.marker_verdict import judge_fit
+
+LABELS = tuple(f"M{number}" for number in range(20))
+NUMBERS = range(101, 181)
+
+
+def frames() -> tuple[np.ndarray, np.ndarray]:
+    shape = len(NUMBERS), len(LABELS)
+    return np.full(shape, "seen", "<U10"), np.full(shape, 0.5)
+
+
+def test_a_fit_that_keeps_all_markers_is_good_unless_something_was_noticed() -> None:
+    found = judge_fit(LABELS, NUMBERS, *frames())
+    assert (found["verdict"], found["findings"]) == ("good", [])
+    assert found["all_markers"] == {
+        **{"mean_mm": 0.5, "p95_mm": 0.5, "max_mm": 0.5},
+        "rejected": 0.0,
+    }
+    odd = [make_warning("markers.other_person", "it is another's")]
+    assert judge_fit(LABELS, NUMBERS, *frames(), odd)["verdict"] == "usable"
+
+
+def test_rejected_markers_count_and_are_told_with_label_and_frames() -> None:
+    states, off = frames()
+    states[18:80, 3], off[18:80, 3] = "outlier", 13.4
+    states[40:43, 4:8], off[40:43, 4:8] = "outlier", 6.0
+    off[0, 9] = np.nan
+    found = judge_fit(LABELS, NUMBERS, states, off)
+    assert found["verdict"] == "usable"
+    assert found["all_markers"]["max_mm"] == 13.4
+    assert found["all_markers"]["mean_mm"] > 1.0
+    assert found["all_markers"]["rejected"] == round(74 / (80 * 20 - 1), 4)
+    label, at_once = found["findings"]
+    assert (label["code"], label["label"], label["frames"]) == (
+        "markers.rejected",
+        "M3",
+        [[119, 180]],
+    )
+    assert label["share"] == 0.775
+    assert (at_once["code"], at_once["frames"]) == ("markers.rejected_frames", [[141, 143]])
+    assert at_once["labels"] == ["M3", "M4", "M5", "M6", "M7"]
+
+
+def test_a_fit_that_rejects_a_third_or_is_far_off_everywhere_is_bad() -> None:
+    states, off = frames()
+    states[:, :7] = "outlier"
+    found = judge_fit(LABELS, NUMBERS, states, off)
+    assert (found["verdict"], found["findings"][0]["code"]) == ("bad", "markers.rejected_most")
+    states, off = frames()
+    found = judge_fit(LABELS, NUMBERS, states, off + 4.0)
+    assert (found["verdict"], found["findings"][0]["code"]) == ("bad", "markers.far_off")
