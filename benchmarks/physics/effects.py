@@ -25,7 +25,7 @@ from solver.drawing.render import render_bust
 from solver.drawing.sheet import HEADER, Sheet
 from solver.edits.edit import Edited, Replay, Replayed, apply
 from solver.errors import SolveError
-from solver.fitting.drives.contraction import fit_contractions
+from solver.fitting.drives.fibre_contraction import fit_contractions
 from solver.fitting.face import Face
 from solver.kinds.scene import ContactEntry, EditScene, FleshEntry
 from solver.mechanics.linear import fastest

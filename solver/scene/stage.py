@@ -15,7 +15,7 @@ from solver.edits.edit import Change, Edited, apply
 from solver.edits.fat_compartments import FAT_MAP
 from solver.errors import InputError
 from solver.fitting.calibration import with_fibres
-from solver.fitting.drives.contraction import fibre_activations, nearest_fibre
+from solver.fitting.drives.fibre_contraction import fibre_activations, nearest_fibre
 from solver.fitting.face import Face
 from solver.fitting.strips import strip_names
 from solver.kinds import scene as scenes

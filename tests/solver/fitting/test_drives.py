@@ -7,7 +7,7 @@ from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.calibration import fibre_muscles
 from solver.fitting.drives.admissible import Admissible
-from solver.fitting.drives.contraction import Contraction
+from solver.fitting.drives.fibre_contraction import FibreContraction
 from solver.fitting.drives.fibre_muscles import FibreDrive
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, Pose
@@ -17,7 +17,7 @@ from tests.solver.simulation.test_fibres import fibred_block
 DRIVES = {
     "free": lambda _: SixNumbers(),
     "admissible": lambda _: Admissible(),
-    "contraction": lambda face: Contraction(face.model),
+    "contraction": lambda face: FibreContraction(face.model),
     "fibres": lambda face: FibreDrive(fibre_muscles(face)),
 }
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from solver.fitting.drives.contraction import (
-    Contraction,
+from solver.fitting.drives.fibre_contraction import (
     ContractionLimits,
+    FibreContraction,
     activation_rates,
     fibre_activations,
     fit_contractions,
@@ -46,7 +46,7 @@ def test_rates_are_those_of_the_activations(face):
 
 
 def test_the_jacobian_is_that_of_the_equilibrium(face):
-    driven = face.driven_by(Contraction(face.model))
+    driven = face.driven_by(FibreContraction(face.model))
     theta = np.concatenate([GAMMA, JAW])
     state = driven.continuation(driven.rest, Pose.of(driven.layout, theta))
     motions = Sensitivity(driven, state).by_pose()

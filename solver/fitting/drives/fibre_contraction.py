@@ -90,7 +90,7 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
 
 
 @dataclass(frozen=True)
-class Contraction:
+class FibreContraction:
     """Contractions (m,) of a model's muscles within limits; 1 is relaxed."""
 
     model: SubjectModel
@@ -123,7 +123,7 @@ def fit_contractions(
 
     Raises as :func:`fibre_activations`.
     """
-    driven = face.driven_by(Contraction(face.model, options))
+    driven = face.driven_by(FibreContraction(face.model, options))
     prior = Regulariser(w_a=options.w_rest, w_v=0.0, w_b=1e-6, prior=driven.rest_pose())
     data = SkinDistance(driven, Target.from_points(target))
     return activation.fit(driven, data, prior, options=UNSEEN_STOP)
