@@ -139,6 +139,8 @@ def fit(
                 best = replace(best, converged=True)
                 break
             if value <= descent.buckled * found.objective and not stuck:
+                # one that was stuck before may have had no further to go
+                best = replace(best, converged=best.converged or found.converged)
                 break
         matrix = None
         go = Face.predict_and_solve if state is None else Face.newton_continuation

@@ -201,6 +201,9 @@ class TrustRegion:
     most: float = 1.0  # reach of a step: longer ones end, now and then, in flesh that buckles
     least: float = 2.0**-8
     tries: int = 6  # from one point before that counts as stuck
+    # part of f's rise by one step that a shorter one leaves at least where f leaps, as where flesh
+    # snaps: still shorter steps lead to the same place, and the point counts as stuck
+    leap: float = 0.5
 
     def __post_init__(self) -> None:
         self.damping, self.reach = self.rule.start, self.most
@@ -209,7 +212,7 @@ class TrustRegion:
         self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
     ) -> Trial[Point]:
         """See :class:`StepSearch`."""
-        model = problem.linearise(point)
+        model, rise = problem.linearise(point), np.inf
         for trial in range(self.tries):
             step = model.step(self.damping, self.reach)
             # a step that was cut says nothing of what is left
@@ -221,18 +224,22 @@ class TrustRegion:
                 self._shorten(step.reach)
                 continue
             reached = problem.value(moved)
-            self._adapt((value - reached) / step.gain, step.reach)
+            # what was refused a moment ago is not tried again at once
+            self._adapt((value - reached) / step.gain, step.reach, grow=not trial)
             if reached < value:
                 done = whole and value - reached <= stop.gained * reached
                 return Trial(moved, reached, termination=Termination.CONVERGED if done else None)
+            if reached - value > self.leap * rise:
+                break
+            rise = reached - value
         return Trial(point=None, value=value, termination=Termination.STUCK)
 
-    def _adapt(self, ratio: float, taken: float) -> None:
+    def _adapt(self, ratio: float, taken: float, *, grow: bool) -> None:
         """Learn from a step of reach ``taken`` that gained ``ratio`` of what was promised."""
         self.damping = self.rule.adapt(self.damping, ratio)
         if ratio < self.rule.bad:
             self._shorten(taken)
-        elif ratio > self.rule.good and taken > 0.9 * self.reach:
+        elif grow and ratio > self.rule.good and taken > 0.9 * self.reach:
             self.reach = min(2.0 * self.reach, self.most)
 
     def _shorten(self, taken: float) -> None:

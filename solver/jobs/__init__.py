@@ -13,8 +13,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
-from numpy.linalg import LinAlgError
-
 from solver.errors import InputError, SolveError
 from solver.kinds import KINDS, JobOptions, Kind, OptionsError
 from solver.progress import Progress, silent
@@ -66,7 +64,12 @@ def run_job(
     task = Task(out, given, files, captures or {}, role, resume, progress)
     try:
         return cast(list[Path], import_module(f"{jobs}.{kind}").run(task))
-    except LinAlgError as error:
+    except ValueError as error:
+        # not loaded before: threads that it starts could not be confined with the job
+        from numpy.linalg import LinAlgError
+
+        if not isinstance(error, LinAlgError):
+            raise
         message = f"{KINDS[kind].title.lower()}: what was given has no one solution ({error})"
         raise SolveError("solve.singular", message) from error
 

@@ -100,7 +100,8 @@ class TakeFitter(FrameFitter[MarkerFrame]):
         status: Status = "kept" if fit.kept else "predicted" if fit.predicted else "fitted"
         frame = _frame(number, status, fit, self._tracker.face, time.perf_counter() - start)
         states = np.array(frame.marker_state)
-        states[source.exchanged(number) & (states == "seen")] = "swapped"
+        exchanged = source.exchanged(number) & (states == "seen")
+        states = np.where(exchanged, "swapped", states)  # an array of "seen" has no room for it
         return replace(frame, marker_state=tuple(states.tolist()))
 
     def show(self, frame: MarkerFrame, position: int) -> None:  # noqa: ARG002

@@ -100,17 +100,21 @@ def newton_predict(
 ) -> Equilibrium:
     """Take Newton steps from ``x`` (p, 3) until the next one is short, then some chord steps.
 
+    They go on where the Hessian is not positive definite: beyond a fold a step is short, too, but
+    leads to no equilibrium. A rough prediction, whose ``settled_mm`` is its reach, may end there.
     Raises :class:`SolveError`: ``solve.inverted``, or ``solve.far`` after so many steps.
     """
     energy = Energy(flesh, linear, a)
     _check_orientation(energy, x)
     search = Search(energy, x, NewtonOptions())
+    rough = options.settled_mm >= options.reach_mm
     for iteration in range(options.corrections + 1):
         direction = search.direction()
         if search.factorization and np.abs(direction).max() <= options.reach_mm:
             now, estimate = search.x, flesh.moved(search.x, direction)
             found = Equilibrium(now, estimate, search.factorization, search.residual, iteration)
-            return _polish(energy, found, options)
+            if rough or found.minimum:
+                return _polish(energy, found, options)
         step = search.line_search(direction)
         if step is None:
             break

@@ -26,6 +26,7 @@ from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.per_tet.objective import PER_TET, Objective, PerTetOptions
 from solver.fitting.per_tet.saddle import Quadratic, SaddleSolver
 from solver.fitting.per_tet.tissue import Tissue
+from solver.mechanics.equilibrium import PredictorOptions
 from solver.mechanics.flesh import Drag
 from solver.surface import Floats, Ints
 
@@ -156,7 +157,7 @@ class TetStep:
         # of the way, and the derivatives would be those of another equilibrium
         change, sensitivity = pose.vector() - self.state.pose.vector(), self.model.sensitivity
         motion = sensitivity.response.free_motion(sensitivity.pose, change)
-        near = face.newton_predict(self.state, motion, pose)
+        near = face.newton_predict(self.state, motion, pose, PredictorOptions.reach_mm)
         corrections = self.lowered.options.corrections
         return face.solve_equilibrium(pose, near.x, max_iterations=corrections)
 

@@ -48,7 +48,7 @@ class Linearised:
     hessian: np.ndarray
 
     def step(self, damping, trust):
-        step = np.linalg.solve(self.hessian + damping * np.eye(2), -self.gradient)
+        step = np.linalg.solve(self.hessian + damping * np.eye(len(self.gradient)), -self.gradient)
         step /= max(np.abs(step).max() / trust, 1.0)
         bend = step @ self.hessian @ step
         return LeastSquaresStep(step, self.gradient @ step, bend, np.abs(step).max())
@@ -83,6 +83,41 @@ def test_the_end_is_told():
     wary = Backtracking(DampingOptions(0.0, least=0.0), least_ratio=2.0)
     found = minimise(Valley(), START, wary, StopOptions(9))
     assert (found.termination, found.steps) == (Termination.UNRELIABLE, 1)
+
+
+@dataclass
+class Cliff:
+    """f = (q - 3)^2 up to ``edge``, where it leaps by ``rise`` as flesh does that snaps."""
+
+    edge: float
+    rise: float = 50.0
+    moves: int = 0
+
+    def value(self, q):
+        return float((q[0] - 3.0) ** 2) + (self.rise if q[0] > self.edge else 0.0)
+
+    def move(self, q, step):
+        self.moves += 1
+        return q + step.change
+
+    def linearise(self, q):
+        return Linearised(2.0 * (q - 3.0), 2.0 * np.eye(1))
+
+
+def test_no_step_after_step_is_tried_where_all_of_them_leap():
+    """Each is as dear as a search for the equilibrium behind a fold."""
+    problem, stop = Cliff(edge=0.0), StopOptions(20)
+    found = minimise(problem, np.zeros(1), SEARCHES[0](), stop)
+    assert (found.termination, found.steps, problem.moves) == (Termination.STUCK, 0, 2)
+
+
+def test_a_refused_reach_is_not_tried_again_at_once():
+    """On the way to the edge every other step would be refused."""
+    problem, search = Cliff(edge=0.9, rise=10.0), SEARCHES[0]()
+    start = np.array([0.2])
+    search.descend(problem, start, problem.value(start), StopOptions(20))
+    assert problem.moves == 2
+    assert search.reach == 0.5
 
 
 # the rules as each fit had them for itself: (start, [(ratio, damping after it from 1e-2)])

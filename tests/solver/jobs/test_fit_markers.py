@@ -259,7 +259,8 @@ def test_every_second_frame_keeps_its_time(files: Path, tmp_path: Path) -> None:
     assert found["fps"] == 60.0
     np.testing.assert_allclose(found["time"], np.arange(0, FRAMES, 2) / 60.0)
     header = (tmp_path / "activations.csv").read_text().splitlines()[0].split(",")
-    assert sum(name.endswith(".sd") for name in header) == found["sd"].shape[1]
+    spreads = found["sd"].shape[1] + found["contraction_sd"].shape[1]
+    assert sum(name.endswith(".sd") for name in header) == spreads
 
 
 def test_frames_are_chosen_by_the_numbers_that_the_file_has(files: Path, tmp_path: Path) -> None:

@@ -55,6 +55,16 @@ def column():
     return flesh, linear.analyse(flesh.hessian(rest, flesh.passive())), x
 
 
+def test_no_state_is_predicted_that_is_no_minimum(column):
+    """Fits that went on from one came to rest far from where they had been led."""
+    flesh, solver, x = column
+    factor = newton.Factorization(flesh, solver, x, flesh.passive())
+    assert factor.projection > 0
+    with pytest.raises(SolveError) as caught:
+        equilibrium.newton_predict(flesh, solver, x, flesh.passive())
+    assert caught.value.code == "solve.far"
+
+
 def test_a_column_buckles_however_near_the_stiffness_is_said_to_be(column):
     """No chord step follows the straight column, which is an equilibrium and no minimum."""
     flesh, solver, x = column
