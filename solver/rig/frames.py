@@ -25,7 +25,7 @@ from solver.mechanics.boundary import JAW_FREEDOM
 from solver.rig.container import write_container
 from solver.rig.read_back import compare_activations
 from solver.rig.rig import ENTRIES
-from solver.storage import write_json
+from solver.storage import MOST_BYTES, read_arrays, write_json
 from solver.surface import Floats
 
 FORMAT = 1  # of files of frames, of reports and of sequence.npz; 2 has what markers add
@@ -283,14 +283,15 @@ def write_sequence(
     columns = _columns(muscles, arrays)
     _write_table(files[1], frames, arrays, columns)
     wanted = arrays["activations"].reshape(len(frames), -1)
-    with np.load(files[0], allow_pickle=False) as stored:
-        packed = stored["activations"].reshape(len(frames), -1)
+    # a long take may hold more than what is read of strangers
+    most = MOST_BYTES + 2 * sum(np.asarray(each).nbytes for each in arrays.values())
+    packed = read_arrays(files[0], most)["activations"].reshape(len(frames), -1)
     entries = _entries(muscles, arrays)
     with files[1].open(newline="", encoding="utf-8") as stream:
-        table = np.array([[float(row[e]) for e in entries] for row in csv.DictReader(stream)])
+        rows = [[float(row[e] or "nan") for e in entries] for row in csv.DictReader(stream)]
     compared = {
         files[0].name: compare_activations(files[0], packed, wanted, 0.0),
-        files[1].name: compare_activations(files[1], table, wanted, 10.0**-TABLE_DECIMALS),
+        files[1].name: compare_activations(files[1], np.array(rows), wanted, 10.0**-TABLE_DECIMALS),
     }
     write_json(files[2], {**report, "files": {**report.get("files", {}), **compared}})
     return files

@@ -73,16 +73,19 @@ def compare_activations(
 ) -> dict[str, Any]:
     """Return how far activations in a file are off those ``wanted``, ``most`` at most.
 
-    Raises :class:`SolveError` ``file.differs`` where they are further off, or others.
+    One that was not known (NaN) is to be none in the file. Raises :class:`SolveError`
+    ``file.differs`` where they are further off, or others.
     """
     message = f"{path.name}, read back, has"
     if shown.shape != wanted.shape:
         words = f"{message} activations {shown.shape}, not {wanted.shape}"
         raise SolveError("file.differs", words, file=path.name)
-    off = np.abs(shown - wanted)
+    unknown = np.isnan(shown) & np.isnan(wanted)
+    off = np.where(unknown, 0.0, np.abs(shown - wanted))
+    off = np.where(np.isfinite(off), off, np.inf)
     found = float(off.max(initial=0.0))
-    if not found <= most:
-        row = int(np.unravel_index(np.nanargmax(off), off.shape)[0])
+    if found > most:
+        row = int(np.unravel_index(off.argmax(), off.shape)[0])
         words = f"{message} in row {row} an activation that is {found:g} off"
         raise SolveError("file.differs", words, file=path.name, row=row, expected=most)
     return {"max_activation": found}
