@@ -31,9 +31,8 @@ from solver.anatomy.template import ShapeBasis
 from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
-from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose
-from solver.fitting.geometry import GeometryOptions
+from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import KnownControls
 from solver.fitting.markers.places import refine_by_take
 from solver.fitting.markers.term import MarkerPlaces
@@ -156,7 +155,7 @@ def _jaw(face: Face, truth: Truth, shapes: Floats, options: argparse.Namespace) 
     """Return how far the lower incisors are off, the jaw being free and on its tracks."""
     tracks = jaw_tracks(build_ict_template(options.anatomy, options.faces), face.model)
     found = {}
-    for name, each in (("free", face), ("tracks", face.with_jaw(tracks, track_block(tracks)))):
+    for name, each in (("free", face), ("tracks", face.with_joint(jaw_on_tracks(tracks)))):
         bench = Bench(each, truth, SETS[0])
         known, take = prior.from_fitted_shapes(each, shapes), bench.clean()
         fitted = bench.refined(known, take).fit(known, take)
@@ -282,8 +281,8 @@ def _rig(options: argparse.Namespace) -> Rig:
         return Rig.load({"rig": options.rig})
     edge = COARSE_EDGE_MM if options.quick else EDGE_MM
     model, captures = subjects.load(options, edge)
-    face = subjects.bounded(Face(model), options)
-    fits = subject_fits.by_geometry(face, captures.train, GeometryOptions())
+    schedule = subjects.schedule(options)
+    fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
     return Rig(model, fits.face.S, tuple(fits.expressions("train")))
 
 

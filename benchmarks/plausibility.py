@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import argparse
 import logging
+from dataclasses import replace
 
 from benchmarks import documents, plots, report, subject_fits, subjects
 from benchmarks.documents import Figures, Plot, Section, Table
 from benchmarks.plots import Tradeoff
 from benchmarks.rig_figures import muscle_figures
 from benchmarks.subjects import COARSE_EDGE_MM, Subject
-from solver.fitting.admissible import limits_by_plausibility
+from solver.fitting.drives.admissible import limits_by_plausibility
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.rig.certificate import muscles
@@ -53,8 +54,8 @@ def run(options: argparse.Namespace) -> Figures:
 
 
 def _fit(subject: Subject, plausibility: float, schedule: GeometryOptions) -> Figures:
-    face = Face(subject.model).with_limits(limits_by_plausibility(plausibility))
-    fits = subject_fits.by_geometry(face, subject.sets["strong"].train, schedule)
+    schedule = replace(schedule, limits=limits_by_plausibility(plausibility))
+    fits = subject_fits.by_geometry(Face(subject.model), subject.sets["strong"].train, schedule)
     face = fits.face
     found = [
         muscles(face.model, face.flesh.volumes, face.S, state.pose.a)

@@ -67,8 +67,8 @@ def _face(options: argparse.Namespace) -> Face:
         return subjects.bounded(Face(rig.model, rig.weights), options)
     model, captures = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
     rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
-    face = subjects.bounded(Face(model), options)
-    return subject_fits.by_geometry(face, captures.train, GeometryOptions(rounds=rounds)).face
+    schedule = subjects.schedule(options, rounds)
+    return subject_fits.by_geometry(Face(model), captures.train, schedule).face
 
 
 def single_units(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Surface]:

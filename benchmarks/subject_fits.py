@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from solver.errors import SolveError
 from solver.fitting import fallback, geometry, per_tet
 from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
+from solver.fitting.drives.admissible import ADMISSIBLE
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit, Status
 from solver.fitting.geometry import GeometryOptions
@@ -109,7 +110,8 @@ class Fits:
 
 
 def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
-    """Fit S, activations and jaws to all scans."""
+    """Fit S, activations and jaws to all scans; within limits the jaw is on its tracks."""
+    face = face if schedule.limits is None else face.with_jaw_on_tracks()
     targets, rounds = _targets(face, scans), 0
 
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
@@ -121,8 +123,7 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
     data, first_terms = terms(face, targets), distances(face, targets)
     fitted = geometry.fit(face, data, schedule, first_terms=first_terms, listen=listen)
     seconds = time.perf_counter() - start
-    fitted_face = face.with_weights(fitted.S)
-    return Fits(fitted_face, dict(scans), fitted.endings, seconds, rounds=rounds)
+    return Fits(fitted.face, dict(scans), fitted.endings, seconds, rounds=rounds)
 
 
 def by_activations(face: Face, scans: Scans) -> Fits:
@@ -184,7 +185,7 @@ class Method:
 
 
 def _by_admissible(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
-    return by_geometry(face.within_anatomy(), scans, schedule)
+    return by_geometry(face, scans, replace(schedule, limits=ADMISSIBLE))
 
 
 CONTROLS = {  # by what muscles and jaw may do

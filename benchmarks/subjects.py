@@ -11,7 +11,9 @@ from pathlib import Path
 from benchmarks.strong import strong_scans
 from solver.anatomy.build import build_subject_model, jaw_tracks
 from solver.anatomy.meshing import find_or_make_mesh
+from solver.fitting.drives.admissible import ADMISSIBLE, Admissible
 from solver.fitting.face import Face
+from solver.fitting.geometry import GeometryOptions
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
@@ -46,7 +48,13 @@ def add_controls(parser: argparse.ArgumentParser) -> None:
 
 def bounded(face: Face, options: argparse.Namespace) -> Face:
     """Return the face with the controls of :func:`add_controls`."""
-    return face.within_anatomy() if options.controls == "admissible" else face
+    return face.driven_as(Admissible()) if options.controls == "admissible" else face
+
+
+def schedule(options: argparse.Namespace, rounds: int = GeometryOptions.rounds) -> GeometryOptions:
+    """Return the schedule of fits of S that end with these controls."""
+    limits = ADMISSIBLE if options.controls == "admissible" else None
+    return GeometryOptions(rounds=rounds, limits=limits)
 
 
 def default_to_data(parser: argparse.ArgumentParser) -> None:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from solver.anatomy.template import Template as Template
     from solver.fitting.activation import ActivationOptions as ActivationOptions
     from solver.fitting.activation import unseen_regulariser as unseen_regulariser
-    from solver.fitting.admissible import AdmissibleLimits as AdmissibleLimits
     from solver.fitting.contact import terms as expression_terms  # noqa: F401
+    from solver.fitting.drives.admissible import AdmissibleLimits as AdmissibleLimits
     from solver.fitting.face import Face as Face
     from solver.fitting.face import Pose as Pose
     from solver.fitting.fallback import fit as fit_expression  # noqa: F401
@@ -37,7 +37,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 _PLACES = {
     "ActivationOptions": "solver.fitting.activation:ActivationOptions",
-    "AdmissibleLimits": "solver.fitting.admissible:AdmissibleLimits",
+    "AdmissibleLimits": "solver.fitting.drives.admissible:AdmissibleLimits",
     "Face": "solver.fitting.face:Face",
     "Material": "solver.mechanics.flesh:Material",
     "PassiveTerm": "solver.mechanics.terms:PassiveTerm",

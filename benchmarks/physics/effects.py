@@ -25,6 +25,7 @@ from solver.drawing.render import render_bust
 from solver.drawing.sheet import HEADER, Sheet
 from solver.edits.edit import Edited, Replay, Replayed, apply
 from solver.errors import SolveError
+from solver.fitting.drives.fibre_contraction import fit_contractions
 from solver.fitting.face import Face
 from solver.kinds.scene import ContactEntry, EditScene, FleshEntry
 from solver.mechanics.linear import fastest
@@ -35,7 +36,6 @@ from solver.rig.rig import ExpressionFit, Rig
 from solver.scene.document import read_scene
 from solver.scene.places import Places
 from solver.scene.stage import Physics, edit_of
-from solver.simulation.fibres import fit_contractions
 from solver.surface import Floats, Ints, vertex_areas, vertex_normals
 
 SCENES = Path(__file__).parents[2] / "docs" / "examples" / "scenes"

@@ -51,4 +51,4 @@ class Fitted:
 
     def drive(self, face: Face, pose: Pose, time: float, head: Similarity = IDENTITY) -> Drive:
         """Return what asks for a pose."""
-        return Drive(time, face.tet_activations(pose.a), pose.b, head)
+        return Drive(time, face.flesh_controls(pose.a), pose.b, head)

@@ -82,7 +82,7 @@ def play(
 
     def asked(time: float) -> Drive:
         frame = drives(time)
-        return Drive(time, face.tet_activations(frame.a), frame.jaw, frame.head)
+        return Drive(time, face.flesh_controls(frame.a), frame.jaw, frame.head)
 
     before = asked(times[0])
     motion, steps = simulator.rest(before), []

@@ -23,8 +23,9 @@ from solver.errors import InputError, SolveError
 from solver.fitting import activation
 from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
+from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import LEAST_STRETCH, Target
+from solver.fitting.objective import Target
 from solver.fitting.stretches import COLUMN, ROW, matrices
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel

@@ -29,7 +29,7 @@ from solver.animation.drives import (
     turn_about,
 )
 from solver.errors import InputError, quote, quote_names
-from solver.fitting.objective import LEAST_STRETCH
+from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.stretches import map_stretches
 from solver.fitting.strips import strip_names
 from solver.kinds.scene import PerformanceEntry

@@ -25,7 +25,6 @@ import scipy.linalg
 from solver.errors import SolveError
 from solver.fitting.controls import Layout
 from solver.fitting.face import Face, Pose, PosedFace
-from solver.fitting.interior_point import interior_step
 from solver.fitting.least_squares import (
     DampingOptions,
     LeastSquaresStep,
@@ -33,7 +32,6 @@ from solver.fitting.least_squares import (
     StopOptions,
     Termination,
     TrustRegion,
-    bounded_step,
     minimise,
 )
 from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, Term
@@ -116,7 +114,7 @@ def fit(
     being settled too. A descent that gets stuck where it began has found the minimum. Raises
     :class:`SolveError` (``solve.no_convergence``) if the face cannot be settled even so.
     """
-    if start is None and matrix is None and not face.layout.is_limited:
+    if start is None and matrix is None and face.layout.bounds.is_free:
         matrix = rest_curvature(face)
     best = None
     begin = face.rest if start is None else enter(face, data, regulariser, start, descent)
@@ -165,8 +163,8 @@ def descend(
 ) -> ActivationFit:
     """Minimise f over (a, b), going from state to state by ``go``, which settles them or not."""
     if matrix is None:
-        limited = start.pose.layout.is_limited
-        matrix = np.zeros((0, 0)) if limited else curvature(face, data, start)
+        free = start.pose.layout.bounds.is_free
+        matrix = curvature(face, data, start) if free else np.zeros((0, 0))
     problem = _PoseProblem(face, data, regulariser, go, matrix, descent)
     stop = StopOptions(options.max_iterations, options.tolerance, options.tolerance)
     found = minimise(problem, start, TrustRegion(descent.damping), stop, listen)
@@ -190,7 +188,7 @@ class _PoseProblem:
         return objective(self.data, self.regulariser, point)
 
     def linearise(self, point: PosedFace) -> GaussNewton | DenseModel:
-        if point.pose.layout.is_limited:
+        if not point.pose.layout.bounds.is_free:
             return _whole_model(self.face, self.data, self.regulariser, point)
         parts = self.face, self.data, self.regulariser
         # the model begins with the matrix of the one before
@@ -323,9 +321,8 @@ def enter(
     It goes where f's model at ``state`` is least, however near the bounds are: clipped states make
     the next step on S a poor one. The neutral face where that cannot be reached.
     """
-    admissible = face.layout.admissible
     state = replace(state, pose=replace(state.pose, form=face.layout))
-    if admissible is None or admissible.contains(state.pose.a):
+    if face.layout.bounds.contains(state.pose.vector()):
         return state
     with suppress(SolveError):
         model = _whole_model(face, data, regulariser, state)
@@ -341,14 +338,14 @@ def enter(
 class DenseModel:
     """f's model by its ``gradient`` and a whole ``hessian``, in ``layout``.
 
-    ``q`` (size,) is where it is, which a layout with bounds has to know; ``motion`` (free
-    coordinates, size) is what else is linear in the step.
+    ``q`` (size,) is where it is; ``motion`` (free coordinates, size) is what else is linear in the
+    step.
     """
 
     layout: Layout
     hessian: Floats
     gradient: Floats
-    q: Floats | None = None
+    q: Floats
     motion: Floats | None = None
 
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
@@ -358,12 +355,7 @@ class DenseModel:
         """
         damped = self.hessian.copy()
         damped[np.diag_indices_from(damped)] += damping * self.layout.damping
-        if self.q is not None and self.layout.admissible is not None:
-            step = interior_step(self.layout, damped, self.gradient, self.q).change
-        elif self.q is not None and self.layout.is_bounded:
-            step = bounded_step(damped, self.gradient, self.layout.limits(self.q, np.inf))
-        else:
-            step = _solve_positive(damped, -self.gradient)
+        step = self.layout.steps(damped, self.gradient, self.q).best(self.gradient)
         # cut as a whole: with its turn cut alone, a jaw would be shifted in its place
         step = step / max(self.layout.reach(step) / trust, 1.0)
         slope, quadratic = float(self.gradient @ step), float(step @ self.hessian @ step)

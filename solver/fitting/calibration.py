@@ -21,14 +21,15 @@ from scipy.spatial.transform import Rotation
 from solver.errors import InputError
 from solver.fitting import activation, fallback, joint
 from solver.fitting.activation import ActivationOptions
-from solver.fitting.controls import Block, Layout, fibre_block
+from solver.fitting.controls import Block, Layout
+from solver.fitting.drives.fibre_muscles import FibreDrive
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate, Listener
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.strips import StripOptions, neighbours, split_broad, strip_names
-from solver.mechanics.fibre_muscle import CURVE, Curve, FibreMuscles, FibreTerm, driven_by_muscles
+from solver.mechanics.fibre_muscle import CURVE, Curve, FibreMuscles, FibreTerm
 from solver.mechanics.response import SparseControls
 from solver.model import SubjectModel
 from solver.storage import Archive
@@ -54,8 +55,7 @@ def fibre_muscles(
 
 def with_fibres(face: Face, muscles: FibreMuscles, curve: Curve = CURVE) -> Face:
     """Return a face driven by the activations (m,) of fibre muscles, in [0, 1]."""
-    flesh = driven_by_muscles(face.flesh, muscles, curve)
-    return face.driven_by(flesh, fibre_block(len(muscles.strengths)))
+    return face.driven_by(FibreDrive(muscles, curve))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError, SolveError
-from solver.fitting.controls import JAW_UNITS, Layout
+from solver.fitting.controls import ANGLE_UNIT, Layout
 from solver.model import SubjectModel
 from solver.surface import Floats
 
@@ -67,17 +67,18 @@ def check_pose(a: Floats, b: Floats, layout: Layout, names: Sequence[str]) -> No
 
     ``names`` are those of the muscles, if it is they that a drives.
     """
-    muscles, jaw = layout.blocks
-    for block, value in ((muscles, a), (jaw, b)):
-        if np.shape(value) != block.rest.shape:
-            found = f"the shape {np.shape(value)}, not {block.rest.shape}"
-            raise PoseError("face.pose", f"a pose's {block.name} have {found}")
+    joints = " and ".join(block.name for block in layout.joints)
+    muscles, units = layout.drive, layout.joint_units
+    for name, value, shape in ((muscles.name, a, muscles.rest.shape), (joints, b, units.shape)):
+        if np.shape(value) != shape:
+            found = f"the shape {np.shape(value)}, not {shape}"
+            raise PoseError("face.pose", f"a pose's {name} have {found}")
     for j in np.flatnonzero(~np.isfinite(a.reshape(len(a), -1)).all(axis=1))[:1]:
         name = names[j] if len(names) == len(a) else f"number {j}"
         raise PoseError("face.pose", f"the activation of {name} is not finite: {a[j]}")
     if not np.isfinite(b).all():
         raise PoseError("face.pose", f"the jaw is not finite: {b}")
-    angles = b[np.broadcast_to(jaw.units, b.shape) == JAW_UNITS[0]]
+    angles = b[units == ANGLE_UNIT]
     if np.abs(angles).max(initial=0.0) > np.pi / 2.0:
         turns = " and ".join(f"{angle:g}" for angle in angles)
         message = f"the jaw turns by {turns} rad: degrees? (np.radians makes radians)"

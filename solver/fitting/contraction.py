@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from solver.fitting.admissible import ADMISSIBLE
+from solver.fitting.drives.admissible import ADMISSIBLE
 from solver.fitting.face import Face
 from solver.fitting.stretches import COLUMN, FROBENIUS, ROW, fibre_tensors
 from solver.model import SubjectModel
@@ -54,7 +54,7 @@ class Contraction:
     @classmethod
     def of_face(cls, face: Face) -> Contraction | None:
         """Return that of a face's muscles; None for those that S does not drive."""
-        if face.has_own_drive:
+        if face.layout.drive.penalty is None:  # no shapes S(a)
             return None
         return cls.of(face.model, face.flesh.volumes, face.S)
 

@@ -1,28 +1,53 @@
 """Controls of a fit: one vector q of named blocks, with rest, bounds and units.
 
-Activations of S, contractions along fibres or activations of fibre muscles, the jaw free or on its
-tracks: a fit varies them all as one vector and finds its parts by name.
+The first block drives the muscles (:mod:`solver.fitting.drives`), one or more move joints
+(:mod:`solver.fitting.joints`). A fit varies them all as one vector and finds its parts by name or
+by role.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
+from typing import Literal, Protocol
 
 import numpy as np
 
 from solver.errors import InputError
-from solver.fitting.admissible import AdmissibleSet
-from solver.mechanics.boundary import JAW_FREEDOM
-from solver.mechanics.flesh import IDENTITY
-from solver.mechanics.jaw_tracks import TRACK_FREEDOM, JawTracks
+from solver.fitting.interior_point import Bounds, FeasibleSet
+from solver.fitting.steps import StepModel, step_model
 from solver.surface import Floats, Ints
 
-# distance to the bounds of what is brought inside them, by that at rest
-CLIPPED = 1e-4
-# D: a radian of jaw counts as 100 mm, its motion at the chin
-JAW_UNITS = np.array([100.0, 100.0, 1.0, 1.0, 1.0])
+# what a change of 1 rad counts as, in mm: the motion of a chin
+ANGLE_UNIT = 100.0
+
+Role = Literal["muscles", "joint", "values"]
+
+
+class ShapePenalty(Protocol):
+    """The price of muscles' values a (m, k) as shapes, beside their distance from rest.
+
+    ``w_v`` weighs lost or gained volume, ``w_e`` stretches that turn flesh inside out.
+    """
+
+    def value(self, a: Floats, w_v: float, w_e: float) -> float:
+        """Return the price."""
+
+    def gradient(self, a: Floats, w_v: float, w_e: float) -> Floats:
+        """Return its derivative (m, k)."""
+
+    def curvature(self, a: Floats, w_v: float, w_e: float) -> Floats:
+        """Return its positive semi-definite Gauss-Newton Hessian of each muscle, (m, k, k)."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviations of what no known expression does, in the units of a block."""
+
+    template: Floats | float = 0.03  # where a template's expressions are known
+    scans: Floats | float = 0.03  # where a person's few scans are
+    nothing: Floats | float = 0.6  # where none is
 
 
 @dataclass(frozen=True)
@@ -36,7 +61,11 @@ class Block:
     lower: Floats | float = -np.inf
     upper: Floats | float = np.inf
     units: Floats | float = 1.0  # what a change of 1 counts as in a regulariser
-    admissible: AdmissibleSet | None = None  # the set that its activations stay in, if any
+    usual: Floats | float = 0.2  # a change that is nothing special
+    spread: Spread = Spread()
+    role: Role = "values"
+    feasible: FeasibleSet | None = None  # the set that muscles' values stay in, if any
+    penalty: ShapePenalty | None = None  # None for values that are no shapes
 
 
 @dataclass(frozen=True)
@@ -64,57 +93,62 @@ class Layout:
         return sum(block.rest.size for block in self.blocks)
 
     @cached_property
+    def drive(self) -> Block:
+        """Return the block that drives the muscles."""
+        return next(block for block in self.blocks if block.role == "muscles")
+
+    @cached_property
+    def joints(self) -> tuple[Block, ...]:
+        """Return the blocks that move joints."""
+        return tuple(block for block in self.blocks if block.role == "joint")
+
+    @cached_property
     def rest(self) -> Floats:
         """Return q (size,) of the neutral face."""
         return self.join([block.rest for block in self.blocks])
 
     @cached_property
     def lower(self) -> Floats:
-        """Return the lower bounds (size,)."""
-        return self._spread([block.lower for block in self.blocks])
+        """Return the lower bounds (size,) of every entry by itself."""
+        return self._broadcast([block.lower for block in self.blocks])
 
     @cached_property
     def upper(self) -> Floats:
         """Return the upper bounds (size,)."""
-        return self._spread([block.upper for block in self.blocks])
+        return self._broadcast([block.upper for block in self.blocks])
 
     @cached_property
-    def is_bounded(self) -> bool:
-        """Tell whether any entry has a bound."""
-        return bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
+    def bounds(self) -> Bounds:
+        """Return the bounds of q: boxes, and the set that the muscles' values stay in."""
+        return Bounds(self.lower, self.upper, self.muscles, self.drive.feasible)
 
-    @property
-    def admissible(self) -> AdmissibleSet | None:
-        """Return the set that the muscles' activations stay in, None if they are free."""
-        return self.blocks[0].admissible
+    def steps(
+        self, hessian: Floats, gradient: Floats, q: Floats, reach: float = np.inf
+    ) -> StepModel:
+        """Return the steps of a quadratic model at q, free or within the bounds.
 
-    @property
-    def is_limited(self) -> bool:
-        """Tell whether there are bounds of either sort."""
-        return self.is_bounded or self.admissible is not None
-
-    def clip(self, q: Floats) -> Floats:
-        """Return q (size,) within the bounds."""
-        out = np.clip(q, self.lower, self.upper) if self.is_bounded else q
-        if self.admissible is None:
-            return out
-        out, muscles = out.copy(), self.muscles
-        out[muscles] = self.admissible.nearest(out[muscles], CLIPPED)
-        return out
-
-    def limits(self, q: Floats, reach: float) -> tuple[Floats, Floats]:
-        """Return the least and the greatest step from q (size,), of a length up to ``reach``."""
-        longest = reach * self._reaches
-        return np.maximum(self.lower - q, -longest), np.minimum(self.upper - q, longest)
+        ``hessian`` is (size, size), ``gradient`` and q are (size,). Steps in a box keep to a length
+        of ``reach``; others are to be cut by the caller.
+        """
+        return step_model(self.bounds, hessian, gradient, q, reach * self._reaches)
 
     @cached_property
     def damping(self) -> Floats:
         """Return the diagonal of D^2 (size,): what damping weighs each entry of q by."""
-        return self._spread([block.damping for block in self.blocks])
+        return self._broadcast([block.damping for block in self.blocks])
+
+    def spread(self, known: Literal["template", "scans", "nothing"]) -> Floats:
+        """Return the standard deviations (size,) of what no known expression does."""
+        return self._broadcast([getattr(block.spread, known) for block in self.blocks])
+
+    @cached_property
+    def usual(self) -> Floats:
+        """Return the changes (size,) that are nothing special."""
+        return self._broadcast([block.usual for block in self.blocks])
 
     @cached_property
     def _reaches(self) -> Floats:
-        return self._spread([block.reach for block in self.blocks])
+        return self._broadcast([block.reach for block in self.blocks])
 
     def reach(self, step: Floats) -> float:
         """Return the length of a ``step`` (size,): 1 is what a linear model is surely good for."""
@@ -128,11 +162,22 @@ class Layout:
         """Return where a block's entries are in q, in its shape."""
         return np.arange(self.size)[self[name]].reshape(self._shape(name))
 
-    @property
+    @cached_property
     def muscles(self) -> Ints:
         """Return where the controls of each muscle are in q, (m, entries of one)."""
-        places = self.places(self.blocks[0].name)
+        places = self.places(self.drive.name)
         return places.reshape(len(places), -1)
+
+    @cached_property
+    def joint_places(self) -> Ints:
+        """Return where the numbers of the joints are in q, in the order of a pose's b."""
+        return np.concatenate([self.places(block.name) for block in self.joints])
+
+    @cached_property
+    def joint_units(self) -> Floats:
+        """Return what a change of 1 of each of these numbers counts as."""
+        spread = [np.broadcast_to(block.units, block.rest.shape) for block in self.joints]
+        return np.concatenate(spread)
 
     def _shape(self, name: str) -> tuple[int, ...]:
         return next(block.rest.shape for block in self.blocks if block.name == name)
@@ -145,43 +190,6 @@ class Layout:
         """Return q (size,) of the blocks' ``values``."""
         return np.concatenate([value.ravel() for value in values])
 
-    def _spread(self, values: Sequence[Floats | float]) -> Floats:
+    def _broadcast(self, values: Sequence[Floats | float]) -> Floats:
         pairs = zip(values, self.blocks, strict=True)
         return self.join([np.broadcast_to(value, block.rest.shape) for value, block in pairs])
-
-
-# changes that count as a step of reach 1: of an activation's entry, and of the jaw's angles in rad
-ACTIVATION_REACH, TURN_REACH = 0.4, 0.1
-JAW_DAMPING = 1e-3  # weight of D^2
-
-
-def jaw_block() -> Block:
-    """Return the block of the jaw b (5,): two angles, rad, and a translation, mm."""
-    reach = np.array([TURN_REACH, TURN_REACH, np.inf, np.inf, np.inf])
-    damping = JAW_UNITS**2 * JAW_DAMPING
-    return Block("jaw", np.zeros(JAW_FREEDOM), damping, reach, units=JAW_UNITS)
-
-
-def track_block(tracks: JawTracks) -> Block:
-    """Return the block of a jaw on its tracks (3,): an angle, rad, and two slides, mm."""
-    units = np.array([JAW_UNITS[0], 1.0, 1.0])
-    reach = np.array([TURN_REACH, np.inf, np.inf])
-    rest, damping = np.zeros(TRACK_FREEDOM), units**2 * JAW_DAMPING
-    return Block("tracks", rest, damping, reach, tracks.lower, tracks.upper, units)
-
-
-def fibre_block(muscles: int) -> Block:
-    """Return the block of fibre muscles' activations (m,), relaxed at rest."""
-    return Block("fibres", np.zeros(muscles), reach=ACTIVATION_REACH, lower=0.0, upper=1.0)
-
-
-def activation_block(muscles: int, admissible: AdmissibleSet | None = None) -> Block:
-    """Return the block of activations (m, 6), free unless there is a set that they stay in."""
-    rest = np.tile(IDENTITY, (muscles, 1))
-    return Block("activations", rest, reach=ACTIVATION_REACH, admissible=admissible)
-
-
-@cache
-def pose_layout(muscles: int) -> Layout:
-    """Return the layout of (a, b): ``activations`` (m, 6) and ``jaw`` (5,)."""
-    return Layout((activation_block(muscles), jaw_block()))

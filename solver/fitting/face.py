@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,25 +13,20 @@ import scipy.sparse as sp
 from solver.anatomy.bones import skull_planes
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
-from solver.fitting.admissible import ADMISSIBLE, AdmissibleLimits, AdmissibleSet
 from solver.fitting.checks import check_pose, check_weights
-from solver.fitting.controls import (
-    Block,
-    Layout,
-    activation_block,
-    jaw_block,
-    pose_layout,
-    track_block,
-)
-from solver.fitting.stretches import fibre_tensors
-from solver.mechanics.boundary import FreeJaw, JawMotion, five_numbers
+from solver.fitting.controls import Layout
+from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives.six_numbers import SixNumbers, activation_block
+from solver.fitting.joints import Joint, free_jaw, jaw_block, jaw_on_tracks
+from solver.fitting.tet_forces import TetForces
+from solver.mechanics.boundary import JawMotion, five_numbers
 from solver.mechanics.equilibrium import (
     Equilibrium,
     PredictorOptions,
     newton_predict,
     solve_equilibrium,
 )
-from solver.mechanics.flesh import COROTATED_TRACE, IDENTITY, Flesh, Material
+from solver.mechanics.flesh import COROTATED_TRACE, Flesh, Material
 from solver.mechanics.jaw_tracks import JawTracks, nearest_jaw
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization, NewtonOptions
@@ -54,10 +49,10 @@ class ContinuationOptions:
 
 @dataclass(frozen=True)
 class Pose:
-    """Controls of the face: its muscles by ``a``, its jaw by ``b``.
+    """Controls of the face: its muscles by ``a``, its joints by ``b``.
 
-    They are a vector in a layout of two blocks, theirs: ``activations`` (m, 6) of S and ``jaw``
-    (5,) unless ``form`` is another one.
+    They are a vector in a layout: ``activations`` (m, 6) of S and ``jaw`` (5,) unless ``form`` is
+    another one.
     """
 
     a: Floats
@@ -66,14 +61,14 @@ class Pose:
 
     @classmethod
     def of(cls, layout: Layout, q: Floats) -> Pose:
-        """Return the pose of a vector q (size,) in a layout of two blocks."""
-        a, b = layout.split(q)
-        return cls(a, b, layout)
+        """Return the pose of a vector q (size,) in a layout: the muscles' block, then joints."""
+        drive = layout.drive
+        return cls(layout.part(drive.name, q), q[drive.rest.size :], layout)
 
     @property
     def layout(self) -> Layout:
         """Return where a and b are in one vector."""
-        return self.form or pose_layout(len(self.a))
+        return self.form or usual_layout(len(self.a))
 
     def vector(self) -> Floats:
         """Return (a, b) as one vector (size,)."""
@@ -82,12 +77,18 @@ class Pose:
     def add(self, change: Floats) -> Pose:
         """Return the pose with a ``change`` of (a, b), (size,), added to it, within its bounds."""
         layout = self.layout
-        return Pose.of(layout, layout.clip(self.vector() + change))
+        return Pose.of(layout, layout.bounds.clip(self.vector() + change))
 
     def toward(self, other: Pose, fraction: float) -> Pose:
         """Return the pose ``fraction`` of the way to another one."""
         a, b = self.a + fraction * (other.a - self.a), self.b + fraction * (other.b - self.b)
         return replace(self, a=a, b=b)
+
+
+@cache
+def usual_layout(muscles: int) -> Layout:
+    """Return the layout of what rigs hold: ``activations`` (m, 6), and a free ``jaw`` (5,)."""
+    return Layout((activation_block(muscles), jaw_block()))
 
 
 @dataclass(frozen=True)
@@ -113,9 +114,11 @@ class Face:
 
     ``S`` (n, m + 1) is the model's geometric one if not given. ``linear`` names the linear solver
     (None: the fastest in double precision), ``tolerance`` is the equilibrium's residual. ``energy``
-    are terms beside the law. With ``pinned`` nothing slides on the skull. Edits are
-    ``stiffness_factor`` and ``growth`` of :class:`~solver.mechanics.flesh.Flesh`, and ``bones``
-    (p, 3): how far what is held or slides is displaced from its rest, mm.
+    are terms beside the law. Its ``drive`` and its ``joint`` say what the numbers of muscles and
+    jaw are: six free ones a muscle and a free jaw, unless :meth:`driven_by` and :meth:`with_joint`
+    give others. With ``pinned`` nothing slides on the skull. Edits are ``stiffness_factor`` and
+    ``growth`` of :class:`~solver.mechanics.flesh.Flesh`, and ``bones`` (p, 3): how far what is held
+    or slides is displaced from its rest, mm.
     """
 
     def __init__(
@@ -141,10 +144,8 @@ class Face:
             check_entries(term, len(model.rest), model.tets)
         self.S: sp.csr_array = model.weights if S is None else S
         material = material or COROTATED_TRACE
-        self.jaw: JawMotion = FreeJaw(model.jaw)
-        self._jaw_block = jaw_block()
-        self._muscle_block: Block | None = None
-        self.limits: AdmissibleLimits | None = None  # of the activations by S, None if free
+        self.drive: MuscleDrive = SixNumbers()
+        self.joint: Joint = free_jaw(model.jaw)
         self._held_rest = model.rest if bones is None else model.rest + bones
         pins = [model.sliding] if pinned else []
         held = np.concatenate([model.cranium, model.mandible, model.cut, *pins])
@@ -184,69 +185,51 @@ class Face:
         """Return this face with another flesh, whose tets join the same vertices."""
         return self._with(flesh=flesh)
 
-    def driven_by(self, flesh: Flesh, muscles: Block) -> Face:
-        """Return this face with a flesh whose controls are those of ``muscles``, in place of S."""
-        return self._with(flesh=flesh, _muscle_block=muscles)
+    def driven_by(self, drive: MuscleDrive) -> Face:
+        """Return this face with another drive of its muscles; it must be driven by S."""
+        return self._with(drive=drive, flesh=drive.attach(self.flesh))
 
-    def with_limits(self, limits: AdmissibleLimits | None) -> Face:
-        """Return this face with the activations of S within ``limits``, or free for None.
-
-        The fibres are those of the face's own S: another S shifts the bounds. Controls of another
-        sort have their own. In models without fibres nothing keeps muscles from pushing.
-        """
-        return self._with(limits=limits)
-
-    def with_jaw(self, jaw: JawMotion, block: Block) -> Face:
-        """Return this face with a jaw that moves by the numbers of ``block``."""
-        return self._with(jaw=jaw, _jaw_block=block)
+    def with_joint(self, joint: Joint) -> Face:
+        """Return this face with a jaw that moves by the numbers of another joint."""
+        return self._with(joint=joint)
 
     def with_free_jaw(self) -> Face:
         """Return this face with a jaw of five numbers, which is what rigs hold."""
-        if isinstance(self.jaw, FreeJaw):
-            return self  # with the rest it knows
-        return self.with_jaw(FreeJaw(self.model.jaw), jaw_block())
+        return self if self.joint.is_free else self.with_joint(free_jaw(self.model.jaw))
 
-    def within_anatomy(self, limits: AdmissibleLimits = ADMISSIBLE) -> Face:
-        """Return this face with muscles within ``limits``, its condyles on the model's tracks.
+    def with_jaw_on_tracks(self) -> Face:
+        """Return this face with its condyles on the model's tracks.
 
-        The jaw stays free in models made before they had tracks.
+        The jaw stays as it is in models made before they had tracks.
         """
         tracks = JawTracks.of(self.model.jaw)
-        face = self.with_jaw(tracks, track_block(tracks)) if tracks else self
-        return face.with_limits(limits)
+        return self.with_joint(jaw_on_tracks(tracks)) if tracks else self
 
-    def _with(
-        self, **changes: sp.csr_array | Flesh | JawMotion | Block | AdmissibleLimits | None
-    ) -> Face:
+    def driven_as(self, drive: MuscleDrive) -> Face:
+        """Return this face with a drive, and with the jaw that goes with it.
+
+        A jaw is free with muscles that have no bounds, else it is on the model's tracks.
+        """
+        driven = self.driven_by(drive)
+        return driven if driven.layout.bounds.is_free else driven.with_jaw_on_tracks()
+
+    def _with(self, **changes: sp.csr_array | Flesh | MuscleDrive | Joint) -> Face:
         other = copy.copy(self)
         for known in ("rest", "layout"):
             other.__dict__.pop(known, None)
         other.__dict__.update(changes)
         return other
 
+    @property
+    def jaw(self) -> JawMotion:
+        """The mandible's motion by b."""
+        return self.joint.motion
+
     @cached_property
     def layout(self) -> Layout:
         """Places of the controls of the muscles and the jaw in one vector."""
-        usual = pose_layout(self.S.shape[1] - 1)
-        own = self._muscle_block or self.limits
-        if own is None and isinstance(self.jaw, FreeJaw):
-            return usual
-        return Layout((self._muscle_block or self._activation_block(), self._jaw_block))
-
-    def _activation_block(self) -> Block:
-        muscles = self.S.shape[1] - 1
-        if self.limits is None:
-            return activation_block(muscles)
-        if self.model.fibres is None:
-            tensors = np.full((muscles, 3, 3), np.nan)
-        else:
-            tensors = fibre_tensors(self.model, self.flesh.volumes, self.S)
-        return activation_block(muscles, AdmissibleSet(self.limits, tensors))
-
-    @property
-    def has_own_drive(self) -> bool:
-        """Tell whether the flesh's controls are the muscles' own, not activations by S."""
-        return self._muscle_block is not None
+        muscles = self.drive.block(self.model, self.flesh, self.S)
+        return Layout((muscles, self.joint.block))
 
     def rest_pose(self) -> Pose:
         """Return the pose of the neutral face."""
@@ -260,13 +243,13 @@ class Face:
     def _check(self, pose: Pose) -> None:
         check_pose(pose.a, pose.b, self.layout, self.model.muscle_names)
 
-    def tet_activations(self, a: Floats) -> Floats:
-        """Return A_i = sum_j s_ij a_j, (n, 6), with a_0 = a_I for the passive column."""
-        return np.ascontiguousarray(self.S @ np.vstack([IDENTITY, a]))
-
     def flesh_controls(self, a: Floats) -> Floats:
-        """Return what drives the flesh for the muscles' ``a``: activations (n, 6) if by S."""
-        return a if self.has_own_drive else self.tet_activations(a)
+        """Return what drives the flesh for the muscles' ``a``: A_i (n, 6) if they are blended."""
+        return self.drive.controls(self.S, a)
+
+    def tet_forces(self, pose: Pose, x: Floats) -> TetForces:
+        """Return the derivative of the forces at x (p, 3), tet by tet."""
+        return TetForces(self.flesh, self.S, pose.a, self.flesh_controls(pose.a), x)
 
     def solve_equilibrium(
         self,
@@ -402,11 +385,24 @@ class Face:
 
     def five_jaw_numbers(self, b: Floats) -> Floats:
         """Return the free jaw (5,) that comes nearest to the mandible at b."""
-        if isinstance(self.jaw, FreeJaw):
+        if self.joint.is_free:
             return b
-        points, free = self._held_rest[self.model.mandible], FreeJaw(self.model.jaw)
-        start = five_numbers(self.model.jaw, self.jaw.matrix(b))
-        return nearest_jaw(free, points, self.jaw.move(points, b), start)
+        free, frame = free_jaw(self.model.jaw), self.model.jaw
+        points = self._held_rest[self.model.mandible]
+        start = five_numbers(frame, self.jaw.matrix(b))
+        return nearest_jaw(free.motion, points, self.jaw.move(points, b), start)
+
+    def pose_of(self, activations: Floats, jaw: Floats) -> Pose:
+        """Return the pose of what a rig holds: activations (m, 6) and the free jaw (5,).
+
+        The jaw is the nearest that the face's joint can make, both are brought within the bounds.
+        """
+        layout, b = self.layout, jaw
+        if not self.joint.is_free:
+            points = self.model.rest[self.model.mandible]
+            goal = free_jaw(self.model.jaw).motion.move(points, jaw)
+            b = nearest_jaw(self.jaw, points, goal, self.joint.block.rest)
+        return Pose.of(layout, layout.bounds.clip(layout.join([activations, b])))
 
     def held_positions(self, b: Floats) -> Floats:
         """Return where the held vertices are for b, (h, 3) in the order of ``flesh.held``."""

@@ -75,7 +75,7 @@ def fit(
             return FallbackFit(found.state, found.objective, found.iterations, solver, status)
         except (SolveError, np.linalg.LinAlgError) as error:
             # IPOPT knows no admissible activations
-            if face.layout.admissible is not None:
+            if face.layout.bounds.feasible is not None:
                 notice = make_warning("solve.failed", f"no fit was found ({error})")
                 return _at_rest(face, data, regulariser, solver, (notice,))
             message = f"the reduced solver failed ({error}); IPOPT took over"
@@ -138,7 +138,7 @@ def _fit_in_full(
 
 def refuse_limits(face: Face) -> None:
     """Raise :class:`InputError` (``solver.limits``) for IPOPT on a face with limits."""
-    if face.layout.admissible is not None:
+    if face.layout.bounds.feasible is not None:
         message = "ipopt fits free activations only: fit with the reduced solver within limits"
         raise InputError("solver.limits", message)
 

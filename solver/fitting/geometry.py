@@ -4,9 +4,9 @@ Gauss-Newton steps on S and all poses together (:mod:`solver.fitting.joint`), th
 w_s falling from round to round as published, their priors the resting muscles and the S of the
 start.
 
-Admissible activations (:mod:`solver.fitting.admissible`) are reached by continuation: S is fitted
-to free ones first, then the bounds close on them round by round. Straight to the bounds, fits end
-in worse minima.
+Admissible activations (:mod:`solver.fitting.drives.admissible`) are reached by continuation: S is
+fitted to free ones first, then the bounds close on them round by round. Straight to the bounds,
+fits end in worse minima.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from solver.errors import Finding, InputError
 from solver.fitting import activation, fallback, joint, reference, simplex
 from solver.fitting.activation import ActivationOptions, rest_curvature
-from solver.fitting.admissible import AdmissibleLimits
+from solver.fitting.drives.admissible import Admissible, AdmissibleLimits
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate, Listener
@@ -58,11 +58,13 @@ class GeometryOptions:
     # where two rounds in turn gain less than this part of f, the fit goes on to the whole rounds,
     # or ends there
     tolerance: float = 3e-3
+    limits: AdmissibleLimits | None = None  # that activations end within; None leaves them free
     tightening: TighteningOptions = TighteningOptions()
 
-    def most_rounds(self, face: Face) -> int:
-        """Return how many rounds a fit of ``face`` takes at most."""
-        if face.limits is None:
+    @property
+    def most_rounds(self) -> int:
+        """Return how many rounds a fit takes at most."""
+        if self.limits is None:
             return self.rounds
         way = self.shortened_tightening
         return self.rounds + len(way.loosened) + way.rounds
@@ -81,10 +83,15 @@ class GeometryOptions:
 
 @dataclass(frozen=True)
 class GeometryFit:
-    """S (n, m + 1), and every expression as it was settled, all steps being counted."""
+    """The face with its S, and every expression as it was settled, all steps being counted."""
 
-    S: sp.csr_array
+    face: Face
     endings: dict[str, FallbackFit]
+
+    @property
+    def S(self) -> sp.csr_array:
+        """Return the muscle geometry (n, m + 1)."""
+        return self.face.S
 
     @property
     def states(self) -> dict[str, PosedFace]:
@@ -104,7 +111,7 @@ def fit(
 ) -> GeometryFit:
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
 
-    Activations end within the limits of ``face``, if it has any.
+    Muscles of ``face`` are free; with limits in the options they end within those.
 
     ``first_terms`` takes the place of ``data`` in all but the last rounds (:data:`WHOLE_ROUNDS`):
     the distance without contact, which would take many small steps. ``start`` has the pattern of
@@ -113,8 +120,8 @@ def fit(
     end is the best that was found of it, and its ending says so.
     """
     first_terms = data if first_terms is None else first_terms
-    limits = face.limits
-    face = face.with_limits(None).with_weights(face.model.weights if start is None else start)
+    limits = options.limits
+    face = face.with_weights(face.model.weights if start is None else start)
     first, known = ActivationOptions(options.first_iterations), rest_curvature(face)
     begin = _problem(face, first_terms, options, 0, structure).regulariser
     states = {
@@ -135,11 +142,12 @@ def fit(
         now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen)
         steps += taken
     if limits is not None:
-        problem = _problem(face.with_limits(limits), data, options, options.rounds - 1, structure)
+        bounded = face.driven_by(Admissible(limits))
+        problem = _problem(bounded, data, options, options.rounds - 1, structure)
         now, taken = _tighten(problem, limits, now, options, listen)
-        steps += taken
+        steps, face = steps + taken, bounded
     last = replace(begin, w_a=options.w_a[1])
-    found = face.with_limits(limits).with_weights(replace_values(face.S, now.values))
+    found = face.with_weights(replace_values(face.S, now.values))
     return _finish(found, data, last, now.states, steps)
 
 
@@ -158,7 +166,7 @@ def _tighten(
     def enter(number: int, now: Iterate) -> Iterate:
         # along the fibres of the newest S
         loosened = limits.loosened(parts[number - first] if number < closed else 0.0)
-        face = problem.shape.face(now.values).with_limits(loosened)
+        face = problem.shape.face(now.values).driven_by(Admissible(loosened))
         states = {
             name: activation.enter(face, problem.data[name], problem.regulariser, state)
             for name, state in now.states.items()
@@ -202,7 +210,7 @@ def _finish(
     for name, term in data.items():
         ending = fallback.fit(face, term, regulariser, LAST, start=states[name])
         endings[name] = replace(ending, iterations=steps + ending.iterations)
-    return GeometryFit(face.S, endings)
+    return GeometryFit(face, endings)
 
 
 def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, PosedFace]) -> float:

@@ -106,10 +106,10 @@ def _shapes(centres: Floats, volumes: Floats) -> Floats:
 
 def pose_precision(face: Face, options: InformationOptions = InformationOptions()) -> Floats:
     """Return the precision (size, size) of a pose whose entries are independent."""
-    muscles, jaw = face.layout.blocks
-    by_muscle = np.full(muscles.rest.shape, options.activation_sd**-2)
-    by_jaw = np.broadcast_to((jaw.units / options.jaw_sd_mm) ** 2, jaw.rest.shape)
-    return np.diag(face.layout.join([by_muscle, by_jaw]))
+    layout = face.layout
+    by_muscle = np.full(layout.drive.rest.shape, options.activation_sd**-2)
+    by_joint = (layout.joint_units / options.jaw_sd_mm) ** 2
+    return np.diag(layout.join([by_muscle, by_joint]))
 
 
 @dataclass(frozen=True)

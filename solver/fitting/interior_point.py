@@ -12,13 +12,66 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg
 
 from solver.errors import SolveError
-from solver.fitting.controls import Layout
 from solver.surface import Floats, Ints
+
+
+class FeasibleSet(Protocol):
+    """The values a (m, k) that m muscles can take, with the logarithmic barrier of that set."""
+
+    def margins(self, a: Floats) -> Floats:
+        """Return how far ``a`` is inside every bound, (m, bounds): above 0 if it is."""
+
+    def nearest(self, a: Floats, kept: float) -> Floats:
+        """Return values (m, k) near ``a`` that keep a part of the margins at rest."""
+
+    def value(self, a: Floats) -> float:
+        """Return the barrier, infinite on a bound and beyond."""
+
+    def gradient(self, a: Floats) -> Floats:
+        """Return the barrier's derivative (m, k)."""
+
+    def hessian(self, a: Floats) -> Floats:
+        """Return the barrier's positive semi-definite second derivative (m, k, k)."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds of controls q (size,): a box, and a set that the muscles' entries stay in, if any."""
+
+    lower: Floats  # (size,)
+    upper: Floats  # (size,)
+    muscles: Ints  # (m, k): where the controls of each muscle are in q
+    feasible: FeasibleSet | None = None
+    clipped: float = 1e-4  # distance to the set's bounds of what is brought inside, by that at rest
+
+    @cached_property
+    def is_box(self) -> bool:
+        """Tell whether any entry has a bound of its own."""
+        return bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
+
+    @property
+    def is_free(self) -> bool:
+        """Tell whether there are no bounds of either sort."""
+        return not self.is_box and self.feasible is None
+
+    def contains(self, q: Floats) -> bool:
+        """Tell whether the muscles' entries of q (size,) are inside their set."""
+        return self.feasible is None or bool((self.feasible.margins(q[self.muscles]) > 0.0).all())
+
+    def clip(self, q: Floats) -> Floats:
+        """Return q (size,) within the bounds."""
+        out = np.clip(q, self.lower, self.upper) if self.is_box else q
+        if self.feasible is None:
+            return out
+        out = out.copy()
+        out[self.muscles] = self.feasible.nearest(out[self.muscles], self.clipped)
+        return out
 
 
 @dataclass(frozen=True)
@@ -47,7 +100,7 @@ class InteriorStep:
 
 
 def interior_step(
-    layout: Layout,
+    bounds: Bounds,
     hessian: Floats,
     gradient: Floats,
     q: Floats,
@@ -58,20 +111,20 @@ def interior_step(
     ``hessian`` H is (size, size), ``gradient`` g (size,). Raises :class:`SolveError`
     (``solve.not_finite``) where H is not positive definite, or anything is not finite.
     """
-    barrier = _Barrier(layout, options)
+    barrier = _Barrier(bounds, options)
     try:
         step = barrier.nearest(q) - q
         slope = gradient + hessian @ step
         newton = scipy.linalg.cho_solve(scipy.linalg.cho_factor(hessian), slope)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
-    bounds = len(barrier.margins(q))
-    weight, curvature = 0.5 * float(slope @ newton) / bounds, np.zeros_like(hessian)
+    count = len(barrier.margins(q))
+    weight, curvature = 0.5 * float(slope @ newton) / count, np.zeros_like(hessian)
     first = _Model(barrier, hessian, gradient, q, weight)
     begin = first.quadratic(step)
     for _ in range(options.weights):
         # of no bound is there more to gain
-        if bounds * weight <= options.short * (begin - first.quadratic(step)):
+        if count * weight <= options.short * (begin - first.quadratic(step)):
             break
         try:
             step, curvature = _descend(replace(first, weight=weight), step, options)
@@ -133,25 +186,25 @@ def _search(
 
 
 class _Barrier:
-    """The barrier of a layout: of its admissible activations, and of the other blocks' bounds."""
+    """The barrier of bounds: of the muscles' set, and of the other entries' box."""
 
-    def __init__(self, layout: Layout, options: InteriorPointOptions) -> None:
-        self._options = options
-        if layout.admissible is None:
-            raise ValueError("a layout without admissible activations has no interior")
-        self._layout, self._muscles, self._within = layout, layout.muscles, layout.admissible
+    def __init__(self, bounds: Bounds, options: InteriorPointOptions) -> None:
+        if bounds.feasible is None:
+            raise ValueError("bounds without a feasible set have no barrier")
+        self._bounds, self._options = bounds, options
+        self._muscles, self._within = bounds.muscles, bounds.feasible
 
     @cached_property
     def _bounded(self) -> tuple[Ints, Ints]:
         """Places of the entries with a lower and with an upper bound."""
-        lower, upper = np.isfinite(self._layout.lower), np.isfinite(self._layout.upper)
+        lower, upper = np.isfinite(self._bounds.lower), np.isfinite(self._bounds.upper)
         return np.flatnonzero(lower), np.flatnonzero(upper)
 
     def _room(self, q: Floats) -> Floats:
         """Return the distances to the bounds of the other blocks."""
         low, high = self._bounded
         return np.concatenate(
-            [q[low] - self._layout.lower[low], self._layout.upper[high] - q[high]]
+            [q[low] - self._bounds.lower[low], self._bounds.upper[high] - q[high]]
         )
 
     def margins(self, q: Floats) -> Floats:
@@ -160,11 +213,11 @@ class _Barrier:
 
     def nearest(self, q: Floats) -> Floats:
         """Return controls inside the bounds."""
-        out, layout, options = q.copy(), self._layout, self._options
+        out, bounds, options = q.copy(), self._bounds, self._options
         out[self._muscles] = self._within.nearest(q[self._muscles], options.entered)
-        room = np.nan_to_num(layout.upper - layout.lower, posinf=options.one_sided)
+        room = np.nan_to_num(bounds.upper - bounds.lower, posinf=options.one_sided)
         room *= 0.5 * options.entered
-        return np.clip(out, layout.lower + room, layout.upper - room)
+        return np.clip(out, bounds.lower + room, bounds.upper - room)
 
     def value(self, q: Floats) -> float:
         """Return the barrier."""
@@ -177,16 +230,16 @@ class _Barrier:
         """Return its derivative (size,)."""
         (low, high), out = self._bounded, np.zeros_like(q)
         out[self._muscles] = self._within.gradient(q[self._muscles])
-        out[low] -= 1.0 / (q[low] - self._layout.lower[low])
-        out[high] += 1.0 / (self._layout.upper[high] - q[high])
+        out[low] -= 1.0 / (q[low] - self._bounds.lower[low])
+        out[high] += 1.0 / (self._bounds.upper[high] - q[high])
         return out
 
     def hessian(self, q: Floats) -> Floats:
         """Return its second derivative (size, size), positive semi-definite."""
         low, high = self._bounded
         diagonal = np.zeros_like(q)
-        diagonal[low] += (q[low] - self._layout.lower[low]) ** -2
-        diagonal[high] += (self._layout.upper[high] - q[high]) ** -2
+        diagonal[low] += (q[low] - self._bounds.lower[low]) ** -2
+        diagonal[high] += (self._bounds.upper[high] - q[high]) ** -2
         out, places = np.diag(diagonal), self._muscles
         out[places[:, :, None], places[:, None, :]] = self._within.hessian(q[places])
         return out

@@ -24,15 +24,12 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
-import scipy.sparse.linalg
 
 from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.face import Face, Pose, PosedFace
-from solver.fitting.interior_point import InteriorStep, interior_step
-from solver.fitting.least_squares import DampingOptions, bounded_step
+from solver.fitting.least_squares import DampingOptions
 from solver.fitting.objective import Regulariser, Term, sparse
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.simplex import minimise_on_simplex, replace_values
@@ -278,18 +275,8 @@ class _Linearised:
         self._hessian = jacobian.contract(curvature) + regulariser.gauss_newton(state.pose)
         self._layout, self._q = state.pose.layout, state.pose.vector()
         damped = self._hessian + damping * np.diag(self._layout.damping)
-        self._damped = damped
         # at a bound that the step would leave, the pose does not follow
-        self._open: slice | Ints = slice(None)
-        if self._layout.admissible is not None:
-            damped = damped + self._interior_step(self._by_pose).curvature
-        elif self._layout.is_bounded:
-            limits = self._layout.limits(self._q, 1.0)
-            ahead = bounded_step(damped, self._by_pose, limits)
-            at_bound = (ahead == limits[0]) | (ahead == limits[1])
-            self._open = np.flatnonzero(~(at_bound & (ahead == 0.0)))
-            damped = damped[np.ix_(self._open, self._open)]
-        self._factor = scipy.linalg.cho_factor(damped)
+        self._steps = self._layout.steps(damped, self._by_pose, self._q, reach=1.0)
 
     def gradient_by_geometry(self) -> Floats:
         """Return f's derivative (nnz,) by S, the pose following."""
@@ -302,7 +289,7 @@ class _Linearised:
 
     def _pull(self, by_x: Floats, by_pose: Floats) -> Floats:
         """Return X^T (g - T B^-1 h) for g by the free coordinates, which it changes, and h."""
-        by_x[self._touched] -= self._coupling @ self._solve(by_pose)
+        by_x[self._touched] -= self._coupling @ self._steps.follow(by_pose)
         return self._response.free_adjoint(self._weights, by_x)
 
     def trial(self, face: Face, change: Floats, fraction: float) -> _Trial:
@@ -310,13 +297,10 @@ class _Linearised:
         problem, state = self._problem, self._state
         flesh = self._response.free_motion(self._weights, change)
         coupled = self._couple(flesh)
-        if self._layout.admissible is None:
-            by_pose = -self._solve(self._by_pose + coupled)
-        else:
-            by_pose = self._interior_step(self._by_pose + coupled).change
+        by_pose = self._steps.best(self._by_pose + coupled)
         by_pose *= fraction / max(self._layout.reach(by_pose), 1.0)
-        if self._layout.is_limited:
-            by_pose = self._layout.clip(self._q + by_pose) - self._q
+        if not self._layout.bounds.is_free:
+            by_pose = self._layout.bounds.clip(self._q + by_pose) - self._q
         # the undamped model's gain
         first = self._by_x @ flesh + self._by_pose @ by_pose
         second = flesh @ (self._curvature @ flesh) + by_pose @ (self._hessian @ by_pose)
@@ -338,13 +322,5 @@ class _Linearised:
             return face.predict_and_solve(self._state, response, pose)
         return None
 
-    def _interior_step(self, gradient: Floats) -> InteriorStep:
-        return interior_step(self._layout, self._damped, gradient, self._q)
-
     def _couple(self, flesh: Floats) -> Floats:
         return np.asarray(self._coupling.T @ flesh[self._touched])
-
-    def _solve(self, right: Floats) -> Floats:
-        out = np.zeros_like(right)
-        out[self._open] = scipy.linalg.cho_solve(self._factor, right[self._open])
-        return out

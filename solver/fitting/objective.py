@@ -3,12 +3,11 @@
     f(a, b) = sum_v w_v |(M x)_v - t_v|^2 + w_a/2 |a - a_prior|^2 + w_v/2 sum_j (det S(a_j) - 1)^2
               + w_b/2 |D (b - b_prior)|^2 + w_e/2 sum_jk max(0, e - lambda_k(S(a_j)))^2
 
-of which muscles of one number each have no volume and no stretches.
+of which muscles that are no shapes S(a_j) have no volume and no stretches
+(:class:`~solver.fitting.controls.ShapePenalty`).
 
 The vertex weights sum to one, so that the first term is a mean squared distance in mm^2 and the
-others do not depend on the scan's resolution (the published sums differ by that factor). The last
-term is ours: a muscle whose S(a_j) has a negative eigenvalue turns its flesh inside out, which the
-barrier forbids, and what is left are many buckled equilibria to get caught in.
+others do not depend on the scan's resolution (the published sums differ by that factor).
 """
 
 from __future__ import annotations
@@ -25,17 +24,7 @@ import scipy.sparse as sp
 
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
-from solver.fitting.stretches import (
-    FROBENIUS,
-    determinant_gradients,
-    determinants,
-    entries,
-    matrices,
-)
 from solver.surface import Floats
-
-# the eigenvalue e of S(a_j) that a muscle hardly goes below: contraction to a tenth
-LEAST_STRETCH = 0.1
 
 
 @dataclass(frozen=True)
@@ -131,69 +120,39 @@ class Regulariser:
 
     def value(self, pose: Pose) -> float:
         """Return the regularisers' sum."""
-        jaw = _jaw_units(pose) * (pose.b - self.prior.b)
+        joints = pose.layout.joint_units * (pose.b - self.prior.b)
         away = 0.5 * self.w_a * np.sum((pose.a - self.prior.a) ** 2)
-        if not _has_volume(pose):
-            return float(away + 0.5 * self.w_b * jaw @ jaw)
-        det = determinants(pose.a) - 1.0
-        deficit, _ = eigenvalue_deficits(pose.a)
-        return float(
-            away
-            + 0.5 * self.w_v * det @ det
-            + 0.5 * self.w_b * jaw @ jaw
-            + 0.5 * self.w_e * np.sum(deficit**2)
-        )
+        penalty = pose.layout.drive.penalty
+        shapes = penalty.value(pose.a, self.w_v, self.w_e) if penalty else 0.0
+        return float(away + shapes + 0.5 * self.w_b * joints @ joints)
 
     def gradient(self, pose: Pose) -> Floats:
         """Return the derivative by (a, b), (size,)."""
         by_a = self.w_a * (pose.a - self.prior.a)
-        if _has_volume(pose):
-            det = determinants(pose.a) - 1.0
-            deficit, gradients = eigenvalue_deficits(pose.a)
-            by_a += self.w_v * det[:, None] * determinant_gradients(pose.a)
-            by_a -= self.w_e * np.einsum("jk,jkq->jq", deficit, gradients)
-        by_b = self.w_b * _jaw_units(pose) ** 2 * (pose.b - self.prior.b)
+        if penalty := pose.layout.drive.penalty:
+            by_a += penalty.gradient(pose.a, self.w_v, self.w_e)
+        by_b = self.w_b * pose.layout.joint_units**2 * (pose.b - self.prior.b)
         return pose.layout.join([by_a, by_b])
 
     def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
         """Return the Gauss-Newton Hessian: a block of each a_j, (m, k, k), and b's diagonal."""
-        by_b = self.w_b * _jaw_units(pose) ** 2
-        if not _has_volume(pose):
-            return np.full((len(pose.a), 1, 1), self.w_a), by_b
-        gradients = determinant_gradients(pose.a)
-        _, towards = eigenvalue_deficits(pose.a)
-        blocks = self.w_v * gradients[:, :, None] * gradients[:, None, :]
-        blocks += self.w_e * towards.transpose(0, 2, 1) @ towards
-        blocks[:, np.arange(6), np.arange(6)] += self.w_a
-        return blocks, by_b
+        muscles = pose.layout.muscles
+        each = np.arange(muscles.shape[1])
+        blocks = np.zeros((*muscles.shape, muscles.shape[1]))
+        if penalty := pose.layout.drive.penalty:
+            blocks += penalty.curvature(pose.a, self.w_v, self.w_e)
+        blocks[:, each, each] += self.w_a
+        return blocks, self.w_b * pose.layout.joint_units**2
 
     def gauss_newton(self, pose: Pose) -> Floats:
         """Return :meth:`curvature` as one matrix (size, size)."""
-        muscles, jaw = (pose.layout.places(block.name) for block in pose.layout.blocks)
-        muscles = muscles.reshape(len(pose.a), -1)
+        layout = pose.layout
         blocks, diagonal = self.curvature(pose)
-        out = np.zeros((pose.layout.size, pose.layout.size))
-        out[muscles[:, :, None], muscles[:, None, :]] = blocks
-        out[jaw, jaw] = diagonal
+        out = np.zeros((layout.size, layout.size))
+        out[layout.muscles[:, :, None], layout.muscles[:, None, :]] = blocks
+        joints = layout.joint_places
+        out[joints, joints] = diagonal
         return out
-
-
-def _has_volume(pose: Pose) -> bool:
-    """Tell whether the muscles' controls are shapes S(a), not a number each."""
-    return pose.a.ndim == 2
-
-
-def _jaw_units(pose: Pose) -> Floats:
-    block = pose.layout.blocks[1]
-    return np.broadcast_to(block.units, block.rest.shape)
-
-
-def eigenvalue_deficits(a: Floats) -> tuple[Floats, Floats]:
-    """Return max(0, e - lambda_k(S(a_j))), (m, 3), and where not 0 d lambda_k/da_j, (m, 3, 6)."""
-    values, vectors = np.linalg.eigh(matrices(a))
-    deficit = np.maximum(LEAST_STRETCH - values, 0.0)
-    gradients = FROBENIUS * entries(vectors.transpose(0, 2, 1))
-    return deficit, gradients * (deficit > 0.0)[:, :, None]
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,11 @@ it goes back to the rest (Ornstein and Uhlenbeck 1930), and the spread of the fr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import scipy.linalg
@@ -29,28 +30,17 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.information import inverse_of_positive
 from solver.fitting.objective import Prior, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
-from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.jaw_tracks import nearest_jaw
 from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
 class PriorOptions:
-    """Strength of expressions, and the spread of what none of them does.
-
-    ``floor`` are standard deviations by the name of a block, in its units.
-    """
+    """Strength of expressions, and the spread of what none of them does."""
 
     strength: float = 0.5  # standard deviation of an expression's amount
     own_strength: float = 0.0  # of a muscle's amount by itself
-    floor: Mapping[str, Sequence[float] | float] = field(
-        default_factory=lambda: {
-            "jaw": (0.03, 0.03, 0.5, 0.5, 0.5),
-            "tracks": (0.03, 0.5, 0.5),
-            "fibres": 0.1,
-        }
-    )
-    other_floor: float = 0.03  # of a block that is not named
+    known: Literal["template", "scans", "nothing"] = "template"  # which of a block's spreads holds
     large_mm: float = 1.0  # mean motion of the face from which a shape is fitted ...
     fitted_parts: tuple[float, ...] = (0.5,)  # ... at these parts of it, ...
     fitted_from: float = 0.7  # ... from so much of what is linear
@@ -63,15 +53,8 @@ class PriorOptions:
 
 # Of a person's few scans. Without muscles that act by themselves no floor does as well: by the
 # flesh's linear response 79 markers left 0.88 mm (0.3) and 1.03 mm (0.6), these leave 0.83 mm.
-OF_SCANS = PriorOptions(
-    own_strength=0.5,
-    floor={"jaw": (0.06, 0.03, 1.0, 1.0, 1.0), "tracks": (0.06, 1.0, 1.0), "fibres": 0.1},
-)
-# where no expression is known
-LOOSE = PriorOptions(
-    floor={"jaw": (0.2, 0.1, 3.0, 3.0, 3.0), "tracks": (0.2, 3.0, 3.0), "fibres": 0.3},
-    other_floor=0.6,
-)
+OF_SCANS = PriorOptions(own_strength=0.5, known="scans")
+LOOSE = PriorOptions(known="nothing")
 
 
 @dataclass(frozen=True)
@@ -187,15 +170,11 @@ def from_changes(
     """Return the prior of expressions, changes (k,) of the controls off the rest."""
     known = np.reshape([*changes], (-1, layout.size))
     own = np.zeros((layout.size, layout.size))
-    muscles, jaw = (layout.places(block.name) for block in layout.blocks)
-    for part in (*muscles.reshape(len(muscles), -1), jaw):
+    for part in (*layout.muscles, *(layout.places(joint.name) for joint in layout.joints)):
         own[np.ix_(part, part)] = known[:, part].T @ known[:, part]
-    floor = [
-        np.broadcast_to(options.floor.get(block.name, options.other_floor), block.rest.shape)
-        for block in layout.blocks
-    ]
+    floor = layout.spread(options.known)
     spread = options.strength**2 * known.T @ known + options.own_strength**2 * own
-    return GaussianPrior(layout.rest, spread + np.diag(layout.join(floor) ** 2))
+    return GaussianPrior(layout.rest, spread + np.diag(floor**2))
 
 
 def from_expressions(face: Face, poses: Iterable[Pose]) -> GaussianPrior:
@@ -265,7 +244,7 @@ def _mean_motion(face: Face, shapes: NDArray[np.floating]) -> Floats:
 
 def follows_teeth(face: Face) -> bool:
     """Tell whether shapes' teeth say where the jaw is, which their skin does of a free one."""
-    return len(face.model.lower_teeth) > 0 and not isinstance(face.jaw, FreeJaw)
+    return len(face.model.lower_teeth) > 0 and not face.joint.is_free
 
 
 def jaw_of_teeth(
@@ -275,9 +254,8 @@ def jaw_of_teeth(
 
     The arguments are those of :func:`nearest_jaw`; the numbers are within the jaw's bounds.
     """
-    layout = face.layout
-    places = layout.places(layout.blocks[1].name)
-    bounds = layout.lower[places], layout.upper[places]
+    places = face.layout.places(face.joint.block.name)
+    bounds = face.joint.block.lower, face.joint.block.upper
     return places, nearest_jaw(face.jaw, teeth, goal, start, inner=inner, bounds=bounds)
 
 
@@ -304,7 +282,7 @@ def _fitted_change(
     near = face.rest_pose().add(options.fitted_from * part * change)
     regulariser: Prior = unseen_regulariser(face)
     if follows_teeth(face):
-        teeth, jaw = face.model.lower_teeth, face.layout.blocks[1]
+        teeth, jaw = face.model.lower_teeth, face.joint.block
         places, b = jaw_of_teeth(face, rest[teeth], goal[teeth], near.b)
         near = replace(near, b=b)
         weights = np.diag(options.held * np.broadcast_to(jaw.units, b.shape) ** 2)
@@ -320,5 +298,5 @@ def _teeth_by_controls(face: Face) -> Floats:
     layout, teeth = face.layout, face.model.lower_teeth
     rows = np.zeros((3 * len(teeth), layout.size))
     by_jaw = face.jaw.jacobian(face.model.skin.vertices[teeth], face.rest_pose().b)
-    rows[:, layout.places(layout.blocks[1].name)] = by_jaw.reshape(len(rows), -1)
+    rows[:, layout.places(face.joint.block.name)] = by_jaw.reshape(len(rows), -1)
     return rows

@@ -10,13 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import numba as nb
 import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.objective import Curvature, GramCurvature
-from solver.mechanics.flesh import IDENTITY
+from solver.fitting.tet_forces import TetForces, forces_by_activations, weights_by_forces
 from solver.mechanics.response import Response, SparseControls
 from solver.mechanics.terms import force_columns
 from solver.surface import Floats, Ints
@@ -80,37 +79,11 @@ class Jacobian:
         return out
 
 
-class TetForces:
-    """The forces' derivative by the activations A_i of a face's tets at x (p, 3), tet by tet."""
-
-    def __init__(self, face: Face, pose: Pose, x: Floats) -> None:
-        self.face, self.pose, self.x = face, pose, x
-        self.controls = face.flesh_controls(pose.a)
-
-    @cached_property
-    def by_tet(self) -> Floats:
-        """The derivative (n, 4, 3, 6)."""
-        return self.face.flesh.elastic.forces_by_activation(self.x, self.controls)
-
-    @cached_property
-    def columns(self) -> Floats:
-        """Matrices that the columns of S stand for, (m + 1, 6)."""
-        return np.vstack([IDENTITY, self.pose.a])
-
-    @cached_property
-    def pattern(self) -> tuple[Floats, Ints, Ints, Ints]:
-        """The derivative, the free vertices' numbers (n, 4), and the pattern of S."""
-        flesh, S = self.face.flesh, self.face.S
-        return self.by_tet, flesh.free_numbers[flesh.tets], S.indptr, S.indices
-
-
 class PoseRates:
     """The derivative by (a, b): :class:`solver.mechanics.response.Controls`."""
 
-    def __init__(self, forces: TetForces) -> None:
-        self._forces = forces
-        face, pose = forces.face, forces.pose
-        self._S, self._layout = face.S, pose.layout
+    def __init__(self, face: Face, forces: TetForces, pose: Pose) -> None:
+        self._layout, self._muscles = pose.layout, face.drive.rates(forces)
         direct = face.mandible_jacobian(pose.b)
         # the free gradient's derivative by b (size, k)
         self.by_jaw = face.flesh.coupling(forces.x, forces.controls, direct)
@@ -121,57 +94,31 @@ class PoseRates:
     def columns(self) -> Floats:
         """Return d(grad_x E)/d(a, b), (size, k)."""
         out = np.zeros((len(self.by_jaw), self._layout.size), order="F")
-        count = self._layout.size - self.by_jaw.shape[1]
-        if self._own is None:
-            _add_by_muscle(*self._forces.pattern, self._S.data, out)
-        else:
-            out[:, :count] = self._own.toarray()
-        out[:, count:] = self.by_jaw
+        self._muscles.fill(out[:, : self._count])
+        out[:, self._count :] = self.by_jaw
         return out
+
+    @property
+    def _count(self) -> int:
+        """The number of the muscles' entries, which come first."""
+        return self._layout.drive.rest.size
 
     def product(self, change: Floats) -> Floats:
         """Return the free gradient's change (size,) for one of (a, b)."""
-        by_a, by_b = self._layout.split(change)
-        pull = self.by_jaw @ by_b
-        if self._own is not None:
-            return np.asarray(pull + self._own @ by_a)
-        by_tet, numbers = self._forces.pattern[:2]
-        tets, fractions = self._active
-        _forces_by_activations(by_tet, numbers, tets, fractions @ by_a, pull)
-        return np.asarray(pull)
+        by_a = self._layout.part(self._layout.drive.name, change)
+        return np.asarray(self.by_jaw @ change[self._count :] + self._muscles.product(by_a))
 
     def adjoint(self, motion: Floats) -> Floats:
         """Return the transpose of :meth:`product` applied to (size,)."""
-        if self._own is not None:
-            return self._layout.join([self._own.T @ motion, self.by_jaw.T @ motion])
-        by_tet, numbers = self._forces.pattern[:2]
-        tets, fractions = self._active
-        by_tet_a = np.empty((len(tets), 6))
-        _activations_by_forces(by_tet, numbers, tets, motion, by_tet_a)
-        return self._layout.join([fractions.T @ by_tet_a, self.by_jaw.T @ motion])
-
-    @cached_property
-    def _own(self) -> sp.csr_array | None:
-        """The derivative (size, m) by controls of the flesh's own, None of activations by S."""
-        forces = self._forces
-        if not forces.face.has_own_drive:
-            return None
-        return forces.face.flesh.forces_by_control(forces.x, forces.controls)
-
-    @cached_property
-    def _active(self) -> tuple[Ints, sp.csr_array]:
-        """The tets (k,) with muscle, and their rows of S, (k, m)."""
-        muscles = self._S[:, 1:]
-        tets = np.flatnonzero(np.diff(muscles.indptr))
-        return tets, muscles[tets]
+        return self._layout.join([self._muscles.adjoint(motion), self.by_jaw.T @ motion])
 
 
 class WeightRates:
     """The derivative by S's values (nnz,): :class:`solver.mechanics.response.Controls`."""
 
     def __init__(self, forces: TetForces) -> None:
-        self._forces, self._size = forces, forces.face.flesh.size
-        self.held = sp.csr_array((forces.x.size, forces.face.S.nnz))
+        self._forces, self._size = forces, forces.flesh.size
+        self.held = sp.csr_array((forces.x.size, forces.S.nnz))
 
     def matrix(self) -> sp.csc_array:
         """Return d(grad_x E)/dS, (size, nnz).
@@ -189,16 +136,16 @@ class WeightRates:
 
     def product(self, change: Floats) -> Floats:
         """Return the free gradient's change (size,) for one of S's values (nnz,)."""
-        out, S = np.zeros(self._size), self._forces.face.S
+        out, S = np.zeros(self._size), self._forces.S
         by_tet_a = sp.csr_array((change, S.indices, S.indptr), shape=S.shape) @ self._forces.columns
         by_tet, numbers = self._forces.pattern[:2]
-        _forces_by_activations(by_tet, numbers, np.arange(len(by_tet)), by_tet_a, out)
+        forces_by_activations(by_tet, numbers, np.arange(len(by_tet)), by_tet_a, out)
         return out
 
     def adjoint(self, motion: Floats) -> Floats:
         """Return the transpose of :meth:`product` applied to (size,): shape (nnz,)."""
         out = np.empty(self.held.shape[1])
-        _weights_by_forces(*self._forces.pattern, self._forces.columns, motion, out)
+        weights_by_forces(*self._forces.pattern, self._forces.columns, motion, out)
         return out
 
 
@@ -209,14 +156,15 @@ class Sensitivity:
     """
 
     def __init__(self, face: Face, state: PosedFace) -> None:
-        self.forces = TetForces(face, state.pose, state.x)
+        self.face, self.state = face, state
+        self.forces = face.tet_forces(state.pose, state.x)
         found = state.equilibrium
         self.response = Response(face.flesh, found.factor, minimum=found.minimum)
 
     @cached_property
     def pose(self) -> PoseRates:
         """The forces by (a, b)."""
-        return PoseRates(self.forces)
+        return PoseRates(self.face, self.forces, self.state.pose)
 
     @cached_property
     def weights(self) -> WeightRates:
@@ -225,7 +173,7 @@ class Sensitivity:
 
     def by_pose(self) -> Jacobian:
         """Return the derivatives by (a, b), six entries a muscle."""
-        free = self.forces.face.flesh.free_coordinates
+        free = self.face.flesh.free_coordinates
         return Jacobian(self.response.columns(self.pose), self.pose.held, free)
 
     def product(self, curvature: Curvature, change: Floats) -> Floats:
@@ -243,74 +191,3 @@ class Sensitivity:
 def coordinates(vertices: Ints) -> Ints:
     """Return where the coordinates of ``vertices`` are among all (3 p,)."""
     return np.asarray((3 * vertices[:, None] + np.arange(3)).ravel())
-
-
-@nb.njit(cache=True, nogil=True)
-def _activations_by_forces(
-    by_tet: Floats, number: Ints, tets: Ints, forces: Floats, out: Floats
-) -> None:
-    """Fill ``out`` (k, 6): the forces (size,) times their derivatives by A_i of ``tets`` (k,)."""
-    for k, tet in enumerate(tets):
-        out[k] = 0.0
-        for v in range(4):
-            row = 3 * number[tet, v]
-            if row < 0:
-                continue
-            for i in range(3):
-                for q in range(6):
-                    out[k, q] += by_tet[tet, v, i, q] * forces[row + i]
-
-
-@nb.njit(cache=True, nogil=True)
-def _forces_by_activations(
-    by_tet: Floats, number: Ints, tets: Ints, by_a: Floats, out: Floats
-) -> None:
-    """Add the forces (size,) of a change (k, 6) of the activations of ``tets`` (k,)."""
-    for k, tet in enumerate(tets):
-        for v in range(4):
-            row = 3 * number[tet, v]
-            if row < 0:
-                continue
-            for i in range(3):
-                for q in range(6):
-                    out[row + i] += by_tet[tet, v, i, q] * by_a[k, q]
-
-
-@nb.njit(cache=True, nogil=True)
-def _weights_by_forces(
-    by_tet: Floats,
-    number: Ints,
-    indptr: Ints,
-    indices: Ints,
-    columns: Floats,
-    forces: Floats,
-    out: Floats,
-) -> None:
-    """Fill ``out`` (nnz,): the forces (size,) times their derivatives by S's values."""
-    by_tet_a = np.empty((len(by_tet), columns.shape[1]))
-    _activations_by_forces(by_tet, number, np.arange(len(by_tet)), forces, by_tet_a)
-    for tet in range(len(by_tet)):
-        for entry in range(indptr[tet], indptr[tet + 1]):
-            out[entry] = 0.0
-            for q in range(6):
-                out[entry] += by_tet_a[tet, q] * columns[indices[entry], q]
-
-
-@nb.njit(cache=True)
-def _add_by_muscle(
-    by_tet: Floats, number: Ints, indptr: Ints, indices: Ints, weights: Floats, out: Floats
-) -> None:
-    """Add s_ij d(forces of tet i)/dA_i into the six columns of muscle j, (size, 6 m + ...)."""
-    for tet in range(len(by_tet)):
-        for entry in range(indptr[tet], indptr[tet + 1]):
-            first = 6 * (indices[entry] - 1)
-            weight = weights[entry]
-            if first < 0 or weight == 0.0:
-                continue
-            for q in range(6):
-                for v in range(4):
-                    row = 3 * number[tet, v]
-                    if row < 0:
-                        continue
-                    for i in range(3):
-                        out[row + i, first + q] += weight * by_tet[tet, v, i, q]

@@ -234,11 +234,8 @@ def _correct(
 
 @dataclass(frozen=True)
 class UsualMotion:
-    """Changes of the pose that count as usual, and a motion that makes a point mobile."""
+    """A motion of the usual size that makes a point mobile."""
 
-    activation: float = 0.2  # of an entry
-    jaw: tuple[float, ...] = (0.2, 0.1, 3.0, 3.0, 3.0)  # rad and mm
-    tracks: tuple[float, ...] = (0.2, 3.0, 3.0)
     mobile_mm: float = 0.4  # of a point that is half as still as the skull
 
 
@@ -250,9 +247,7 @@ def stillness(face: Face, usual: UsualMotion = UsualMotion()) -> Floats:
     """
     sensitivity = Sensitivity(face, face.rest)
     by_pose = sensitivity.response.motions(sensitivity.pose)
-    by_a = np.full_like(face.rest_pose().a, usual.activation)
-    change = face.layout.join([by_a, np.array(getattr(usual, face.layout.blocks[1].name))])
-    columns = (by_pose * change).reshape(len(by_pose), -1)
+    columns = (by_pose * face.layout.usual).reshape(len(by_pose), -1)
     motion = np.asarray(face.face_embedding @ columns)
     squares = np.sum(motion.reshape(len(motion), -1) ** 2, axis=1)
     return robust_weights(squares / usual.mobile_mm**2)

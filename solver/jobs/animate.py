@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from solver.anatomy.template import Template
 from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
 from solver.animation.drives import RecordedDrives
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
+from solver.jobs.templates import read_template
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
@@ -21,7 +21,6 @@ from solver.rig.rig import Rig
 from solver.scans.live_link import read_live_link
 from solver.scene.document import head_of
 from solver.scene.stage import Stage
-from solver.templates.builtin.build import builtin_template
 
 SOLVED = 0.3  # part of a job after which its blendshapes are solved
 SAVED_EVERY = 5  # blendshapes that are solved between two writings of their file
@@ -71,8 +70,8 @@ def run(task: Task[Animate]) -> list[Path]:
 
 def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:
     """Solve the person's blendshapes, those left of a resumed job; the file is ``kept`` up."""
-    model, S, template = rig.model, rig.weights, task.inputs.get("template")
-    anatomy = builtin_template() if template is None else Template.load(template)
+    model, S = rig.model, rig.weights
+    anatomy = read_template(task)
     targets = expression_targets(model, anatomy.shapes)
     done: dict[str, Solved] = {}
     if task.resume and kept.is_file():

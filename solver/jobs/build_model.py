@@ -7,14 +7,13 @@ from pathlib import Path
 
 from solver.anatomy.build import build_subject_model, model_summary
 from solver.anatomy.meshing import find_or_make_mesh
-from solver.anatomy.template import Template
 from solver.jobs import Task
+from solver.jobs.templates import read_template
 from solver.kinds.build_model import BuildModel
 from solver.meshio.registered import read_registered
 from solver.progress import Step, part_of
 from solver.rig.pictures import anatomy_picture, fibres_picture, tets_picture
 from solver.storage import write_json
-from solver.templates.builtin.build import builtin_template
 
 
 def run(task: Task[BuildModel]) -> list[Path]:
@@ -24,10 +23,10 @@ def run(task: Task[BuildModel]) -> list[Path]:
     in the cache folder for everybody. Raises :class:`solver.errors.InputError` for a scan or
     template that cannot be used, :class:`solver.errors.SolveError` if no mesh can be made.
     """
-    neutral, template = task.inputs["neutral"], task.inputs.get("template")
+    neutral = task.inputs["neutral"]
     edge_mm, progress = task.options.edge_mm, task.progress
     progress(Step("read", 0.0, message=neutral.name))
-    anatomy = builtin_template() if template is None else Template.load(template)
+    anatomy = read_template(task)
     scan = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices))
     anatomy = find_or_make_mesh(anatomy, edge_mm, part_of(progress, 0.02, 0.7))
     model = build_subject_model(

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from solver.anatomy.template import Template
 from solver.errors import Finding, InputError, judge_findings, quote
 from solver.fitting import prior
 from solver.fitting.face import Face, Pose
 from solver.fitting.markers.reach import reach
 from solver.fitting.prior import GaussianPrior
 from solver.jobs import Task
+from solver.jobs.templates import read_template
 from solver.kinds.check_markers import CheckMarkers
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
@@ -29,7 +29,6 @@ from solver.scans.markers.marker_set import MarkerSet
 from solver.scans.markers.picture import check_picture
 from solver.scans.markers.take import read_take
 from solver.storage import write_json
-from solver.templates.builtin.build import builtin_template
 
 
 def run(task: Task[CheckMarkers]) -> list[Path]:
@@ -83,8 +82,7 @@ def _reference(task: Task[CheckMarkers]) -> Reference:
         shown = task.options.expression
         expression = None if shown is None else Rig.load(files).expression(shown)
         return Reference.of(model, markers, expression)
-    given = files.get("template")
-    return Reference(face_surface(builtin_template() if given is None else Template.load(given)))
+    return Reference(face_surface(read_template(task)))
 
 
 def _report_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
@@ -128,8 +126,7 @@ def _report_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
 
 def _prior(task: Task[CheckMarkers], rig: Rig, face: Face) -> GaussianPrior:
     """Return the prior of the template's shapes, or of the rig's expressions."""
-    given = task.inputs.get("template")
-    shapes = (builtin_template() if given is None else Template.load(given)).shapes
+    shapes = read_template(task).shapes
     if shapes is not None and shapes.expressions.shape[1] == len(face.model.skin.vertices):
         return prior.from_shapes(face, shapes.expressions)
     poses = [Pose(each.activations, each.jaw).vector() for each in rig.expressions]

@@ -5,14 +5,13 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from solver.anatomy.template import Template
 from solver.errors import InputError, judge_findings
 from solver.jobs import Task
+from solver.jobs.templates import read_template
 from solver.kinds.kind import FrameOptions
 from solver.progress import Step
 from solver.scans.check import check, check_picture
 from solver.storage import write_json
-from solver.templates.builtin.build import builtin_template
 
 ROLES = ("unknown", "neutral", "expression")
 
@@ -28,10 +27,10 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     if task.role not in ROLES:
         message = f"role is {task.role!r}, not one of {', '.join(ROLES)}"
         raise InputError("options.role", message, expected=list(ROLES))
-    scan, template, progress = task.inputs["scan"], task.inputs.get("template"), task.progress
+    scan, progress = task.inputs["scan"], task.progress
     progress(Step("read", 0.0, message=scan.name))
     start = time.perf_counter()
-    anatomy = builtin_template() if template is None else Template.load(template)
+    anatomy = read_template(task)
     progress(Step("check", 0.1))
     frame = task.options.model_dump()
     found = check(scan, anatomy, frame, task.role, task.inputs.get("landmarks"))

@@ -9,19 +9,18 @@ from pathlib import Path
 from solver.fitting import fallback
 from solver.fitting.activation import UNSEEN, UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
-from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held, check_replaced
 from solver.jobs import Task
 from solver.jobs.fits import (
     Targets,
     WarningLog,
+    asked_drive,
     control_settings,
     describe_fit,
     find_oddities,
     leave_rig,
     read_scans,
     refuse_failures,
-    with_controls,
 )
 from solver.kinds.fit_activations import FitActivations
 from solver.mechanics.linear import fastest
@@ -42,11 +41,12 @@ def run(task: Task[FitActivations]) -> list[Path]:
     parent = Rig.load(task.inputs)
     subject, carried = parent.model, parent.expressions
     scans = read_scans(subject, task.captures)
-    face = Face(subject, parent.weights, linear=given.linear_solver or fastest())
-    face = with_controls(face, given, carried)
+    drive = asked_drive(given, parent.drive)
+    parent = replace(parent, drive=drive)
+    face = parent.face(given.linear_solver or fastest())
     check_held(face)
     log = WarningLog(subject, progress)
-    oddities = find_oddities(face, scans)
+    oddities = find_oddities(face, scans, drive)
     for fit in carried:
         if fit.name in scans:
             oddities += check_replaced(subject, fit.name, fit.target, scans[fit.name])
@@ -74,13 +74,14 @@ def run(task: Task[FitActivations]) -> list[Path]:
     refuse_failures(fitted)
     kept = [fit for fit in carried if fit.name not in scans]
     asked = given.model_dump(include={"distance", "solver"})
-    settings = {**UNSEEN, **asdict(stop), **asked, **control_settings(face, given)}
+    settings = {**UNSEEN, **asdict(stop), **asked, **control_settings(drive)}
     # the expressions that S was fitted to share its time
     trained = [fit for fit in carried if fit.role == "train"]
     together = [fit.seconds for fit in trained]
     seconds = {"geometry": sum(together)} if together else {}
     seconds["activations"] = time.perf_counter() - begin
-    whole = Rig(subject, face.S, (*kept, *fitted), seconds, log.general)
+    expressions = (*kept, *fitted)
+    whole = Rig(subject, face.S, expressions, seconds, log.general, drive=drive)
     same = not any(fit.name in scans for fit in trained)
     information = known_information(parent) if same else None
     return leave_rig(face, whole, settings, task.out, part_of(progress, 0.5), information)

@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from solver.errors import Finding, make_warning
 from solver.fitting import geometry
 from solver.fitting.contact import terms
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryFit, GeometryOptions
 from solver.fitting.objective import Target, distances
@@ -22,13 +23,13 @@ from solver.jobs import Task
 from solver.jobs.fits import (
     Targets,
     WarningLog,
+    asked_drive,
     control_settings,
     describe_fit,
     find_oddities,
     leave_rig,
     read_scans,
     refuse_failures,
-    with_controls,
 )
 from solver.kinds.fit_geometry import FitGeometry
 from solver.model import SubjectModel
@@ -49,9 +50,13 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
     subject = SubjectModel.load(task.inputs["model"])
     scans = read_scans(subject, task.captures)
-    face = with_controls(Face(subject, linear=given.linear_solver), given)
+    drive = asked_drive(given)
+    limits = drive.limits if isinstance(drive, Admissible) else None
+    face = Face(subject, linear=given.linear_solver)
+    if limits is not None:
+        face = face.with_jaw_on_tracks()
     check_held(face)
-    schedule = GeometryOptions(rounds=given.rounds)
+    schedule = GeometryOptions(rounds=given.rounds, limits=limits)
     if given.solver == "ipopt":
         geometry.check_size(face, len(scans))
     priors: dict[str, sp.csr_array | None] = {"start": None, "structure": None}
@@ -66,7 +71,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if structures:
         priors["structure"] = sp.csr_array(sp.vstack(structures))
     log = WarningLog(subject, progress)
-    oddities = find_oddities(face, scans)
+    oddities = find_oddities(face, scans, drive)
     if len(scans) == 1:
         message = (
             "the muscle geometry is fitted to one expression: it will follow that one and say "
@@ -84,17 +89,18 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     seconds = time.perf_counter() - begin
     expressions = []
     for name, ending in fitted.endings.items():
-        spent, scan = seconds / len(targets), scans[name]
-        expression = describe_fit(face, name, "train", scan, targets[name], ending, spent)
+        each, scan = seconds / len(targets), scans[name]
+        expression = describe_fit(face, name, "train", scan, targets[name], ending, each)
         expressions.append(log.about(expression, 0.8, ending.notices))
     refuse_failures(expressions)
     log.warn(0.8, check_neutral(face.with_weights(fitted.S), expressions))
     asked = given.model_dump(include={"symmetry", "smoothness", "distance", "solver"})
-    settings = asdict(schedule) | asked | control_settings(face, given)
-    if face.limits is None:
-        del settings["tightening"]
-    rig = Rig(subject, fitted.S, tuple(expressions), {"geometry": seconds}, log.general)
-    return leave_rig(face, rig, settings, task.out, part_of(progress, 0.8))
+    settings = asdict(schedule) | asked | control_settings(drive)
+    if limits is None:
+        del settings["tightening"], settings["limits"]
+    spent = {"geometry": seconds}
+    rig = Rig(subject, fitted.S, tuple(expressions), spent, log.general, drive=drive)
+    return leave_rig(fitted.face, rig, settings, task.out, part_of(progress, 0.8))
 
 
 def _geometry(
@@ -105,9 +111,9 @@ def _geometry(
     progress: Progress,
 ) -> GeometryFit:
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
-        done = 0.02 + 0.78 * number / schedule.most_rounds(face)
+        done = 0.02 + 0.78 * number / schedule.most_rounds
         error = geometry.mean_error(face, targets, states)
-        closing = face.limits is not None and number >= schedule.rounds
+        closing = schedule.limits is not None and number >= schedule.rounds
         message = CLOSING if closing else None
         progress(Step("geometry", done, number + 1, mean_error_mm=error, message=message))
 

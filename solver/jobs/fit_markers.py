@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.build import jaw_tracks
-from solver.anatomy.template import Template
 from solver.errors import Finding, InputError, make_warning
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, load_muscles, with_fibres
 from solver.fitting.contraction import Contraction
-from solver.fitting.controls import track_block
-from solver.fitting.face import Face, Pose
+from solver.fitting.face import Face
+from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import FilterOptions
 from solver.fitting.markers.places import RefineOptions, refine_by_take
 from solver.fitting.markers.robust import RobustOptions
@@ -27,10 +26,10 @@ from solver.fitting.target_checks import check_held
 from solver.jobs import Task, hash_files
 from solver.jobs.marker_frames import TakeDrawing, TakeFitter, marker_report, smooth_frames
 from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted, write_animated
+from solver.jobs.templates import read_template
 from solver.kinds.fit_markers import FitMarkers
-from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.flesh import MOONEY_RIVLIN
-from solver.mechanics.jaw_tracks import JawTracks, nearest_jaw
+from solver.mechanics.jaw_tracks import JawTracks
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.progress import Step
@@ -47,7 +46,6 @@ from solver.scans.markers.motion import still_seconds
 from solver.scans.markers.moved import split_moved
 from solver.scans.markers.shape import is_motionless, refuse_flat
 from solver.scans.markers.take import Take, read_take
-from solver.templates.builtin.build import builtin_template
 
 
 @dataclass(frozen=True)
@@ -172,14 +170,9 @@ def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Fac
     else:
         face = Face(model, rig.weights, linear=given.linear_solver or fastest())
     if given.jaw == "tracks":
-        tracks = JawTracks.of(model.jaw) or jaw_tracks(_template(task), model)
-        face = face.with_jaw(tracks, track_block(tracks))
+        tracks = JawTracks.of(model.jaw) or jaw_tracks(read_template(task), model)
+        face = face.with_joint(jaw_on_tracks(tracks))
     return face, names
-
-
-def _template(task: Task[FitMarkers]) -> Template:
-    given = task.inputs.get("template")
-    return builtin_template() if given is None else Template.load(given)
 
 
 def _tracker(
@@ -226,19 +219,13 @@ def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
         return prior.from_changes(layout, [], prior.LOOSE)
     if kind == "scans":
         good = [each for each in rig.expressions if each.status != "failed"]
-        if not good or face.has_own_drive:
+        if not good or given.muscles == "fibre":
             message = "the rig has no expressions of such muscles to make a prior from"
             raise InputError("markers.prior", message)
-        free, points = FreeJaw(face.model.jaw), face.model.rest[face.model.mandible]
-        rest = face.rest_pose().b
-        poses = [Pose(each.activations, each.jaw) for each in good]
-        if given.jaw == "tracks":
-            moved = (free.move(points, each.b) for each in poses)
-            jaws = [nearest_jaw(face.jaw, points, goal, rest) for goal in moved]
-            pairs = zip(poses, jaws, strict=True)
-            poses = [Pose.of(layout, layout.clip(layout.join([p.a, b]))) for p, b in pairs]
-        return prior.from_expressions(face, poses)
-    shapes = _template(task).shapes
+        return prior.from_expressions(
+            face, [face.pose_of(each.activations, each.jaw) for each in good]
+        )
+    shapes = read_template(task).shapes
     if shapes is None or shapes.expressions.shape[1] != len(face.model.skin.vertices):
         message = "the template has no expressions of this skin: use the prior scans or none"
         raise InputError("markers.prior", message)

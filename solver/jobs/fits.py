@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from solver.errors import Finding, InputError, SolveError, make_warning
-from solver.fitting.admissible import AdmissibleSet, limits_by_plausibility
+from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
+from solver.fitting.drives.six_numbers import SixNumbers
+from solver.fitting.drives.stored import store
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
@@ -28,31 +31,22 @@ from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 
-def with_controls(
-    face: Face, options: ExpressionFitOptions, carried: Sequence[ExpressionFit] = ()
-) -> Face:
-    """Return a face with the controls that a job asks for.
+def asked_drive(options: ExpressionFitOptions, own: MuscleDrive | None = None) -> MuscleDrive:
+    """Return the drive that a job asks for; if it asks for none ``own``, else an admissible one.
 
-    If it asks for none they are admissible, unless IPOPT is to fit, which knows no bounds, or S was
-    fitted to ``carried`` training expressions that go beyond them.
+    IPOPT knows no bounds, so that it fits free muscles unless others are asked for.
     """
-    by_ipopt = options.controls is None and options.solver == "ipopt"
-    if options.controls == "free" or by_ipopt:
-        return face
-    bounded = face.within_anatomy(limits_by_plausibility(options.plausibility))
-    if options.controls == "admissible":
-        return bounded
-    within = cast(AdmissibleSet, bounded.layout.admissible)
-    trained = [fit.activations for fit in carried if fit.role == "train"]
-    return bounded if all(map(within.contains, trained)) else face
+    if options.controls == "free" or (options.controls is None and options.solver == "ipopt"):
+        return SixNumbers()
+    if own and options.controls is None and "plausibility" not in options.model_fields_set:
+        return own
+    return Admissible(limits_by_plausibility(options.plausibility))
 
 
-def control_settings(face: Face, options: ExpressionFitOptions) -> dict[str, Any]:
-    """Return the settings that say what muscles may do in a face of :func:`with_controls`."""
-    if face.limits is None:
-        return {"controls": "free"}
-    limits = asdict(face.limits)
-    return {"controls": "admissible", "plausibility": options.plausibility, "limits": limits}
+def control_settings(drive: MuscleDrive) -> dict[str, Any]:
+    """Return the settings that say what muscles may do."""
+    stored = store(drive)
+    return {"controls": stored.pop("name"), **stored}
 
 
 def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str, RegisteredScan]:
@@ -80,13 +74,16 @@ def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str,
     return scans
 
 
-def find_oddities(face: Face, scans: Mapping[str, RegisteredScan]) -> list[Finding]:
-    """Return what is odd about a face and scans before they are fitted."""
+def find_oddities(
+    face: Face, scans: Mapping[str, RegisteredScan], drive: MuscleDrive
+) -> list[Finding]:
+    """Return what is odd about a face and scans before they are fitted by a drive."""
     found = [*idle_muscles(face), *before_fit(face.model, scans)]
-    if face.limits is not None and face.model.fibres is None:
+    within = isinstance(drive, Admissible)
+    if within and face.model.fibres is None:
         message = "the model has no fibres, so that muscles may push: build it again"
         found.append(make_warning("model.no_fibres", message))
-    if face.limits is not None and face.model.jaw.tracks is None:
+    if within and face.model.jaw.tracks is None:
         message = "the model has no tracks of its condyles, so that its jaw is free: build it again"
         found.append(make_warning("model.no_tracks", message))
     return found

@@ -21,7 +21,6 @@ from solver.fitting.markers.term import HeadPrior
 from solver.fitting.markers.tracker import MarkerFit, MarkerMemory, MarkerTracker
 from solver.jobs.marker_verdict import judge_fit
 from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
-from solver.mechanics.boundary import FreeJaw
 from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
 from solver.rig.marker_view import MarkerView
@@ -168,7 +167,7 @@ def _frame(number: int, status: Status, fit: MarkerFit, face: Face, seconds: flo
 
 def _pose_values(face: Face, pose: Pose) -> dict[str, Any]:
     """Return what a frame holds of a pose."""
-    mandible, on_tracks = face.jaw.matrix(pose.b), not isinstance(face.jaw, FreeJaw)
+    mandible, on_tracks = face.jaw.matrix(pose.b), not face.joint.is_free
     return {
         "activations": pose.a.round(DECIMALS),
         "jaw": face.five_jaw_numbers(pose.b).round(DECIMALS),

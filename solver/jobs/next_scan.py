@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from solver.anatomy.template import Template
 from solver.fitting.face import Face
 from solver.fitting.geometry_information import InformationOptions, Linearisation, MuscleInformation
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
+from solver.jobs.templates import read_template
 from solver.kinds.next_scan import NextScan
 from solver.mechanics.linear import fastest
 from solver.progress import Step
@@ -18,7 +18,6 @@ from solver.rig.next_scan import Library, library_targets, suggestion_figures, s
 from solver.rig.report import information_figures
 from solver.rig.rig import Rig
 from solver.storage import write_json
-from solver.templates.builtin.build import builtin_template
 
 SCANNED = 0.2  # part of a job after which the rig's own scans are read
 
@@ -29,11 +28,11 @@ def run(task: Task[NextScan]) -> list[Path]:
     Raises :class:`solver.errors.InputError` as :func:`solver.rig.next_scan.library_targets`, and
     :class:`solver.errors.SolveError` (``fit.failed``) where no expression can be fitted.
     """
-    given, progress, template = task.options, task.progress, task.inputs.get("template")
+    given, progress = task.options, task.progress
     progress(Step("read", 0.0, message=task.inputs["rig"].name))
     begin = time.perf_counter()
     rig = Rig.load(task.inputs)
-    anatomy = builtin_template() if template is None else Template.load(template)
+    anatomy = read_template(task)
     targets = library_targets(rig.model, anatomy.shapes)
     face = Face(rig.model, rig.weights, linear=fastest())
     check_held(face)

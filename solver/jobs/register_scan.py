@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from solver.anatomy.template import Template
 from solver.jobs import Task
+from solver.jobs.templates import read_template
 from solver.kinds.kind import FrameOptions
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered, write_registered
@@ -16,7 +16,6 @@ from solver.registration.register import register
 from solver.registration.report import distance_picture, report
 from solver.registration.topology import topology
 from solver.storage import write_json
-from solver.templates.builtin.build import builtin_template
 
 # Environment variable with the path of MediaPipe's face landmarker; without it none is used.
 LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
@@ -29,10 +28,10 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     vertices in mm with the property ``confidence``. Raises :class:`solver.errors.InputError` for
     files that cannot be used and for a scan without a face (``scan.not_a_face``).
     """
-    scan, template, progress = task.inputs["scan"], task.inputs.get("template"), task.progress
+    scan, progress = task.inputs["scan"], task.progress
     neutral, landmarks = task.inputs.get("neutral"), task.inputs.get("landmarks")
     progress(Step("read", 0.0, message=scan.name))
-    anatomy = builtin_template() if template is None else Template.load(template)
+    anatomy = read_template(task)
     skin = anatomy.skin
     rest = None
     if neutral is not None:

@@ -16,6 +16,7 @@ from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError
 from solver.fitting.contraction import Contraction
+from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry_information import Linearisation, MuscleInformation
 from solver.fitting.stretches import determinants, matrices
@@ -229,16 +230,15 @@ def with_round_trips(
 ) -> tuple[ExpressionFit, ...]:
     """Return the fits with their round trips; those that have one keep it."""
     # one for all, which knows its rest
-    done, free = list(fits), (face.with_limits(None) if face.limits else face).with_free_jaw()
+    done = list(fits)
+    free = face if face.layout.bounds.is_free else face.driven_by(SixNumbers()).with_free_jaw()
     for number, fit in enumerate(fits):
         if fit.round_trip is None:
             if listen:
                 listen(fit.name, number)
             pose, skin = Pose(fit.activations, fit.jaw), fit.skin[face.model.face]
-            admissible = face.layout.admissible
             # what was fitted freely is fitted freely again
-            is_free = admissible is None or not admissible.contains(fit.activations)
-            own = free if is_free else face
+            own = face if face.layout.bounds.contains(pose.vector()) else free
             done[number] = replace(fit, round_trip=round_trip(own, pose, skin))
     return tuple(done)
 
@@ -286,7 +286,7 @@ def scan_information(linearisation: Linearisation, rig: Rig) -> list[Floats]:
 def _check(
     face: Face, fit: ExpressionFit, mouth: Mouth | None, linear: LinearSolver
 ) -> ExpressionCheck:
-    a = face.tet_activations(fit.activations)
+    a = face.flesh_controls(fit.activations)
     found = muscles(face.model, face.flesh.volumes, face.S, fit.activations)
     return ExpressionCheck(
         found,

@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass, field, fields
+from dataclasses import astuple, dataclass, field, fields, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from solver.anatomy.tetrahedra import volumes
 from solver.errors import Finding, InputError, make_warning, quote
+from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives.admissible import ADMISSIBLE, Admissible, AdmissibleSet
+from solver.fitting.drives.six_numbers import SixNumbers
+from solver.fitting.drives.stored import restore, store
+from solver.fitting.face import Face
+from solver.fitting.stretches import fibre_tensors
+from solver.mechanics.newton import NewtonOptions
 from solver.model import SIZE_WORDS, SubjectModel
 from solver.rig.round_trip import RoundTrip
 from solver.storage import Archive, Arrays, read_arrays, with_prefix
@@ -25,6 +33,7 @@ from solver.surface import Floats, Ints
 
 FORMAT = 1  # of rig.npz, and of activations.npz and muscle_weights.npz
 FILE = "rig.npz"
+FREE_DRIVE = SixNumbers()
 ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")  # of an activation, in the order of its columns
 ROLES = {"train": "training", "test": "unseen"}  # of an expression's scan, in words
 # files of a rig of 0.1, by the roles that they have in a job; the report may be missing
@@ -79,6 +88,15 @@ class Rig:
     seconds: dict[str, float] = field(default_factory=dict)  # of each phase of the job
     notices: tuple[Finding, ...] = ()  # what was odd about the model or the job as a whole
     figures: dict[str, Any] | None = None  # of solver.rig.report; None before they are made
+    drive: MuscleDrive = FREE_DRIVE  # that S was fitted with
+
+    def face(self, linear: str | None = None, tolerance: float = NewtonOptions.tolerance) -> Face:
+        """Return the person as fitted: with S and drive, a driven jaw on the model's tracks.
+
+        ``linear`` and ``tolerance`` are those of :class:`~solver.fitting.face.Face`.
+        """
+        face = Face(self.model, self.weights, linear=linear, tolerance=tolerance)
+        return face.driven_as(self.drive)
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
@@ -118,6 +136,7 @@ class Rig:
             "seconds": self.seconds,
             "notices": [notice.as_dict() for notice in self.notices],
             "figures": self.figures,
+            "drive": store(self.drive),
         }
         parts = {
             "model": model.arrays,
@@ -159,15 +178,17 @@ class Rig:
         if "model" not in archive.header:
             raise _no_rig(path)
         with _reading(path):
-            model = SubjectModel.from_archive(archive.part("model"))
-            return cls(
+            model, header = SubjectModel.from_archive(archive.part("model")), archive.header
+            rig = cls(
                 model,
                 _weights_from(with_prefix(archive.arrays, "weights_"), model, path),
                 _expressions_from(with_prefix(archive.arrays, "activations_"), model, path),
-                archive.header["seconds"],
-                tuple(Finding.from_dict(each) for each in archive.header["notices"]),
-                archive.header["figures"],
+                header["seconds"],
+                tuple(Finding.from_dict(each) for each in header["notices"]),
+                header["figures"],
             )
+            drive = restore(header["drive"]) if "drive" in header else rig._find_drive()
+            return replace(rig, drive=drive)
 
     @classmethod
     def _load_0_1(cls, files: Mapping[str, Path]) -> Rig:
@@ -183,7 +204,18 @@ class Rig:
         if (report := files.get("report")) is not None:
             with _reading(report):
                 figures = json.loads(report.read_text(encoding="utf-8"))
-        return cls(subject, S, expressions, figures=figures)
+        rig = cls(subject, S, expressions, figures=figures)
+        return replace(rig, drive=rig._find_drive())
+
+    def _find_drive(self) -> MuscleDrive:
+        """Return the drive of a rig made before it was kept, by its training expressions."""
+        trained = [fit for fit in self.expressions if fit.role == "train"]
+        if not trained:
+            return SixNumbers()
+        size = volumes(self.model.rest, self.model.tets)
+        admissible = AdmissibleSet(ADMISSIBLE, fibre_tensors(self.model, size, self.weights))
+        inside = all(admissible.contains(fit.activations) for fit in trained)
+        return Admissible() if inside else SixNumbers()
 
 
 def find_files(rig: Path) -> dict[str, Path]:

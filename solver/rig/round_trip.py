@@ -77,7 +77,7 @@ def round_trip(
         refit_mean_mm=float(left.mean()),
         refit_max_mm=float(left.max()),
         activation_error=activation_error(
-            pose.a, again.pose.a, options.excited, pose.layout.blocks[0].rest
+            pose.a, again.pose.a, options.excited, pose.layout.drive.rest
         ),
     )
 

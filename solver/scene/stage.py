@@ -15,6 +15,7 @@ from solver.edits.edit import Change, Edited, apply
 from solver.edits.fat_compartments import FAT_MAP
 from solver.errors import InputError
 from solver.fitting.calibration import with_fibres
+from solver.fitting.drives.fibre_contraction import fibre_activations, nearest_fibre
 from solver.fitting.face import Face
 from solver.fitting.strips import strip_names
 from solver.kinds import scene as scenes
@@ -32,7 +33,6 @@ from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.scene.objects import check_objects, objects_of
 from solver.scene.places import Places
-from solver.simulation.fibres import fibre_activations, nearest_fibre
 from solver.simulation.forces import Drive, Force, Gravity, Pull, Wind, lumped_masses
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface

@@ -18,8 +18,8 @@ import numpy as np
 from solver.errors import InputError, SolveError
 from solver.fitting import activation, stretches
 from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
-from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose, PosedFace
+from solver.fitting.joints import JAW_UNITS
 from solver.fitting.least_squares import DampingOptions, Listener
 from solver.fitting.objective import Term
 from solver.fitting.per_tet import tissue as tissues
@@ -351,7 +351,7 @@ def fit(
     """
     tissue = tissues.of_face(face)
     state = start or _with_jaw(face, tissue, data, way)
-    if state.pose.layout is not tissue.face.layout:
+    if state.pose.a.shape != tissue.face.layout.drive.rest.shape:
         raise InputError("start.activations", "the start has not six activations per active tet")
     objective = Objective(tissue, data, options, state.pose.b)
     taken, value, reachable = 0, objective.value(state), np.inf

@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import InputError
+from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face
 from solver.mechanics.flesh import Flesh
 from solver.surface import Floats, Ints
@@ -81,5 +82,5 @@ def of_face(face: Face) -> Tissue:
     places = model.weights.indices[kept] - 1, np.concatenate([[0], ends])
     entries = volumes / volumes.sum(), *places
     fractions = sp.csr_array(entries, shape=(len(active), model.muscle_count))
-    divided = face.with_limits(None).with_flesh(flesh).with_unchecked_weights(selection)
+    divided = face.driven_by(SixNumbers()).with_flesh(flesh).with_unchecked_weights(selection)
     return Tissue(divided, active, fractions, model.fibres[kept])

@@ -18,7 +18,7 @@ from solver.fitting.objective import Regulariser, Term, sparse
 from solver.fitting.per_tet import PER_TET, PerTetOptions, PerTetPriors
 from solver.fitting.per_tet import tissue as tissues
 from solver.fitting.reference.common import IpoptProblem, Reference, finite, solve
-from solver.fitting.sensitivity import PoseRates, TetForces, coordinates
+from solver.fitting.sensitivity import PoseRates, coordinates
 from solver.surface import Floats, Ints
 
 
@@ -53,8 +53,7 @@ class Expression(IpoptProblem):
         self.face = face
         self.flesh = flesh = face.flesh
         self.layout = Layout((Block("x", flesh.rest[flesh.free]), *face.layout.blocks))
-        muscles, jaw = (self.layout.places(block.name) for block in face.layout.blocks)
-        muscles = muscles.reshape(len(muscles), -1)
+        muscles, jaw = self.layout.muscles, self.layout.joint_places
         self._columns = muscles.shape[1], len(jaw)
         self._data, self._priors = data, priors
         self._pose_entries = self._find_touched(face.S if candidates is None else candidates)
@@ -140,7 +139,7 @@ class Expression(IpoptProblem):
         face = self.face if S is None else self.face.with_unchecked_weights(S)
         x, pose = self.place(z), self.pose(z)
         by_x = self.flesh.hessian(x, face.flesh_controls(pose.a)).data
-        by_pose = PoseRates(TetForces(face, pose, x)).columns()
+        by_pose = PoseRates(face, face.tet_forces(pose, x), pose).columns()
         return np.concatenate([by_x, by_pose[self._pose_entries]])
 
     def _motion_at(self, pose: Pose) -> sp.csr_array:

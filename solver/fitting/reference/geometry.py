@@ -20,7 +20,7 @@ from solver.fitting.joint import GeometryProblem
 from solver.fitting.least_squares import Listener
 from solver.fitting.reference.common import IpoptProblem, Solution, solve
 from solver.fitting.reference.expression import Expression
-from solver.fitting.sensitivity import TetForces, WeightRates
+from solver.fitting.sensitivity import WeightRates
 from solver.fitting.simplex import replace_values
 from solver.surface import Floats, Ints
 
@@ -141,4 +141,4 @@ class FullGeometry(IpoptProblem):
         return np.concatenate([*by_part, factor * self._by_weights.data])
 
     def _pull(self, S: sp.csr_array, pose: Pose, x: Floats) -> sp.csc_array:
-        return WeightRates(TetForces(self._face.with_unchecked_weights(S), pose, x)).matrix()
+        return WeightRates(self._face.with_unchecked_weights(S).tet_forces(pose, x)).matrix()

@@ -42,7 +42,7 @@ class ReducedPlaces(MarkerPlaces):
         self._rest = super().corners(model.rest).reshape(-1, 3)
         self._on_jaw = np.repeat([marker.part == "lower_teeth" for marker in markers], 3)
         layout = sliders.rest.layout
-        self._jaw_rates = sliders.directions[layout[layout.blocks[1].name]]
+        self._jaw_rates = sliders.directions[layout.joint_places]
 
     def corners(self, x: Floats) -> Floats:
         """Return the corners (k, 3, 3) of the markers' triangles for slider values x (s,)."""

@@ -21,8 +21,8 @@ from solver.animation.blendshapes import (
 )
 from solver.animation.drives import Gaze, HeadKey, KeyedDrives, PoseKey, RecordedDrives, neck
 from solver.errors import InputError
+from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import LEAST_STRETCH
 from solver.fitting.stretches import matrices
 from solver.mechanics.flesh import IDENTITY
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from solver.animation.drives import neck
 from solver.animation.performance import FittedSequence
 from solver.errors import InputError
-from solver.fitting.objective import LEAST_STRETCH
+from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.stretches import COLUMN, ROW, matrices
 from solver.kinds.scene import SimulateScene
 from solver.mechanics.flesh import IDENTITY

@@ -9,11 +9,13 @@ from scipy.optimize import NonlinearConstraint, minimize
 from solver.errors import InputError, SolveError
 from solver.fitting import activation, fallback, geometry
 from solver.fitting.activation import ActivationOptions
-from solver.fitting.admissible import AdmissibleLimits, AdmissibleSet
-from solver.fitting.controls import Layout, activation_block, jaw_block
+from solver.fitting.controls import Layout
+from solver.fitting.drives.admissible import Admissible, AdmissibleLimits, AdmissibleSet
+from solver.fitting.drives.six_numbers import activation_block
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.interior_point import interior_step
+from solver.fitting.joints import jaw_block
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import determinants, fibre_tensors, matrices
 from solver.mechanics.flesh import IDENTITY
@@ -82,7 +84,7 @@ def test_a_step_is_the_best_within_the_bounds():
     goal = layout.join([wild(2, seed=8), rng.standard_normal(5)])
     q = layout.rest
     gradient = -hessian @ (goal - q)
-    found = interior_step(layout, hessian, gradient, q).change
+    found = interior_step(layout.bounds, hessian, gradient, q).change
 
     def model(step):
         return gradient @ step + 0.5 * step @ hessian @ step
@@ -111,11 +113,11 @@ def test_a_nearly_singular_model_is_minimised_too():
     for condition in (1e3, 1e9):
         hessian = (axes * np.geomspace(1.0, 1.0 / condition, layout.size)) @ axes.T
         hessian += np.diag(np.r_[np.zeros(12), np.ones(5)])
-        step = interior_step(layout, hessian, gradient, layout.rest).change
+        step = interior_step(layout.bounds, hessian, gradient, layout.rest).change
         gains.append(-(gradient @ step + 0.5 * step @ hessian @ step))
     assert gains[1] >= gains[0] > 0.01
     with pytest.raises(SolveError):
-        interior_step(layout, hessian, gradient, np.full(layout.size, np.nan))
+        interior_step(layout.bounds, hessian, gradient, np.full(layout.size, np.nan))
 
 
 @pytest.mark.parametrize("wrong", [{"fibre": 1.0}, {"shortest": 1.2}, {"volume": 0.9}])
@@ -126,7 +128,7 @@ def test_limits_that_exclude_rest_are_refused(wrong):
 
 
 def test_without_fibres_volume_is_kept_and_muscles_may_push():
-    admissible = Face(block_model()).with_limits(LIMITS).layout.admissible
+    admissible = Face(block_model()).driven_by(Admissible(LIMITS)).layout.bounds.feasible
     pushing = np.array([1.2, 0.0, 0.0, 1.2**-0.5, 0.0, 1.2**-0.5])
     swollen = np.array([1.2, 0.0, 0.0, 1.2, 0.0, 1.2])
     assert admissible.contains(np.tile(pushing, (2, 1)))
@@ -161,7 +163,7 @@ def free():
 
 @pytest.fixture(scope="module")
 def face(free):
-    return free.with_limits(LIMITS)
+    return free.driven_by(Admissible(LIMITS))
 
 
 def data_of(face, pose):
@@ -170,7 +172,7 @@ def data_of(face, pose):
 
 
 def test_what_muscles_did_is_found_again(free, face):
-    admissible = face.layout.admissible
+    admissible = face.layout.bounds.feasible
     pose = poses(1)[0]
     pose = Pose(admissible.nearest(pose.a, 0.2), pose.b)
     weak = Regulariser(w_a=1e-9, w_v=0.0, w_b=1e-12, prior=face.rest_pose())
@@ -185,8 +187,8 @@ def test_muscles_that_push_are_fitted_as_well_as_muscles_can(free, face):
     """Judged on its own: no fibre, stretch or volume beyond the limits, S being fitted too."""
     push = np.tile([1.4, 0.0, 0.0, 0.9, 0.0, 0.9], (2, 1))
     data = {"push": data_of(free, Pose(push, np.zeros(5)))}
-    assert not face.layout.admissible.contains(push)
-    fitted = geometry.fit(face, data, GeometryOptions(rounds=4))
+    assert not face.layout.bounds.feasible.contains(push)
+    fitted = geometry.fit(free, data, GeometryOptions(rounds=4, limits=LIMITS))
     a = fitted.states["push"].pose.a
     stretches = np.linalg.eigvalsh(matrices(a))
     tensors = fibre_tensors(free.model, free.flesh.volumes, fitted.S)

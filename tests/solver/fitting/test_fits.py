@@ -5,8 +5,9 @@ import pytest
 
 from solver.anatomy.build import build_subject_model
 from solver.errors import InputError
-from solver.fitting import activation, objective, reference
+from solver.fitting import activation, reference
 from solver.fitting.activation import ActivationOptions
+from solver.fitting.drives.six_numbers import eigenvalue_deficits
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.mechanics.flesh import NEO_HOOKEAN
@@ -91,7 +92,7 @@ def test_regulariser_derivatives_match_finite_differences(face):
         face.rest_pose().a + 0.3 * rng.standard_normal((2, 6)), 0.1 * rng.standard_normal(5)
     )
     pose.a[0] -= [1.2, 0.0, 0.0, 0.0, 0.0, 0.0]
-    deficit, _ = objective.eigenvalue_deficits(pose.a)
+    deficit, _ = eigenvalue_deficits(pose.a)
     assert deficit.max() > 0.1
     regulariser = Regulariser(0.3, 0.7, 0.4, face.rest_pose(), w_e=0.9)
     exact = regulariser.gradient(pose)
@@ -119,11 +120,11 @@ def test_a_face_keeps_its_rest_for_its_own_weights(face):
 def test_points_that_are_missing_have_no_weight():
     points = np.ones((4, 3))
     points[2] = np.nan
-    target = objective.Target.from_points(points)
+    target = Target.from_points(points)
     assert target.weights[2] == 0.0
     assert np.isnan(target.distances(np.zeros((4, 3)))[2])
     assert np.isfinite(target.value(np.zeros((4, 3))))
     with pytest.raises(InputError, match="positive weight"):
-        objective.Target.from_points(np.full((4, 3), np.nan))
+        Target.from_points(np.full((4, 3), np.nan))
     with pytest.raises(InputError, match="point 3 is -1"):
-        objective.Target.from_points(np.zeros((4, 3)), np.array([1.0, 0.0, 2.0, -1.0]))
+        Target.from_points(np.zeros((4, 3)), np.array([1.0, 0.0, 2.0, -1.0]))

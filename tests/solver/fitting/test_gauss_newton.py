@@ -30,11 +30,19 @@ def problem():
     return face, data, regulariser, here, activation.rest_curvature(face)
 
 
+def dense(pose, hessian, gradient):
+    return DenseModel(pose.layout, hessian, gradient, pose.vector()).step(DAMPING, np.inf).change
+
+
 def exact(face, data, regulariser, state):
     hessian = activation.curvature(face, data, state) + regulariser.gauss_newton(state.pose)
     jacobian = Sensitivity(face, state).by_pose()
     gradient = jacobian.adjoint(data.gradient(state.x)) + regulariser.gradient(state.pose)
-    step = DenseModel(state.pose.layout, hessian, gradient).step(DAMPING, np.inf).change
+    step = (
+        DenseModel(state.pose.layout, hessian, gradient, state.pose.vector())
+        .step(DAMPING, np.inf)
+        .change
+    )
     return hessian, gradient, step
 
 
@@ -43,7 +51,7 @@ def test_step_is_that_of_the_exact_matrix(problem):
     hessian, gradient, step = exact(*parts)
     # the matrix it begins with leads elsewhere
     wrong = matrix + parts[2].gauss_newton(parts[3].pose)
-    elsewhere = DenseModel(parts[3].pose.layout, wrong, gradient).step(DAMPING, np.inf).change
+    elsewhere = dense(parts[3].pose, wrong, gradient)
     assert np.abs(elsewhere - step).max() > 0.05 * np.abs(step).max()
     found = GaussNewton(*parts, LearntMatrix.of(matrix), DescentOptions(accuracy=1e-6)).step(
         DAMPING, np.inf
@@ -62,9 +70,8 @@ def test_matrix_learns_what_the_step_needed(problem):
     model.step(DAMPING, np.inf)
     _, gradient, step = exact(*parts)
     known = parts[2].gauss_newton(parts[3].pose)
-    layout = parts[3].pose.layout
     errors = [
-        np.abs(DenseModel(layout, each + known, gradient).step(DAMPING, np.inf).change - step).max()
+        np.abs(dense(parts[3].pose, each + known, gradient) - step).max()
         for each in (matrix, model.learnt.matrix)
     ]
     assert errors[1] < 0.5 * errors[0]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry_information import (
     InformationOptions,
@@ -13,6 +12,7 @@ from solver.fitting.geometry_information import (
     rank,
     step_towards,
 )
+from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.simplex import replace_values
 from solver.mechanics.jaw_tracks import JawTracks
@@ -93,7 +93,7 @@ def test_the_prior_of_a_pose_takes_the_units_of_whatever_jaw_a_face_has(face):
     spread = np.array([0.05, 0.05, 5.0, 5.0, 5.0])
     assert np.allclose(free[face.layout["jaw"]], spread**-2.0)
     tracks = JawTracks(face.model.jaw, 0.6, 60.0, 2.0, 0.3)
-    on_tracks = face.with_jaw(tracks, track_block(tracks))
+    on_tracks = face.with_joint(jaw_on_tracks(tracks))
     assert np.allclose(np.diag(pose_precision(on_tracks))[-3:], [0.05**-2, 5.0**-2, 5.0**-2])
 
 

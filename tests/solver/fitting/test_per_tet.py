@@ -80,7 +80,7 @@ def test_tissue_shares_every_tets_volume(divided):
     assert 0 < len(divided.active) < len(model.tets) < len(flesh.tets)
     assert divided.volumes.sum() == pytest.approx(1.0)
     # at rest, with passive activations, two tissues are as one
-    passive = divided.face.tet_activations(np.tile(IDENTITY, (len(divided.active), 1)))
+    passive = divided.face.flesh_controls(np.tile(IDENTITY, (len(divided.active), 1)))
     x = model.rest + 0.2 * np.sin(model.rest)
     assert flesh.energy(x, passive) == pytest.approx(whole.energy(x, whole.passive()), rel=1e-12)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from solver.fitting import prior
-from solver.fitting.controls import track_block
 from solver.fitting.face import Face
+from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.objective import Regulariser
 from solver.fitting.prior import PartPrior, PriorSum
 from solver.mechanics.jaw_tracks import JawTracks
@@ -54,7 +54,7 @@ def test_large_shapes_are_fitted():
     """Half of a large shape comes of half its change, where the linear response errs by far."""
     face, rest = Face(small_model()), small_capture("neutral").vertices
     shape = small_capture("ah").vertices - rest
-    options = prior.PriorOptions(strength=1.0, floor={"jaw": 0.0}, other_floor=1e-6)
+    options = prior.PriorOptions(strength=1.0)
 
     def left(known):
         values, vectors = np.linalg.eigh(known.covariance)
@@ -78,13 +78,13 @@ def test_the_teeth_of_a_shape_move_a_jaw_on_tracks():
     """Of a shape whose skin goes half as far as its teeth the jaw goes with the teeth."""
     plain = Face(small_model())
     tracks = JawTracks(plain.model.jaw, 0.6, 60.0, 2.0, 0.3)
-    face = plain.with_jaw(tracks, track_block(tracks))
+    face = plain.with_joint(jaw_on_tracks(tracks))
     model, opening = face.model, 0.1
     open_ = replace(face.rest_pose(), b=np.array([opening, 0.0, 0.0]))
     moved = face.whole_skin(face.continuation(face.rest, open_).x, open_.b) - model.skin.vertices
     shape = 0.5 * moved
     shape[model.lower_teeth] = moved[model.lower_teeth]
-    options = prior.PriorOptions(floor={"tracks": 0.0, "activations": 1e-3}, strength=1.0)
+    options = prior.PriorOptions(strength=1.0)
     known = prior.from_shapes(face, shape[None], options)
     angle = face.layout.places("tracks")[0]
     assert np.sqrt(known.variance[angle]) == pytest.approx(opening, rel=0.2)

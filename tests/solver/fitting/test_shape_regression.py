@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from solver.anatomy.warp import spread
-from solver.fitting.controls import track_block
 from solver.fitting.face import Face
+from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.shape_regression import ShapeRegression, outermost_teeth
 from solver.fitting.markers.term import HeadPrior, MarkerPlaces, MarkerTerm
 from solver.mechanics.jaw_tracks import JawTracks
@@ -23,7 +23,7 @@ HEAD = small_motion(np.array([0.05, -0.1, 0.02, 3.0, 1.0, -2.0]))
 
 @pytest.fixture(scope="module")
 def face():
-    return Face(small_model()).with_jaw(TRACKS, track_block(TRACKS))
+    return Face(small_model()).with_joint(jaw_on_tracks(TRACKS))
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import pytest
 
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
-from solver.fitting.controls import track_block
 from solver.fitting.face import Face, Pose
+from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.flesh import IDENTITY
@@ -143,7 +143,7 @@ def test_a_jaw_on_its_tracks_is_fitted_within_them():
     model = block_model()
     tracks = JawTracks(model.jaw, 0.6, 60.0, 2.0, 0.3)
     plain = Face(model)
-    face = plain.with_jaw(tracks, track_block(tracks))
+    face = plain.with_joint(jaw_on_tracks(tracks))
     rest = np.tile(IDENTITY, (model.muscle_count, 1))
     truth = face.continuation(face.rest, Pose(rest, np.array([0.1, 1.5, 0.5]), face.layout))
     prior = Regulariser(w_a=1e-4, w_v=1e-4, w_b=1e-10, prior=face.rest_pose())

@@ -22,7 +22,7 @@ def test_an_old_stiffness_leads_to_the_equilibrium(face, opening):
     settled = face.continuation(rest, pose)
     x = settled.x.copy()
     x[face.flesh.free] += [0.0, 0.4, 0.8] * np.sin(0.2 * x[face.flesh.free])
-    a = face.tet_activations(pose.a)
+    a = face.flesh_controls(pose.a)
     found = correct(face.flesh, face.linear, x, a, rest.equilibrium.factor)
     assert np.abs(x - settled.x).max() > 0.5
     assert np.abs(found.x - settled.x).max() < CorrectorOptions.close_mm

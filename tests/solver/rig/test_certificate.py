@@ -62,7 +62,7 @@ def volumes(face: Face, x: np.ndarray) -> np.ndarray:
 
 
 def test_flesh_at_rest_in_its_equilibrium(face: Face, state: PosedFace) -> None:
-    a = face.tet_activations(state.pose.a)
+    a = face.flesh_controls(state.pose.a)
     found = check_flesh(face, a, state.x, face.linear)
     ratio = volumes(face, state.x) / volumes(face, face.model.rest)
     assert found.residual <= 1e-7
@@ -76,7 +76,7 @@ def test_flesh_at_rest_in_its_equilibrium(face: Face, state: PosedFace) -> None:
 
 
 def test_flesh_out_of_its_equilibrium(face: Face, state: PosedFace) -> None:
-    a = face.tet_activations(state.pose.a)
+    a = face.flesh_controls(state.pose.a)
     moved = state.x.copy()
     moved[face.flesh.free[0]] += [0.5, 0.0, 0.0]
     assert check_flesh(face, a, moved, face.linear).residual > 1e-3

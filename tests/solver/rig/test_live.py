@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from solver.fitting.controls import pose_layout
-from solver.fitting.face import Face, Pose
+from solver.fitting.face import Face, Pose, usual_layout
 from solver.fitting.markers.term import MarkerPlaces
 from solver.rig.preview import PreviewOptions, make_live_preview
 from solver.rig.preview.live import LiveTracker, ReducedPlaces
@@ -25,7 +24,7 @@ def preview():
     neutral = small_capture("neutral").vertices
     basis = np.stack([small_capture(name).vertices - neutral for name in NAMES])
     quadratic = 0.1 * np.random.default_rng(1).standard_normal((3, 6))
-    layout = pose_layout(model.muscle_count)
+    layout = usual_layout(model.muscle_count)
     directions = np.zeros((layout.size, 3))
     directions[layout["jaw"], 2] = [0.2, 0.0, 0.0, 2.0, 0.0]
     controls = tuple(Control(name, "expression", name) for name in NAMES)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from solver.fitting.admissible import ADMISSIBLE
 
 from solver.anatomy.action_units import actions_of
-from solver.fitting.admissible import ADMISSIBLE
 from solver.fitting.contraction import STILL
 from solver.rig.prime_movers import Movers, movers, ranked
 

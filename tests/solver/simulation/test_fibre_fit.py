@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
-from solver.fitting.face import Face, Pose
-from solver.fitting.sensitivity import Sensitivity
-from solver.mechanics import equilibrium
-from solver.simulation.fibres import (
+from solver.fitting.drives.fibre_contraction import (
     ContractionLimits,
+    FibreContraction,
     activation_rates,
-    contracting,
-    driven_by_fibres,
     fibre_activations,
     fit_contractions,
 )
+from solver.fitting.face import Face, Pose
+from solver.fitting.sensitivity import Sensitivity
+from solver.mechanics import equilibrium
 from tests.solver.simulation.test_fibres import fibred_block
 
 GAMMA, JAW = np.array([0.75, 1.15]), np.array([0.05, 0.0, 0.0, 0.0, 0.0])
@@ -46,28 +45,8 @@ def test_rates_are_those_of_the_activations(face):
         assert np.abs(rates).max() > 0.1
 
 
-def test_contractions_drive_the_flesh_as_their_activations_do(face):
-    """The term's energy, forces and Hessian are those of the law with fibre_activations."""
-    flesh = driven_by_fibres(face)
-    rng = np.random.default_rng(9)
-    x = face.model.rest + 0.3 * rng.standard_normal(face.model.rest.shape)
-    A = fibre_activations(face.model, face.S, GAMMA)
-    assert flesh.energy(x, GAMMA) == face.flesh.energy(x, A) > 1.0
-    np.testing.assert_array_equal(flesh.gradient(x, GAMMA), face.flesh.gradient(x, A))
-    mine, theirs = flesh.hessian(x, GAMMA, project=0.4), face.flesh.hessian(x, A, project=0.4)
-    np.testing.assert_array_equal(mine.data, theirs.data)
-    exact, step = flesh.forces_by_control(x, GAMMA).toarray(), 1e-6
-    for muscle in (0, 1):
-        change = step * np.eye(2)[muscle]
-        ends = [flesh.gradient(x, GAMMA + sign * change) for sign in (1, -1)]
-        expected = (ends[0] - ends[1]) / (2 * step)
-        assert np.abs(expected).max() > 1.0
-        np.testing.assert_allclose(exact[:, muscle], expected, atol=1e-6 * np.abs(expected).max())
-    np.testing.assert_array_equal(flesh.passive(), [1.0, 1.0])
-
-
 def test_the_jacobian_is_that_of_the_equilibrium(face):
-    driven = contracting(face)
+    driven = face.driven_by(FibreContraction(face.model))
     theta = np.concatenate([GAMMA, JAW])
     state = driven.continuation(driven.rest, Pose.of(driven.layout, theta))
     motions = Sensitivity(driven, state).by_pose()

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
+from solver.fitting.drives.fibre_contraction import (
+    ContractionLimits,
+    fibre_activations,
+    nearest_fibre,
+)
 from solver.mechanics.flesh import IDENTITY
-from solver.simulation.fibres import ContractionLimits, fibre_activations, nearest_fibre
 from tests.solver.block import block_model
 
 

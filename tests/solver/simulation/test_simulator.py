@@ -39,7 +39,7 @@ def energy(face, motion):
 
 
 def drive(face, pose, time=0.0, head=IDENTITY, objects=()):
-    A = face.tet_activations(pose.a)
+    A = face.flesh_controls(pose.a)
     return Drive(time, A, pose.b, head, objects)
 
 

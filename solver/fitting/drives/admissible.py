@@ -23,10 +23,22 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
 from solver.errors import InputError
-from solver.fitting.stretches import COLUMN, FROBENIUS, ROW, matrices, metric, with_stretches
-from solver.mechanics.flesh import IDENTITY
+from solver.fitting.controls import Block
+from solver.fitting.drives.six_numbers import SixNumbers, activation_block
+from solver.fitting.stretches import (
+    COLUMN,
+    FROBENIUS,
+    ROW,
+    fibre_tensors,
+    matrices,
+    metric,
+    with_stretches,
+)
+from solver.mechanics.flesh import IDENTITY, Flesh
+from solver.model import SubjectModel
 from solver.surface import Floats
 
 
@@ -218,3 +230,18 @@ class AdmissibleSet:
 
 def _outer(vectors: Floats) -> Floats:
     return np.asarray(vectors[:, :, None] * vectors[:, None, :])
+
+
+@dataclass(frozen=True)
+class Admissible(SixNumbers):
+    """Six numbers a muscle within ``limits``, along the fibres that the face's S gives it.
+
+    In models without fibres nothing keeps muscles from pushing.
+    """
+
+    limits: AdmissibleLimits = ADMISSIBLE
+
+    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
+        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+        tensors = fibre_tensors(model, flesh.volumes, S)
+        return activation_block(len(tensors), AdmissibleSet(self.limits, tensors))

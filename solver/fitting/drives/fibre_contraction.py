@@ -1,6 +1,6 @@
-"""Muscles of one degree of freedom: contraction along the fibres, as most models of faces have it.
+"""Contraction along the fibres, one number a muscle, as most models of faces have it.
 
-The model that Phace (2017) compares its six degrees of freedom with. A muscle j that contracts by
+The drive that Phace (2017) compares its six degrees of freedom with. A muscle j that contracts by
 gamma_j turns its part of a tet, with fibres along f, into
 
     S_j = gamma_j f f^T + gamma_j^(-1/2) (I - f f^T),
@@ -23,10 +23,10 @@ from solver.fitting.controls import Block
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import FROBENIUS, entries
+from solver.fitting.tet_forces import MatrixRates, MuscleRates, TetForces
 from solver.mechanics.flesh import IDENTITY, Flesh
-from solver.mechanics.terms import ElasticTerm
 from solver.model import SubjectModel
-from solver.surface import Floats, Ints
+from solver.surface import Floats
 
 
 @dataclass(frozen=True)
@@ -61,41 +61,6 @@ def activation_rates(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> sp.
     return sp.csr_array((rates.ravel(), places), shape=(6 * S.shape[0], len(gamma)))
 
 
-class _FibreContractions:
-    """The law of the tets, an ``EnergyTerm``, by contractions gamma (m,)."""
-
-    def __init__(self, elastic: ElasticTerm, model: SubjectModel, S: sp.csr_array) -> None:
-        self._elastic, self._model, self._S = elastic, model, S
-
-    @property
-    def vertices(self) -> Ints:
-        return self._elastic.vertices
-
-    def energy(self, x: Floats, controls: Floats) -> float:
-        return self._elastic.energy(x, self._activations(controls))
-
-    def forces(self, x: Floats, controls: Floats) -> Floats:
-        return self._elastic.forces(x, self._activations(controls))
-
-    def blocks(
-        self, x: Floats, controls: Floats, *, project: float = 0.0, some: Ints | None = None
-    ) -> Floats:
-        return self._elastic.blocks(x, self._activations(controls), project=project, some=some)
-
-    def forces_by_control(self, x: Floats, controls: Floats) -> sp.csc_array:
-        by_activation = self._elastic.forces_by_control(x, self._activations(controls))
-        return sp.csc_array(by_activation @ activation_rates(self._model, self._S, controls))
-
-    def _activations(self, gamma: Floats) -> Floats:
-        return fibre_activations(self._model, self._S, gamma)
-
-
-def driven_by_fibres(face: Face) -> Flesh:
-    """Return a face's flesh with contractions (m,) of its muscles for controls."""
-    term = _FibreContractions(face.flesh.elastic, face.model, face.S)
-    return face.flesh.driven_by(term, np.ones(face.model.muscle_count))
-
-
 def nearest_fibre(
     model: SubjectModel,
     S: sp.csr_array,
@@ -124,11 +89,31 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
     return entries(model.fibres)
 
 
-def contracting(face: Face, options: ContractionLimits = ContractionLimits()) -> Face:
-    """Return a face whose muscles are driven by contractions (m,) within the limits."""
-    relaxed = np.ones(face.model.muscle_count)
-    block = Block("contractions", relaxed, lower=options.least, upper=options.most)
-    return face.driven_by(driven_by_fibres(face), block)
+@dataclass(frozen=True)
+class FibreContraction:
+    """Contractions (m,) of a model's muscles within limits; 1 is relaxed."""
+
+    model: SubjectModel
+    limits: ContractionLimits = ContractionLimits()
+
+    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:  # noqa: ARG002
+        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+        relaxed, limits = np.ones(S.shape[1] - 1), self.limits
+        return Block("contractions", relaxed, lower=limits.least, upper=limits.most, role="muscles")
+
+    def attach(self, flesh: Flesh) -> Flesh:
+        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+        return flesh
+
+    def controls(self, S: sp.csr_array, a: Floats) -> Floats:
+        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+        return fibre_activations(self.model, S, a)
+
+    def rates(self, forces: TetForces) -> MuscleRates:
+        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+        by_activation = forces.flesh.forces_by_control(forces.x, forces.controls)
+        rates = activation_rates(self.model, forces.S, forces.a)
+        return MatrixRates(sp.csr_array(by_activation @ rates))
 
 
 def fit_contractions(
@@ -138,7 +123,7 @@ def fit_contractions(
 
     Raises as :func:`fibre_activations`.
     """
-    driven = contracting(face, options)
+    driven = face.driven_by(FibreContraction(face.model, options))
     prior = Regulariser(w_a=options.w_rest, w_v=0.0, w_b=1e-6, prior=driven.rest_pose())
     data = SkinDistance(driven, Target.from_points(target))
     return activation.fit(driven, data, prior, options=UNSEEN_STOP)

@@ -1,0 +1,34 @@
+"""Muscle drives: what the numbers of the muscles are, and what they do to the flesh.
+
+A drive is one module with one class. :mod:`.six_numbers` is the published one, six numbers a muscle
+that S blends; :mod:`.admissible` keeps these to what muscles can make; :mod:`.fibre_muscles` has
+muscles that pull along their fibres. ``docs/develop/add-a-control.md`` adds one.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import scipy.sparse as sp
+
+from solver.fitting.controls import Block
+from solver.fitting.tet_forces import MuscleRates, TetForces
+from solver.mechanics.flesh import Flesh
+from solver.model import SubjectModel
+from solver.surface import Floats
+
+
+class MuscleDrive(Protocol):
+    """A kind of control of the muscles; it holds no state of a fit."""
+
+    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
+        """Return the block of its values: rest, bounds, units, and the price of shapes."""
+
+    def attach(self, flesh: Flesh) -> Flesh:
+        """Return a flesh that is driven by :meth:`controls`, from one driven by activations."""
+
+    def controls(self, S: sp.csr_array, a: Floats) -> Floats:
+        """Return what drives the flesh for values ``a``, in the shape of the block's rest."""
+
+    def rates(self, forces: TetForces) -> MuscleRates:
+        """Return the forces' derivative by the values."""

@@ -1,0 +1,115 @@
+"""Steps of a fit's quadratic model: free, within a box, or in the interior of a set.
+
+    min_s  g . s + s . H s / 2    with q + s within the bounds
+
+H is small, dense and positive definite. One matrix serves many g: a model gives the ``best`` step
+for any of them, and ``follow``, how that step changes with g, what holds it at a bound holding on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.linalg
+
+from solver.errors import SolveError
+from solver.fitting.interior_point import Bounds, interior_step
+from solver.fitting.least_squares import bounded_step
+from solver.surface import Floats
+
+
+class StepModel(Protocol):
+    """The quadratic models of one matrix H (size, size) from one q (size,)."""
+
+    def best(self, gradient: Floats) -> Floats:
+        """Return the feasible s (size,) that minimises the model of a ``gradient`` (size,).
+
+        Raises :class:`SolveError` (``solve.not_finite``) where H is not positive definite.
+        """
+
+    def follow(self, change: Floats) -> Floats:
+        """Return B^-1 r (size,): minus what the best step changes by for r more in the gradient."""
+
+
+def step_model(
+    bounds: Bounds, hessian: Floats, gradient: Floats, q: Floats, longest: Floats
+) -> StepModel:
+    """Return the steps from q within ``bounds``, those in a box no longer than ``longest`` (size,).
+
+    ``gradient`` is that which :meth:`StepModel.follow` linearises the best step about.
+    """
+    if bounds.feasible is not None:
+        return _InteriorSteps(bounds, hessian, gradient, q)
+    if bounds.is_box:
+        limits = np.maximum(bounds.lower - q, -longest), np.minimum(bounds.upper - q, longest)
+        return _BoxSteps(hessian, gradient, limits)
+    return _FreeSteps(hessian)
+
+
+@dataclass(frozen=True)
+class _FreeSteps:
+    hessian: Floats
+
+    def best(self, gradient: Floats) -> Floats:
+        return -self.follow(gradient)
+
+    def follow(self, change: Floats) -> Floats:
+        return np.asarray(scipy.linalg.cho_solve(self._factor, change))
+
+    @cached_property
+    def _factor(self) -> Any:
+        return _factorise(self.hessian)
+
+
+@dataclass(frozen=True)
+class _BoxSteps:
+    hessian: Floats
+    gradient: Floats
+    limits: tuple[Floats, Floats]
+
+    def best(self, gradient: Floats) -> Floats:
+        return bounded_step(self.hessian, gradient, self.limits)
+
+    def follow(self, change: Floats) -> Floats:
+        # at a bound that the step would leave, it stays
+        open_, factor = self._open
+        out = np.zeros_like(change)
+        out[open_] = scipy.linalg.cho_solve(factor, change[open_])
+        return out
+
+    @cached_property
+    def _open(self) -> tuple[np.ndarray, Any]:
+        lower, upper = self.limits
+        ahead = self.best(self.gradient)
+        held = ((ahead == lower) | (ahead == upper)) & (ahead == 0.0)
+        open_ = np.flatnonzero(~held)
+        return open_, _factorise(self.hessian[np.ix_(open_, open_)])
+
+
+@dataclass(frozen=True)
+class _InteriorSteps:
+    bounds: Bounds
+    hessian: Floats
+    gradient: Floats
+    q: Floats
+
+    def best(self, gradient: Floats) -> Floats:
+        return interior_step(self.bounds, self.hessian, gradient, self.q).change
+
+    def follow(self, change: Floats) -> Floats:
+        return np.asarray(scipy.linalg.cho_solve(self._factor, change))
+
+    @cached_property
+    def _factor(self) -> Any:
+        ahead = interior_step(self.bounds, self.hessian, self.gradient, self.q)
+        return _factorise(self.hessian + ahead.curvature)
+
+
+def _factorise(matrix: Floats) -> Any:
+    try:
+        return scipy.linalg.cho_factor(matrix)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
