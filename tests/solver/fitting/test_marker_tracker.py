@@ -347,7 +347,7 @@ def test_a_muscle_that_only_goes_along_in_expressions_is_not_determined(face, ma
     hidden, seen = int(loose.argmin()), int(loose.argmax())
     change = np.zeros(face.layout.size)
     change[face.layout.muscles[[hidden, seen]]] = 0.5
-    tied = prior.from_changes(face.layout, [change], prior.PriorOptions(other_floor=0.05))
+    tied = prior.from_changes(face.layout, [change])
     found = reach(face, markers, tied)
     assert found.by_expressions[hidden] > 0.5 > found.information[hidden]
     assert found.following_muscles >= 1

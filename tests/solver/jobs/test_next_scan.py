@@ -51,7 +51,7 @@ def test_the_muscle_whose_s_is_wrong_is_proposed(
     shapes = basis(fits, names)
     shapes.expressions[0] *= 0.3  # a smile of the right side above all
     template = SimpleNamespace(shapes=shapes)
-    monkeypatch.setattr(next_scan, "builtin_template", lambda: template)
+    monkeypatch.setattr(next_scan, "read_template", lambda _: template)
     Rig(MODEL, MODEL.weights, (fits["Left"],)).save(tmp_path / "rig.npz")
     steps: list[Step] = []
     options = {"count": 2}
