@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from solver.fitting.admissible import ADMISSIBLE
 
 from solver.anatomy.action_units import actions_of
 from solver.fitting.contraction import STILL
+from solver.fitting.drives.admissible import ADMISSIBLE
 from solver.rig.prime_movers import Movers, movers, ranked
 
 
