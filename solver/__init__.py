@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from solver.fitting.activation import ActivationOptions as ActivationOptions
     from solver.fitting.activation import unseen_regulariser as unseen_regulariser
     from solver.fitting.contact import terms as expression_terms  # noqa: F401
+    from solver.fitting.drives.admissible import Admissible as Admissible
     from solver.fitting.drives.admissible import AdmissibleLimits as AdmissibleLimits
     from solver.fitting.face import Face as Face
     from solver.fitting.face import Pose as Pose
@@ -37,6 +38,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 _PLACES = {
     "ActivationOptions": "solver.fitting.activation:ActivationOptions",
+    "Admissible": "solver.fitting.drives.admissible:Admissible",
     "AdmissibleLimits": "solver.fitting.drives.admissible:AdmissibleLimits",
     "Face": "solver.fitting.face:Face",
     "Material": "solver.mechanics.flesh:Material",
