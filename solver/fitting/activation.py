@@ -20,7 +20,6 @@ from dataclasses import dataclass, field, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import scipy.linalg
 
 from solver.errors import SolveError
 from solver.fitting.controls import Layout
@@ -36,6 +35,7 @@ from solver.fitting.least_squares import (
 )
 from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, Term
 from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.steps import solve_positive
 from solver.surface import Floats
 
 
@@ -265,7 +265,7 @@ class GaussNewton:
         step, curved = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
         for _ in range(self._options.products):
             residual = -(self._gradient + curved)
-            direction = _solve_positive(self.learnt.matrix + known, residual)
+            direction = solve_positive(self.learnt.matrix + known, residual)
             square = direction @ residual
             if square <= self._options.accuracy**2 * step @ curved:
                 break
@@ -361,10 +361,3 @@ class DenseModel:
         slope, quadratic = float(self.gradient @ step), float(step @ self.hessian @ step)
         response = np.zeros(0) if self.motion is None else self.motion @ step
         return LeastSquaresStep(step, slope, quadratic, self.layout.reach(step), response)
-
-
-def _solve_positive(matrix: Floats, right: Floats) -> Floats:
-    try:
-        return np.asarray(scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right))
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error

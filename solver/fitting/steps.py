@@ -57,7 +57,7 @@ class _FreeSteps:
         return -self.follow(gradient)
 
     def follow(self, change: Floats) -> Floats:
-        return np.asarray(scipy.linalg.cho_solve(self._factor, change))
+        return _solve(self._factor, change)
 
     @cached_property
     def _factor(self) -> Any:
@@ -77,7 +77,7 @@ class _BoxSteps:
         # at a bound that the step would leave, it stays
         open_, factor = self._open
         out = np.zeros_like(change)
-        out[open_] = scipy.linalg.cho_solve(factor, change[open_])
+        out[open_] = _solve(factor, change[open_])
         return out
 
     @cached_property
@@ -100,7 +100,7 @@ class _InteriorSteps:
         return interior_step(self.bounds, self.hessian, gradient, self.q).change
 
     def follow(self, change: Floats) -> Floats:
-        return np.asarray(scipy.linalg.cho_solve(self._factor, change))
+        return _solve(self._factor, change)
 
     @cached_property
     def _factor(self) -> Any:
@@ -113,3 +113,18 @@ def _factorise(matrix: Floats) -> Any:
         return scipy.linalg.cho_factor(matrix)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
+
+
+def _solve(factor: Any, right: Floats) -> Floats:
+    try:
+        return np.asarray(scipy.linalg.cho_solve(factor, right))
+    except ValueError as error:
+        raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
+
+
+def solve_positive(matrix: Floats, right: Floats) -> Floats:
+    """Return the solution (size,) of a positive definite system.
+
+    Raises :class:`SolveError` (``solve.not_finite``) where there is none.
+    """
+    return _solve(_factorise(matrix), right)

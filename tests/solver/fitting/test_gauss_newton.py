@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.activation import (
     ActivationOptions,
@@ -101,3 +102,14 @@ def test_few_points_are_fitted_from_rest(expression, draw):
     options = ActivationOptions(max_iterations=25, tolerance=1e-3)
     fit = activation.fit(face, data, prior, options=options, matrix=matrix)
     assert fit.objective < 0.3 * activation.objective(data, prior, face.rest)
+
+
+def test_a_model_that_is_not_finite_has_no_step(problem):
+    face, *_ = problem
+    pose, size = face.rest_pose(), face.layout.size
+    for hessian, gradient in (
+        (np.eye(size), np.full(size, np.nan)),
+        (np.full((size, size), np.nan), np.ones(size)),
+    ):
+        with pytest.raises(SolveError):
+            dense(pose, hessian, gradient)
