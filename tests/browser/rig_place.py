@@ -131,9 +131,9 @@ def drawing_browser() -> Iterator[Any]:
             browser.close()
 
 
-def until(condition: Callable[[], bool]) -> None:
-    """Wait until ``condition`` holds; fails after :data:`SECONDS`."""
-    deadline = time.monotonic() + SECONDS
+def until(condition: Callable[[], bool], seconds: float = SECONDS) -> None:
+    """Wait until ``condition`` holds; fails after ``seconds``."""
+    deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)
