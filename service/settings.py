@@ -156,6 +156,9 @@ class Settings(BaseSettings):
     short_workers: int = Field(default=1, ge=1)
     long_workers: int = Field(default=1, ge=1)
     solver_threads: int = Field(default=os.cpu_count() or 1, ge=1)
+    solver_niceness: int = Field(
+        default=10, ge=0, le=19, description="solver processes give way to others; 0: they do not"
+    )
     solver_memory_mb: int = Field(default=8192, gt=0)
     solver_confined: bool = Field(
         default=True, description="solver processes can reach nothing but their own folder (Linux)"

@@ -14,6 +14,8 @@ from typing import Any, NoReturn
 # Beside other workers, threads of BLAS only wait for each other; numpy reads this once.
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+# A solver that gives way to the tests beside it would wait for their end.
+os.environ.setdefault("MYOFACE_SOLVER_NICENESS", "0")
 
 import pytest
 from xdist.scheduler import LoadScopeScheduling

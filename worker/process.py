@@ -56,9 +56,10 @@ class _Interpreter:
         self, words: Sequence[str], settings: Settings, environment: dict[str, str], **how: Any
     ) -> None:
         reading, writing = os.pipe()
+        niceness = str(settings.solver_niceness)
         try:
             self.process: subprocess.Popen[bytes] = subprocess.Popen(
-                [sys.executable, "-P", "-m", "worker.solve", *words, str(writing)],
+                [sys.executable, "-P", "-m", "worker.solve", *words, niceness, str(writing)],
                 env=allowed_environment(settings.solver_variables)
                 | _thread_counts(settings.solver_threads)
                 | environment,

@@ -1,14 +1,13 @@
-"""``python -m worker.solve <attempt folder> <pipe>``: the solver process.
+"""``python -m worker.solve <attempt folder> <niceness> <pipe>``: the solver process.
 
 Reads ``job.json``, calls the kind's module of `solver.jobs` and writes ``result.json`` or
 ``error.json``; progress goes as JSON lines to a pipe, the log to standard error. It knows no
 database and no queue, so whatever happens to it costs an attempt at most.
 
-``python -m worker.solve --standby <parent> <pipe>`` loads code that most of a job's start goes
-into, says a line on the pipe when it is ready, and is told the folder of its one job on standard
-input. What it loads knows no job, has no
-kernels (they are looked for in the attempt's folder) and starts no threads (they would not be
-confined).
+``python -m worker.solve --standby <parent> <niceness> <pipe>`` loads code that most of a job's
+start goes into, says a line on the pipe when it is ready, and is told the folder of its one job on
+standard input. What it loads knows no job, has no kernels (they are looked for in the attempt's
+folder) and starts no threads (they would not be confined).
 """
 
 from __future__ import annotations
@@ -39,8 +38,6 @@ from worker.errors import NO_ROOM, is_full
 if TYPE_CHECKING:
     from solver.progress import Progress, Step
 
-# A fit takes the time that the API and the supervisors leave
-NICENESS = 10
 RESULT, FAILURE = "result.json", "error.json"
 STANDBY = "--standby"
 # What a check loads and needs no job for; none of these has kernels
@@ -113,15 +110,15 @@ def _confine(folder: Path, jobs: str, reads: list[str]) -> None:
         log.warning("solver.not_confined", missing=missing)
 
 
-def _step_back() -> None:
-    """Take the time that others leave.
+def _step_back(niceness: int) -> None:
+    """Take the time that the API, the supervisors and others leave.
 
     Where Linux weighs sessions against each other, a process's own niceness counts only within its
     session, and this one is alone in its.
     """
-    os.nice(NICENESS)
+    os.nice(niceness)
     with suppress(OSError):
-        Path("/proc/self/autogroup").write_text(str(NICENESS))
+        Path("/proc/self/autogroup").write_text(str(niceness))
 
 
 def _describe_error(error: Exception, memory_bytes: int) -> dict[str, Any]:
@@ -225,9 +222,9 @@ def _plain(value: Any, words: Callable[[str], str] = str) -> Any:
 
 def start(words: Sequence[str]) -> int:
     """Do the job of a command line, now or when it comes; returns the exit code."""
-    *place, pipe = words
+    *place, niceness, pipe = words
     progress_fd = int(pipe)
-    _step_back()
+    _step_back(int(niceness))
     folder = stand_by(int(place[1]), progress_fd) if place[0] == STANDBY else Path(place[0])
     return 0 if folder is None else main(folder, progress_fd)
 

@@ -36,6 +36,7 @@ class FaceOptions:
     second: float = 0.4  # of the first face's markers make another face ...
     least_second: int = 6  # ... if they are so many
     off_skin: float = LocateOptions.off_skin  # a marker counts for no more, of likeness to a person
+    least_on: float = 0.5  # of a face's markers are on the skin, or it is none
     resembles: float = 0.5  # of it: a pose that is so much more like the person is the rest
     rest: RestOptions = REST
 
@@ -213,13 +214,16 @@ def locate_take(
     if neutral:
         return _locate_at(face, skin, faults, neutral, options)
     rests = likely_rests(faults, face.names, face.rate, options.rest)
-    tried = rests if compared else rests[:1]
-    found = [_locate_at(face, skin, faults, each.rows, options) for each in tried]
+    found = [_locate_at(face, skin, faults, rests[0].rows, options)]
+    # markers that are no face at rest are none in other poses either: they take long to look for
+    if compared and not _lies_elsewhere(found[0].pose, options):
+        found += [_locate_at(face, skin, faults, each.rows, options) for each in rests[1:]]
+    tried = rests[: len(found)]
     unlike = [_unlikeness(each.pose, options) for each in found]
     costs = [each.second.unrest + miss for each, miss in zip(tried, unlike, strict=True)]
     best = int(np.argmin(costs))
     others = rivals(rests[best], rests, options.rest)
-    if compared:
+    if len(found) == len(rests):
         much = unlike[best] + options.resembles
         others = [each for each in others if unlike[rests.index(each)] < much]
     return replace(found[best], rest=rests[best], rival=others[0] if others else None)
@@ -241,6 +245,14 @@ def _unlikeness(pose: Located | None, options: FaceOptions) -> float:
     if pose is None or not np.isfinite(pose.off_skin).any():
         return np.inf
     return float(np.nanmean(np.minimum(np.abs(pose.off_skin), options.off_skin)))
+
+
+def _lies_elsewhere(pose: Located | None, options: FaceOptions) -> bool:
+    """Return whether so few of the markers that are seen are on the skin that they are no face."""
+    if pose is None:
+        return False
+    off = pose.off_skin[np.isfinite(pose.off_skin)]
+    return bool((np.abs(off) <= options.off_skin).sum() < options.least_on * len(off))
 
 
 def frames_about(
