@@ -24,9 +24,10 @@ export function resultPanel(job, signal) {
   const isPlaced = job.kind === "check_markers" && job.rig_id && artifacts.some(({ name }) => name === "markers.json");
   const films = artifacts.filter(({ media_type: type }) => type.startsWith("video/"));
   const pictures = artifacts.filter(({ media_type: type }) => type === "image/png");
-  const figures = Object.entries(summary?.figures ?? summary ?? {}).filter(
-    ([, value]) => typeof value === "number" || typeof value === "string",
-  );
+  const figures = [
+    ...Object.entries(summary?.figures ?? summary ?? {}),
+    ...Object.entries(summary?.all_markers ?? {}).map(([name, value]) => [`all markers, ${name}`, value]),
+  ].filter(([, value]) => typeof value === "number" || typeof value === "string");
   const content = [
     summary?.verdict && h("p", { class: "verdict" }, rigId ? verdictOf(summary) : verdictState(summary.verdict, job.kind)),
     summary?.findings && findingList(summary.findings),
