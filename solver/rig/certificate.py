@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from solver.anatomy.action_units import actions_of
+from solver.anatomy.physiology import JAW_RANGES, SHORTEST, THICKEST
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError
@@ -33,18 +34,12 @@ from solver.surface import Floats, Ints
 # Muscles and jaw of a fit against those of a living face.
 
 
-MUSCLE_SOURCE = (
-    "A muscle makes force down to half its best length (Zajac 1989), and one that halves its "
-    "length thickens to twice its size at most, as it keeps its volume."
-)
-
-
 @dataclass(frozen=True)
 class MuscleLimits:
-    """Limits of a muscle's activation; see :data:`MUSCLE_SOURCE`."""
+    """Limits of a muscle's activation, wider than those by which fits are bounded."""
 
-    shortest: float = 0.5  # stretch in any direction
-    longest: float = 2.0
+    shortest: float = SHORTEST  # stretch in any direction
+    longest: float = THICKEST
     longest_fibre: float = 1.1  # a muscle pulls: one whose fibres lengthen by more pushes
     volumes: tuple[float, float] = (0.7, 1.3)  # by that at rest; water does not go
     least_flesh_mm3: float = 10.0  # with less of S a muscle moves nothing, and is not judged
@@ -114,22 +109,6 @@ def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) ->
     flesh = np.asarray(np.bincount(S.indices, of_entries, len(a) + 1)[1:], np.float64)
     return Muscles(shortest, longest, determinants(a), fibres, flesh)
 
-
-# from rest, in degrees and mm; see JAW_SOURCE
-JAW_RANGES = {
-    "opening_deg": (-6.0, 51.0),
-    "opening_mm": (-4.0, 67.0),
-    "sideways_mm": (-18.0, 18.0),
-    "condyles_forward_mm": (-2.0, 28.0),
-    "condyles_down_mm": (-2.0, 15.0),
-}
-
-JAW_SOURCE = (
-    "Mean and two standard deviations of adults: opening between the incisors 49.3 (9.1) mm and "
-    "to the side 11.8 (3.1) mm (500 patients in Basel, Swiss Dental Journal), rotation 39.1 (5.9)° "
-    "and path of the condyles 20.5 (4.0) mm (60 healthy students, Muto and Kanazawa 1996). Teeth, "
-    "2 to 4 mm apart at rest, and sockets allow little the other way."
-)
 
 JAW_WORDS = {
     "opening_deg": ("closes by {:.0f}°", "opens by {:.0f}°"),

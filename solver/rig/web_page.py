@@ -13,9 +13,9 @@ from typing import Any
 
 from PIL import Image
 
+from solver.anatomy.physiology import JAW_RANGES, JAW_SOURCE, MUSCLE_SOURCE
 from solver.drawing.head import both_sides
 from solver.fitting.contraction import STILL
-from solver.rig.certificate import JAW_RANGES, JAW_SOURCE, MUSCLE_SOURCE
 from solver.rig.checks import overall
 from solver.rig.report import expression_words, figure, millimetres, mover_notes, mover_words
 from solver.rig.rig import ROLES

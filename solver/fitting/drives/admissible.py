@@ -25,6 +25,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
+from solver.anatomy.physiology import SHORTEST
 from solver.errors import InputError
 from solver.fitting.controls import Block
 from solver.fitting.drives.six_numbers import SixNumbers, activation_block
@@ -52,7 +53,7 @@ class AdmissibleLimits:
     """
 
     fibre: float = 1.05  # mean stretch along the fibres
-    shortest: float = 0.5  # stretch in any direction
+    shortest: float = SHORTEST  # stretch in any direction
     longest: float = 1.5
     volume: float = 1.1  # by that at rest, and its inverse
 

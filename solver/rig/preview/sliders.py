@@ -40,7 +40,7 @@ class SliderOptions:
     """Ends of the sliders."""
 
     # length to which a slider at 1 shortens a muscle's fibres: well within what muscles can (half:
-    # solver.rig.certificate.MUSCLE_SOURCE), and on the straight line from rest to there the
+    # solver.anatomy.physiology), and on the straight line from rest to there the
     # muscle's volume is never off by more than 5 %
     full_stretch: float = 0.6
     margin: float = 1.25  # the jaw's sliders go so many times as far as the fitted expressions ...

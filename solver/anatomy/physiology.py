@@ -1,0 +1,27 @@
+"""Ranges of living muscles and jaws, with their sources; each room scales them."""
+
+from __future__ import annotations
+
+# Stretches of a muscle, by its best length: the shortest, and in one direction the thickest.
+SHORTEST, THICKEST = 0.5, 2.0
+
+MUSCLE_SOURCE = (
+    "A muscle makes force down to half its best length (Zajac 1989), and one that halves its "
+    "length thickens to twice its size at most, as it keeps its volume."
+)
+
+# From rest, in degrees and mm.
+JAW_RANGES = {
+    "opening_deg": (-6.0, 51.0),
+    "opening_mm": (-4.0, 67.0),
+    "sideways_mm": (-18.0, 18.0),
+    "condyles_forward_mm": (-2.0, 28.0),
+    "condyles_down_mm": (-2.0, 15.0),
+}
+
+JAW_SOURCE = (
+    "Mean and two standard deviations of adults: opening between the incisors 49.3 (9.1) mm and "
+    "to the side 11.8 (3.1) mm (500 patients in Basel, Swiss Dental Journal), rotation 39.1 (5.9)° "
+    "and path of the condyles 20.5 (4.0) mm (60 healthy students, Muto and Kanazawa 1996). Teeth, "
+    "2 to 4 mm apart at rest, and sockets allow little the other way."
+)
