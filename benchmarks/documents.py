@@ -19,7 +19,8 @@ ends with it; ``--document`` then writes the section::
     report.finish(run(options), options, section)
 
 The date, the command line and the machine's size are added here. ``python -m benchmarks.report NAME
-FILE`` writes the section from the JSON of an earlier run, without running anything.
+FILE...`` writes the section from the JSON of an earlier run, or of the pieces of one
+(:mod:`.pieces`), without running anything.
 """
 
 from __future__ import annotations

@@ -90,6 +90,8 @@ WORST_OF_SET: dict[str, Any] = {
     "per_tet_inverted": sum,
 }
 
+SUMMARY = SETS  # figures of all subjects: not those of a piece
+
 log = logging.getLogger(__name__)
 
 
@@ -134,13 +136,20 @@ def run(options: argparse.Namespace) -> Figures:
             people[subject.name] = figures
         else:
             raise InputError(figures[0], f"subject {subject.name}: {figures[1]}")
-    rules = {**dict.fromkeys(options.controls, WORST), **WORST_OF_SET}
-    figures = worst(list(people.values()), dict.fromkeys(options.sets, rules))
-    for scans in options.sets:
-        for controls in options.controls:
-            each = [person[scans][controls] for person in people.values()]
-            figures[scans][controls]["same_muscle_other_person"] = same_muscle_other_person(each)
-    return {**figures, "subjects": people}
+    return summarised({"subjects": people})
+
+
+def summarised(figures: Figures) -> Figures:
+    """Return figures of all ``subjects`` with those of the worst of them, by set and controls."""
+    people = figures["subjects"]
+    rules = {**dict.fromkeys(CONTROLS, WORST), **WORST_OF_SET}
+    found = worst(list(people.values()), dict.fromkeys(SETS, rules))
+    for scans, by_controls in found.items():
+        for controls in CONTROLS:
+            each = [p[scans][controls] for p in people.values() if controls in p.get(scans, {})]
+            if each:
+                by_controls[controls]["same_muscle_other_person"] = same_muscle_other_person(each)
+    return {**found, "subjects": people}
 
 
 def _begin(threads: int) -> None:

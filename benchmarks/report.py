@@ -6,12 +6,13 @@ import argparse
 import importlib
 import json
 import os
+import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from benchmarks import documents
+from benchmarks import documents, pieces
 from benchmarks.documents import Figures, SectionOf
 
 
@@ -54,13 +55,19 @@ def list_of(known: Collection[str] | None = None) -> Callable[[str], list[str]]:
 
 def finish(figures: Figures, options: argparse.Namespace, section: SectionOf) -> None:
     """Write the figures where ``--json`` says and, with ``--document``, their section."""
-    text = json.dumps(stamped(figures, sys.argv), indent=2, allow_nan=False) + "\n"
-    if options.json == "-":
-        sys.stdout.write(text)
-    else:
-        Path(options.json).write_text(text, encoding="utf-8")
+    text = _write(stamped(figures, sys.argv), options.json)
     if options.document:
         _document(text, section)
+
+
+def _write(figures: Figures, place: str) -> str:
+    """Write figures to a file, or to standard output for -, and return what was written."""
+    text = json.dumps(figures, indent=2, allow_nan=False) + "\n"
+    if place == "-":
+        sys.stdout.write(text)
+    else:
+        Path(place).write_text(text, encoding="utf-8")
+    return text
 
 
 def _document(text: str, section: SectionOf) -> None:
@@ -79,9 +86,20 @@ def stamped(figures: Figures, arguments: list[str]) -> Figures:
         "run": {
             "benchmark": name,
             "date": datetime.now(UTC).date().isoformat(),
+            "commit": _commit(),
             "command": f"python -m benchmarks.{name} {' '.join(_public(arguments[1:]))}",
         },
     }
+
+
+def _commit() -> str | None:
+    """Return the commit of this tree, "+" where files were changed since; None outside of git."""
+    words = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty=+"]
+    try:
+        done = subprocess.run([*words, "--exclude=*"], capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return done.stdout.strip()
 
 
 def _public(arguments: list[str]) -> list[str]:
@@ -94,13 +112,20 @@ def _public(arguments: list[str]) -> list[str]:
 
 
 def main() -> None:
-    """Write a section from the figures of an earlier run."""
-    arguments = argparse.ArgumentParser(description="a benchmark's section, from its JSON file")
+    """Write a section from the figures of an earlier run, or of its pieces."""
+    arguments = argparse.ArgumentParser(
+        description="a benchmark's section, from the JSON files of one run or of its pieces"
+    )
     arguments.add_argument("name", help="of the benchmark")
-    arguments.add_argument("json", type=Path, help="file that its --json wrote")
+    arguments.add_argument("json", type=Path, nargs="+", help="files that its --json wrote")
+    arguments.add_argument("--merge", metavar="FILE", help="where the joined figures go, too")
     options = arguments.parse_args()
-    section: SectionOf = importlib.import_module(f"benchmarks.{options.name}").section
-    _document(options.json.read_text(encoding="utf-8"), section)
+    try:
+        figures = pieces.merged(options.name, options.json)
+    except pieces.PieceError as fault:
+        raise SystemExit(str(fault)) from None
+    text = _write(figures, options.merge) if options.merge else json.dumps(figures)
+    _document(text, importlib.import_module(f"benchmarks.{options.name}").section)
 
 
 if __name__ == "__main__":
