@@ -1,6 +1,6 @@
 # Every target sets up what it needs by itself; `make help` lists them.
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test test-all chaos fuzz costs slow-clients load two-hosts compose-check check up lock fast-servers servers setup setup-dev clean
+.PHONY: help demo quick kernels test test-all chaos fuzz costs slow-clients load two-hosts compose-check check up lock fast-servers servers setup setup-dev clean
 
 BIN := .venv/bin
 TESTS := $(BIN)/python -m pytest
@@ -19,7 +19,8 @@ quick: setup-dev ## style, types, and unit tests that need no data and no proces
 	@$(BIN)/mypy
 	@$(TESTS) --quick --quiet -n $(WORKERS)
 
-test: check fast-servers ## what CI runs: the checks and all tests that are not slow (how long: docs/develop/development.md)
+test: setup-dev ## what CI runs: the checks and all tests that are not slow (how long: docs/develop/development.md)
+	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target check fast-servers kernels
 	@$(TESTS) -n $(WORKERS) -m "not slow or end_to_end and not servers"
 
 test-all: servers ## also the slow tests: all on the servers, the browser, campaigns (30 minutes)
@@ -53,6 +54,9 @@ check: setup-dev ## style, types and the rooms' import rules
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+
+kernels: setup-dev ## compile the solver's kernels, once (two minutes)
+	@$(BIN)/python -m worker.kernels
 
 up: setup ## the service with its broker and a worker, on http://127.0.0.1:8765
 	@$(BIN)/myoface up

@@ -5,7 +5,8 @@ process, which reads strangers' files, may write where the next one reads: the i
 compiled here, and an attempt has a folder of its own with links to them. Numba replaces files and
 never writes into one, so what it adds or compiles anew stays in that folder.
 
-``python -m worker.kernels`` compiles them, about a minute and a half on two processors.
+``python -m worker.kernels`` compiles them, about a minute and a half on two processors, unless they
+are there.
 """
 
 from __future__ import annotations
@@ -183,10 +184,12 @@ def _lock_file() -> Path:
 
 
 def main() -> None:
-    """Compile the kernels and note of which code they are."""
+    """Compile the kernels, unless they are of this code, and note of which code they are."""
     parser = argparse.ArgumentParser(prog="python -m worker.kernels", description=main.__doc__)
     parser.add_argument("--parent", type=int, help="process whose end is the end of this one, too")
     parent = parser.parse_args().parent
+    if are_compiled():
+        return
     with tempfile.TemporaryDirectory(prefix="myoface-kernels-") as name:
         _end_when_told(Path(name))
         if parent:
