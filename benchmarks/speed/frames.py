@@ -9,6 +9,7 @@ from benchmarks.speed.clock import Stopwatch
 from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions, unseen_regulariser
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
 from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.sequence import Tracker
@@ -22,8 +23,12 @@ def frames(face: Face, performance: IctPerformance, numbers: range, compared: in
 
     ``frame_ms`` is the time of every frame from its points to its pose. ``loss`` is the mean
     objective of the compared frames over the mean of their cold fits, less one. A frame that can
-    not be fitted stays as the one before, and is in ``failed``.
+    not be fitted stays as the one before, and is in ``failed``; ``beyond`` are muscles that any
+    frame has outside of what muscles can do.
     """
+    limits = face.driven_as(Admissible()).layout.bounds.feasible
+    assert limits is not None
+    beyond = 0
     regulariser, rest = unseen_regulariser(face), face.rest
     tracker = Tracker(face, regulariser, rest)
     alone = set(numbers[:: max(len(numbers) // compared, 1)])
@@ -40,6 +45,7 @@ def frames(face: Face, performance: IctPerformance, numbers: range, compared: in
         state = tracker.state
         errors.append(float(np.nanmean(target.distances(face.face_points(state.x)))))
         inverted += face.flesh.inverted(state.x)
+        beyond += int((limits.margins(state.pose.a) <= 0.0).any(axis=1).sum())
         if number in alone:
             data = SkinDistance(face, target)
             cold = activation.fit(face, data, regulariser, rest, COLD)
@@ -55,6 +61,7 @@ def frames(face: Face, performance: IctPerformance, numbers: range, compared: in
         "mean_mm": float(np.mean(errors)),
         "max_mean_mm": float(np.max(errors)),
         "inverted": inverted,
+        "beyond": beyond,
         "failed": failed,
         "loss": kept / sum(cold for _, _, cold in pairs) - 1.0,
         "compared": [

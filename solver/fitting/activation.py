@@ -35,7 +35,7 @@ from solver.fitting.least_squares import (
 )
 from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, Term
 from solver.fitting.sensitivity import Sensitivity
-from solver.fitting.steps import solve_positive
+from solver.fitting.steps import StepOptions, solve_positive
 from solver.surface import Floats
 
 
@@ -69,6 +69,7 @@ class DescentOptions:
     products: int = 16  # with J^T C J for a step, at most
     # length of the correction that a step is left without, relative to it in the model's own norm
     accuracy: float = 0.1
+    steps: StepOptions = field(default_factory=StepOptions)  # within bounds
 
 
 @dataclass(frozen=True)
@@ -189,7 +190,7 @@ class _PoseProblem:
 
     def linearise(self, point: PosedFace) -> GaussNewton | DenseModel:
         if not point.pose.layout.bounds.is_free:
-            return _whole_model(self.face, self.data, self.regulariser, point)
+            return _whole_model(self.face, self.data, self.regulariser, point, self.options.steps)
         parts = self.face, self.data, self.regulariser
         # the model begins with the matrix of the one before
         learnt = self.model.learnt if self.model else LearntMatrix.of(self.matrix)
@@ -299,14 +300,16 @@ def rest_curvature(face: Face) -> Floats:
     return _AT_REST[face]
 
 
-def _whole_model(face: Face, data: Term, regulariser: Prior, state: PosedFace) -> DenseModel:
+def _whole_model(
+    face: Face, data: Term, regulariser: Prior, state: PosedFace, options: StepOptions
+) -> DenseModel:
     """Return f's model at a state with its matrix as it is there."""
     jacobian = Sensitivity(face, state).by_pose()
     gradient = jacobian.adjoint(data.gradient(state.estimate)) + regulariser.gradient(state.pose)
     hessian = jacobian.contract(data.curvature(state.estimate))
     hessian += regulariser.gauss_newton(state.pose)
     at = state.pose.layout, hessian, gradient, state.pose.vector()
-    return DenseModel(*at, jacobian.flesh)
+    return DenseModel(*at, jacobian.flesh, options)
 
 
 def enter(
@@ -325,7 +328,7 @@ def enter(
     if face.layout.bounds.contains(state.pose.vector()):
         return state
     with suppress(SolveError):
-        model = _whole_model(face, data, regulariser, state)
+        model = _whole_model(face, data, regulariser, state, options.steps)
         step = model.step(options.damping.start, np.inf)
         pose = state.pose.add(step.change)
         with suppress(SolveError):
@@ -339,7 +342,7 @@ class DenseModel:
     """f's model by its ``gradient`` and a whole ``hessian``, in ``layout``.
 
     ``q`` (size,) is where it is; ``motion`` (free coordinates, size) is what else is linear in the
-    step.
+    step; ``options`` are of steps within bounds.
     """
 
     layout: Layout
@@ -347,6 +350,7 @@ class DenseModel:
     gradient: Floats
     q: Floats
     motion: Floats | None = None
+    options: StepOptions = field(default_factory=StepOptions)
 
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """Return the step with ``damping`` D^2 added to the matrix, cut to the reach ``trust``.
@@ -355,7 +359,8 @@ class DenseModel:
         """
         damped = self.hessian.copy()
         damped[np.diag_indices_from(damped)] += damping * self.layout.damping
-        step = self.layout.steps(damped, self.gradient, self.q).best(self.gradient)
+        within = self.layout.steps(damped, self.gradient, self.q, options=self.options)
+        step = within.best(self.gradient)
         # cut as a whole: with its turn cut alone, a jaw would be shifted in its place
         step = step / max(self.layout.reach(step) / trust, 1.0)
         slope, quadratic = float(self.gradient @ step), float(step @ self.hessian @ step)

@@ -16,7 +16,7 @@ import numpy as np
 
 from solver.errors import InputError
 from solver.fitting.interior_point import Bounds, FeasibleSet
-from solver.fitting.steps import StepModel, step_model
+from solver.fitting.steps import StepModel, StepOptions, step_model
 from solver.surface import Floats, Ints
 
 # what a change of 1 rad counts as, in mm: the motion of a chin
@@ -123,14 +123,20 @@ class Layout:
         return Bounds(self.lower, self.upper, self.muscles, self.drive.feasible)
 
     def steps(
-        self, hessian: Floats, gradient: Floats, q: Floats, reach: float = np.inf
+        self,
+        hessian: Floats,
+        gradient: Floats,
+        q: Floats,
+        reach: float = np.inf,
+        options: StepOptions | None = None,
     ) -> StepModel:
         """Return the steps of a quadratic model at q, free or within the bounds.
 
         ``hessian`` is (size, size), ``gradient`` and q are (size,). Steps in a box keep to a length
         of ``reach``; others are to be cut by the caller.
         """
-        return step_model(self.bounds, hessian, gradient, q, reach * self._reaches)
+        longest = reach * self._reaches
+        return step_model(self.bounds, hessian, gradient, q, longest, options or StepOptions())
 
     @cached_property
     def damping(self) -> Floats:

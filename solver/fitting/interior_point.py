@@ -27,6 +27,9 @@ class FeasibleSet(Protocol):
     def margins(self, a: Floats) -> Floats:
         """Return how far ``a`` is inside every bound, (m, bounds): above 0 if it is."""
 
+    def slopes(self, a: Floats) -> Floats:
+        """Return the derivatives (m, bounds, k) of these margins by each muscle's own values."""
+
     def nearest(self, a: Floats, kept: float) -> Floats:
         """Return values (m, k) near ``a`` that keep a part of the margins at rest."""
 
@@ -59,6 +62,16 @@ class Bounds:
     def is_free(self) -> bool:
         """Tell whether there are no bounds of either sort."""
         return not self.is_box and self.feasible is None
+
+    @cached_property
+    def bounded(self) -> tuple[Ints, Ints]:
+        """Places of the entries with a lower and with an upper bound of their own."""
+        return np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
+
+    def room(self, q: Floats) -> Floats:
+        """Return the distances of q (size,) to the box: to lower bounds, then to upper ones."""
+        low, high = self.bounded
+        return np.concatenate([q[low] - self.lower[low], self.upper[high] - q[high]])
 
     def contains(self, q: Floats) -> bool:
         """Tell whether the muscles' entries of q (size,) are inside their set."""
@@ -194,22 +207,10 @@ class _Barrier:
         self._bounds, self._options = bounds, options
         self._muscles, self._within = bounds.muscles, bounds.feasible
 
-    @cached_property
-    def _bounded(self) -> tuple[Ints, Ints]:
-        """Places of the entries with a lower and with an upper bound."""
-        lower, upper = np.isfinite(self._bounds.lower), np.isfinite(self._bounds.upper)
-        return np.flatnonzero(lower), np.flatnonzero(upper)
-
-    def _room(self, q: Floats) -> Floats:
-        """Return the distances to the bounds of the other blocks."""
-        low, high = self._bounded
-        return np.concatenate(
-            [q[low] - self._bounds.lower[low], self._bounds.upper[high] - q[high]]
-        )
-
     def margins(self, q: Floats) -> Floats:
         """Return the distances to all bounds."""
-        return np.concatenate([self._within.margins(q[self._muscles]).ravel(), self._room(q)])
+        of_muscles = self._within.margins(q[self._muscles])
+        return np.concatenate([of_muscles.ravel(), self._bounds.room(q)])
 
     def nearest(self, q: Floats) -> Floats:
         """Return controls inside the bounds."""
@@ -221,14 +222,14 @@ class _Barrier:
 
     def value(self, q: Floats) -> float:
         """Return the barrier."""
-        room = self._room(q)
+        room = self._bounds.room(q)
         if not (room > 0.0).all():
             return np.inf
         return self._within.value(q[self._muscles]) - float(np.log(room).sum())
 
     def gradient(self, q: Floats) -> Floats:
         """Return its derivative (size,)."""
-        (low, high), out = self._bounded, np.zeros_like(q)
+        (low, high), out = self._bounds.bounded, np.zeros_like(q)
         out[self._muscles] = self._within.gradient(q[self._muscles])
         out[low] -= 1.0 / (q[low] - self._bounds.lower[low])
         out[high] += 1.0 / (self._bounds.upper[high] - q[high])
@@ -236,7 +237,7 @@ class _Barrier:
 
     def hessian(self, q: Floats) -> Floats:
         """Return its second derivative (size, size), positive semi-definite."""
-        low, high = self._bounded
+        low, high = self._bounds.bounded
         diagonal = np.zeros_like(q)
         diagonal[low] += (q[low] - self._bounds.lower[low]) ** -2
         diagonal[high] += (self._bounds.upper[high] - q[high]) ** -2

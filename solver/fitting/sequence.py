@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from solver.fitting import activation
-from solver.fitting.activation import ActivationOptions, DenseModel
+from solver.fitting.activation import ActivationOptions, DenseModel, DescentOptions
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.least_squares import (
     Backtracking,
@@ -27,6 +27,7 @@ from solver.fitting.least_squares import (
 )
 from solver.fitting.objective import Prior, Regulariser, SkinDistance, SumTerm, Target, Term
 from solver.fitting.sensitivity import Jacobian, Sensitivity
+from solver.fitting.steps import StepOptions
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization
 from solver.similarity import robust_weights
@@ -48,6 +49,7 @@ class TrackingOptions:
     # flesh buckles these help little
     lagged_frames: int = 15
     corrector: CorrectorOptions = field(default_factory=CorrectorOptions)
+    steps: StepOptions = field(default_factory=StepOptions.quick)  # within bounds
     stuck: float = 1.1  # growth of f up to which a frame without a way down stays as it was
     reseen: float = 0.1  # part of the points' weight that moves before a matrix is made anew
 
@@ -88,6 +90,7 @@ class Tracker:
         self.state = start
         self._regulariser, self._temporal, self._options = regulariser, temporal, options
         self._whole_fit = ActivationOptions(max_iterations, tolerance=1e-3)
+        self._descent = DescentOptions(steps=options.steps)
         self._lagged: _LaggedModel | None = None
         self._age, self._value = 0, np.inf
         self._search = Backtracking(self._options.damping, least_ratio=self._options.least_ratio)
@@ -139,7 +142,8 @@ class Tracker:
         if found is None:
             known = None if self._lagged is None else self._lagged.hessian
             effort, stop = self._whole_fit, Termination.ITERATIONS
-            fitted = activation.fit(self.face, both, prior, self.state, effort, matrix=known)
+            parts, descent = (self.face, both, prior, self.state), self._descent
+            fitted = activation.fit(*parts, effort, matrix=known, descent=descent)
             found = LeastSquaresSolution(fitted.state, fitted.objective, fitted.iterations, stop)
             self._age = options.lagged_frames
         self.state, self._value = found.point, found.value
@@ -181,7 +185,8 @@ class Tracker:
     ) -> LeastSquaresSolution[PosedFace] | None:
         """Fit a frame with lagged derivatives; None if the first step leads nowhere."""
         corrector = self._options.corrector
-        problem = _FrameProblem(self.face, lagged, data, contact, prior, corrector)
+        steps = self._options.steps
+        problem = _FrameProblem(self.face, lagged, data, contact, prior, corrector, steps)
         found = minimise(problem, self.state, self._search, self._options.stop)
         return None if found.termination == Termination.STUCK and not found.steps else found
 
@@ -196,6 +201,7 @@ class _FrameProblem:
     contact: Term | None
     regulariser: Prior
     corrector: CorrectorOptions
+    steps: StepOptions
 
     def value(self, point: PosedFace) -> float:
         touching = 0.0 if self.contact is None else self.contact.value(point.estimate)
@@ -210,7 +216,8 @@ class _FrameProblem:
         if self.contact is not None and self.contact.value(point.estimate):
             gradient += jacobian.adjoint(self.contact.gradient(point.estimate))
             hessian += jacobian.contract(self.contact.curvature(point.estimate))
-        return DenseModel(point.pose.layout, hessian, gradient, point.pose.vector())
+        pose = point.pose
+        return DenseModel(pose.layout, hessian, gradient, pose.vector(), options=self.steps)
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
         """Correct the equilibrium, no more."""

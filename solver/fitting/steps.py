@@ -1,4 +1,4 @@
-"""Steps of a fit's quadratic model: free, within a box, or in the interior of a set.
+"""Steps of a fit's quadratic model: free, within a box, or within a set.
 
     min_s  g . s + s . H s / 2    with q + s within the bounds
 
@@ -8,7 +8,7 @@ for any of them, and ``follow``, how that step changes with g, what holds it at 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -16,9 +16,23 @@ import numpy as np
 import scipy.linalg
 
 from solver.errors import SolveError
-from solver.fitting.interior_point import Bounds, interior_step
+from solver.fitting.interior_point import Bounds, InteriorPointOptions, interior_step
 from solver.fitting.least_squares import bounded_step
+from solver.fitting.linearised_step import LinearisedOptions, linearised_step
 from solver.surface import Floats
+
+
+@dataclass(frozen=True)
+class StepOptions:
+    """The methods within a set: the first that has a step."""
+
+    linearised: LinearisedOptions | None = None  # from frame to frame, where steps are short
+    interior: InteriorPointOptions = field(default_factory=InteriorPointOptions)
+
+    @classmethod
+    def quick(cls) -> StepOptions:
+        """Return those of many fits, each from a state near by: about the best step will do."""
+        return cls(LinearisedOptions(), InteriorPointOptions(short=1e-3))
 
 
 class StepModel(Protocol):
@@ -35,14 +49,19 @@ class StepModel(Protocol):
 
 
 def step_model(
-    bounds: Bounds, hessian: Floats, gradient: Floats, q: Floats, longest: Floats
+    bounds: Bounds,
+    hessian: Floats,
+    gradient: Floats,
+    q: Floats,
+    longest: Floats,
+    options: StepOptions = StepOptions(),
 ) -> StepModel:
     """Return the steps from q within ``bounds``, those in a box no longer than ``longest`` (size,).
 
     ``gradient`` is that which :meth:`StepModel.follow` linearises the best step about.
     """
     if bounds.feasible is not None:
-        return _InteriorSteps(bounds, hessian, gradient, q)
+        return _SetSteps(bounds, hessian, gradient, q, options)
     if bounds.is_box:
         limits = np.maximum(bounds.lower - q, -longest), np.minimum(bounds.upper - q, longest)
         return _BoxSteps(hessian, gradient, limits)
@@ -90,21 +109,27 @@ class _BoxSteps:
 
 
 @dataclass(frozen=True)
-class _InteriorSteps:
+class _SetSteps:
     bounds: Bounds
     hessian: Floats
     gradient: Floats
     q: Floats
+    options: StepOptions
 
     def best(self, gradient: Floats) -> Floats:
-        return interior_step(self.bounds, self.hessian, gradient, self.q).change
+        model, options = (self.bounds, self.hessian, gradient, self.q), self.options
+        found = None
+        if options.linearised is not None:
+            found = linearised_step(*model, options.linearised)
+        return interior_step(*model, options.interior).change if found is None else found
 
     def follow(self, change: Floats) -> Floats:
         return _solve(self._factor, change)
 
     @cached_property
     def _factor(self) -> Any:
-        ahead = interior_step(self.bounds, self.hessian, self.gradient, self.q)
+        model = self.bounds, self.hessian, self.gradient, self.q
+        ahead = interior_step(*model, self.options.interior)
         return _factorise(self.hessian + ahead.curvature)
 
 

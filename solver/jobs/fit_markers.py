@@ -168,7 +168,7 @@ def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Fac
         muscles = fibre_muscles(face) if known is None else load_muscles(known, face)
         face, names = with_fibres(face, muscles), strip_names(names, muscles)
     else:
-        face = Face(model, rig.weights, linear=given.linear_solver or fastest())
+        face = rig.face(given.linear_solver or fastest())
     if given.jaw == "tracks":
         tracks = JawTracks.of(model.jaw) or jaw_tracks(read_template(task), model)
         face = face.with_joint(jaw_on_tracks(tracks))

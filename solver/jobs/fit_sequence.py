@@ -113,7 +113,7 @@ class Follower:
             return  # and kept what the frame before had
         self._head = small_motion(frame.head)
         with suppress(SolveError):  # out of reach: the next frame begins where this one did
-            self._tracker.go_to(Pose(frame.activations, frame.jaw))
+            self._tracker.go_to(self.face.pose_of(frame.activations, frame.jaw))
         if scan is not None:
             points = self._head.inverse()(scan.vertices)
             self._target = self._targets.of_points(points, scan.confidence)
@@ -176,7 +176,7 @@ class Follower:
             frame=number,
             status=status,
             activations=state.pose.a.round(DECIMALS),
-            jaw=state.pose.b.round(DECIMALS),
+            jaw=self.face.five_jaw_numbers(state.pose.b).round(DECIMALS),
             head=self._head.twist.round(DECIMALS),
             **distance_figures(error[np.isfinite(error)]),
             coverage=round(seen, 4),
@@ -242,7 +242,7 @@ def run(task: Task[FitSequence]) -> list[Path]:
     numbers = frame_numbers(source.name, range(len(source)), given)
     if not given.head_motion:
         _check_place(source, numbers[0], subject)
-    face = Face(subject, rig.weights, linear=given.linear_solver or fastest())
+    face = rig.face(given.linear_solver or fastest())
     check_held(face)
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
     fitter = PerformanceFitter(source, _follower(face, given), numbers)

@@ -70,11 +70,12 @@ class TakeFitter(FrameFitter[MarkerFrame]):
 
     def read(self, folder: Path) -> list[MarkerFrame]:
         """See :class:`~.sequences.FrameFitter`."""
-        shape = self._tracker.face.rest_pose().a.shape
+        shape, layout = self._tracker.face.rest_pose().a.shape, self._tracker.face.layout
 
         def take(values: Mapping[str, Any], _frames: Sequence[MarkerFrame]) -> None:
             self._stored = values["state"]
-            if values["about"] != self._about:
+            controls = unpack(self._stored["controls"], "<f8", 1)
+            if values["about"] != self._about or len(controls) != layout.size:
                 message = "the frames that are ready are of other options, markers or another rig"
                 raise InputError("sequence.resume", message)
 
@@ -177,9 +178,9 @@ def _pose_values(face: Face, pose: Pose) -> dict[str, Any]:
 
 
 def pose_of(face: Face, frame: MarkerFrame) -> Pose:
-    """Return the pose that a frame holds."""
-    b = frame.tracks if frame.tracks.size else frame.jaw
-    return replace(face.rest_pose(), a=frame.activations, b=b)
+    """Return the pose that a frame holds, within the face's bounds whatever was rounded."""
+    layout, b = face.layout, frame.tracks if frame.tracks.size else frame.jaw
+    return Pose.of(layout, layout.bounds.clip(layout.join([frame.activations, b])))
 
 
 def smooth_frames(

@@ -36,12 +36,13 @@ class FitMarkers(JobOptions):
     )
     muscles: Literal["blended", "fibre"] = Field(
         default="blended",
-        description="blended, six numbers a muscle with the rig's weights; fibre, one activation "
-        "in [0, 1] a muscle or strip",
+        description="blended, six numbers a muscle with the rig's weights, within the limits that "
+        "it was fitted in; fibre, one activation in [0, 1] a muscle or strip",
     )
     jaw: Literal["free", "tracks"] = Field(
         default="free",
-        description="free, five numbers; tracks, an angle and both condyles' slides along tracks",
+        description="free, five numbers, or tracks on a rig fitted within limits; tracks, an angle "
+        "and both condyles' slides along tracks",
     )
     prior: Literal["shapes", "scans", "none"] = Field(
         default="shapes",

@@ -38,7 +38,8 @@ class FitSequence(FitOptions):
 KIND = Kind(
     title="Fit a performance",
     description="Activations and jaw of every frame of a performance with the rig's muscle "
-    "weights, each frame from the one before; frames can be read while the job runs.",
+    "weights, within the limits that it was fitted in, each frame from the one before; frames can "
+    "be read while the job runs.",
     queue="long",
     reads=("rig", "performance"),
     leaves="sequence",

@@ -33,6 +33,7 @@ from solver.fitting.stretches import (
     COLUMN,
     FROBENIUS,
     ROW,
+    entries,
     fibre_tensors,
     matrices,
     metric,
@@ -140,6 +141,14 @@ class AdmissibleSet:
                 room - size,
             ]
         )
+
+    def slopes(self, a: Floats) -> Floats:
+        """Return the derivatives (m, 9, 6) of the margins, where stretches are not the same."""
+        values, axes = np.linalg.eigh(matrices(a))
+        fibre = self._along[:, None]
+        stretches = FROBENIUS * entries(axes.transpose(0, 2, 1))
+        size = FROBENIUS * with_stretches(1.0 / values, np.asarray(axes))[:, None]
+        return np.concatenate([-fibre, stretches, -stretches, size, -size], axis=1)
 
     def _fibres(self, a: Floats) -> Floats:
         """Return T_j : S(a_j), (m,); 1 without fibres."""

@@ -5,9 +5,10 @@ c a frame (:meth:`GaussianPrior.after`). With Q the spread before the next frame
 
     G = c P Q^-1,    m' = m + G (m'_next - rest - c (m - rest)),    P' = P + G (P'_next - Q) G^T
 
-(Rauch, Tung and Striebel 1965). P is made again from the poses, heads and weights of the frames
-alone, so that a job that was resumed comes to the same; in blocks, as a long take's do not fit into
-memory: forward for what each block begins with, then block by block from the last.
+(Rauch, Tung and Striebel 1965), m' within the face's bounds. P is made again from the poses, heads
+and weights of the frames alone, so that a job that was resumed comes to the same; in blocks, as a
+long take's do not fit into memory: forward for what each block begins with, then block by block
+from the last.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ def smooth(
                 spread = _spread(tracker, here)
                 gain = kept * scipy.linalg.solve(spread, here, assume_a="pos").T
                 mean = own + gain @ (mean - prior.mean - kept * (own - prior.mean))
+                mean = tracker.face.layout.bounds.clip(mean)
                 after = here + gain @ (after - spread) @ gain.T
             else:
                 mean, after = own, here

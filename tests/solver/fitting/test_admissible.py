@@ -16,6 +16,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.interior_point import interior_step
 from solver.fitting.joints import jaw_block
+from solver.fitting.linearised_step import linearised_step
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import determinants, fibre_tensors, matrices
 from solver.mechanics.flesh import IDENTITY
@@ -103,6 +104,40 @@ def test_a_step_is_the_best_within_the_bounds():
     assert (admissible.margins(ends) < 1e-3).any()
     assert model(found) < model(np.zeros(layout.size)) - 1.0
     assert model(found) <= known.fun + 1e-4 * abs(known.fun)
+
+
+def test_margins_have_their_slopes():
+    admissible, a = random_set(12), wild(12, size=0.1)  # where no two stretches are the same
+    change, step = np.random.default_rng(2).standard_normal(a.shape), 1e-6
+    ends = [admissible.margins(a + sign * step * change) for sign in (1.0, -1.0)]
+    seen = np.einsum("jbk,jk->jb", admissible.slopes(a), change)
+    np.testing.assert_allclose(seen, (ends[0] - ends[1]) / (2.0 * step), atol=1e-6)
+
+
+def test_a_step_to_the_next_frame_is_about_the_best_within_the_bounds():
+    """From where another goal has led, in a box as well; too long a step is left to others."""
+    admissible, rng = random_set(8, seed=5), np.random.default_rng(7)
+    jaw = replace(jaw_block(), lower=np.full(5, -0.1), upper=np.full(5, 0.2))
+    layout = Layout((activation_block(8, admissible), jaw))
+    bounds, root = layout.bounds, rng.standard_normal((layout.size, layout.size))
+    hessian = root @ root.T + np.eye(layout.size)
+    goal, shift = rng.normal(0.0, 0.2, layout.size), rng.normal(0.0, 0.02, layout.size)
+    begin = -hessian @ goal
+    q = layout.rest + interior_step(bounds, hessian, begin, layout.rest).change
+    gradient = begin + hessian @ (q - layout.rest) - hessian @ shift
+    found = linearised_step(bounds, hessian, gradient, q)
+    best = interior_step(bounds, hessian, gradient, q).change
+
+    def gain(step):
+        return -(gradient @ step + 0.5 * step @ hessian @ step)
+
+    assert found is not None
+    assert bounds.contains(q + found)
+    np.testing.assert_array_equal(found, bounds.clip(q + found) - q)
+    assert gain(found) > 0.95 * gain(best) > 0.0
+    free = np.linalg.solve(hessian, -gradient)
+    assert not bounds.contains(q + free)
+    assert linearised_step(bounds, hessian, gradient, layout.rest + 9.0 * goal) is None
 
 
 def test_a_nearly_singular_model_is_minimised_too():

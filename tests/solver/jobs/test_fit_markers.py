@@ -12,6 +12,7 @@ import pytest
 
 from solver.errors import InputError
 from solver.fitting.contraction import Contraction
+from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.face import Face, Pose
 from solver.fitting.markers.term import MarkerPlaces
 from solver.jobs import fit_markers, run_job
@@ -39,12 +40,16 @@ FIRST = 101  # number of the first frame
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rig with one expression, and a take of it: turned axes, metres, a gap and an outlier."""
-    folder = tmp_path_factory.mktemp("take")
+    return make_files(tmp_path_factory.mktemp("take"), 0.05)
+
+
+def make_files(folder: Path, contracted: float) -> Path:
+    """Leave them in a folder; muscles are ``contracted`` by about so much, or stretched."""
     model = small_model()
     face = Face(model)
     rng = np.random.default_rng(7)
     change = np.zeros(face.layout.size)
-    change[face.layout["activations"]] = 0.05 * rng.standard_normal(6 * model.muscle_count)
+    change[face.layout["activations"]] = contracted * rng.standard_normal(6 * model.muscle_count)
     change[face.layout["jaw"]] = [0.1, 0.0, 0.0, 1.0, 0.0]
     pose = face.rest_pose().add(change)
     skin, none = model.skin.vertices, np.zeros(len(model.skin.vertices))
@@ -281,6 +286,22 @@ def test_a_jaw_on_its_tracks(files: Path, tmp_path: Path) -> None:
     moved = points @ found["mandible"][-1, :3, :3].T + found["mandible"][-1, :3, 3]
     near = move_jaw(model.jaw, points, found["jaw"][-1])
     assert np.linalg.norm(near - moved, axis=1).max() < 0.5
+
+
+def test_a_rig_fitted_within_limits_is_followed_within_them(tmp_path: Path) -> None:
+    """Frames as they come, where no marker tells of them, and after the sweep back."""
+    make_files(tmp_path, 0.12)
+    free = fit(tmp_path, tmp_path / "free")
+    rig = replace(Rig.load(tmp_path / "rig.npz"), drive=Admissible(limits_by_plausibility(1.0)))
+    rig.save(tmp_path / "rig.npz")
+    limits = rig.face().layout.bounds.feasible
+    assert limits is not None
+    swept = fit(tmp_path, tmp_path / "within", options={"smooth": True})
+    frames = read_chunks(tmp_path / "within" / "frames", MarkerFrame, "", lambda _frame: True)
+    assert {"fitted", "predicted"} == {frame.status for frame in frames}
+    within = [frame.activations for frame in frames] + list(swept["activations"])
+    assert sum(not limits.contains(a) for a in free["activations"]) > FRAMES / 2
+    assert all(limits.contains(a) for a in within)
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError, SolveError
+from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
+from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.sequence import Tracker, stillness
@@ -28,6 +30,7 @@ from solver.rig.rig import Rig
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model
 from tests.solver.glb import shown_skins
+from tests.solver.simulation.test_fibres import fibred_block
 
 pytestmark = pytest.mark.long
 
@@ -206,6 +209,32 @@ def test_a_temporal_weight_calms_noise(files: Path, tmp_path: Path) -> None:
         activations = np.load(tmp_path / "sequence.npz")["activations"]
         jitter.append(np.abs(np.diff(activations, n=2, axis=0)).mean())
     assert jitter[1] < 0.6 * jitter[0]
+
+
+def test_a_rig_fitted_within_limits_is_followed_within_them(tmp_path: Path) -> None:
+    """Muscles push along their fibres, as none can, and come back; the fit is broken off once."""
+    model, drive = fibred_block(), Admissible(limits_by_plausibility(1.0))
+    face = Face(model)
+    rest, state, frames = face.rest_pose(), face.rest, []
+    push = np.tile([0.35, 0.0, 0.0, -0.1, 0.0, -0.1], (2, 1))
+    for number in range(FRAMES):
+        pose = Pose(rest.a + np.sin(0.4 * number) * push, JAW * np.sin(0.4 * number))
+        state = face.continuation(state, pose)
+        frames.append(face.face_points(state.x))
+    np.save(tmp_path / "take.npy", frames)
+    limits = face.driven_as(drive).layout.bounds.feasible
+    assert limits is not None
+    beyond = {}
+    for name, how in (("free", SixNumbers()), ("within", drive)):
+        Rig(model, model.weights, (), drive=how).save(tmp_path / "rig.npz")
+        fit(tmp_path, tmp_path / name, end=5, temporal=1e-3)
+        fit(tmp_path, tmp_path / name, resume=True, temporal=1e-3)
+        with np.load(tmp_path / name / "sequence.npz") as found:
+            assert (found["status"] == "fitted").all()
+            outside = [(limits.margins(a) <= 0.0).any(axis=1).sum() for a in found["activations"]]
+        beyond[name] = sum(outside)
+    assert beyond["free"] >= FRAMES
+    assert beyond["within"] == 0
 
 
 def test_the_head_s_motion_is_told_from_the_face_s() -> None:
