@@ -44,11 +44,13 @@ from solver.fitting.contact import terms
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Target, distances
-from solver.fitting.sequence import Tracker
 from solver.fitting.strips import strip_names
+from solver.fitting.tracking.dense import DensePoints
+from solver.fitting.tracking.tracker import Tracker
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
+from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.rig.rig import Rig
 from solver.scans.live_link import read_live_link
@@ -324,16 +326,17 @@ def _large() -> Figures:
     model = build_subject_model(template, captures.neutral.vertices, edge_mm=LARGE_EDGE_MM)
     log.info("large: %d tets", len(model.tets))
     face = Face(model, linear=fastest())
-    tracker = Tracker(face, unseen_regulariser(face), face.rest)
+    tracker = Tracker(DensePoints(face, unseen_regulariser(face)))
     rest = face.face_points(face.rest.x)
     away = captures.train["smile"].vertices[model.face] - rest
     seconds, errors = [], []
     for number in range(LARGE_FRAMES):
-        target = Target.from_points(rest + 0.05 * (number + 1) * away)
+        points = rest + 0.05 * (number + 1) * away
         with Stopwatch() as clock:
-            tracker.fit(target)
+            tracker.step(RegisteredScan(points, np.ones(len(points))))
         seconds.append(clock.seconds)
-        errors.append(float(target.distances(face.face_points(tracker.state.x)).mean()))
+        off = Target.from_points(points).distances(face.face_points(tracker.state.x))
+        errors.append(float(off.mean()))
         log.info("large: frame %d, %.1f s, %.3f mm", number, seconds[-1], errors[-1])
     return {
         "large_tets": len(model.tets),

@@ -9,8 +9,9 @@ import numpy as np
 from benchmarks.documents import Figures
 from benchmarks.made_takes import Bench, MadeTake
 from solver.fitting import prior
-from solver.fitting.markers.tracker import MarkerFit, MarkerTracker
+from solver.fitting.markers.observation import MarkerFit, Markers
 from solver.fitting.prior import GaussianPrior
+from solver.fitting.tracking.tracker import Tracker
 from solver.surface import Floats
 
 HELD_S = 1.0
@@ -81,10 +82,8 @@ def _fit(bench: Bench, known: GaussianPrior, take: MadeTake) -> list[MarkerFit]:
 def _pull_on_markers(bench: Bench) -> Floats:
     """Return the squares (k, q) of how far a usual change of each control moves each marker."""
     unseen = np.ones(len(bench.markers))
-    tracker = MarkerTracker(
-        bench.face, bench.places, unseen, prior.from_changes(bench.face.layout, []), 1.0
-    )
-    jacobian = tracker.tracker.jacobian
+    known = prior.from_changes(bench.face.layout, [])
+    jacobian = Tracker(Markers(bench.face, bench.places, unseen, known, 1.0)).solver.jacobian
     assert jacobian is not None, "made when tracking began"
     moved = jacobian.motion(bench.places.jacobian(bench.face.rest.x))
     return np.asarray((moved.reshape(len(bench.places), 3, -1) ** 2).sum(axis=1))

@@ -19,10 +19,11 @@ from solver.anatomy.warp import spread
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.fitting.face import Face
+from solver.fitting.markers.observation import MarkerFit, Markers, SeenMarkers
 from solver.fitting.markers.places import refine_by_take
 from solver.fitting.markers.term import MarkerPlaces
-from solver.fitting.markers.tracker import MarkerFit, MarkerTracker
 from solver.fitting.prior import GaussianPrior
+from solver.fitting.tracking.tracker import Tracker
 from solver.model import SubjectModel
 from solver.scans.markers.marker_set import Marker
 from solver.similarity import Similarity, small_motion
@@ -218,7 +219,7 @@ class Bench:
         """Fit a take and return its figures; the lips are ``watched`` only if asked for."""
         face, truth = self.face, self.truth
         sigma = np.array([marker.sigma_mm for marker in self.markers])
-        tracker = MarkerTracker(face, self.places, sigma, known, truth.seconds)
+        tracker = Tracker(Markers(face, self.places, sigma, known, truth.seconds))
         mouth, failed = Mouth.of(face.model), 0
         errors, milliseconds, turns, shifts, lips, jaws = [], [], [], [], [], []
         inverted, not_finite, out_of_tracks, states = 0, 0, 0, []
@@ -226,7 +227,7 @@ class Bench:
         incisors = incisors_of(face.model)
         for row, seen in enumerate(take.points):
             with Stopwatch() as clock:
-                fit = tracker.fit(seen)
+                fit = tracker.step(SeenMarkers(seen))
             failed += fit.kept
             watch(row, fit)
             milliseconds.append(1e3 * clock.seconds)

@@ -34,14 +34,15 @@ from solver.fitting.activation import unseen_regulariser
 from solver.fitting.face import Face, Pose
 from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import KnownControls
+from solver.fitting.markers.observation import Markers, SeenMarkers
 from solver.fitting.markers.places import refine_by_take
 from solver.fitting.markers.term import MarkerPlaces
-from solver.fitting.markers.tracker import MarkerTracker
-from solver.fitting.objective import Target
 from solver.fitting.prior import GaussianPrior
-from solver.fitting.sequence import Tracker
+from solver.fitting.tracking.dense import DensePoints
+from solver.fitting.tracking.tracker import Tracker
 from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
+from solver.meshio.registered import RegisteredScan
 from solver.rig.preview import make_live_preview
 from solver.rig.preview.live import LiveTracker
 from solver.rig.rig import Rig
@@ -173,13 +174,13 @@ def _calibration(bench: Bench, known: GaussianPrior) -> Figures:
     within: list[np.ndarray] = []
     for _ in range(DRAWS):
         change = DRAWN * root @ rng.standard_normal(len(root))
-        tracker = MarkerTracker(face, bench.places, sigma, known, bench.truth.seconds)
+        tracker = Tracker(Markers(face, bench.places, sigma, known, bench.truth.seconds))
         try:
             state = face.continuation(face.rest, face.rest_pose().add(change))
         except SolveError:
             continue
         seen = true.at(state.x) + 0.2 * rng.standard_normal((len(bench.markers), 3))
-        fit = tracker.fit(seen)
+        fit = tracker.step(SeenMarkers(seen))
         off = fit.state.pose.vector() - state.pose.vector()
         within.append(np.abs(off) <= 1.96 * fit.sd)
     return {"poses": len(within), "coverage95": float(np.mean(within))}
@@ -236,11 +237,11 @@ def _real(options: argparse.Namespace, kit: FaceKit, rig: Rig, shapes: Floats) -
         used = refine_by_take(face, source.markers, known, *given)
         sigma, seconds = np.array([each.sigma_mm for each in used]), REAL_STEP / take.rate
         places = MarkerPlaces(model, used)
-        tracker = MarkerTracker(face, places, sigma, known, seconds)
+        tracker = Tracker(Markers(face, places, sigma, known, seconds))
         fits, inverted = [], 0
         for seen in frames:
-            fits.append(tracker.fit(seen).residual_mm)
-            inverted += face.flesh.inverted(tracker.tracker.state.x)
+            fits.append(tracker.step(SeenMarkers(seen)).residual_mm)
+            inverted += face.flesh.inverted(tracker.state.x)
         log.info("%s: %.3f mm", name, rms(np.concatenate(fits)[~np.isnan(np.concatenate(fits))]))
         left_out = _left_out(face, places, sigma, known, frames)
         off = np.concatenate(fits)
@@ -261,8 +262,8 @@ def _left_out(
     rows = np.linspace(0, len(frames) - 1, LEFT_OUT_FRAMES).round().astype(int)
     off = []
     for row in rows.tolist():
-        tracker = MarkerTracker(face, places, sigma, known, 1.0)
-        fit = tracker.fit(frames[row])
+        tracker = Tracker(Markers(face, places, sigma, known, 1.0))
+        fit = tracker.step(SeenMarkers(frames[row]))
         assert tracker.memory is not None, "a frame was fitted"
         # from the prior alone: what came before has seen the marker
         loose = KnownControls(known.covariance, known.covariance)
@@ -270,9 +271,9 @@ def _left_out(
         for marker in np.flatnonzero(np.isfinite(frames[row]).all(axis=1)).tolist():
             seen = frames[row].copy()
             seen[marker] = np.nan
-            tracker.memory, tracker.tracker.state = memory, fit.state
-            away = tracker.fit(seen).placed.points[marker] - frames[row][marker]
-            off.append(float(np.linalg.norm(away)))
+            tracker.memory, tracker.solver.state = memory, fit.state
+            there = tracker.step(SeenMarkers(seen)).placed.points[marker]
+            off.append(float(np.linalg.norm(there - frames[row][marker])))
     return np.array(off)
 
 
@@ -288,17 +289,17 @@ def _rig(options: argparse.Namespace) -> Rig:
 
 def _dense(face: Face, truth: Truth) -> Figures:
     """Fit all points of the face, as fit_sequence does where the head is still."""
-    tracker = Tracker(face, unseen_regulariser(face), face.rest)
+    tracker = Tracker(DensePoints(face, unseen_regulariser(face)))
     errors, milliseconds = [], []
     for row in range(len(truth.numbers)):
-        target = Target.from_points(truth.skin(row)[face.model.face])
+        points = truth.skin(row)[face.model.face]
         with Stopwatch() as clock:
-            try:
-                tracker.fit(target)
-            except SolveError as error:
-                log.info("dense frame %d: %s", row, error.message)
+            found = tracker.step(RegisteredScan(points, np.ones(len(points))))
+        if found.status == "kept":
+            log.info("dense frame %d does not settle", row)
         milliseconds.append(1e3 * clock.seconds)
-        errors.append(float(np.nanmean(target.distances(face.face_points(tracker.state.x)))))
+        off = np.linalg.norm(face.face_points(tracker.state.x) - points, axis=1)
+        errors.append(float(off.mean()))
     return {"face_mean_mm": float(np.mean(errors)), "frame_ms": float(np.median(milliseconds))}
 
 

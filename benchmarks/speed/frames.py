@@ -6,13 +6,14 @@ import numpy as np
 
 from benchmarks.documents import Figures
 from benchmarks.speed.clock import Stopwatch
-from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions, unseen_regulariser
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
 from solver.fitting.objective import SkinDistance, Target
-from solver.fitting.sequence import Tracker
+from solver.fitting.tracking.dense import DensePoints
+from solver.fitting.tracking.tracker import Tracker
+from solver.meshio.registered import RegisteredScan
 from solver.templates.ict_facekit import IctPerformance
 
 COLD = ActivationOptions(max_iterations=60, tolerance=1e-4)
@@ -30,17 +31,16 @@ def frames(face: Face, performance: IctPerformance, numbers: range, compared: in
     assert limits is not None
     beyond = 0
     regulariser, rest = unseen_regulariser(face), face.rest
-    tracker = Tracker(face, regulariser, rest)
+    tracker = Tracker(DensePoints(face, regulariser))
     alone = set(numbers[:: max(len(numbers) // compared, 1)])
     milliseconds, errors, inverted, pairs, failed = [], [], 0, [], []
     for number in numbers:
         points = performance.frame(number)[face.model.face]
         target = Target.from_points(points)
         with Stopwatch() as watch:
-            try:
-                tracker.fit(target)
-            except SolveError as error:
-                failed.append(f"{number}: {error.message}")
+            found = tracker.step(RegisteredScan(points, np.ones(len(points))))
+        if found.status != "fitted":
+            failed.append(number)
         milliseconds.append(1e3 * watch.seconds)
         state = tracker.state
         errors.append(float(np.nanmean(target.distances(face.face_points(state.x)))))

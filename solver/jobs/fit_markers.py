@@ -16,13 +16,14 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face
 from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import FilterOptions
+from solver.fitting.markers.observation import MarkerOptions, Markers
 from solver.fitting.markers.places import RefineOptions, refine_by_take
 from solver.fitting.markers.robust import RobustOptions
 from solver.fitting.markers.term import MarkerPlaces
-from solver.fitting.markers.tracker import MarkerOptions, MarkerTracker
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.strips import strip_names
 from solver.fitting.target_checks import check_held
+from solver.fitting.tracking.tracker import Tracker
 from solver.jobs import Task, hash_files
 from solver.jobs.marker_frames import TakeDrawing, TakeFitter, marker_report, smooth_frames
 from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted, write_animated
@@ -80,14 +81,14 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     face, muscles = _face(task, rig, notices)
     check_held(face)
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(take)}"))
-    tracker = _tracker(task, source, _prior(task, rig, face), face, rate)
-    drawing = TakeDrawing(tracker, source, muscles)
-    done = fit_frames(task, numbers, _fitter(task, tracker, source, drawing))
+    markers = _markers(task, source, _prior(task, rig, face), face, rate)
+    drawing = TakeDrawing(markers, source, muscles)
+    done = fit_frames(task, numbers, _fitter(task, markers, source, drawing))
     refuse_unfitted(done, take.file)
     if given.smooth:
         progress(Step("smooth", 0.93))
-        drawing = TakeDrawing(tracker, source, muscles)
-        done = smooth_frames(tracker, done, source, drawing.add)
+        drawing = TakeDrawing(markers, source, muscles)
+        done = smooth_frames(markers, done, source, drawing.add)
     progress(Step("export", 0.96))
     report = sequence_report(done, rate, take.file)
     report |= marker_report(done, source.labels, notices)
@@ -175,16 +176,16 @@ def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Fac
     return face, names
 
 
-def _tracker(
+def _markers(
     task: Task[FitMarkers], source: BoundTake, known: GaussianPrior, face: Face, rate: float
-) -> MarkerTracker:
-    """Return the tracker of the take, its markers' places mended if that was asked for."""
-    given, used = task.options, source.markers
+) -> Markers:
+    """Return the markers of the take, their places mended if that was asked for."""
+    given, used, usual = task.options, source.markers, MarkerOptions().tracking
     options = MarkerOptions(
         filter=FilterOptions(forgetting=given.temporal),
         hold_below=given.hold_below,
         noise_mm=given.sigma_mm,
-        max_iterations=given.max_iterations,
+        tracking=replace(usual, whole=replace(usual.whole, max_iterations=given.max_iterations)),
         robust=RobustOptions(scale_mm=given.robust_mm),
     )
     if given.refine and not given.actor:  # a carried neutral lies on the places
@@ -197,18 +198,18 @@ def _tracker(
         source.save(used, task.out / "markers.json")
     sigma = np.array([marker.sigma_mm for marker in used])
     places = MarkerPlaces(face.model, used)
-    return MarkerTracker(face, places, sigma, known, given.step / rate, options)
+    return Markers(face, places, sigma, known, given.step / rate, options)
 
 
 def _fitter(
-    task: Task[FitMarkers], tracker: MarkerTracker, source: BoundTake, drawing: TakeDrawing
+    task: Task[FitMarkers], markers: Markers, source: BoundTake, drawing: TakeDrawing
 ) -> TakeFitter:
     about = {
         "options": task.options.model_dump(mode="json", exclude={"end"}),
         "files": hash_files(task.inputs),
     }
-    frames = int(np.clip(OPTIONS.tets // len(tracker.face.model.tets), 1, OPTIONS.frames))
-    return TakeFitter(tracker, source, drawing, about, frames)
+    frames = int(np.clip(OPTIONS.tets // len(markers.face.model.tets), 1, OPTIONS.frames))
+    return TakeFitter(Tracker(markers), source, drawing, about, frames)
 
 
 def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:

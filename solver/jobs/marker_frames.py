@@ -14,11 +14,18 @@ from typing import Any
 import numpy as np
 
 from solver.errors import Finding, InputError, SolveError
-from solver.fitting.face import Face, Pose
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.markers.filter import KnownControls
+from solver.fitting.markers.observation import (
+    MarkerFit,
+    MarkerMemory,
+    Markers,
+    MarkerTracker,
+    SeenMarkers,
+)
 from solver.fitting.markers.smooth import SmoothFrame, TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior
-from solver.fitting.markers.tracker import MarkerFit, MarkerMemory, MarkerTracker
+from solver.fitting.tracking.tracker import Tracker
 from solver.jobs.marker_verdict import judge_fit
 from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
 from solver.rig.animation_gltf import AnimatedSkin
@@ -33,14 +40,14 @@ from solver.surface import Floats
 class TakeDrawing:
     """Collects frames for the animation and for the page."""
 
-    def __init__(self, tracker: MarkerTracker, source: BoundTake, muscles: Sequence[str]) -> None:
-        self._tracker, self._source = tracker, source
-        self.skin = AnimatedSkin(tracker.face.model.skin)
+    def __init__(self, markers: Markers, source: BoundTake, muscles: Sequence[str]) -> None:
+        self._markers, self._source = markers, source
+        self.skin = AnimatedSkin(markers.face.model.skin)
         self.view = MarkerView(source.labels, muscles)
 
     def add(self, frame: MarkerFrame, x: Floats) -> None:
         """Take a frame whose flesh is at ``x`` (p, 3)."""
-        face, places = self._tracker.face, self._tracker.places
+        face, places = self._markers.face, self._markers.places
         self.skin.add(frame, face.whole_skin(x, pose_of(face, frame).b))
         self.view.add(frame, places.at(x), self._source.points(frame.frame))
 
@@ -89,15 +96,14 @@ class TakeFitter(FrameFitter[MarkerFrame]):
 
     def take_up(self, frame: MarkerFrame, position: int) -> None:  # noqa: ARG002
         """See :class:`~.sequences.FrameFitter`."""
-        tracker = self._tracker.tracker
         with suppress(SolveError):  # out of reach: it is shown as the one before
-            tracker.go_to(pose_of(tracker.face, frame))
+            self._tracker.go_to(pose_of(self._tracker.face, frame))
 
     def fit(self, number: int) -> MarkerFrame:
         """See :class:`~.sequences.FrameFitter`."""
         start, source = time.perf_counter(), self._source
         points, free = source.points(number), source.unlabelled(number)
-        fit = self._tracker.fit(points, free, source.sigma(number))
+        fit = self._tracker.step(SeenMarkers(points, free, source.sigma(number)))
         status: Status = "kept" if fit.kept else "predicted" if fit.predicted else "fitted"
         frame = _frame(number, status, fit, self._tracker.face, time.perf_counter() - start)
         states = np.array(frame.marker_state)
@@ -107,11 +113,11 @@ class TakeFitter(FrameFitter[MarkerFrame]):
 
     def show(self, frame: MarkerFrame, position: int) -> None:  # noqa: ARG002
         """See :class:`~.sequences.FrameFitter`."""
-        self._drawing.add(frame, self._tracker.tracker.state.x)
+        self._drawing.add(frame, self._tracker.state.x)
 
     def beside(self) -> dict[str, Any]:
         """See :class:`~.sequences.FrameFitter`: all that the next frame begins with, exactly."""
-        state, memory = self._tracker.tracker.state, self._tracker.memory
+        state, memory = self._tracker.state, self._tracker.memory
         assert memory is not None, "a frame was fitted"
         rigid = np.vstack([memory.head.motion.rotation, memory.head.motion.shift[None]])
         parts = {
@@ -184,13 +190,13 @@ def pose_of(face: Face, frame: MarkerFrame) -> Pose:
 
 
 def smooth_frames(
-    tracker: MarkerTracker,
+    markers: Markers,
     frames: Sequence[MarkerFrame],
     source: BoundTake,
     show: Callable[[MarkerFrame, Floats], None],
 ) -> list[MarkerFrame]:
     """Return the frames after a sweep back; ``show`` gets each with its flesh."""
-    face, layout, found = tracker.face, tracker.face.layout, []
+    face, layout, found = markers.face, markers.face.layout, []
     traced = [
         TracedFrame(
             pose_of(face, each),
@@ -200,24 +206,25 @@ def smooth_frames(
         )
         for each in frames
     ]
-    for frame, after in zip(frames, smooth(tracker, traced), strict=True):
+    swept, tracker = smooth(markers, traced), Tracker(markers)
+    for frame, after in zip(frames, swept, strict=True):
         pose = face.rest_pose().add(after.controls - layout.rest)
         with suppress(SolveError):  # out of reach: as the frame beside it
-            tracker.tracker.go_to(pose)
-        found.append(_smooth_frame(tracker, frame, source, after))
-        show(found[-1], tracker.tracker.state.x)
+            tracker.go_to(pose)
+        found.append(_smooth_frame(markers, tracker.state, frame, source, after))
+        show(found[-1], tracker.state.x)
     return found
 
 
 def _smooth_frame(
-    tracker: MarkerTracker, frame: MarkerFrame, source: BoundTake, after: SmoothFrame
+    markers: Markers, state: PosedFace, frame: MarkerFrame, source: BoundTake, after: SmoothFrame
 ) -> MarkerFrame:
-    """Return a frame with the tracker's pose, and the head and distances that come of it."""
-    state, seen = tracker.tracker.state, source.points(frame.frame)
+    """Return a frame with the pose of ``state``, and the head and distances that come of it."""
+    seen = source.points(frame.frame)
     states = np.array(frame.marker_state)
     own = (states == "seen") & np.isfinite(seen).all(axis=1)
     weights, head = frame.marker_weight * own, small_motion(frame.head)
-    placed = tracker.place(seen, weights, head, source.sigma(frame.frame))
+    placed = markers.place(state, seen, weights, head, source.sigma(frame.frame))
     off = np.linalg.norm(placed.points - seen, axis=1)
     # a label that was given another's point has the one next to its marker
     others = np.concatenate([seen, source.unlabelled(frame.frame)])
@@ -226,14 +233,14 @@ def _smooth_frame(
         off[label] = np.linalg.norm(others - placed.points[label], axis=1).min()
     return replace(
         frame,
-        **_pose_values(tracker.face, state.pose),
+        **_pose_values(markers.face, state.pose),
         **distance_figures(off[frame.marker_weight > 0.0]),
         status="fitted" if frame.status == "fitted" else "smoothed",
         head=placed.head.twist.round(DECIMALS),
         marker_mm=off.round(DECIMALS),
         sd=after.sd.round(DECIMALS),
         contraction_sd=after.contraction_sd.round(DECIMALS),
-        inverted=tracker.face.flesh.inverted(state.x),
+        inverted=markers.face.flesh.inverted(state.x),
     )
 
 

@@ -18,10 +18,11 @@ import numpy as np
 
 from solver.fitting.face import Face
 from solver.fitting.least_squares import StopOptions
+from solver.fitting.markers.observation import MarkerOptions, Markers, SeenMarkers
 from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces
-from solver.fitting.markers.tracker import MarkerOptions, MarkerTracker
 from solver.fitting.prior import GaussianPrior
-from solver.fitting.sequence import TrackingOptions
+from solver.fitting.tracking.frame_solver import TrackingOptions
+from solver.fitting.tracking.tracker import Tracker
 from solver.scans.markers.bind import model_face, place_on
 from solver.scans.markers.marker_set import Marker
 from solver.scans.markers.motion import rms_of_seen
@@ -115,14 +116,14 @@ def refine(
 
     The frames are ``seconds`` apart (:func:`frames_near_neutral`). Markers on bones stay.
     """
-    tracking = replace(options.tracking, tracking=options.steps)
+    steps = replace(options.steps, whole=options.tracking.tracking.whole)
+    tracking = replace(options.tracking, tracking=steps)
     rest, now, skin = face.model.rest, list(markers), model_face(face.model)
     bound = MarkerPlaces(face.model, markers).at(rest)
     for _ in range(options.rounds):
         places = MarkerPlaces(face.model, now)
         sigma = np.array([marker.sigma_mm for marker in now])
-        tracker = MarkerTracker(face, places, sigma, prior, seconds, tracking)
-        offsets = _offsets(tracker, frames)
+        offsets = _offsets(Markers(face, places, sigma, prior, seconds, tracking), frames)
         counts = np.isfinite(offsets[..., 0]).sum(axis=0)
         axes, at = triangle_axes(places.corners(rest)), places.at(rest)
         for number, marker in enumerate(now):
@@ -138,18 +139,18 @@ def refine(
     return tuple(now)
 
 
-def _offsets(tracker: MarkerTracker, frames: Sequence[Floats]) -> Floats:
+def _offsets(markers: Markers, frames: Sequence[Floats]) -> Floats:
     """Return what is left of frames (f, k, 3) in the axes of triangles, NaN where nothing is."""
-    found = []
+    found, tracker = [], Tracker(markers)
     for seen in frames:
-        fit = tracker.fit(seen)
+        fit = tracker.step(SeenMarkers(seen))
         if fit.kept:
             continue
         off = (fit.judged.points - fit.placed.points) @ fit.placed.head.rotation
-        axes = triangle_axes(tracker.places.corners(fit.state.x))
+        axes = triangle_axes(markers.places.corners(fit.state.x))
         local = np.einsum("kij,ki->kj", axes, off)
         found.append(np.where(fit.judged.weights[:, None] > 0.0, local, np.nan))
-    return np.reshape(found, (-1, len(tracker.places), 3))
+    return np.reshape(found, (-1, len(markers.places), 3))
 
 
 def triangle_axes(corners: Floats) -> Floats:

@@ -19,7 +19,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from solver.fitting.markers.term import HeadPrior, head_rates
+from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces, MarkerTerm, head_rates
 from solver.similarity import robust_weights
 from solver.surface import Floats, Ints
 
@@ -146,6 +146,36 @@ def judge(
     again = used & (weights < options.least_weight)
     states[again] = "outlier"
     return JudgedFrame(points, np.where(used & ~again, weights, 0.0), states)
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Judges the points of markers at ``places``, and makes a term of fits of what counts."""
+
+    places: MarkerPlaces
+    robust: RobustOptions
+    head: HeadOptions
+
+    def term(
+        self,
+        head: HeadPrior,
+        at: Floats,
+        spread: Floats,
+        seen: Floats,
+        precision: Floats,
+        unlabelled: Floats | None = None,
+    ) -> tuple[JudgedFrame, MarkerTerm]:
+        """Return a frame judged, and its term: the precision of a point is 0 where it is wrong.
+
+        The markers are probably ``at`` (k, 3) in the head's frame, with the covariance ``spread``
+        (3 k, 3 k); other arguments are those of :func:`judge`.
+        """
+        free = np.zeros((0, 3)) if unlabelled is None else unlabelled
+        prediction = Prediction.of(head, self.places.centre, at, spread)
+        judged = judge(prediction, seen, precision, free, self.robust)
+        used = precision * judged.weights[:, None]
+        target = np.where(used > 0.0, judged.points, np.nan)
+        return judged, MarkerTerm(self.places, target, used, head, self.head)
 
 
 def _rounds(

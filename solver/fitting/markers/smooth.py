@@ -21,8 +21,9 @@ import numpy as np
 import scipy.linalg
 
 from solver.fitting.face import Pose
-from solver.fitting.markers.tracker import MarkerTracker
+from solver.fitting.markers.observation import Markers
 from solver.fitting.prior import GaussianPrior, kept_part
+from solver.fitting.tracking.tracker import Tracker
 from solver.similarity import Similarity
 from solver.surface import Floats
 
@@ -52,50 +53,48 @@ class SmoothFrame:
 
 
 def smooth(
-    tracker: MarkerTracker, frames: Sequence[TracedFrame], shortest: int = SHORTEST_BLOCK
+    markers: Markers, frames: Sequence[TracedFrame], shortest: int = SHORTEST_BLOCK
 ) -> list[SmoothFrame]:
     """Return the frames of a take after a sweep back, in blocks of ``shortest`` frames or more."""
-    prior, kept = tracker.prior, kept_part(tracker.seconds, tracker.options.filter.forgetting)
+    prior, kept = markers.prior, kept_part(markers.seconds, markers.options.filter.forgetting)
     length = max(shortest, isqrt(len(frames)))
     blocks = [frames[first : first + length] for first in range(0, len(frames), length)]
     begins, covariances = [prior.covariance], []
     for block in blocks:
-        covariances = _covariances(tracker, block, begins[-1])
-        begins.append(_spread(tracker, covariances[-1]))
+        covariances = _covariances(markers, block, begins[-1])
+        begins.append(_spread(markers, covariances[-1]))
     found: list[SmoothFrame] = []
     mean, after = prior.mean, prior.covariance
     for number, block in reversed(list(enumerate(blocks))):
         if number < len(blocks) - 1:
-            covariances = _covariances(tracker, block, begins[number])
+            covariances = _covariances(markers, block, begins[number])
         for frame, here in zip(reversed(block), reversed(covariances), strict=True):
             own = frame.pose.vector()
             if found:
-                spread = _spread(tracker, here)
+                spread = _spread(markers, here)
                 gain = kept * scipy.linalg.solve(spread, here, assume_a="pos").T
                 mean = own + gain @ (mean - prior.mean - kept * (own - prior.mean))
-                mean = tracker.face.layout.bounds.clip(mean)
+                mean = markers.face.layout.bounds.clip(mean)
                 after = here + gain @ (after - spread) @ gain.T
             else:
                 mean, after = own, here
             sd = np.sqrt(np.maximum(np.diag(after), 0.0))
-            found.append(SmoothFrame(mean, sd, tracker.contraction_sd(after)))
+            found.append(SmoothFrame(mean, sd, markers.contraction_sd(after)))
     return found[::-1]
 
 
-def _covariances(
-    tracker: MarkerTracker, frames: Sequence[TracedFrame], spread: Floats
-) -> list[Floats]:
+def _covariances(markers: Markers, frames: Sequence[TracedFrame], spread: Floats) -> list[Floats]:
     """Return what the filter knows after each of some frames, and ``spread`` before the first."""
-    tracker.begin(tracker.face.rest, None)
+    solver = Tracker(markers).solver
     found: list[Floats] = []
     for number, frame in enumerate(frames):
-        before = _spread(tracker, found[-1]) if found else spread
-        normal = tracker.normal(frame.pose, frame.head, frame.weights, number, frame.sigma)
-        prior = GaussianPrior(tracker.prior.mean, before)
-        found.append(tracker.filter.spread(prior, tracker.filter.evidence(normal)))
+        before = _spread(markers, found[-1]) if found else spread
+        normal = markers.normal(solver, frame.pose, frame.head, frame.weights, number, frame.sigma)
+        prior = GaussianPrior(markers.prior.mean, before)
+        found.append(markers.filter.spread(prior, markers.filter.evidence(normal)))
     return found
 
 
-def _spread(tracker: MarkerTracker, covariance: Floats) -> Floats:
+def _spread(markers: Markers, covariance: Floats) -> Floats:
     """Return the covariance before the frame that follows on one with this."""
-    return tracker.filter.later(tracker.prior.mean, covariance).covariance
+    return markers.filter.later(markers.prior.mean, covariance).covariance

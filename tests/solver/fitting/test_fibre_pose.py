@@ -11,8 +11,10 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.least_squares import bounded_step
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
-from solver.fitting.sequence import Tracker
+from solver.fitting.tracking.dense import DensePoints
+from solver.fitting.tracking.tracker import Tracker
 from solver.mechanics.flesh import MOONEY_RIVLIN
+from solver.meshio.registered import RegisteredScan
 from tests.solver.simulation.test_fibres import fibred_block
 
 JAW = np.array([0.08, 0.02, 0.3, -0.3, 0.2])
@@ -100,11 +102,12 @@ def test_a_step_within_bounds_is_cut_as_a_whole(face):
 
 
 def test_frames_are_followed(face):
-    tracker = Tracker(face, light(face), face.rest)
+    tracker = Tracker(DensePoints(face, light(face)))
     for number in range(1, 5):
         part = 0.2 * number
         truth = face.continuation(face.rest, pose(face, part, 0.5 * part, part=part))
-        tracker.fit(data(face, truth).target)
+        points = face.face_points(truth.x)
+        tracker.step(RegisteredScan(points, np.ones(len(points))))
         assert (tracker.state.pose.a >= 0.0).all()
         np.testing.assert_allclose(tracker.state.pose.a, truth.pose.a, atol=0.1)
         moved = np.linalg.norm(face.face_points(truth.x) - face.face_points(face.rest.x), axis=1)

@@ -17,7 +17,7 @@ from solver.fitting.least_squares import (
     minimise,
 )
 from solver.fitting.per_tet.descent import Damping
-from solver.fitting.sequence import TrackingOptions
+from solver.fitting.tracking.frame_solver import TrackingOptions
 
 START = np.array([-1.2, 1.0])
 

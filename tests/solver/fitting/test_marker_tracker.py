@@ -10,12 +10,13 @@ from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, with_fibres
 from solver.fitting.face import Face
+from solver.fitting.markers.observation import Markers, SeenMarkers
 from solver.fitting.markers.places import RefineOptions, frames_near_neutral, refine, triangle_axes
 from solver.fitting.markers.reach import reach
 from solver.fitting.markers.robust import Prediction, judge
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import MarkerPlaces
-from solver.fitting.markers.tracker import MarkerTracker
+from solver.fitting.tracking.tracker import Tracker
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.scans.markers.bind import model_face, place_on
 from solver.scans.markers.marker_set import Marker
@@ -72,7 +73,7 @@ def take(face, places, known):
 
 
 def tracker_of(face, places, known):
-    return MarkerTracker(face, places, np.full(MARKERS, 0.3), known, 1.0 / RATE)
+    return Tracker(Markers(face, places, np.full(MARKERS, 0.3), known, 1.0 / RATE))
 
 
 def off(face, state, skin):
@@ -85,7 +86,7 @@ def test_face_and_head_are_followed(face, places, known, take):
     moved = np.linalg.norm(skins - skins[0], axis=2).mean(axis=1).max()
     assert moved > 1.0
     for skin, head, seen in zip(skins, heads, points, strict=True):
-        fit = tracker.fit(seen)
+        fit = tracker.step(SeenMarkers(seen))
         assert not fit.predicted
         assert (fit.judged.states == "seen").all()
         assert off(face, fit.state, skin) < 0.3
@@ -113,7 +114,7 @@ def test_wrong_markers_are_found_and_swaps_mended(face, places, known, take):
             states[gone], states[ghost] = "missing", "relabelled"
             free = seen[[ghost]].copy()
             seen[[gone, ghost]] = np.nan
-        fit = tracker.fit(seen, free if number > 3 else None)
+        fit = tracker.step(SeenMarkers(seen, free if number > 3 else None))
         np.testing.assert_array_equal(fit.judged.states, states)
         assert off(face, fit.state, skin) < 0.35
 
@@ -122,16 +123,16 @@ def test_what_nothing_tells_of_fades_and_comes_back(face, places, known, take):
     skins, _, points = take
     tracker = tracker_of(face, places, known)
     for seen in points[:12]:
-        before = tracker.fit(seen)
+        before = tracker.step(SeenMarkers(seen))
     none = np.full_like(points[0], np.nan)
-    gone = [tracker.fit(none) for _ in range(6)]
+    gone = [tracker.step(SeenMarkers(none)) for _ in range(6)]
     assert all(fit.predicted and fit.held.all() for fit in gone)
     assert not before.held.all()
     rest, last = face.layout.rest, before.state.pose.vector()
     kept = np.exp(-6 / RATE)
     np.testing.assert_allclose(gone[-1].state.pose.vector() - rest, kept * (last - rest), atol=1e-6)
     assert (gone[-1].sd > before.sd).all()
-    again = tracker.fit(points[12])
+    again = tracker.step(SeenMarkers(points[12]))
     assert off(face, again.state, skins[12]) < 0.35
 
 
@@ -139,10 +140,10 @@ def test_a_take_goes_on_from_what_a_frame_left(face, places, known, take):
     points = take[2]
     tracker, other = (tracker_of(face, places, known) for _ in range(2))
     for seen in points[:4]:
-        fit = tracker.fit(seen)
+        fit = tracker.step(SeenMarkers(seen))
     for each in (tracker, other):
         each.begin(fit.state, tracker.memory)
-    fits = [each.fit(points[4]) for each in (tracker, other)]
+    fits = [each.step(SeenMarkers(points[4])) for each in (tracker, other)]
     np.testing.assert_allclose(fits[0].state.x, fits[1].state.x, atol=1e-9)
     np.testing.assert_allclose(fits[0].sd, fits[1].sd, rtol=1e-9)
 
@@ -237,7 +238,7 @@ def test_a_frame_that_cannot_be_fitted_keeps_the_face(
 ):
     _, heads, points = take
     tracker = tracker_of(face, places, known)
-    before = tracker.fit(points[0])
+    before = tracker.step(SeenMarkers(points[0]))
     seen = points[1].copy()
     seen[2] += 25.0
     seen[5] = np.nan
@@ -246,8 +247,8 @@ def test_a_frame_that_cannot_be_fitted_keeps_the_face(
         def fail(*_args, **_kwargs):
             raise fault
 
-        patch.setattr(tracker.tracker, "fit_term", fail)
-        kept = tracker.fit(seen)
+        patch.setattr(tracker.solver, "fit", fail)
+        kept = tracker.step(SeenMarkers(seen))
     assert kept.kept
     assert not kept.predicted
     np.testing.assert_array_equal(kept.state.x, before.state.x)
@@ -262,14 +263,14 @@ def test_a_frame_that_cannot_be_fitted_keeps_the_face(
     assert kept.held.all()
     np.testing.assert_allclose(kept.information, 0.0, atol=1e-9)
     assert (kept.sd >= before.sd).all()
-    assert not tracker.fit(points[2]).kept
+    assert not tracker.step(SeenMarkers(points[2])).kept
 
 
 def test_points_without_a_finite_sigma(face, places, known, take):
     seen, sigma = take[2][0].copy(), np.full((MARKERS, 3), 0.2)
     seen[3], sigma[3] = np.nan, np.inf
     sigma[4] = np.nan
-    fit = tracker_of(face, places, known).fit(seen, None, sigma)
+    fit = tracker_of(face, places, known).step(SeenMarkers(seen, None, sigma))
     assert fit.judged.states[[3, 4]].tolist() == ["missing", "seen"]
     assert off(face, fit.state, take[0][0]) < 0.3
 
@@ -277,7 +278,7 @@ def test_points_without_a_finite_sigma(face, places, known, take):
 def test_markers_that_err_alike_in_every_frame_are_not_believed_more(face, places, known, take):
     """A hundred frames of one still face say no more than the first."""
     tracker = tracker_of(face, places, known)
-    fits = [tracker.fit(take[2][0]) for _ in range(12)]
+    fits = [tracker.step(SeenMarkers(take[2][0])) for _ in range(12)]
     assert (
         fits[-1].sd[face.layout["activations"]].mean()
         > 0.9 * fits[0].sd[face.layout["activations"]].mean()
@@ -290,18 +291,18 @@ def test_a_head_that_was_lost_is_found_again(face, places, known, take):
     few = np.full_like(take[2][0], np.nan)
     few[:2] = take[2][0][:2]
     for _ in range(3):
-        tracker.fit(few)
+        tracker.step(SeenMarkers(few))
     head = small_motion(np.array([0.0, 0.9, 0.0, 80.0, 0.0, 0.0]))
-    fit = tracker.fit(head(places.at(face.rest.x)))
+    fit = tracker.step(SeenMarkers(head(places.at(face.rest.x))))
     assert fit.placed.head.then(head.inverse()).degrees < 0.5
     assert (fit.judged.states == "seen").all()
 
 
 def test_a_sweep_in_blocks_is_that_in_one(face, places, known, take):
     tracker = tracker_of(face, places, known)
-    fits = [tracker.fit(seen) for seen in take[2][:7]]
+    fits = [tracker.step(SeenMarkers(seen)) for seen in take[2][:7]]
     traced = [TracedFrame(fit.state.pose, fit.placed.head, fit.judged.weights) for fit in fits]
-    whole, parts = smooth(tracker, traced), smooth(tracker, traced, 3)
+    whole, parts = (smooth(tracker.observation, traced, *each) for each in ((), (3,)))
     for one, other in zip(whole, parts, strict=True):
         np.testing.assert_allclose(one.controls, other.controls, atol=5e-3)
         np.testing.assert_allclose(one.sd, other.sd, rtol=0.05)
@@ -313,9 +314,11 @@ def test_a_sweep_back_bridges_a_gap(face, places, known, take):
     tracker = tracker_of(face, places, known)
     fits, gap = [], range(6, 12)
     for number, seen in enumerate(points[:18]):
-        fits.append(tracker.fit(np.full_like(seen, np.nan) if number in gap else seen))
+        fits.append(
+            tracker.step(SeenMarkers(np.full_like(seen, np.nan) if number in gap else seen))
+        )
     traced = [TracedFrame(fit.state.pose, fit.placed.head, fit.judged.weights) for fit in fits]
-    swept = smooth(tracker, traced)
+    swept = smooth(tracker.observation, traced)
     values, vectors = np.linalg.eigh(known.covariance)
     way = vectors[:, -1] / np.sqrt(values[-1])
     phases = np.linspace(0.0, 1.5 * np.pi, 24)
@@ -359,9 +362,9 @@ def test_held_muscles_keep_still_while_others_move(face, places, take):
     loose = prior.from_changes(face.layout, [], prior.LOOSE)
     tracker = tracker_of(face, places, loose)
     left = places.at(face.model.rest)[:, 0] > 5.0
-    before = [tracker.fit(seen) for seen in points[:10]][-1]
+    before = [tracker.step(SeenMarkers(seen)) for seen in points[:10]][-1]
     points[:, left] = np.nan
-    gone = [tracker.fit(seen) for seen in points[10:18]]
+    gone = [tracker.step(SeenMarkers(seen)) for seen in points[10:18]]
     held = gone[-1].held & ~before.held
     assert held.any()
     rest = face.rest_pose().a

@@ -7,7 +7,9 @@ from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
-from solver.fitting.sequence import Tracker
+from solver.fitting.tracking.dense import DenseOptions, DensePoints
+from solver.fitting.tracking.tracker import Tracker
+from solver.meshio.registered import RegisteredScan
 from tests.solver.block import block_model
 
 FRAMES = 40
@@ -42,16 +44,20 @@ def targets(face, poses):
     return found
 
 
+def seen(target):
+    return RegisteredScan(target.points, np.ones(len(target.points)))
+
+
 def regulariser(face):
     return Regulariser(w_a=1e-3, w_v=1e-2, w_b=1e-6, prior=face.rest_pose())
 
 
 def test_frames_are_as_good_as_on_their_own(face, targets):
     weights = regulariser(face)
-    tracker = Tracker(face, weights, face.rest)
+    tracker = Tracker(DensePoints(face, weights))
     tracked, alone = [], []
     for target in targets:
-        tracker.fit(target)
+        tracker.step(seen(target))
         data = SkinDistance(face, target)
         tracked.append(activation.objective(data, weights, tracker.state))
         options = ActivationOptions(30, tolerance=1e-6)
@@ -67,10 +73,11 @@ def test_frames_are_as_good_as_on_their_own(face, targets):
 def test_a_temporal_weight_holds_the_pose(face, targets):
     moved = []
     for weight in (0.0, 1e3):
-        tracker = Tracker(face, regulariser(face), face.rest, temporal=weight)
+        options = DenseOptions(temporal=weight)
+        tracker = Tracker(DensePoints(face, regulariser(face), options=options))
         a = []
         for target in targets[10:16]:
-            tracker.fit(target)
+            tracker.step(seen(target))
             a.append(tracker.state.pose.a)
         moved.append(np.abs(np.diff(a[1:], axis=0)).max())
     assert moved[1] < 0.5 * moved[0]
@@ -78,9 +85,9 @@ def test_a_temporal_weight_holds_the_pose(face, targets):
 
 def test_a_jump_is_fitted_the_long_way(face, targets):
     weights = regulariser(face)
-    tracker = Tracker(face, weights, face.rest)
+    tracker = Tracker(DensePoints(face, weights))
     for target in (targets[0], targets[1], targets[20]):
-        tracker.fit(target)
+        tracker.step(seen(target))
     data = SkinDistance(face, targets[20])
     alone = activation.fit(face, data, weights, face.rest).objective
     assert activation.objective(data, weights, tracker.state) < 1.05 * alone

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +16,11 @@ from solver.errors import InputError, SolveError
 from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Regulariser, Target
-from solver.fitting.sequence import Tracker, stillness
+from solver.fitting.objective import Regulariser
+from solver.fitting.tracking.dense import DensePoints, stillness
+from solver.fitting.tracking.frame_solver import FrameSolver
+from solver.fitting.tracking.tracker import Tracker
 from solver.jobs import run_job
-from solver.jobs.fit_sequence import Follower
-from solver.jobs.fits import Targets
 from solver.mechanics.equilibrium import CorrectorOptions
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step
@@ -153,15 +154,15 @@ def test_what_can_not_be_fitted_keeps_the_pose_and_warns(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls, steps = [], []
-    whole = Tracker.fit
+    whole = FrameSolver.fit
 
-    def fails_once(tracker: Tracker, target: Target, before: Pose | None = None) -> int:
-        calls.append(target)
+    def fails_once(solver: FrameSolver, *parts: Any) -> int:
+        calls.append(parts)
         if len(calls) == 3:
             raise SolveError("solve.no_convergence", "the face does not come to rest")
-        return whole(tracker, target, before)
+        return whole(solver, *parts)
 
-    monkeypatch.setattr(Tracker, "fit", fails_once)
+    monkeypatch.setattr(FrameSolver, "fit", fails_once)
     how = {"options": {"end": 5}, "progress": steps.append}
     run_job("fit_sequence", tmp_path, **how, **inputs_of(files))
     found = np.load(tmp_path / "sequence.npz")
@@ -244,19 +245,19 @@ def test_the_head_s_motion_is_told_from_the_face_s() -> None:
     rest, state = face.rest_pose(), face.rest
     change = np.random.default_rng(2).normal(0.0, 0.1, rest.a.shape)
     regulariser = Regulariser(w_a=2e-3, w_v=1e-2, w_b=1e-6, prior=rest)
-    tracker = Tracker(face, regulariser, state)
-    follower = Follower(tracker, Targets(model, "point"), still=stillness(face))
+    tracker = Tracker(DensePoints(face, regulariser, still=stillness(face)))
     for number in range(1, 3):
         pose = Pose(rest.a + number * change, number * np.array([0.06, 0.0, 0.0, 0.0, 0.5]))
         state = face.continuation(state, pose)
         turn = Rotation.from_rotvec([0.2 * number, -0.3, 0.1])
         shift = np.array([30.0 * number, 100.0, -20.0])
         seen = turn.apply(face.face_points(state.x)) + shift
-        frame = follower.fit(number, RegisteredScan(seen, np.ones(len(seen))))
-        assert frame.status == "fitted"
-        assert frame.mean_mm < 0.05
+        found = tracker.step(RegisteredScan(seen, np.ones(len(seen))))
+        assert found.status == "fitted"
+        assert found.target is not None
+        assert found.target.distances(face.face_points(found.state.x)).mean() < 0.05
         rest_points = model.skin.vertices[model.face]
-        placed = Rotation.from_rotvec(frame.head[:3]).apply(rest_points) + frame.head[3:]
+        placed = found.head(rest_points)
         assert np.abs(placed - turn.apply(rest_points) - shift).max() < 0.1
 
 

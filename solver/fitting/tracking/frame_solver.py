@@ -1,4 +1,4 @@
-"""Activations and jaw frame after frame, by derivatives that lag behind.
+"""Fit a frame from the one before, by derivatives that lag behind.
 
 A frame takes a few SQP steps in (x, a, b): a Gauss-Newton step of the pose, then corrections of the
 equilibrium with the Hessian of a frame or a few ago. The sensitivities lag for longer still,
@@ -25,12 +25,11 @@ from solver.fitting.least_squares import (
     Termination,
     minimise,
 )
-from solver.fitting.objective import Prior, Regulariser, SkinDistance, SumTerm, Target, Term
+from solver.fitting.objective import Prior, SumTerm, Term
 from solver.fitting.sensitivity import Jacobian, Sensitivity
 from solver.fitting.steps import StepOptions
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization
-from solver.similarity import robust_weights
 from solver.surface import Floats
 
 
@@ -50,6 +49,8 @@ class TrackingOptions:
     lagged_frames: int = 15
     corrector: CorrectorOptions = field(default_factory=CorrectorOptions)
     steps: StepOptions = field(default_factory=StepOptions.quick)  # within bounds
+    # effort of a frame that is fitted as any expression is
+    whole: ActivationOptions = field(default_factory=lambda: ActivationOptions(20, tolerance=1e-3))
     stuck: float = 1.1  # growth of f up to which a frame without a way down stays as it was
     reseen: float = 0.1  # part of the points' weight that moves before a matrix is made anew
 
@@ -67,44 +68,23 @@ class _LaggedModel:
         return cls(jacobian, weights, jacobian.contract(data.curvature(x)))
 
 
-class Tracker:
+class FrameSolver:
     """Fits the pose of each frame from the one before; ``state`` is the last one's.
 
-    ``temporal`` is the weight w_t of w_t/2 |a - a_before|^2 (the jaw's in the same measure),
-    ``max_iterations`` bounds a frame that is fitted as any expression is. A state's vertices are
-    within about the corrector's ``close_mm`` of the equilibrium; its factor is that of the
-    frame that was factorised last, its residual that before the last correction.
+    A state's vertices are within about the corrector's ``close_mm`` of the equilibrium; its factor
+    is that of the frame that was factorised last, its residual that before the last correction.
     """
 
     def __init__(
-        self,
-        face: Face,
-        regulariser: Regulariser,
-        start: PosedFace,
-        *,
-        temporal: float = 0.0,
-        max_iterations: int = 20,
-        options: TrackingOptions = TrackingOptions(),
+        self, face: Face, start: PosedFace, options: TrackingOptions = TrackingOptions()
     ) -> None:
-        self.face = face
-        self.state = start
-        self._regulariser, self._temporal, self._options = regulariser, temporal, options
-        self._whole_fit = ActivationOptions(max_iterations, tolerance=1e-3)
+        self.face, self.state, self._options = face, start, options
         self._descent = DescentOptions(steps=options.steps)
         self._lagged: _LaggedModel | None = None
         self._age, self._value = 0, np.inf
-        self._search = Backtracking(self._options.damping, least_ratio=self._options.least_ratio)
+        self._search = Backtracking(options.damping, least_ratio=options.least_ratio)
 
-    def fit(self, target: Target, before: Pose | None = None) -> int:
-        """Fit a frame's points and return the steps it took.
-
-        ``before`` is the frame before's pose, where the state is this frame's already: fitted to
-        another placing of the head. Raises as :meth:`fit_term`.
-        """
-        prior = self._regulariser.with_proximal_term(before or self.state.pose, self._temporal)
-        return self.fit_term(SkinDistance(self.face, target), target.weights, prior)
-
-    def fit_term(
+    def fit(
         self,
         data: Term,
         weights: Floats,
@@ -141,7 +121,7 @@ class Tracker:
                     return 0
         if found is None:
             known = None if self._lagged is None else self._lagged.hessian
-            effort, stop = self._whole_fit, Termination.ITERATIONS
+            effort, stop = options.whole, Termination.ITERATIONS
             parts, descent = (self.face, both, prior, self.state), self._descent
             fitted = activation.fit(*parts, effort, matrix=known, descent=descent)
             found = LeastSquaresSolution(fitted.state, fitted.objective, fitted.iterations, stop)
@@ -237,24 +217,3 @@ def _correct(
     a = face.flesh_controls(pose.a)
     found = correct(face.flesh, face.linear, guess, a, state.equilibrium.factor, options)
     return None if found is None else PosedFace(pose, found)
-
-
-@dataclass(frozen=True)
-class UsualMotion:
-    """A motion of the usual size that makes a point mobile."""
-
-    mobile_mm: float = 0.4  # of a point that is half as still as the skull
-
-
-def stillness(face: Face, usual: UsualMotion = UsualMotion()) -> Floats:
-    """Return weights (k,) in (0, 1] of the face's points: 1 where no muscle nor the jaw moves it.
-
-    The motion is the linear response, at rest, to usual changes of every activation and of the
-    jaw, all at once and independent of each other.
-    """
-    sensitivity = Sensitivity(face, face.rest)
-    by_pose = sensitivity.response.motions(sensitivity.pose)
-    columns = (by_pose * face.layout.usual).reshape(len(by_pose), -1)
-    motion = np.asarray(face.face_embedding @ columns)
-    squares = np.sum(motion.reshape(len(motion), -1) ** 2, axis=1)
-    return robust_weights(squares / usual.mobile_mm**2)
