@@ -104,8 +104,8 @@ def test_the_service_listens_while_kernels_compile(tmp_path, monkeypatch):
         tell("kernels of register_scan (1 of 5)")
         raise KeyboardInterrupt
 
+    monkeypatch.setenv(kernels.KERNELS_VARIABLE, str(tmp_path / "none"))  # stale ones are removed
     monkeypatch.setattr("myoface.stack.Stack", Listening)
-    monkeypatch.setattr("worker.kernels.are_compiled", lambda: False)
     monkeypatch.setattr("worker.kernels.compile_all", compile_all)
     monkeypatch.setattr("signal.signal", lambda *_: None)
     monkeypatch.setattr("myoface.cli.service.configure_logs", lambda _json: None)
