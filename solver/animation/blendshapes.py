@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +21,14 @@ import scipy.sparse as sp
 from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError, SolveError
 from solver.fitting import activation
-from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
+from solver.fitting.activation import UNSEEN_STOP, DescentOptions, unseen_regulariser
 from solver.fitting.contact import terms
-from solver.fitting.drives.six_numbers import LEAST_STRETCH
+from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives.six_numbers import LEAST_STRETCH, SixNumbers
+from solver.fitting.drives.stored import restore, store
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Target
+from solver.fitting.steps import StepOptions
 from solver.fitting.stretches import COLUMN, ROW, matrices
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
@@ -82,6 +85,7 @@ STORED = ("activations", "jaw", "mean_mm", "settled")  # its arrays
 CORRECTED = {"mouthClose": "jawOpen"}  # corrective shape -> the one it corrects
 # mm; a shape that moves no point of the face further is nothing for muscles: a tongue, a pupil
 LEAST_MOTION_MM = 0.05
+SHORT = DescentOptions(steps=StepOptions.quick())  # within limits: there are fifty shapes
 
 
 @dataclass(frozen=True)
@@ -99,10 +103,14 @@ class Solved:
 
 @dataclass(frozen=True)
 class Blendshapes:
-    """The shapes by name, as the template calls them; ``muscles`` names what drives them."""
+    """The shapes by name, as the template calls them.
+
+    ``muscles`` are the names of those that make them, within the limits of ``drive``.
+    """
 
     muscles: tuple[str, ...]
     shapes: Mapping[str, Solved]
+    drive: MuscleDrive = field(default_factory=SixNumbers)
 
     @property
     def blend(self) -> Blend:
@@ -120,8 +128,14 @@ class Blendshapes:
             "mean_mm": np.array([shape.mean_mm for shape in shapes]),
             "settled": np.array([shape.settled for shape in shapes], bool),
         }
-        header = {"format": FORMAT, "rig": _rig_hash(model, S), "muscles": self.muscles}
-        Archive({**header, "names": blend.names}, arrays).write(path)
+        header = {
+            "format": FORMAT,
+            "rig": _rig_hash(model, S),
+            "muscles": self.muscles,
+            "drive": store(self.drive),
+            "names": blend.names,
+        }
+        Archive(header, arrays).write(path)
 
     @classmethod
     def load(cls, path: Path, model: SubjectModel, S: sp.csr_array) -> Blendshapes:
@@ -134,6 +148,7 @@ class Blendshapes:
         header, data = archive.header, archive.arrays
         try:
             rig, muscles, shapes = header["rig"], tuple(header["muscles"]), {}
+            drive = restore(header.get("drive", store(SixNumbers())))  # those before had no limits
             for row, name in enumerate(header["names"]):
                 a, b, mean, settled = (data[key][row] for key in STORED)
                 shapes[name] = Solved(Pose(a, b), float(mean), bool(settled))
@@ -143,7 +158,7 @@ class Blendshapes:
         if rig != _rig_hash(model, S):
             reason = f"{path.name} belongs to another rig"
             raise InputError("blendshapes.model", reason, file=path.name)
-        return cls(muscles, shapes)
+        return cls(muscles, shapes, drive)
 
 
 def _rig_hash(model: SubjectModel, S: sp.csr_array) -> str:
@@ -192,8 +207,9 @@ def solve_blendshapes(
 ) -> Blendshapes:
     """Fit activations and jaw to ``targets``, name -> the face's points (k, 3) in mm.
 
-    Shapes that are ``done`` are taken as they are; ``listen`` hears of every other as it is solved.
-    One that does not come to rest stays at rest.
+    Muscles stay within the face's limits, and the jaw's numbers are those of a free one. Shapes
+    that are ``done`` are taken as they are; ``listen`` hears of every other as it is solved. One
+    that does not come to rest stays at rest.
     """
     missing = {
         name: Target.from_points(points) for name, points in targets.items() if name not in done
@@ -203,15 +219,19 @@ def solve_blendshapes(
         data, regulariser = terms(face, missing), unseen_regulariser(face)
         for name, target in missing.items():
             try:
-                fit = activation.fit(face, data[name], regulariser, options=UNSEEN_STOP)
+                fit = activation.fit(
+                    face, data[name], regulariser, options=UNSEEN_STOP, descent=SHORT
+                )
                 state, settled = fit.state, True
             except (SolveError, np.linalg.LinAlgError):
                 state, settled = face.rest, False
             off = target.distances(face.face_points(state.x))
-            pose, corrected = state.pose, found.get(CORRECTED.get(name, ""))
+            pose = Pose(state.pose.a, face.five_jaw_numbers(state.pose.b))
+            corrected = found.get(CORRECTED.get(name, ""))
             if corrected is not None:
                 a, b = corrected.pose.a, corrected.pose.b
                 pose = Pose(IDENTITY + pose.a - a, pose.b - b)
             found[name] = Solved(pose, float(off.mean()), settled)
             listen(name, found[name])
-    return Blendshapes(face.model.muscle_names, {name: found[name] for name in targets})
+    shapes = {name: found[name] for name in targets}
+    return Blendshapes(face.model.muscle_names, shapes, face.drive)

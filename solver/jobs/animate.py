@@ -8,7 +8,6 @@ import numpy as np
 
 from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
 from solver.animation.drives import RecordedDrives
-from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
@@ -30,8 +29,8 @@ def run(task: Task[Animate]) -> list[Path]:
     """Play a recording of Live Link Face on a fitted face, as :func:`solver.jobs.simulate.run`.
 
     Activations and jaw of every expression of the template are solved first, once for a rig: the
-    ``blendshapes.npz`` that this leaves is taken as it is if it is given. Raises, besides,
-    ``blendshapes.*`` and ``live_link.*``.
+    ``blendshapes.npz`` that this leaves is taken as it is if it is given, and of muscles within
+    the limits of the rig's. Raises, besides, ``blendshapes.*`` and ``live_link.*``.
     """
     given, out, progress = task.options, task.out, task.progress
     if given.video:
@@ -49,9 +48,10 @@ def run(task: Task[Animate]) -> list[Path]:
         return Stage(scene, places, S, drives, given.linear_solver)
 
     kept = out / "blendshapes.npz"
+    shapes = None
     if "blendshapes" in task.inputs:
         shapes = Blendshapes.load(task.inputs["blendshapes"], model, S)
-    else:
+    if shapes is None or shapes.drive != rig.drive:  # solved by a release without limits
         # the shapes take minutes: what is wrong with the scene is told before
         stage_of(Blendshapes(model.muscle_names, {}))
         shapes = _solve_shapes(rig, kept, task)
@@ -75,17 +75,18 @@ def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:
     targets = expression_targets(model, anatomy.shapes)
     done: dict[str, Solved] = {}
     if task.resume and kept.is_file():
-        done.update(Blendshapes.load(kept, model, S).shapes)
+        known = Blendshapes.load(kept, model, S)
+        done.update(known.shapes if known.drive == rig.drive else {})
 
     def report(name: str, solved: Solved) -> None:
         done[name] = solved
         if len(done) % SAVED_EVERY == 0:
-            Blendshapes(model.muscle_names, done).save(kept, model, S)
+            Blendshapes(model.muscle_names, done, rig.drive).save(kept, model, S)
         count, error = len(done), solved.mean_mm
         fraction = READ + (SOLVED - READ) * count / len(targets)
         words = f"{name}, {count} of {len(targets)}"
         task.progress(Step("blendshapes", fraction, count, mean_error_mm=error, message=words))
 
-    face = Face(model, S, linear=fastest())
+    face = rig.face(fastest())
     check_held(face)
     return solve_blendshapes(face, targets, dict(done), report)

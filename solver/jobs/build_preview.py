@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
 from solver.kinds.build_preview import BuildPreview
@@ -30,7 +29,7 @@ def run(task: Task[BuildPreview]) -> list[Path]:
     begin = time.perf_counter()
     rig = Rig.load(task.inputs)
     fits = [fit for fit in rig.expressions if fit.status != "failed"]
-    face = Face(rig.model, rig.weights, linear=fastest(), tolerance=TOLERANCE)
+    face = rig.face(fastest(), TOLERANCE).with_free_jaw()  # its sliders are those of five numbers
     check_held(face)
     preview = make_preview(
         face,

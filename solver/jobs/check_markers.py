@@ -10,7 +10,7 @@ import numpy as np
 
 from solver.errors import Finding, InputError, judge_findings, quote
 from solver.fitting import prior
-from solver.fitting.face import Face, Pose
+from solver.fitting.face import Face
 from solver.fitting.markers.reach import reach
 from solver.fitting.prior import GaussianPrior
 from solver.jobs import Task
@@ -89,7 +89,7 @@ def _report_reach(task: Task[CheckMarkers], check: MarkerCheck) -> None:
     """Add the rig's muscles that the markers determine, and where one more would help most."""
     assert check.bound is not None
     rig = Rig.load(task.inputs)
-    face = Face(rig.model, rig.weights, linear=fastest())
+    face = rig.face(fastest())
     markers = [each for each in check.bound.markers if each.part != "ignore"]
     found = reach(face, markers, _prior(task, rig, face))
     names = rig.model.muscle_names
@@ -129,5 +129,5 @@ def _prior(task: Task[CheckMarkers], rig: Rig, face: Face) -> GaussianPrior:
     shapes = read_template(task).shapes
     if shapes is not None and shapes.expressions.shape[1] == len(face.model.skin.vertices):
         return prior.from_shapes(face, shapes.expressions)
-    poses = [Pose(each.activations, each.jaw).vector() for each in rig.expressions]
+    poses = [face.pose_of(each.activations, each.jaw).vector() for each in rig.expressions]
     return prior.from_changes(face.layout, [pose - face.layout.rest for pose in poses], prior.LOOSE)

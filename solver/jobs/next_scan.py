@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from solver.fitting.face import Face
 from solver.fitting.geometry_information import InformationOptions, Linearisation, MuscleInformation
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
@@ -34,7 +33,7 @@ def run(task: Task[NextScan]) -> list[Path]:
     rig = Rig.load(task.inputs)
     anatomy = read_template(task)
     targets = library_targets(rig.model, anatomy.shapes)
-    face = Face(rig.model, rig.weights, linear=fastest())
+    face = rig.face(fastest()).with_free_jaw()  # as the certificate judges scans
     check_held(face)
     linearisation = Linearisation(face, options=InformationOptions(noise_mm=given.noise_mm))
     progress(Step("scans", 0.05))

@@ -21,12 +21,14 @@ from solver.animation.blendshapes import (
 )
 from solver.animation.drives import Gaze, HeadKey, KeyedDrives, PoseKey, RecordedDrives, neck
 from solver.errors import InputError
+from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import matrices
 from solver.mechanics.flesh import IDENTITY
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
 from tests.solver.block import block_model, divided_block, head_block
+from tests.solver.simulation.test_fibres import fibred_block
 
 MODEL = block_model()
 REST = np.tile(IDENTITY, (2, 1))
@@ -216,6 +218,28 @@ def test_blendshapes_are_solved_once(tmp_path: Path) -> None:
         with pytest.raises(InputError) as caught:
             Blendshapes.load(file, other, weights)
         assert caught.value.code == "blendshapes.model"
+
+
+def test_shapes_of_a_rig_within_limits_are_within_them(tmp_path: Path) -> None:
+    """Two shapes are made by muscles that push along their fibres, as none can."""
+    model, drive = fibred_block(), Admissible(limits_by_plausibility(1.0))
+    face = Face(model)
+    push = np.tile([0.35, 0.0, 0.0, -0.1, 0.0, -0.1], (2, 1))
+    targets = {}
+    for name, sign in (("cheekPuffLeft", 1.0), ("jawOpen", 0.7)):
+        there = Pose(REST + sign * push, np.array([0.1 * sign, 0.0, 0.0, 0.0, 0.0]))
+        targets[name] = face.face_points(face.continuation(face.rest, there).x)
+    limits = face.driven_as(drive).layout.bounds.feasible
+    assert limits is not None
+    free, within = (
+        solve_blendshapes(each, targets, {}, lambda _name, _solved: None)
+        for each in (face, face.driven_as(drive))
+    )
+    assert not any(limits.contains(a) for a in free.blend.activations)
+    assert all(limits.contains(a) for a in within.blend.activations)
+    assert within.blend.jaw.shape == (2, 5)
+    within.save(tmp_path / "blendshapes.npz", model, model.weights)
+    assert Blendshapes.load(tmp_path / "blendshapes.npz", model, model.weights).drive == drive
 
 
 def test_a_template_without_expressions_can_not_be_driven() -> None:

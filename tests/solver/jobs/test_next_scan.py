@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError
-from solver.fitting.face import Face, Pose
+from solver.fitting.drives.admissible import Admissible
+from solver.fitting.drives.six_numbers import SixNumbers
+from solver.fitting.face import Face, Pose, PosedFace
+from solver.fitting.geometry_information import Linearisation, Misfit
 from solver.jobs import next_scan, run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
@@ -70,6 +75,36 @@ def test_the_muscle_whose_s_is_wrong_is_proposed(
     assert muscles["right"] == pytest.approx(0.0, abs=1e-3)
     fractions = [step.fraction for step in steps]
     assert fractions == sorted(fractions)
+
+
+def test_the_library_of_a_rig_within_limits_is_within_them(
+    tmp_path: Path, fits: dict[str, ExpressionFit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A smile that lengthens the muscle to 1.15, as it does across its fibres alone."""
+    along = np.zeros((MODEL.weights.nnz, 3), np.float32)
+    along[MODEL.weights.indices > 0] = [0.0, 1.0, 0.0]
+    model, drive = replace(MODEL, fibres=along), Admissible()
+    template = SimpleNamespace(shapes=basis(fits, {"mouthSmileLeft": "Left"}))
+    monkeypatch.setattr(next_scan, "read_template", lambda _: template)
+    limits = Face(model).driven_as(drive).layout.bounds.feasible
+    assert limits is not None
+    seen: list[np.ndarray] = []
+    misfit = Linearisation.misfit
+
+    def look(
+        self: Linearisation, state: PosedFace, points: np.ndarray, seen_of: Any = None
+    ) -> Misfit:
+        if seen_of is None:  # no scan of the rig's
+            seen.append(state.pose.a)
+        return misfit(self, state, points, seen_of)
+
+    monkeypatch.setattr(Linearisation, "misfit", look)
+    for how in (SixNumbers(), drive):
+        Rig(model, model.weights, (fits["Left"],), drive=how).save(tmp_path / "rig.npz")
+        run_job("next_scan", tmp_path / how.__class__.__name__, rig=tmp_path / "rig.npz")
+    free, *_, within = seen
+    assert not limits.contains(free)
+    assert limits.contains(within)
 
 
 def test_a_template_of_other_names_is_refused(fits: dict[str, ExpressionFit]) -> None:
