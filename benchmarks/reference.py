@@ -139,7 +139,7 @@ def compare(face: Face, data: Term, regulariser: Regulariser, rest: PosedFace) -
     }
 
 
-def ipopt_forward(face: Face, rest: PosedFace, settled: PosedFace) -> reference.Reference:
+def ipopt_forward(face: Face, rest: PosedFace, settled: PosedFace) -> reference.ReferenceSolution:
     """Solve the forward problem by IPOPT from the rest shape carried along with the jaw.
 
     Where even that start is inverted, IPOPT gets the settled shape shaken by 0.1 mm.

@@ -37,7 +37,7 @@ from solver.mechanics.flesh import (
 )
 from solver.model import SubjectModel
 from solver.similarity import IDENTITY
-from solver.simulation.forces import Drive, Inertia, Motion, lumped_masses
+from solver.simulation.forces import Drive, FleshMotion, Inertia, lumped_masses
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Ints, area_normals
 
@@ -225,7 +225,7 @@ def flying(model: SubjectModel) -> Figures:
     masses = lumped_masses(face.flesh, density)
     arms = model.rest - masses @ model.rest / masses.sum()
     v = np.cross([0.0, 2.0, 0.0], arms) + [200.0, 0.0, -50.0] + 100.0 * np.sin(arms / 20.0)
-    motion = Motion(model.rest + 0.02 * arms * [1.0, -1.0, 0.0], v, IDENTITY)
+    motion = FleshMotion(model.rest + 0.02 * arms * [1.0, -1.0, 0.0], v, IDENTITY)
     drive = Drive(0.0, face.flesh.passive(), np.zeros(5), IDENTITY)
     momentum, energies = masses @ v, [_energy(face.flesh, masses, motion)]
     for number in range(1, STEPS + 1):
@@ -240,7 +240,7 @@ def flying(model: SubjectModel) -> Figures:
     }
 
 
-def _energy(flesh: Flesh, masses: Floats, motion: Motion) -> float:
+def _energy(flesh: Flesh, masses: Floats, motion: FleshMotion) -> float:
     kinetic = 0.5 * float(masses @ (motion.v**2).sum(axis=1))
     return kinetic + flesh.energy(motion.x, flesh.passive())
 

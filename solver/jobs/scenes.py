@@ -29,7 +29,7 @@ from solver.rig.rig import Rig
 from solver.scene.document import document_of
 from solver.scene.places import Places
 from solver.scene.stage import Stage
-from solver.simulation.forces import Drive, Motion
+from solver.simulation.forces import Drive, FleshMotion
 from solver.simulation.simulator import Stepped
 from solver.surface import Floats
 
@@ -146,7 +146,7 @@ def finish(
     return files
 
 
-def _reach(stage: Stage, motion: Motion, drive: Drive | None, goal: Drive) -> Stepped:
+def _reach(stage: Stage, motion: FleshMotion, drive: Drive | None, goal: Drive) -> Stepped:
     """Go to ``goal`` from where the frame before ended; the first frame is at rest there."""
     begun = time.perf_counter()
     if drive is None:
@@ -191,7 +191,11 @@ class _Beside:
     """Values beside the frames of a file: the motion to go on from, and at times a picture."""
 
     def __init__(
-        self, scene: str, stage: Stage, motion: Motion, options: PictureOptions = PictureOptions()
+        self,
+        scene: str,
+        stage: Stage,
+        motion: FleshMotion,
+        options: PictureOptions = PictureOptions(),
     ) -> None:
         self._scene, self._stage, self._options = scene, stage, options
         self._pictured = -np.inf

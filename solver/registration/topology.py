@@ -82,7 +82,7 @@ def outer_skin(template: Template, options: ViewOptions = ViewOptions()) -> NDAr
 
 
 @dataclass(frozen=True)
-class RestOptions:
+class StillSkinOptions:
     """Lips and still skin of a template at rest; lengths in mm."""
 
     touching: float = 2.1  # between vertices of closed lips
@@ -104,7 +104,7 @@ class Topology:
     stable: Floats  # (n,) weights in [0, 1]: 1 where the skin lies still on the skull
 
 
-def topology(template: Template, options: RestOptions = RestOptions()) -> Topology:
+def topology(template: Template, options: StillSkinOptions = StillSkinOptions()) -> Topology:
     """Find outer skin, lips that touch, rigid parts and stable skin of a template."""
     outer = np.flatnonzero(outer_skin(template))
     flesh = template.skin.faces[template.flesh_faces]
@@ -114,7 +114,7 @@ def topology(template: Template, options: RestOptions = RestOptions()) -> Topolo
     return Topology(template, flesh, outer, face, touching, rigid_groups(template), stable)
 
 
-def _touching(template: Template, vertices: Ints, options: RestOptions) -> Ints:
+def _touching(template: Template, vertices: Ints, options: StillSkinOptions) -> Ints:
     """Pair every lip vertex with the closest one that parting takes away from it, each once."""
     rest = template.skin.vertices
     pairs = vertices[cKDTree(rest[vertices]).query_pairs(options.touching, output_type="ndarray")]
@@ -133,7 +133,7 @@ def _touching(template: Template, vertices: Ints, options: RestOptions) -> Ints:
     return np.array(chosen, dtype=np.int64).reshape(-1, 2)
 
 
-def _stable(template: Template, outer: Ints, face: Ints, options: RestOptions) -> Floats:
+def _stable(template: Template, outer: Ints, face: Ints, options: StillSkinOptions) -> Floats:
     """Weigh by how little the expressions move a vertex; without shapes the upper face counts."""
     weights = np.zeros(len(template.skin.vertices))
     if template.shapes is not None and len(template.shapes.expressions):

@@ -120,7 +120,7 @@ JAW_WORDS = {
 
 
 @dataclass(frozen=True)
-class JawMotion:
+class JawFigures:
     """The mandible's motion from rest: rotation in degrees, ``point`` and condyles in mm.
 
     ``opening_mm`` (down) and ``sideways_mm`` (to the subject's left) are taken at ``point``, the
@@ -143,7 +143,7 @@ class JawMotion:
         ]
 
 
-def jaw_motion(model: SubjectModel, mandible: Floats) -> JawMotion:
+def jaw_motion(model: SubjectModel, mandible: Floats) -> JawFigures:
     """Return what a rigid motion (4, 4) of the mandible comes to."""
     b = five_numbers(model.jaw, mandible)
     teeth = model.lower_teeth
@@ -151,7 +151,7 @@ def jaw_motion(model: SubjectModel, mandible: Floats) -> JawMotion:
     front = bone[(bone @ model.jaw.axes[2]).argmax()][None]
     moved = front @ mandible[:3, :3].T + mandible[:3, 3]
     motion = (moved - front)[0] @ model.jaw.axes.T
-    return JawMotion(
+    return JawFigures(
         point="lower incisors" if len(teeth) else "chin",
         opening_deg=float(np.degrees(b[0])),
         opening_mm=float(-motion[1]),
@@ -182,7 +182,7 @@ class ExpressionCheck:
     muscles: Muscles
     movers: Movers  # who contracts, by the actions that the expression's name speaks for
     asymmetry_mm: float | None  # of the scan's motion; None where it shows nothing
-    jaw: JawMotion
+    jaw: JawFigures
     flesh: FleshCheck | None  # None where the rig does not hold the tets
     crossing: Crossing | None  # of the fitted skin; None where the model names no lips
     scan_crossing: Crossing | None  # of the scan; None too where it has holes

@@ -23,7 +23,7 @@ ORDER: tuple[Verdict, ...] = ("good", "usable", "bad")
 
 
 @dataclass(frozen=True)
-class CheckLimits:
+class FigureLimits:
     """A figure up to ``good`` is good, up to ``usable`` usable, else bad.
 
     With ``least`` it is from ``good`` upwards.
@@ -65,7 +65,7 @@ class RigCheck:
 
     code: str
     title: str
-    limits: CheckLimits
+    limits: FigureLimits
     meaning: str
     advice: str
 
@@ -87,7 +87,7 @@ CHECKS = (
     RigCheck(
         "skin.mean",
         "Mean distance",
-        CheckLimits(0.45, 1.0, "mm"),
+        FigureLimits(0.45, 1.0, "mm"),
         "between scan and fit, over the part of the face that the scan shows",
         "Look at the expression's picture. If the error is all over the face, the scan is not "
         "registered to this neutral: register it again. If it is in one place, look there.",
@@ -95,7 +95,7 @@ CHECKS = (
     RigCheck(
         "skin.p95",
         "Distance of the worst twentieth",
-        CheckLimits(1.3, 2.5, "mm"),
+        FigureLimits(1.3, 2.5, "mm"),
         "19 of 20 vertices of the face are nearer to the scan than this",
         "Look at the red patches in the picture: hair, a shadow or a hole in the scan shows as a "
         "patch with a sharp rim. Mask it or scan again.",
@@ -103,28 +103,28 @@ CHECKS = (
     RigCheck(
         "skin.region",
         "Mean distance in the worst region",
-        CheckLimits(1.0, 2.0, "mm"),
+        FigureLimits(1.0, 2.0, "mm"),
         "the region of the face that fits worst",
         "Run fit_geometry again with one more scan, of an expression that moves this region.",
     ),
     RigCheck(
         "skin.coverage",
         "Face that the scan shows",
-        CheckLimits(95.0, 60.0, "%", least=True),
+        FigureLimits(95.0, 60.0, "%", least=True),
         "share of the face's vertices with confidence in the scan",
         "The rest of the face follows the muscles and is not measured. Scan again if it matters.",
     ),
     RigCheck(
         "flesh.inverted",
         "Inverted tets",
-        CheckLimits(0, 0),
+        FigureLimits(0, 0),
         "tets that are turned inside out",
         "Do not simulate with this expression. Fit it again with {longer}.",
     ),
     RigCheck(
         "flesh.flattest",
         "Flattest tet",
-        CheckLimits(0.05, 0.005, "of its volume", least=True),
+        FigureLimits(0.05, 0.005, "of its volume", least=True),
         "the smallest volume of a tet by its volume at rest",
         "The skin may be used. A simulation that starts here takes small steps; if it fails, run "
         "build_model with edge_mm 16 instead of 9 and fit again: the flattest tet then keeps "
@@ -133,28 +133,28 @@ CHECKS = (
     RigCheck(
         "flesh.volume",
         "Change of volume",
-        CheckLimits(5.0, 10.0, "%"),
+        FigureLimits(5.0, 10.0, "%"),
         "of the flesh as a whole; living flesh keeps its volume",
         "The skin is not touched by this. Do not take masses or volumes from this expression.",
     ),
     RigCheck(
         "flesh.residual",
         "Residual force",
-        CheckLimits(10 * NewtonOptions.tolerance, NewtonOptions.stalled),
+        FigureLimits(10 * NewtonOptions.tolerance, NewtonOptions.stalled),
         "what is left of the forces, by the forces at unit strain",
         "The flesh has not come to rest. Fit this expression again with {longer}.",
     ),
     RigCheck(
         "flesh.minimum",
         "Unstable equilibrium",
-        CheckLimits(0, 0),
+        FigureLimits(0, 0),
         "1 if the flesh could snap into another shape",
         "The skin may be used. Simulations may snap away from this shape: leave it out of them.",
     ),
     RigCheck(
         "muscles.inside_out",
         "Muscles turned inside out",
-        CheckLimits(0, 0),
+        FigureLimits(0, 0),
         "muscles whose activation has no physical shape",
         "The skin is right, the muscles are not: play the expression back, but do not edit its "
         "activations. A training scan that moves these muscles differently helps.",
@@ -162,7 +162,7 @@ CHECKS = (
     RigCheck(
         "muscles.beyond",
         "Muscles beyond what muscles can do",
-        CheckLimits(0, np.inf),
+        FigureLimits(0, np.inf),
         "shrinking below half, growing beyond double, pushing, or losing volume",
         "The expression may be played back and blended. Do not read these activations as effort: "
         "fit S and activations again with controls admissible, which keeps muscles to what they "
@@ -171,7 +171,7 @@ CHECKS = (
     RigCheck(
         "muscles.movers",
         "Muscles that contradict the expression",
-        CheckLimits(0, np.inf),
+        FigureLimits(0, np.inf),
         "by the action units of its name, as FACS and anatomy texts have their muscles",
         "The skin is right, by other muscles than a living face takes for it: do not read these "
         "activations as effort.",
@@ -179,7 +179,7 @@ CHECKS = (
     RigCheck(
         "muscles.idle",
         "Muscles of the expression that hold still",
-        CheckLimits(0, np.inf),
+        FigureLimits(0, np.inf),
         f"that its name calls for, and that contract by less than {100 * STILL.least:g} %",
         "The skin is right, by other muscles than a living face takes for it, or the person made "
         "it otherwise than the name says: look at the picture, give the capture the name of what "
@@ -188,7 +188,7 @@ CHECKS = (
     RigCheck(
         "muscles.sides",
         "Left against right",
-        CheckLimits(100.0 * MoverOptions.uneven, np.inf, "%"),
+        FigureLimits(100.0 * MoverOptions.uneven, np.inf, "%"),
         "how much more a muscle contracts than that of the other side, where the scan moves alike "
         "on both",
         "The scan gives no reason for it: read the mean of both sides. A fit_geometry with a "
@@ -197,14 +197,14 @@ CHECKS = (
     RigCheck(
         "jaw.range",
         "Jaw beyond what jaws can do",
-        CheckLimits(0, np.inf),
+        FigureLimits(0, np.inf),
         "figures of its motion that are outside the range of adults' jaws",
         "Check the neutral scan: with parted or clenched teeth there, every jaw angle is off.",
     ),
     RigCheck(
         "contact.lips",
         "Lips in each other",
-        CheckLimits(0.5, 3.0, "mm"),
+        FigureLimits(0.5, 3.0, "mm"),
         "greatest depth of a lip in the other one",
         "A fit follows its scan: correct the scan if its lips cross by as much, else fit it again "
         "with {longer}.",
@@ -212,21 +212,21 @@ CHECKS = (
     RigCheck(
         "contact.teeth",
         "Lips in teeth",
-        CheckLimits(0.5, 3.0, "mm"),
+        FigureLimits(0.5, 3.0, "mm"),
         "greatest depth of a lip in the teeth",
         "Seen from the side, teeth may show through a lip. Sculpt it, or leave the expression out.",
     ),
     RigCheck(
         "contact.bite",
         "Teeth in teeth",
-        CheckLimits(1.0, 3.0, "mm"),
+        FigureLimits(1.0, 3.0, "mm"),
         "greatest depth of lower teeth in upper ones",
         "The jaw closes too far or goes back too far: see its motion.",
     ),
     RigCheck(
         "trip.skin",
         "Simulated from rest",
-        CheckLimits(0.05, 0.3, "mm"),
+        FigureLimits(0.05, 0.3, "mm"),
         "mean distance between the fitted skin and the one simulated from its activations",
         "The skin may be used. This pose has two shapes of rest: blend into it from a "
         "neighbouring expression instead of from rest.",
@@ -234,7 +234,7 @@ CHECKS = (
     RigCheck(
         "trip.snap",
         "Simulated from rest, greatest",
-        CheckLimits(0.5, 2.0, "mm"),
+        FigureLimits(0.5, 2.0, "mm"),
         "where the fitted and the simulated skin are furthest apart",
         "A patch of skin snaps into another shape. Look there in the picture; blend into this "
         "pose from a neighbouring expression.",
@@ -242,35 +242,35 @@ CHECKS = (
     RigCheck(
         "trip.refit",
         "Fitted again",
-        CheckLimits(0.05, 0.3, "mm"),
+        FigureLimits(0.05, 0.3, "mm"),
         "mean distance between the simulated skin and a new fit to it",
         "The solver stops before the minimum: fit with {longer}.",
     ),
     RigCheck(
         "trip.activations",
         "Activations found again",
-        CheckLimits(10.0, 30.0, "%"),
+        FigureLimits(10.0, 30.0, "%"),
         "difference of the excited muscles' activations by their distance from rest",
         "Other activations give the same skin: do not compare single muscles between expressions.",
     ),
     RigCheck(
         "solver.failed",
         "Fits that broke down",
-        CheckLimits(0, 0),
+        FigureLimits(0, 0),
         "the best state on the way was kept",
         "Do not use this expression. Mend what its warnings say of its scan, and fit it again.",
     ),
     RigCheck(
         "solver.stopped",
         "Fits that ended early",
-        CheckLimits(0, np.inf),
+        FigureLimits(0, np.inf),
         "stopped before the minimum",
         "If the picture shows errors, fit this expression again with {longer}.",
     ),
     RigCheck(
         "solver.warnings",
         "Warnings",
-        CheckLimits(0, np.inf),
+        FigureLimits(0, np.inf),
         "what the solver noticed about scan, model or solve",
         "Each stands with its expression, under Warnings; docs/reference/errors.md says of its "
         "code what to do.",

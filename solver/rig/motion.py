@@ -14,7 +14,7 @@ from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig.frames import FORMAT, FrameRecord, pack, read_chunks, unpack
 from solver.similarity import IDENTITY, Similarity, small_motion
-from solver.simulation.forces import Motion
+from solver.simulation.forces import FleshMotion
 from solver.surface import Floats
 
 
@@ -39,7 +39,7 @@ class MotionRecord(FrameRecord):
         return small_motion(self.head)
 
 
-def motion_values(scene: str, motion: Motion, picture: str | None) -> dict[str, Any]:
+def motion_values(scene: str, motion: FleshMotion, picture: str | None) -> dict[str, Any]:
     """Return a file's values beside its frames, the last of which ended in ``motion``.
 
     ``scene`` is the hash of all that is simulated, ``picture`` a JPEG of that frame in base 64.
@@ -48,17 +48,17 @@ def motion_values(scene: str, motion: Motion, picture: str | None) -> dict[str, 
     return {"scene": scene, "state": state, "picture": picture}
 
 
-def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionRecord], Motion]:
+def read_motion(folder: Path, scene: str, rest: Floats) -> tuple[list[MotionRecord], FleshMotion]:
     """Return a simulation's frames and where they ended; none, at rest, if there is no folder.
 
     Raises :class:`InputError`: ``simulate.frames`` as :func:`read_chunks`,
     ``simulate.other_scene`` if the frames are another scene's.
     """
-    motions = [Motion(rest, np.zeros_like(rest), IDENTITY)]
+    motions = [FleshMotion(rest, np.zeros_like(rest), IDENTITY)]
 
     def take(values: Mapping[str, Any], frames: Sequence[MotionRecord]) -> None:
         x, v = (unpack(values["state"][name], "<f8") for name in ("x", "v"))
-        motions.append(Motion(x, v, frames[-1].into_world))
+        motions.append(FleshMotion(x, v, frames[-1].into_world))
         if values["scene"] != scene:
             message = "the frames that are ready belong to another scene, person or rig: begin anew"
             raise InputError("simulate.other_scene", message)

@@ -25,7 +25,7 @@ from solver.rig.rig import ExpressionFit
 
 
 @dataclass(frozen=True)
-class NeutralOptions:
+class NeutralLimits:
     """What a neutral may ask of expressions."""
 
     least: int = 5  # expressions that are known, to judge by
@@ -38,7 +38,7 @@ class NeutralOptions:
 
 
 def check_neutral(
-    face: Face, fits: Sequence[ExpressionFit], options: NeutralOptions = NeutralOptions()
+    face: Face, fits: Sequence[ExpressionFit], options: NeutralLimits = NeutralLimits()
 ) -> list[Finding]:
     """Return what expressions fitted by ``face``, with its S, say against the neutral."""
     fits = [fit for fit in fits if fit.status != "failed"]
@@ -49,7 +49,7 @@ def check_neutral(
     return [*parted, *(_find_smile(face, fits, options) if known else [])]
 
 
-def _find_parted_teeth(model: SubjectModel, options: NeutralOptions) -> list[Finding]:
+def _find_parted_teeth(model: SubjectModel, options: NeutralLimits) -> list[Finding]:
     """Find rows of teeth that are apart in the neutral."""
     rows = [model.regions.get(f"{name}_teeth", np.empty(0, int)) for name in ("upper", "lower")]
     upper, lower = (model.skin.vertices[row] for row in rows)
@@ -63,7 +63,7 @@ def _find_parted_teeth(model: SubjectModel, options: NeutralOptions) -> list[Fin
 
 
 def _find_closing_jaw(
-    model: SubjectModel, fits: Sequence[ExpressionFit], options: NeutralOptions
+    model: SubjectModel, fits: Sequence[ExpressionFit], options: NeutralLimits
 ) -> list[Finding]:
     """Find a jaw that closes beyond rest in most expressions."""
     closings = {
@@ -82,9 +82,7 @@ def _parted(message: str, mm: float) -> Finding:
     return make_warning("neutral.parted_teeth", f"{message}: {advice}", {"mm": round(mm, 1)})
 
 
-def _find_smile(
-    face: Face, fits: Sequence[ExpressionFit], options: NeutralOptions
-) -> list[Finding]:
+def _find_smile(face: Face, fits: Sequence[ExpressionFit], options: NeutralLimits) -> list[Finding]:
     """Find a unit whose muscles lengthen in most expressions and contract in none."""
     unit, found, model = action_units()[options.unit], {}, face.model
     of_unit = np.array([is_one_of(whole, unit.muscles) for whole in model.muscle_groups])

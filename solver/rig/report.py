@@ -15,7 +15,7 @@ from solver.contact.crossing import Crossing
 from solver.errors import Verdict
 from solver.fitting.geometry_information import MuscleInformation
 from solver.model import SubjectModel
-from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, JawMotion, Muscles
+from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, JawFigures, Muscles
 from solver.rig.checks import Judgement, expression_verdict, judge, limits_of, overall, ready, use
 from solver.rig.measures import measured_regions, uneven_sides
 from solver.rig.prime_movers import ActionCheck
@@ -223,7 +223,7 @@ def _plain(value: Any) -> Any:
     return _round(value) if isinstance(value, float) else value
 
 
-def _plain_fields(found: FleshCheck | JawMotion | RoundTrip) -> dict[str, Any]:
+def _plain_fields(found: FleshCheck | JawFigures | RoundTrip) -> dict[str, Any]:
     return {name: _plain(value) for name, value in asdict(found).items()}
 
 

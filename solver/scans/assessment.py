@@ -16,7 +16,7 @@ from solver.meshio.raw import RawScan
 from solver.model import SIZE_WORDS
 from solver.registration.locate import Location
 from solver.scans.cover import Cover
-from solver.scans.mouth import Eye, Mouth
+from solver.scans.mouth import Eye, MouthGaps
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class FaceDetail:
     cover: Cover
     noise_mm: float  # NaN in a scan too coarse to tell
     spacing_mm: float
-    mouth: Mouth
+    mouth: MouthGaps
     eyes: dict[str, Eye]
 
 
@@ -76,7 +76,7 @@ def _eyes(eyes: dict[str, Eye]) -> Assessment:
     return Assessment("eyes", False, f"{which}: {next(iter(unseen.values())).why_not}")
 
 
-def _mouth(mouth: Mouth) -> Iterator[Assessment]:
+def _mouth(mouth: MouthGaps) -> Iterator[Assessment]:
     if mouth.lips_mm is None:
         yield Assessment("lips", False, mouth.why_not)
     else:

@@ -24,7 +24,7 @@ from solver.registration.search import REFINEMENT, FacePoints
 from solver.registration.units import ADVICE as UNIT_ADVICE
 from solver.registration.units import choose_unit, given_unit
 from solver.scans.cover import Cover
-from solver.scans.mouth import Eye, Mouth
+from solver.scans.mouth import Eye, MouthGaps
 from solver.similarity import fit_similarity
 from solver.surface import Floats
 
@@ -162,7 +162,7 @@ def roughness_findings(
     return found
 
 
-def feature_findings(mouth: Mouth, eyes: dict[str, Eye], role: str) -> list[Finding]:
+def feature_findings(mouth: MouthGaps, eyes: dict[str, Eye], role: str) -> list[Finding]:
     """Return whether the mouth is open or ``eyes`` are closed, which a neutral may not have.
 
     In a scan of unknown ``role`` they are only mentioned, in an expression not at all.

@@ -33,7 +33,7 @@ class LipOptions:
 
 
 @dataclass(frozen=True)
-class Mouth:
+class MouthGaps:
     """Gaps between lips and between teeth, in mm; None where the scan does not show it.
 
     Of ``lips_mm`` 0 says that they are closed, as no scan can of the teeth.
@@ -45,7 +45,7 @@ class Mouth:
     why_not: str = ""  # nothing is known of the lips
 
 
-def find_mouth(scan: Surface, template: Template, options: LipOptions = LipOptions()) -> Mouth:
+def find_mouth(scan: Surface, template: Template, options: LipOptions = LipOptions()) -> MouthGaps:
     """Return how far apart the lips are, and the teeth behind them.
 
     ``scan`` lies in the template's frame. Down the middle of the mouth, a gap is where the profile
@@ -53,37 +53,37 @@ def find_mouth(scan: Surface, template: Template, options: LipOptions = LipOptio
     """
     lips = stomia(template.landmarks)
     if len(lips) < 2:
-        return Mouth(None, why_not="the template does not name the lips")
+        return MouthGaps(None, why_not="the template does not name the lips")
     centre = template.skin.vertices[lips].mean(axis=0)
     top, bottom = centre[1] + options.above, centre[1] - options.below
     middle = np.array([centre[0], (top + bottom) / 2, centre[2]])
     front = relief(scan, middle, (options.strip, top - bottom), options.step)
     known = np.isfinite(front.height).sum(axis=1) * 2 > len(front.x)
     if known.sum() < len(known) / 2:
-        return Mouth(None, why_not="too little of the mouth is in the scan")
+        return MouthGaps(None, why_not="too little of the mouth is in the scan")
     profile = np.nanmedian(front.height[known], axis=1)
     profile = np.interp(front.y[::-1], front.y[known][::-1], profile[::-1])[::-1]
     return _find_gap(front.y - centre[1], profile, options)
 
 
-def _find_gap(height: Floats, profile: Floats, options: LipOptions) -> Mouth:
+def _find_gap(height: Floats, profile: Floats, options: LipOptions) -> MouthGaps:
     """Return what the gap in a profile (n,) shows, of rows from top to bottom."""
     rows = round(options.widest / options.step)
     depth = grey_closing(profile, rows, mode="nearest") - profile
     deep = (depth > options.deep) & (np.abs(height) < options.above + options.widest)
     near = deep & (np.abs(height) < options.near)
     if not near.any():
-        return Mouth(0.0)
+        return MouthGaps(0.0)
     runs, _ = label(deep)
     gap = np.flatnonzero(runs == runs[np.argmax(np.where(near, depth, 0))])
     edge = profile[max(gap[0] - 4, 0) : gap[-1] + 5]
     falls = np.abs(edge[2:] - edge[:-2])
     if falls.max(initial=0) <= options.steep:
-        return Mouth(0.0)
+        return MouthGaps(0.0)
     lips = len(gap) * options.step
     between = options.step * float((depth[gap] > options.throat).sum())
     teeth = between if between >= options.apart else None
-    return Mouth(lips, teeth, is_open=lips >= options.apart)
+    return MouthGaps(lips, teeth, is_open=lips >= options.apart)
 
 
 # Closed eyes, by where the lids' edge lies in the scan itself.

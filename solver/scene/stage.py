@@ -33,7 +33,7 @@ from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.scene.objects import check_objects, objects_of
 from solver.scene.places import Places
-from solver.simulation.forces import Drive, Force, Gravity, Pull, Wind, lumped_masses
+from solver.simulation.forces import Drive, ExternalForce, Gravity, Pull, Wind, lumped_masses
 from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface
 
@@ -61,7 +61,7 @@ def edit_of(entry: scenes.Edit, places: Places) -> Change:
     return Paralysis(muscles, entry.side, entry.strength)
 
 
-def force_of(entry: scenes.Force, face: Face, masses: Floats, places: Places) -> Force:
+def force_of(entry: scenes.Force, face: Face, masses: Floats, places: Places) -> ExternalForce:
     """Return a force that a scene describes; ``masses`` (p,) are in g.
 
     Raises as :meth:`Places.vertex`, and :class:`InputError` (``force.point``).

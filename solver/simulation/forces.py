@@ -80,7 +80,7 @@ class Inertia(PassiveTerm):
 
 
 @dataclass(frozen=True)
-class Motion:
+class FleshMotion:
     """Flesh in the world, and the head, which takes the subject's frame there with scale 1."""
 
     x: Floats  # (p, 3) mm
@@ -125,10 +125,10 @@ SMALLEST_MM2 = 1e-12  # a smaller triangle, of vertices at one place, has no nor
 MILLINEWTON = 1e3  # in g mm/s^2
 
 
-class Force(Protocol):
+class ExternalForce(Protocol):
     """A force on the flesh from outside."""
 
-    def at(self, motion: Motion, time: float, /) -> Floats:
+    def at(self, motion: FleshMotion, time: float, /) -> Floats:
         """Return the forces (p, 3) in the world at ``time`` in seconds, g mm/s^2."""
 
 
@@ -143,8 +143,8 @@ class Gravity:
         self._masses = masses
         self._now, self._scanned = np.asarray(mm_s2, float), np.asarray(scanned, float)
 
-    def at(self, motion: Motion, _time: float, /) -> Floats:
-        """See :class:`Force`."""
+    def at(self, motion: FleshMotion, _time: float, /) -> Floats:
+        """See :class:`ExternalForce`."""
         change = self._now - motion.head.rotation @ self._scanned
         return np.asarray(self._masses[:, None] * change)
 
@@ -181,8 +181,8 @@ class Wind:
         gust = np.sin(2.0 * np.pi * self._hertz * time + self._phases).mean()
         return np.asarray((1.0 + self._gusts * gust) * self._mm_s)
 
-    def at(self, motion: Motion, time: float, /) -> Floats:
-        """See :class:`Force`."""
+    def at(self, motion: FleshMotion, time: float, /) -> Floats:
+        """See :class:`ExternalForce`."""
         skin = self._embedding @ motion.x + motion.head.turn(self._offset)
         doubled = area_normals(skin, self._triangles)
         area = 0.5 * np.linalg.norm(doubled, axis=1)
@@ -222,7 +222,7 @@ class Pull:
         self._share = np.asarray(model.embedding.T @ (weights / weights.sum()))
         self._force, self._ramp = MILLINEWTON * np.asarray(mn, float), ramp
 
-    def at(self, motion: Motion, time: float, /) -> Floats:
-        """See :class:`Force`."""
+    def at(self, motion: FleshMotion, time: float, /) -> Floats:
+        """See :class:`ExternalForce`."""
         part = np.clip(time / self._ramp, 0.0, 1.0) if self._ramp else 1.0
         return np.asarray(self._share[:, None] * (part * motion.head.rotation @ self._force))

@@ -19,7 +19,7 @@ from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import GrowingSolver, fastest
 from solver.mechanics.newton import Energy, Factorization, NewtonOptions, Search
 from solver.similarity import Similarity
-from solver.simulation.forces import Drive, Force, Inertia, Motion, lumped_masses
+from solver.simulation.forces import Drive, ExternalForce, FleshMotion, Inertia, lumped_masses
 from solver.surface import Floats
 
 MOMENT = NewtonOptions(
@@ -50,7 +50,7 @@ class SimulationOptions:
 class Stepped:
     """A step's end, and what it took."""
 
-    motion: Motion
+    motion: FleshMotion
     y: Floats  # (p, 3) vertices in the head's frame
     iterations: int
     halvings: int  # how often the step had to be cut
@@ -72,7 +72,7 @@ class Simulator:
         self,
         face: Face,
         potentials: Sequence[Potential],
-        forces: Sequence[Force],
+        forces: Sequence[ExternalForce],
         *,
         dynamic: bool,
         density: Floats,
@@ -91,13 +91,13 @@ class Simulator:
         newton = replace(MOMENT, tolerance=tolerance, settled_mm=settled_mm)
         self._newton = _Newton(self._flesh, potentials, newton, linear or fastest())
 
-    def rest(self, drive: Drive) -> Motion:
+    def rest(self, drive: Drive) -> FleshMotion:
         """Return the face at rest where ``drive`` has it, under forces; raises as :meth:`step`."""
         options, closed = self._options, np.zeros_like(drive.jaw)
         begun = drive.time - options.rise_seconds
         start = replace(drive, time=begun, A=self._flesh.passive(), jaw=closed)
         rest = self._face.model.rest
-        motion = Motion(drive.head(rest), np.zeros_like(rest), drive.head)
+        motion = FleshMotion(drive.head(rest), np.zeros_like(rest), drive.head)
         effort = options.rise_part, options.rise_factorizations
         try:
             return self._go(motion, start, drive, *effort, dynamic=False).motion
@@ -106,7 +106,7 @@ class Simulator:
             error.context["time"] = drive.time
             raise
 
-    def step(self, now: Motion, before: Drive, goal: Drive) -> Stepped:
+    def step(self, now: FleshMotion, before: Drive, goal: Drive) -> Stepped:
         """Go from ``now``, where ``before`` led to, to ``goal``.
 
         Raises :class:`InputError` (``scene.times``) for a goal that is not later, and
@@ -120,7 +120,7 @@ class Simulator:
 
     def _go(
         self,
-        now: Motion,
+        now: FleshMotion,
         before: Drive,
         goal: Drive,
         largest: float,
@@ -153,8 +153,8 @@ class Simulator:
         return Stepped(now, y, iterations, halvings, minimum.residual, seconds, inverted)
 
     def _once(
-        self, now: Motion, before: Drive, goal: Drive, factorisations: int, *, dynamic: bool
-    ) -> tuple[Motion, Search]:
+        self, now: FleshMotion, before: Drive, goal: Drive, factorisations: int, *, dynamic: bool
+    ) -> tuple[FleshMotion, Search]:
         """Take one step of backward Euler, or find one equilibrium."""
         seconds = goal.time - before.time
         into = goal.head.inverse()
@@ -173,7 +173,7 @@ class Simulator:
         minimum = self._newton.minimise(y, goal.A, start, end, factorisations)
         x = goal.head(minimum.x)
         v = (x - now.x) / seconds if dynamic else np.zeros_like(x)
-        return Motion(x, v, goal.head), minimum
+        return FleshMotion(x, v, goal.head), minimum
 
 
 def _seen(head: Similarity, drive: Drive) -> tuple[Floats, ...]:

@@ -5,8 +5,15 @@ the Gauss-Newton Hessian of the objective (the curvature of the constraint is le
 papers).
 """
 
-from solver.fitting.reference.common import NotConvergedError, Reference
+from solver.fitting.reference.common import NotConvergedError, ReferenceSolution
 from solver.fitting.reference.expression import activations, forward, per_tet
 from solver.fitting.reference.geometry import geometry
 
-__all__ = ["NotConvergedError", "Reference", "activations", "forward", "geometry", "per_tet"]
+__all__ = [
+    "NotConvergedError",
+    "ReferenceSolution",
+    "activations",
+    "forward",
+    "geometry",
+    "per_tet",
+]

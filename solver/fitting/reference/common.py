@@ -34,7 +34,7 @@ class Solution:
 
 
 @dataclass(frozen=True)
-class Reference(Solution):
+class ReferenceSolution(Solution):
     """IPOPT's answer for one expression: its ``pose`` and ``x`` (p, 3)."""
 
     pose: Pose

@@ -17,7 +17,7 @@ from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Regulariser, Term, sparse
 from solver.fitting.per_tet import PER_TET, PerTetOptions, PerTetPriors
 from solver.fitting.per_tet import tissue as tissues
-from solver.fitting.reference.common import IpoptProblem, Reference, finite, solve
+from solver.fitting.reference.common import IpoptProblem, ReferenceSolution, finite, solve
 from solver.fitting.sensitivity import PoseRates, coordinates
 from solver.surface import Floats, Ints
 
@@ -35,7 +35,7 @@ class Priors(Protocol):
         """Return its Hessian: a block of each muscle, (m, 6, 6), and b's diagonal (5,)."""
 
 
-class Expression(IpoptProblem):
+class ExpressionProblem(IpoptProblem):
     """The problem in z, laid out in ``layout``; S may change but not its ``candidates``.
 
     ``candidates`` (n, m + 1) has an entry for each muscle that can move a tet: S if not given.
@@ -76,12 +76,14 @@ class Expression(IpoptProblem):
             np.concatenate([curved_columns, muscles[:, self._block[1]].ravel(), jaw]),
         )
 
-    def minimise(self, start: Pose, x: Floats, tolerance: float, max_iterations: int) -> Reference:
+    def minimise(
+        self, start: Pose, x: Floats, tolerance: float, max_iterations: int
+    ) -> ReferenceSolution:
         """Minimise f from ``start`` and ``x`` (p, 3); raises :class:`NotConvergedError`."""
         forces = np.zeros(self.flesh.size)
         bounds = self.layout.lower, self.layout.upper
         z, found = solve(self, self.start(start, x), forces, tolerance, max_iterations, *bounds)
-        return Reference(pose=self.pose(z), x=self.place(z), **vars(found)).check()
+        return ReferenceSolution(pose=self.pose(z), x=self.place(z), **vars(found)).check()
 
     def start(self, pose: Pose, x: Floats) -> Floats:
         """Return z of a pose and x (p, 3)."""
@@ -182,12 +184,12 @@ def activations(
     tolerance: float = 1e-7,
     max_iterations: int = 1000,
     listen: Listener | None = None,
-) -> Reference:
+) -> ReferenceSolution:
     """Solve (A): minimise f over (x, a, b) subject to equilibrium, from ``start`` and ``x`` (p, 3).
 
     Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
     """
-    expression = Expression(face, data, regulariser, listen=listen)
+    expression = ExpressionProblem(face, data, regulariser, listen=listen)
     return expression.minimise(start, x, tolerance, max_iterations)
 
 
@@ -199,7 +201,7 @@ def per_tet(
     tolerance: float = 1e-7,
     max_iterations: int = 1000,
     listen: Listener | None = None,
-) -> Reference:
+) -> ReferenceSolution:
     """Solve (P) from the resting face; the pose's ``a`` are those of the active tets.
 
     Every active tet is a muscle by itself (:mod:`solver.fitting.per_tet.tissue`), so this is (A)
@@ -210,7 +212,7 @@ def per_tet(
     tissue = tissues.of_face(face)
     rest = tissue.face.rest
     priors = PerTetPriors(tissue, options, rest.pose.b)
-    expression = Expression(tissue.face, data, priors, listen=listen)
+    expression = ExpressionProblem(tissue.face, data, priors, listen=listen)
     return expression.minimise(rest.pose, rest.x, tolerance, max_iterations)
 
 
@@ -244,8 +246,8 @@ class _Forward(IpoptProblem):
         return np.asarray(factor * self._flesh.hessian(self.place(z), self._a).data[self._keep])
 
 
-def forward(face: Face, pose: Pose, x: Floats, *, tolerance: float = 1e-9) -> Reference:
+def forward(face: Face, pose: Pose, x: Floats, *, tolerance: float = 1e-9) -> ReferenceSolution:
     """Minimise E(x; a, b) over x (p, 3) of the free vertices; raises as :func:`activations`."""
     problem = _Forward(face, pose, x)
     z, found = solve(problem, x[face.flesh.free].ravel(), np.zeros(0), tolerance, 500)
-    return Reference(pose=pose, x=problem.place(z), **vars(found)).check()
+    return ReferenceSolution(pose=pose, x=problem.place(z), **vars(found)).check()

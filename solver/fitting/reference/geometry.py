@@ -19,7 +19,7 @@ from solver.fitting.face import Pose, PosedFace
 from solver.fitting.joint import GeometryProblem
 from solver.fitting.least_squares import Listener
 from solver.fitting.reference.common import IpoptProblem, Solution, solve
-from solver.fitting.reference.expression import Expression
+from solver.fitting.reference.expression import ExpressionProblem
 from solver.fitting.sensitivity import WeightRates
 from solver.fitting.simplex import replace_values
 from solver.surface import Floats, Ints
@@ -67,7 +67,7 @@ class FullGeometry(IpoptProblem):
         self._S = S = problem.face.S
         candidates = replace_values(S, np.ones(S.nnz))
         self.parts = {
-            name: Expression(problem.face, term, problem.regulariser, candidates)
+            name: ExpressionProblem(problem.face, term, problem.regulariser, candidates)
             for name, term in problem.data.items()
         }
         blocks = [Block(f"z_{name}", part.layout.rest) for name, part in self.parts.items()]

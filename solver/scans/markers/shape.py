@@ -12,7 +12,7 @@ from solver.surface import Floats
 
 
 @dataclass(frozen=True)
-class ShapeOptions:
+class ExtentOptions:
     """Limits of what is a face."""
 
     line: float = 0.05  # of markers' extent along a line: their second extent; four on a brow 0.5
@@ -23,10 +23,10 @@ class ShapeOptions:
     usual: float = 0.98  # quantile of its frames in that
 
 
-SHAPE = ShapeOptions()
+SHAPE = ExtentOptions()
 
 
-def refuse_flat(file: str, points: Floats, options: ShapeOptions = SHAPE) -> None:
+def refuse_flat(file: str, points: Floats, options: ExtentOptions = SHAPE) -> None:
     """Raise :class:`InputError` ``markers.flat`` for markers (k, 3) on a line or in a plane."""
     seen = points[np.isfinite(points[:, 0])]
     if not len(seen):
@@ -44,7 +44,7 @@ def refuse_flat(file: str, points: Floats, options: ShapeOptions = SHAPE) -> Non
         raise InputError("markers.flat", message, file=file, found=len(seen))
 
 
-def is_motionless(motion: Motion, options: ShapeOptions = SHAPE) -> bool:
+def is_motionless(motion: Motion, options: ExtentOptions = SHAPE) -> bool:
     """Tell whether no marker moves against the others, in more than a frame."""
     off = np.linalg.norm(motion.places - motion.middle, axis=2)
     off = off[:, np.isfinite(off).any(axis=0)]

@@ -9,7 +9,7 @@ from solver.errors import InputError
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.frames import write_chunk
 from solver.rig.motion import MotionRecord, motion_values, read_motion
-from solver.simulation.forces import Motion
+from solver.simulation.forces import FleshMotion
 from tests.solver.block import block_model
 
 
@@ -43,7 +43,7 @@ def frames(rest, count, start=0):
 
 def test_what_was_written_is_read(tmp_path, rest):
     written = frames(rest, 3)
-    motion = Motion(rest + 1.0, rest - 2.0, written[-1].into_world)
+    motion = FleshMotion(rest + 1.0, rest - 2.0, written[-1].into_world)
     beside = motion_values("scene", motion, None)
     write_chunk(tmp_path, 0, written[:2], beside)
     path = write_chunk(tmp_path, 2, written[2:], beside)
@@ -66,7 +66,7 @@ def test_a_folder_without_frames_is_rest(tmp_path, rest):
 
 
 def test_frames_of_another_scene_or_after_a_gap_are_refused(tmp_path, rest):
-    motion = Motion(rest, rest, frames(rest, 1)[0].into_world)
+    motion = FleshMotion(rest, rest, frames(rest, 1)[0].into_world)
     beside = motion_values("scene", motion, None)
     write_chunk(tmp_path, 0, frames(rest, 2), beside)
     for scene, model, code in (

@@ -8,7 +8,7 @@ import pytest
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.similarity import IDENTITY, small_motion
-from solver.simulation.forces import AIR, DRAG, Gravity, Motion, Pull, Wind, lumped_masses
+from solver.simulation.forces import AIR, DRAG, FleshMotion, Gravity, Pull, Wind, lumped_masses
 from solver.surface import Surface
 from tests.solver.block import head_block
 
@@ -22,7 +22,7 @@ def face():
 
 def motion(face, head=IDENTITY, v=(0.0, 0.0, 0.0)):
     x = head(face.model.rest)
-    return Motion(x, np.tile(v, (len(x), 1)), head)
+    return FleshMotion(x, np.tile(v, (len(x), 1)), head)
 
 
 def test_weight_is_that_of_the_flesh_less_what_was_scanned(face):

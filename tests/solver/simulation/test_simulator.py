@@ -10,7 +10,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY, Similarity, small_motion
-from solver.simulation.forces import Drive, Gravity, Inertia, Motion, lumped_masses
+from solver.simulation.forces import Drive, FleshMotion, Gravity, Inertia, lumped_masses
 from solver.simulation.simulator import Simulator
 from tests.solver.block import block_model, poses
 
@@ -86,7 +86,7 @@ def blob():
     rest = face.model.rest
     spin = np.cross([0.0, 0.0, 4.0], rest - rest.mean(axis=0))
     v = spin + 50.0 * np.sin(rest / 9.0) + [300.0, -40.0, 25.0]
-    return face, Motion(rest * [1.1, 0.95, 1.0], v, IDENTITY)
+    return face, FleshMotion(rest * [1.1, 0.95, 1.0], v, IDENTITY)
 
 
 def test_free_flesh_keeps_its_momentum_and_loses_energy_only(blob):
