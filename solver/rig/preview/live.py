@@ -15,7 +15,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from solver.fitting.information import inverse_of_positive
-from solver.fitting.markers.robust import Prediction, RobustOptions, judge
+from solver.fitting.markers.robust import Judge, RobustOptions
 from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces, MarkerTerm
 from solver.fitting.prior import GaussianPrior
 from solver.mechanics.boundary import jaw_jacobian, move_jaw
@@ -86,10 +86,19 @@ class LiveFrame:
     states: NDArray[np.str_]  # (k,) seen, missing, outlier, swapped or relabelled
 
 
+@dataclass(frozen=True)
+class LiveState:
+    """What a frame leaves to the next: slider values (s,), their covariance, and the head."""
+
+    values: Floats
+    covariance: Floats  # (s, s)
+    head: HeadPrior | None = None  # None before the first frame
+
+
 class LiveTracker:
     """Follows markers with the sliders of :func:`solver.rig.preview.make_live_preview`.
 
-    Frames come ``seconds`` after each other.
+    Frames come ``seconds`` after each other; ``state`` is the last one's.
 
     ``error_mm`` is the preview's own mean distance from the simulation, which residuals include.
     """
@@ -109,44 +118,55 @@ class LiveTracker:
         self.places = ReducedPlaces(model, sliders, skin, used)
         self.error_mm = error_mm
         self._session, self._seconds, self._options = markers.session, seconds, options
+        self._judge = Judge(self.places, options.robust, options.head)
         variance = np.array([each.sigma_mm for each in used]) ** 2 + options.noise_mm**2
         self._precision = np.tile((1.0 / variance)[:, None], (1, 3))
-        self._values = np.zeros(len(sliders))
-        self._covariance = options.spread**2 * np.eye(len(sliders))
-        self._prior = GaussianPrior(self._values, self._covariance)
-        self._head: HeadPrior | None = None
+        self._prior = GaussianPrior(
+            np.zeros(len(sliders)), options.spread**2 * np.eye(len(sliders))
+        )
+        self.begin()
+
+    def begin(self, state: LiveState | None = None) -> None:
+        """Go on from a frame, or begin at rest."""
+        self.state = state or LiveState(self._prior.mean, self._prior.covariance)
 
     def step(self, points: Floats) -> LiveFrame:
         """Follow a frame: points (k, 3) in the take's axes, mm, in the order of ``labels``."""
-        options = self._options
-        seen = self._session(points)
-        prior = self._prior.after(self._values, self._covariance, self._seconds, options.forgetting)
-        mean, head = prior.mean, self._head_before(seen)
-        values = np.clip(mean, options.lower, options.upper)
+        options, before, seen = self._options, self.state, self._session(points)
+        seconds, forgetting = self._seconds, options.forgetting
+        prior = self._prior.after(before.values, before.covariance, seconds, forgetting)
+        values = np.clip(prior.mean, options.lower, options.upper)
         jacobian, places = self.places.jacobian(values), self.places.at(values)
         spread = jacobian @ prior.covariance @ jacobian.T
-        prediction = Prediction.of(head, self.places.centre, places, spread)
-        judged = judge(prediction, seen, self._precision, np.zeros((0, 3)), options.robust)
-        used = self._precision * judged.weights[:, None]
-        target = np.where(used > 0.0, judged.points, np.nan)
-        term = MarkerTerm(self.places, target, used, head, options.head)
-        precision = prior.precision
-        for number in range(options.steps):
-            if number:
-                jacobian, places = self.places.jacobian(values), self.places.at(values)
-            placed = term.place(places)
-            pull = (used * placed.offsets) @ placed.head.rotation
-            slope = jacobian.T @ pull.ravel() + precision @ (values - mean)
-            normal = term.normal(placed, jacobian) + precision
-            change = scipy.linalg.solve(normal, slope, assume_a="pos")
-            values = np.clip(values - change, options.lower, options.upper)
+        head = self._head_before(seen)
+        judged, term = self._judge.term(head, places, spread, seen, self._precision)
+        values, normal = self._fit(term, prior, values, jacobian)
         placed = term.place(self.places.at(values))
-        self._values, self._covariance = values, inverse_of_positive(normal)
-        self._head = HeadPrior(placed.head, placed.precision)
+        head = HeadPrior(placed.head, placed.precision)
+        self.state = LiveState(values, inverse_of_positive(normal), head)
         residuals = np.linalg.norm(placed.points - judged.points, axis=1)
         return LiveFrame(values, placed.head, residuals, judged.states)
 
+    def _fit(
+        self, term: MarkerTerm, prior: GaussianPrior, values: Floats, jacobian: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return the values (s,) that a few steps lead to, and the last one's matrix (s, s).
+
+        ``jacobian`` is the places' derivative (3 k, s) at the ``values`` they begin with.
+        """
+        options, precision = self._options, prior.precision
+        for number in range(options.steps):
+            if number:
+                jacobian = self.places.jacobian(values)
+            placed = term.place(self.places.at(values))
+            pull = (term.precision * placed.offsets) @ placed.head.rotation
+            slope = jacobian.T @ pull.ravel() + precision @ (values - prior.mean)
+            normal = term.normal(placed, jacobian) + precision
+            change = scipy.linalg.solve(normal, slope, assume_a="pos")
+            values = np.clip(values - change, options.lower, options.upper)
+        return values, normal
+
     def _head_before(self, seen: Floats) -> HeadPrior:
-        at, weights = self.places.at(self._values), self._precision.mean(axis=1)
-        options = self._options.head
-        return HeadPrior.before_frame(self._head, self._seconds, at, seen, weights, options)
+        at, weights = self.places.at(self.state.values), self._precision.mean(axis=1)
+        known, options = self.state.head, self._options.head
+        return HeadPrior.before_frame(known, self._seconds, at, seen, weights, options)
