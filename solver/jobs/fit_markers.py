@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,20 +31,13 @@ from solver.kinds.fit_markers import FitMarkers
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.mechanics.linear import fastest
-from solver.model import SubjectModel
 from solver.progress import Step
 from solver.rig.frames import sequence_report, write_sequence
 from solver.rig.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
-from solver.scans.markers.actor import carry, off_places
-from solver.scans.markers.bind import bind, model_face
-from solver.scans.markers.face_take import FACE, count_tracks, frames_about, living_labels
-from solver.scans.markers.faults import find_faults
-from solver.scans.markers.findings import LIMITS
+from solver.scans.markers.face_take import count_tracks
 from solver.scans.markers.marker_set import BoundTake, MarkerSet
-from solver.scans.markers.motion import still_seconds
-from solver.scans.markers.moved import split_moved
-from solver.scans.markers.shape import is_motionless, refuse_flat
+from solver.scans.markers.prepare import PreparedTake, PrepareOptions, prepare_take
 from solver.scans.markers.take import Take, read_take
 
 
@@ -54,7 +46,6 @@ class FitMarkersOptions:
     """Numbers of the job itself."""
 
     rate: float = 60.0  # of a take that does not say
-    least: int = 4  # markers of the set that the take has to have
     # A file of frames ends where the fit begins anew from what the file holds, so that a resumed
     # job goes the same way: so many frames, fewer of a face of so many tets.
     frames: int = 60
@@ -77,7 +68,8 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     rig, take = Rig.load(task.inputs), count_tracks(read_take(task.inputs["markers"]))
     numbers = frame_numbers(take.file, take.numbers, given)
     rate = given.rate or (take.rate if take.rate > 0 else OPTIONS.rate)
-    source, carried, notices = _bound(task, take, rig.model, rate)
+    prepared = _prepared(task, take, rig, rate)
+    source, notices = prepared.source, prepared.notices
     face, muscles = _face(task, rig, notices)
     check_held(face)
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(take)}"))
@@ -92,7 +84,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     progress(Step("export", 0.96))
     report = sequence_report(done, rate, take.file)
     report |= marker_report(done, source.labels, notices)
-    report |= carried | {"notices": [notice.as_dict() for notice in notices]}
+    report |= prepared.carried | {"notices": [notice.as_dict() for notice in notices]}
     animated, report["files"] = write_animated(out, drawing.skin, rig.model, rate, take.first)
     view, contraction = out / VIEW_FILE, Contraction.of_face(face)
     report["files"][VIEW_FILE] = drawing.view.write(view, rate)
@@ -103,57 +95,13 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     return files
 
 
-def _bound(
-    task: Task[FitMarkers], take: Take, model: SubjectModel, rate: float
-) -> tuple[BoundTake, dict[str, Any], list[Finding]]:
-    """Return the take read by its marker set, what was carried of an actor, and what is odd.
-
-    What stands still or was drawn is missing, labels that are swapped are exchanged. A marker that
-    moved is another one from then on.
-    """
-    given, given_set, skin = task.options, task.inputs.get("marker_set"), model_face(model)
-    take = take.pick(living_labels(take).tolist())
-    rows, notices = frames_about(take, given.neutral, rate), list[Finding]()
-    if given_set is None:
-        found = bind(take, model, rows, actor=given.actor)
-        markers = found.markers
-        notices.extend(found.findings)
-        if given.actor:
-            rows = found.neutral  # the motions count from the frames whose places they are
-    else:
-        markers = MarkerSet.load(given_set, model)
-    report: dict[str, Any] = {}
-    if given.actor:
-        carried = carry(take, markers, skin, rate, rows)
-        take, markers, report = carried.take, carried.markers, {"actor": carried.report}
-        notices.extend(carried.notices)
-    faults = find_faults(markers.session.scale * take.positions, rate)
-    refuse_flat(take.file, faults.motion.middle)
-    if is_motionless(faults.motion):
-        message = f"no marker of {take.file} moves against the others: there is no motion to fit"
-        notices.append(make_warning("markers.motionless", message))
-    if not given.actor:
-        motion, spans = faults.motion, [rows] if rows else []
-        # people are still in expressions, too
-        spans = spans or [each.rows for each in still_seconds(motion, rate, FACE.rest.seconds)]
-        off_mm, rows = min((off_places(take, markers, motion, skin, each), each) for each in spans)
-        notices.extend(_other_person(take, rows, off_mm))
-    positions, exchanged = faults.put_right(faults.hide_unmeasured(take.positions))
-    take, markers = split_moved(replace(take, positions=positions), markers, faults, skin)
-    return BoundTake(take, markers, OPTIONS.least, exchanged), report, notices
-
-
-def _other_person(take: Take, rows: tuple[int, int], off_mm: float) -> list[Finding]:
-    """Return the warning that a take is another person's, if its markers are so far off at rest."""
-    if off_mm <= LIMITS.person:
-        return []
-    first, last = (take.numbers[row] for row in rows)
-    message = (
-        f"in frames {first} to {last} the markers of {take.file} are {off_mm:.1f} mm off their "
-        "places: the face is not at rest there (neutral), or another person's (actor)"
-    )
-    figures = {"frames": [first, last], "found": round(off_mm, 2), "expected": LIMITS.person}
-    return [make_warning("markers.other_person", message, figures)]
+def _prepared(task: Task[FitMarkers], take: Take, rig: Rig, rate: float) -> PreparedTake:
+    """Return the take bound by the marker set, if one was given, and mended."""
+    given, known = task.options, None
+    if "marker_set" in task.inputs:
+        known = MarkerSet.load(task.inputs["marker_set"], rig.model)
+    options = PrepareOptions(given.actor, given.neutral)
+    return prepare_take(take, rig.model, rate, known, options)
 
 
 def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Face, tuple[str, ...]]:

@@ -24,7 +24,7 @@ class FitSequence(FitOptions):
         ge=0,
         le=1000,
         description="weight of the activations' change from frame to frame, beside 0.001 for "
-        "their size; 0: none",
+        "their size, not a time as of fit_markers; 0: none",
     )
     head_motion: bool = Field(
         default=False, description="solve the rigid motion of the head and take it out"
