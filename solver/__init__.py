@@ -24,10 +24,13 @@ if TYPE_CHECKING:
     from solver.fitting.fallback import fit as fit_expression  # noqa: F401
     from solver.fitting.objective import Target as Target
     from solver.fitting.sensitivity import Sensitivity as Sensitivity
+    from solver.fitting.tracking.dense import DensePoints as DensePoints
+    from solver.fitting.tracking.tracker import Tracker as Tracker
     from solver.jobs import run_job as run_job
     from solver.mechanics.flesh import Material as Material
     from solver.mechanics.terms import PassiveTerm as PassiveTerm
     from solver.mechanics.terms import check_term as check_term
+    from solver.meshio.registered import RegisteredScan as RegisteredScan
     from solver.meshio.registered import write_registered as write_registered
     from solver.model import SubjectModel as SubjectModel
     from solver.rig.rig import Rig as Rig
@@ -40,15 +43,18 @@ _PLACES = {
     "ActivationOptions": "solver.fitting.activation:ActivationOptions",
     "Admissible": "solver.fitting.drives.admissible:Admissible",
     "AdmissibleLimits": "solver.fitting.drives.admissible:AdmissibleLimits",
+    "DensePoints": "solver.fitting.tracking.dense:DensePoints",
     "Face": "solver.fitting.face:Face",
     "Material": "solver.mechanics.flesh:Material",
     "PassiveTerm": "solver.mechanics.terms:PassiveTerm",
     "Pose": "solver.fitting.face:Pose",
+    "RegisteredScan": "solver.meshio.registered:RegisteredScan",
     "Rig": "solver.rig.rig:Rig",
     "Sensitivity": "solver.fitting.sensitivity:Sensitivity",
     "SubjectModel": "solver.model:SubjectModel",
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",
+    "Tracker": "solver.fitting.tracking.tracker:Tracker",
     "check_term": "solver.mechanics.terms:check_term",
     "expression_terms": "solver.fitting.contact:terms",
     "fit_expression": "solver.fitting.fallback:fit",

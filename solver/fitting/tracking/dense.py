@@ -111,17 +111,17 @@ class DensePoints:
         self, seen: RegisteredScan, still: Floats, solver: FrameSolver
     ) -> tuple[Target, Similarity, int]:
         """Fit the face with the head where it is; again if that moves the head."""
-        pose, steps, target = solver.state.pose, 0, None
-        before = np.full_like(seen.vertices, np.inf)
-        for _ in range(self._options.placings):
+        pose, head = solver.state.pose, self._place_head(seen, still, solver.state)
+        points = head.inverse()(seen.vertices)
+        target = self.target(points, seen.confidence)
+        steps = self._fit(target, solver, pose)
+        for _ in range(self._options.placings - 1):
             head = self._place_head(seen, still, solver.state)
-            points = head.inverse()(seen.vertices)
-            if target and np.nanmax(np.abs(points - before)) < self._options.restless_mm:
+            moved = head.inverse()(seen.vertices)
+            if np.nanmax(np.abs(moved - points)) < self._options.restless_mm:
                 break
-            target = self.target(points, seen.confidence)
+            points, target = moved, self.target(moved, seen.confidence)
             steps += self._fit(target, solver, pose)
-            before = points
-        assert target is not None, "the head is placed at least once"
         return target, head, steps
 
     def _place_head(self, seen: RegisteredScan, still: Floats, state: PosedFace) -> Similarity:
