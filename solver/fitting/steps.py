@@ -32,7 +32,7 @@ class StepOptions:
     @classmethod
     def quick(cls) -> StepOptions:
         """Return those of many fits, each from a state near by: about the best step will do."""
-        return cls(LinearisedOptions(), InteriorPointOptions(short=1e-3))
+        return cls(LinearisedOptions(), InteriorPointOptions(fall=0.03, short=1e-2))
 
 
 class StepModel(Protocol):
