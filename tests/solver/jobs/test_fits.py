@@ -13,7 +13,7 @@ import pytest
 from solver.errors import InputError, SolveError
 from solver.fitting import fallback, geometry
 from solver.fitting.face import Face, Pose
-from solver.fitting.reference import NotConvergedError, Reference
+from solver.fitting.reference import NotConvergedError, ReferenceSolution
 from solver.jobs import run_job
 from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.jaw_tracks import JawTracks
@@ -160,11 +160,11 @@ def test_what_neither_solver_can_fit_costs_only_itself(
     real = fallback.reference.activations
     calls = []
 
-    def broken(face: Face, *args: Any, **more: Any) -> Reference:
+    def broken(face: Face, *args: Any, **more: Any) -> ReferenceSolution:
         calls.append(face)
         if len(calls) <= len(fallback.FallbackOptions.heavier):
             x = np.full_like(MODEL.rest, np.nan)
-            last = Reference(np.nan, 3, np.nan, "", face.rest_pose(), x)
+            last = ReferenceSolution(np.nan, 3, np.nan, "", face.rest_pose(), x)
             raise NotConvergedError("Invalid number detected", last)
         return real(face, *args, **more)
 
