@@ -98,6 +98,12 @@ def judge_findings(findings: Iterable[Finding]) -> Verdict:
     return "usable" if "warning" in severities else "good"
 
 
+def worst_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Return errors, then warnings, then what only tells, each as they came."""
+    order = ("error", "warning", "info")
+    return sorted(findings, key=lambda each: order.index(each.severity))
+
+
 def make_warning(code: str, message: str, context: dict[str, Any] | None = None) -> Finding:
     """Return a finding of a fit, without advice; ``context`` has its ``expression``, if of one."""
     return Finding(code, "warning", message, context=context or {})

@@ -54,8 +54,7 @@ def c3d_bytes(
         ("POINT", "RATE"): np.float32(rate),
         ("POINT", "FRAMES"): _word(min(frames, 65535)),
         ("POINT", "DATA_START"): np.int16(0),
-        ("POINT", "LABELS"): labels[:255],
-        **({("POINT", "LABELS2"): labels[255:]} if len(labels) > 255 else {}),
+        **_label_parameters(labels),
         ("POINT", "UNITS"): None if unit is None else [unit],
         ("ANALOG", "USED"): np.int16(channels),
         ("ANALOG", "RATE"): np.float32(rate * samples),
@@ -91,6 +90,15 @@ def c3d_bytes(
         + section
         + _data(points, scale, channels * samples, processor, residual)
     )
+
+
+def _label_parameters(labels: Sequence[str]) -> dict[tuple[str, str], Any]:
+    """Return LABELS, LABELS2 ... of at most 255 labels each."""
+    parts = [labels[first : first + 255] for first in range(0, max(len(labels), 1), 255)]
+    return {
+        ("POINT", f"LABELS{number if number > 1 else ''}"): part
+        for number, part in enumerate(parts, 1)
+    }
 
 
 def _data(points: np.ndarray, scale: float, analog: int, processor: int, residual: float) -> bytes:

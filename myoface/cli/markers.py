@@ -25,7 +25,9 @@ Person = Annotated[
 def bind(
     model: Person,
     take: Take,
-    frame: Annotated[int | None, Option(help=RULES["neutral"]["description"])] = None,
+    neutral: Annotated[
+        int | None, Option("--neutral", "--frame", help=RULES["neutral"]["description"])
+    ] = None,
     expression: Annotated[str | None, Option(help=RULES["expression"]["description"])] = None,
     actor: Annotated[
         bool, Option("--actor", help="the take is another person's, whose motion is carried over")
@@ -44,7 +46,7 @@ def bind(
 
     read = read_take(take)
     shown = None if expression is None else Rig.load(model).expression(expression)
-    rows, person = frames_about(read, frame), SubjectModel.load(model)
+    rows, person = frames_about(read, neutral), SubjectModel.load(model)
     found = bind(read, person, rows, expression=shown, actor=actor)
     found.markers.save(output)
     first, last = (read.numbers[row] for row in found.neutral)

@@ -250,7 +250,8 @@ def _show_sequence(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
     if every["mean_mm"] is not None:
         out.print(
             f"with the {every['rejected']:.1%} of points that were rejected {every['mean_mm']:.2f} "
-            f"mm, at most {every['max_mm']:.1f} mm"
+            f"mm, at most {every['max_mm']:.1f} mm: {every['max_label']} in frame "
+            f"{every['max_frame']}"
         )
     findings = [*report["notices"], *report["findings"]]
     show_verdict(given["take"].name, {"verdict": report["verdict"], "findings": findings})

@@ -123,7 +123,8 @@ class FittedSequence:
             message = f"{reason}{quote(other[0])!r} is only one {whose}"
             more = {"asset": self.asset, "found": quote_names(other)}
             raise InputError("sequence.muscles", message, **more)
-        order = [self.muscles.index(name) for name in names]
+        place = {name: number for number, name in enumerate(self.muscles)}
+        order = [place[name] for name in names]
         parts = (self.frames, self.times, self.fitted, self.activations[:, order])
         return FittedSequence(self.asset, tuple(names), *parts, self.jaw, self.head)
 

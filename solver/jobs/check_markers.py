@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from solver.errors import Finding, InputError, judge_findings, quote
+from solver.errors import Finding, InputError, judge_findings, quote, worst_first
 from solver.fitting import prior
 from solver.fitting.face import Face
 from solver.fitting.markers.reach import reach
@@ -61,7 +61,7 @@ def run(task: Task[CheckMarkers]) -> list[Path]:
     report = {
         "file": path.name,
         "verdict": judged,
-        "findings": [finding.to_dict() for finding in found.findings],
+        "findings": [finding.to_dict() for finding in worst_first(found.findings)],
         "labels": found.labels,
         "figures": found.figures | {"seconds": round(time.perf_counter() - start, 2)},
     }

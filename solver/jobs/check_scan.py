@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from solver.errors import InputError, judge_findings
+from solver.errors import InputError, judge_findings, worst_first
 from solver.jobs import Task
 from solver.jobs.templates import read_template
 from solver.kinds.kind import FrameOptions
@@ -41,7 +41,7 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     report = {
         "file": scan.name,
         "verdict": verdict,
-        "findings": [finding.to_dict() for finding in found.findings],
+        "findings": [finding.to_dict() for finding in worst_first(found.findings)],
         "judged": [each.to_dict() for each in found.parts],
         "figures": found.figures | {"seconds": round(time.perf_counter() - start, 2)},
     }

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.errors import Finding, Severity, advise, judge_findings, quote, quote_names
+from solver.errors import Finding, Severity, advise, judge_findings, quote, quote_names, worst_first
 from solver.jobs.sequences import distance_figures
 from solver.scans.markers.faults import runs
+from solver.scans.markers.motion import rms_of_seen
+from solver.scans.markers.names import LOWER, read_names
 from solver.surface import Floats
 
 ADVICE = {
@@ -23,6 +25,8 @@ ADVICE = {
     "markers.rejected_frames": "Look at these frames: the face is not what its markers show there.",
     "markers.rejected_most": "Check the take, its rest and the marker set: one of them is wrong.",
     "markers.far_off": "Check the rest, the marker set, and whose face it is (--actor).",
+    "markers.region_off": "Check the rest: with a mouth open in it the jaw follows too little.",
+    "markers.label_off": "Look at their places on the face at rest: they may be bound beside them.",
 }
 
 
@@ -35,6 +39,8 @@ class FitLimits:
     least_at_once: int = 3  # ... and so many
     most: float = 0.3  # of all points: the fit is bad
     far: float = 3.0  # mean over all points: as many off another person
+    off: float = 2.0  # rms of a label, or of a region's labels: they are not followed
+    region: float = 2.0  # times as far off as the other markers: a region is not followed
     labels: int = 6  # with a finding of their own; the others are counted
     spans: int = 20  # of frames that are listed
 
@@ -56,10 +62,12 @@ def judge_fit(
     rejected = seen & (states == "outlier")
     share = float(rejected.sum() / max(seen.sum(), 1))
     points = off[seen]
-    figures = distance_figures(points)
+    figures = distance_figures(points) | _farthest(labels, numbers, off)
     findings = [
         *_often_rejected(labels, numbers, rejected, seen, off, limits),
         *_rejected_at_once(labels, numbers, rejected, seen, limits),
+        *_regions_off(labels, off, limits),
+        *_labels_off(labels, rejected, seen, off, limits),
     ]
     if share > limits.most:
         words = f"{share:.0%} of all points were rejected: what is left tells little of the face."
@@ -72,7 +80,7 @@ def judge_fit(
     return {
         "verdict": judge_findings([*findings, *notices]),
         "all_markers": {**figures, "rejected": round(share, 4)},
-        "findings": [each.to_dict() for each in findings],
+        "findings": [each.to_dict() for each in worst_first(findings)],
     }
 
 
@@ -94,7 +102,7 @@ def _often_rejected(
         most = float(off[mine, label].max())
         words = (
             f"{quote(labels[label])} was rejected in {shares[label]:.0%} of its frames, up to "
-            f"{most:.1f} mm off: frames {spans[0][0]} to {spans[-1][1]}."
+            f"{most:.1f} mm off: {_words(spans)}."
         )
         context = {
             "label": labels[label],
@@ -106,7 +114,8 @@ def _often_rejected(
     others = often[limits.labels :]
     if others:
         names = quote_names([labels[each] for each in others])
-        words = f"{len(others)} more labels were rejected in at most {shares[others[0]]:.0%}."
+        which = "label was" if len(others) == 1 else "labels were"
+        words = f"{len(others)} more {which} rejected in at most {shares[others[0]]:.0%}."
         findings.append(_add("markers.rejected", "warning", words, labels=names))
     return findings
 
@@ -129,16 +138,80 @@ def _rejected_at_once(
         [labels[each] for each in np.flatnonzero(rejected[many].any(axis=0)).tolist()]
     )
     worst = int(np.argmax(count))
-    words = (
-        f"Up to {count[worst]} markers at once were rejected in {int(many.sum())} frames, the most "
-        f"in frame {numbers[worst]}: {', '.join(names)}."
-    )
+    where = "one frame" if many.sum() == 1 else f"{int(many.sum())} frames, the most in frame"
+    frame = f", {numbers[worst]}" if many.sum() == 1 else f" {numbers[worst]}"
+    words = f"Up to {count[worst]} markers at once were rejected in {where}{frame}: "
+    words += f"{', '.join(names)}."
     context = {"labels": names, "frames": spans[: limits.spans], "frame": numbers[worst]}
     return [_add("markers.rejected_frames", "warning", words, **context)]
 
 
+def _farthest(labels: Sequence[str], numbers: Sequence[int], off: Floats) -> dict[str, Any]:
+    """Return whose the greatest distance is, {} where nothing was seen."""
+    if not np.isfinite(off).any():
+        return {}
+    row, column = divmod(int(np.nanargmax(off)), off.shape[1])
+    return {"max_label": labels[column], "max_frame": numbers[row]}
+
+
+def _regions_off(labels: Sequence[str], off: Floats, limits: FitLimits) -> list[Finding]:
+    """Return the finding of regions, by the labels' names, that the face does not follow."""
+    names = [None if name is None else name.region for name in read_names(labels)]
+    groups = np.array(["jaw" if name in LOWER else name or "" for name in names])
+    far = {}
+    for region in sorted(set(groups.tolist()) - {""}):
+        own = groups == region
+        mine, others = rms_of_seen(off[:, own]), rms_of_seen(off[:, ~own])
+        least = min(own.sum(), (~own).sum())
+        if least >= limits.least_at_once and mine > max(limits.off, limits.region * others):
+            far[region] = mine, others
+    findings = []
+    for region, (mine, others) in sorted(far.items(), key=lambda each: -each[1][0]):
+        count, where = int((groups == region).sum()), region.replace("_", " ")
+        words = (
+            f"The {where} is not followed: its {count} markers are {mine:.1f} mm off, the others "
+            f"{others:.1f} mm (root mean square)."
+        )
+        context = {"region": region, "found": round(mine, 2), "expected": round(others, 2)}
+        findings.append(_add("markers.region_off", "warning", words, **context))
+    return findings
+
+
+def _labels_off(
+    labels: Sequence[str],
+    rejected: NDArray[np.bool_],
+    seen: NDArray[np.bool_],
+    off: Floats,
+    limits: FitLimits,
+) -> list[Finding]:
+    """Return the finding of labels that are far off though they were hardly ever rejected."""
+    shares = rejected.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    rms = np.array([rms_of_seen(column) for column in off.T])
+    far = [
+        each
+        for each in np.argsort(-np.nan_to_num(rms)).tolist()
+        if rms[each] > limits.off and shares[each] <= limits.rejected
+    ]
+    if not far:
+        return []
+    names = quote_names([labels[each] for each in far])
+    shown = [f"{quote(labels[each])} {rms[each]:.1f}" for each in far[: limits.labels]]
+    which = "label is" if len(far) == 1 else "labels are"
+    words = (
+        f"{len(far)} {which} more than {limits.off:g} mm off (root mean square, mm) and were kept, "
+        f"the worst first: {', '.join(shown)}."
+    )
+    context = {"labels": names, "found": round(float(rms[far[0]]), 2), "expected": limits.off}
+    return [_add("markers.label_off", "warning", words, **context)]
+
+
 def _add(code: str, severity: Severity, message: str, **context: Any) -> Finding:
     return advise(ADVICE, code, severity, message, **context)
+
+
+def _words(spans: list[list[int]]) -> str:
+    first, last = spans[0][0], spans[-1][1]
+    return f"frame {first}" if first == last else f"frames {first} to {last}"
 
 
 def _spans(mask: NDArray[np.bool_], numbers: Sequence[int]) -> list[list[int]]:

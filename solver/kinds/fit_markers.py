@@ -81,7 +81,7 @@ class FitMarkers(JobOptions):
         ge=0,
         le=1000,
         description="frames, the nearest to the neutral face, by which the markers' places are "
-        "mended first, left in markers.json for all takes of the session; 0: none",
+        "mended first, left in markers.json for all takes of the session; 0: none, as with actor",
     )
     max_iterations: Whole = Field(
         default=15, ge=1, le=500, description="Gauss-Newton iterations per frame at most"

@@ -53,6 +53,7 @@ class MarkerOptions:
     noise_mm: float = 0.2  # standard deviation of a point, beside that of its marker's place
     w_v: float = 0.3  # of volume, beside half a squared Mahalanobis distance
     w_e: float = 3.0  # of least eigenvalues
+    looks: int = 3  # more at a first frame, while fewer of its points are wrong by the new face
     lips: float = 2.0  # weight of every third vertex of a lip in the other, per mm^2 ...
     lips_slack_mm: float = 0.2  # ... beyond this depth
     head: HeadOptions = field(default_factory=HeadOptions)
@@ -116,6 +117,11 @@ class MarkerFit:
         """Return how far each point is off the fitted face's marker, (k,), NaN without one."""
         off = np.linalg.norm(self.placed.points - self.judged.points, axis=1)
         return np.asarray(off)
+
+    @property
+    def rejected(self) -> int:
+        """Return how many points were taken for wrong."""
+        return int((self.judged.states == "outlier").sum())
 
 
 class _Response:
@@ -200,7 +206,32 @@ class Markers:
     ) -> tuple[MarkerFit, MarkerMemory]:
         """See :class:`~solver.fitting.tracking.tracker.Observation`."""
         prior, head = self._before(seen.points, solver.state, memory)
-        at, spread = self._predict(prior, solver)
+        fit, left = self._fit(seen, solver, memory, prior, prior, head)
+        if memory is not None:
+            return fit, left
+        # judged from the face at rest, the points of a wide-open mouth are wrong ones
+        for _ in range(self.options.looks):
+            if fit.kept or not fit.rejected:
+                break
+            expected, head = self.prior.about(left.mean), self._before(seen.points, fit.state)[1]
+            before = fit
+            fit, left = self._fit(seen, solver, None, prior, expected, head)
+            fit = replace(fit, steps=before.steps + fit.steps)
+            if fit.rejected >= before.rejected:
+                break
+        return fit, left
+
+    def _fit(
+        self,
+        seen: SeenMarkers,
+        solver: FrameSolver,
+        memory: MarkerMemory | None,
+        prior: GaussianPrior,
+        expected: GaussianPrior,
+        head: HeadPrior,
+    ) -> tuple[MarkerFit, MarkerMemory]:
+        """Fit a frame whose controls are those of ``prior``; points are judged by ``expected``."""
+        at, spread = self._predict(expected, solver)
         precision = self._precision(seen.sigma)
         points, free = seen.points, seen.unlabelled
         judged, term = self._judge.term(head, at, spread, points, precision, free)
@@ -270,7 +301,7 @@ class Markers:
         return np.asarray(1.0 / (self._sigma[:, None] ** 2 + noise**2))
 
     def _before(
-        self, seen: Floats, state: PosedFace, memory: MarkerMemory | None
+        self, seen: Floats, state: PosedFace, memory: MarkerMemory | None = None
     ) -> tuple[GaussianPrior, HeadPrior]:
         """Return what is probable of controls and head before a frame is looked at."""
         at, weights = self.places.at(state.x), self._sigma**-2.0

@@ -182,14 +182,15 @@ def _check_person(
             f"In frames {first} to {last}, taken for rest, the mouth is open: markers of the jaw "
             f"are {jaw:.1f} mm off, the others {others:.1f} mm."
         )
-        add(check, "markers.neutral", "warning", message, found=round(jaw, 1))
+        severity: Severity = "error" if jaw > limits.wide_open else "warning"
+        add(check, "markers.neutral", severity, message, found=round(jaw, 1))
     elif actor:
         _check_actor(check, located, reference)
     elif max(others, all_) > limits.person:
         message = (
             f"At rest the markers of {located.face.take.file} are {all_:.1f} mm off this person."
         )
-        severity: Severity = "warning" if _may_be_actor(located, reference) else "error"
+        severity = "warning" if _may_be_actor(located, reference) else "error"
         figures = {"found": round(all_, 2), "expected": limits.person}
         add(check, "markers.other_person", severity, message, **figures)
 

@@ -78,6 +78,7 @@ class CheckLimits:
     open_mouth: float = 5.0  # rms of the jaw's markers, when the others fit
     lips_apart: float = 6.0  # more than at the places of a marker set: the mouth is open
     named_lips_apart: float = 12.0  # the same by names, which are less sure
+    wide_open: float = 20.0  # the same of lips, or of the jaw's markers: it is no rest at all
     misplaced: float = 4.0  # off the place in the set, when the others fit
     fills: float = 4.0  # an unlabelled track so near to where a missing marker is expected
     share_filled: float = 0.5  # of a track's frames

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.errors import MOST_NAMES, quote, quote_names
+from solver.errors import MOST_NAMES, Severity, quote, quote_names
 from solver.scans.markers.face_take import LocatedTake
 from solver.scans.markers.findings import LIMITS, CheckLimits, MarkerCheck, add, count_words
 from solver.scans.markers.marker_set import MarkerSet
@@ -92,7 +92,8 @@ def report_mouth(
             f"{apart:.0f} mm farther apart than closed ones."
         )
         figures = {"frames": [first, last], "found": round(apart, 1), "expected": limit}
-        add(check, "markers.neutral", "warning", message, **figures)
+        severity: Severity = "error" if apart > limits.wide_open else "warning"
+        add(check, "markers.neutral", severity, message, **figures)
 
 
 def report_off_skin(check: MarkerCheck, located: LocatedTake, markers: MarkerSet) -> None:

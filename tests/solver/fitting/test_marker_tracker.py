@@ -10,10 +10,10 @@ from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, with_fibres
 from solver.fitting.face import Face
-from solver.fitting.markers.observation import Markers, SeenMarkers
+from solver.fitting.markers.observation import MarkerOptions, Markers, SeenMarkers
 from solver.fitting.markers.places import RefineOptions, frames_near_neutral, refine, triangle_axes
 from solver.fitting.markers.reach import reach
-from solver.fitting.markers.robust import Prediction, judge
+from solver.fitting.markers.robust import Prediction, RobustOptions, judge
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.tracking.tracker import Tracker
@@ -370,3 +370,18 @@ def test_held_muscles_keep_still_while_others_move(face, places, take):
     rest = face.rest_pose().a
     faded = np.exp(-8 / RATE) * (before.state.pose.a - rest)
     assert np.abs(gone[-1].state.pose.a - rest - faded)[held].max() < 0.02
+
+
+def test_a_first_frame_far_from_rest_is_judged_by_the_face_that_it_shows(face, places, known):
+    values, vectors = np.linalg.eigh(known.covariance)
+    state = face.continuation(face.rest, face.rest_pose().add(np.sqrt(values[-1]) * vectors[:, -1]))
+    skin, seen = face.face_points(state.x), SeenMarkers(places.at(state.x))
+    strict = MarkerOptions(robust=RobustOptions(scale_mm=0.3))
+
+    def fit_first(options):
+        markers = Markers(face, places, np.full(MARKERS, 0.3), known, 1.0 / RATE, options)
+        return Tracker(markers).step(seen)
+
+    once, looked = fit_first(replace(strict, looks=0)), fit_first(strict)
+    assert looked.rejected == 0 < once.rejected
+    assert off(face, looked.state, skin) < 0.75 * off(face, once.state, skin)

@@ -20,7 +20,7 @@ def test_a_fit_that_keeps_all_markers_is_good_unless_something_was_noticed() -> 
     found = judge_fit(LABELS, NUMBERS, *frames())
     assert (found["verdict"], found["findings"]) == ("good", [])
     assert found["all_markers"] == {
-        **{"mean_mm": 0.5, "p95_mm": 0.5, "max_mm": 0.5},
+        **{"mean_mm": 0.5, "p95_mm": 0.5, "max_mm": 0.5, "max_label": "M0", "max_frame": 101},
         "rejected": 0.0,
     }
     odd = [make_warning("markers.other_person", "it is another's")]
@@ -35,6 +35,8 @@ def test_rejected_markers_count_and_are_told_with_label_and_frames() -> None:
     found = judge_fit(LABELS, NUMBERS, states, off)
     assert found["verdict"] == "usable"
     assert found["all_markers"]["max_mm"] == 13.4
+    assert found["all_markers"]["max_label"] == "M3"
+    assert found["all_markers"]["max_frame"] == 119
     assert found["all_markers"]["mean_mm"] > 1.0
     assert found["all_markers"]["rejected"] == round(74 / (80 * 20 - 1), 4)
     label, at_once = found["findings"]
@@ -56,3 +58,25 @@ def test_a_fit_that_rejects_a_third_or_is_far_off_everywhere_is_bad() -> None:
     states, off = frames()
     found = judge_fit(LABELS, NUMBERS, states, off + 4.0)
     assert (found["verdict"], found["findings"][0]["code"]) == ("bad", "markers.far_off")
+
+
+def test_labels_that_were_kept_though_far_off_are_told_worst_first() -> None:
+    states, off = frames()
+    off[:, 2], off[:, 11] = 2.5, 4.0
+    found = judge_fit(LABELS, NUMBERS, states, off)
+    (finding,) = found["findings"]
+    assert (finding["code"], finding["labels"]) == ("markers.label_off", ["M11", "M2"])
+    assert "M11 4.0, M2 2.5" in finding["message"]
+
+
+def test_a_region_that_the_face_does_not_follow_is_told() -> None:
+    states, off = frames()
+    labels = [*LABELS[:16], "Chin", "Chin_L2", "Chin_R2", "Mouth_Down"]
+    off[:, 16:] = 1.9  # of a face that is as good elsewhere
+    assert judge_fit(labels, NUMBERS, states, off)["verdict"] == "good"
+    off[:, 16:] = 4.0
+    found = judge_fit(labels, NUMBERS, states, off)
+    region, label = found["findings"]
+    assert (region["code"], region["region"]) == ("markers.region_off", "jaw")
+    assert (region["found"], region["expected"]) == (4.0, 0.5)
+    assert label["code"] == "markers.label_off"

@@ -254,7 +254,14 @@ def test_an_open_mouth_at_rest_is_told(person: Reference) -> None:
     noise = 0.1 * np.random.default_rng(0).normal(size=(200, len(LABELS), 3))
     opened = on_skin("ah") + noise
     check = check_take(made_take(opened), person)
-    assert [each.code for each in told(check)] == ["markers.neutral"]
+    assert [(each.code, each.severity) for each in told(check)] == [("markers.neutral", "warning")]
+    wide = on_skin("neutral") + 3.0 * (on_skin("ah") - on_skin("neutral")) + noise
+    (found,) = (
+        each
+        for each in check_take(made_take(wide), person).findings
+        if each.code == "markers.neutral"
+    )
+    assert found.severity == "error"
 
 
 @pytest.mark.parametrize("frames", [1, 2, 5, 40])
