@@ -167,6 +167,27 @@ class Artifact(Resource):
     job_id: str | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class FromJob(Resource):
+    """A file that the ``job`` left, as an input of another; a scene has it by its ``name``."""
+
+    job: str
+    artifact: FileName
+    name: str | None = None
+
+    @classmethod
+    def of(cls, artifact: Artifact, name: str | None = None) -> FromJob:
+        """Return a job's file as an input."""
+        if artifact.job_id is None:
+            raise ValueError(f"{artifact.name} is of no job: take it out of a job's result")
+        return cls(job=artifact.job_id, artifact=artifact.name, name=name)
+
+    def to_dict(self) -> dict[str, str]:
+        """Return it as a member of a request."""
+        named = {} if self.name is None else {"name": self.name}
+        return {"job": self.job, "artifact": self.artifact, **named}
+
+
 def _once_each(artifacts: list[Artifact]) -> None:
     """Refuse files that a folder cannot hold: of one name, or of a device's on Windows."""
     if len({same_file(artifact.name) for artifact in artifacts}) < len(artifacts):
@@ -205,6 +226,14 @@ class Result(ResultItem):
 
     summary: dict[str, Any] | None = None
     artifacts: Artifacts = field(default_factory=list)
+
+    def __getitem__(self, name: str) -> Artifact:
+        """Return the file of a name, which another job may read or `download` fetches."""
+        for artifact in self.artifacts:
+            if artifact.name == name:
+                return artifact
+        left = ", ".join(each.name for each in self.artifacts) or "nothing"
+        raise KeyError(f"the job left no {name}: it left {left}")
 
 
 @dataclass(frozen=True, kw_only=True)

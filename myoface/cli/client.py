@@ -42,7 +42,7 @@ from myoface.cli.lookup import find_job, find_rig, find_subject, find_template
 from myoface.cli.rigs import show_rigs
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import describe
-from myoface.resources import FINAL_STATES, Artifact, Job, JobItem, Result
+from myoface.resources import FINAL_STATES, Artifact, FromJob, Job, JobItem, Result
 
 subjects = Group("People.")
 templates = Group("Template anatomies of a service.")
@@ -197,6 +197,13 @@ def submit_job(
     kind: Annotated[str, Argument(help="see `myoface jobs kinds`")],
     subject: SubjectId,
     capture: Annotated[list[str] | None, Option(help="name or id of a capture; repeat")] = None,
+    artifact: Annotated[
+        list[str] | None,
+        Option(
+            metavar="JOB/FILE",
+            help="file that an earlier job left, JOB/FILE=NAME for a scene; repeat",
+        ),
+    ] = None,
     rig: Annotated[
         str | None, Option(help="rig id, for fit_activations and all that plays a rig")
     ] = None,
@@ -218,16 +225,26 @@ def submit_job(
             listed = reversed(client.captures(whose))  # a rig has them in their scans' order
             chosen = [each for each in listed if each.role == "expression"]
         given = {} if scene is None else {"scene": read_scene(scene)}
+        left = [_read_artifact(client, each) for each in artifact or []]
         job = client.submit(
             kind,
             whose,
-            captures=[each.id for each in chosen],
+            captures=[*(each.id for each in chosen), *left],
             rig_id=rig and find_rig(client, rig),
             options=read_object(options, "--options") | given,
         )
         out.print(job.id)
         if wait:
             _follow(client, job)
+
+
+def _read_artifact(client: Client, given: str) -> FromJob:
+    """Return the file that ``JOB/FILE`` or ``JOB/FILE=NAME`` says."""
+    job, slash, rest = given.partition("/")
+    file, is_named, name = rest.partition("=")
+    if not (job and slash and file) or (is_named and not name):
+        raise UsageError(f"--artifact {given}: JOB/FILE or JOB/FILE=NAME is expected")
+    return FromJob(job=find_job(client, job), artifact=file, name=name or None)
 
 
 @jobs.command("retry")

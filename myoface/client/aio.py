@@ -29,6 +29,7 @@ from myoface.client.jobs import (
     BatchWatcher,
     EventReader,
     Watcher,
+    by_origin,
     read_frame,
     require_batch,
     require_job,
@@ -45,6 +46,7 @@ from myoface.resources import (
     Batch,
     Frame,
     FramePage,
+    FromJob,
     Job,
     JobItem,
     JobKind,
@@ -87,16 +89,20 @@ class AsyncClient(AsyncCaptures):
         kind: str,
         subject_id: str,
         *,
-        captures: Iterable[str] = (),
+        captures: Iterable[str | Artifact | FromJob] = (),
         rig_id: str | None = None,
         options: dict[str, Any] | None = None,
         priority: int = 0,
     ) -> Job:
-        """Queue a job, once, however often the line breaks; a higher priority is done first."""
+        """Queue a job, once, however often the line breaks; a higher priority is done first.
+
+        ``captures`` are ids of captures, and files that earlier jobs left:
+        ``check.result["markers.json"]``, or a :class:`FromJob` with its name in a scene.
+        """
         body = {
             "kind": kind,
             "subject_id": subject_id,
-            "captures": list(captures),
+            **by_origin(captures),
             "rig_id": rig_id,
             "options": options,
             "priority": priority,
@@ -116,7 +122,7 @@ class AsyncClient(AsyncCaptures):
         self,
         job_id: str,
         *,
-        captures: Iterable[str] | None = None,
+        captures: Iterable[str | Artifact | FromJob] | None = None,
         options: dict[str, Any] | None = None,
         priority: int | None = None,
     ) -> Job:
@@ -124,7 +130,7 @@ class AsyncClient(AsyncCaptures):
         return await self._create(
             f"/v1/jobs/{job_id}/retry",
             Job,
-            captures=None if captures is None else list(captures),
+            **({} if captures is None else by_origin(captures)),
             options=options,
             priority=priority,
         )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from myoface.client.answers import read_data
 from myoface.errors import ApiError
-from myoface.resources import Batch, Frame, Job, MotionFrame
+from myoface.resources import Artifact, Batch, Frame, FromJob, Job, MotionFrame
 
 # Called with the job whenever its state or progress has changed.
 Watcher = Callable[[Job], None]
@@ -51,6 +51,18 @@ class EventReader:
                 fields, self._fields = self._fields, {}
                 if "event" in fields and "data" in fields:
                     yield JobEvent(fields["event"], read_data(fields["data"]))
+
+
+def by_origin(captures: Iterable[str | Artifact | FromJob]) -> dict[str, list[Any]]:
+    """Return what a job is to read as members of its request: captures, and files of jobs."""
+    ids: list[str] = []
+    left: list[dict[str, str]] = []
+    for each in captures:
+        if isinstance(each, str):
+            ids.append(each)
+        else:
+            left.append((FromJob.of(each) if isinstance(each, Artifact) else each).to_dict())
+    return {"captures": ids, "from_jobs": left}
 
 
 def read_frame(values: dict[str, Any]) -> Frame | MotionFrame:

@@ -7,7 +7,7 @@ Of a raw capture, models and fits read the registered form.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
@@ -19,6 +19,7 @@ from service.captures.repository import neutral_of, registered_form
 from service.captures.service import SET_FORMATS
 from service.errors import Problem, not_found
 from service.jobs import repository
+from service.jobs.handed_on import handed_on, join
 from service.jobs.schemas import NewJob
 from service.rigs import repository as rigs
 from service.store.models import Capture, Job, Rig
@@ -42,6 +43,13 @@ def resolve(session: Session, kind: Kind, new: NewJob) -> Inputs:
     """Return what a job will read."""
     subjects.get(session, new.subject_id)
     _refuse_unread(kind, new)
+    handed = handed_on(session, kind, new)
+    found = _found(session, kind, new)
+    return replace(found, files=join(found.files, handed))
+
+
+def _found(session: Session, kind: Kind, new: NewJob) -> Inputs:
+    """Return what belongs to the subject, its rig and the captures that are named."""
     if "capture" in kind.reads:
         return _about_one_capture(session, kind, new)
     if "any_rig" in kind.reads and new.rig_id is None:

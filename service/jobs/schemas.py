@@ -11,7 +11,7 @@ from sqlalchemy import ColumnElement
 
 from service.queue.states import State
 from service.rigs.schemas import ArtifactView, verdict_in
-from service.schemas import Id, Line, Moment, Name, RequestBody, RetainUntil, View
+from service.schemas import FileName, Id, Line, Moment, Name, RequestBody, RetainUntil, View
 from service.store import retention
 from service.store.models import Job
 
@@ -54,6 +54,18 @@ _COLUMNS = (
 )
 
 
+class FromJob(RequestBody):
+    """A file that an earlier job of the subject left."""
+
+    job: Id = Field(description="a job of the same subject that succeeded")
+    artifact: FileName = Field(
+        description="name of a file it left; which ones, `GET /v1/kinds` tells in `hands_on`"
+    )
+    name: Name | None = Field(
+        default=None, description="by which a scene names it; default: the file's, without suffix"
+    )
+
+
 class NewJob(RequestBody):
     """A piece of work; which members a kind needs is in `GET /v1/kinds`."""
 
@@ -79,6 +91,12 @@ class NewJob(RequestBody):
         description="ids of expression captures; of one capture for `check_scan` and "
         "`register_scan`, of one performance for `fit_sequence`, of the assets that a scene names",
     )
+    from_jobs: list[FromJob] = Field(
+        default=[],
+        max_length=100,
+        description="files that earlier jobs left, read as captures are: a check's `markers.json`, "
+        "a take's `sequence.npz`",
+    )
     rig_id: Id | None = Field(default=None, description="the parent rig")
     options: dict[str, Any] = Field(default={}, description="the kind's options")
     priority: Priority = 0
@@ -90,6 +108,7 @@ class Retry(RequestBody):
     """Changes for a job that is made again; the rest stays as it was."""
 
     captures: list[Id] | None = Field(default=None, max_length=1000)
+    from_jobs: list[FromJob] | None = Field(default=None, max_length=100)
     rig_id: Id | None = None
     options: dict[str, Any] = Field(
         default={}, description="options that differ; the others are the job's own"
@@ -166,6 +185,7 @@ class JobItem(View):
     subject_id: str
     subject_name: str
     captures: list[str]
+    from_jobs: list[FromJob] = Field(default=[])
     rig_id: str | None
     priority: int
     parent_id: str | None = Field(description="the job that this one is made again from")

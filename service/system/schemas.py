@@ -46,6 +46,9 @@ class KindView(View):
     queue: str
     reads: list[str]
     leaves: str
+    hands_on: dict[str, str] = Field(
+        description="files it leaves that later jobs may read, by `from_jobs`, and as what"
+    )
     options: dict[str, Any]
     frames: bool = Field(description="whether it leaves frames, which can be read while it runs")
     max_seconds: int = Field(description="after which an attempt at it is ended")
@@ -60,6 +63,7 @@ class KindView(View):
             queue=kind.queue,
             reads=list(kind.reads),
             leaves=kind.leaves,
+            hands_on=dict(kind.hands_on),
             options=kind.schema,
             frames=kind.frames,
             max_seconds=max_seconds,

@@ -22,6 +22,7 @@ KIND = Kind(
     report="animation.json",
     result="animation.glb",
     folder="animation",
+    hands_on={"blendshapes.npz": "blendshapes"},
     options=Animate,
     frames=True,
 )

@@ -38,5 +38,6 @@ KIND = Kind(
     report="check.json",
     result="check.png",
     folder="check",
+    hands_on={"markers.json": "marker_set"},
     options=CheckMarkers,
 )

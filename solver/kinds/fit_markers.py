@@ -99,6 +99,7 @@ KIND = Kind(
     report="sequence.json",
     result="sequence.npz",
     folder="sequence",
+    hands_on={"sequence.npz": "asset", "markers.json": "marker_set"},
     options=FitMarkers,
     frames=True,
 )

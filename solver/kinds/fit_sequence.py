@@ -46,6 +46,7 @@ KIND = Kind(
     report="sequence.json",
     result="sequence.npz",
     folder="sequence",
+    hands_on={"sequence.npz": "asset"},
     options=FitSequence,
     frames=True,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Annotated, Any, Literal, get_args
 
@@ -29,6 +29,9 @@ Input = Literal[
     "role",
     "start",
 ]
+
+# What a file that a job left may be to a later one, of which it is an input
+HandedOn = Literal["marker_set", "asset", "blendshapes", "fibre_muscles"]
 
 BUILTIN_VERTICES = 4866  # of the built-in face's skin, which a registered scan of it has
 
@@ -66,6 +69,8 @@ class Kind:
     asks
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
         the ``start`` of a fit, another rig.
+    hands_on
+        The files it leaves that later jobs may be told to read, and what they are to them.
     frames
         Whether it leaves frames, which can be read while it runs and are gone on with after a stop.
     """
@@ -81,6 +86,7 @@ class Kind:
     asks: tuple[Input, ...] = ()
     folder: str = "result"  # that a command line fills by default
     frames: bool = False
+    hands_on: Mapping[str, HandedOn] = field(default_factory=dict, hash=False)
     seconds: int | None = None  # that it may last, where others of its queue last much longer
     name: str = ""
 

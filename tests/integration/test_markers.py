@@ -14,6 +14,7 @@ import pytest
 
 from myoface.client import Client
 from myoface.errors import ApiError
+from myoface.resources import FromJob
 from myoface.stack import Stack
 from service.settings import Settings
 from service.store.models import DEFAULT_TENANT
@@ -57,14 +58,26 @@ def test_a_take_is_checked_bound_and_fitted_as_documented(
     Path("take.c3d").write_bytes(c3d_bytes(points, list(LABELS), rate=5.0))
     (code,) = re.findall(r"^```python\n(.*?)^```$", DOCUMENT.read_text(), re.M | re.S)
     # the small person's skin is no template's
-    code = code.replace("places.id], rig_id", "places.id], options={'prior': 'scans'}, rig_id")
-    exec(code, dict(session))
+    code = code.replace("places], rig_id", "places], options={'prior': 'scans'}, rig_id")
+    names = dict(session)
+    exec(code, names)
     report = json.loads(Path("fit/sequence.json").read_text())
     assert report["fitted"] == len(points)
     assert report["mean_mm"] < 3.0
     header = Path("fit/activations.csv").read_text().splitlines()[0].split(",")
     assert "jaw.1.sd" in header
     assert Path("fit/markers.bin").read_bytes()[:4] == b"MYOV"
+    _is_played(names["client"], names["subject"].id, names["rig"].id, names["fit"].id)
+
+
+def _is_played(client: Client, subject: str, rig: str, fit: str) -> None:
+    """Play a fitted take in a scene, and write it for other programs: no file comes back."""
+    played = FromJob.of(client.job(fit).result["sequence.npz"], name="take-7")
+    scene = {"performance": {"asset": "take-7"}, "fps": 5}
+    options = {"scene": scene}
+    film = client.run("simulate", subject, captures=[played], rig_id=rig, options=options)
+    assert film.result.summary["frames"] == len(range(FRAMES.start, FRAMES.stop, FRAMES.step))
+    assert film.result["animation.glb"].size > 0
 
 
 def test_another_actor_s_take_is_checked_and_carried(

@@ -30,7 +30,7 @@ def run(task: Task) -> None:
     read_rig(task.inputs)
     scene, folder = task.options.scene, task.out / "frames"
     folder.mkdir(exist_ok=True)
-    total = int(scene.duration * scene.fps)
+    total = int((scene.duration or 1.0) * scene.fps)
     for first in range(2 * len(list(folder.iterdir())), total, 2):
         time.sleep(scene.damping if "damping" in scene.model_fields_set else 0)
         frames = [MOTION | {"frame": number, "time": number / 30} for number in (first, first + 1)]

@@ -1,0 +1,100 @@
+"""Files that earlier jobs left, as inputs of a job: named by job and file, no upload in between."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+from typing import Any
+
+from sqlalchemy.orm import Session
+
+from service.errors import Problem
+from service.jobs import repository
+from service.jobs.schemas import FromJob, NewJob
+from service.queue.states import State
+from service.rigs import repository as rigs
+from service.store.models import Artifact, Job
+from solver.kinds import KINDS, Kind
+from solver.kinds.kind import HandedOn, Input
+
+# By what a file is handed on as: the input of a kind that it may stand for
+READ_AS: dict[HandedOn, Input] = {
+    "marker_set": "markers",
+    "asset": "assets",
+    "blendshapes": "blendshapes",
+    "fibre_muscles": "fibre_muscles",
+}
+# What was made of one rig and is of no other
+OF_A_RIG = ("blendshapes", "fibre_muscles")
+
+
+def handed_on(session: Session, kind: Kind, new: NewJob) -> list[dict[str, Any]]:
+    """Return the files of earlier jobs that a job is to read, each with its role.
+
+    Raises :class:`Problem` for a job that is not the subject's, has not succeeded or is of another
+    rig, and for a file that it did not leave, that is no input, or none of this kind.
+    """
+    return [
+        _input(session, kind, new, each, f"from_jobs.{number}")
+        for number, each in enumerate(new.from_jobs)
+    ]
+
+
+def _input(
+    session: Session, kind: Kind, new: NewJob, given: FromJob, member: str
+) -> dict[str, Any]:
+    job = repository.get(session, given.job)
+    _refuse_unready(job, new, member)
+    role = _role(kind, job, given.artifact, member)
+    if role in OF_A_RIG and job.request.get("rig_id") != new.rig_id:
+        detail = f"{given.artifact} of job {job.id} is of another rig"
+        raise Problem(409, "artifact.other_rig", detail, member=member, job_id=job.id)
+    artifact: Artifact = rigs.artifact_of_job(session, job.id, given.artifact)
+    name = given.name or PurePath(artifact.name).stem
+    return {"role": role, "name": name, "filename": artifact.name, "sha256": artifact.sha256}
+
+
+def _refuse_unready(job: Job, new: NewJob, member: str) -> None:
+    """Refuse a job of another subject, and one that has left nothing, or not yet."""
+    if job.subject_id != new.subject_id:
+        detail = f"job {job.id} is another subject's"
+        raise Problem(409, "artifact.other_subject", detail, member=member, job_id=job.id)
+    if job.state is not State.SUCCEEDED:
+        state = job.state.value
+        detail = f"job {job.id} is {state}: only one that succeeded hands files on"
+        raise Problem(409, "artifact.not_left", detail, member=member, job_id=job.id, state=state)
+
+
+def _role(kind: Kind, job: Job, name: str, member: str) -> HandedOn:
+    """Return what a job's file is to a job of a ``kind``."""
+    left = KINDS[job.kind].hands_on if job.kind in KINDS else {}
+    role = left.get(name)
+    if role is None or READ_AS[role] not in kind.reads:
+        useful = [file for file, each in left.items() if READ_AS[each] in kind.reads]
+        what = f"takes of it {', '.join(useful)}" if useful else "takes no file of it"
+        detail = f"{kind.name} does not read {name} of a {job.kind} job: it {what}"
+        more = {"member": member, "job_id": job.id, "expected": useful}
+        raise Problem(422, "artifact.not_an_input", detail, **more)
+    return role
+
+
+def join(files: list[dict[str, Any]], handed: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return all files of a job: what is named stands instead of what was found.
+
+    Raises :class:`Problem` if two are the same thing: marker sets, or assets of one name.
+    """
+    named = {each["role"] for each in handed}
+    kept = [each for each in files if each["role"] not in named.intersection(OF_A_RIG)]
+    known = {_place(each) for each in kept}
+    for number, each in enumerate(handed):
+        if _place(each) in known:
+            what = each["role"].replace("_", " ")
+            what = f"{what} called {each['name']}" if each["role"] == "asset" else what
+            detail = f"the job has another {what}: leave one of them out"
+            raise Problem(422, "job.twice", detail, member=f"from_jobs.{number}")
+        known.add(_place(each))
+    return [*kept, *handed]
+
+
+def _place(file: dict[str, Any]) -> tuple[str, str]:
+    """Return what of a job's inputs there can be one of."""
+    return file["role"], file["name"] if file["role"] in {"asset", "capture"} else ""
