@@ -14,12 +14,12 @@ from service.queue.states import State
 from service.rigs import repository as rigs
 from service.store.models import Artifact, Job
 from solver.kinds import KINDS, Kind
-from solver.kinds.kind import HandedOn, Input
+from solver.kinds.kind import Input
 
-# By what a file is handed on as: the input of a kind that it may stand for
-READ_AS: dict[HandedOn, Input] = {
-    "marker_set": "markers",
-    "asset": "assets",
+# What a file is to the solver, by the input of a kind that it is handed on for
+ROLES: dict[Input, str] = {
+    "markers": "marker_set",
+    "assets": "asset",
     "blendshapes": "blendshapes",
     "fibre_muscles": "fibre_muscles",
 }
@@ -64,17 +64,16 @@ def _refuse_unready(job: Job, new: NewJob, member: str) -> None:
         raise Problem(409, "artifact.not_left", detail, member=member, job_id=job.id, state=state)
 
 
-def _role(kind: Kind, job: Job, name: str, member: str) -> HandedOn:
+def _role(kind: Kind, job: Job, name: str, member: str) -> str:
     """Return what a job's file is to a job of a ``kind``."""
     left = KINDS[job.kind].hands_on if job.kind in KINDS else {}
-    role = left.get(name)
-    if role is None or READ_AS[role] not in kind.reads:
-        useful = [file for file, each in left.items() if READ_AS[each] in kind.reads]
+    if left.get(name) not in kind.reads:
+        useful = [file for file, each in left.items() if each in kind.reads]
         what = f"takes of it {', '.join(useful)}" if useful else "takes no file of it"
         detail = f"{kind.name} does not read {name} of a {job.kind} job: it {what}"
         more = {"member": member, "job_id": job.id, "expected": useful}
         raise Problem(422, "artifact.not_an_input", detail, **more)
-    return role
+    return ROLES[left[name]]
 
 
 def join(files: list[dict[str, Any]], handed: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -47,7 +47,8 @@ class KindView(View):
     reads: list[str]
     leaves: str
     hands_on: dict[str, str] = Field(
-        description="files it leaves that later jobs may read, by `from_jobs`, and as what"
+        description="files it leaves that later jobs may be told to read by `from_jobs`, and the "
+        "input that each is: of kinds that have it in `reads`"
     )
     options: dict[str, Any]
     frames: bool = Field(description="whether it leaves frames, which can be read while it runs")

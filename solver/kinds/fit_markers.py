@@ -99,7 +99,7 @@ KIND = Kind(
     report="sequence.json",
     result="sequence.npz",
     folder="sequence",
-    hands_on={"sequence.npz": "asset", "markers.json": "marker_set"},
+    hands_on={"sequence.npz": "assets", "markers.json": "markers"},
     options=FitMarkers,
     frames=True,
 )

@@ -30,9 +30,6 @@ Input = Literal[
     "start",
 ]
 
-# What a file that a job left may be to a later one, of which it is an input
-HandedOn = Literal["marker_set", "asset", "blendshapes", "fibre_muscles"]
-
 BUILTIN_VERTICES = 4866  # of the built-in face's skin, which a registered scan of it has
 
 # Seconds after which a job of a queue is ended: while a person waits, at a desk, over night
@@ -70,7 +67,8 @@ class Kind:
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
         the ``start`` of a fit, another rig.
     hands_on
-        The files it leaves that later jobs may be told to read, and what they are to them.
+        The files it leaves that later jobs may be told to read, and the input that each is: of
+        kinds that have that in ``reads``.
     frames
         Whether it leaves frames, which can be read while it runs and are gone on with after a stop.
     """
@@ -86,7 +84,7 @@ class Kind:
     asks: tuple[Input, ...] = ()
     folder: str = "result"  # that a command line fills by default
     frames: bool = False
-    hands_on: Mapping[str, HandedOn] = field(default_factory=dict, hash=False)
+    hands_on: Mapping[str, Input] = field(default_factory=dict, hash=False)
     seconds: int | None = None  # that it may last, where others of its queue last much longer
     name: str = ""
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from service.jobs.handed_on import READ_AS
+from service.jobs.handed_on import ROLES
 from service.settings import Settings
 from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Job
@@ -146,6 +146,6 @@ def test_a_take_has_one_marker_set(session: Session) -> None:
 
 def test_every_file_that_is_handed_on_is_an_input_of_some_kind() -> None:
     wanted: set[Input] = {each for kind in KINDS.values() for each in kind.reads}
-    left = {role for kind in KINDS.values() for role in kind.hands_on.values()}
-    assert left == set(READ_AS)
-    assert {READ_AS[role] for role in left} <= wanted
+    left = {each for kind in KINDS.values() for each in kind.hands_on.values()}
+    assert left == set(ROLES)
+    assert left <= wanted

@@ -15,6 +15,11 @@ const LEGAL = /^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/;
 /** Roles of what is checked and registered by nobody. */
 export const NO_SCANS = ["performance", "markers", "asset"];
 
+/** Whether a capture says where markers sit, and is no take of them. */
+export function isMarkerSet({ role, filename }) {
+  return role === "markers" && filename.toLowerCase().endsWith(".json");
+}
+
 /** What the API takes as a name. */
 export const NAME = "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}";
 

@@ -4,22 +4,29 @@ import { h } from "../dom.js";
 import { retry, submit } from "../jobs.js";
 import { kindsByName } from "../library.js";
 import { ask } from "./dialog.js";
+import { handedOnFields } from "./handed_on.js";
 import { optionFields, readOptions } from "./options.js";
 
 /**
  * Show a job's options and submit it; resolves to the new job, or null.
  *
- * `request` is what the API takes: kind, subject_id, captures, rig_id.
+ * `request` is what the API takes: kind, subject_id, captures, rig_id, from_jobs; `options` are
+ * filled in. `marker_set`, the id of one that was uploaded, is read unless one of a job is chosen.
  */
-export async function askForJob(request) {
+export async function askForJob({ marker_set: set = null, options = {}, ...request }) {
   const kind = (await kindsByName()).get(request.kind);
   const priority = priorityField(0);
+  const handed = await handedOnFields(kind, request);
   return ask({
     title: kind.title,
-    body: [h("p", {}, kind.description), optionFields(kind.options), priority],
+    body: [h("p", {}, kind.description), handed.element, optionFields(kind.options, options), priority],
     agree: "Submit",
-    act: (form) =>
-      submit({ ...request, options: readOptions(kind.options, form), priority: valueOf(priority) }),
+    act: (form) => {
+      const left = handed.read();
+      const captures = [...(request.captures ?? []), ...(set && !left.length ? [set] : [])];
+      const more = { captures, from_jobs: left, options: readOptions(kind.options, form) };
+      return submit({ ...request, ...more, priority: valueOf(priority) });
+    },
   });
 }
 
@@ -27,7 +34,7 @@ export async function askForJob(request) {
 export async function askToRunAgain(job) {
   const kind = (await kindsByName()).get(job.kind);
   const priority = priorityField(job.priority);
-  const note = "It reads the same scans, as they are now; nothing is uploaded again. The first job stays.";
+  const note = "It reads the same scans and files, as they are now; nothing is uploaded again. The first job stays.";
   return ask({
     title: `${kind.title}: run again`,
     body: [

@@ -1,10 +1,14 @@
 // The result of a job, for people: a verdict with its findings, a picture, figures, a rig.
 
 import { h } from "../dom.js";
+import { capturesById } from "../library.js";
+import { navigate } from "../navigate.js";
+import { isMarkerSet } from "../scan_files.js";
 import { figure, plain } from "../words.js";
 import { film, picture } from "./files.js";
 import { rigFindings, verdictOf } from "./certificate.js";
 import { findingList, judgedLines } from "./findings.js";
+import { askForJob } from "./new_job.js";
 import { verdictState } from "./state.js";
 
 /** What the pictures of each kind show. */
@@ -34,12 +38,14 @@ export function resultPanel(job, signal) {
     summary && judgedLines(summary),
     rigId && summary?.checks && findingList(rigFindings(summary)),
     rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),
-    isPlaced && h("p", {}, h("a", { class: "button", href: `/markers/${job.id}` }, "Place the markers")),
+    isPlaced && h("p", {}, h("a", { class: "button", href: `/markers/${job.id}` }, "Place the markers"), " ", goOn("Fit the take", () => fitTake(job))),
     ["fit_sequence", "fit_markers"].includes(job.kind) &&
       h(
         "p",
         {},
         h("a", { class: "button", href: `/rigs/${job.rig_id}?take=${job.id}:0` }, "Play it on the rig"),
+        " ",
+        goOn("Play it in a scene", () => playInScene(job)),
       ),
     films.map((artifact) => film(artifact, signal)),
     pictures.map((artifact) => picture(artifact, PICTURES[artifact.name] ?? artifact.name, signal)),
@@ -62,6 +68,32 @@ export function resultPanel(job, signal) {
     h("h2", { id: "result" }, "Result"),
     content,
   );
+}
+
+/** Return a button that asks for the job that goes on with what this one left. */
+function goOn(words, request) {
+  const act = async () => {
+    const next = await askForJob(await request());
+    if (next) navigate(`/jobs/${next.id}`);
+  };
+  return h("button", { type: "button", onclick: act }, words);
+}
+
+/** The fit of a checked take by the places that the check found, not by those it was checked against. */
+async function fitTake(job) {
+  const known = await capturesById(job.subject_id, job.captures);
+  const captures = job.captures.filter((id) => known.has(id) && !isMarkerSet(known.get(id)));
+  return { kind: "fit_markers", ...of(job), captures, from_jobs: [{ job: job.id, artifact: "markers.json" }] };
+}
+
+function playInScene(job) {
+  const left = [{ job: job.id, artifact: "sequence.npz" }];
+  const options = { scene: { performance: { asset: "sequence" } } };
+  return { kind: "simulate", ...of(job), from_jobs: left, options };
+}
+
+function of({ subject_id, rig_id }) {
+  return { subject_id, rig_id };
 }
 
 function shown(name, value) {

@@ -15,7 +15,7 @@ import { state, verdictState } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
-import { NO_SCANS } from "../scan_files.js";
+import { isMarkerSet, NO_SCANS } from "../scan_files.js";
 import { navigate, title as nameWindow } from "../navigate.js";
 import { bytes, count, figure, labelWords, plain, short, when } from "../words.js";
 
@@ -190,7 +190,7 @@ class SubjectView {
       isScan && act("Check", () => this.order("check_scan", { captures: [id] })),
       isScan && !capture.registered && act("Register", () => this.order("register_scan", { captures: [id] })),
       isTake && act("Check", () => this.checkMarkers(id)),
-      isTake && act("Fit", () => this.fitTake("fit_markers", [id, ...this.sets.slice(0, 1).map((each) => each.id)])),
+      isTake && act("Fit", () => this.fitTake("fit_markers", [id], { marker_set: this.sets[0]?.id })),
       role === "performance" && act("Fit", () => this.fitTake("fit_sequence", [id])),
       act("Edit", () => this.edit(askToEditCapture(this.captures.get(id)))),
       act("Delete", () => this.deleteCapture(capture), "plain danger"),
@@ -301,12 +301,12 @@ class SubjectView {
     await this.order("check_markers", { ...rig, captures: [captureId] });
   }
 
-  async fitTake(kind, captures) {
+  async fitTake(kind, captures, more = {}) {
     if (!this.rigs.length) {
       toast("There is no rig yet to fit it with: build the model and fit expressions first.", "bad");
       return;
     }
-    await this.order(kind, { rig_id: this.rigs[0].id, captures });
+    await this.order(kind, { rig_id: this.rigs[0].id, captures, ...more });
   }
 
   async deleteCapture({ id, name }) {
@@ -335,11 +335,6 @@ class SubjectView {
     toast(`${this.subject.name} is deleted. Files go within minutes.`);
     navigate("/subjects");
   }
-}
-
-/** Whether a capture says where markers sit, and is no take of them. */
-function isMarkerSet({ role, filename }) {
-  return role === "markers" && filename.toLowerCase().endsWith(".json");
 }
 
 /** The verdict of the newest check, or where it stands. */

@@ -1,0 +1,61 @@
+// What earlier jobs of a person left, to be chosen as inputs of another.
+
+import { get } from "../api.js";
+import { h } from "../dom.js";
+import { kindsByName } from "../library.js";
+import { plain, when } from "../words.js";
+
+// Jobs of a kind that are offered, the newest
+const MOST = 5;
+// Inputs that are chosen here; others a job finds by itself
+const CHOSEN = ["markers", "assets"];
+
+/**
+ * Return the fields in which files of earlier jobs are chosen for a job of `kind`, and what reads
+ * them: `{element, read()}`. `request` is what is asked for; what its `from_jobs` names is chosen.
+ */
+export async function handedOnFields(kind, request) {
+  const rows = (await offered(kind, request)).map((file) => row(file, request.from_jobs ?? []));
+  const element = rows.length
+    ? h("fieldset", { class: "options" }, h("legend", {}, "What earlier jobs left"), rows.map((each) => each.element))
+    : null;
+  return { element, read: () => rows.map((each) => each.read()).filter(Boolean) };
+}
+
+/** Return the files that a kind of job reads: `{job, artifact, input, words}`. */
+async function offered(kind, request) {
+  const wanted = CHOSEN.filter((input) => kind.reads.includes(input));
+  const left = [...(await kindsByName()).values()].flatMap((each) =>
+    Object.entries(each.hands_on)
+      .filter(([, input]) => wanted.includes(input))
+      .map(([artifact, input]) => ({ kind: each.kind, artifact, input })),
+  );
+  return (await Promise.all(left.map((each) => filesOf(each, request.subject_id)))).flat();
+}
+
+async function filesOf({ kind, artifact, input }, subjectId) {
+  const query = { subject_id: subjectId, kind, state: "succeeded", limit: MOST };
+  const { items } = await get("/v1/jobs", query);
+  const jobs = await Promise.all(items.map(({ id }) => get(`/v1/jobs/${id}`)));
+  return jobs
+    .filter(({ result }) => result?.artifacts.some(({ name }) => name === artifact))
+    .map((job) => ({
+      job: job.id,
+      artifact,
+      input,
+      words: `${artifact} of ${plain(kind)}, ${when(job.finished_at)}`,
+    }));
+}
+
+function row({ job, artifact, input, words }, given) {
+  const known = given.find((each) => each.job === job && each.artifact === artifact);
+  const box = h("input", { type: "checkbox", checked: Boolean(known) });
+  const usual = artifact.replace(/\.[^.]*$/, "");
+  const name =
+    input === "assets" &&
+    h("input", { type: "text", value: known?.name ?? usual, "aria-label": `What a scene calls ${words}` });
+  return {
+    element: h("div", { class: "field" }, h("label", { class: "check-field" }, box, words), name || null),
+    read: () => box.checked && { job, artifact, ...(name && name.value !== usual ? { name: name.value } : {}) },
+  };
+}
