@@ -13,8 +13,7 @@ from service.jobs.schemas import FromJob, NewJob
 from service.queue.states import State
 from service.rigs import repository as rigs
 from service.store.models import Artifact, Job
-from solver.kinds import KINDS, Kind
-from solver.kinds.kind import Input
+from solver.kinds import KINDS, Input, Kind
 
 # What a file is to the solver, by the input of a kind that it is handed on for
 ROLES: dict[Input, str] = {

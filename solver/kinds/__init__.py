@@ -11,7 +11,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from solver.kinds.document import Fault
-from solver.kinds.kind import BUILTIN_VERTICES, JobOptions, Kind, OptionsError
+from solver.kinds.kind import BUILTIN_VERTICES, Input, JobOptions, Kind, OptionsError
 from solver.kinds.packing import NOT_READABLE, check_directory, is_plainly_packed
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "KINDS",
     "NOT_READABLE",
     "Fault",
+    "Input",
     "JobOptions",
     "Kind",
     "OptionsError",

@@ -13,8 +13,7 @@ from service.jobs.handed_on import ROLES
 from service.settings import Settings
 from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Job
-from solver.kinds import KINDS
-from solver.kinds.kind import Input
+from solver.kinds import KINDS, Input
 from tests.service_client import Studio, served
 
 SCENE = {"options": {"scene": {"performance": {"asset": "sequence"}}}}
