@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from solver.fitting.activation import ActivationOptions as ActivationOptions
     from solver.fitting.activation import unseen_regulariser as unseen_regulariser
     from solver.fitting.contact import terms as expression_terms  # noqa: F401
+    from solver.fitting.contraction import Contraction as Contraction
     from solver.fitting.drives.admissible import Admissible as Admissible
     from solver.fitting.drives.admissible import AdmissibleLimits as AdmissibleLimits
     from solver.fitting.face import Face as Face
@@ -43,6 +44,7 @@ _PLACES = {
     "ActivationOptions": "solver.fitting.activation:ActivationOptions",
     "Admissible": "solver.fitting.drives.admissible:Admissible",
     "AdmissibleLimits": "solver.fitting.drives.admissible:AdmissibleLimits",
+    "Contraction": "solver.fitting.contraction:Contraction",
     "DensePoints": "solver.fitting.tracking.dense:DensePoints",
     "Face": "solver.fitting.face:Face",
     "Material": "solver.mechanics.flesh:Material",

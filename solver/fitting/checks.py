@@ -12,6 +12,7 @@ import scipy.sparse as sp
 
 from solver.errors import InputError, SolveError
 from solver.fitting.controls import ANGLE_UNIT, Layout
+from solver.mechanics.boundary import JAW_FREEDOM
 from solver.model import SubjectModel
 from solver.surface import Floats
 
@@ -71,8 +72,10 @@ def check_pose(a: Floats, b: Floats, layout: Layout, names: Sequence[str]) -> No
     muscles, units = layout.drive, layout.joint_units
     for name, value, shape in ((muscles.name, a, muscles.rest.shape), (joints, b, units.shape)):
         if np.shape(value) != shape:
-            found = f"the shape {np.shape(value)}, not {shape}"
-            raise PoseError("face.pose", f"a pose's {name} have {found}")
+            message = f"the shape of a pose's {name} is {np.shape(value)}, not {shape}"
+            if value is b and np.shape(b) == (JAW_FREEDOM,):
+                message += ": face.pose_of(a, jaw) takes a jaw's five numbers"
+            raise PoseError("face.pose", message)
     for j in np.flatnonzero(~np.isfinite(a.reshape(len(a), -1)).all(axis=1))[:1]:
         name = names[j] if len(names) == len(a) else f"number {j}"
         raise PoseError("face.pose", f"the activation of {name} is not finite: {a[j]}")

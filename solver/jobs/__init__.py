@@ -41,27 +41,32 @@ class Task(Generic[Given]):
 
 def run_job(
     kind: str,
-    out: Path,
+    out: Path | str,
     *,
     options: Mapping[str, Any] | None = None,
-    captures: Mapping[str, Path] | None = None,
+    captures: Mapping[str, Path | str] | None = None,
     role: str = "unknown",
     resume: bool = False,
     progress: Progress = silent,
     jobs: str = "solver.jobs",
-    **inputs: Path | None,
+    **inputs: Path | str | None,
 ) -> list[Path]:
     """Do a job of a kind and return the files that it leaves; see :class:`Task`.
 
-    ``jobs`` is the package with a module for each kind. Raises :class:`InputError` for options
-    (``options.*``, ``scene.schema``) and files that cannot be used, and
+    ``jobs`` is the package with a module for each kind. Raises :class:`InputError` for a kind that
+    there is not (``job.kind``), options (``options.*``, ``scene.schema``), files that are not given
+    (``job.missing``) or cannot be used, and
     :class:`~solver.errors.SolveError` where there is no solution (``solve.singular`` where a job
     has no word of its own for that).
     """
+    if kind not in KINDS:
+        message = f"there is no kind of job {kind!r}: there are {', '.join(KINDS)}"
+        raise InputError("job.kind", message, expected=sorted(KINDS))
     given = _read_options(KINDS[kind], options or {})
-    files = {name: path for name, path in inputs.items() if path is not None}
-    out.mkdir(parents=True, exist_ok=True)
-    task = Task(out, given, files, captures or {}, role, resume, progress)
+    files = _Files({name: Path(path) for name, path in inputs.items() if path is not None})
+    folder, scans = Path(out), {name: Path(path) for name, path in (captures or {}).items()}
+    folder.mkdir(parents=True, exist_ok=True)
+    task = Task(folder, given, files, scans, role, resume, progress)
     try:
         return cast(list[Path], import_module(f"{jobs}.{kind}").run(task))
     except ValueError as error:
@@ -72,6 +77,16 @@ def run_job(
             raise
         message = f"{KINDS[kind].title.lower()}: what was given has no one solution ({error})"
         raise SolveError("solve.singular", message) from error
+
+
+class _Files(dict[str, Path]):
+    """The files of a job by name; one that is not given is told."""
+
+    def __missing__(self, name: str) -> Path:
+        """Raise :class:`InputError`."""
+        given = ", ".join(self) or "no file"
+        message = f"the job needs the file {name}, and was given {given}"
+        raise InputError("job.missing", message, expected=name, found=sorted(self))
 
 
 def hash_files(files: Mapping[str, Path]) -> dict[str, str]:

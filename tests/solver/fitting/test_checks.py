@@ -71,8 +71,8 @@ def put(place, value):
     [
         (of(put((1, 2), np.nan)), "activation of right is not finite"),
         (of(b=put(0, np.inf)), "jaw is not finite"),
-        (of(lambda a: a[:1]), r"activations have the shape \(1, 6\), not \(2, 6\)"),
-        (of(b=lambda b: b[:3]), r"jaw have the shape \(3,\), not \(5,\)"),
+        (of(lambda a: a[:1]), r"activations is \(1, 6\), not \(2, 6\)"),
+        (of(b=lambda b: b[:3]), r"jaw is \(3,\), not \(5,\)"),
         (of(b=put(0, 12.0)), "turns by 12 .* radians"),
     ],
 )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from solver import jobs
-from solver.errors import SolveError
+from solver.errors import InputError, SolveError
 
 
 def test_a_matrix_without_an_inverse_is_told_and_no_crash(
@@ -22,3 +22,11 @@ def test_a_matrix_without_an_inverse_is_told_and_no_crash(
     with pytest.raises(SolveError, match=r"fit markers: .*Singular") as caught:
         jobs.run_job("fit_markers", tmp_path)
     assert caught.value.code == "solve.singular"
+
+
+def test_kinds_and_files_that_are_not_there_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no kind of job 'fit_activation': there are animate,"):
+        jobs.run_job("fit_activation", tmp_path)
+    with pytest.raises(InputError, match="needs the file rig, and was given gir") as caught:
+        jobs.run_job("fit_fibres", str(tmp_path), gir="rig.npz")
+    assert caught.value.code == "job.missing"
