@@ -52,6 +52,13 @@ class Sample:
     quadratic: Floats
     basis: Floats
 
+    @property
+    def presets(self) -> Floats:
+        """Return the slider values (k, m) of each expression."""
+        flat = self.basis.reshape(len(self.basis), -1)
+        q = np.array([flat @ field.ravel() for field in self.skin])
+        return np.clip(np.linalg.lstsq(self.linear, q.T, rcond=1e-3)[0].T, 0, 1)
+
     def preview(self, controls: Floats) -> Floats:
         """Return the displacement (n, 3) for slider values (k,)."""
         rows, columns = np.triu_indices(len(controls))
@@ -275,12 +282,10 @@ def _write_preview(path: Path, sample: Sample) -> None:
         }
         for name in sample.muscles
     ]
-    design = sample.linear.T
-    presets = []
-    for name, field in zip(sample.names, sample.skin, strict=True):
-        q = sample.basis.reshape(len(sample.basis), -1) @ field.ravel()
-        values = np.clip(np.linalg.lstsq(design.T, q, rcond=1e-3)[0], 0, 1)
-        presets.append({"name": name, "values": values.tolist()})
+    presets = [
+        {"name": name, "values": values.tolist()}
+        for name, values in zip(sample.names, sample.presets, strict=True)
+    ]
     header = {
         "controls": controls,
         "presets": presets,

@@ -190,6 +190,27 @@ def test_a_whole_muscle_folds_its_compartments(place: Place, rig: Callable[..., 
     assert not medial.is_visible()
 
 
+def test_muscles_stand_as_a_blend_of_expressions_has_them_and_go_on_from_there(
+    place: Place, rig: Callable[..., Page]
+) -> None:
+    page, sample = rig("?e=smile:0.5&e=surprise:1"), place.sample
+    page.get_by_role("tab", name="Muscles").click()
+    weights = {"smile": 0.5, "surprise": 1.0}
+    row = page.locator("li", has=page.get_by_role("slider", name="Zygomaticus major l"))
+    number = sample.muscles.index("zygomaticus_major_l")
+    stretches = {name: sample.stretches[sample.names.index(name), number] for name in weights}
+    contracted = sum(weight * (1.0 - stretches[name]) for name, weight in weights.items())
+    until(lambda: f"{100 * contracted:.0f} %" in row.inner_text())
+    presets = {name: sample.presets[sample.names.index(name)] for name in weights}
+    values = np.clip(sum(weight * presets[name] for name, weight in weights.items()), 0.0, 1.0)
+    at = page.get_by_role("slider", name="Zygomaticus major l")
+    assert float(at.input_value()) == pytest.approx(values[number], abs=0.006)
+    page.get_by_label("both sides together").uncheck()
+    _slide(page, "Zygomaticus major l", 0.1)
+    values[number] = 0.1
+    _assert_close(_posed(page), sample.neutral.vertices + sample.preview(values))
+
+
 def test_sliders_that_are_missing_can_be_made_and_come_by_themselves(
     place: Place, rig: Callable[..., Page]
 ) -> None:

@@ -65,13 +65,15 @@ export class MusclePanel {
     this.#fill(["± mm", "contracts"], preview.controls, (named, numbers) => this.#sliderRow(named, numbers));
   }
 
-  /** Show a state; the sliders follow the frame of the `take` that it names. */
+  /** Show a state; the sliders follow the frame of the `take` that it names, or its expressions. */
   show(state, take) {
     const played = state.take ? take?.contractions : null;
-    const found = played ? this.#inOrder(played, state.take.frame) : this.#ofExpression(state.expressions);
-    this.#values = played && this.#preview
-      ? this.#preview.valuesOf(new Map(this.#face.muscles.map((name, m) => [name, found[m]])), played.jaw(state.take.frame))
-      : state.controls;
+    const found = played ? this.#inOrder(played, state.take.frame) : this.#ofExpressions(state.expressions);
+    this.#values = state.controls;
+    if (this.#preview && played) {
+      const contracted = new Map(this.#face.muscles.map((name, m) => [name, found[m]]));
+      this.#values = this.#preview.valuesOf(contracted, played.jaw(state.take.frame));
+    } else if (this.#preview && state.expressions.size) this.#values = this.#preview.valuesIn(state.expressions);
     for (const { muscle, names, slider, button, contracted } of this.#rows) {
       slider?.set(Math.max(...names.map((name) => this.#values.get(name) ?? 0)));
       if (!muscle) continue;
@@ -88,10 +90,12 @@ export class MusclePanel {
     return this.#face.muscles.map((name) => values[played.muscles.indexOf(name)] ?? NaN);
   }
 
-  /** Return the contractions of the strongest expression; null without any. */
-  #ofExpression(expressions) {
-    const [strongest] = [...expressions].sort((a, b) => b[1] - a[1]);
-    return strongest ? this.#face.contractions(this.#face.names.indexOf(strongest[0])) : null;
+  /** Return the contractions of a blend of expressions, in which they are linear; null without any. */
+  #ofExpressions(expressions) {
+    if (!expressions.size) return null;
+    const rows = [...expressions].map(([name, weight]) => [this.#face.contractions(this.#face.names.indexOf(name)), weight]);
+    if (rows.some(([row]) => !row)) return null;
+    return this.#face.muscles.map((_, m) => rows.reduce((sum, [row, weight]) => sum + weight * row[m], 0));
   }
 
   #inWords(contraction) {

@@ -56,6 +56,15 @@ export class Preview {
     }));
   }
 
+  /** Return control -> value in a blend of expressions, name -> weight: as they are, where all are known. */
+  valuesIn(expressions) {
+    const presets = this.presets.filter(({ name }) => expressions.has(name));
+    return new Map(this.controls.flatMap(({ name }, i) => {
+      const value = presets.reduce((sum, preset) => sum + expressions.get(preset.name) * preset.values[i], 0);
+      return value > 0 ? [[name, Math.min(value, 1)]] : [];
+    }));
+  }
+
   /** Return the approximation's error in words. */
   get errorInWords() {
     const { mean, max, poses } = this.error;
