@@ -297,8 +297,12 @@ def _assets(given: list[str]) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for each in given:
         name, _, path = each.partition("=")
-        if not (name and Path(path).is_file()):
-            raise UsageError(f"--asset {each}: NAME=FILE is expected, of a file that exists")
+        if not (name and path):
+            raise UsageError(
+                f"--asset {each}: NAME=FILE is expected, such as take={each or 'FILE'}"
+            )
+        if not Path(path).is_file():
+            raise UsageError(f"--asset {each}: there is no file {path}")
         if name in found:
             raise UsageError(f"--asset {each}: another file is called {name}, too")
         found[name] = Path(path)

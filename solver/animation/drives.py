@@ -299,6 +299,8 @@ class RecordedDrives:
         last = count if end is None else end
         if not 0 <= start < last <= count:
             asked = f"start {start} and end {last} are not within it"
+            if 0 <= last <= start < count:
+                asked = f"end {last} is not after start {start}"
             reason = f"the recording has the frames 0 to {count - 1}: {asked}"
             raise InputError("scene.frames", reason, expected=count, start=start, end=last)
         frames = slice(start, last)

@@ -106,6 +106,7 @@ class FittedSequence:
         chosen = (self.frames >= start) & (self.frames < end)
         if start < first or end > last + 1 or not chosen.any():
             asked = f"start {start} and end {end} are not within it, or no frame lies between"
+            asked = f"end {end} is not after start {start}" if end <= start else asked
             reason = f"the performance {self.asset!r} has the frames {first} to {last}: {asked}"
             more = {"asset": self.asset, "start": start, "end": end}
             raise InputError("scene.frames", reason, expected=len(self.frames), **more)

@@ -60,6 +60,7 @@ def run(task: Task[Animate]) -> list[Path]:
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
     solved = shapes.shapes
     more = {
+        "timecode": recorded.timecodes[recording.start or 0],
         "blendshapes": len(solved),
         "blendshapes_mean_mm": float(np.mean([shape.mean_mm for shape in solved.values()])),
         "not_settled": [name for name, shape in solved.items() if not shape.settled],

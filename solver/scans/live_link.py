@@ -54,13 +54,14 @@ class LiveLinkTake:
 
     ``head`` (f, 3) and ``eyes`` (f, 2, 3), the subject's left one first, are rotation vectors in
     radians, x to the subject's left, y up, z forward; zero where the file has no columns for them.
-    Eyes turn in the head.
+    Eyes turn in the head. ``timecodes`` (f,) are the frames', as the file has them.
     """
 
     times: Floats
     weights: Floats
     head: Floats
     eyes: Floats
+    timecodes: tuple[str, ...]
 
 
 def read_live_link(path: Path) -> LiveLinkTake:
@@ -82,17 +83,19 @@ def read_live_link(path: Path) -> LiveLinkTake:
             angled = {name: header.index(name) for names in turning.values() for name in names}
             clock = header.index(TIMECODE)
             times: list[float] = []
+            timecodes: list[str] = []
             weights: list[list[float]] = []
             angles: list[list[float]] = []
             for row in rows:
                 line = rows.line_num
                 if row:
                     times.append(_time(path, line, row, clock, times))
+                    timecodes.append(row[clock])
                     place = path, line, row
                     weights.append(_numbers(*place, columns, WEIGHTS, "weight from 0 to 1"))
                     angles.append(_numbers(*place, angled, ANGLE, "angle in radians"))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        message = f"{path.name} cannot be read: {error}"
+        message = f"{path.name} is not a recording of Live Link Face, a table of text: {error}"
         raise InputError("live_link.unreadable", message, file=path.name) from error
     if not times:
         raise InputError("live_link.unreadable", f"{path.name} has no frames", file=path.name)
@@ -100,7 +103,8 @@ def read_live_link(path: Path) -> LiveLinkTake:
     turns = dict(zip(turning, by_bone, strict=True))
     head, *eyes = (_rotations(turns.get(bone), len(times)) for bone in ANGLES)
     since = np.array(times) - times[0]
-    return LiveLinkTake(since, np.array(weights), head, np.stack(eyes, axis=1))
+    turned = np.stack(eyes, axis=1)
+    return LiveLinkTake(since, np.array(weights), head, turned, tuple(timecodes))
 
 
 def _check_columns(path: Path, header: Sequence[str]) -> None:

@@ -99,7 +99,7 @@ def test_scenes_are_played_with_their_assets(rig: Path, tmp_path: Path) -> None:
         ("[" * 100_000, [], "scene.json is not JSON"),
         ("{}", ["map.npy"], "NAME=FILE is expected"),
         ("{}", ["=map.npy"], "NAME=FILE is expected"),
-        ("{}", ["soft=gone.npy"], "NAME=FILE is expected"),
+        ("{}", ["soft=gone.npy"], "there is no file gone.npy"),
         ("{}", ["soft=map.npy", "soft=map.npy"], "another file is called soft"),
     ],
 )

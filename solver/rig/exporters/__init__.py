@@ -7,14 +7,14 @@ need an extra.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
 
 from pydantic import TypeAdapter, ValidationError
 
-from solver.errors import InputError
+from solver.errors import InputError, quote
 from solver.kinds.export_rig import FORMATS
 from solver.rig.certificate import Certificate
 from solver.rig.pictures import fit_picture
@@ -86,6 +86,10 @@ def export_measured(
     """Write a rig as :func:`export` does, and return what reading back has found, too."""
     chosen = exporter(name)
     file = path or Path(chosen.FILE)
+    known = [each.name for each in fields(chosen.Options)]
+    if strange := [each for each in options or {} if each not in known]:
+        message = f"{name} has no setting {quote(strange[0])}: it has {', '.join(known) or 'none'}"
+        raise InputError("export.options", message, found=quote(strange[0]), expected=known)
     try:
         given = chosen.Options(**(options or {}))
         TypeAdapter(chosen.Options).validate_python(asdict(given))

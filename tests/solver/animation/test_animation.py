@@ -134,7 +134,8 @@ def take(**weights: float) -> LiveLinkTake:
         rows[1:, ARKIT_NAMES.index(name)] = weight
     head, eyes = np.zeros((3, 3)), np.zeros((3, 2, 3))
     head[1:, 1], eyes[1:, 1, 0] = 0.2, -0.1
-    return LiveLinkTake(np.array([0.0, 0.04, 0.07]), rows, head, eyes)
+    times = np.array([0.0, 0.04, 0.07])
+    return LiveLinkTake(times, rows, head, eyes, ("13:00:00:00.0",) * 3)
 
 
 def test_a_recording_drives_the_shapes_that_its_weights_are_called_after() -> None:

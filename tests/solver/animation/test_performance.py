@@ -214,7 +214,7 @@ def test_performances_are_mixed_by_muscle_and_keys_lie_on_top(take: Path) -> Non
     [
         (take_of(asset="tale"), "scene.asset", "'tale'"),
         (take_of(start=99), "scene.frames", "'take' has the frames 100 to 111: start 99"),
-        (take_of(start=105, end=105), "scene.frames", "start 105 and end 105"),
+        (take_of(start=105, end=105), "scene.frames", "end 105 is not after start 105"),
         (take_of(muscles={"tongue": 1}), "scene.muscle", "'take' names the muscle 'tongue'"),
         (take_of(mask=["tongue"]), "scene.muscle", "mask of performance[0], 'take'"),
         (take_of(curve={"left": 2}), "scene.curve", "'left'"),

@@ -42,6 +42,7 @@ def test_a_real_recording() -> None:
     assert take.weights[0, ARKIT_NAMES.index("eyeBlinkLeft")] == 0.1236470118
     assert take.weights[0, ARKIT_NAMES.index("jawOpen")] == 0.0190581698
     assert not take.head.any()
+    assert take.timecodes[0] == "13:13:04:31.652"
 
 
 def test_eyes_look_where_the_weights_say() -> None:

@@ -85,7 +85,11 @@ def test_every_rig_has_the_files_that_the_service_serves(rig: Rig, tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("name", "options", "code"),
-    [("fbx", {}, "export.unknown"), ("csv", {"digits": 3}, "export.options")],
+    [
+        ("fbx", {}, "export.unknown"),
+        ("csv", {"digits": 3}, "export.options"),
+        ("usd", {"scale": 2}, "export.options"),
+    ],
 )
 def test_what_is_not_there_is_refused(
     rig: Rig, tmp_path: Path, name: str, options: dict[str, int], code: str
