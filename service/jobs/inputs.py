@@ -7,6 +7,7 @@ Of a raw capture, models and fits read the registered form.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from service.bounds import shorten
 from service.captures import repository as captures
 from service.captures.repository import neutral_of, registered_form
 from service.captures.service import SET_FORMATS
@@ -45,7 +47,10 @@ def resolve(session: Session, kind: Kind, new: NewJob) -> Inputs:
     _refuse_unread(kind, new)
     handed = handed_on(session, kind, new)
     found = _found(session, kind, new)
-    return replace(found, files=join(found.files, handed))
+    files = join(found.files, handed)
+    if "assets" in kind.reads:
+        _refuse_unnamed(new, files)
+    return replace(found, files=files)
 
 
 def _found(session: Session, kind: Kind, new: NewJob) -> Inputs:
@@ -240,6 +245,30 @@ def _assets(session: Session, new: NewJob) -> list[Input]:
                 capture_id=capture.id,
             )
     return [_input_of("asset", each.name, each.filename, each.sha256) for each in found]
+
+
+def _refuse_unnamed(new: NewJob, files: list[Input]) -> None:
+    """Refuse a scene that names an asset which the job is not given."""
+    known = sorted({each["name"] for each in files if each["role"] == "asset"})
+    for place, name in named_assets(new.options.get("scene"), "options.scene"):
+        if name not in known:
+            given = ", ".join(known) or "none"
+            detail = f"the job is given no asset {shorten(name)!r}; it is given {given}"
+            more = {"member": place, "found": shorten(name), "expected": known}
+            raise Problem(422, "scene.asset", detail, **more)
+
+
+def named_assets(document: Any, place: str) -> Iterator[tuple[str, str]]:
+    """Yield the place and name of every asset that a scene's ``document`` names."""
+    left = [(place, document)]
+    while left:
+        place, value = left.pop()
+        if isinstance(value, list):
+            left += [(f"{place}[{number}]", each) for number, each in enumerate(value)]
+        elif isinstance(value, dict):
+            if isinstance(name := value.get("asset"), str):
+                yield f"{place}.asset", name
+            left += [(f"{place}.{key}", each) for key, each in value.items() if key != "asset"]
 
 
 def _newest_model(session: Session, new: NewJob) -> Job:

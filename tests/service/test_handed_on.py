@@ -90,6 +90,10 @@ def test_takes_play_in_a_scene_under_their_names(session: Session) -> None:
     files = [{"job": each, "artifact": "sequence.npz"} for each in (one, other)]
     job = session.ask("simulate", files[0], **SCENE).json()["id"]
     assert ("asset", "sequence", "sequence.npz") in session.inputs(job)
+    other_name = session.ask("simulate", {**files[0], "name": "talk"}, **SCENE)
+    assert (other_name.status_code, other_name.json()["code"]) == (422, "scene.asset")
+    assert other_name.json()["member"] == "options.scene.performance.asset"
+    assert other_name.json()["expected"] == ["talk"]
     twice = session.ask("simulate", *files, **SCENE)
     assert (twice.status_code, twice.json()["code"]) == (422, "job.twice")
     assert twice.json()["member"] == "from_jobs.1"
