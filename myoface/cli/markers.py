@@ -53,7 +53,7 @@ def bind(
     parts = [each.part for each in found.markers.markers]
     counted = ", ".join(f"{parts.count(part)} {part}" for part in dict.fromkeys(parts))
     out.print(f"{expression or 'at rest'} in frames {first} to {last}: {counted}")
-    out.print(f"{found.pose.miss():.1f} mm off the skin")
+    out.print(f"the markers miss the skin by {found.pose.miss():.1f} mm (root mean square)")
     show_findings([each.to_dict() for each in found.findings])
     out.print(f"{output}")
     if found.findings:

@@ -219,7 +219,7 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
 
         files |= find_files(rig)
     with JobView(_name(kind)) as view, _made(folder):
-        run_job(
+        left = run_job(
             kind.name,
             folder,
             options=options,
@@ -235,6 +235,9 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
     if kind.leaves in SUMMARIES:
         SUMMARIES[kind.leaves](report, given)
     out.print(f"{folder / kind.result}")
+    for name in kind.hands_on:
+        if folder / name in left and name != kind.result:
+            out.print(f"{folder / name}")
     if code:
         raise SystemExit(code)
 

@@ -164,13 +164,25 @@ def _find_repeated(
     """Find scans that are the neutral, or each other."""
     known = {"the neutral": model.skin.vertices}
     for name, scan in scans.items():
-        face = _seen(model, scan)
-        for other, vertices in known.items():
-            if np.abs(scan.vertices[face] - vertices[face]).max(initial=0.0) <= limits.same_mm:
-                message = f"{name} and {other} are the same scan: one of them was sent for another"
-                yield make_warning("target.repeated", message, {"expression": name, "other": other})
-                break
+        yield from check_repeated(model, name, scan, known, limits)
         known[name] = scan.vertices
+
+
+def check_repeated(
+    model: SubjectModel,
+    name: str,
+    scan: RegisteredScan,
+    known: Mapping[str, Floats],
+    limits: TargetLimits = TargetLimits(),
+) -> list[Finding]:
+    """Return whether a scan is one of those ``known``, name -> vertices (V, 3), NaN in holes."""
+    face = _seen(model, scan)
+    for other, vertices in known.items():
+        away = np.abs(scan.vertices[face] - vertices[face])
+        if np.max(away, initial=0.0, where=np.isfinite(away)) <= limits.same_mm:
+            message = f"{name} and {other} are the same scan: one of them was sent for another"
+            return [make_warning("target.repeated", message, {"expression": name, "other": other})]
+    return []
 
 
 def _find_same_name(

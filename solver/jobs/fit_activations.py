@@ -9,7 +9,7 @@ from pathlib import Path
 from solver.fitting import fallback
 from solver.fitting.activation import UNSEEN, UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
-from solver.fitting.target_checks import check_held, check_replaced
+from solver.fitting.target_checks import check_held, check_repeated, check_replaced
 from solver.jobs import Task
 from solver.jobs.fits import (
     Targets,
@@ -50,6 +50,9 @@ def run(task: Task[FitActivations]) -> list[Path]:
     for fit in carried:
         if fit.name in scans:
             oddities += check_replaced(subject, fit.name, fit.target, scans[fit.name])
+    others = {fit.name: fit.target for fit in carried if fit.name not in scans}
+    for name, scan in scans.items():
+        oddities += check_repeated(subject, name, scan, others)
     if given.solver == "ipopt":
         oddities += fallback.warn_of_slowness(face)
     log.warn(0.02, oddities)

@@ -51,6 +51,15 @@ def test_a_scan_that_was_sent_twice_or_is_the_neutral():
     ]
 
 
+def test_a_scan_that_a_rig_has_under_another_name():
+    known = expression().astype(np.float32)
+    known[::7] = np.nan  # holes of the scan then
+    check = target_checks.check_repeated
+    (notice,) = check(MODEL, "mine", scan(expression()), {"frown": NEUTRAL, "smile": known})
+    assert (notice.code, notice.context["other"]) == ("target.repeated", "smile")
+    assert check(MODEL, "mine", scan(expression(4.5)), {"smile": known}) == []
+
+
 def test_one_name_for_two_faces():
     (notice,) = target_checks.before_fit(
         MODEL, {"smile_1": scan(expression(6.0)), "Smile 1": scan(expression(-6.0))}
