@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from solver.mechanics.terms import PassiveTerm as PassiveTerm
     from solver.mechanics.terms import check_term as check_term
     from solver.meshio.registered import RegisteredScan as RegisteredScan
+    from solver.meshio.registered import read_registered as read_registered
     from solver.meshio.registered import write_registered as write_registered
     from solver.model import SubjectModel as SubjectModel
     from solver.rig.rig import Rig as Rig
@@ -60,6 +61,7 @@ _PLACES = {
     "check_term": "solver.mechanics.terms:check_term",
     "expression_terms": "solver.fitting.contact:terms",
     "fit_expression": "solver.fitting.fallback:fit",
+    "read_registered": "solver.meshio.registered:read_registered",
     "run_job": "solver.jobs:run_job",
     "unseen_regulariser": "solver.fitting.activation:unseen_regulariser",
     "write_registered": "solver.meshio.registered:write_registered",
