@@ -41,6 +41,7 @@ from solver.fitting.calibration import (
     with_fibres,
 )
 from solver.fitting.contact import terms
+from solver.fitting.expression_basis import LINEAR, ExpressionBasis
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Target, distances
@@ -309,7 +310,12 @@ def _speed(face: Face, options: argparse.Namespace) -> Figures:
     neutral = ict_neutral(kit, options.faces, options.subject, options.capture_sets).vertices
     take = drive(kit, neutral, read_live_link(options.recording))
     bench = made_takes.Bench(face, made_takes.make_truth(take, FRAMES), 79)
-    followed = bench.fit(prior.from_shapes(face, np.stack([*kit.deltas.values()])), bench.clean())
+    followed = bench.fit(
+        prior.from_basis(
+            face, ExpressionBasis.solve(face, np.stack([*kit.deltas.values()]), LINEAR)
+        ),
+        bench.clean(),
+    )
     return {
         "fibre_frame_ms": followed["frame_ms"],
         "fibre_face_mean_mm": followed["face_mean_mm"],

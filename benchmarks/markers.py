@@ -31,6 +31,7 @@ from solver.anatomy.template import ShapeBasis
 from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
+from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
 from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import KnownControls
@@ -93,7 +94,7 @@ def run(options: argparse.Namespace) -> Figures:
     shapes = np.stack([*kit.deltas.values()])
     performance = drive(kit, neutral.vertices, read_live_link(options.recording))
     truth = make_truth(performance, frames, options.first)
-    known = prior.from_fitted_shapes(face, shapes)
+    known = prior.from_basis(face, ExpressionBasis.solve(face, shapes))
     counts = [int(count) for count in options.sets.split(",")]
     found: Figures = {"tets": len(rig.model.tets), "frames": len(truth.numbers)}
 
@@ -158,7 +159,7 @@ def _jaw(face: Face, truth: Truth, shapes: Floats, options: argparse.Namespace) 
     found = {}
     for name, each in (("free", face), ("tracks", face.with_joint(jaw_on_tracks(tracks)))):
         bench = Bench(each, truth, SETS[0])
-        known, take = prior.from_fitted_shapes(each, shapes), bench.clean()
+        known, take = prior.from_basis(each, ExpressionBasis.solve(each, shapes)), bench.clean()
         fitted = bench.refined(known, take).fit(known, take)
         keys = ("incisor_mm", "out_of_tracks", "face_mean_mm", "frame_ms")
         found[name] = {key: fitted[key] for key in keys}
@@ -227,7 +228,7 @@ def _real(options: argparse.Namespace, kit: FaceKit, rig: Rig, shapes: Floats) -
     template = find_or_make_mesh(build_ict_template(options.anatomy, options.faces), edge)
     model = build_subject_model(template, neutral, edge_mm=edge)
     face = Face(model, rig.weights, linear=fastest())
-    known, found = prior.from_fitted_shapes(face, shapes), {}
+    known, found = prior.from_basis(face, ExpressionBasis.solve(face, shapes)), {}
     for name in REAL_TAKES:
         take = read_take(options.takes / f"{name}.c3d")
         source = BoundTake(take, bind(take, model).markers, 4)

@@ -6,6 +6,7 @@ It is what ``build_model`` makes, what every fit reads, and is stored as one NPZ
 from __future__ import annotations
 
 import difflib
+import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -308,3 +309,11 @@ class SubjectModel:
             size_from=header.get("size_from", "scan"),
             wholes=tuple(header.get("wholes", ())),
         )
+
+
+def weights_hash(S: sp.csr_array) -> str:
+    """Return the sha256 of S (n, m + 1)."""
+    digest = hashlib.sha256()
+    for array, kind in ((S.indptr, "<i8"), (S.indices, "<i8"), (S.data, "<f8")):
+        digest.update(np.ascontiguousarray(array, dtype=kind).tobytes())
+    return digest.hexdigest()

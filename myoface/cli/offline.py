@@ -101,6 +101,9 @@ INPUTS: Mapping[str, tuple[Input, ...]] = {
     "blendshapes": (
         Input("blendshapes", _file("blendshapes.npz of an earlier animation"), "blendshapes"),
     ),
+    "expression_basis": (
+        Input("basis", _file("expression_basis.npz of an earlier fit"), "expression_basis"),
+    ),
     "fibre_muscles": (Input("fibres", _file("fibre_muscles.npz of fit-fibres"), "fibre_muscles"),),
     "role": (Input("role", Role, default="unknown"),),
     "start": (

@@ -20,10 +20,11 @@ ROLES: dict[Input, str] = {
     "markers": "marker_set",
     "assets": "asset",
     "blendshapes": "blendshapes",
+    "expression_basis": "expression_basis",
     "fibre_muscles": "fibre_muscles",
 }
 # What was made of one rig and is of no other
-OF_A_RIG = ("blendshapes", "fibre_muscles")
+OF_A_RIG = ("blendshapes", "expression_basis", "fibre_muscles")
 
 
 def handed_on(session: Session, kind: Kind, new: NewJob) -> list[dict[str, Any]]:

@@ -176,6 +176,7 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
 # What later jobs of a rig read, if there is any: the kind that leaves it, and its file
 _LEFT_BEFORE = {
     "blendshapes": ("animate", "blendshapes.npz"),
+    "expression_basis": ("fit_markers", "expression_basis.npz"),
     "fibre_muscles": ("fit_fibres", "fibre_muscles.npz"),
 }
 
@@ -255,7 +256,7 @@ def _refuse_unnamed(new: NewJob, files: list[Input]) -> None:
             given = ", ".join(known) or "none"
             detail = f"the job is given no asset {shorten(name)!r}; it is given {given}"
             more = {"member": place, "found": shorten(name), "expected": known}
-            raise Problem(422, "scene.asset", detail, **more)
+            raise Problem(422, "job.asset", detail, **more)
 
 
 def named_assets(document: Any, place: str) -> Iterator[tuple[str, str]]:

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
-from solver.surface import Floats
+from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -152,6 +152,56 @@ class Regulariser:
         out[layout.muscles[:, :, None], layout.muscles[:, None, :]] = blocks
         joints = layout.joint_places
         out[joints, joints] = diagonal
+        return out
+
+
+@dataclass(frozen=True)
+class PartPrior:
+    """-log of N(mean, P^-1) over some entries of the controls (size,), but for a constant."""
+
+    size: int
+    places: Ints  # (j,) of the entries
+    mean: Floats  # (j,)
+    precision: Floats  # P (j, j)
+
+    def value(self, pose: Pose) -> float:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        away = pose.vector()[self.places] - self.mean
+        return float(0.5 * away @ self.precision @ away)
+
+    def gradient(self, pose: Pose) -> Floats:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        out = np.zeros(self.size)
+        out[self.places] = self.precision @ (pose.vector()[self.places] - self.mean)
+        return out
+
+    def gauss_newton(self, pose: Pose) -> Floats:  # noqa: ARG002 - it is the same everywhere
+        """See :class:`~solver.fitting.objective.Prior`."""
+        out = np.zeros((self.size, self.size))
+        out[np.ix_(self.places, self.places)] = self.precision
+        return out
+
+
+@dataclass(frozen=True)
+class PriorSum:
+    """The sum of priors."""
+
+    priors: tuple[Prior, ...]
+
+    def value(self, pose: Pose) -> float:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        return sum(prior.value(pose) for prior in self.priors)
+
+    def gradient(self, pose: Pose) -> Floats:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        return np.asarray(sum(prior.gradient(pose) for prior in self.priors))
+
+    def gauss_newton(self, pose: Pose) -> Floats:
+        """See :class:`~solver.fitting.objective.Prior`."""
+        first, *others = (prior.gauss_newton(pose) for prior in self.priors)
+        out = first.copy()
+        for other in others:
+            out += other
         return out
 
 

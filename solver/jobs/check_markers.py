@@ -10,6 +10,7 @@ import numpy as np
 
 from solver.errors import Finding, InputError, judge_findings, quote, worst_first
 from solver.fitting import prior
+from solver.fitting.expression_basis import LINEAR, ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.markers.reach import reach
 from solver.fitting.prior import GaussianPrior
@@ -128,6 +129,6 @@ def _prior(task: Task[CheckMarkers], rig: Rig, face: Face) -> GaussianPrior:
     """Return the prior of the template's shapes, or of the rig's expressions."""
     shapes = read_template(task).shapes
     if shapes is not None and shapes.expressions.shape[1] == len(face.model.skin.vertices):
-        return prior.from_shapes(face, shapes.expressions)
+        return prior.from_basis(face, ExpressionBasis.solve(face, shapes.expressions, LINEAR))
     poses = [face.pose_of(each.activations, each.jaw).vector() for each in rig.expressions]
     return prior.from_changes(face.layout, [pose - face.layout.rest for pose in poses], prior.LOOSE)

@@ -6,12 +6,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from solver.anatomy.build import jaw_tracks
 from solver.errors import Finding, InputError, make_warning
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, load_muscles, with_fibres
 from solver.fitting.contraction import Contraction
+from solver.fitting.expression_basis import FILE as BASIS_FILE
+from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import FilterOptions
@@ -90,6 +93,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     report["files"][VIEW_FILE] = drawing.view.write(view, rate)
     files = write_sequence(out, done, muscles, rate, report, contraction, take.first)
     files += [out / "markers.json"] if given.refine and not given.actor else []
+    files += [each for each in (out / BASIS_FILE,) if each.is_file()]
     files += [*animated, view]
     progress(Step("done", 1.0))
     return files
@@ -179,7 +183,25 @@ def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
         message = "the template has no expressions of this skin: use the prior scans or none"
         raise InputError("markers.prior", message)
 
+    return prior.from_basis(face, _basis(task, face, shapes.expressions))
+
+
+def _basis(task: Task[FitMarkers], face: Face, shapes: NDArray[np.floating]) -> ExpressionBasis:
+    """Return the template's expressions on a face, those that an earlier job solved if there are.
+
+    They are left for the next; not those of fibre muscles, which are no rig's.
+    """
+
     def show(done: float) -> None:
         task.progress(Step("expressions", 0.01 * done))
 
-    return prior.from_fitted_shapes(face, shapes.expressions, listen=show)
+    known, kept = task.inputs.get("expression_basis"), task.out / BASIS_FILE
+    is_rig_s = task.options.muscles != "fibre"
+    if task.resume and kept.is_file():
+        known = kept
+    basis = ExpressionBasis.load(known, face, shapes) if known and is_rig_s else None
+    if basis is None:
+        basis = ExpressionBasis.solve(face, shapes, listen=show)
+    if is_rig_s:
+        basis.save(kept, face)
+    return basis

@@ -94,12 +94,16 @@ KIND = Kind(
     description="Activations, jaw and head of every frame of a take of markers, with the spread "
     "of each; wrong points are rejected, swaps mended, and muscles that no marker tells of held.",
     queue="long",
-    reads=("rig", "markers", "template", "fibre_muscles"),
+    reads=("rig", "markers", "template", "fibre_muscles", "expression_basis"),
     leaves="sequence",
     report="sequence.json",
     result="sequence.npz",
     folder="sequence",
-    hands_on={"sequence.npz": "assets", "markers.json": "markers"},
+    hands_on={
+        "sequence.npz": "assets",
+        "markers.json": "markers",
+        "expression_basis.npz": "expression_basis",
+    },
     options=FitMarkers,
     frames=True,
 )

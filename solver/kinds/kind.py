@@ -25,6 +25,7 @@ Input = Literal[
     "any_rig",
     "assets",
     "blendshapes",
+    "expression_basis",
     "fibre_muscles",
     "role",
     "start",
@@ -61,8 +62,9 @@ class Kind:
         subject's neutral and chosen expressions; ``performance`` is one capture of that role,
         ``markers`` a take of them with the session's marker set, if there is one, ``assets`` any
         number of theirs; ``template`` is the subject's, ``model`` its newest, ``rig`` a fitted
-        person, ``any_rig`` one that may be left out, ``blendshapes`` and calibrated
-        ``fibre_muscles`` are those that an earlier job of the rig left.
+        person, ``any_rig`` one that may be left out, ``blendshapes``,
+        ``expression_basis`` and calibrated ``fibre_muscles`` are those that an earlier job of the
+        rig left.
     asks
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
         the ``start`` of a fit, another rig.

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from solver.contact.crossing import Crossing
 from solver.errors import Verdict
 from solver.fitting.geometry_information import MuscleInformation
-from solver.model import SubjectModel
+from solver.model import SubjectModel, weights_hash
 from solver.rig.certificate import Certificate, ExpressionCheck, FleshCheck, JawFigures, Muscles
 from solver.rig.checks import Judgement, expression_verdict, judge, limits_of, overall, ready, use
 from solver.rig.measures import measured_regions, uneven_sides
@@ -71,14 +69,6 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
             "versions": {name: _version(name) for name in PACKAGES},
         },
     }
-
-
-def weights_hash(S: sp.csr_array) -> str:
-    """Return the sha256 of S (n, m + 1)."""
-    digest = hashlib.sha256()
-    for array, kind in ((S.indptr, "<i8"), (S.indices, "<i8"), (S.data, "<f8")):
-        digest.update(np.ascontiguousarray(array, dtype=kind).tobytes())
-    return digest.hexdigest()
 
 
 def _judgement(judgement: Judgement, settings: dict[str, Any]) -> dict[str, Any]:

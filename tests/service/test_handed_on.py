@@ -91,7 +91,7 @@ def test_takes_play_in_a_scene_under_their_names(session: Session) -> None:
     job = session.ask("simulate", files[0], **SCENE).json()["id"]
     assert ("asset", "sequence", "sequence.npz") in session.inputs(job)
     other_name = session.ask("simulate", {**files[0], "name": "talk"}, **SCENE)
-    assert (other_name.status_code, other_name.json()["code"]) == (422, "scene.asset")
+    assert (other_name.status_code, other_name.json()["code"]) == (422, "job.asset")
     assert other_name.json()["member"] == "options.scene.performance.asset"
     assert other_name.json()["expected"] == ["talk"]
     twice = session.ask("simulate", *files, **SCENE)
@@ -112,6 +112,14 @@ def test_named_muscles_stand_instead_of_the_newest(session: Session) -> None:
         "fit_markers", named, captures=[session.take], rig_id=session.add_rig()
     )
     assert (of_another.status_code, of_another.json()["code"]) == (409, "artifact.other_rig")
+
+
+def test_expressions_that_an_earlier_fit_solved_are_found(session: Session) -> None:
+    session.left("fit_markers", "expression_basis.npz", captures=[session.take])
+    job = session.ask("fit_markers", captures=[session.take]).json()["id"]
+    assert "expression_basis" in [role for role, _, _ in session.inputs(job)]
+    other = session.ask("fit_markers", captures=[session.take], rig_id=session.add_rig())
+    assert "expression_basis" not in [role for role, _, _ in session.inputs(other.json()["id"])]
 
 
 def test_what_cannot_be_handed_on_is_told(session: Session) -> None:

@@ -33,8 +33,8 @@ from solver.fitting.markers.term import (
     MarkerTerm,
     PlacedMarkers,
 )
-from solver.fitting.objective import Prior, Regulariser
-from solver.fitting.prior import GaussianPrior, PartPrior, PriorSum
+from solver.fitting.objective import PartPrior, Prior, PriorSum, Regulariser
+from solver.fitting.prior import GaussianPrior
 from solver.fitting.sensitivity import Jacobian
 from solver.fitting.tracking.frame_solver import FrameSolver, TrackingOptions
 from solver.fitting.tracking.tracker import Tracker

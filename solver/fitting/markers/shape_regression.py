@@ -20,10 +20,11 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from solver.fitting.expression_basis import follows_teeth, jaw_of_teeth
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.information import inverse_of_positive
 from solver.fitting.markers.term import HeadPrior, MarkerPlaces, MarkerTerm, PlacedMarkers
-from solver.fitting.prior import PartPrior, follows_teeth, jaw_of_teeth
+from solver.fitting.objective import PartPrior
 from solver.surface import Floats, Ints
 
 

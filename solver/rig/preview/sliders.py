@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.fitting.contraction import Contraction
+from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
 from solver.fitting.joints import JAW_UNITS
-from solver.fitting.prior import fitted_changes
 from solver.fitting.stretches import shorten
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.rig import ExpressionFit
@@ -143,10 +143,9 @@ def controls_of_shapes(
 ) -> Sliders:
     """Return a control for each of a template's expressions: the change of (a, b) that makes it.
 
-    ``shapes`` (e, v, 3) are motions of the whole skin, mm; see
-    :func:`solver.fitting.prior.fitted_changes`.
+    ``shapes`` (e, v, 3) are motions of the whole skin, mm.
     """
-    changes = [each[-1] for each in fitted_changes(face, shapes, listen=listen)]
+    changes = [each[-1] for each in ExpressionBasis.solve(face, shapes, listen=listen).changes]
     amounts = np.eye(len(names))
     return Sliders(
         tuple(Control(name, "expression", name) for name in names),

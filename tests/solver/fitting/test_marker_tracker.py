@@ -9,6 +9,7 @@ from solver.anatomy.warp import spread
 from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, with_fibres
+from solver.fitting.expression_basis import LINEAR, ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.markers.observation import MarkerOptions, Markers, SeenMarkers
 from solver.fitting.markers.places import RefineOptions, frames_near_neutral, refine, triangle_axes
@@ -51,7 +52,7 @@ def places(face, markers):
 def known(face):
     skin = small_capture("neutral").vertices
     shapes = [small_capture(name).vertices - skin for name in ("smile", "surprise", "ah")]
-    return prior.from_shapes(face, np.stack(shapes))
+    return prior.from_basis(face, ExpressionBasis.solve(face, np.stack(shapes), LINEAR))
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from solver.fitting import prior
+from solver.fitting.expression_basis import LINEAR, ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.joints import jaw_on_tracks
-from solver.fitting.objective import Regulariser
-from solver.fitting.prior import PartPrior, PriorSum
+from solver.fitting.objective import PartPrior, PriorSum, Regulariser
 from solver.mechanics.jaw_tracks import JawTracks
 from tests.fixtures import small_capture, small_model
 from tests.solver.block import head_block, poses
@@ -42,7 +42,7 @@ def test_what_an_expression_does_is_probable(face):
     pose = face.rest_pose().toward(poses(1)[0], 0.2)
     state = face.continuation(face.rest, pose)
     shape = face.whole_skin(state.x, pose.b) - model.skin.vertices
-    known = prior.from_shapes(face, shape[None])
+    known = prior.from_basis(face, ExpressionBasis.solve(face, shape[None], LINEAR))
     change = pose.vector() - known.mean
     other = np.random.default_rng(2).standard_normal(len(change))
     other *= np.linalg.norm(change) / np.linalg.norm(other)
@@ -67,9 +67,13 @@ def test_large_shapes_are_fitted():
             off.append(np.linalg.norm(moved - goal, axis=1).mean())
         return min(off)
 
-    linear = left(prior.from_shapes(face, shape[None], options))
+    linear = left(prior.from_basis(face, ExpressionBasis.solve(face, shape[None], LINEAR), options))
     heard = []
-    fitted = left(prior.from_fitted_shapes(face, shape[None], options, heard.append))
+    fitted = left(
+        prior.from_basis(
+            face, ExpressionBasis.solve(face, shape[None], listen=heard.append), options
+        )
+    )
     assert heard == [1.0]
     assert fitted < 0.5 * linear
 
@@ -85,7 +89,7 @@ def test_the_teeth_of_a_shape_move_a_jaw_on_tracks():
     shape = 0.5 * moved
     shape[model.lower_teeth] = moved[model.lower_teeth]
     options = prior.PriorOptions(strength=1.0)
-    known = prior.from_shapes(face, shape[None], options)
+    known = prior.from_basis(face, ExpressionBasis.solve(face, shape[None], LINEAR), options)
     angle = face.layout.places("tracks")[0]
     assert np.sqrt(known.variance[angle]) == pytest.approx(opening, rel=0.2)
 

@@ -6,6 +6,7 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from solver.errors import InputError
 from solver.fitting.contraction import Contraction
 from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
+from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
 from solver.fitting.markers.term import MarkerPlaces
 from solver.jobs import fit_markers, run_job
@@ -25,7 +27,7 @@ from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.markers.marker_set import Marker, MarkerSet
 from solver.scans.markers.take import Take
 from solver.similarity import Similarity, small_motion
-from tests.fixtures import small_model
+from tests.fixtures import small_capture, small_model
 from tests.solver.glb import shown_skins
 from tests.solver.scans.markers.made_actor import SIZE, actor_model
 from tests.solver.usd import played
@@ -257,6 +259,25 @@ def test_another_take_or_rig_does_not_go_on(
     with pytest.raises(InputError) as caught:
         fit(tmp_path, whole[0], resume=True)
     assert caught.value.code == "sequence.resume"
+
+
+def test_a_template_s_expressions_are_solved_once_for_a_rig(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = small_capture("ah").vertices - small_capture("neutral").vertices
+    template = SimpleNamespace(shapes=SimpleNamespace(expressions=opened[None]))
+    monkeypatch.setattr(fit_markers, "read_template", lambda _: template)
+    options = {"prior": "shapes", "end": FIRST + 3}
+    first = fit(files, tmp_path / "first", options=options)
+    kept = tmp_path / "first" / "expression_basis.npz"
+
+    def never(*_given: object, **_named: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(ExpressionBasis, "solve", never)
+    again = fit(files, tmp_path / "again", options=options, expression_basis=kept)
+    np.testing.assert_array_equal(first["activations"], again["activations"])
+    assert (tmp_path / "again" / "expression_basis.npz").read_bytes() == kept.read_bytes()
 
 
 def test_every_second_frame_keeps_its_time(files: Path, tmp_path: Path) -> None:
