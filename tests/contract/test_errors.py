@@ -23,7 +23,7 @@ RAISED = {
 WITH_STATUS = ("Problem", "faulty")
 HELPERS = {"unauthorized_problem": 0, "_check_format": 1}
 MADE_OF_PARTS = (
-    *("http.", "live_link.", "options.", "template.", "model."),
+    *("http.", "live_link.", "options.", "template.", "model.", "basis."),
     *("capture.format", "blendshapes.format", "fibres.format", "markers.format"),
 )
 """Codes that the source puts together, or passes on."""
