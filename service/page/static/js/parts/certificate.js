@@ -12,11 +12,12 @@ export function verdictOf(summary) {
 /** Return what is not good about a rig, the worst first, as `findingList` shows it. */
 export function rigFindings({ checks = [], warnings = [] }) {
   const failed = checks.filter(({ verdict }) => verdict !== "good");
-  const found = failed.map(({ verdict, title, value, unit, worst, meaning, says, advice }) => ({
+  const found = failed.map(({ code, verdict, title, value, unit, worst, meaning, says, advice }) => ({
+    code,
     severity: verdict === "bad" ? "error" : "warning",
     message: `${title}: ${value === null ? "no figure" : `${figure(value)} ${unit}`.trim()} in ${worst} (${says || meaning})`,
     advice,
   }));
   found.sort((a, b) => (b.severity === "error") - (a.severity === "error"));
-  return [...found, ...warnings.map(({ message }) => ({ severity: "warning", message }))];
+  return [...found, ...warnings.map(({ code, message }) => ({ code, severity: "warning", message }))];
 }

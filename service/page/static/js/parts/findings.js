@@ -12,12 +12,18 @@ export function findingList(findings) {
   return h(
     "ul",
     { class: "findings" },
-    findings.map(({ severity, message, advice }) =>
+    findings.map(({ code, severity, message, advice }) =>
       h(
         "li",
         {},
         state(severity),
-        h("div", {}, h("p", {}, sentence(message)), advice && h("p", { class: "fine" }, sentence(advice))),
+        h(
+          "div",
+          {},
+          h("p", {}, sentence(message)),
+          advice && h("p", { class: "fine" }, sentence(advice)),
+          code && h("p", { class: "fine" }, h("code", {}, code)),
+        ),
       ),
     ),
   );
