@@ -34,6 +34,7 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "template": [(["--template", "template.npz"], {"template": "template.npz"})],
     "markers": [(["--set", "set.json"], {"marker_set": "set.json"})],
     "blendshapes": [(["--blendshapes", "shapes.npz"], {"blendshapes": "shapes.npz"})],
+    "expression_basis": [(["--basis", "basis.npz"], {"expression_basis": "basis.npz"})],
     "fibre_muscles": [(["--fibres", "fibres.npz"], {"fibre_muscles": "fibres.npz"})],
     "start": [(["--start", "rig.npz"], {"start": "rig.npz"})],
     "assets": [(["--asset", "soft=map.npy"], {})],
