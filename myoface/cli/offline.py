@@ -238,9 +238,9 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
     if kind.leaves in SUMMARIES:
         SUMMARIES[kind.leaves](report, given)
     out.print(f"{folder / kind.result}")
-    files = {path.name for path in left or ()}
+    written = {path.name for path in left or ()}
     for name in kind.hands_on:
-        if name in files and name != kind.result:
+        if name in written and name != kind.result:
             out.print(f"{folder / name}")
     if code:
         raise SystemExit(code)
