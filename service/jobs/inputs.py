@@ -21,13 +21,13 @@ from service.captures.repository import neutral_of, registered_form
 from service.captures.service import SET_FORMATS
 from service.errors import Problem, not_found
 from service.jobs import repository
-from service.jobs.handed_on import handed_on, join
+from service.jobs.handed_on import OF_A_RIG, handed_on, join
 from service.jobs.schemas import NewJob
 from service.rigs import repository as rigs
 from service.store.models import Capture, Job, Rig
 from service.subjects import repository as subjects
 from service.templates import repository as templates
-from solver.kinds import Kind
+from solver.kinds import KINDS, Kind
 
 Input = dict[str, Any]
 
@@ -175,9 +175,10 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
 
 # What later jobs of a rig read, if there is any: the kind that leaves it, and its file
 _LEFT_BEFORE = {
-    "blendshapes": ("animate", "blendshapes.npz"),
-    "expression_basis": ("fit_markers", "expression_basis.npz"),
-    "fibre_muscles": ("fit_fibres", "fibre_muscles.npz"),
+    name: (kind.name, file)
+    for kind in KINDS.values()
+    for file, name in kind.hands_on.items()
+    if name in OF_A_RIG
 }
 
 

@@ -93,7 +93,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     report["files"][VIEW_FILE] = drawing.view.write(view, rate)
     files = write_sequence(out, done, muscles, rate, report, contraction, take.first)
     files += [out / "markers.json"] if given.refine and not given.actor else []
-    files += [each for each in (out / BASIS_FILE,) if each.is_file()]
+    files += [out / BASIS_FILE] if (out / BASIS_FILE).is_file() else []
     files += [*animated, view]
     progress(Step("done", 1.0))
     return files

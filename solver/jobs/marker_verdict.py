@@ -61,13 +61,14 @@ def judge_fit(
     seen = np.isfinite(off)
     rejected = seen & (states == "outlier")
     share = float(rejected.sum() / max(seen.sum(), 1))
+    shares = rejected.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)  # of each label
     points = off[seen]
     figures = distance_figures(points) | _farthest(labels, numbers, off)
     findings = [
-        *_often_rejected(labels, numbers, rejected, seen, off, limits),
+        *_often_rejected(labels, numbers, rejected, shares, off, limits),
         *_rejected_at_once(labels, numbers, rejected, seen, limits),
         *_regions_off(labels, off, limits),
-        *_labels_off(labels, rejected, seen, off, limits),
+        *_labels_off(labels, shares, off, limits),
     ]
     if share > limits.most:
         words = f"{share:.0%} of all points were rejected: what is left tells little of the face."
@@ -88,12 +89,11 @@ def _often_rejected(
     labels: Sequence[str],
     numbers: Sequence[int],
     rejected: NDArray[np.bool_],
-    seen: NDArray[np.bool_],
+    shares: Floats,
     off: Floats,
     limits: FitLimits,
 ) -> list[Finding]:
     """Return a finding for each label that was often rejected, the worst first."""
-    shares = rejected.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
     often = [each for each in np.argsort(-shares).tolist() if shares[each] > limits.rejected]
     findings = []
     for label in often[: limits.labels]:
@@ -178,14 +178,9 @@ def _regions_off(labels: Sequence[str], off: Floats, limits: FitLimits) -> list[
 
 
 def _labels_off(
-    labels: Sequence[str],
-    rejected: NDArray[np.bool_],
-    seen: NDArray[np.bool_],
-    off: Floats,
-    limits: FitLimits,
+    labels: Sequence[str], shares: Floats, off: Floats, limits: FitLimits
 ) -> list[Finding]:
     """Return the finding of labels that are far off though they were hardly ever rejected."""
-    shares = rejected.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
     rms = np.array([rms_of_seen(column) for column in off.T])
     far = [
         each
