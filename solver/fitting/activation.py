@@ -9,7 +9,8 @@ settled. The model of f at a state is
 The gradient g takes one adjoint solve, a product with J^T C J two, and the matrix itself as many as
 p has entries. So a matrix K from a state nearby, or from the same face fitted to other data, stands
 in for it: it gives a direction, an exact product says how far to go in it, and a BFGS update keeps
-in K what the product showed.
+in K what the product showed. What the model leaves out of f's Hessian, where flesh resists more the
+further it goes, is learnt from the gradients (:class:`~.least_squares.SecondOrder`).
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from solver.fitting.least_squares import (
     DampingOptions,
     LeastSquaresStep,
     Listener,
+    SecondOrder,
     StopOptions,
     Termination,
     TrustRegion,
@@ -183,21 +185,32 @@ class _PoseProblem:
     go: Continuation
     matrix: Floats
     options: DescentOptions
-    model: GaussNewton | None = None
+    model: GaussNewton | DenseModel | None = None
+    second: SecondOrder | None = None
+    taken: LeastSquaresStep | None = None  # the last step, which led to where f is linearised next
 
     def value(self, point: PosedFace) -> float:
         return objective(self.data, self.regulariser, point)
 
     def linearise(self, point: PosedFace) -> GaussNewton | DenseModel:
-        if not point.pose.layout.bounds.is_free:
-            return _whole_model(self.face, self.data, self.regulariser, point, self.options.steps)
-        parts = self.face, self.data, self.regulariser
-        # the model begins with the matrix of the one before
-        learnt = self.model.learnt if self.model else LearntMatrix.of(self.matrix)
-        self.model = GaussNewton(*parts, point, learnt, self.options)
+        before, model = self.model, self._gauss_newton(point)
+        if self.second is None:
+            self.second = SecondOrder(np.zeros((len(model.gradient), len(model.gradient))))
+        if before is not None and self.taken is not None:
+            self.second = self.second.after(self.taken, model.gradient - before.gradient)
+        self.model = model.plus(self.second.matrix)
         return self.model
 
+    def _gauss_newton(self, point: PosedFace) -> GaussNewton | DenseModel:
+        if not point.pose.layout.bounds.is_free:
+            return _whole_model(self.face, self.data, self.regulariser, point, self.options.steps)
+        # the model begins with the matrix of the one before
+        before = self.model
+        learnt = before.learnt if isinstance(before, GaussNewton) else LearntMatrix.of(self.matrix)
+        return GaussNewton(self.face, self.data, self.regulariser, point, learnt, self.options)
+
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
+        self.taken = step
         try:
             return self.go(self.face, point, step.response, point.pose.add(step.change))
         except SolveError:
@@ -254,18 +267,23 @@ class GaussNewton:
         by_x = data.gradient(state.estimate)
         self._sensitivity = sensitivity
         self._curvature = data.curvature(state.estimate)
-        self._regulariser = regulariser.gauss_newton(state.pose)
-        self._gradient = sensitivity.response.adjoint(sensitivity.pose, by_x)
-        self._gradient += regulariser.gradient(state.pose)
+        self._known = regulariser.gauss_newton(state.pose)
+        self.gradient = sensitivity.response.adjoint(sensitivity.pose, by_x)
+        self.gradient += regulariser.gradient(state.pose)
         self.learnt = learnt
+
+    def plus(self, matrix: Floats) -> GaussNewton:
+        """Add a known part (k, k) of f's Hessian."""
+        self._known = self._known + matrix
+        return self
 
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """See :meth:`DenseModel.step`."""
         units = damping * self._layout.damping
-        known = self._regulariser + np.diag(units)
-        step, curved = np.zeros_like(self._gradient), np.zeros_like(self._gradient)
+        known = self._known + np.diag(units)
+        step, curved = np.zeros_like(self.gradient), np.zeros_like(self.gradient)
         for _ in range(self._options.products):
-            residual = -(self._gradient + curved)
+            residual = -(self.gradient + curved)
             direction = solve_positive(self.learnt.matrix + known, residual)
             square = direction @ residual
             if square <= self._options.accuracy**2 * step @ curved:
@@ -278,9 +296,10 @@ class GaussNewton:
             curved = curved + length * image
         fraction = 1.0 / max(self._layout.reach(step) / trust, 1.0)
         step, curved = fraction * step, fraction * (curved - units * step)
-        slope, quadratic = float(self._gradient @ step), float(step @ curved)
+        slope, quadratic = float(self.gradient @ step), float(step @ curved)
         response = self._sensitivity.response.free_motion(self._sensitivity.pose, step)
-        return LeastSquaresStep(step, slope, quadratic, self._layout.reach(step), response)
+        reach = self._layout.reach(step)
+        return LeastSquaresStep(step, slope, quadratic, reach, response, curved)
 
 
 def curvature(face: Face, data: Term, state: PosedFace) -> Floats:
@@ -352,6 +371,10 @@ class DenseModel:
     motion: Floats | None = None
     options: StepOptions = field(default_factory=StepOptions)
 
+    def plus(self, matrix: Floats) -> DenseModel:
+        """Return the model with a further part (k, k) of f's Hessian."""
+        return replace(self, hessian=self.hessian + matrix)
+
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """Return the step with ``damping`` D^2 added to the matrix, cut to the reach ``trust``.
 
@@ -363,6 +386,7 @@ class DenseModel:
         step = within.best(self.gradient)
         # cut as a whole: with its turn cut alone, a jaw would be shifted in its place
         step = step / max(self.layout.reach(step) / trust, 1.0)
-        slope, quadratic = float(self.gradient @ step), float(step @ self.hessian @ step)
+        image = self.hessian @ step
+        slope, quadratic = float(self.gradient @ step), float(step @ image)
         response = np.zeros(0) if self.motion is None else self.motion @ step
-        return LeastSquaresStep(step, slope, quadratic, self.layout.reach(step), response)
+        return LeastSquaresStep(step, slope, quadratic, self.layout.reach(step), response, image)

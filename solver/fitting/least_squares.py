@@ -10,7 +10,7 @@ promised, the reach of a step may do so as well (trust region: More and Sorensen
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Generic, Protocol, TypeVar
 
@@ -59,7 +59,8 @@ class LeastSquaresStep:
     """A ``change`` of the variables (k,), with its linear model.
 
     ``slope`` is g . s and ``curvature`` s . B s, ``reach`` its length, 1 being what a linear model
-    is surely good for; ``response`` is what else is linear in it, as the flesh's motion (size,).
+    is surely good for; ``response`` is what else is linear in it, as the flesh's motion (size,);
+    ``image`` is B s (k,), of models that :class:`SecondOrder` learns from.
     """
 
     change: Floats
@@ -67,6 +68,7 @@ class LeastSquaresStep:
     curvature: float
     reach: float = 0.0
     response: Floats = field(default_factory=lambda: np.zeros(0))
+    image: Floats = field(default_factory=lambda: np.zeros(0))
 
     @property
     def gain(self) -> float:
@@ -76,9 +78,33 @@ class LeastSquaresStep:
     def cut(self, part: float) -> LeastSquaresStep:
         """Return a part of the step."""
         slope, curvature = part * self.slope, part**2 * self.curvature
-        return LeastSquaresStep(
-            part * self.change, slope, curvature, part * self.reach, part * self.response
-        )
+        vectors = part * self.response, part * self.image
+        return LeastSquaresStep(part * self.change, slope, curvature, part * self.reach, *vectors)
+
+
+@dataclass(frozen=True)
+class SecondOrder:
+    """A (k, k), semi-definite: the part of f's Hessian that Gauss-Newton leaves out.
+
+    A structured secant (Dennis, Gay and Welsch 1981, NL2SOL): gradients show it, step by step.
+    It grows by symmetric rank one where f is stiffer along a step than its model by more than
+    ``noticed`` of that, and shrinks where less is found of it.
+    """
+
+    matrix: Floats
+    noticed: float = 0.25
+
+    def after(self, step: LeastSquaresStep, turned: Floats) -> SecondOrder:
+        """Learn from a step whose model had A in it; f's gradient has ``turned`` (k,) on it."""
+        s, known = step.change, self.matrix @ step.change
+        missing = turned - (step.image - known)
+        before, now = float(s @ known), float(s @ missing)
+        matrix = self.matrix * (np.clip(now / before, 0.0, 1.0) if before > 0.0 else 1.0)
+        residual = missing - matrix @ s
+        along = float(residual @ s)
+        if along > self.noticed * float(s @ step.image):
+            matrix = matrix + np.outer(residual, residual) / along
+        return replace(self, matrix=matrix)
 
 
 class LinearModel(Protocol):

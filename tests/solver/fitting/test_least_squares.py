@@ -11,6 +11,7 @@ from solver.fitting.least_squares import (
     Backtracking,
     DampingOptions,
     LeastSquaresStep,
+    SecondOrder,
     StopOptions,
     Termination,
     TrustRegion,
@@ -153,3 +154,26 @@ def test_damping_of_every_tet_follows_its_step():
     refused = damping.after_refusal()
     np.testing.assert_allclose(refused.tets, 16.0 * damping.tets)
     assert (refused.fall, refused.is_hindered, damping.is_hindered) == (0.5, True, False)
+
+
+def test_what_gauss_newton_leaves_out_is_learnt_from_gradients():
+    """Of a quadratic f that is stiffer than its model; where it is softer nothing is learnt."""
+    rng = np.random.default_rng(4)
+    known = np.diag(rng.uniform(1.0, 5.0, 6))
+    basis = rng.normal(size=(6, 2))
+    left_out = 8.0 * basis @ basis.T
+    second = SecondOrder(np.zeros((6, 6)))
+    for _ in range(12):
+        s = rng.normal(size=6)
+        image = (known + second.matrix) @ s
+        second = second.after(step_of(s, image), (known + left_out) @ s)
+        assert np.linalg.eigvalsh(second.matrix).min() >= -1e-9 * np.abs(second.matrix).max()
+    np.testing.assert_allclose(second.matrix, left_out, atol=0.05 * np.abs(left_out).max())
+    # f has become softer than its model: what was learnt is given up
+    image = (known + second.matrix) @ basis[:, 0]
+    second = second.after(step_of(basis[:, 0], image), 0.5 * known @ basis[:, 0])
+    assert np.abs(second.matrix).max() == 0.0
+
+
+def step_of(change, image):
+    return LeastSquaresStep(change, 0.0, change @ image, image=image)
