@@ -27,6 +27,7 @@ from solver.fitting.drives import MuscleDrive
 from solver.fitting.drives.six_numbers import LEAST_STRETCH, SixNumbers
 from solver.fitting.drives.stored import restore, store
 from solver.fitting.face import Face, Pose
+from solver.fitting.interior_point import Bounds, FeasibleSet
 from solver.fitting.objective import Target
 from solver.fitting.steps import StepOptions
 from solver.fitting.stretches import COLUMN, ROW, matrices
@@ -78,6 +79,21 @@ def unfold(a: Floats) -> tuple[Floats, int]:
     result = a.copy()
     result[folded] = whole[:, ROW, COLUMN]
     return result, len(folded)
+
+
+def keep_within(a: Floats, limits: FeasibleSet | None) -> tuple[Floats, int]:
+    """Return activations (m, 6) within the ``limits`` of a face's muscles, if it has any.
+
+    Expressions that add up leave them, though each is within; of muscles without limits those that
+    fold are unfolded. The second value counts the muscles that were brought back.
+    """
+    if limits is None:
+        return unfold(a)
+    beyond = np.any(limits.margins(a) <= 0.0, axis=1)
+    if not beyond.any():
+        return a, 0
+    kept = limits.nearest(a, Bounds.clipped)
+    return np.where(beyond[:, None], kept, a), int(beyond.sum())
 
 
 FORMAT = 1  # of blendshapes.npz

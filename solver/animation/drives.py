@@ -10,9 +10,10 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from solver.animation.blendshapes import Blend, Blendshapes, unfold
+from solver.animation.blendshapes import Blend, Blendshapes, keep_within, unfold
 from solver.errors import InputError
 from solver.fitting.face import Pose
+from solver.fitting.interior_point import FeasibleSet
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, by_muscle, find_muscles, tell_muscles
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
@@ -27,7 +28,7 @@ class PosedFrame:
 
     Activations of fibre muscles are (m,), in [0, 1]. Eyes, the subject's left one first, are
     rotation vectors in radians in the head's frame. ``clamped`` counts the muscles that were kept
-    from folding (:func:`unfold`).
+    within their limits, or from folding (:func:`keep_within`).
     """
 
     a: Floats
@@ -141,8 +142,13 @@ class _BlendedKeys:
     """Expressions and single muscles of six numbers each."""
 
     def __init__(
-        self, keys: Sequence[PoseKey], poses: Mapping[str, Pose], model: SubjectModel
+        self,
+        keys: Sequence[PoseKey],
+        poses: Mapping[str, Pose],
+        model: SubjectModel,
+        limits: FeasibleSet | None,
     ) -> None:
+        self._limits = limits
         self._used = _names_of(key.expressions for key in keys)
         self._blend = Blend.of({name: poses[name] for name in self._used}, model.muscle_count)
         self._names = model.muscle_names
@@ -162,8 +168,14 @@ class _BlendedKeys:
         weights, moves = np.split(values, [len(self._used)])
         pose = self._blend.pose(weights)
         pose.a[self._muscles] += moves.reshape(-1, 6)
-        a, clamped = unfold(pose.a if under is None else under + pose.a - IDENTITY)
-        return a, pose.b, clamped
+        if under is None:
+            a, clamped = keep_within(pose.a, self._limits)
+            return a, pose.b, clamped
+        a, clamped = unfold(under + pose.a - IDENTITY)
+        # what was played stays as it was fitted where no key moves it
+        moved = (pose.a != IDENTITY).any(axis=1)
+        kept = np.where(moved[:, None], keep_within(a, self._limits)[0], a)
+        return kept, pose.b, max(clamped, int((kept != a).any(axis=1).sum()))
 
 
 class _FibreKeys:
@@ -192,11 +204,12 @@ class KeyedDrives:
 
     Weights of the expressions ``poses``, activations and jaw are interpolated, each by itself, at
     rest if there is no key. The ``head`` turns about the neck. What the keys differ from rest by is
-    added to other drives, ``under`` them, if there are any. ``fibres`` names the fibre muscles of a
-    face that is moved by these; expressions and six numbers are nothing for it. Raises
-    :class:`InputError` as :func:`track`, and ``scene.expression`` and ``scene.muscle`` for names
-    that are not known, ``scene.fibres`` for what the face is not moved by, in the list of keys that
-    the scene calls ``what``.
+    added to other drives, ``under`` them, if there are any; the muscles that keys move stay within
+    ``limits``, if they have some. ``fibres`` names the fibre muscles of a face that is moved by
+    these; expressions and six numbers are nothing for it. Raises :class:`InputError` as
+    :func:`track`, and ``scene.expression`` and ``scene.muscle`` for names that are not known,
+    ``scene.fibres`` for what the face is not moved by, in the list of keys that the scene calls
+    ``what``.
     """
 
     def __init__(
@@ -211,12 +224,13 @@ class KeyedDrives:
         under: Drives | None = None,
         what: str = "keys",
         fibres: Sequence[str] | None = None,
+        limits: FeasibleSet | None = None,
     ) -> None:
         self.times, self.under = times, under
         self._head = head_motion(head, neck(model), interpolation)
         _check_names(keys, poses, model, what, fibres)
         self._keys: _BlendedKeys | _FibreKeys = (
-            _BlendedKeys(keys, poses, model) if fibres is None else _FibreKeys(keys, fibres)
+            _BlendedKeys(keys, poses, model, limits) if fibres is None else _FibreKeys(keys, fibres)
         )
         rows = [np.concatenate([self._keys.row(key), key.jaw]) for key in keys]
         values = np.reshape(rows, (len(keys), self._keys.size + 5))
@@ -282,7 +296,8 @@ class RecordedDrives:
 
     ``weights`` (f, e) are what drives each of the ``shapes`` in these frames. Times begin at 0.
     Weights and turns between frames lie on straight lines. The recorded head turns about the neck;
-    keys of the ``head`` come on top of that. Raises ``scene.frames`` if there are no such frames.
+    keys of the ``head`` come on top of that. Muscles stay within ``limits``, if they have some.
+    Raises ``scene.frames`` if there are no such frames.
     """
 
     def __init__(
@@ -294,7 +309,9 @@ class RecordedDrives:
         end: int | None = None,
         *,
         head: Sequence[HeadKey] = (),
+        limits: FeasibleSet | None = None,
     ) -> None:
+        self._limits = limits
         count = len(take.times)
         last = count if end is None else end
         if not 0 <= start < last <= count:
@@ -318,7 +335,7 @@ class RecordedDrives:
         """See :class:`Drives`."""
         weights, head, eyes = np.split(self._track(time), [-9, -6])
         pose = self._blend.pose(weights)
-        a, clamped = unfold(pose.a)
+        a, clamped = keep_within(pose.a, self._limits)
         motion = turn_about(self._neck, head, np.zeros(3)).then(self._head(time))
         return PosedFrame(a, pose.b, motion, eyes.reshape(2, 3), clamped)
 

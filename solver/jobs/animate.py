@@ -44,7 +44,8 @@ def run(task: Task[Animate]) -> list[Path]:
     def stage_of(shapes: Blendshapes) -> Stage:
         head = head_of(scene.head)
         start, end = recording.start, recording.end
-        drives = RecordedDrives(recorded, shapes, model, start, end, head=head)
+        of_take = recorded, shapes, model, start, end
+        drives = RecordedDrives(*of_take, head=head, limits=rig.limits)
         return Stage(scene, places, S, drives, given.linear_solver)
 
     kept = out / "blendshapes.npz"

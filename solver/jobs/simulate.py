@@ -31,10 +31,11 @@ def run(task: Task[Simulate]) -> list[Path]:
     poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in rig.expressions}
     file = task.inputs.get("fibre_muscles")
     known = None if file is None else read_muscles(file, rig.model)
-    performances = performances_of(given.scene, poses, places, rig.weights, known)
+    parts, limits = (given.scene, poses), rig.limits
+    performances = performances_of(*parts, places, rig.weights, known, limits)
     fibres = moving_fibres(given.scene, performances, known)
     names = None if fibres is None else strip_names(rig.model.muscle_names, fibres)
-    drives = drives_of(given.scene, poses, rig.model, rig.weights, performances, names)
+    drives = drives_of(*parts, rig.model, rig.weights, performances, names, limits)
     firmer = 1.0 if performances is None else max(float(performances.curve.max()), 1.0)
     stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver, fibres, firmer)
     played = performances.performances if performances else ()

@@ -10,6 +10,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, field, fields, replace
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from solver.fitting.drives.admissible import ADMISSIBLE, Admissible, AdmissibleS
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.drives.stored import restore, store
 from solver.fitting.face import Face
+from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.stretches import fibre_tensors
 from solver.mechanics.newton import NewtonOptions
 from solver.model import SIZE_WORDS, SubjectModel
@@ -97,6 +99,11 @@ class Rig:
         """
         face = Face(self.model, self.weights, linear=linear, tolerance=tolerance)
         return face.driven_as(self.drive)
+
+    @cached_property
+    def limits(self) -> FeasibleSet | None:
+        """The values that the muscles can take, as the rig was fitted; None if all of them."""
+        return self.face().layout.drive.feasible
 
     @property
     def warnings(self) -> tuple[Finding, ...]:

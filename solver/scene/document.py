@@ -13,6 +13,7 @@ from solver.animation.drives import Drives, HeadKey, KeyedDrives, PoseKey
 from solver.animation.performance import FittedSequence, MixedPerformances, PlayedPerformance
 from solver.errors import InputError
 from solver.fitting.face import Pose
+from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.stretches import fibre_tensors, shorten
 from solver.kinds.document import Document, find_faults
 from solver.kinds.scene import Jaw, Key, MotionKey, Muscle, SimulateScene
@@ -64,12 +65,14 @@ def drives_of(
     S: sp.csr_array,
     under: Drives | None = None,
     fibres: Sequence[str] | None = None,
+    limits: FeasibleSet | None = None,
 ) -> KeyedDrives:
     """Return what the keys of a scene make a face do, on top of what its performances do.
 
     ``poses`` are the rig's expressions, ``under`` is from :func:`performances_of`, ``fibres`` are
-    names of fibre muscles if they move the face. Frames come ``fps`` a second, from 0 on. Raises
-    :class:`InputError`: as :class:`KeyedDrives`, and ``scene.jaw`` where no jaw can be.
+    names of fibre muscles if they move the face, ``limits`` those of others. Frames come ``fps`` a
+    second, from 0 on. Raises :class:`InputError`: as :class:`KeyedDrives`, and ``scene.jaw`` where
+    no jaw can be.
     """
     keys = _KeyReader(model, S)(scene.keys)
     ends = [float(under.times[-1])] if under else []
@@ -87,6 +90,7 @@ def drives_of(
         interpolation=interpolation,
         under=under,
         fibres=fibres,
+        limits=limits,
     )
     for number, key in enumerate(keys):
         check_jaw(drives(key.time).jaw, f"keys[{number}]")
@@ -119,6 +123,7 @@ def performances_of(
     places: Places,
     S: sp.csr_array,
     fibres: FibreMuscles | None = None,
+    limits: FeasibleSet | None = None,
 ) -> MixedPerformances | None:
     """Return a scene's performances with their own keys, mixed; None if it has none.
 
@@ -151,6 +156,7 @@ def performances_of(
                 under=under,
                 what=what,
                 fibres=under.muscles if under.of_fibres else None,
+                limits=limits,
             )
         )
         for place, key in enumerate(keys):

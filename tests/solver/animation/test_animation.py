@@ -21,12 +21,18 @@ from solver.animation.blendshapes import (
 )
 from solver.animation.drives import Gaze, HeadKey, KeyedDrives, PoseKey, RecordedDrives, neck
 from solver.errors import InputError
-from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
+from solver.fitting.drives.admissible import (
+    ADMISSIBLE,
+    Admissible,
+    AdmissibleSet,
+    limits_by_plausibility,
+)
 from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import matrices
 from solver.mechanics.flesh import IDENTITY
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
+from solver.surface import Floats
 from tests.solver.block import block_model, divided_block, head_block
 from tests.solver.simulation.test_fibres import fibred_block
 
@@ -162,6 +168,36 @@ def test_a_recording_drives_the_shapes_that_its_weights_are_called_after() -> No
     with pytest.raises(InputError) as caught:
         RecordedDrives(take(), shapes, MODEL, 2, 4)
     assert caught.value.code == "scene.frames"
+
+
+def test_what_is_blended_stays_within_limits() -> None:
+    """Two expressions within what muscles can do push, or shrink, where both are at full."""
+    limits = AdmissibleSet(ADMISSIBLE, np.tile(np.diag([1.0, 0.0, 0.0]), (2, 1, 1)))
+    poses = {"smile": pose(-0.35, 0.0), "grin": pose(-0.35, 0.0), "long": pose(0.04, 0.0)}
+    poses = {name: replace(each, a=volume_kept(each.a)) for name, each in poses.items()}
+    assert all(limits.contains(each.a) for each in poses.values())
+    shapes = {name: Solved(each, 0.1) for name, each in poses.items()}
+    both = Blendshapes(
+        MODEL.muscle_names, {"mouthSmileLeft": shapes["smile"], "mouthFunnel": shapes["grin"]}
+    )
+    recorded = take(mouthSmileLeft=1.0, mouthFunnel=1.0)
+    free = RecordedDrives(recorded, both, MODEL)(0.04)
+    within = RecordedDrives(recorded, both, MODEL, limits=limits)(0.04)
+    assert not limits.contains(free.a)
+    assert limits.contains(within.a)
+    assert within.clamped == 2
+    keys = [PoseKey(0.0, {"long": 1.0}, {"left": IDENTITY + (poses["long"].a[0] - IDENTITY)})]
+    keyed = KeyedDrives(keys, poses, MODEL, np.zeros(1), limits=limits)(0.0)
+    assert limits.contains(keyed.a)
+    assert keyed.clamped == 1  # the other one is as it was fitted
+    np.testing.assert_array_equal(keyed.a[1], poses["long"].a[1])
+
+
+def volume_kept(a: Floats) -> Floats:
+    """Return activations along x with what makes up for their volume across it."""
+    a = a.copy()
+    a[:, 3] = a[:, 5] = a[:, 0] ** -0.5
+    return a
 
 
 def test_eyes_turn_about_their_centres() -> None:
