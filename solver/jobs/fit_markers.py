@@ -38,10 +38,10 @@ from solver.progress import Step
 from solver.rig.frames import sequence_report, write_sequence
 from solver.rig.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
-from solver.scans.markers.face_take import count_tracks
-from solver.scans.markers.marker_set import BoundTake, MarkerSet
+from solver.scans.markers.places.face_take import count_tracks
+from solver.scans.markers.places.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.prepare import PreparedTake, PrepareOptions, prepare_take
-from solver.scans.markers.take import Take, read_take
+from solver.scans.markers.readers.take import Take, read_take
 
 
 @dataclass(frozen=True)

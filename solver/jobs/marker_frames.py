@@ -31,8 +31,8 @@ from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
 from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
 from solver.rig.marker_view import MarkerView
-from solver.scans.markers.marker_set import BoundTake
-from solver.scans.markers.motion import rms_of_seen
+from solver.scans.markers.places.marker_set import BoundTake
+from solver.scans.markers.signal.motion import rms_of_seen
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats
 

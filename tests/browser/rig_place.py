@@ -23,7 +23,7 @@ from solver.rig.animation_gltf import AnimatedSkin
 from solver.rig.container import write_container
 from solver.rig.frames import MarkerFrame, SequenceFrame
 from solver.rig.marker_view import MarkerView
-from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.similarity import IDENTITY
 from solver.surface import Floats
 from tests.browser.sample_rig import Sample, write_sample

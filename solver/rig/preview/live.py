@@ -22,7 +22,7 @@ from solver.mechanics.boundary import jaw_jacobian, move_jaw
 from solver.model import SubjectModel
 from solver.rig.preview.sliders import Sliders
 from solver.rig.skin_basis import ReducedSkin
-from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.similarity import Similarity
 from solver.surface import Floats
 

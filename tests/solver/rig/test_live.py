@@ -10,7 +10,7 @@ from solver.rig.preview.live import LiveTracker, ReducedPlaces
 from solver.rig.preview.poses import ShapeSampleOptions
 from solver.rig.preview.sliders import Control, Sliders
 from solver.rig.skin_basis import ReducedSkin
-from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.similarity import IDENTITY, Similarity, small_motion
 from tests.fixtures import small_capture, small_model
 
