@@ -15,7 +15,7 @@ from solver.jobs.templates import read_template
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
-from solver.rig.animation import check_video
+from solver.rig.frames.animation import check_video
 from solver.rig.rig import Rig
 from solver.scans.live_link import read_live_link
 from solver.scene.document import head_of

@@ -35,8 +35,8 @@ from solver.mechanics.linear import fastest
 from solver.meshio.registered import PLAUSIBLE
 from solver.model import SubjectModel
 from solver.progress import Step
-from solver.rig.animation_gltf import AnimatedSkin
-from solver.rig.frames import (
+from solver.rig.frames.animation_gltf import AnimatedSkin
+from solver.rig.frames.frames import (
     ChunkOptions,
     SequenceFrame,
     read_frames,

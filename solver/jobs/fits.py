@@ -25,8 +25,8 @@ from solver.mechanics.flesh import IDENTITY
 from solver.meshio.registered import RegisteredScan, read_registered
 from solver.model import SubjectModel
 from solver.progress import Progress, Step
-from solver.rig.certificate import certify, with_round_trips
 from solver.rig.exporters import write_rig
+from solver.rig.report.certificate import certify, with_round_trips
 from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
