@@ -9,9 +9,8 @@ import numpy as np
 from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
 from solver.animation.drives import RecordedDrives
 from solver.fitting.target_checks import check_held
-from solver.jobs import Task
+from solver.jobs import Task, read_template
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
-from solver.jobs.templates import read_template
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of

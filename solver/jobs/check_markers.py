@@ -14,8 +14,7 @@ from solver.fitting.expression_basis import LINEAR, ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.markers.reach import reach
 from solver.fitting.prior import GaussianPrior
-from solver.jobs import Task
-from solver.jobs.templates import read_template
+from solver.jobs import Task, read_template
 from solver.kinds.check_markers import CheckMarkers
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel

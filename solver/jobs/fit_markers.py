@@ -13,10 +13,10 @@ from solver.errors import Finding, InputError, make_warning
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, load_muscles, with_fibres
 from solver.fitting.contraction import Contraction
+from solver.fitting.controls import jaw_on_tracks
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
-from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import FilterOptions
 from solver.fitting.markers.observation import MarkerOptions, Markers
 from solver.fitting.markers.places import RefineOptions, refine_by_take
@@ -25,11 +25,10 @@ from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.strips import strip_names
 from solver.fitting.target_checks import check_held
-from solver.fitting.tracking.tracker import Tracker
-from solver.jobs import Task, hash_files
+from solver.fitting.tracking import Tracker
+from solver.jobs import Task, hash_files, read_template
 from solver.jobs.marker_frames import TakeDrawing, TakeFitter, marker_report, smooth_frames
 from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted, write_animated
-from solver.jobs.templates import read_template
 from solver.kinds.fit_markers import FitMarkers
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.jaw_tracks import JawTracks

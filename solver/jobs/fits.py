@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from solver.errors import Finding, InputError, SolveError, make_warning
-from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives import MuscleDrive, store
 from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.drives.six_numbers import SixNumbers
-from solver.fitting.drives.stored import store
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation

@@ -25,7 +25,7 @@ from solver.fitting.markers.observation import (
 )
 from solver.fitting.markers.smooth import SmoothFrame, TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior
-from solver.fitting.tracking.tracker import Tracker
+from solver.fitting.tracking import Tracker
 from solver.jobs.marker_verdict import judge_fit
 from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
 from solver.rig.frames.animation_gltf import AnimatedSkin

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from solver.fitting.geometry_information import InformationOptions, Linearisation, MuscleInformation
 from solver.fitting.target_checks import check_held
-from solver.jobs import Task
-from solver.jobs.templates import read_template
+from solver.jobs import Task, read_template
 from solver.kinds.next_scan import NextScan
 from solver.mechanics.linear import fastest
 from solver.progress import Step

@@ -19,10 +19,9 @@ import scipy.sparse as sp
 
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import Finding, InputError, make_warning, quote
-from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives import MuscleDrive, restore, store
 from solver.fitting.drives.admissible import ADMISSIBLE, Admissible, AdmissibleSet
 from solver.fitting.drives.six_numbers import SixNumbers
-from solver.fitting.drives.stored import restore, store
 from solver.fitting.face import Face
 from solver.fitting.stretches import fibre_tensors
 from solver.mechanics.newton import NewtonOptions

@@ -17,7 +17,7 @@ from solver.fitting.markers.reach import reach
 from solver.fitting.markers.robust import Prediction, RobustOptions, judge
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import MarkerPlaces
-from solver.fitting.tracking.tracker import Tracker
+from solver.fitting.tracking import Tracker
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.scans.markers.places.bind import model_face, place_on
 from solver.scans.markers.places.marker_set import Marker

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from solver.anatomy.warp import spread
+from solver.fitting.controls import jaw_on_tracks
 from solver.fitting.face import Face
-from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.shape_regression import ShapeRegression, outermost_teeth
 from solver.fitting.markers.term import HeadPrior, MarkerPlaces, MarkerTerm
 from solver.mechanics.jaw_tracks import JawTracks

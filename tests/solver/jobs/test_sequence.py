@@ -17,9 +17,9 @@ from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser
+from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints, stillness
 from solver.fitting.tracking.frame_solver import FrameSolver
-from solver.fitting.tracking.tracker import Tracker
 from solver.jobs import run_job
 from solver.mechanics.equilibrium import CorrectorOptions
 from solver.meshio.registered import RegisteredScan
