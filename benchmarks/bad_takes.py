@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from solver.errors import Finding
-from solver.scans.markers.take import Take
+from solver.scans.markers.readers.take import Take
 from solver.surface import Floats
 
 # A filling is told by the noise that it lacks. The real takes were filtered: they lack it all over.

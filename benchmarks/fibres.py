@@ -46,8 +46,8 @@ from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Target, distances
 from solver.fitting.strips import strip_names
+from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints
-from solver.fitting.tracking.tracker import Tracker
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.linear import fastest

@@ -11,7 +11,7 @@ from benchmarks.made_takes import Bench, MadeTake
 from solver.fitting import prior
 from solver.fitting.markers.observation import MarkerFit, Markers
 from solver.fitting.prior import GaussianPrior
-from solver.fitting.tracking.tracker import Tracker
+from solver.fitting.tracking import Tracker
 from solver.surface import Floats
 
 HELD_S = 1.0

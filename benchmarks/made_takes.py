@@ -23,9 +23,9 @@ from solver.fitting.markers.observation import MarkerFit, Markers, SeenMarkers
 from solver.fitting.markers.places import refine_by_take
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.prior import GaussianPrior
-from solver.fitting.tracking.tracker import Tracker
+from solver.fitting.tracking import Tracker
 from solver.model import SubjectModel
-from solver.scans.markers.marker_set import Marker
+from solver.scans.markers.places.marker_set import Marker
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats, Ints, unit_rows
 from solver.templates.ict_facekit import IctPerformance

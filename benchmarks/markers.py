@@ -31,16 +31,16 @@ from solver.anatomy.template import ShapeBasis
 from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
+from solver.fitting.controls import jaw_on_tracks
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
-from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import KnownControls
 from solver.fitting.markers.observation import Markers, SeenMarkers
 from solver.fitting.markers.places import refine_by_take
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.prior import GaussianPrior
+from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints
-from solver.fitting.tracking.tracker import Tracker
 from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
 from solver.meshio.registered import RegisteredScan
@@ -48,9 +48,9 @@ from solver.rig.preview import make_live_preview
 from solver.rig.preview.live import LiveTracker
 from solver.rig.rig import Rig
 from solver.scans.live_link import read_live_link
-from solver.scans.markers.bind import bind
-from solver.scans.markers.marker_set import BoundTake, MarkerSet
-from solver.scans.markers.take import read_take
+from solver.scans.markers.places.marker_set import BoundTake, MarkerSet
+from solver.scans.markers.prepare import bind
+from solver.scans.markers.readers.take import read_take
 from solver.similarity import IDENTITY
 from solver.surface import Floats
 from solver.templates.ict_facekit import FaceKit, drive, ict_neutral, read_facekit, shape_basis

@@ -19,7 +19,7 @@ from benchmarks.subjects import COARSE_EDGE_MM, Subject
 from solver.fitting.drives.admissible import limits_by_plausibility
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
-from solver.rig.certificate import muscles
+from solver.rig.report.certificate import muscles
 
 STEPS = (1.0, 0.8, 0.5, 0.0)
 QUICK_ROUNDS = 4

@@ -3,9 +3,9 @@
 Every shape of the template that is one action unit of FACS, at full strength on the rig's person,
 is fitted by activations and jaw with the rig's S. ``prime_mover_top3`` is the part of the shapes,
 among those whose muscles the template has, in which on each side one of these is among the three
-that contract most (:mod:`solver.rig.prime_movers`); ``contradicted`` the part in which a named
-muscle lengthens or an antagonist contracts more. Without ``--rig`` S is fitted to the subject's
-training scans first.
+that contract most (:mod:`solver.rig.report.prime_movers`); ``contradicted`` the part in which a
+named muscle lengthens or an antagonist contracts more. Without ``--rig`` S is fitted to the
+subject's training scans first.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from solver.animation.blendshapes import CORRECTED, expression_targets
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.model import SubjectModel
-from solver.rig.certificate import muscles
-from solver.rig.prime_movers import MoverOptions, movers, ranked
+from solver.rig.report.certificate import muscles
+from solver.rig.report.prime_movers import MoverOptions, movers, ranked
 from solver.rig.rig import Rig
 from solver.surface import Surface
 from solver.templates.builtin.build import builtin_template

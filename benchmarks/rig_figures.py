@@ -15,9 +15,9 @@ from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
-from solver.rig.certificate import Muscles, certify
-from solver.rig.checks import Judgement, expression_verdict, judge
-from solver.rig.prime_movers import ranked
+from solver.rig.report.certificate import Muscles, certify
+from solver.rig.report.checks import Judgement, expression_verdict, judge
+from solver.rig.report.prime_movers import ranked
 from solver.rig.round_trip import activation_error
 
 

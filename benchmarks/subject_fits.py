@@ -24,7 +24,7 @@ from solver.fitting.objective import Target, Term, distances
 from solver.fitting.per_tet import PerTetOptions
 from solver.jobs.fits import describe_fit
 from solver.meshio.registered import RegisteredScan
-from solver.rig.certificate import with_round_trips
+from solver.rig.report.certificate import with_round_trips
 from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Surface
 

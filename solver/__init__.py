@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from solver.fitting.fallback import fit as fit_expression  # noqa: F401
     from solver.fitting.objective import Target as Target
     from solver.fitting.sensitivity import Sensitivity as Sensitivity
+    from solver.fitting.tracking import Tracker as Tracker
     from solver.fitting.tracking.dense import DensePoints as DensePoints
-    from solver.fitting.tracking.tracker import Tracker as Tracker
     from solver.jobs import run_job as run_job
     from solver.mechanics.flesh import Material as Material
     from solver.mechanics.terms import PassiveTerm as PassiveTerm
@@ -57,7 +57,7 @@ _PLACES = {
     "SubjectModel": "solver.model:SubjectModel",
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",
-    "Tracker": "solver.fitting.tracking.tracker:Tracker",
+    "Tracker": "solver.fitting.tracking:Tracker",
     "check_term": "solver.mechanics.terms:check_term",
     "expression_terms": "solver.fitting.contact:terms",
     "fit_expression": "solver.fitting.fallback:fit",

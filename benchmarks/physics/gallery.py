@@ -15,7 +15,7 @@ from benchmarks.physics.headset import headset
 from benchmarks.physics.jobs import FOLDER
 from solver.jobs.scenes import play, skin_of
 from solver.kinds.scene import SimulateScene
-from solver.rig.animation import Filming, Shot, contact_sheet
+from solver.rig.frames.animation import Filming, Shot, contact_sheet
 from solver.scene.document import drives_of, read_scene
 from solver.scene.places import Places
 from solver.scene.stage import Stage

@@ -29,7 +29,7 @@ from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.jobs.scenes import finish, play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.progress import silent
-from solver.rig.motion import MotionRecord
+from solver.rig.frames.animation import MotionRecord
 from solver.rig.pictures import face_camera
 from solver.scans.live_link import LiveLinkTake
 from solver.scene.places import Places

@@ -11,8 +11,8 @@ from solver.fitting.activation import ActivationOptions, unseen_regulariser
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
 from solver.fitting.objective import SkinDistance, Target
+from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints
-from solver.fitting.tracking.tracker import Tracker
 from solver.meshio.registered import RegisteredScan
 from solver.templates.ict_facekit import IctPerformance
 

@@ -48,7 +48,7 @@ def demo(
     """Fit a face: the built-in one, or with --anatomy and --faces one of your folders."""
     from myoface.demo.session import Session
     from solver.cache import cache_directory
-    from solver.rig.gltf_check import validate_glb
+    from solver.rig.frames.read_back import validate_glb
 
     to_stdout = str(json_file) == "-"
     out.stderr = to_stdout  # standard output is then for the figures alone

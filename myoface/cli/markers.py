@@ -40,9 +40,9 @@ def bind(
     """
     from solver.model import SubjectModel
     from solver.rig.rig import Rig
-    from solver.scans.markers.bind import bind
-    from solver.scans.markers.face_take import frames_about
-    from solver.scans.markers.take import read_take
+    from solver.scans.markers.places.face_take import frames_about
+    from solver.scans.markers.prepare import bind
+    from solver.scans.markers.readers.take import read_take
 
     read = read_take(take)
     shown = None if expression is None else Rig.load(model).expression(expression)

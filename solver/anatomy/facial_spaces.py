@@ -2,7 +2,7 @@
 
 ``facial_spaces.csv`` in ``solver/anatomy/data`` has the spaces and the retaining ligaments that
 part them. Each lies within ``radius_mm`` of a path of landmarks, brought onto the bone
-(:mod:`solver.anatomy.landmark_paths`), or of the muscles that it is ``under``. Ligaments hold the
+(:mod:`solver.anatomy.data`), or of the muscles that it is ``under``. Ligaments hold the
 flesh, and so do in a space the ``origins`` of muscles on its floor.
 """
 
@@ -16,9 +16,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from solver.anatomy.bones import bone_normals
-from solver.anatomy.data import listed, read_table
+from solver.anatomy.data import SIDES, LandmarkPath, listed, missing_landmarks, read_table
 from solver.anatomy.embedding import at_nearest
-from solver.anatomy.landmark_paths import SIDES, LandmarkPath, missing_landmarks
 from solver.anatomy.muscle_weights import end_vertices
 from solver.anatomy.template import Muscle, Template
 from solver.model import name_words

@@ -23,9 +23,8 @@ from solver.errors import InputError, SolveError
 from solver.fitting import activation
 from solver.fitting.activation import UNSEEN_STOP, DescentOptions, unseen_regulariser
 from solver.fitting.contact import terms
-from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives import MuscleDrive, restore, store
 from solver.fitting.drives.six_numbers import LEAST_STRETCH, SixNumbers
-from solver.fitting.drives.stored import restore, store
 from solver.fitting.face import Face, Pose
 from solver.fitting.interior_point import Bounds, FeasibleSet
 from solver.fitting.objective import Target

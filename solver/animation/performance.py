@@ -51,7 +51,7 @@ class FittedSequence:
 
     ``frames`` (f,) are their numbers and ``times`` (f,) in s; ``fitted`` (f,) is false where there
     was no data to fit. ``activations`` (f, m, 6), or (f, m) of fibre muscles, ``jaw`` (f, 5) and
-    ``head`` (f, 6) are as in :class:`solver.rig.frames.SequenceFrame`.
+    ``head`` (f, 6) are as in :class:`solver.rig.frames.frames.SequenceFrame`.
     """
 
     asset: str

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solver.contact.barrier import Barrier
+from solver.contact.barrier import Barrier, ContactSurface
 from solver.contact.crossing import crossing_at, depth_inside
 from solver.contact.mouth import LIPS, LOWER_TEETH, UPPER_TEETH, Mouth
 from solver.contact.obstacles import Arch, Eyeball
 from solver.contact.one_sided import ONE_SIDED, OneSided, OneSidedOptions, free_depths
-from solver.contact.surface import ContactSurface
 from solver.mechanics.boundary import Potential, move_jaw
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, Surface, vertex_areas

@@ -1,7 +1,7 @@
 """Fat compartments of the face: where a person gains or loses when their weight changes.
 
 ``fat_compartments.csv`` in ``solver/anatomy/data`` places each by landmarks that the built-in
-template and that of ICT-FaceKit share: by a path (:mod:`solver.anatomy.landmark_paths`), brought
+template and that of ICT-FaceKit share: by a path (:mod:`solver.anatomy.data`), brought
 onto the face. Its share of a change is the mean change of the soft-tissue depths at its ``sites``
 (``depths_by_weight.csv``), over that of the compartment with the most. Nose, lips and lids are rows
 without sites: they have no compartment, and a share of 0.
@@ -17,9 +17,8 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from solver.anatomy import landmark_paths
-from solver.anatomy.data import read_table
-from solver.anatomy.landmark_paths import SIDES, LandmarkPath
+from solver.anatomy.data import SIDES, LandmarkPath, read_table
+from solver.anatomy.data import missing_landmarks as landmarks_missing
 from solver.model import SubjectModel
 from solver.surface import Floats, distance_to_path
 
@@ -67,7 +66,7 @@ def read_compartments() -> tuple[FatCompartment, ...]:
 
 def missing_landmarks(landmarks: Mapping[str, int]) -> list[str]:
     """Return what compartments are placed by that is not among ``landmarks``, without sides."""
-    return landmark_paths.missing_landmarks([each.path for each in read_compartments()], landmarks)
+    return landmarks_missing([each.path for each in read_compartments()], landmarks)
 
 
 def shares(*, gain: bool, sex: Sex | None = None) -> dict[str, float]:

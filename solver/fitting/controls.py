@@ -1,22 +1,24 @@
 """Controls of a fit: one vector q of named blocks, with rest, bounds and units.
 
-The first block drives the muscles (:mod:`solver.fitting.drives`), one or more move joints
-(:mod:`solver.fitting.joints`). A fit varies them all as one vector and finds its parts by name or
-by role.
+The first block drives the muscles (:mod:`solver.fitting.drives`), one or more move a
+:class:`Joint`. A fit varies them all as one vector and finds its parts by name or by role.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal, Protocol
 
 import numpy as np
 
-from solver.errors import InputError
+from solver.errors import InputError, SolveError
 from solver.fitting.interior_point import Bounds, FeasibleSet
 from solver.fitting.steps import StepModel, StepOptions, step_model
+from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw, JawMotion
+from solver.mechanics.jaw_tracks import TRACK_FREEDOM, JawTracks
+from solver.model import JawFrame
 from solver.surface import Floats, Ints
 
 # what a change of 1 rad counts as, in mm: the motion of a chin
@@ -199,3 +201,97 @@ class Layout:
     def _broadcast(self, values: Sequence[Floats | float]) -> Floats:
         pairs = zip(values, self.blocks, strict=True)
         return self.join([np.broadcast_to(value, block.rest.shape) for value, block in pairs])
+
+
+# What a caller hands to a face as a pose. Fits, which step within the bounds, pass by.
+
+
+class PoseError(InputError, SolveError):
+    """A pose has the wrong shape or is not finite: to a fit, a step that went too far."""
+
+
+def check_pose(a: Floats, b: Floats, layout: Layout, names: Sequence[str]) -> None:
+    """Raise :class:`PoseError` (``face.pose``) unless a and b are a ``layout``'s blocks, finite.
+
+    ``names`` are those of the muscles, if it is they that a drives.
+    """
+    joints = " and ".join(block.name for block in layout.joints)
+    muscles, units = layout.drive, layout.joint_units
+    for name, value, shape in ((muscles.name, a, muscles.rest.shape), (joints, b, units.shape)):
+        if np.shape(value) != shape:
+            message = f"the shape of a pose's {name} is {np.shape(value)}, not {shape}"
+            if value is b and np.shape(b) == (JAW_FREEDOM,):
+                message += ": face.pose_of(a, jaw) takes a jaw's five numbers"
+            raise PoseError("face.pose", message)
+    for j in np.flatnonzero(~np.isfinite(a.reshape(len(a), -1)).all(axis=1))[:1]:
+        name = names[j] if len(names) == len(a) else f"number {j}"
+        raise PoseError("face.pose", f"the activation of {name} is not finite: {a[j]}")
+    if not np.isfinite(b).all():
+        raise PoseError("face.pose", f"the jaw is not finite: {b}")
+    angles = b[units == ANGLE_UNIT]
+    if np.abs(angles).max(initial=0.0) > np.pi / 2.0:
+        turns = " and ".join(f"{angle:g}" for angle in angles)
+        message = f"the jaw turns by {turns} rad: degrees? (np.radians makes radians)"
+        raise PoseError("face.pose", message)
+
+
+# Joints of a face: bones that move by some of the controls.
+
+
+JAW_UNITS = np.array([ANGLE_UNIT, ANGLE_UNIT, 1.0, 1.0, 1.0])
+TURN_REACH = 0.1  # rad
+JAW_DAMPING = 1e-3  # weight of D^2
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A bone's ``motion`` by the numbers of a ``block``."""
+
+    motion: JawMotion
+    block: Block
+    is_free: bool  # the numbers are those that rigs hold, and the skin alone says where it is
+
+
+def free_jaw(frame: JawFrame) -> Joint:
+    """Return the jaw by b (5,): two angles, rad, and a translation, mm."""
+    return Joint(FreeJaw(frame), jaw_block(), is_free=True)
+
+
+def jaw_on_tracks(tracks: JawTracks) -> Joint:
+    """Return the jaw on its tracks by (3,): an angle, rad, and two slides, mm."""
+    units = np.array([ANGLE_UNIT, 1.0, 1.0])
+    block = Block(
+        "tracks",
+        np.zeros(TRACK_FREEDOM),
+        damping=units**2 * JAW_DAMPING,
+        reach=np.array([TURN_REACH, np.inf, np.inf]),
+        lower=tracks.lower,
+        upper=tracks.upper,
+        units=units,
+        usual=np.array([0.2, 3.0, 3.0]),
+        spread=Spread(*map(_on_tracks, (0.03, 0.06, 0.2), (0.5, 1.0, 3.0))),
+        role="joint",
+    )
+    return Joint(tracks, block, is_free=False)
+
+
+@cache
+def jaw_block() -> Block:
+    """Return the block of the free jaw."""
+    loose = np.array([0.2, 0.1, 3.0, 3.0, 3.0])
+    return Block(
+        "jaw",
+        np.zeros(JAW_FREEDOM),
+        damping=JAW_UNITS**2 * JAW_DAMPING,
+        reach=np.array([TURN_REACH, TURN_REACH, np.inf, np.inf, np.inf]),
+        units=JAW_UNITS,
+        usual=loose,
+        spread=Spread(
+            np.array([0.03, 0.03, 0.5, 0.5, 0.5]), np.array([0.06, 0.03, 1.0, 1.0, 1.0]), loose
+        ),
+        role="joint",
+    )
+
+
+def _on_tracks(angle: float, slide: float) -> Floats:
+    return np.array([angle, slide, slide])

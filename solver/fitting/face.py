@@ -13,11 +13,10 @@ import scipy.sparse as sp
 from solver.anatomy.bones import skull_planes
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
-from solver.fitting.checks import check_pose, check_weights
-from solver.fitting.controls import Layout
+from solver.fitting.controls import Joint, Layout, check_pose, free_jaw, jaw_block, jaw_on_tracks
 from solver.fitting.drives import MuscleDrive
 from solver.fitting.drives.six_numbers import SixNumbers, activation_block
-from solver.fitting.joints import Joint, free_jaw, jaw_block, jaw_on_tracks
+from solver.fitting.simplex import check_weights
 from solver.fitting.tet_forces import TetForces
 from solver.mechanics.boundary import JawMotion, five_numbers
 from solver.mechanics.equilibrium import (
@@ -169,7 +168,7 @@ class Face:
     def with_weights(self, S: sp.csr_array) -> Face:
         """Return this face with another muscle geometry ``S`` (n, m + 1).
 
-        Raises as :func:`~solver.fitting.checks.check_weights`.
+        Raises as :func:`~solver.fitting.simplex.check_weights`.
         """
         check_weights(S, self.model)
         return self._with(S=S)
@@ -261,7 +260,7 @@ class Face:
         """Find the equilibrium of a pose from ``x`` (p, 3), the mandible being put where b says.
 
         ``near`` is the Hessian of a state nearby, if there is one. Raises :class:`SolveError` if
-        it is not found within so many Newton steps, a :class:`~solver.fitting.checks.PoseError`
+        it is not found within so many Newton steps, a :class:`~solver.fitting.controls.PoseError`
         if the pose is not one of this face.
         """
         self._check(pose)

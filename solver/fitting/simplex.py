@@ -238,3 +238,48 @@ def _mirrored_tets(model: SubjectModel) -> Ints:
     mirrored = centres - 2.0 * np.outer((centres - model.jaw.origin) @ across, across)
     distance, nearest = cKDTree(centres).query(mirrored)
     return np.where(distance <= MIRROR_REACH_MM, nearest, -1)
+
+
+# What a caller hands to a face as S. It is checked where a face is made, once.
+
+# by which a row's sum and an entry's sign may be off: differences step off the simplex
+WEIGHTS_TOLERANCE = 1e-3
+
+
+def check_weights(S: sp.csr_array, model: SubjectModel) -> None:
+    """Raise :class:`InputError` (``face.weights``) unless S is a muscle geometry of ``model``.
+
+    Its entries are among the model's, which tells rows in another order from those of the model.
+    """
+    own = model.weights
+    if not (sp.issparse(S) and S.format == "csr"):
+        raise _weights(f"S is {type(S).__name__}, not a sparse matrix (scipy.sparse.csr_array)")
+    if S.shape != own.shape:
+        muscles = f"passive flesh and {model.muscle_count} muscles"
+        expected = f"{own.shape}: a row for each tet, columns for {muscles}"
+        raise _weights(f"S has the shape {S.shape}, not {expected}")
+    row = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
+    names = ("passive flesh", *model.muscle_names)
+    for wrong, fault in ((~np.isfinite(S.data), "not finite"), (S.data < 0.0, "negative")):
+        for k in np.flatnonzero(wrong & ~(np.abs(S.data) <= WEIGHTS_TOLERANCE))[:1]:
+            place = f"row {row[k]}, column {S.indices[k]} ({names[S.indices[k]]})"
+            message = f"S is {fault} in {place}: {S.data[k]}"
+            raise _weights(message, row=int(row[k]), column=int(S.indices[k]))
+    total = np.bincount(row, S.data, len(own.indptr) - 1)
+    for k in np.flatnonzero(np.abs(total - 1.0) > WEIGHTS_TOLERANCE)[:1]:
+        raise _weights(f"row {k} of S sums to {total[k]:.6g}, not to 1", row=int(k))
+    same = np.array_equal(S.indptr, own.indptr) and np.array_equal(S.indices, own.indices)
+    if not same:
+        own_row = np.repeat(np.arange(own.shape[0]), np.diff(own.indptr))
+        places = [each * own.shape[1] for each in (row, own_row)]
+        known = np.isin(places[0] + S.indices, places[1] + own.indices) | (S.data == 0.0)
+        for k in np.flatnonzero(~known)[:1]:
+            message = (
+                f"row {row[k]} of S has a share of {names[S.indices[k]]}, which has none there in "
+                "the model: are the rows in another order, or S another model's?"
+            )
+            raise _weights(message, row=int(row[k]), column=int(S.indices[k]))
+
+
+def _weights(message: str, **context: int) -> InputError:
+    return InputError("face.weights", message, **context)

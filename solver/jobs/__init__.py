@@ -11,11 +11,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from solver.errors import InputError, SolveError
 from solver.kinds import KINDS, JobOptions, Kind, OptionsError
 from solver.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from solver.anatomy.template import Template
 
 Given = TypeVar("Given", bound=JobOptions)
 
@@ -77,6 +80,16 @@ def run_job(
             raise
         message = f"{KINDS[kind].title.lower()}: what was given has no one solution ({error})"
         raise SolveError("solve.singular", message) from error
+
+
+def read_template(task: Task[Any]) -> Template:
+    """Return the template that a task gives, else the built-in one."""
+    # not loaded before: the command line asks for jobs' names alone
+    from solver.anatomy.template import Template
+    from solver.templates.builtin.build import builtin_template
+
+    given = task.inputs.get("template")
+    return builtin_template() if given is None else Template.load(given)
 
 
 class _Files(dict[str, Path]):

@@ -9,13 +9,12 @@ import numpy as np
 from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
 from solver.animation.drives import RecordedDrives
 from solver.fitting.target_checks import check_held
-from solver.jobs import Task
+from solver.jobs import Task, read_template
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
-from solver.jobs.templates import read_template
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
-from solver.rig.animation import check_video
+from solver.rig.frames.animation import check_video
 from solver.rig.rig import Rig
 from solver.scans.live_link import read_live_link
 from solver.scene.document import head_of

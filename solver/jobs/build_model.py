@@ -7,8 +7,7 @@ from pathlib import Path
 
 from solver.anatomy.build import build_subject_model, model_summary
 from solver.anatomy.meshing import find_or_make_mesh
-from solver.jobs import Task
-from solver.jobs.templates import read_template
+from solver.jobs import Task, read_template
 from solver.kinds.build_model import BuildModel
 from solver.meshio.registered import read_registered
 from solver.progress import Step, part_of

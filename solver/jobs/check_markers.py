@@ -14,21 +14,20 @@ from solver.fitting.expression_basis import LINEAR, ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.markers.reach import reach
 from solver.fitting.prior import GaussianPrior
-from solver.jobs import Task
-from solver.jobs.templates import read_template
+from solver.jobs import Task, read_template
 from solver.kinds.check_markers import CheckMarkers
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.progress import Step
 from solver.registration.locate import face_surface
 from solver.rig.rig import Rig
-from solver.scans.markers.bind import Reference, rest_places
-from solver.scans.markers.check import check_take
-from solver.scans.markers.face_take import frames_about
-from solver.scans.markers.findings import ADVICE, MarkerCheck, add
-from solver.scans.markers.marker_set import MarkerSet
-from solver.scans.markers.picture import check_picture
-from solver.scans.markers.take import read_take
+from solver.scans.markers.checks.check import check_take
+from solver.scans.markers.checks.findings import ADVICE, MarkerCheck, add
+from solver.scans.markers.checks.picture import check_picture
+from solver.scans.markers.places.bind import Reference, rest_places
+from solver.scans.markers.places.face_take import frames_about
+from solver.scans.markers.places.marker_set import MarkerSet
+from solver.scans.markers.readers.take import read_take
 from solver.storage import write_json
 
 

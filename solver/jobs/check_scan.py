@@ -6,8 +6,7 @@ import time
 from pathlib import Path
 
 from solver.errors import InputError, judge_findings, worst_first
-from solver.jobs import Task
-from solver.jobs.templates import read_template
+from solver.jobs import Task, read_template
 from solver.kinds.kind import FrameOptions
 from solver.progress import Step
 from solver.scans.check import check, check_picture

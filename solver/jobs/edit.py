@@ -13,7 +13,13 @@ from solver.jobs import Task
 from solver.jobs.scenes import read_person
 from solver.kinds.edit import Edit
 from solver.progress import Progress, Step
-from solver.rig.edit_report import Compared, EditedPerson, edit_picture, edit_report, write_edit
+from solver.rig.report.edit_report import (
+    Compared,
+    EditedPerson,
+    edit_picture,
+    edit_report,
+    write_edit,
+)
 from solver.rig.rig import ExpressionFit
 from solver.scene.stage import Physics, edit_of
 

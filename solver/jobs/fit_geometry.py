@@ -34,7 +34,7 @@ from solver.jobs.fits import (
 from solver.kinds.fit_geometry import FitGeometry
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, part_of
-from solver.rig.neutral_checks import check_neutral
+from solver.rig.report.neutral_checks import check_neutral
 from solver.rig.rig import Rig
 
 # of rounds whose mean grows

@@ -13,10 +13,10 @@ from solver.errors import Finding, InputError, make_warning
 from solver.fitting import prior
 from solver.fitting.calibration import fibre_muscles, load_muscles, with_fibres
 from solver.fitting.contraction import Contraction
+from solver.fitting.controls import jaw_on_tracks
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
-from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.filter import FilterOptions
 from solver.fitting.markers.observation import MarkerOptions, Markers
 from solver.fitting.markers.places import RefineOptions, refine_by_take
@@ -25,23 +25,22 @@ from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.strips import strip_names
 from solver.fitting.target_checks import check_held
-from solver.fitting.tracking.tracker import Tracker
-from solver.jobs import Task, hash_files
+from solver.fitting.tracking import Tracker
+from solver.jobs import Task, hash_files, read_template
 from solver.jobs.marker_frames import TakeDrawing, TakeFitter, marker_report, smooth_frames
 from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted, write_animated
-from solver.jobs.templates import read_template
 from solver.kinds.fit_markers import FitMarkers
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.mechanics.linear import fastest
 from solver.progress import Step
-from solver.rig.frames import sequence_report, write_sequence
-from solver.rig.marker_view import FILE as VIEW_FILE
+from solver.rig.frames.frames import sequence_report, write_sequence
+from solver.rig.frames.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
-from solver.scans.markers.face_take import count_tracks
-from solver.scans.markers.marker_set import BoundTake, MarkerSet
+from solver.scans.markers.places.face_take import count_tracks
+from solver.scans.markers.places.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.prepare import PreparedTake, PrepareOptions, prepare_take
-from solver.scans.markers.take import Take, read_take
+from solver.scans.markers.readers.take import Take, read_take
 
 
 @dataclass(frozen=True)

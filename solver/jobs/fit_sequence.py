@@ -15,9 +15,9 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face
 from solver.fitting.objective import Target
 from solver.fitting.target_checks import check_held
+from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DenseFit, DenseOptions, DensePoints, stillness
 from solver.fitting.tracking.frame_solver import TrackingOptions
-from solver.fitting.tracking.tracker import Tracker
 from solver.jobs import Task
 from solver.jobs.fits import Targets
 from solver.jobs.sequences import (
@@ -35,8 +35,8 @@ from solver.mechanics.linear import fastest
 from solver.meshio.registered import PLAUSIBLE
 from solver.model import SubjectModel
 from solver.progress import Step
-from solver.rig.animation_gltf import AnimatedSkin
-from solver.rig.frames import (
+from solver.rig.frames.animation_gltf import AnimatedSkin
+from solver.rig.frames.frames import (
     ChunkOptions,
     SequenceFrame,
     read_frames,

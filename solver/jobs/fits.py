@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from solver.errors import Finding, InputError, SolveError, make_warning
-from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives import MuscleDrive, store
 from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.drives.six_numbers import SixNumbers
-from solver.fitting.drives.stored import store
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
@@ -25,8 +24,8 @@ from solver.mechanics.flesh import IDENTITY
 from solver.meshio.registered import RegisteredScan, read_registered
 from solver.model import SubjectModel
 from solver.progress import Progress, Step
-from solver.rig.certificate import certify, with_round_trips
 from solver.rig.exporters import write_rig
+from solver.rig.report.certificate import certify, with_round_trips
 from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface, vertex_normals
 

@@ -25,14 +25,14 @@ from solver.fitting.markers.observation import (
 )
 from solver.fitting.markers.smooth import SmoothFrame, TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior
-from solver.fitting.tracking.tracker import Tracker
+from solver.fitting.tracking import Tracker
 from solver.jobs.marker_verdict import judge_fit
 from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
-from solver.rig.animation_gltf import AnimatedSkin
-from solver.rig.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
-from solver.rig.marker_view import MarkerView
-from solver.scans.markers.marker_set import BoundTake
-from solver.scans.markers.motion import rms_of_seen
+from solver.rig.frames.animation_gltf import AnimatedSkin
+from solver.rig.frames.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
+from solver.rig.frames.marker_view import MarkerView
+from solver.scans.markers.places.marker_set import BoundTake
+from solver.scans.markers.signal.motion import rms_of_seen
 from solver.similarity import Similarity, small_motion
 from solver.surface import Floats
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from solver.errors import Finding, Severity, advise, judge_findings, quote, quote_names, worst_first
 from solver.jobs.sequences import distance_figures
-from solver.scans.markers.faults import runs
-from solver.scans.markers.motion import rms_of_seen
-from solver.scans.markers.names import LOWER, read_names
+from solver.scans.markers.readers.names import LOWER, read_names
+from solver.scans.markers.signal.faults import runs
+from solver.scans.markers.signal.motion import rms_of_seen
 from solver.surface import Floats
 
 ADVICE = {

@@ -7,14 +7,13 @@ from pathlib import Path
 
 from solver.fitting.geometry_information import InformationOptions, Linearisation, MuscleInformation
 from solver.fitting.target_checks import check_held
-from solver.jobs import Task
-from solver.jobs.templates import read_template
+from solver.jobs import Task, read_template
 from solver.kinds.next_scan import NextScan
 from solver.mechanics.linear import fastest
 from solver.progress import Step
-from solver.rig.certificate import scan_information
 from solver.rig.next_scan import Library, library_targets, suggestion_figures, suggestion_words
-from solver.rig.report import information_figures
+from solver.rig.report.certificate import scan_information
+from solver.rig.report.report import information_figures
 from solver.rig.rig import Rig
 from solver.storage import write_json
 

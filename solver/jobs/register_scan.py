@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from solver.jobs import Task
-from solver.jobs.templates import read_template
+from solver.jobs import Task, read_template
 from solver.kinds.kind import FrameOptions
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered, write_registered

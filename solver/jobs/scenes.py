@@ -22,9 +22,15 @@ from solver.errors import SolveError
 from solver.jobs import Task, hash_files
 from solver.kinds.scene import FatEntry
 from solver.progress import Progress, Step, silent
-from solver.rig.animation import Filming, write_animation
-from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
-from solver.rig.motion import MotionRecord, motion_report, motion_values, read_motion
+from solver.rig.frames.animation import (
+    Filming,
+    MotionRecord,
+    motion_report,
+    motion_values,
+    read_motion,
+    write_animation,
+)
+from solver.rig.frames.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.rig import Rig
 from solver.scene.document import document_of
 from solver.scene.places import Places

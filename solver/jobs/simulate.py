@@ -11,7 +11,7 @@ from solver.jobs import Task
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.simulate import Simulate
 from solver.progress import part_of
-from solver.rig.animation import check_video
+from solver.rig.frames.animation import check_video
 from solver.scene.document import drives_of, moving_fibres, performances_of
 from solver.scene.stage import Stage
 

@@ -20,10 +20,9 @@ import scipy.sparse as sp
 
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import Finding, InputError, make_warning, quote
-from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives import MuscleDrive, restore, store
 from solver.fitting.drives.admissible import ADMISSIBLE, Admissible, AdmissibleSet
 from solver.fitting.drives.six_numbers import SixNumbers
-from solver.fitting.drives.stored import restore, store
 from solver.fitting.face import Face
 from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.stretches import fibre_tensors
@@ -89,7 +88,7 @@ class Rig:
     expressions: tuple[ExpressionFit, ...]
     seconds: dict[str, float] = field(default_factory=dict)  # of each phase of the job
     notices: tuple[Finding, ...] = ()  # what was odd about the model or the job as a whole
-    figures: dict[str, Any] | None = None  # of solver.rig.report; None before they are made
+    figures: dict[str, Any] | None = None  # of solver.rig.report.report; None before they are made
     drive: MuscleDrive = FREE_DRIVE  # that S was fitted with
 
     def face(self, linear: str | None = None, tolerance: float = NewtonOptions.tolerance) -> Face:

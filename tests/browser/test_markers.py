@@ -10,7 +10,7 @@ import httpx
 import numpy as np
 import pytest
 
-from solver.scans.markers.marker_set import MarkerSet
+from solver.scans.markers.places.marker_set import MarkerSet
 from solver.surface import Floats
 from tests.browser.rig_place import SECONDS, Place, drawing_browser, served_rigs, until
 from tests.service_client import Studio

@@ -50,7 +50,7 @@ class AdmissibleLimits:
 
     A muscle pulls, so that its fibres hardly lengthen; it makes force down to half its best length
     (Zajac 1989), where it is sqrt(2) times as thick, as it keeps its volume. The limits by which a
-    certificate judges any fit are wider (:class:`~solver.rig.certificate.MuscleLimits`).
+    certificate judges any fit are wider (:class:`~solver.rig.report.certificate.MuscleLimits`).
     """
 
     fibre: float = 1.05  # mean stretch along the fibres

@@ -36,8 +36,8 @@ from solver.fitting.markers.term import (
 from solver.fitting.objective import PartPrior, Prior, PriorSum, Regulariser
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.sensitivity import Jacobian
+from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.frame_solver import FrameSolver, TrackingOptions
-from solver.fitting.tracking.tracker import Tracker
 from solver.mechanics.equilibrium import CorrectorOptions
 from solver.similarity import Similarity
 from solver.surface import Floats
@@ -152,7 +152,7 @@ class _Response:
 
 
 class Markers:
-    """Labelled points ``seconds`` apart: an :class:`~solver.fitting.tracking.tracker.Observation`.
+    """Labelled points ``seconds`` apart: an :class:`~solver.fitting.tracking.Observation`.
 
     ``prior`` is that of any pose; one of a template's shapes tells the head, too, and the jaw on
     its tracks (:class:`~.shape_regression.ShapeRegression`). ``sigma`` (k,) are standard
@@ -196,7 +196,7 @@ class Markers:
         return self._contraction.sd(covariance[own, own])
 
     def begin(self, solver: FrameSolver) -> None:
-        """See :class:`~solver.fitting.tracking.tracker.Observation`."""
+        """See :class:`~solver.fitting.tracking.Observation`."""
         self.filter.begin()
         unseen = np.zeros((len(self.places), 3))
         solver.relinearise(MarkerTerm(self.places, unseen, unseen), unseen)
@@ -204,7 +204,7 @@ class Markers:
     def fit(
         self, seen: SeenMarkers, solver: FrameSolver, memory: MarkerMemory | None
     ) -> tuple[MarkerFit, MarkerMemory]:
-        """See :class:`~solver.fitting.tracking.tracker.Observation`."""
+        """See :class:`~solver.fitting.tracking.Observation`."""
         prior, head = self._before(seen.points, solver.state, memory)
         fit, left = self._fit(seen, solver, memory, prior, prior, head)
         if memory is not None:

@@ -21,11 +21,11 @@ from solver.fitting.least_squares import StopOptions
 from solver.fitting.markers.observation import MarkerOptions, Markers, SeenMarkers
 from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces
 from solver.fitting.prior import GaussianPrior
+from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.frame_solver import TrackingOptions
-from solver.fitting.tracking.tracker import Tracker
-from solver.scans.markers.bind import model_face, place_on
-from solver.scans.markers.marker_set import Marker
-from solver.scans.markers.motion import rms_of_seen
+from solver.scans.markers.places.bind import model_face, place_on
+from solver.scans.markers.places.marker_set import Marker
+from solver.scans.markers.signal.motion import rms_of_seen
 from solver.surface import Floats, unit_rows
 
 

@@ -20,7 +20,7 @@ from solver.fitting.information import Posterior, inverse_of_positive
 from solver.fitting.markers.term import MarkerPlaces, MarkerTerm
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.sensitivity import Sensitivity
-from solver.scans.markers.marker_set import Marker
+from solver.scans.markers.places.marker_set import Marker
 from solver.surface import Floats, Ints
 
 

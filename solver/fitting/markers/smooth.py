@@ -23,7 +23,7 @@ import scipy.linalg
 from solver.fitting.face import Pose
 from solver.fitting.markers.observation import Markers
 from solver.fitting.prior import GaussianPrior, kept_part
-from solver.fitting.tracking.tracker import Tracker
+from solver.fitting.tracking import Tracker
 from solver.similarity import Similarity
 from solver.surface import Floats
 

@@ -28,7 +28,7 @@ from solver.fitting.information import inverse_of_positive
 from solver.fitting.objective import GramCurvature
 from solver.fitting.sensitivity import Jacobian
 from solver.model import SubjectModel
-from solver.scans.markers.marker_set import BONY, Marker, places_over
+from solver.scans.markers.places.marker_set import BONY, Marker, places_over
 from solver.similarity import IDENTITY, Similarity, robust_motion, weighted_motion
 from solver.surface import Floats, skew
 

@@ -18,8 +18,8 @@ import numpy as np
 from solver.errors import InputError, SolveError
 from solver.fitting import activation, stretches
 from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
+from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Face, Pose, PosedFace
-from solver.fitting.joints import JAW_UNITS
 from solver.fitting.least_squares import DampingOptions, Listener
 from solver.fitting.objective import Term
 from solver.fitting.per_tet import tissue as tissues

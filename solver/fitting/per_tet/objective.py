@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver.fitting import stretches
+from solver.fitting.controls import JAW_UNITS
 from solver.fitting.face import Pose, PosedFace
-from solver.fitting.joints import JAW_UNITS
 from solver.fitting.objective import Term
 from solver.fitting.per_tet.saddle import Quadratic
 from solver.fitting.per_tet.tissue import Tissue

@@ -5,8 +5,13 @@ the Gauss-Newton Hessian of the objective (the curvature of the constraint is le
 papers).
 """
 
-from solver.fitting.reference.common import NotConvergedError, ReferenceSolution
-from solver.fitting.reference.expression import activations, forward, per_tet
+from solver.fitting.reference.expression import (
+    NotConvergedError,
+    ReferenceSolution,
+    activations,
+    forward,
+    per_tet,
+)
 from solver.fitting.reference.geometry import geometry
 
 __all__ = [

@@ -18,8 +18,7 @@ from solver.fitting.controls import Block, Layout
 from solver.fitting.face import Pose, PosedFace
 from solver.fitting.joint import GeometryProblem
 from solver.fitting.least_squares import Listener
-from solver.fitting.reference.common import IpoptProblem, Solution, solve
-from solver.fitting.reference.expression import ExpressionProblem
+from solver.fitting.reference.expression import ExpressionProblem, IpoptProblem, Solution, solve
 from solver.fitting.sensitivity import WeightRates
 from solver.fitting.simplex import replace_values
 from solver.surface import Floats, Ints

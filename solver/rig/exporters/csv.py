@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.rig.read_back import compare_activations
+from solver.rig.frames.read_back import compare_activations
 from solver.rig.rig import ENTRIES, Rig
 
 FILE = "activations.csv"

@@ -6,9 +6,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from solver.rig.gltf import DEFAULTS, ERROR_ATTRIBUTE, in_turn, worst_error, write_face
-from solver.rig.gltf import ShapeOptions as Options
-from solver.rig.read_back import compare_expressions, read_glb
+from solver.rig.frames.gltf import DEFAULTS, ERROR_ATTRIBUTE, in_turn, worst_error, write_face
+from solver.rig.frames.gltf import ShapeOptions as Options
+from solver.rig.frames.read_back import compare_expressions, read_glb
 from solver.rig.rig import Rig
 
 FILE = "rig.glb"

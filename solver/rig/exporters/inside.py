@@ -18,7 +18,7 @@ from solver.model import JawFrame, SubjectModel
 from solver.rig.container import read_container, write_container
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
-from solver.rig.read_back import NEUTRAL, compare_expressions
+from solver.rig.frames.read_back import NEUTRAL, compare_expressions
 from solver.rig.rig import Rig
 from solver.storage import Arrays
 from solver.surface import Floats, Surface

@@ -30,13 +30,12 @@ from solver.drawing.head import skin_parts
 from solver.errors import InputError
 from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
 from solver.model import SubjectModel
-from solver.rig.animation_gltf import SEQUENCE_SHAPES, AnimatedSkin
-from solver.rig.frames import MarkerFrame
-from solver.rig.gltf import DEFAULTS, MATERIALS, worst_error
-from solver.rig.gltf import ShapeOptions as Options
-from solver.rig.read_back import compare_expressions
+from solver.rig.frames.animation_gltf import SEQUENCE_SHAPES, AnimatedSkin
+from solver.rig.frames.frames import MarkerFrame
+from solver.rig.frames.gltf import DEFAULTS, MATERIALS, worst_error
+from solver.rig.frames.gltf import ShapeOptions as Options
+from solver.rig.frames.read_back import MorphedSkin, compare_expressions
 from solver.rig.rig import Rig
-from solver.rig.usd_check import read_usd
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.surface import Floats, Surface, vertex_normals
 
@@ -268,3 +267,41 @@ def _numbers(values: np.ndarray) -> Any:
 
 def _extent(points: Floats) -> Any:
     return _vectors(np.stack([points.min(axis=0), points.max(axis=0)]))
+
+
+# Reading of a face's USD file, by the library's own skeletons and blend shapes.
+
+
+def read_usd(path: Path) -> MorphedSkin:
+    """Read a USD file as this product writes them; times are time codes."""
+    stage, cache = Usd.Stage.Open(str(path)), UsdSkel.Cache()
+    face = stage.GetDefaultPrim()
+    cache.Populate(UsdSkel.Root(face), Usd.PrimDefaultPredicate)
+    place = face.GetPath().AppendChild("Skin")
+    binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(place))
+    neutral = np.array(UsdGeom.Mesh(stage.GetPrimAtPath(place)).GetPointsAttr().Get())
+    names = [str(name) for name in binding.GetBlendShapesAttr().Get() or []]
+    query = UsdSkel.BlendShapeQuery(binding)
+    shapes = np.zeros((len(names), neutral.size), np.float32)
+    for number, row in enumerate(shapes):
+        shape = query.GetBlendShape(number)
+        moving = np.array(shape.GetPointIndicesAttr().Get(), np.int64)
+        row.reshape(-1, 3)[moving] = np.array(shape.GetOffsetsAttr().Get()).reshape(-1, 3)
+
+    def motion(times: Floats) -> tuple[Floats, Floats, Floats]:
+        # queries live no longer than stage and cache, which this function keeps
+        skinning = cache.GetSkinningQuery(stage.GetPrimAtPath(place))
+        skeleton = cache.GetSkelQuery(binding.GetInheritedSkeleton())
+        poses, mapper = skeleton.GetAnimQuery(), skinning.GetBlendShapeMapper()
+        weights = np.zeros((len(times), len(names)))
+        turns, shifts = np.empty((len(times), 3, 3)), np.empty((len(times), 3))
+        for row, time in enumerate(times.tolist()):
+            if names:
+                weights[row] = mapper.Remap(poses.ComputeBlendShapeWeights(time))
+            joints = skeleton.ComputeSkinningTransforms(time)
+            # of USD's row vectors
+            placed = np.array(skinning.ComputeSkinnedTransform(joints, time))
+            turns[row], shifts[row] = placed[:3, :3].T, placed[3, :3]
+        return weights, turns, shifts
+
+    return MorphedSkin(neutral, names, shapes, motion)

@@ -20,7 +20,7 @@ from solver.fitting.contraction import STILL
 from solver.rig.container import read_container, write_container
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
-from solver.rig.read_back import NEUTRAL, compare_expressions
+from solver.rig.frames.read_back import NEUTRAL, compare_expressions
 from solver.rig.rig import Rig
 
 FILE = "view.bin"

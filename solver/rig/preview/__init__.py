@@ -17,6 +17,14 @@ from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.model import SubjectModel
 from solver.rig.container import read_container, write_container
+from solver.rig.frames.read_back import Comparison
+from solver.rig.frames.skin_basis import (
+    ReducedSkin,
+    ReductionOptions,
+    modes_of,
+    quadratic_map,
+    reduce_skin,
+)
 from solver.rig.pictures import face_camera
 from solver.rig.preview.poses import (
     Responses,
@@ -31,15 +39,7 @@ from solver.rig.preview.poses import (
     shape_poses_to_measure,
 )
 from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of, controls_of_shapes
-from solver.rig.read_back import Comparison
 from solver.rig.rig import ExpressionFit
-from solver.rig.skin_basis import (
-    ReducedSkin,
-    ReductionOptions,
-    modes_of,
-    quadratic_map,
-    reduce_skin,
-)
 from solver.surface import Floats, Ints
 
 

@@ -20,9 +20,9 @@ from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces, Ma
 from solver.fitting.prior import GaussianPrior
 from solver.mechanics.boundary import jaw_jacobian, move_jaw
 from solver.model import SubjectModel
+from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
-from solver.rig.skin_basis import ReducedSkin
-from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.similarity import Similarity
 from solver.surface import Floats
 

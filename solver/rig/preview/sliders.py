@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.fitting.contraction import Contraction
+from solver.fitting.controls import JAW_UNITS
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
-from solver.fitting.joints import JAW_UNITS
 from solver.fitting.stretches import shorten
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.rig import ExpressionFit

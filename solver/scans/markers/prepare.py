@@ -5,19 +5,44 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from solver.errors import Finding, make_warning
+import numpy as np
+
+from solver.errors import Finding, InputError, make_warning
 from solver.model import SubjectModel
-from solver.scans.markers.actor import carry, off_places
-from solver.scans.markers.bind import bind, model_face
-from solver.scans.markers.face_take import FACE, frames_about, living_labels
-from solver.scans.markers.faults import find_faults
-from solver.scans.markers.findings import LIMITS
-from solver.scans.markers.marker_set import BoundTake, MarkerSet
-from solver.scans.markers.motion import Motion, still_seconds
-from solver.scans.markers.moved import split_moved
-from solver.scans.markers.shape import is_motionless, refuse_flat
-from solver.scans.markers.take import Take
-from solver.surface import Surface
+from solver.scans.markers.checks.findings import LIMITS, MarkerCheck
+from solver.scans.markers.checks.rest_findings import report_mouth, report_off_skin, report_rest
+from solver.scans.markers.places.actor import carry, off_places
+from solver.scans.markers.places.bind import (
+    BIND,
+    BindOptions,
+    Expression,
+    Reference,
+    model_face,
+    place_on,
+    place_take,
+    places_of,
+)
+from solver.scans.markers.places.face_take import (
+    FACE,
+    FaceOptions,
+    choose_face,
+    frames_about,
+    living_labels,
+    locate_take,
+)
+from solver.scans.markers.places.locate import Located
+from solver.scans.markers.places.marker_set import BoundTake, Marker, MarkerSet, span_label
+from solver.scans.markers.readers.take import Take
+from solver.scans.markers.signal.faults import Faults, find_faults
+from solver.scans.markers.signal.motion import (
+    Motion,
+    is_motionless,
+    median_of_seen,
+    refuse_flat,
+    still_seconds,
+)
+from solver.similarity import robust_motion_of_seen
+from solver.surface import Floats, Surface
 
 
 @dataclass(frozen=True)
@@ -100,3 +125,132 @@ def _other_person(
     )
     figures = {"frames": [first, last], "found": round(off_mm, 2), "expected": LIMITS.person}
     return [make_warning("markers.other_person", message, figures)]
+
+
+# Markers that moved within a take: a label and a place of its own for each span. One that fell off
+# and was glued on beside its place is another marker from then on. How far it went is what its
+# residuals (``signal/motion.py``) differ by before and after.
+
+
+@dataclass(frozen=True)
+class SplitOptions:
+    """Settings of the motion of a take's middle face onto a set's places."""
+
+    least: int = 4  # markers that give it
+    slack_mm: float = 3.0  # off by more: little weight
+    steps: int = 12
+
+
+def split_moved(
+    take: Take,
+    markers: MarkerSet,
+    faults: Faults,
+    skin: Surface,
+    options: SplitOptions = SplitOptions(),
+) -> tuple[Take, MarkerSet]:
+    """Give each marker that moved a label and a place of its own from then on, as ``LBRO1@312``.
+
+    ``faults`` are of all labels of the take. The place in the set is of the span that lies nearer.
+    Places of markers that moved in other takes are left out.
+    """
+    markers = markers.for_take(take.labels)
+    if not faults.moved:
+        return take, markers
+    goal = places_of(take.labels, markers, skin)
+    in_person = _in_person(faults.motion, markers, goal, options)
+    labels, columns, now = list(take.labels), list(range(len(take.labels))), list(markers.markers)
+    positions = take.positions.copy()
+    for column, span in faults.moved.items():
+        if in_person is None or np.isnan(goal[column, 0]):
+            continue
+        first, row = span.first, markers.labels.index(labels[column])
+        places, residuals = in_person[0][:, column], in_person[1][:, column]
+        away = [median_of_seen(part) - goal[column] for part in (places[:first], places[first:])]
+        step = median_of_seen(residuals[first:]) - median_of_seen(residuals[:first])
+        is_of_first = np.linalg.norm(away[0]) <= np.linalg.norm(away[1])
+        before = goal[column] if is_of_first else goal[column] - step
+        label = span_label(labels[column], take.numbers[first])
+        now.append(replace(_move_to(now[row], before + step, skin), label=label))
+        now[row] = _move_to(now[row], before, skin)
+        labels.append(label)
+        columns.append(column)
+        positions = np.concatenate([positions, positions[:, [column]]], axis=1)
+        positions[:first, -1] = np.nan
+        positions[first:, column] = np.nan
+    split = replace(take.pick(columns), labels=tuple(labels), positions=positions)
+    return split, replace(markers, markers=tuple(now))
+
+
+def _in_person(
+    motion: Motion, markers: MarkerSet, goal: Floats, options: SplitOptions
+) -> tuple[Floats, Floats] | None:
+    """Return places and residuals (f, k, 3) along the person's axes, by its places (k, 3) at rest.
+
+    None if too few markers have a place.
+    """
+    turn = markers.session.rotation.T  # it mirrors if the take's axes are left-handed
+    middle = motion.middle @ turn
+    least, slack = options.least, options.slack_mm
+    to_person = robust_motion_of_seen(middle, goal, slack, options.steps, least)
+    if to_person is None:
+        return None
+    return to_person(motion.places @ turn), to_person.turn(motion.residuals @ turn)
+
+
+def _move_to(marker: Marker, place: Floats, skin: Surface) -> Marker:
+    """Return a marker at another place: of the skin, or on its bone."""
+    if marker.part == "face":
+        return place_on(marker, place, skin)
+    x, y, z = place.tolist()
+    return replace(marker, place_mm=(x, y, z))
+
+
+# A marker set by the places of a take's markers.
+
+
+@dataclass(frozen=True)
+class Binding:
+    """A marker set for a take, and where the take's face lies."""
+
+    markers: MarkerSet
+    pose: Located
+    neutral: tuple[int, int]  # first and last row of the take at rest
+    findings: tuple[Finding, ...] = ()  # what to look at before the set is used
+
+
+def bind(
+    take: Take,
+    model: SubjectModel,
+    neutral: tuple[int, int] | None = None,
+    options: BindOptions = BIND,
+    *,
+    expression: Expression | None = None,
+    actor: bool = False,
+) -> Binding:
+    """Return where the markers of a take sit on ``model``, at rest in the ``neutral`` rows.
+
+    Without these a still second is taken, to which the face comes back most, or in which the
+    markers lie most like the face. With an ``expression`` the face shows that instead. An ``actor``
+    is another person: see :func:`place_take`. Raises :class:`InputError`: ``markers.few``, not
+    enough of them are seen in these frames, ``markers.flat`` or ``markers.too_large``.
+    """
+    reference, face = Reference.of(model, expression=expression), choose_face(take, options.face)
+    if len(face.numbers) < options.face.least:
+        raise _few_error(take.file, len(face.numbers), "on the face", options.face)
+    located = locate_take(face, reference.face, neutral, options.face, compared=not actor)
+    if located.pose is None:
+        seen = int(np.isfinite(located.points[:, 0]).sum())
+        raise _few_error(take.file, seen, "seen at rest", options.face)
+    refuse_flat(take.file, located.points)
+    markers = place_take(located, located.pose, reference, options, actor=actor)
+    bound, check = reference.bind(markers, located.pose.session), MarkerCheck()
+    report_rest(check, located, is_given=neutral is not None)
+    report_off_skin(check, located, bound)
+    if expression is None:
+        report_mouth(check, located, None)
+    return Binding(bound, located.pose, located.neutral, tuple(check.findings))
+
+
+def _few_error(file: str, found: int, where: str, options: FaceOptions) -> InputError:
+    message = f"{file}: {found} markers are {where}, {options.least} are needed"
+    return InputError("markers.few", message, file=file, found=found)

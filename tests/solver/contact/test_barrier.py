@@ -9,16 +9,17 @@ import scipy.sparse as sp
 import trimesh
 
 from solver.anatomy.contact_regions import LOWER, UPPER
-from solver.contact.barrier import Barrier, BarrierOptions
-from solver.contact.crossing import crossing
-from solver.contact.mouth import LIPS, Mouth, area_weighted_normals
-from solver.contact.surface import (
+from solver.contact.barrier import (
+    Barrier,
+    BarrierOptions,
     ContactSurface,
     SurfaceOptions,
     collision_mesh,
     crossing_vertices,
     part_lips,
 )
+from solver.contact.crossing import crossing
+from solver.contact.mouth import LIPS, Mouth, area_weighted_normals
 from solver.errors import InputError
 from solver.mechanics.boundary import Boundary, BoundaryRates
 from solver.scene.objects import check_objects

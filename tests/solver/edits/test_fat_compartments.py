@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from solver.anatomy.data import read_table
-from solver.anatomy.landmark_paths import SIDES
+from solver.anatomy.data import SIDES, read_table
 from solver.edits.fat_compartments import fat_map, missing_landmarks, read_compartments, shares
 from solver.scene.places import Places
 from solver.surface import directed_edges

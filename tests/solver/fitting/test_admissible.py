@@ -9,15 +9,14 @@ from scipy.optimize import NonlinearConstraint, minimize
 from solver.errors import InputError, SolveError
 from solver.fitting import activation, fallback, geometry
 from solver.fitting.activation import ActivationOptions
-from solver.fitting.controls import Layout
+from solver.fitting.controls import Layout, jaw_block
 from solver.fitting.drives.admissible import Admissible, AdmissibleLimits, AdmissibleSet
 from solver.fitting.drives.six_numbers import activation_block
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.interior_point import interior_step
-from solver.fitting.joints import jaw_block
-from solver.fitting.linearised_step import linearised_step
 from solver.fitting.objective import Regulariser, SkinDistance, Target
+from solver.fitting.steps import linearised_step
 from solver.fitting.stretches import determinants, fibre_tensors, matrices
 from solver.mechanics.flesh import IDENTITY
 from tests.solver.block import block_model, poses

@@ -11,8 +11,8 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.least_squares import bounded_step
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints
-from solver.fitting.tracking.tracker import Tracker
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.meshio.registered import RegisteredScan
 from tests.solver.simulation.test_fibres import fibred_block

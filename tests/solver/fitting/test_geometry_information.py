@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from solver.fitting.controls import jaw_on_tracks
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry_information import (
     InformationOptions,
@@ -12,7 +13,6 @@ from solver.fitting.geometry_information import (
     rank,
     step_towards,
 )
-from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.simplex import replace_values
 from solver.mechanics.jaw_tracks import JawTracks

@@ -11,7 +11,7 @@ from solver.fitting.markers.term import HeadPrior, MarkerPlaces, MarkerTerm
 from solver.fitting.objective import GramCurvature, SumTerm
 from solver.fitting.sensitivity import Sensitivity
 from solver.mechanics.boundary import move_jaw
-from solver.scans.markers.marker_set import Marker
+from solver.scans.markers.places.marker_set import Marker
 from solver.similarity import Similarity, small_motion
 from tests.solver.block import head_block, poses
 

@@ -17,10 +17,10 @@ from solver.fitting.markers.reach import reach
 from solver.fitting.markers.robust import Prediction, RobustOptions, judge
 from solver.fitting.markers.smooth import TracedFrame, smooth
 from solver.fitting.markers.term import MarkerPlaces
-from solver.fitting.tracking.tracker import Tracker
+from solver.fitting.tracking import Tracker
 from solver.mechanics.flesh import MOONEY_RIVLIN
-from solver.scans.markers.bind import model_face, place_on
-from solver.scans.markers.marker_set import Marker
+from solver.scans.markers.places.bind import model_face, place_on
+from solver.scans.markers.places.marker_set import Marker
 from solver.similarity import small_motion
 from tests.fixtures import small_capture, small_model
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from solver.fitting import prior
+from solver.fitting.controls import jaw_on_tracks
 from solver.fitting.expression_basis import LINEAR, ExpressionBasis
 from solver.fitting.face import Face
-from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.objective import PartPrior, PriorSum, Regulariser
 from solver.mechanics.jaw_tracks import JawTracks
 from tests.fixtures import small_capture, small_model

@@ -7,8 +7,8 @@ from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
+from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DenseOptions, DensePoints
-from solver.fitting.tracking.tracker import Tracker
 from solver.meshio.registered import RegisteredScan
 from tests.solver.block import block_model
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from solver.anatomy.warp import spread
+from solver.fitting.controls import jaw_on_tracks
 from solver.fitting.face import Face
-from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.markers.shape_regression import ShapeRegression, outermost_teeth
 from solver.fitting.markers.term import HeadPrior, MarkerPlaces, MarkerTerm
 from solver.mechanics.jaw_tracks import JawTracks
-from solver.scans.markers.marker_set import Marker
+from solver.scans.markers.places.marker_set import Marker
 from solver.similarity import small_motion
 from tests.fixtures import small_capture, small_model
 

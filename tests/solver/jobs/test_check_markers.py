@@ -14,8 +14,8 @@ from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.jobs import run_job
 from solver.rig.rig import ExpressionFit, Rig
-from solver.scans.markers.bind import Reference, rest_places
-from solver.scans.markers.marker_set import Marker, MarkerSet
+from solver.scans.markers.places.bind import Reference, rest_places
+from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.similarity import IDENTITY
 from tests.fixtures import small_capture, small_model
 from tests.solver.scans.markers.made_take import LABELS, made_positions, made_take, on_skin

@@ -15,7 +15,7 @@ from solver.errors import InputError
 from solver.fitting.face import Face, Pose
 from solver.jobs import run_job
 from solver.progress import Step
-from solver.rig.gltf_check import validate_glb
+from solver.rig.frames.read_back import validate_glb
 from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import head_block
 

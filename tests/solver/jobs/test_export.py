@@ -12,7 +12,7 @@ import pytest
 from solver.errors import InputError
 from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.gltf_check import validate_glb
+from solver.rig.frames.read_back import validate_glb
 from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import head_block
 

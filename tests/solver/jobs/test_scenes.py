@@ -19,8 +19,7 @@ from solver.fitting.face import Face, Pose
 from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
-from solver.rig.gltf_check import validate_glb
-from solver.rig.read_back import LIMIT_MM
+from solver.rig.frames.read_back import LIMIT_MM, validate_glb
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.live_link import ARKIT_NAMES
 from tests.solver.block import head_block

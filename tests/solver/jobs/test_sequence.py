@@ -17,16 +17,16 @@ from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser
+from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints, stillness
 from solver.fitting.tracking.frame_solver import FrameSolver
-from solver.fitting.tracking.tracker import Tracker
 from solver.jobs import run_job
 from solver.mechanics.equilibrium import CorrectorOptions
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step
-from solver.rig.frames import ChunkOptions, read_frames
-from solver.rig.growing_basis import SEQUENCE_BASIS
-from solver.rig.read_back import LIMIT_MM
+from solver.rig.frames.frames import ChunkOptions, read_frames
+from solver.rig.frames.read_back import LIMIT_MM
+from solver.rig.frames.skin_basis import SEQUENCE_BASIS
 from solver.rig.rig import Rig
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model

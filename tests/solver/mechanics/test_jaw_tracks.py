@@ -7,8 +7,8 @@ import pytest
 
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
+from solver.fitting.controls import jaw_on_tracks
 from solver.fitting.face import Face, Pose
-from solver.fitting.joints import jaw_on_tracks
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.flesh import IDENTITY

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from solver.contact.barrier import Barrier
+from solver.contact.barrier import Barrier, ContactSurface
 from solver.contact.obstacles import Eyeball
 from solver.contact.one_sided import OneSided
-from solver.contact.surface import ContactSurface
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.mechanics.boundary import Boundary, BoundaryRates, move_jaw_back

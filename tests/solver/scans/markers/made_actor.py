@@ -8,7 +8,7 @@ import numpy as np
 
 from solver.model import SubjectModel
 from solver.registration.search import nose_tip
-from solver.scans.markers.bind import model_face
+from solver.scans.markers.places.bind import model_face
 from solver.surface import Floats
 from tests.fixtures import small_model
 

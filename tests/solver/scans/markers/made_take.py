@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from solver.registration.search import nose_tip
-from solver.scans.markers.bind import model_face
-from solver.scans.markers.names import read_names
-from solver.scans.markers.take import Take
+from solver.scans.markers.places.bind import model_face
+from solver.scans.markers.readers.names import read_names
+from solver.scans.markers.readers.take import Take
 from solver.surface import Floats, vertex_normals
 from tests.fixtures import small_capture, small_model
 

@@ -1,0 +1,174 @@
+"""Figures that the checks of a rig judge: one of an expression by each code.
+
+:mod:`solver.rig.report.checks` has their limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from solver.contact.crossing import Crossing
+from solver.model import SubjectModel
+from solver.rig.report.certificate import SYMMETRY, ExpressionCheck, FleshCheck
+from solver.rig.report.prime_movers import MoverOptions, Said
+from solver.rig.rig import ExpressionFit, Rig
+from solver.rig.round_trip import RoundTrip
+from solver.surface import Floats, Ints
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A check's figure for one expression, with ``detail`` in words where there is more to say.
+
+    ``worst`` is the worst of the ``muscles`` that a check of muscles finds fault with.
+    """
+
+    value: float
+    detail: str = ""
+    worst: Said | None = None
+    muscles: tuple[str, ...] = ()
+
+
+def measured_regions(model: SubjectModel, fit: ExpressionFit) -> dict[str, tuple[Ints, Floats]]:
+    """Return the face's regions of which the scan shows something: vertices and errors in mm."""
+    on_face = {name: np.intersect1d(ids, model.face) for name, ids in model.regions.items()}
+    found = {name: (ids, fit.measured_error(ids)) for name, ids in on_face.items()}
+    return {name: (ids, seen) for name, (ids, seen) in found.items() if len(seen)}
+
+
+def measures(rig: Rig, fit: ExpressionFit, check: ExpressionCheck) -> dict[str, Measure]:
+    """Return code -> figure of one expression."""
+    notices = (*rig.warnings, *fit.notices)
+    return {
+        **_skin(rig.model, fit),
+        **_flesh(fit, check.flesh),
+        **_muscles_and_jaw(rig.model, check),
+        **_contact(check.crossing, check.scan_crossing),
+        **_trip(fit.round_trip),
+        **_solve(fit),
+        "solver.warnings": Measure(len(notices), "; ".join(each.message for each in notices)),
+    }
+
+
+def _skin(model: SubjectModel, fit: ExpressionFit) -> dict[str, Measure]:
+    error = fit.measured_error(model.face)
+    found = {
+        "skin.mean": Measure(error.mean()),
+        "skin.p95": Measure(np.percentile(error, 95)),
+        "skin.coverage": Measure(100.0 * len(error) / len(model.face)),
+    }
+    means = {name: seen.mean() for name, (_, seen) in measured_regions(model, fit).items()}
+    if means:
+        worst = max(means, key=lambda name: means[name])
+        found["skin.region"] = Measure(means[worst], worst.replace("_", " "))
+    return found
+
+
+def _flesh(fit: ExpressionFit, flesh: FleshCheck | None) -> dict[str, Measure]:
+    found = {"flesh.inverted": Measure(fit.inverted)}
+    if flesh is not None:
+        found |= {
+            "flesh.flattest": Measure(flesh.det_least, f"tet {flesh.flattest}"),
+            "flesh.volume": Measure(abs(flesh.volume_percent), f"{flesh.volume_percent:+.2f} %"),
+            "flesh.residual": Measure(flesh.residual),
+            "flesh.minimum": Measure(0 if flesh.minimum else 1),
+        }
+    return found
+
+
+def _muscles_and_jaw(model: SubjectModel, check: ExpressionCheck) -> dict[str, Measure]:
+    names, movers = model.muscle_names, check.movers
+    faults = [said for j, name in enumerate(names) if (said := check.muscles.said(name, j))]
+    inside_out = tuple(names[muscle] for muscle in check.muscles.inside_out)
+    worst = Said(inside_out[0], "is turned inside out", np.inf) if inside_out else None
+    jaw = check.jaw.faults()
+    found = {
+        "muscles.inside_out": Measure(len(inside_out), ", ".join(inside_out), worst, inside_out),
+        "muscles.beyond": _count(faults),
+        "muscles.movers": _count([[each] for each in movers.contradictions()]),
+        "muscles.idle": _count([[each] for each in movers.idle()]),
+        "jaw.range": Measure(len(jaw), ", ".join(jaw)),
+    }
+    if _is_symmetric(check):
+        found["muscles.sides"] = _sides(movers.uneven(), uneven_sides(check))
+    return found
+
+
+def _is_symmetric(check: ExpressionCheck) -> bool:
+    return check.asymmetry_mm is not None and check.asymmetry_mm <= SYMMETRY.most_mm
+
+
+def uneven_sides(check: ExpressionCheck, most: float = MoverOptions.uneven) -> list[Said]:
+    """Return the muscles that contract more than the other side's, where the scan is symmetric."""
+    uneven = check.movers.uneven() if _is_symmetric(check) else []
+    return [each for each in uneven if each.amount > most]
+
+
+def _count(found: Sequence[Sequence[Said]]) -> Measure:
+    """Return how many muscles something is said about; each entry has all of one muscle."""
+    words = [", ".join([str(said[0]), *(each.words for each in said[1:])]) for said in found]
+    every = [each for said in found for each in said]
+    worst = max(every, key=lambda each: each.amount, default=None)
+    muscles = tuple(dict.fromkeys(each.muscle for each in every))
+    return Measure(len(found), "; ".join(words), worst, muscles)
+
+
+def _sides(uneven: Sequence[Said], beyond: Sequence[Said]) -> Measure:
+    """Return the greatest difference of both sides, in percent, and what is beyond the limit."""
+    if not uneven:
+        return Measure(0.0)
+    words = "; ".join(map(str, beyond or uneven[:1]))
+    return Measure(
+        100.0 * uneven[0].amount, words, uneven[0], tuple(each.muscle for each in beyond)
+    )
+
+
+def _contact(fitted: Crossing | None, scan: Crossing | None) -> dict[str, Measure]:
+    """Return code -> depth; the detail is the depth in the scan."""
+    scanned = _depths(scan)
+    return {
+        code: Measure(depth, f"{scanned[code]:.2f} mm in the scan" if code in scanned else "")
+        for code, depth in _depths(fitted).items()
+    }
+
+
+def _depths(found: Crossing | None) -> dict[str, float]:
+    if found is None:
+        return {}
+    depths: dict[str, list[float | None]] = {
+        "contact.lips": [found.lips],
+        "contact.teeth": [found.upper_teeth, found.lower_teeth],
+        "contact.bite": [found.bite],
+    }
+    known = {code: [each for each in some if each is not None] for code, some in depths.items()}
+    return {code: max(each) for code, each in known.items() if each}
+
+
+def _trip(trip: RoundTrip | None) -> dict[str, Measure]:
+    if trip is None:
+        return {}
+    if not trip.is_reached:
+        return {"trip.skin": Measure(trip.skin_mean_mm, "the pose cannot be reached from rest")}
+    failed = "" if np.isfinite(trip.refit_mean_mm) else "the new fit did not come to rest"
+    found = {
+        "trip.skin": Measure(trip.skin_mean_mm),
+        "trip.snap": Measure(trip.skin_max_mm),
+        "trip.refit": Measure(trip.refit_mean_mm, failed),
+    }
+    if np.isfinite(trip.activation_error):
+        found["trip.activations"] = Measure(100.0 * trip.activation_error)
+    return found
+
+
+def _solve(fit: ExpressionFit) -> dict[str, Measure]:
+    """Return how the solve went, unless the rig is from before that was kept."""
+    if fit.status == "unknown":
+        return {}
+    how = f"after {fit.iterations} steps by {fit.solver}"
+    return {
+        f"solver.{end}": Measure(1, how) if fit.status == end else Measure(0)
+        for end in ("failed", "stopped")
+    }

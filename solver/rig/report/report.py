@@ -1,0 +1,367 @@
+"""The certificate's figures, ``report.json`` (docs/reference/rig-format.md), and their words."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+from solver.contact.crossing import Crossing
+from solver.errors import Verdict
+from solver.fitting.geometry_information import MuscleInformation
+from solver.model import SubjectModel, weights_hash
+from solver.rig.report.certificate import (
+    Certificate,
+    ExpressionCheck,
+    FleshCheck,
+    JawFigures,
+    Muscles,
+)
+from solver.rig.report.checks import (
+    Judgement,
+    expression_verdict,
+    judge,
+    limits_of,
+    overall,
+    ready,
+    use,
+)
+from solver.rig.report.measures import measured_regions, uneven_sides
+from solver.rig.report.prime_movers import ActionCheck
+from solver.rig.rig import ExpressionFit, Rig
+from solver.rig.round_trip import RoundTrip
+from solver.surface import Floats
+
+PACKAGES = ("myoface", "numpy", "scipy", "numba")
+CONTACTS = {
+    "lips_mm": "lips in each other",
+    "upper_teeth_mm": "lips in upper teeth",
+    "lower_teeth_mm": "lips in lower teeth",
+    "bite_mm": "teeth in teeth",
+}
+
+
+def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
+    """Return the figures of a rig as plain JSON values; distances in mm, times in seconds.
+
+    Means are over the part of ``model.face`` that the scan shows (``coverage``), ``train_mean_mm``
+    and ``test_mean_mm`` are the means of the expressions' means (None without any). ``inverted`` is
+    the sum over the expressions.
+    """
+    model, found = rig.model, certificate.information
+    judgements = judge(rig, certificate)
+    noticed: list[Verdict] = ["usable"] if rig.warnings else []
+    verdict = overall([*(judgement.verdict for judgement in judgements), *noticed])
+    expressions = {
+        fit.name: _expression(model, fit, certificate.expressions[fit.name], judgements)
+        for fit in rig.expressions
+    }
+    return {
+        "verdict": verdict,
+        "use": use(judgements, list(expressions)),
+        "ready": ready(judgements, list(expressions)),
+        "limits": [asdict(limit) for limit in limits_of(judgements)],
+        "checks": [_judgement(judgement, certificate.settings) for judgement in judgements],
+        "expressions": expressions,
+        "information": found and information_figures(model, found),
+        "warnings": [notice.as_dict() for notice in rig.warnings],
+        "train_mean_mm": _role_mean(rig, "train"),
+        "test_mean_mm": _role_mean(rig, "test"),
+        "inverted": sum(fit.inverted for fit in rig.expressions),
+        "tets": len(model.tets),
+        "vertices": len(model.rest),
+        "muscles": model.muscle_count,
+        "seconds": {phase: round(seconds, 3) for phase, seconds in rig.seconds.items()},
+        "settings": certificate.settings,
+        "made_with": {
+            "template": model.anatomy,
+            "model_sha256": model.sha256,
+            "weights_sha256": weights_hash(rig.weights),
+            "versions": {name: _version(name) for name in PACKAGES},
+        },
+    }
+
+
+def _judgement(judgement: Judgement, settings: dict[str, Any]) -> dict[str, Any]:
+    check, limits = judgement.check, judgement.check.limits
+    worst = judgement.measures[judgement.worst]
+    return {
+        "code": check.code,
+        "group": check.group,
+        "title": check.title,
+        "verdict": judgement.verdict,
+        "value": float(f"{worst.value:.4g}") if math.isfinite(worst.value) else None,
+        "unit": limits.unit,
+        "good": limits.good,
+        "usable": None if math.isinf(limits.usable) else limits.usable,
+        "least": limits.least,
+        "worst": judgement.worst,
+        "detail": worst.detail,
+        "says": str(worst.worst or worst.detail),
+        "failed": [name for name in judgement.measures if judgement.of(name) != "good"],
+        "meaning": check.meaning,
+        "advice": check.advise(settings),
+    }
+
+
+def _expression(
+    model: SubjectModel, fit: ExpressionFit, check: ExpressionCheck, judgements: list[Judgement]
+) -> dict[str, Any]:
+    error = fit.measured_error(model.face)
+    regions = measured_regions(model, fit)
+    mine = [judgement for judgement in judgements if fit.name in judgement.measures]
+    flesh, trip = check.flesh, fit.round_trip
+    return {
+        "role": fit.role,
+        "verdict": expression_verdict(judgements, fit.name),
+        "failed": [each.check.code for each in mine if each.of(fit.name) != "good"],
+        "coverage": _round(len(error) / len(model.face)),
+        **_distances(error),
+        "inverted": fit.inverted,
+        "solver": fit.solver,
+        "status": fit.status,
+        "warnings": [notice.as_dict() for notice in fit.notices],
+        "iterations": fit.iterations,
+        "seconds": round(fit.seconds, 3),
+        "jaw": [round(float(value), 6) for value in fit.jaw],
+        "regions": {name: _round(seen.mean()) for name, (_, seen) in regions.items()},
+        "by_region": {
+            name: {"coverage": _round(len(seen) / len(ids)), **_distances(seen)}
+            for name, (ids, seen) in regions.items()
+        },
+        "flesh": flesh and {**_plain_fields(flesh), "residual": float(f"{flesh.residual:.3e}")},
+        "crossing": _crossing(check.crossing),
+        "scan_crossing": _crossing(check.scan_crossing),
+        "jaw_motion": {**_plain_fields(check.jaw), "faults": check.jaw.faults()},
+        "muscles": _muscles(model, check.muscles),
+        "movers": _movers(check),
+        "asymmetry_mm": None if check.asymmetry_mm is None else _round(check.asymmetry_mm),
+        "round_trip": trip and {"reached": trip.is_reached, **_plain_fields(trip)},
+    }
+
+
+def _distances(error: Floats) -> dict[str, float | None]:
+    return {
+        "mean_mm": _round(error.mean()),
+        "p95_mm": _round(np.percentile(error, 95)),
+        "max_mm": _round(error.max()),
+    }
+
+
+def _crossing(found: Crossing | None) -> dict[str, float | None] | None:
+    if found is None:
+        return None
+    depths = {name.removesuffix("_mm"): name for name in CONTACTS}
+    return {key: _plain(getattr(found, name)) for name, key in depths.items()}
+
+
+def _muscles(model: SubjectModel, found: Muscles) -> dict[str, dict[str, Any]]:
+    columns = ("fibres", "shortest", "longest", "volume", "flesh_mm3")
+    return {
+        name: {column: _round(getattr(found, column)[number]) for column in columns}
+        | {"whole": model.muscle_groups[number], "faults": found.faults(number)}
+        for number, name in enumerate(model.muscle_names)
+    }
+
+
+def _movers(check: ExpressionCheck) -> dict[str, Any]:
+    found = check.movers
+    return {
+        "contractions": [
+            {"muscle": name, "contraction": _round(each)}
+            for name, each in found.contractions.items()
+        ],
+        "actions": [_action(check) for check in found.actions],
+        "contradictions": [str(each) for each in found.contradictions()],
+        "uneven": [str(each) for each in uneven_sides(check)],
+    }
+
+
+def _action(check: ActionCheck) -> dict[str, Any]:
+    lists = ("muscles", "missing", "ahead", "idle", "lengthened", "opposed")
+    return {
+        "unit": check.action.unit.code,
+        "name": check.action.unit.name,
+        "side": check.action.side,
+        "rank": check.rank,
+        "prime": check.is_prime if check.is_judged else None,
+        **{name: list(getattr(check, name)) for name in lists},
+    }
+
+
+def information_figures(model: SubjectModel, found: MuscleInformation) -> dict[str, Any]:
+    """Return each muscle's information, and the pairs that the scans confuse, as JSON values."""
+    names = model.muscle_names
+    return {
+        "scans": found.scans,
+        "muscles": {name: _round(found.information[j]) for j, name in enumerate(names)},
+        "confused": [
+            {"muscles": [names[i], names[j]], "correlation": _round(correlation)}
+            for i, j, correlation in found.confused
+        ],
+    }
+
+
+def known_information(rig: Rig) -> MuscleInformation | None:
+    """Return the information of :func:`information_figures` that a rig's report has, if any."""
+    found = (rig.figures or {}).get("information")
+    if not found:
+        return None
+    number = rig.model.muscle_names.index
+    pairs = [(*pair["muscles"], pair["correlation"]) for pair in found["confused"]]
+    confused = tuple((number(one), number(other), value) for one, other, value in pairs)
+    each = np.array([found["muscles"][name] for name in rig.model.muscle_names])
+    return MuscleInformation(each, confused, found["scans"])
+
+
+def _role_mean(rig: Rig, role: str) -> float | None:
+    face = rig.model.face
+    means = [fit.measured_error(face).mean() for fit in rig.expressions if fit.role == role]
+    return _round(np.mean(means)) if means else None
+
+
+def _plain(value: Any) -> Any:
+    return _round(value) if isinstance(value, float) else value
+
+
+def _plain_fields(found: FleshCheck | JawFigures | RoundTrip) -> dict[str, Any]:
+    return {name: _plain(value) for name, value in asdict(found).items()}
+
+
+def _round(value: float | np.floating) -> float | None:
+    """Return a figure with four decimals; None for what is not finite."""
+    return round(float(value), 4) if math.isfinite(value) else None
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+# Figures in words.
+
+SOLVERS = {"reduced": "Reduced solver,", "ipopt": "IPOPT,"}
+ENDINGS = {"converged": "converged", "stopped": "out of steps", "failed": "broke down"}
+JAW_WAYS = (  # figure of its motion, words where it is positive and negative, what follows it
+    ("opening_deg", ("opens", "closes"), "°,"),
+    ("opening_mm", ("down", "up"), " mm at the {point},"),
+    ("sideways_mm", ("left", "right"), " mm; condyles"),
+    ("condyles_forward_mm", ("forward", "back"), " mm,"),
+    ("condyles_down_mm", ("down", "up"), " mm"),
+)
+
+
+def figure(value: float | None, decimals: int | None = None) -> str:
+    """Return a figure in words, with three digits or so many decimals; None is ``not known``."""
+    if value is None:
+        return "not known"
+    if decimals is not None:
+        return f"{value:,.{decimals}f}"
+    if value != 0.0 and abs(value) < 1e-3:
+        return f"{value:.0e}".replace("e-0", "e-")
+    return f"{value:,.3g}"
+
+
+def millimetres(found: dict[str, Any]) -> list[str]:
+    """Return mean, 95 % and greatest distance in words."""
+    return [f"{found[name]:.2f}" for name in ("mean_mm", "p95_mm", "max_mm")]
+
+
+def expression_words(found: dict[str, Any]) -> dict[str, str]:
+    """Return what is known of an expression, heading -> text."""
+    jaw = found["jaw_motion"]
+    motion = " ".join(
+        f"{words[jaw[name] < 0]} {abs(jaw[name]):.1f}{unit.format(**jaw)}"
+        for name, words, unit in JAW_WAYS
+    )
+    if jaw["faults"]:
+        motion += f". Not anatomical: {', '.join(jaw['faults'])}"
+    mean, p95, most = millimetres(found)
+    return {
+        "Skin": f"mean {mean} mm, 95 % below {p95} mm, greatest {most} mm; "
+        f"{100 * found['coverage']:.0f} % of the face seen",
+        "Flesh": _flesh_words(found["flesh"], found["inverted"]),
+        "Jaw": motion,
+        "Contact": _contact_words(found["crossing"], found["scan_crossing"]),
+        "Round trip": _trip_words(found["round_trip"]),
+        "Solver": f"{SOLVERS[found['solver']]} {ENDINGS.get(found['status'], 'ending not known')}; "
+        f"{found['iterations']} steps, {found['seconds']:.1f} s",
+    }
+
+
+def _flesh_words(flesh: dict[str, Any] | None, inverted: int) -> str:
+    if flesh is None:
+        return f"{inverted} inverted tets; more is not known, the rig is from an older version"
+    return (
+        f"{inverted} inverted tets; volume {flesh['volume_percent']:+.2f} %; tets between "
+        f"{figure(flesh['det_least'])} and {figure(flesh['det_most'])} of their volume; residual "
+        f"force {flesh['residual']:.0e}, {'stable' if flesh['minimum'] else 'unstable'}"
+    )
+
+
+def _contact_words(fit: dict[str, Any] | None, scan: dict[str, Any] | None) -> str:
+    if fit is None:
+        return "not known, the model names no lips"
+    parts = []
+    for name, words in CONTACTS.items():
+        if fit[name] is not None:
+            scanned = "" if scan is None else f" ({scan[name]:.1f} in the scan)"
+            parts.append(f"{words} {fit[name]:.1f} mm{scanned}")
+    return "; ".join(parts)
+
+
+def _trip_words(trip: dict[str, Any] | None) -> str:
+    if trip is None:
+        return "not tried"
+    if not trip["reached"]:
+        return "the pose cannot be reached from rest"
+    words = (
+        f"simulated from rest: mean {figure(trip['skin_mean_mm'], 3)} mm, greatest "
+        f"{figure(trip['skin_max_mm'], 3)} mm away; fitted again: mean "
+        f"{figure(trip['refit_mean_mm'], 3)} mm"
+    )
+    if (error := trip["activation_error"]) is not None:
+        words += f", activations of the excited muscles within {100 * error:.1f} %"
+    return words
+
+
+def mover_words(actions: list[dict[str, Any]]) -> str:
+    """Return which action units an expression's name speaks for, and which are not judged."""
+    words = "Who contracts most, by compartment: shortening of the fibres."
+    if not actions:
+        return f"{words} The expression's name speaks for no action unit that it is compared with."
+    judged = {each["unit"] for each in actions if each["muscles"]}
+    named = {each["unit"]: each["name"] for each in actions}
+    words += f" By its name: {', '.join(f'{unit} {name}' for unit, name in named.items())}."
+    words += " No. is the place on its side of the face."
+    for unit in (unit for unit in named if unit not in judged):
+        [lacking, *_] = [each["missing"] for each in actions if each["unit"] == unit]
+        reason = f"the anatomy has no {' or '.join(lacking)}" if lacking else "no muscle makes it"
+        words += f" {unit} is not judged: {reason}."
+    return words
+
+
+def mover_notes(actions: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
+    """Return muscle -> which units it makes, and what contradicts them, in words."""
+    muscles = [m for each in actions for m in (*each["muscles"], *each["opposed"])]
+
+    def units(name: str, key: str) -> str:
+        return ", ".join(dict.fromkeys(each["unit"] for each in actions if name in each[key]))
+
+    places = {
+        each["muscles"][0]: f" (no. {each['rank']})" for each in actions if each["rank"] is not None
+    }
+    notes = {}
+    for name in dict.fromkeys(muscles):
+        makes, lengthens = units(name, "muscles"), units(name, "lengthened")
+        against, idle = units(name, "opposed"), units(name, "idle")
+        faults = [f"lengthens in {lengthens}"] if lengthens else []
+        faults += [f"holds still in {idle}"] if idle else []
+        faults += [f"works against {against}"] if against else []
+        notes[name] = (f"makes {makes}{places.get(name, '')}" if makes else "", "; ".join(faults))
+    return notes

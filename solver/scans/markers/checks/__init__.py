@@ -1,0 +1,1 @@
+"""The check of a take of markers, its findings and its picture."""

@@ -1,0 +1,324 @@
+"""The check of a take of markers: whether it is usable, and which label is wrong, when and how.
+
+A bad take is no exception but a verdict. Findings (``findings.py``) name the label, the frames and
+what to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from solver.errors import Finding, InputError, Severity, quote, quote_names
+from solver.scans.markers.checks.findings import (
+    ACTOR_ADVICE,
+    ADVICE,
+    LIMITS,
+    CheckLimits,
+    MarkerCheck,
+    add,
+    count_words,
+    label_rows,
+    report_exchanged,
+    report_faults,
+    report_location,
+    report_unlabelled,
+)
+from solver.scans.markers.checks.rest_findings import report_mouth, report_off_skin, report_rest
+from solver.scans.markers.places.actor import ActorWarp, fit_warp
+from solver.scans.markers.places.bind import Reference, place_take
+from solver.scans.markers.places.face_take import (
+    FACE,
+    USUAL_RATE,
+    FaceTake,
+    LocatedTake,
+    choose_face,
+    locate_take,
+)
+from solver.scans.markers.places.marker_set import BONY, MarkerSet
+from solver.scans.markers.readers.names import LOWER
+from solver.scans.markers.readers.take import Take
+from solver.scans.markers.signal.motion import is_motionless, refuse_flat, rms_of_seen
+from solver.similarity import robust_motion
+from solver.surface import Floats, Ints
+
+
+def check_take(
+    take: Take,
+    reference: Reference,
+    neutral: tuple[int, int] | None = None,
+    *,
+    actor: bool = False,
+    limits: CheckLimits = LIMITS,
+) -> MarkerCheck:
+    """Check a take, at rest in the ``neutral`` rows; an ``actor`` is meant to be another person."""
+    check = MarkerCheck([each for each in take.findings if each.code != "markers.two_faces"])
+    _check_rate(check, take, limits)
+    try:
+        face = choose_face(take)
+    except InputError as error:
+        add(check, error.code, "error", error.message, **error.context)
+        return check
+    take = face.take
+    check.figures |= {
+        "frames": len(take),
+        "first": take.first,
+        "rate": None if np.isnan(take.rate) else take.rate,
+        "labels": len(take.labels),
+        "markers": len(face.numbers),
+        "unlabelled": len(take.unlabelled_names),
+    }
+    _check_face(check, face)
+    if _are_few(check, take, len(face.numbers)):
+        return check
+    compared = bool(reference.model_sha256) and not actor
+    located = locate_take(face, reference.face, neutral, compared=compared)
+    check.located = located
+    if located.distinct < len(face.numbers) and _are_few(check, take, located.distinct):
+        return check
+    report_faults(check, located, limits)
+    report_unlabelled(check, located, limits)
+    first, last = located.neutral
+    check.figures["neutral"] = [take.numbers[first], take.numbers[last]]
+    report_rest(check, located, is_given=neutral is not None, limits=limits)
+    check.labels = label_rows(located)
+    if located.pose is None:
+        message = f"Frames {take.numbers[first]} to {take.numbers[last]} show too few markers."
+        add(check, "markers.neutral", "warning", message)
+        return check
+    try:
+        refuse_flat(take.file, located.points)
+    except InputError as error:
+        add(check, error.code, "error", error.message, **error.context)
+        return check
+    if is_motionless(located.faults.motion):
+        message = "No marker moves against the others: the take shows one pose."
+        add(check, "markers.motionless", "info", message)
+    report_location(check, located, located.pose)
+    if reference.model_sha256:
+        markers = place_take(located, located.pose, reference, actor=actor)
+        check.bound = reference.bind(markers, located.pose.session)
+        _check_person(check, located, reference, actor=actor, limits=limits)
+        if not any(each.code == "markers.other_person" for each in check.findings):
+            report_off_skin(check, located, check.bound)
+    _check_mouth(check, located, reference, limits)
+    return check
+
+
+# The file: rate, unit, whose markers these are.
+
+
+def _check_rate(check: MarkerCheck, take: Take, limits: CheckLimits) -> None:
+    if take.rate > 0:
+        if take.rate < limits.slow:
+            message = f"{take.rate:g} frames a second are few: what is sudden cannot be seen."
+            add(check, "markers.rate", "warning", message, found=take.rate)
+    elif not any(found.code == "markers.rate" for found in take.findings):
+        message = f"{take.file} has no frame rate; {USUAL_RATE:g} a second are assumed."
+        add(check, "markers.rate", "warning", message, expected=USUAL_RATE)
+
+
+def _check_face(check: MarkerCheck, face: FaceTake) -> None:
+    """Add which labels are on another face, on no face, or never seen."""
+
+    def names(numbers: Ints) -> list[str]:
+        return quote_names([face.take.labels[number] for number in numbers.tolist()])
+
+    if len(face.another):
+        ours, theirs = len(face.numbers), len(face.another)
+        message = f"{face.take.file} shows two faces, of {ours} and {theirs} markers."
+        figures = {"first": quote_names(face.labels), "second": names(face.another)}
+        add(check, "markers.two_faces", "error", message, **figures)
+    elif len(face.outside):
+        message = f"{count_words(len(face.outside), 'label is', 'labels are')} not on the face."
+        add(check, "markers.outside", "info", message, labels=names(face.outside))
+    if len(face.dead):
+        dead, number = names(face.dead), count_words(len(face.dead), "label is", "labels are")
+        add(
+            check,
+            "markers.dead",
+            "info",
+            f"{number} never seen: {', '.join(dead[:4])}.",
+            labels=dead,
+        )
+
+
+def _are_few(check: MarkerCheck, take: Take, count: int) -> bool:
+    """Tell whether the check ends here: too few markers, two faces, or points in no known unit."""
+    if count < FACE.least:
+        seen = count_words(count, "marker", "markers")
+        message = f"{take.file} has {seen} of a face; {FACE.least} are needed."
+        add(check, "markers.few", "error", message, found=count, expected=FACE.least)
+    stops = "markers.few", "markers.unit"
+    return any(each.code in stops and each.severity == "error" for each in check.findings)
+
+
+# Where the face is, and whose.
+
+
+def _check_person(
+    check: MarkerCheck,
+    located: LocatedTake,
+    reference: Reference,
+    *,
+    actor: bool,
+    limits: CheckLimits,
+) -> None:
+    """Check that the markers at rest fit the person: the skin, or the places of a marker set."""
+    assert located.pose is not None
+    names = located.face.names
+    is_lower = np.array([each is not None and each.region in LOWER for each in names], bool)
+    off = located.pose.off_skin
+    if reference.markers is not None:
+        off = _off_places(check, located, reference, reference.markers, limits, actor=actor)
+    others, jaw, all_ = rms_of_seen(off[~is_lower]), rms_of_seen(off[is_lower]), rms_of_seen(off)
+    check.figures["off_person_mm"] = round(all_, 2)
+    if others <= limits.person and jaw > limits.open_mouth:
+        first, last = check.figures["neutral"]
+        message = (
+            f"In frames {first} to {last}, taken for rest, the mouth is open: markers of the jaw "
+            f"are {jaw:.1f} mm off, the others {others:.1f} mm."
+        )
+        severity: Severity = "error" if jaw > limits.wide_open else "warning"
+        add(check, "markers.neutral", severity, message, found=round(jaw, 1))
+    elif actor:
+        _check_actor(check, located, reference)
+    elif max(others, all_) > limits.person:
+        message = (
+            f"At rest the markers of {located.face.take.file} are {all_:.1f} mm off this person."
+        )
+        severity = "warning" if _may_be_actor(located, reference) else "error"
+        figures = {"found": round(all_, 2), "expected": limits.person}
+        add(check, "markers.other_person", severity, message, **figures)
+
+
+def _check_actor(check: MarkerCheck, located: LocatedTake, reference: Reference) -> None:
+    """Add how the markers are carried to the person, or why the fit will refuse to."""
+    markers = reference.markers or check.bound
+    assert markers is not None, "bound before"
+    try:
+        warp = _warp_to(located, reference, markers)
+    except InputError as error:
+        advice = ACTOR_ADVICE.get(error.code, ADVICE.get(error.code, ""))
+        check.findings.append(Finding(error.code, "error", error.message, advice, error.context))
+        return
+    scale, missed, left = warp.similarity.scale, rms_of_seen(warp.missed), rms_of_seen(warp.left)
+    message = (
+        f"The fit carries the motion to this person, at {scale:.2f} times the actor's size: the "
+        f"markers at rest are {missed:.1f} mm off by that, {left:.1f} mm by the warp."
+    )
+    figures = {"scale": round(scale, 4), "missed_mm": round(missed, 2), "left_mm": round(left, 2)}
+    add(check, "markers.actor", "info", message, **figures)
+
+
+def _may_be_actor(located: LocatedTake, reference: Reference) -> bool:
+    """Tell whether the markers could be carried to the person as another actor's."""
+    pose, markers = located.pose, reference.markers
+    assert pose is not None
+    if markers is None:
+        if pose.similar is None:
+            return False  # the labels do not name their places
+        placed = place_take(located, pose, reference, actor=True)
+        markers = reference.bind(placed, pose.session)
+    try:
+        _warp_to(located, reference, markers)
+    except InputError:
+        return False
+    return True
+
+
+def _warp_to(located: LocatedTake, reference: Reference, markers: MarkerSet) -> ActorWarp:
+    """Return the way of the markers at rest to a set's places, as the fit of an actor goes."""
+    face, session = located.face, markers.session
+    bony = {each.label for each in markers.markers if each.part in BONY}
+    on_bone = np.array([label in bony for label in face.labels], bool)
+    goal = _places_of(face.labels, reference, markers)
+    rest = session.scale * located.points
+    return fit_warp(face.take.file, rest, goal, on_bone, session.rotation)
+
+
+def _check_mouth(
+    check: MarkerCheck, located: LocatedTake, reference: Reference, limits: CheckLimits
+) -> None:
+    """Check that the mouth is closed at rest, if nothing was found odd with that yet."""
+    if any(each.code == "markers.neutral" for each in check.findings):
+        return
+    if reference.markers is not None:
+        labels = located.face.labels
+        report_mouth(check, located, _places_of(labels, reference, reference.markers), limits)
+    elif reference.jaw is None:  # names tell of closed lips
+        report_mouth(check, located, None, limits)
+
+
+def _places_of(labels: Sequence[str], reference: Reference, markers: MarkerSet) -> Floats:
+    """Return the places (n, 3) of labels in a set on the face, NaN for those not in it."""
+    row = {label: number for number, label in enumerate(markers.labels)}
+    places = np.vstack([reference.places(markers), np.full(3, np.nan)])
+    return np.asarray(places[[row.get(label, -1) for label in labels]])
+
+
+def _off_places(
+    check: MarkerCheck,
+    located: LocatedTake,
+    reference: Reference,
+    markers: MarkerSet,
+    limits: CheckLimits,
+    *,
+    actor: bool,
+) -> Floats:
+    """Return how far (n,) labels are from their places in a marker set; reports the odd ones.
+
+    None is odd of an ``actor``, who has another face.
+    """
+    placed, labels = located.places, located.face.labels
+    assert placed is not None
+    goal = _places_of(labels, reference, markers)
+    known = np.flatnonzero(np.isfinite(goal[:, 0]) & np.isfinite(placed[:, 0]))
+    off = np.full(len(labels), np.nan)
+    _check_labels(check, markers, labels, len(known), limits)
+    if len(known) < FACE.least:
+        return off
+    there = goal[known]
+    motion = robust_motion(placed[known], there, np.ones(len(known)), 3.0, 12)
+    apart = np.linalg.norm(motion(placed[known])[:, None] - there[None], axis=2)
+    _, chosen = linear_sum_assignment(apart**2)
+    off[known] = np.diag(apart)
+    if actor or np.median(off[known]) > limits.person:
+        return off
+    for row, column in enumerate(chosen.tolist()):
+        if chosen[column] == row and row < column:
+            report_exchanged(check, labels[int(known[row])], labels[int(known[column])])
+            off[known[[row, column]]] = np.nan
+    for row in np.flatnonzero(off[known] > limits.misplaced).tolist():
+        label, found = labels[int(known[row])], float(off[known[row]])
+        message = f"{quote(label)} sits {found:.1f} mm from its place in the marker set."
+        figures = {"label": label, "frame": check.figures["neutral"][0], "found": round(found, 1)}
+        add(check, "markers.moved", "warning", message, **figures)
+        off[known[row]] = np.nan
+    return off
+
+
+def _check_labels(
+    check: MarkerCheck, markers: MarkerSet, labels: Sequence[str], known: int, limits: CheckLimits
+) -> None:
+    """Report labels that only the take has, or only the marker set."""
+    used = [each.label for each in markers.for_take(labels).markers if each.part != "ignore"]
+    new = [label for label in labels if label not in markers.labels]
+    missing = [label for label in used if label not in labels]
+    words = []
+    if new:
+        names = ", ".join(quote_names(new[: limits.named]))
+        words.append(f"{count_words(len(new), 'label is', 'labels are')} not in the set: {names}")
+    if missing:
+        names = ", ".join(quote_names(missing[: limits.named]))
+        words.append(f"{count_words(len(missing), 'label', 'labels')} of it not here: {names}")
+    few = known < FACE.least
+    if few:
+        words.insert(0, f"{known} labels of the marker set are seen, {FACE.least} are needed")
+    if words:
+        figures = {"new": quote_names(new), "missing": quote_names(missing)}
+        severity: Severity = "error" if few else "warning" if new else "info"
+        message = f"The marker set does not fit: {'; '.join(words)}."
+        add(check, "markers.unlike_set", severity, message, **figures)

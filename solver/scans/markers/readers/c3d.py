@@ -1,0 +1,308 @@
+"""Reading C3D: points of Intel, DEC and MIPS files, as floats or scaled integers.
+
+A file of C3D has the same fields twice, in its header and in its parameters, and both have fields
+too narrow for long takes: frames are counted in 16 bits, or by a float, or by two words. No part of
+a damaged file gives itself away. So all that the two hold is tried, and only a layout that fills
+the file to its last block is believed; what claims more than the file has is truncated.
+
+The format: www.c3d.org. A block has 512 bytes; the header is the first, parameters and data begin
+at blocks that the header names. A frame has x, y, z and a word of residual and cameras for each
+point, and analog samples, which are passed over.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from solver.errors import Finding, InputError, quote
+from solver.scans.markers.readers.c3d_parameters import (
+    DEC,
+    FULL,
+    INTEL,
+    MIPS,
+    Numbers,
+    Parameters,
+    read_parameters,
+)
+from solver.scans.markers.readers.raw_take import (
+    Event,
+    RawTake,
+    TakeOptions,
+    check_room,
+    choose_rate,
+    decode,
+    make_finding,
+    truncated_error,
+    unreadable_error,
+)
+from solver.surface import Floats
+
+BLOCK = 512  # bytes
+KEY = 0x50  # the second byte of every C3D
+MOST_PARAMETER_BYTES = 8 << 20  # in use are some kB
+MOST_EVENTS = 1000  # of a take
+CHUNK_BYTES = 8 << 20  # of frames that are read at once
+
+# bytes of the header at which its words are
+POINTS, ANALOG, FIRST, LAST, SCALE, DATA, RATE = 2, 4, 6, 8, 12, 16, 20
+LONG_LABELS, LONG_LABELS_KEY = 298, 12345  # events have labels of four characters
+# of events: where the header has them, and for how many it has room
+EVENT_COUNT, EVENT_TIMES, EVENT_LABELS, MOST_HEADER_EVENTS = 300, 304, 396, 18
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """A place of the data and the content of a frame, of those that a file may mean."""
+
+    start: int  # byte of the first frame
+    points: int
+    analog: int  # numbers of a frame
+    scale: float  # negative: numbers are floats
+    frames: int
+
+    @property
+    def frame_bytes(self) -> int:
+        return (4 if self.scale < 0 else 2) * (4 * self.points + self.analog)
+
+    @property
+    def end(self) -> int:
+        return self.start + self.frames * self.frame_bytes
+
+    def fills(self, size: int) -> bool:
+        """Tell whether a file of so many bytes ends with this layout, or with its last block."""
+        return size in (self.end, -(-self.end // BLOCK) * BLOCK)
+
+
+def read_c3d(path: Path, options: TakeOptions) -> RawTake:
+    """Return the points of a C3D file.
+
+    Raises :class:`InputError`: ``markers.unreadable``, ``markers.truncated`` (with ``expected`` and
+    ``found`` bytes), ``markers.none`` or ``markers.too_large``.
+    """
+    file = path.name
+    with path.open("rb") as stream:
+        size = stream.seek(0, 2)
+        header, section, numbers = _read_head(file, stream, size)
+        parameters = read_parameters(file, section, numbers)
+        layout, findings = _find_layout(file, header, parameters, numbers, size)
+        check_room(file, layout.frames, layout.points, options)
+        points, words = _read_points(file, stream, layout, numbers)
+    places = {"its parameters": parameters.number("POINT", "RATE")}
+    places["its header"] = numbers.number(header, RATE)
+    rates = [(place, rate) for place, rate in places.items() if rate is not None]
+    rate, more = choose_rate(file, rates, options)
+    start = parameters.long_count("TRIAL", "ACTUAL_START_FIELD")
+    return RawTake(
+        _labels(parameters)[: layout.points],
+        points,
+        rate,
+        numbers.word(header, FIRST) if start is None else start,
+        next(iter(parameters.texts("POINT", "UNITS")), None),
+        words * abs(parameters.number("POINT", "SCALE") or layout.scale),
+        up=_up(parameters),
+        events=_events(header, parameters, numbers),
+        findings=findings + more,
+    )
+
+
+def _read_head(file: str, stream: IO[bytes], size: int) -> tuple[bytes, bytes, Numbers]:
+    """Return the header, the section of parameters, and how numbers are written."""
+    stream.seek(0)
+    header = stream.read(BLOCK)
+    if size < BLOCK:
+        raise truncated_error(
+            file, f"{size} bytes are not even a header", expected=BLOCK, found=size
+        )
+    start = (header[0] - 1) * BLOCK
+    if start < BLOCK:
+        raise unreadable_error(file, f"its parameters cannot begin at block {header[0]}")
+    if start + BLOCK > size:
+        reason = f"its parameters begin at byte {start} of {size}"
+        raise truncated_error(file, reason, expected=start + BLOCK, found=size)
+    stream.seek(start)
+    _, _, blocks, processor = stream.read(4)
+    if processor not in (INTEL, DEC, MIPS):
+        raise unreadable_error(file, f"its processor type {processor} is not known")
+    if start + blocks * BLOCK > size:
+        reason = f"its parameters take {blocks} blocks from byte {start} on, of {size}"
+        raise truncated_error(file, reason, expected=start + blocks * BLOCK, found=size)
+    numbers = Numbers(processor)
+    # more than 255 blocks of parameters cannot be written: they go on to the data
+    end = max(start + blocks * BLOCK, (numbers.word(header, DATA) - 1) * BLOCK)
+    return header, stream.read(min(end - start - 4, MOST_PARAMETER_BYTES)), numbers
+
+
+def _labels(parameters: Parameters) -> list[str]:
+    """Return labels of points: no parameter holds more than 255, LABELS2 and so on go on."""
+    labels = list(parameters.texts("POINT", "LABELS"))
+    for number in range(2, 2 + FULL // 255):
+        more = parameters.texts("POINT", f"LABELS{number}")
+        if not more:
+            break
+        labels += more
+    return labels
+
+
+def _up(parameters: Parameters) -> str | None:
+    """Return the axis that points up the screen, as x, -x and so on."""
+    axis = next(iter(parameters.texts("POINT", "Y_SCREEN")), "").lower().removeprefix("+")
+    return axis if axis.removeprefix("-") in ("x", "y", "z") else None
+
+
+# Where the data are.
+
+
+def _find_layout(
+    file: str, header: bytes, parameters: Parameters, numbers: Numbers, size: int
+) -> tuple[_Layout, list[Finding]]:
+    """Return the one layout that the file's size agrees with, and findings about it."""
+    scales = parameters.number("POINT", "SCALE"), numbers.number(header, SCALE)
+    choices: list[list[Any]] = [
+        _drop_repeats(parameters.count("POINT", "DATA_START"), numbers.word(header, DATA)),
+        _drop_repeats(parameters.count("POINT", "USED"), numbers.word(header, POINTS)),
+        _drop_repeats(_analog(parameters), numbers.word(header, ANALOG)),
+        _drop_repeats(*map(_scale, scales)),
+        _frame_counts(header, parameters, numbers),
+    ]
+    layouts = [
+        _Layout((block - 1) * BLOCK, *rest)
+        for block, *rest in product(*choices)
+        if block > header[0]
+    ]
+    if not layouts:
+        raise unreadable_error(file, "it lacks the fields of where points are, or of which kind")
+    layouts = [layout for layout in layouts if layout.points and layout.frames]
+    if not layouts:
+        what = "frames" if any(choices[1]) else "points"
+        raise InputError("markers.none", f"{file} has no {what}", file=file)
+    filling = [layout for layout in layouts if layout.fills(size)]
+    if len(filling) > 1:
+        raise unreadable_error(
+            file, "header and parameters contradict each other, and both may be true"
+        )
+    return (filling[0], []) if filling else _accept_longer(file, layouts, size)
+
+
+def _accept_longer(
+    file: str, layouts: Sequence[_Layout], size: int
+) -> tuple[_Layout, list[Finding]]:
+    """Return the layout of a file that has more than its fields say; raise if it has less."""
+    for each in layouts:
+        # a count of 16 bits that has overflowed, or that stands at its end: what is behind the last
+        # frame in its block then looks like frames without points
+        held = (size - each.start) // each.frame_bytes
+        count = held if each.frames == FULL - 1 else held - (held - each.frames) % FULL
+        longer = replace(each, frames=count)
+        if count >= FULL and longer.fills(size):
+            message = f"{file} says {each.frames} frames and holds {count}, which are read."
+            return longer, [
+                make_finding("markers.header", "warning", message, file=file, found=count)
+            ]
+    first = layouts[0]
+    if first.end > size:
+        reason = f"{first.frames} frames of {first.points} points end at byte {first.end} of {size}"
+        raise truncated_error(file, reason, expected=first.end, found=size)
+    if len(layouts) > 1:
+        raise unreadable_error(
+            file, "header and parameters contradict each other, and neither fits it"
+        )
+    if size % BLOCK:  # bytes in its midst may be lost or too many, and all after them wrong
+        reason = f"its data end at byte {first.end}, and it does after {size}, which ends no block"
+        raise unreadable_error(file, reason, expected=first.end, found=size)
+    message = f"{file} has {size - first.end} bytes after its last frame, which are not read."
+    return first, [
+        make_finding(
+            "markers.header", "warning", message, file=file, found=size, expected=first.end
+        )
+    ]
+
+
+def _drop_repeats(*values: Any) -> list[Any]:
+    return list(dict.fromkeys(value for value in values if value is not None))
+
+
+def _scale(scale: float | None) -> float | None:
+    """Return a scale that can be; all negative ones alike mean that numbers are floats."""
+    if scale is None or not math.isfinite(scale) or scale == 0:
+        return None
+    return -1.0 if scale < 0 else scale
+
+
+def _analog(parameters: Parameters) -> int | None:
+    """Return analog numbers of a frame by the parameters."""
+    channels = parameters.count("ANALOG", "USED")
+    rate, points = parameters.number("ANALOG", "RATE"), parameters.number("POINT", "RATE")
+    if not channels:
+        return channels
+    if not rate or not points or not math.isfinite(rate / points):
+        return None
+    return channels * max(round(rate / points), 0)
+
+
+def _frame_counts(header: bytes, parameters: Parameters, numbers: Numbers) -> list[int]:
+    """Return the numbers of frames in the file's fields, the surest first."""
+    fields = [parameters.long_count("TRIAL", f"ACTUAL_{end}_FIELD") for end in ("START", "END")]
+    start, end = fields
+    counts = _drop_repeats(
+        None if start is None or end is None else end - start + 1,
+        parameters.count("POINT", "LONG_FRAMES"),
+        parameters.count("POINT", "FRAMES"),
+        numbers.word(header, LAST) - numbers.word(header, FIRST) + 1,
+    )
+    return [count for count in counts if count >= 0]
+
+
+# Frames and events.
+
+
+def _read_points(
+    file: str, stream: IO[bytes], layout: _Layout, numbers: Numbers
+) -> tuple[Floats, Floats]:
+    """Return points (f, n, 3) in the file's units and words of residual (f, n), NaN if missing."""
+    points = np.empty((layout.frames, layout.points, 3))
+    residual = np.empty((layout.frames, layout.points))
+    read, factor = (numbers.floats, 1.0) if layout.scale < 0 else (numbers.words, layout.scale)
+    stream.seek(layout.start)
+    step = max(1, CHUNK_BYTES // layout.frame_bytes)
+    for start in range(0, layout.frames, step):
+        here = slice(start, min(start + step, layout.frames))
+        count = len(residual[here])
+        content = stream.read(count * layout.frame_bytes)
+        if len(content) < count * layout.frame_bytes:
+            raise truncated_error(file, f"frame {start + count} of it is not whole")
+        table = read(content).reshape(count, -1)[:, : 4 * layout.points].reshape(count, -1, 4)
+        with np.errstate(invalid="ignore"):  # signalling NaN
+            points[here] = table[..., :3]
+            word = np.nan_to_num(table[..., 3].astype(float), nan=-1.0, posinf=-1.0, neginf=-1.0)
+        points[here] *= factor
+        word = np.clip(word, -1.0, FULL // 2 - 1).astype(np.int16)
+        is_missing = (word < 0) | ~np.isfinite(points[here]).all(axis=-1)
+        is_missing |= ~points[here].any(axis=-1)  # exactly 0, 0, 0
+        points[here][is_missing] = np.nan
+        residual[here] = np.where(is_missing, np.nan, word & 0xFF)  # the high byte has the cameras
+    return points, residual
+
+
+def _events(header: bytes, parameters: Parameters, numbers: Numbers) -> tuple[Event, ...]:
+    """Return the events of the group EVENT, or else those of the header."""
+    labels, contexts = parameters.texts("EVENT", "LABELS"), parameters.texts("EVENT", "CONTEXTS")
+    times = parameters.numbers("EVENT", "TIMES")
+    seconds = [60 * minutes + rest for minutes, rest in zip(times[::2], times[1::2], strict=False)]
+    if not seconds and numbers.word(header, LONG_LABELS) == LONG_LABELS_KEY:
+        count = min(numbers.word(header, EVENT_COUNT), MOST_HEADER_EVENTS)
+        seconds = numbers.floats(header[EVENT_TIMES : EVENT_TIMES + 4 * count]).tolist()
+        names = header[EVENT_LABELS : EVENT_LABELS + 4 * count]
+        labels, contexts = [decode(names[at : at + 4]) for at in range(0, 4 * count, 4)], []
+    found = []
+    for number, time in enumerate(seconds[:MOST_EVENTS]):
+        words = [*contexts[number : number + 1], *labels[number : number + 1]]
+        if math.isfinite(time):
+            found.append(Event(quote(" ".join(filter(None, words))), float(time)))
+    return tuple(found)

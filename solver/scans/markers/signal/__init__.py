@@ -1,0 +1,1 @@
+"""Positions over time: motion taken apart, faults of single markers, and seconds of rest."""

@@ -1,0 +1,278 @@
+"""The motion of a take taken apart: the head's, what the face does, and what neither explains.
+
+Markers of one face move together: after the head's rigid motion a few shapes explain them all. The
+shapes are learnt from how markers move within parts of a second, so that a marker that jumps once,
+or falls off, does not teach its jump. A frame is then explained by most of its markers (Geman &
+McClure 1987), and what is left over of each is its residual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.errors import InputError
+from solver.similarity import robust_weights, weighted_motions
+from solver.surface import Floats
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """Settings of taking a motion apart; lengths in mm, times in s."""
+
+    head_rounds: int = 4  # of head motion and middle face in turns
+    head_slack: float = 3.0  # off the middle face by more: little weight in the head's motion
+    least_markers: int = 3  # that give a head's motion
+    lags: tuple[float, ...] = (0.1, 0.4)  # over which shapes are learnt
+    pairs: int = 1500  # of frames at most that teach, for each lag
+    usual: float = 0.9  # quantile of a marker's motion in a lag ...
+    jump: tuple[float, float] = (3.0, 1.0)  # ... more than a x it + b counts as so much
+    markers_a_shape: int = 4  # so many markers allow one shape more ...
+    most_shapes: int = 12  # ... up to these
+    slacks: tuple[float, ...] = (10.0, 6.0, 4.0, 3.0, 2.0, 2.0)  # of what explains a frame
+    together: float = 3.5  # markers that a shape is of, at least: others explain only themselves
+    noise: float = 1.5  # off the shapes; how much a frame's weights keep to what is usual
+
+
+MOTION = MotionOptions()
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A take of k markers in f frames, taken apart; in the head's frame, in mm."""
+
+    rotations: Floats  # (f, 3, 3) into the head's frame: rotations @ x + shifts
+    shifts: Floats  # (f, 3)
+    middle: Floats  # (k, 3) the median face, NaN for a marker that is never seen
+    places: Floats  # (f, k, 3) markers in the head's frame, NaN where missing
+    expected: Floats  # (f, k, 3) where most of the markers put them
+
+    @property
+    def residuals(self) -> Floats:
+        """Return what is left over (f, k, 3), NaN where a marker is missing."""
+        return np.asarray(self.places - self.expected)
+
+
+def take_apart(positions: Floats, rate: float, options: MotionOptions = MOTION) -> Motion:
+    """Return the motion of markers (f, k, 3), NaN where missing, at ``rate`` frames a second.
+
+    The head's frame is that of the frame with the most markers.
+    """
+    rotations, shifts, middle = _hold_head(positions, options)
+    places = np.einsum("fij,fkj->fki", rotations, positions, optimize=True) + shifts[:, None]
+    changes = places - middle
+    shapes, spread = _learn_shapes(changes, rate, options)
+    expected = middle + _explain(changes, shapes, spread, options)
+    return Motion(rotations, shifts, middle, places, expected)
+
+
+def median_of_seen(values: Floats) -> Floats:
+    """Return the median over frames, NaN where nothing is seen in any."""
+    seen = np.isfinite(values).any(axis=0)
+    found = np.full(values.shape[1:], np.nan)
+    if seen.any():
+        found[seen] = np.nanmedian(values[:, seen], axis=0)
+    return found
+
+
+def rms_of_seen(distances: Floats) -> float:
+    """Return the root mean square of what is not NaN, 0 if nothing is."""
+    seen = distances[np.isfinite(distances)]
+    return float(np.sqrt((seen**2).mean())) if len(seen) else 0.0
+
+
+def _hold_head(positions: Floats, options: MotionOptions) -> tuple[Floats, Floats, Floats]:
+    """Return rotations and shifts into the head's frame, and the median face there."""
+    seen = np.isfinite(positions[..., 0])
+    points = np.nan_to_num(positions)
+    middle = positions[int(np.argmax(seen.sum(axis=1)))].copy()
+    weights = seen.astype(float)
+    for _ in range(options.head_rounds):
+        known = np.isfinite(middle[:, 0])
+        rotations, shifts = weighted_motions(points, np.nan_to_num(middle), weights * known)
+        _go_on(rotations, shifts, (seen & known).sum(axis=1) >= options.least_markers)
+        placed = np.einsum("fij,fkj->fki", rotations, positions, optimize=True) + shifts[:, None]
+        middle = median_of_seen(placed)
+        off = np.nan_to_num(np.linalg.norm(placed - middle, axis=2))
+        usual = np.sqrt((off**2 * weights).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-12))
+        weights = robust_weights((off / options.head_slack) ** 2)
+        weights *= seen / (1 + (usual / options.head_slack) ** 2)
+    return rotations, shifts, middle
+
+
+def _go_on(rotations: Floats, shifts: Floats, known: Mask) -> None:
+    """Let frames without a motion of their own keep the one before, the first ones the next."""
+    if known.any():
+        last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
+        last[last < 0] = int(np.argmax(known))
+        rotations[:], shifts[:] = rotations[last], shifts[last]
+
+
+def _learn_shapes(changes: Floats, rate: float, options: MotionOptions) -> tuple[Floats, Floats]:
+    """Return shapes (r, k, 3) in which markers move together, and their usual squares (r,)."""
+    frames, count = changes.shape[:2]
+    total, pairs = np.zeros((3 * count, 3 * count)), np.full((count, count), 1e-9)
+    for lag in options.lags:
+        step = max(1, round(lag * rate))
+        starts = np.arange(0, frames - step, max(1, (frames - step) // options.pairs))
+        if not len(starts):
+            continue
+        change = changes[starts + step] - changes[starts]
+        seen = np.isfinite(change[..., 0])
+        length = np.linalg.norm(np.nan_to_num(change), axis=2)
+        factor, more = options.jump
+        known = seen.any(axis=0)
+        most = np.zeros(count)
+        most[known] = np.nanquantile(
+            np.where(seen, length, np.nan)[:, known], options.usual, axis=0
+        )
+        most = factor * most + more
+        change = np.nan_to_num(change) * np.minimum(1.0, most / (length + 1e-9))[..., None]
+        flat = change.reshape(len(change), -1)
+        total += flat.T @ flat
+        pairs += seen.astype(float).T @ seen
+    squares, vectors = np.linalg.eigh(total / np.repeat(np.repeat(pairs, 3, 0), 3, 1))
+    number = int(min(options.most_shapes, count // options.markers_a_shape, frames // 4))
+    shapes = vectors.T.reshape(-1, count, 3)
+    share = (shapes**2).sum(axis=2)
+    kept = np.flatnonzero((squares > 1e-9) & ((share**2).sum(axis=1) * options.together < 1.0))
+    kept = kept[np.argsort(-squares[kept])][:number]
+    return np.ascontiguousarray(shapes[kept]), squares[kept]
+
+
+def _explain(changes: Floats, shapes: Floats, spread: Floats, options: MotionOptions) -> Floats:
+    """Return the motion (f, k, 3) by the shapes that most markers of each frame agree with."""
+    if not len(shapes):
+        return np.zeros_like(changes)
+    seen = np.isfinite(changes[..., 0])
+    goal = np.nan_to_num(changes)
+    products = np.einsum("rki,ski->krs", shapes, shapes).reshape(shapes.shape[1], -1)
+    keep = np.diag(options.noise**2 / (4 * spread))
+    weights = seen.astype(float)
+    found = np.zeros_like(goal)
+    flat = shapes.reshape(len(shapes), -1)
+    for slack in options.slacks:
+        left = (weights @ products).reshape(-1, len(shapes), len(shapes)) + keep
+        right = (goal * weights[..., None]).reshape(len(goal), -1) @ flat.T
+        shares = np.linalg.solve(left, right[..., None])[..., 0]
+        found = (shares @ flat).reshape(goal.shape)
+        off = ((goal - found) ** 2).sum(axis=2)
+        weights = seen * robust_weights(off / slack**2)
+    return found
+
+
+# The face at rest.
+
+
+@dataclass(frozen=True)
+class NeutralOptions:
+    """How a neutral is judged; lengths in mm."""
+
+    seconds: float = 1.0
+    away: float = 0.05  # of unrest that a mm away from the median face counts as
+    seen: float = 0.8  # of the most markers must be seen
+
+
+@dataclass(frozen=True)
+class Second:
+    """First and last row of a second, and how much the face stirs in it, mm."""
+
+    rows: tuple[int, int]
+    unrest: float = 0.0
+
+
+def find_neutral(
+    motion: Motion, rate: float, options: NeutralOptions = NeutralOptions()
+) -> tuple[int, int]:
+    """Return first and last row of the second in which the face is stillest.
+
+    Of two that are equally still it is the one nearer to the median face.
+    """
+    (stillest,) = still_seconds(motion, rate, 1, options)
+    return stillest.rows
+
+
+def still_seconds(
+    motion: Motion, rate: float, count: int, options: NeutralOptions = NeutralOptions()
+) -> list[Second]:
+    """Return up to ``count`` seconds in which the face is still, the stillest first, one at least.
+
+    None overlaps another. The unrest counts how far the face is from the median one, too.
+    """
+    frames = len(motion.places)
+    window = int(np.clip(round(options.seconds * rate) if rate > 0 else 1, 1, frames))
+    seen = np.isfinite(motion.places[..., 0])
+    change = np.nan_to_num(motion.places - motion.middle)
+    times = _sums(seen.astype(float), window)
+    count_seen, usual = np.maximum(times, 1.0), times > window / 2
+    mean = _sums(change, window) / count_seen[..., None]
+    stirring = _sums((change**2).sum(axis=2), window) / count_seen - (mean**2).sum(axis=2)
+    away = np.linalg.norm(mean, axis=2)
+    known = np.maximum(usual.sum(axis=1), 1)
+    cost = np.sqrt((np.maximum(stirring, 0.0) * usual).sum(axis=1) / known)
+    cost += options.away * (away * usual).sum(axis=1) / known
+    cost[known < options.seen * known.max()] = np.inf
+    found: list[Second] = []
+    for first in np.argsort(cost, kind="stable").tolist():
+        if found and not np.isfinite(cost[first]):
+            break
+        if all(abs(first - each.rows[0]) >= window for each in found):
+            found.append(Second((first, first + window - 1), float(cost[first])))
+            if len(found) == count:
+                break
+    return found
+
+
+def _sums(values: Floats, window: int) -> Floats:
+    """Return sums over ``window`` frames, for every frame that has so many from it on."""
+    total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0)
+    return np.asarray(total[window:] - total[:-window])
+
+
+# Takes that no face makes: all markers on a line or in a plane, or none that ever moves.
+
+
+@dataclass(frozen=True)
+class ExtentOptions:
+    """Limits of what is a face."""
+
+    line: float = 0.05  # of markers' extent along a line: their second extent; four on a brow 0.5
+    plane: float = 0.01  # the same of the third one ...
+    least: int = 6  # ... of so many markers; faces have 0.2
+    far: float = 5.0  # times the usual distance from the middle: a marker is thrown, and left out
+    still_mm: float = 0.3  # no marker goes farther from its middle place: nothing moves
+    usual: float = 0.98  # quantile of its frames in that
+
+
+SHAPE = ExtentOptions()
+
+
+def refuse_flat(file: str, points: Floats, options: ExtentOptions = SHAPE) -> None:
+    """Raise :class:`InputError` ``markers.flat`` for markers (k, 3) on a line or in a plane."""
+    seen = points[np.isfinite(points[:, 0])]
+    if not len(seen):
+        return
+    away = np.linalg.norm(seen - np.median(seen, axis=0), axis=1)
+    seen = seen[away <= options.far * np.median(away)]  # a thrown one makes a line of any
+    if len(seen) < 3:
+        return
+    extents = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
+    longest = max(float(extents[0]), 1e-12)
+    is_line = extents[1] < options.line * longest
+    if is_line or (len(seen) >= options.least and extents[2] < options.plane * longest):
+        where = "on a line" if is_line else "in a plane"
+        message = f"the {len(seen)} markers of {file} lie {where}: they are of no face in space"
+        raise InputError("markers.flat", message, file=file, found=len(seen))
+
+
+def is_motionless(motion: Motion, options: ExtentOptions = SHAPE) -> bool:
+    """Tell whether no marker moves against the others, in more than a frame."""
+    off = np.linalg.norm(motion.places - motion.middle, axis=2)
+    off = off[:, np.isfinite(off).any(axis=0)]
+    if len(off) < 2 or not off.shape[1]:
+        return False
+    return bool((np.nanquantile(off, options.usual, axis=0) <= options.still_mm).all())
