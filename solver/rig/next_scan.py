@@ -71,7 +71,8 @@ class NextScanOptions:
     """Effort of a library's fits, and the gain from which a side alone is enough."""
 
     iterations: int = 4  # of a fit from rest
-    iterations_near: int = 2  # of one that begins with a basis
+    # of one that begins with a basis: its ranks are nearer to those of fits to the end
+    iterations_near: int = 2
     one_side: float = 0.9  # of the gain of both
 
 
