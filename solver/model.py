@@ -317,3 +317,8 @@ def weights_hash(S: sp.csr_array) -> str:
     for array, kind in ((S.indptr, "<i8"), (S.indices, "<i8"), (S.data, "<f8")):
         digest.update(np.ascontiguousarray(array, dtype=kind).tobytes())
     return digest.hexdigest()
+
+
+def identity(model: SubjectModel, S: sp.csr_array) -> dict[str, str]:
+    """Return what tells a person with S from any other: the hashes that files made of it keep."""
+    return {"model": model.sha256, "weights": weights_hash(S)}

@@ -50,7 +50,7 @@ DEEPEST = 100
 ARTIFACT = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,254}")
 
 # Files in `out` that take minutes: the next attempt goes on with what is in them
-KEPT = ("blendshapes.npz",)
+KEPT = ("blendshapes.npz", "expression_basis.npz")
 
 
 class AttemptFolder:

@@ -102,7 +102,7 @@ INPUTS: Mapping[str, tuple[Input, ...]] = {
         Input("blendshapes", _file("blendshapes.npz of an earlier animation"), "blendshapes"),
     ),
     "expression_basis": (
-        Input("basis", _file("expression_basis.npz of an earlier fit"), "expression_basis"),
+        Input("basis", _file("expression_basis.npz of an earlier job"), "expression_basis"),
     ),
     "fibre_muscles": (Input("fibres", _file("fibre_muscles.npz of fit-fibres"), "fibre_muscles"),),
     "role": (Input("role", Role, default="unknown"),),

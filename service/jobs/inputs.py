@@ -167,15 +167,15 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
     elif "assets" in kind.reads:
         files += _assets(session, new)
     files += _template(session, kind, new)
-    for name, (leaver, file) in _LEFT_BEFORE.items():
-        if name in kind.reads and (found := rigs.left_by(session, rig, leaver, file)):
+    for (name, file), leavers in _LEFT_BEFORE.items():
+        if name in kind.reads and (found := rigs.left_by(session, rig, leavers, file)):
             files.append(_input_of(name, found.name, found.name, found.sha256))
     return Inputs(files, model_job_id=model.id)
 
 
-# What later jobs of a rig read, if there is any: the kind that leaves it, and its file
+# What later jobs of a rig read, if there is any: an input and its file, and the kinds that leave it
 _LEFT_BEFORE = {
-    name: (kind.name, file)
+    (name, file): [each.name for each in KINDS.values() if each.hands_on.get(file) == name]
     for kind in KINDS.values()
     for file, name in kind.hands_on.items()
     if name in OF_A_RIG

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import select
@@ -82,15 +82,15 @@ def preview(session: Session, rig: Rig) -> Artifact | None:
     ).one_or_none()
 
 
-def left_by(session: Session, rig: Rig, kind: str, name: str) -> Artifact | None:
-    """Return the artifact ``name`` that the newest job of a ``kind`` left of a rig."""
+def left_by(session: Session, rig: Rig, kinds: Iterable[str], name: str) -> Artifact | None:
+    """Return the newest artifact ``name`` that jobs of some ``kinds`` left of a rig."""
     return session.scalars(
         select(Artifact)
         .join(Job, Job.id == Artifact.job_id)
         .where(
             Job.subject_id == rig.subject_id,
             Job.state == State.SUCCEEDED,
-            Job.kind == kind,
+            Job.kind.in_(kinds),
             Job.request["rig_id"].as_string() == rig.id,
             Artifact.name == name,
         )

@@ -14,6 +14,8 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,17 +23,18 @@ import scipy.sparse as sp
 from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError, SolveError
 from solver.fitting import activation
-from solver.fitting.activation import UNSEEN_STOP, DescentOptions, unseen_regulariser
+from solver.fitting.activation import UNSEEN_STOP, DescentOptions, objective, unseen_regulariser
 from solver.fitting.contact import terms
 from solver.fitting.drives import MuscleDrive, restore, store
 from solver.fitting.drives.six_numbers import LEAST_STRETCH, SixNumbers
-from solver.fitting.face import Face, Pose
+from solver.fitting.expression_basis import begin_at
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.interior_point import Bounds, FeasibleSet
-from solver.fitting.objective import Target
+from solver.fitting.objective import Prior, Target, Term
 from solver.fitting.steps import StepOptions
 from solver.fitting.stretches import COLUMN, ROW, matrices
 from solver.mechanics.flesh import IDENTITY
-from solver.model import SubjectModel
+from solver.model import SubjectModel, identity
 from solver.scans.live_link import ARKIT_NAMES
 from solver.storage import Archive, Arrays
 from solver.surface import Floats
@@ -100,6 +103,7 @@ STORED = ("activations", "jaw", "mean_mm", "settled")  # its arrays
 CORRECTED = {"mouthClose": "jawOpen"}  # corrective shape -> the one it corrects
 # mm; a shape that moves no point of the face further is nothing for muscles: a tongue, a pupil
 LEAST_MOTION_MM = 0.05
+NOTHING_KNOWN: Mapping[str, Floats] = MappingProxyType({})
 SHORT = DescentOptions(steps=StepOptions.quick())  # within limits: there are fifty shapes
 
 
@@ -145,7 +149,7 @@ class Blendshapes:
         }
         header = {
             "format": FORMAT,
-            "rig": _rig_hash(model, S),
+            "of": identity(model, S),
             "muscles": self.muscles,
             "drive": store(self.drive),
             "names": blend.names,
@@ -162,7 +166,7 @@ class Blendshapes:
         archive = Archive.read(path, "blendshapes", "a set of blendshapes", FORMAT)
         header, data = archive.header, archive.arrays
         try:
-            rig, muscles, shapes = header["rig"], tuple(header["muscles"]), {}
+            muscles, shapes = tuple(header["muscles"]), {}
             drive = restore(header.get("drive", store(SixNumbers())))  # those before had no limits
             for row, name in enumerate(header["names"]):
                 a, b, mean, settled = (data[key][row] for key in STORED)
@@ -170,18 +174,20 @@ class Blendshapes:
         except (LookupError, TypeError, ValueError) as error:
             reason = f"{path.name} is not a set of blendshapes: {error}"
             raise InputError("blendshapes.unreadable", reason, file=path.name) from error
-        if rig != _rig_hash(model, S):
+        if not _is_of(header, model, S):
             reason = f"{path.name} belongs to another rig"
             raise InputError("blendshapes.model", reason, file=path.name)
         return cls(muscles, shapes, drive)
 
 
-def _rig_hash(model: SubjectModel, S: sp.csr_array) -> str:
-    """Return the hash of what activations mean: of the model, and of its S (n, m + 1)."""
+def _is_of(header: Mapping[str, Any], model: SubjectModel, S: sp.csr_array) -> bool:
+    """Tell whether a file is of a model with S; those of 0.1 have one hash of both."""
+    if "of" in header:
+        return bool(header["of"] == identity(model, S))
     digest = hashlib.sha256(model.sha256.encode())
     for array, kind in ((S.data, "<f8"), (S.indices, "<i8"), (S.indptr, "<i8")):
         digest.update(np.ascontiguousarray(array, kind).tobytes())
-    return digest.hexdigest()
+    return bool(header.get("rig") == digest.hexdigest())
 
 
 def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
@@ -219,12 +225,15 @@ def solve_blendshapes(
     targets: Mapping[str, Floats],
     done: Mapping[str, Solved],
     listen: Callable[[str, Solved], None],
+    known: Mapping[str, Floats] = NOTHING_KNOWN,
 ) -> Blendshapes:
     """Fit activations and jaw to ``targets``, name -> the face's points (k, 3) in mm.
 
     Muscles stay within the face's limits, and the jaw's numbers are those of a free one. Shapes
-    that are ``done`` are taken as they are; ``listen`` hears of every other as it is solved. One
-    that does not come to rest stays at rest.
+    that are ``done`` are taken as they are; ``listen`` hears of every other as it is solved. A fit
+    begins with the change (k,) of the controls that is ``known`` to make about its shape, of an
+    :class:`~solver.fitting.expression_basis.ExpressionBasis`, else at rest. A shape that does not
+    come to rest stays at rest.
     """
     missing = {
         name: Target.from_points(points) for name, points in targets.items() if name not in done
@@ -234,8 +243,9 @@ def solve_blendshapes(
         data, regulariser = terms(face, missing), unseen_regulariser(face)
         for name, target in missing.items():
             try:
+                start = _start(face, name, data[name], regulariser, known)
                 fit = activation.fit(
-                    face, data[name], regulariser, options=UNSEEN_STOP, descent=SHORT
+                    face, data[name], regulariser, start, UNSEEN_STOP, descent=SHORT
                 )
                 state, settled = fit.state, True
             except (SolveError, np.linalg.LinAlgError):
@@ -250,3 +260,13 @@ def solve_blendshapes(
             listen(name, found[name])
     shapes = {name: found[name] for name in targets}
     return Blendshapes(face.model.muscle_names, shapes, face.drive)
+
+
+def _start(
+    face: Face, name: str, data: Term, regulariser: Prior, known: Mapping[str, Floats]
+) -> PosedFace | None:
+    """Return where the fit of a shape begins; None: at rest. A corrective has the corrected's."""
+    if name not in known:
+        return None
+    change = known[name] + known.get(CORRECTED.get(name, ""), 0.0)
+    return begin_at(face, change, lambda state: objective(data, regulariser, state))

@@ -2,7 +2,7 @@
 
 Small shapes are the flesh's linear response at rest; large ones are fitted, at parts of their way.
 A basis is solved once for a rig, within its limits, and kept: markers have their prior of it, live
-sliders are made of it.
+sliders are made of it, whole fits of blendshapes and of proposed scans begin with it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from solver.errors import SolveError
 from solver.fitting.activation import ActivationOptions, fit, rest_curvature, unseen_regulariser
 from solver.fitting.drives import store
-from solver.fitting.face import Face
+from solver.fitting.face import Face, PosedFace
 from solver.fitting.objective import PartPrior, Prior, PriorSum, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
 from solver.mechanics.jaw_tracks import nearest_jaw
-from solver.model import weights_hash
+from solver.model import identity
 from solver.storage import Archive
 from solver.surface import Floats, Ints
 
@@ -61,6 +61,11 @@ class ExpressionBasis:
 
     shapes: NDArray[np.floating]
     changes: tuple[Floats, ...]
+
+    @property
+    def whole(self) -> Floats:
+        """Return the changes (e, k) that make the whole shapes best."""
+        return np.array([each[-1] for each in self.changes])
 
     @classmethod
     def solve(
@@ -115,11 +120,31 @@ class ExpressionBasis:
         return cls(shapes, tuple(np.split(changes, np.cumsum(counts)[:-1])))
 
 
+def begin_at(face: Face, change: Floats, value: Callable[[PosedFace], float]) -> PosedFace | None:
+    """Return the state at which a fit begins that a basis's ``change`` (k,) comes near to.
+
+    ``value`` is what is fitted, of a state. A whole change may bring the lips through each other,
+    where a fit gets stuck: then it is half of the change, if that is better. None where the flesh
+    comes to rest at neither.
+    """
+
+    def at(part: float) -> PosedFace | None:
+        with suppress(SolveError):
+            return face.continuation(face.rest, face.rest_pose().add(part * change))
+        return None
+
+    whole = at(1.0)
+    # half way the squared distance alone is a quarter of that at rest
+    if whole is not None and value(whole) <= 0.25 * value(face.rest):
+        return whole
+    found = [each for each in (whole, at(0.5)) if each is not None]
+    return min(found, key=value, default=None)
+
+
 def _of(face: Face, shapes: NDArray[np.floating]) -> dict[str, Any]:
     """Return what a basis is of: the person with S, its drive and joints, and the shapes."""
     return {
-        "model": face.model.sha256,
-        "weights": weights_hash(face.S),
+        **identity(face.model, face.S),
         "drive": store(face.drive),
         "joints": [joint.name for joint in face.layout.joints],
         "shapes": hashlib.sha256(np.ascontiguousarray(shapes, "<f4").tobytes()).hexdigest(),

@@ -6,10 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from solver.anatomy.template import ShapeBasis
 from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
 from solver.animation.drives import RecordedDrives
+from solver.fitting.expression_basis import FILE as BASIS_FILE
+from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
+from solver.jobs.expressions import solve_basis
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
@@ -19,7 +23,9 @@ from solver.rig.rig import Rig
 from solver.scans.live_link import read_live_link
 from solver.scene.document import head_of
 from solver.scene.stage import Stage
+from solver.surface import Floats
 
+BASIS = 0.1  # part of a job after which its basis is solved, if none was left
 SOLVED = 0.3  # part of a job after which its blendshapes are solved
 SAVED_EVERY = 5  # blendshapes that are solved between two writings of their file
 
@@ -29,7 +35,9 @@ def run(task: Task[Animate]) -> list[Path]:
 
     Activations and jaw of every expression of the template are solved first, once for a rig: the
     ``blendshapes.npz`` that this leaves is taken as it is if it is given, and of muscles within
-    the limits of the rig's. Raises, besides, ``blendshapes.*`` and ``live_link.*``.
+    the limits of the rig's. They begin with the rig's basis of expressions, which is solved and
+    left where no earlier job has. Raises, besides, ``basis.*``, ``blendshapes.*`` and
+    ``live_link.*``.
     """
     given, out, progress = task.options, task.out, task.progress
     if given.video:
@@ -66,7 +74,8 @@ def run(task: Task[Animate]) -> list[Path]:
         "not_settled": [name for name, shape in solved.items() if not shape.settled],
     }
     written = finish(stage, frames, out, progress, title="Animation", video=given.video, more=more)
-    return [*written, kept]
+    basis = out / BASIS_FILE
+    return [*written, kept, *([basis] if basis.is_file() else [])]
 
 
 def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:
@@ -84,10 +93,22 @@ def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:
         if len(done) % SAVED_EVERY == 0:
             Blendshapes(model.muscle_names, done, rig.drive).save(kept, model, S)
         count, error = len(done), solved.mean_mm
-        fraction = READ + (SOLVED - READ) * count / len(targets)
+        fraction = BASIS + (SOLVED - BASIS) * count / len(targets)
         words = f"{name}, {count} of {len(targets)}"
         task.progress(Step("blendshapes", fraction, count, mean_error_mm=error, message=words))
 
     face = rig.face(fastest())
     check_held(face)
-    return solve_blendshapes(face, targets, dict(done), report)
+    begin = _known_changes(task, face, anatomy.shapes) if targets.keys() - done.keys() else {}
+    return solve_blendshapes(face, targets, dict(done), report, begin)
+
+
+def _known_changes(task: Task[Animate], face: Face, shapes: ShapeBasis | None) -> dict[str, Floats]:
+    """Return name -> the change of the controls that makes an expression about."""
+    assert shapes is not None, "there are targets, so the template has shapes"
+
+    def show(done: float) -> None:
+        task.progress(Step("expressions", READ + (BASIS - READ) * done))
+
+    basis = solve_basis(task, face, shapes.expressions, show)
+    return dict(zip(shapes.expression_names, basis.whole, strict=True))

@@ -27,6 +27,7 @@ from solver.fitting.strips import strip_names
 from solver.fitting.target_checks import check_held
 from solver.fitting.tracking import Tracker
 from solver.jobs import Task, hash_files, read_template
+from solver.jobs.expressions import solve_basis
 from solver.jobs.marker_frames import TakeDrawing, TakeFitter, marker_report, smooth_frames
 from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted, write_animated
 from solver.kinds.fit_markers import FitMarkers
@@ -194,13 +195,6 @@ def _basis(task: Task[FitMarkers], face: Face, shapes: NDArray[np.floating]) -> 
     def show(done: float) -> None:
         task.progress(Step("expressions", 0.01 * done))
 
-    known, kept = task.inputs.get("expression_basis"), task.out / BASIS_FILE
-    is_rig_s = task.options.muscles != "fibre"
-    if task.resume and kept.is_file():
-        known = kept
-    basis = ExpressionBasis.load(known, face, shapes) if known and is_rig_s else None
-    if basis is None:
-        basis = ExpressionBasis.solve(face, shapes, listen=show)
-    if is_rig_s:
-        basis.save(kept, face)
-    return basis
+    if task.options.muscles == "fibre":
+        return ExpressionBasis.solve(face, shapes, listen=show)
+    return solve_basis(task, face, shapes, show)

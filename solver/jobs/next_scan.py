@@ -5,13 +5,22 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+from solver.anatomy.template import ShapeBasis
+from solver.fitting.face import Face, Pose
 from solver.fitting.geometry_information import InformationOptions, Linearisation, MuscleInformation
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
+from solver.jobs.expressions import known_basis
 from solver.kinds.next_scan import NextScan
 from solver.mechanics.linear import fastest
 from solver.progress import Step
-from solver.rig.next_scan import Library, library_targets, suggestion_figures, suggestion_words
+from solver.rig.next_scan import (
+    Library,
+    library_poses,
+    library_targets,
+    suggestion_figures,
+    suggestion_words,
+)
 from solver.rig.report.certificate import scan_information
 from solver.rig.report.report import information_figures
 from solver.rig.rig import Rig
@@ -32,7 +41,8 @@ def run(task: Task[NextScan]) -> list[Path]:
     rig = Rig.load(task.inputs)
     anatomy = read_template(task)
     targets = library_targets(rig.model, anatomy.shapes)
-    face = rig.face(fastest()).with_free_jaw()  # as the certificate judges scans
+    own = rig.face(fastest())
+    face = own.with_free_jaw()  # as the certificate judges scans
     check_held(face)
     linearisation = Linearisation(face, options=InformationOptions(noise_mm=given.noise_mm))
     progress(Step("scans", 0.05))
@@ -43,7 +53,8 @@ def run(task: Task[NextScan]) -> list[Path]:
         done = SCANNED + (0.95 - SCANNED) * number / len(targets)
         progress(Step("library", done, number + 1, message=name))
 
-    library = Library(linearisation, scanned, targets, listen=listen)
+    near = _near(task, face, own, anatomy.shapes)
+    library = Library(linearisation, scanned, targets, listen=listen, near=near)
     suggestions = library.suggest(given.count)
     words = suggestion_words(suggestions)
     muscles = MuscleInformation.of(posterior, linearisation.modes.places, len(scanned))
@@ -61,3 +72,17 @@ def run(task: Task[NextScan]) -> list[Path]:
     write_json(file, report)
     progress(Step("done", 1.0, message=words))
     return [file]
+
+
+def _near(
+    task: Task[NextScan], face: Face, own: Face, shapes: ShapeBasis | None
+) -> dict[str, dict[str, Pose]]:
+    """Return the poses that the library's fits begin with, of a basis if one was left.
+
+    None is solved: that takes as long as the library itself, while the person waits.
+    """
+    basis = known_basis(task, own, shapes.expressions) if shapes else None
+    if shapes is None or basis is None:
+        return {}
+    known = dict(zip(shapes.expression_names, basis.whole, strict=True))
+    return library_poses(face, own, known)

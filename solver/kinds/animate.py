@@ -17,12 +17,12 @@ KIND = Kind(
     description="Plays a recording of Live Link Face by the rig's flesh, with contact, forces, "
     "objects and edits; frames can be read while the job runs.",
     queue="long",
-    reads=("rig", "template", "assets", "blendshapes"),
+    reads=("rig", "template", "assets", "blendshapes", "expression_basis"),
     leaves="animation",
     report="animation.json",
     result="animation.glb",
     folder="animation",
-    hands_on={"blendshapes.npz": "blendshapes"},
+    hands_on={"blendshapes.npz": "blendshapes", "expression_basis.npz": "expression_basis"},
     options=Animate,
     frames=True,
 )

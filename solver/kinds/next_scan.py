@@ -22,7 +22,7 @@ KIND = Kind(
     description="Which muscles the rig's training scans determine, and which expressions of the "
     "template would add most to them, while the person is still in the chair.",
     queue="short",
-    reads=("rig", "template"),
+    reads=("rig", "template", "expression_basis"),
     leaves="proposal",
     report="next_scan.json",
     result="next_scan.json",

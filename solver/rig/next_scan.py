@@ -2,25 +2,29 @@
 
 Every shape of the template that muscles make, both sides of it together, is put on the person's
 neutral, fitted roughly with the S that is known so far, and linearised there
-(:mod:`solver.fitting.geometry_information`). The best scan is the one after which S is expected to
-fit the whole library best. A side alone is proposed where it adds nearly all that both would.
+(:mod:`solver.fitting.geometry_information`). Fits begin with what an
+:class:`~solver.fitting.expression_basis.ExpressionBasis` of the person has, if there is one. The
+best scan is the one after which S is expected to fit the whole library best. A side alone is
+proposed where it adds nearly all that both would.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from solver.anatomy.action_units import joined_codes, units_of
 from solver.anatomy.template import ShapeBasis, split_side
-from solver.animation.blendshapes import expression_targets
+from solver.animation.blendshapes import CORRECTED, expression_targets
 from solver.errors import InputError, SolveError
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
-from solver.fitting.face import Face, PosedFace
+from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.geometry_information import Linearisation, Misfit, Proposal, rank, step_towards
 from solver.fitting.information import Posterior
 from solver.fitting.objective import SkinDistance, Target
@@ -59,13 +63,16 @@ WORDS = {
     "mouthUpperUp": "upper lip raised",
     "noseSneer": "nose wrinkled",
 }
+NOTHING_NEAR: Mapping[str, Mapping[str, Pose]] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
 class NextScanOptions:
     """Effort of a library's fits, and the gain from which a side alone is enough."""
 
-    iterations: int = 4  # of a fit
+    iterations: int = 4  # of a fit from rest
+    # of one that begins with a basis: its ranks are nearer to those of fits to the end
+    iterations_near: int = 2
     one_side: float = 0.9  # of the gain of both
 
 
@@ -107,10 +114,37 @@ def library_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, 
     return found
 
 
+def library_poses(face: Face, own: Face, known: Mapping[str, Floats]) -> dict[str, dict[str, Pose]]:
+    """Return shape -> the pose of ``face`` near to it, of ``both`` and of each side.
+
+    ``known`` are expressions' names and the changes (k,) of the controls of ``own`` that make them,
+    which is the same person with a jaw of its own. Changes of a shape's sides add up.
+    """
+    changes: dict[str, dict[str, Floats]] = {}
+    for name, change in known.items():
+        shape, side = split_side(name)
+        whole = change + known.get(CORRECTED.get(name, ""), 0.0)
+        changes.setdefault(shape, {})[side or "both"] = whole
+    for sides in changes.values():
+        if "both" not in sides:
+            sides["both"] = np.sum([*sides.values()], axis=0)
+
+    def pose(change: Floats) -> Pose:
+        there = own.rest_pose().add(change)
+        return face.pose_of(there.a, own.five_jaw_numbers(there.b))
+
+    return {
+        shape: {side: pose(change) for side, change in sides.items()}
+        for shape, sides in changes.items()
+        if shape in WORDS
+    }
+
+
 class Library:
     """The template's expressions on one face: their misfits, fitted and linearised in turn.
 
-    ``scanned`` are the matrices I of what has been scanned.
+    ``scanned`` are the matrices I of what has been scanned. ``near`` are poses that the fits begin
+    with, as :func:`library_poses` returns them; others begin at rest.
     """
 
     def __init__(
@@ -120,8 +154,10 @@ class Library:
         targets: Mapping[str, Mapping[str, Floats]],
         options: NextScanOptions = NextScanOptions(),
         listen: Callable[[str, int], None] | None = None,
+        near: Mapping[str, Mapping[str, Pose]] = NOTHING_NEAR,
     ) -> None:
         self._linearisation, self._targets, self._options = linearisation, targets, options
+        self._near = near
         face = linearisation.face
         self._regulariser = activation.unseen_regulariser(face)
         self._curvature = activation.rest_curvature(face)
@@ -131,7 +167,7 @@ class Library:
         for number, name in enumerate(targets):
             if listen:
                 listen(name, number)
-            misfit = self._of(targets[name]["both"])
+            misfit = self._of(name, "both")
             if misfit is None:
                 self.failed.append(name)
             else:
@@ -165,8 +201,8 @@ class Library:
     ) -> str:
         """Return the side that adds nearly as much as both, S being ``theta`` off the known one."""
         enough = self._options.one_side * proposal.gain_mm
-        for side, points in self._targets[proposal.name].items():
-            misfit = None if side == "both" else self._of(points)
+        for side in self._targets[proposal.name]:
+            misfit = None if side == "both" else self._of(proposal.name, side)
             if misfit is None:
                 continue
             step = step_towards(reached, misfit.after(theta))
@@ -175,22 +211,26 @@ class Library:
                 return side
         return ""
 
-    def _of(self, points: Floats) -> Misfit | None:
-        """Return the misfit of ``points`` (k, 3); None where nothing fits them."""
+    def _of(self, name: str, side: str) -> Misfit | None:
+        """Return the misfit of a shape's ``side``, or ``both``; None where nothing fits it."""
+        points = self._targets[name][side]
         try:
-            return self._linearisation.misfit(self._fit(points), points)
+            return self._linearisation.misfit(self._fit(name, side, points), points)
         except SolveError:
             return None
 
-    def _fit(self, points: Floats) -> PosedFace:
-        face = self._linearisation.face
-        data = SkinDistance(face, Target.from_points(points))
+    def _fit(self, name: str, side: str, points: Floats) -> PosedFace:
+        face, start = self._linearisation.face, None
+        if (pose := self._near.get(name, {}).get(side)) is not None:
+            with suppress(SolveError):
+                start = face.continuation(face.rest, pose)
+        options = self._options
         return activation.descend(
             face,
-            data,
+            SkinDistance(face, Target.from_points(points)),
             self._regulariser,
-            face.rest,
-            ActivationOptions(self._options.iterations),
+            start or face.rest,
+            ActivationOptions(options.iterations_near if start else options.iterations),
             go=Face.newton_predict,
             matrix=self._curvature,
         ).state

@@ -122,6 +122,29 @@ def test_expressions_that_an_earlier_fit_solved_are_found(session: Session) -> N
     assert "expression_basis" not in [role for role, _, _ in session.inputs(other.json()["id"])]
 
 
+def test_the_newest_expressions_are_found_whichever_job_solved_them(session: Session) -> None:
+    rig = session.add_rig()
+    clip = session.studio._add(session.subject, "clip", "asset", {})
+    scene = {"options": {"scene": {"recording": {"asset": "clip"}}}, "captures": [clip]}
+
+    def expressions(kind: str, **more: Any) -> str | None:
+        job = session.ask(kind, rig_id=rig, **more).json()["id"]
+        with session.store.read() as rows:
+            inputs = rows.get_one(Job, job).inputs
+        return next((each["sha256"] for each in inputs if each["role"] == "expression_basis"), None)
+
+    assert expressions("next_scan") is None
+    basis = "expression_basis.npz"
+    session.left("fit_markers", basis, rig=rig, captures=[session.take])
+    fitted = expressions("next_scan")
+    assert expressions("animate", **scene) == fitted is not None
+    job = session.studio.submit("animate", session.subject, rig_id=rig, **scene)
+    session.studio.pretend(job, {basis: session.store.files.put(Path(pytest.__file__)).sha256})
+    played = expressions("next_scan")
+    assert played != fitted
+    assert expressions("fit_markers", captures=[session.take]) == played
+
+
 def test_what_cannot_be_handed_on_is_told(session: Session) -> None:
     take, studio = [session.take], session.studio
     check = session.left("check_markers", captures=take)

@@ -145,12 +145,12 @@ def controls_of_shapes(
 
     ``shapes`` (e, v, 3) are motions of the whole skin, mm.
     """
-    changes = [each[-1] for each in ExpressionBasis.solve(face, shapes, listen=listen).changes]
+    changes = ExpressionBasis.solve(face, shapes, listen=listen).whole
     amounts = np.eye(len(names))
     return Sliders(
         tuple(Control(name, "expression", name) for name in names),
         face.rest_pose(),
-        np.array(changes).T,
+        changes.T,
         dict(zip(names, amounts, strict=True)),
     )
 

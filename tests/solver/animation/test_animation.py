@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import ShapeBasis
 from solver.animation.blendshapes import (
+    FORMAT,
     Blend,
     Blendshapes,
     Solved,
@@ -21,6 +24,7 @@ from solver.animation.blendshapes import (
 )
 from solver.animation.drives import Gaze, HeadKey, KeyedDrives, PoseKey, RecordedDrives, neck
 from solver.errors import InputError
+from solver.fitting import activation
 from solver.fitting.drives.admissible import (
     ADMISSIBLE,
     Admissible,
@@ -32,6 +36,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import matrices
 from solver.mechanics.flesh import IDENTITY
 from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
+from solver.storage import Archive
 from solver.surface import Floats
 from tests.solver.block import block_model, divided_block, head_block
 from tests.solver.simulation.test_fibres import fibred_block
@@ -255,6 +260,62 @@ def test_blendshapes_are_solved_once(tmp_path: Path) -> None:
         with pytest.raises(InputError) as caught:
             Blendshapes.load(file, other, weights)
         assert caught.value.code == "blendshapes.model"
+
+
+def test_shapes_that_a_release_before_kept_are_read(tmp_path: Path) -> None:
+    """Its files had one hash of model and S together."""
+    model, file = head_block(), tmp_path / "blendshapes.npz"
+    rest = np.tile(IDENTITY, (model.muscle_count, 1))
+    shapes = Blendshapes(model.muscle_names, {"jawOpen": Solved(Pose(rest, np.zeros(5)), 0.1)})
+    shapes.save(file, model, model.weights)
+    kept, S = Archive.read(file, "blendshapes", "", FORMAT), model.weights
+    digest = hashlib.sha256(model.sha256.encode())
+    for array, kind in ((S.data, "<f8"), (S.indices, "<i8"), (S.indptr, "<i8")):
+        digest.update(array.astype(kind).tobytes())
+    del kept.header["of"]
+    kept.header["rig"] = digest.hexdigest()
+    kept.write(file)
+    assert Blendshapes.load(file, model, S).shapes.keys() == shapes.shapes.keys()
+    with pytest.raises(InputError, match="another rig"):
+        Blendshapes.load(file, model, 0.5 * S)
+
+
+def opened_block() -> tuple[Face, dict[str, np.ndarray]]:
+    """Return a face within limits, and the changes of its controls of shapes that are far off."""
+    face = Face(fibred_block()).driven_as(Admissible(limits_by_plausibility(1.0)))
+    places, change = face.layout.places("jaw"), np.zeros((2, face.layout.size))
+    change[0, places[0]], change[1, places[0]] = 0.2, -0.1
+    return face, {"jawOpen": change[0], "mouthClose": change[1]}
+
+
+def test_shapes_begin_with_what_is_known_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A corrective begins with the shape that it corrects, and both end where they did."""
+    face, known = opened_block()
+    poses = {
+        "jawOpen": face.rest_pose().add(known["jawOpen"]),
+        "mouthClose": face.rest_pose().add(known["jawOpen"] + known["mouthClose"]),
+    }
+    targets = {
+        name: face.face_points(face.continuation(face.rest, there).x)
+        for name, there in poses.items()
+    }
+    whole_fit, begun = activation.fit, []
+
+    def fit(*given: Any, **how: Any) -> activation.ActivationFit:
+        begun.append(given[3])
+        return whole_fit(*given, **how)
+
+    cold = solve_blendshapes(face, targets, {}, lambda _name, _solved: None)
+    monkeypatch.setattr(activation, "fit", fit)
+    warm = solve_blendshapes(face, targets, {}, lambda _name, _solved: None, known)
+    for state, there in zip(begun, poses.values(), strict=True):
+        np.testing.assert_allclose(state.pose.vector(), there.vector(), atol=1e-12)
+    for name, shape in warm.shapes.items():
+        assert shape.mean_mm < cold.shapes[name].mean_mm + 0.01
+        np.testing.assert_allclose(shape.pose.b, cold.shapes[name].pose.b, atol=0.02)
+    limits = face.layout.bounds.feasible
+    assert limits is not None
+    assert limits.contains(warm.shapes["jawOpen"].pose.a)
 
 
 def test_shapes_of_a_rig_within_limits_are_within_them(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,8 @@ import pytest
 
 from solver.errors import InputError
 from solver.fitting.drives.admissible import Admissible, AdmissibleLimits
-from solver.fitting.expression_basis import ExpressionBasis
-from solver.fitting.face import Face
+from solver.fitting.expression_basis import ExpressionBasis, begin_at
+from solver.fitting.face import Face, PosedFace
 from tests.fixtures import small_capture, small_model
 
 
@@ -29,6 +30,23 @@ def shapes() -> np.ndarray:
 @pytest.fixture(scope="module")
 def basis(face: Face, shapes: np.ndarray) -> ExpressionBasis:
     return ExpressionBasis.solve(face, shapes)
+
+
+def test_a_fit_begins_half_way_where_the_whole_change_is_worse(
+    face: Face, basis: ExpressionBasis
+) -> None:
+    """As it is where the lips would go through each other."""
+    change = basis.whole[0]
+
+    def value_with_least_at(part: float) -> Callable[[PosedFace], float]:
+        there = face.rest_pose().add(part * change).vector()
+        return lambda state: float(np.sum((state.pose.vector() - there) ** 2))
+
+    for least, part in ((1.0, 1.0), (0.6, 0.5), (0.3, 0.5)):
+        state = begin_at(face, change, value_with_least_at(least))
+        assert state is not None
+        expected = face.rest_pose().add(part * change).vector()
+        np.testing.assert_allclose(state.pose.vector(), expected)
 
 
 def test_what_was_kept_is_read(

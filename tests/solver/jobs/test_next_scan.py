@@ -13,8 +13,10 @@ import pytest
 
 from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError
+from solver.fitting import activation
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.drives.six_numbers import SixNumbers
+from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.geometry_information import Linearisation, Misfit
 from solver.jobs import next_scan, run_job
@@ -75,6 +77,32 @@ def test_the_muscle_whose_s_is_wrong_is_proposed(
     assert muscles["right"] == pytest.approx(0.0, abs=1e-3)
     fractions = [step.fraction for step in steps]
     assert fractions == sorted(fractions)
+
+
+def test_a_basis_that_a_job_left_leads_to_the_same_words(
+    tmp_path: Path, fits: dict[str, ExpressionFit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = {"mouthSmileLeft": "Left", "mouthSmileRight": "Right", "jawOpen": "jaw"}
+    shapes = basis(fits, names)
+    monkeypatch.setattr(next_scan, "read_template", lambda _: SimpleNamespace(shapes=shapes))
+    face, rig, kept = Face(MODEL), tmp_path / "rig.npz", tmp_path / "expression_basis.npz"
+    Rig(MODEL, MODEL.weights, (fits["Left"],)).save(rig)
+    ExpressionBasis.solve(face, shapes.expressions).save(kept, face)
+    descend, begun = activation.descend, []
+
+    def look(*given: Any, **how: Any) -> activation.ActivationFit:
+        begun.append(given[3].pose.vector())
+        return descend(*given, **how)
+
+    monkeypatch.setattr(activation, "descend", look)
+    [file] = run_job("next_scan", tmp_path / "rest", rig=rig)
+    rest = len(begun)
+    assert np.all(begun == face.layout.rest)
+    [near] = run_job("next_scan", tmp_path / "near", rig=rig, expression_basis=kept)
+    assert all(np.abs(q - face.layout.rest).max() > 1e-3 for q in begun[rest:])
+    one, other = (json.loads(each.read_text()) for each in (file, near))
+    assert one["words"] == other["words"]
+    assert list(one["library"]) == list(other["library"])
 
 
 def test_the_library_of_a_rig_within_limits_is_within_them(

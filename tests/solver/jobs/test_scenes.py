@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,17 +14,19 @@ import pytest
 import trimesh
 from PIL import Image
 
+from solver.anatomy.template import ShapeBasis
 from solver.anatomy.tetrahedra import volume_ml
 from solver.animation.blendshapes import Blendshapes, Solved
 from solver.errors import InputError, SolveError
+from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
-from solver.jobs import run_job
+from solver.jobs import animate, run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
 from solver.rig.frames.read_back import LIMIT_MM, validate_glb
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.live_link import ARKIT_NAMES
-from tests.solver.block import head_block
+from tests.solver.block import head_block, thinner
 
 pytestmark = pytest.mark.long
 
@@ -220,6 +224,41 @@ def test_a_recording_is_played_by_the_muscles(rig: Path, tmp_path: Path) -> None
     np.testing.assert_allclose(moved[3], moved[2], atol=0.05)
     kept = Blendshapes.load(tmp_path / "out/blendshapes.npz", MODEL, MODEL.weights)
     assert kept.shapes.keys() == shapes.keys()
+
+
+def test_the_rig_s_basis_is_solved_once_and_left(
+    rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wide = np.array([Rig.load({"rig": rig}).expressions[0].skin - MODEL.skin.vertices], np.float32)
+    none = np.zeros((0, *wide.shape[1:]), np.float32)
+    template = SimpleNamespace(shapes=ShapeBasis(none, wide, ("mouthSmileLeft",)))
+    monkeypatch.setattr(animate, "read_template", lambda _: template)
+    take, solve, solved = recording(tmp_path / "take.csv", [0.0, 1.0]), ExpressionBasis.solve, []
+
+    def count(*given: Any, **how: Any) -> ExpressionBasis:
+        solved.append(given)
+        return solve(*given, **how)
+
+    monkeypatch.setattr(ExpressionBasis, "solve", count)
+
+    def mean_mm(folder: str, *, of: Path = rig, **left: Path) -> float:
+        options = {"scene": {"recording": {"asset": "take"}}}
+        out, captures = tmp_path / folder, {"take": take}
+        run_job("animate", out, options=options, captures=captures, rig=of, **left)
+        report = json.loads((out / "animation.json").read_text())
+        return float(report["blendshapes_mean_mm"])
+
+    first = mean_mm("first")
+    basis = tmp_path / "first" / "expression_basis.npz"
+    assert mean_mm("again", expression_basis=basis) == pytest.approx(first, abs=0.01)
+    assert len(solved) == 1
+    assert (tmp_path / "again" / basis.name).read_bytes() == basis.read_bytes()
+    mean_mm("shapes", blendshapes=tmp_path / "first" / "blendshapes.npz")
+    assert len(solved) == 1
+    other = tmp_path / "other.npz"
+    replace(Rig.load({"rig": rig}), weights=thinner(MODEL.weights, 2)).save(other)
+    mean_mm("other", of=other, expression_basis=basis)
+    assert len(solved) == 2
 
 
 @pytest.mark.parametrize(
