@@ -29,6 +29,7 @@ from solver.animation.drives import (
     turn_about,
 )
 from solver.errors import InputError, quote, quote_names
+from solver.fitting.drives import are_fibres
 from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.stretches import map_stretches
 from solver.fitting.strips import strip_names
@@ -66,7 +67,7 @@ class FittedSequence:
     @property
     def of_fibres(self) -> bool:
         """Tell whether the muscles are fibre muscles, of one activation each."""
-        return self.activations.ndim == 2
+        return are_fibres(self.activations)
 
     @classmethod
     def load(cls, path: Path, asset: str) -> FittedSequence:
@@ -154,7 +155,7 @@ def _sequence(asset: str, data: dict[str, np.ndarray]) -> FittedSequence:
     frames, times = data["frame"].astype(np.int64), data["time"].astype(np.float64)
     count = len(np.atleast_1d(frames))
     shapes = {"frame": (), "time": (), "status": (), "jaw": (JAW_FREEDOM,), "head": (6,)}
-    entries = () if data["activations"].ndim == 2 else (6,)
+    entries = () if are_fibres(data["activations"]) else (6,)
     for name, shape in {**shapes, "activations": (len(muscles), *entries)}.items():
         if data[name].shape != (count, *shape):
             raise ValueError(f"its {name} has the shape {data[name].shape}, not {(count, *shape)}")

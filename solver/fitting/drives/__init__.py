@@ -39,14 +39,16 @@ class MuscleDrive(Protocol):
         """Return the forces' derivative by the values."""
 
 
-# Drives by the names that files have them by, so that a rig knows how it was fitted.
-
-
-# name in files -> its class, and how it is made of what is stored
+# name in files -> its class, and how it is made of what is stored: a rig knows how it was fitted
 DRIVES: Mapping[str, tuple[type, Callable[[Mapping[str, Any]], MuscleDrive]]] = {
     "free": (SixNumbers, lambda _: SixNumbers()),
     "admissible": (Admissible, lambda stored: Admissible(AdmissibleLimits(**stored["limits"]))),
 }
+
+
+def are_fibres(activations: Floats) -> bool:
+    """Tell whether frames' stored activations (f, m) are of fibre muscles; S has (f, m, 6)."""
+    return activations.ndim == 2
 
 
 def store(drive: MuscleDrive) -> dict[str, Any]:

@@ -21,6 +21,7 @@ import numpy as np
 
 from solver.errors import InputError
 from solver.fitting.contraction import Contraction
+from solver.fitting.drives import are_fibres
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.rig.container import write_container
 from solver.rig.frames.read_back import compare_activations
@@ -330,7 +331,7 @@ def _round(statistic: Any, values: Sequence[float]) -> float | None:
 
 def _entries(muscles: Sequence[str], arrays: Mapping[str, Any]) -> list[str]:
     """Return the names of the table's columns of activations."""
-    if arrays["activations"].ndim == 2:
+    if are_fibres(arrays["activations"]):
         return [*muscles]
     return [f"{name}.{entry}" for name in muscles for entry in ENTRIES]
 
@@ -342,7 +343,7 @@ def _columns(muscles: Sequence[str], arrays: Mapping[str, Any]) -> dict[str, Flo
     """
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
     head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]
-    activations, is_fibre = arrays["activations"], arrays["activations"].ndim == 2
+    activations = arrays["activations"]
     controls = _named(_entries(muscles, arrays), activations.reshape(len(activations), -1))
     spread: dict[str, Floats] = {}
     if "sd" in arrays:
@@ -350,7 +351,7 @@ def _columns(muscles: Sequence[str], arrays: Mapping[str, Any]) -> dict[str, Flo
         names = [*controls, *(on_tracks if arrays["tracks"].size else jaw)]
         spread = _named(_spread_of(names), arrays["sd"])
     first = {}
-    if is_fibre:
+    if are_fibres(activations):
         first = controls | {name: spread[name] for name in _spread_of(muscles) if name in spread}
     elif "contraction" in arrays:
         own = [f"{name}.contraction" for name in muscles]
