@@ -15,6 +15,8 @@ from service.rigs import repository as rigs
 from service.store.models import Artifact, Job
 from solver.kinds import KINDS, Input, Kind
 
+InputFile = dict[str, Any]  # a file of a job, as its request keeps it
+
 # What a file is to the solver, by the input of a kind that it is handed on for
 ROLES: dict[Input, str] = {
     "markers": "marker_set",
@@ -27,7 +29,12 @@ ROLES: dict[Input, str] = {
 OF_A_RIG = ("blendshapes", "expression_basis", "fibre_muscles")
 
 
-def handed_on(session: Session, kind: Kind, new: NewJob) -> list[dict[str, Any]]:
+def input_file(role: str, name: str, filename: str, sha256: str) -> InputFile:
+    """Return a file of a job; ``role`` is what it is to the solver, ``name`` what jobs call it."""
+    return {"role": role, "name": name, "filename": filename, "sha256": sha256}
+
+
+def handed_on(session: Session, kind: Kind, new: NewJob) -> list[InputFile]:
     """Return the files of earlier jobs that a job is to read, each with its role.
 
     Raises :class:`Problem` for a job that is not the subject's, has not succeeded or is of another
@@ -39,9 +46,7 @@ def handed_on(session: Session, kind: Kind, new: NewJob) -> list[dict[str, Any]]
     ]
 
 
-def _input(
-    session: Session, kind: Kind, new: NewJob, given: FromJob, member: str
-) -> dict[str, Any]:
+def _input(session: Session, kind: Kind, new: NewJob, given: FromJob, member: str) -> InputFile:
     job = repository.get(session, given.job)
     _refuse_unready(job, new, member)
     role = _role(kind, job, given.artifact, member)
@@ -50,7 +55,7 @@ def _input(
         raise Problem(409, "artifact.other_rig", detail, member=member, job_id=job.id)
     artifact: Artifact = rigs.artifact_of_job(session, job.id, given.artifact)
     name = given.name or PurePath(artifact.name).stem
-    return {"role": role, "name": name, "filename": artifact.name, "sha256": artifact.sha256}
+    return input_file(role, name, artifact.name, artifact.sha256)
 
 
 def _refuse_unready(job: Job, new: NewJob, member: str) -> None:
@@ -76,7 +81,7 @@ def _role(kind: Kind, job: Job, name: str, member: str) -> str:
     return ROLES[left[name]]
 
 
-def join(files: list[dict[str, Any]], handed: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def join(files: list[InputFile], handed: list[InputFile]) -> list[InputFile]:
     """Return all files of a job: what is named stands instead of what was found.
 
     Raises :class:`Problem` if two are the same thing: marker sets, or assets of one name.
@@ -94,6 +99,6 @@ def join(files: list[dict[str, Any]], handed: list[dict[str, Any]]) -> list[dict
     return [*kept, *handed]
 
 
-def _place(file: dict[str, Any]) -> tuple[str, str]:
+def _place(file: InputFile) -> tuple[str, str]:
     """Return what of a job's inputs there can be one of."""
     return file["role"], file["name"] if file["role"] in {"asset", "capture"} else ""

@@ -21,7 +21,7 @@ from service.captures.repository import neutral_of, registered_form
 from service.captures.service import SET_FORMATS
 from service.errors import Problem, not_found
 from service.jobs import repository
-from service.jobs.handed_on import OF_A_RIG, handed_on, join
+from service.jobs.handed_on import OF_A_RIG, InputFile, handed_on, input_file, join
 from service.jobs.schemas import NewJob
 from service.rigs import repository as rigs
 from service.store.models import Capture, Job, Rig
@@ -29,14 +29,12 @@ from service.subjects import repository as subjects
 from service.templates import repository as templates
 from solver.kinds import KINDS, Kind
 
-Input = dict[str, Any]
-
 
 @dataclass(frozen=True)
 class Inputs:
     """Files that a job reads, the capture it is about and the job that made its model, if any."""
 
-    files: list[Input]
+    files: list[InputFile]
     capture_id: str | None = None
     model_job_id: str | None = None
 
@@ -84,11 +82,11 @@ def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
             f"{capture.name} was uploaded as a registered scan: there is nothing to register",
             capture_id=capture.id,
         )
-    scan = _input_of("scan", capture.name, capture.filename, capture.sha256)
+    scan = input_file("scan", capture.name, capture.filename, capture.sha256)
     files = [{**scan, "capture_role": capture.role}]
     if capture.landmarks_filename and capture.landmarks_sha256:
         files.append(
-            _input_of(
+            input_file(
                 "landmarks", capture.name, capture.landmarks_filename, capture.landmarks_sha256
             )
         )
@@ -121,14 +119,14 @@ def _refuse_no_scan(capture: Capture) -> None:
         raise Problem(422, code, f"{capture.name} {why}", capture_id=capture.id)
 
 
-def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = False) -> Input:
+def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = False) -> InputFile:
     neutral = captures.neutral(session, subject_id)
     if neutral is None:
         raise Problem(
             409, "subject.no_neutral", "the subject has no neutral capture", subject_id=subject_id
         )
     if (form := registered_form(session, neutral)) is not None:
-        return _input_of("neutral", neutral.name, form.filename, form.sha256)
+        return input_file("neutral", neutral.name, form.filename, form.sha256)
     if of_an_expression:
         raise Problem(
             409,
@@ -140,13 +138,13 @@ def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = Fals
     raise _not_registered({neutral.id: _REGISTER_FIRST.format(name=neutral.name)})
 
 
-def _template(session: Session, kind: Kind, new: NewJob) -> list[Input]:
+def _template(session: Session, kind: Kind, new: NewJob) -> list[InputFile]:
     """Return the subject's template if ``kind`` reads it; none: the solver has one of its own."""
     template_id = subjects.get(session, new.subject_id).template_id
     if template_id is None or "template" not in kind.reads:
         return []
     template = templates.get(session, template_id)
-    return [_input_of("template", template.name, template.filename, template.sha256)]
+    return [input_file("template", template.name, template.filename, template.sha256)]
 
 
 def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
@@ -169,7 +167,7 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
     files += _template(session, kind, new)
     for (name, file), leavers in _LEFT_BEFORE.items():
         if name in kind.reads and (found := rigs.left_by(session, rig, leavers, file)):
-            files.append(_input_of(name, found.name, found.name, found.sha256))
+            files.append(input_file(name, found.name, found.name, found.sha256))
     return Inputs(files, model_job_id=model.id)
 
 
@@ -182,7 +180,7 @@ _LEFT_BEFORE = {
 }
 
 
-def _files_of_rig(session: Session, rig: Rig) -> list[Input]:
+def _files_of_rig(session: Session, rig: Rig) -> list[InputFile]:
     """Return a rig's one file, or those of a rig of 0.1."""
     left = {artifact.name for artifact in repository.get(session, rig.job_id).artifacts}
     if rigs.RIG_FILE in left:
@@ -196,7 +194,7 @@ def _files_of_rig(session: Session, rig: Rig) -> list[Input]:
     ]
 
 
-def _performance(session: Session, new: NewJob) -> Input:
+def _performance(session: Session, new: NewJob) -> InputFile:
     capture = _the_capture(session, new)
     if capture.role != "performance":
         raise Problem(
@@ -205,10 +203,10 @@ def _performance(session: Session, new: NewJob) -> Input:
             f"{capture.name} is a scan, not a performance",
             capture_id=capture.id,
         )
-    return _input_of("performance", capture.name, capture.filename, capture.sha256)
+    return input_file("performance", capture.name, capture.filename, capture.sha256)
 
 
-def _markers(session: Session, new: NewJob) -> list[Input]:
+def _markers(session: Session, new: NewJob) -> list[InputFile]:
     """Return one take of markers, and the session's marker set where that is named, too."""
     found = {}
     for capture_id in dict.fromkeys(new.captures):
@@ -229,13 +227,13 @@ def _markers(session: Session, new: NewJob) -> list[Input]:
                 f"{new.kind} reads one take, and one marker set beside it",
                 member="captures",
             )
-        found[role] = _input_of(role, capture.name, capture.filename, capture.sha256)
+        found[role] = input_file(role, capture.name, capture.filename, capture.sha256)
     if "markers" not in found:
         raise Problem(422, "job.missing", f"{new.kind} needs a take of markers", member="captures")
     return [*found.values()]
 
 
-def _assets(session: Session, new: NewJob) -> list[Input]:
+def _assets(session: Session, new: NewJob) -> list[InputFile]:
     """Return the files that a scene may name, by their captures' names."""
     found = [captures.get(session, new.subject_id, each) for each in dict.fromkeys(new.captures)]
     for capture in found:
@@ -246,10 +244,10 @@ def _assets(session: Session, new: NewJob) -> list[Input]:
                 f"{capture.name} is no asset, which is a file that scenes name",
                 capture_id=capture.id,
             )
-    return [_input_of("asset", each.name, each.filename, each.sha256) for each in found]
+    return [input_file("asset", each.name, each.filename, each.sha256) for each in found]
 
 
-def _refuse_unnamed(new: NewJob, files: list[Input]) -> None:
+def _refuse_unnamed(new: NewJob, files: list[InputFile]) -> None:
     """Refuse a scene that names an asset which the job is not given."""
     known = sorted({each["name"] for each in files if each["role"] == "asset"})
     for place, name in named_assets(new.options.get("scene"), "options.scene"):
@@ -294,7 +292,7 @@ def _parent(session: Session, new: NewJob) -> Rig:
     return rig
 
 
-def _expressions(session: Session, new: NewJob, model: Job) -> list[Input]:
+def _expressions(session: Session, new: NewJob, model: Job) -> list[InputFile]:
     """Return the registered forms of the chosen expressions, in the frame of the model's neutral.
 
     All that cannot be read are named at once.
@@ -305,7 +303,7 @@ def _expressions(session: Session, new: NewJob, model: Job) -> list[Input]:
         if form is None:
             faults[capture.id] = _what_to_do(session, capture)
         else:
-            inputs.append(_input_of("capture", capture.name, form.filename, form.sha256))
+            inputs.append(input_file("capture", capture.name, form.filename, form.sha256))
     if faults:
         raise _not_registered(faults)
     return inputs
@@ -357,10 +355,6 @@ def _not_registered(faults: dict[str, str]) -> Problem:
     return Problem(409, "capture.not_registered", detail, capture_ids=capture_ids)
 
 
-def _artifact(session: Session, job_id: str, role: str, name: str) -> Input:
+def _artifact(session: Session, job_id: str, role: str, name: str) -> InputFile:
     artifact = rigs.artifact_of_job(session, job_id, name)
-    return _input_of(role, name, name, artifact.sha256)
-
-
-def _input_of(role: str, name: str, filename: str, sha256: str) -> Input:
-    return {"role": role, "name": name, "filename": filename, "sha256": sha256}
+    return input_file(role, name, name, artifact.sha256)
