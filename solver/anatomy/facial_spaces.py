@@ -38,7 +38,7 @@ class FacialSpace:
 
 @dataclass(frozen=True)
 class SpaceOptions:
-    """How much of the bone an attachment takes."""
+    """Share of the bone that an attachment takes."""
 
     origin_mm: float = 5.0  # from a muscle's end
 

@@ -39,7 +39,7 @@ class FatCompartment:
 
 @dataclass(frozen=True)
 class MapOptions:
-    """How far fat reaches beyond compartments, and under the skin."""
+    """Reach of fat beyond its compartments, and under the skin."""
 
     # weight of bare skin, whose share is 0, everywhere: the map ends at twice a radius, about
     bare: float = 0.1

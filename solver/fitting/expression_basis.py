@@ -35,7 +35,7 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class BasisOptions:
-    """Which shapes are fitted, and how."""
+    """Choice of the shapes that are fitted, and the effort of their fits."""
 
     large_mm: float = 1.0  # mean motion of the face from which a shape is fitted ...
     fitted_parts: tuple[float, ...] = (0.5,)  # ... at these parts of it, ...

@@ -147,7 +147,7 @@ def _text(path: Path, name: str) -> str:
 
 
 def _choice(path: list[str | int], detail: ErrorDetails) -> tuple[list[str | int], str]:
-    """Return place and sentence of what is of no known ``kind``."""
+    """Return the place and a sentence for every entry of an unknown ``kind``."""
     given = detail["input"]
     if not isinstance(given, Mapping):
         return path, f"{_shown(given)} is not of type 'object'"

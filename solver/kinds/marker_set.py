@@ -59,7 +59,7 @@ class MarkerEntry(Document):
 
 
 class SessionEntry(Document):
-    """What takes a take's coordinates, in mm, to the model's: scale * rotation x + shift."""
+    """Map of a take's coordinates, in mm, to the model's: scale * rotation x + shift."""
 
     scale: float = Field(default=1.0, ge=0.001, le=1e6)
     rotation: list[Row] = Field(

@@ -36,7 +36,7 @@ class LipOptions:
 class MouthGaps:
     """Gaps between lips and between teeth, in mm; None where the scan does not show it.
 
-    Of ``lips_mm`` 0 says that they are closed, as no scan can of the teeth.
+    ``lips_mm`` 0 means that the lips are closed; no scan shows that of the teeth.
     """
 
     lips_mm: float | None

@@ -83,7 +83,7 @@ FREE = AdmissibleLimits(fibre=4.0, shortest=0.01, longest=4.5, volume=50.0)
 
 @dataclass(frozen=True)
 class PlausibilityOptions:
-    """How far limits are loosened, as a part of the way to :data:`FREE`.
+    """Loosening of limits, as a part of the way to :data:`FREE`.
 
     Half of what loose bounds gain comes in the first eighth of the way; the power spreads that over
     the scale, so that the skin comes nearer evenly.

@@ -125,7 +125,7 @@ class MarkerFit:
 
 
 class _Response:
-    """What the markers do by the controls, while sensitivities are the same."""
+    """Derivative of the markers by the controls, while sensitivities are the same."""
 
     def __init__(self, places: MarkerPlaces, jacobian: Jacobian) -> None:
         self.jacobian, self._places = jacobian, places

@@ -205,7 +205,7 @@ class SequenceFrame(FrameRecord):
 class MarkerFrame(SequenceFrame):
     """One frame of a take of k markers, fitted; distances are those of the markers that count.
 
-    What is of the q controls is in the order of activations and jaw, or tracks. Activations of
+    Arrays over the q controls are in the order of activations and jaw, or tracks. Activations of
     fibre muscles are (m,); ``jaw`` is the free jaw that comes nearest to one on its tracks.
     """
 

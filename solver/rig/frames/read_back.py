@@ -1,4 +1,4 @@
-"""What a file that was written shows, compared with the arrays that it was written from.
+"""Comparison of a written file, read again, with the arrays that it was written from.
 
 A program that reads the file sees what is in it, not what the report speaks of. So files are read
 again, blended in single precision as other programs do, and their greatest distance to the arrays

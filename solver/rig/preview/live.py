@@ -88,7 +88,7 @@ class LiveFrame:
 
 @dataclass(frozen=True)
 class LiveState:
-    """What a frame leaves to the next: slider values (s,), their covariance, and the head."""
+    """State from frame to frame: slider values (s,), their covariance, and the head."""
 
     values: Floats
     covariance: Floats  # (s, s)

@@ -304,7 +304,7 @@ def check_flesh(face: Face, a: Floats, x: Floats, linear: LinearSolver) -> Flesh
 
 @dataclass(frozen=True)
 class SymmetryOptions:
-    """What counts as moving alike on both sides."""
+    """Bounds within which both sides move alike."""
 
     percentile: float = 99.0  # of the face's vertices: a wink moves few of them
     most_mm: float = 0.5  # by which they are off the mirror image

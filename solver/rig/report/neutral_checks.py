@@ -26,7 +26,7 @@ from solver.rig.rig import ExpressionFit
 
 @dataclass(frozen=True)
 class NeutralLimits:
-    """What a neutral may ask of expressions."""
+    """Bounds of what a neutral may ask of expressions."""
 
     least: int = 5  # expressions that are known, to judge by
     most: float = 0.6  # part of them from which they speak for the neutral

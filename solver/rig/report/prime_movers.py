@@ -24,7 +24,7 @@ from solver.surface import Floats
 
 @dataclass(frozen=True)
 class MoverOptions:
-    """What counts as contracting, and as a prime mover."""
+    """Contractions that count as one, and as a prime mover's."""
 
     least: float = STILL.least  # contraction below it counts as rest
     lengthened: float = STILL.lengthened  # lengthening from which it contradicts
@@ -55,12 +55,12 @@ class ActionCheck:
 
     @property
     def is_judged(self) -> bool:
-        """Whether the template has a muscle of the unit."""
+        """Tell whether the template has a muscle of the unit."""
         return bool(self.muscles)
 
     @property
     def is_prime(self) -> bool:
-        """Whether one of the muscles is among the few that contract most."""
+        """Tell whether one of the muscles is among the few that contract most."""
         return self.rank is not None and self.rank <= self.places
 
 
@@ -201,6 +201,6 @@ def _check(
 
 
 def is_one_of(whole: str, muscles: Iterable[str]) -> bool:
-    """Whether a template's whole muscle is one of ``muscles`` of anatomy texts."""
+    """Tell whether a template's whole muscle is one of ``muscles`` of anatomy texts."""
     bare = both_sides(whole).lower()
     return any(bare in template_names(muscle) for muscle in muscles)

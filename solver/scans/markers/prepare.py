@@ -47,7 +47,7 @@ from solver.surface import Floats, Surface
 
 @dataclass(frozen=True)
 class PrepareOptions:
-    """What is known of a take."""
+    """Facts known of a take."""
 
     actor: bool = False  # it is another person's, whose motion is carried over
     neutral: int | None = None  # frame, as the file counts, at which the face is at rest

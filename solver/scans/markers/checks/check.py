@@ -270,7 +270,7 @@ def _off_places(
 ) -> Floats:
     """Return how far (n,) labels are from their places in a marker set; reports the odd ones.
 
-    None is odd of an ``actor``, who has another face.
+    An ``actor`` has another face: no distance counts as odd there.
     """
     placed, labels = located.places, located.face.labels
     assert placed is not None

@@ -1,1 +1,1 @@
-"""Where a take's markers are on a person, and the marker set that says so."""
+"""Places of a take's markers on a person, and the marker set that keeps them."""

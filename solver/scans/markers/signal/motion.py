@@ -170,7 +170,7 @@ def _explain(changes: Floats, shapes: Floats, spread: Floats, options: MotionOpt
 
 @dataclass(frozen=True)
 class NeutralOptions:
-    """How a neutral is judged; lengths in mm."""
+    """Bounds by which a neutral is judged; lengths in mm."""
 
     seconds: float = 1.0
     away: float = 0.05  # of unrest that a mm away from the median face counts as
