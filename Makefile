@@ -13,7 +13,7 @@ help: ## list the targets
 demo: setup ## the whole product on the built-in face: scans in over HTTP, a fitted rig and a report out
 	@$(BIN)/myoface demo
 
-quick: setup-dev ## style, types, and unit tests that need no data and no process (45 s)
+quick: setup-dev ## style, types, and unit tests that need no data and no process (1 to 2 minutes)
 	@$(BIN)/ruff check --quiet
 	@$(BIN)/ruff format --check --quiet
 	@$(BIN)/mypy

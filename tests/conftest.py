@@ -21,7 +21,7 @@ import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 UNITS = tuple(f"tests/{folder}/" for folder in ("unit", "solver", "service", "worker", "myoface"))
-QUICK_LIMIT = 2.0  # s of processor time that a test of `make quick` may take
+QUICK_LIMIT = 0.6  # s of processor time that a test of `make quick` may take
 
 SECONDS = "processor seconds"
 

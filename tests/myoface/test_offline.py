@@ -59,6 +59,7 @@ def test_expressions_are_called_as_the_service_calls_them(tmp_path: Path) -> Non
         assert "--name" not in str(caught.value)
 
 
+@pytest.mark.long
 def test_a_fit_ends_with_its_verdict_and_certificate(rig: Path, tmp_path: Path) -> None:
     skin = head_block((7, 5, 1)).skin
     moved = skin.vertices + 0.02 * (skin.vertices - skin.vertices.mean(axis=0))
@@ -78,6 +79,7 @@ def played(command: str, rig: Path, scene: str, out: Path, *more: str) -> Told:
     return invoke(["solve", command, *files, "-o", str(out), *more])
 
 
+@pytest.mark.long
 def test_scenes_are_played_with_their_assets(rig: Path, tmp_path: Path) -> None:
     soft = {"kind": "stiffness", "factor": 0.5, "map": {"asset": "soft"}}
     scene = json.dumps({"edits": [soft]})

@@ -64,6 +64,7 @@ def rigged(studio: Studio, folder: Path, template_id: str | None = None) -> dict
     return {"rig": rig, "fit": fit, **made, "path": f"/v1/rigs/{rig}/archive"}
 
 
+@pytest.mark.long
 def test_it_is_complete_and_says_of_each_file_which_job_left_it(
     studio: Studio, tmp_path: Path
 ) -> None:
@@ -99,6 +100,7 @@ def test_it_is_complete_and_says_of_each_file_which_job_left_it(
     assert not any(info.flag_bits & 8 for info in packed.infolist())
 
 
+@pytest.mark.long
 def test_a_template_that_was_deleted_is_not_the_built_in_one(
     studio: Studio, tmp_path: Path
 ) -> None:
@@ -119,6 +121,7 @@ def test_a_template_that_was_deleted_is_not_the_built_in_one(
     assert found == {"sha256": hashlib.sha256(content).hexdigest(), "missing": True}
 
 
+@pytest.mark.long
 def test_every_range_is_that_of_the_whole(studio: Studio, tmp_path: Path) -> None:
     made = rigged(studio, tmp_path)
     head, whole = studio.http.head(made["path"]), studio.http.get(made["path"])
@@ -143,6 +146,7 @@ def test_every_range_is_that_of_the_whole(studio: Studio, tmp_path: Path) -> Non
     assert (beyond.status_code, beyond.headers["Content-Range"]) == (416, f"bytes */{size}")
 
 
+@pytest.mark.long
 def test_a_preview_that_was_made_since_is_in_another_archive(
     studio: Studio, tmp_path: Path
 ) -> None:
@@ -157,6 +161,7 @@ def test_a_preview_that_was_made_since_is_in_another_archive(
     assert packed.testzip() is None
 
 
+@pytest.mark.long
 def test_of_two_who_want_it_at_once_one_reads_its_files(
     studio: Studio, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,6 +185,7 @@ def test_of_two_who_want_it_at_once_one_reads_its_files(
     assert sorted(read) == sorted(each.sha256 for each in found.members if each.content is None)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", ["lost", "damaged"])
 def test_a_faulty_file_is_named_before_anything_is_sent(
     studio: Studio, tmp_path: Path, fault: str
@@ -201,6 +207,7 @@ def test_a_faulty_file_is_named_before_anything_is_sent(
     assert studio.http.get(made["path"]).status_code == 200
 
 
+@pytest.mark.long
 def test_a_file_that_is_damaged_later_cuts_the_answer_off_and_is_told_then(
     studio: Studio, tmp_path: Path
 ) -> None:
@@ -217,6 +224,7 @@ def test_a_file_that_is_damaged_later_cuts_the_answer_off_and_is_told_then(
     assert (answer.status_code, answer.json()["code"]) == (410, "files.lost")
 
 
+@pytest.mark.long
 def test_a_rig_that_is_being_deleted_is_not_copied(studio: Studio, tmp_path: Path) -> None:
     made = rigged(studio, tmp_path)
     job, path = made["fit"], f"/v1/subjects/{made['subject_id']}"
@@ -250,6 +258,7 @@ def test_a_rig_that_is_deleted_between_two_looks_is_not_there(
     assert studio.http.get(made["path"]).status_code == 404
 
 
+@pytest.mark.long
 def test_a_slow_reader_holds_neither_the_file_nor_a_session(
     studio: Studio, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -276,6 +285,7 @@ def test_a_slow_reader_holds_neither_the_file_nor_a_session(
     assert peak < 8 * 1024**2
 
 
+@pytest.mark.long
 def test_whoever_took_it_is_written_down(studio: Studio, tmp_path: Path) -> None:
     made = rigged(studio, tmp_path)
     path = f"/v1/audit?object_id={made['rig']}"
@@ -287,6 +297,7 @@ def test_whoever_took_it_is_written_down(studio: Studio, tmp_path: Path) -> None
     assert (entry["action"], entry["request_id"]) == ("rig.downloaded", "took-it")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [3, 70_000])
 def test_large_archives_are_what_zipfile_reads(tmp_path: Path, count: int) -> None:
     """Beyond 4 GiB, or 65,535 files, by a sparse file with the layout's own bytes."""

@@ -111,6 +111,7 @@ def _is_due(session: Session) -> None:
     assert outbox.is_due(session)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("do", [_claim, _take, _is_due], ids=["claim", "take", "is_due"])
 def test_a_look_reads_as_much_of_a_long_queue_as_of_a_short_one(
     store: Store, do: Callable[[Session], Any]
@@ -126,6 +127,7 @@ def test_a_look_reads_as_much_of_a_long_queue_as_of_a_short_one(
     assert counts[1] < 1.5 * counts[0], counts
 
 
+@pytest.mark.long
 def test_a_place_costs_what_comes_before_it(store: Store) -> None:
     _queue(store, "small", 2)
     counts = []
@@ -137,6 +139,7 @@ def test_a_place_costs_what_comes_before_it(store: Store) -> None:
     assert counts[1] < 1.5 * counts[0], counts
 
 
+@pytest.mark.long
 def test_a_place_is_told_when_it_is_near(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(claims, "MOST_TURNS", 5)
     _queue(store, "large", 20)

@@ -69,6 +69,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
         yield Session(studio)
 
 
+@pytest.mark.long
 def test_a_check_s_places_serve_the_fit_and_its_retry(session: Session) -> None:
     check = session.left("check_markers", "markers.json", captures=[session.take])
     handed = {"job": check, "artifact": "markers.json"}
@@ -83,6 +84,7 @@ def test_a_check_s_places_serve_the_fit_and_its_retry(session: Session) -> None:
     session.studio.post(f"/v1/jobs/{again}/cancel")
 
 
+@pytest.mark.long
 def test_takes_play_in_a_scene_under_their_names(session: Session) -> None:
     one, other = (
         session.left("fit_markers", "sequence.npz", captures=[session.take]) for _ in "ab"

@@ -45,6 +45,7 @@ def _steps(store: Store, job_id: str) -> list[dict[str, Any]]:
         return [each.data for each in session.scalars(reports.order_by(Event.id))]
 
 
+@pytest.mark.long
 def test_progress_without_end_fills_no_table(
     studio: Studio, store: Store, job_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -67,6 +68,7 @@ def test_progress_without_end_fills_no_table(
     assert max(len(json.dumps(each)) for each in kept) <= PROGRESS.size + 100
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("fraction", "shown"),
     [(10**400, 1.0), (math.inf, 1.0), (-3, 0.0), (math.nan, 0.0), (0.5, 0.5)],
@@ -161,6 +163,7 @@ BAD = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", BAD)
 def test_a_file_of_frames_is_read_as_far_as_it_may_go(
     fault: str, simulation: Simulation, monkeypatch: pytest.MonkeyPatch
@@ -181,6 +184,7 @@ OF_KINDS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("stored", "rows"), [([0.5, 0.0], [[0.5], [0.0]]), ([RELAXED], [RELAXED])], ids=["fibres", "S"]
 )
@@ -203,6 +207,7 @@ def test_a_picture_is_base_64(picture: str, simulation: Simulation) -> None:
     assert simulation.ask("/picture")[0] in (200, 409)
 
 
+@pytest.mark.long
 def test_an_answer_reads_so_many_files_at_most(
     simulation: Simulation, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,6 +229,7 @@ def test_an_answer_reads_so_many_files_at_most(
     assert len(opened) == work.MOST_LOOKED_AT
 
 
+@pytest.mark.long
 def test_two_requests_at_a_time_hold_files_of_frames(
     simulation: Simulation, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,6 +37,7 @@ def test_control_characters_are_escaped(as_json: bool, capsys: pytest.CaptureFix
     assert not [line for line in told.splitlines() if line.startswith("forged")]
 
 
+@pytest.mark.long
 def test_paths_are_logged_without_names_and_raw_characters(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

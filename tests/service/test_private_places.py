@@ -60,6 +60,7 @@ def test_the_doctor_warns_of_folders_that_others_can_look_into(tmp_path: Path) -
     assert found.advice == f"chmod -R go= '{wide}'"
 
 
+@pytest.mark.long
 def test_two_installations_with_one_work_folder_keep_their_attempts(tmp_path: Path) -> None:
     work, stores = tmp_path / "work", []
     for name in ("north", "south"):

@@ -37,6 +37,7 @@ def _entries(studio: Studio, object_id: str) -> list[dict[str, Any]]:
     ]
 
 
+@pytest.mark.long
 def test_a_download_is_noted_once_an_hour_for_a_key(tmp_path: Path) -> None:
     with served(Settings(data_dir=tmp_path)) as studio:
         artifact = _artifact(studio, tmp_path)
@@ -93,6 +94,7 @@ def test_what_cannot_be_written_waits_within_bounds(
         assert found == [1, 1, 1, 0, 0]
 
 
+@pytest.mark.long
 def test_the_last_reads_are_written_at_the_end(tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path)
     with served(settings) as studio:

@@ -118,6 +118,7 @@ def test_the_service_listens_while_kernels_compile(tmp_path, monkeypatch):
     assert (told.exit_code, told.stderr) == (130, "")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["up", "demo"])
 def test_no_job_is_given_kernels_of_older_code(command, tmp_path, monkeypatch):
     installed = tmp_path / "installed" / "mechanics_1"

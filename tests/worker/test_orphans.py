@@ -99,6 +99,7 @@ def _is_zombie(process: int) -> bool:
     return Path(f"/proc/{process}/cmdline").read_bytes() == b""
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are found on Linux only")
 def test_a_session_whose_number_is_another_one_s_now_is_left_alone(
     store: Store, tmp_path: Path

@@ -45,6 +45,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return files
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "scene", "roles", "told"),
     [

@@ -244,6 +244,7 @@ def test_what_a_solver_links_to_is_not_stored(settings: Settings, store: Store) 
     assert folder.store(store.files) == []
 
 
+@pytest.mark.long
 def test_no_more_is_stored_than_was_measured(settings: Settings, store: Store) -> None:
     """Another process of the solver's goes on writing what is looked at and stored."""
     folder = AttemptFolder(settings.work, _claimed(store, "simulate"))
@@ -434,6 +435,7 @@ def test_nothing_of_what_is_too_much_is_stored(
     assert len(list(store.files.list_stored())) == 2
 
 
+@pytest.mark.long
 def test_frames_are_too_much_while_they_come(
     jobs: Jobs, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:

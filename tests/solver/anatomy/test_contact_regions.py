@@ -52,6 +52,7 @@ def head(request):
     return request.param()
 
 
+@pytest.mark.long
 def test_lips_lie_on_the_teeth_and_lids_on_the_eyes(head):
     flesh, sides, parts, landmarks, _ = head
     skin = flesh.vertices
@@ -79,6 +80,7 @@ def test_lips_lie_on_the_teeth_and_lids_on_the_eyes(head):
             assert np.linalg.norm(lid - centre, axis=1).min() > radius - 0.3
 
 
+@pytest.mark.long
 def test_no_lip_has_vertices_of_the_other_one(head):
     flesh, sides, _, landmarks, named = head
     skin, normals = flesh.vertices, vertex_normals(flesh)

@@ -45,6 +45,7 @@ def test_straight_muscle_runs_from_origin_to_insertion():
     assert (directions @ fibre).min() > 0.8
 
 
+@pytest.mark.long
 def test_ring_runs_round_its_axis():
     vertices, tets = flesh([-30, -24, -10], [30, 24, 10], 3.0)
     ring = trimesh.creation.annulus(r_min=14, r_max=20, height=8, sections=48)
@@ -59,6 +60,7 @@ def test_ring_runs_round_its_axis():
     assert (along * np.sign(along.mean())).min() > 0.7
 
 
+@pytest.mark.long
 def test_muscle_that_bends_is_followed():
     """The third part of a ring, as the parts of orbicularis oculi are."""
     vertices, tets = flesh([-30, 8, -10], [30, 42, 10], 3.0)
@@ -75,6 +77,7 @@ def test_muscle_that_bends_is_followed():
     assert np.sum(directions * tangent, axis=1).mean() > 0.93
 
 
+@pytest.mark.long
 def test_fibres_of_a_dome_do_not_fan_out():
     """Frontalis ends above in a wide arch, below in a straight border."""
     vertices, tets = flesh([-24, -4, -10], [24, 44, 10], 3.0)

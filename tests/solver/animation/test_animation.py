@@ -221,6 +221,7 @@ def test_eyes_turn_about_their_centres() -> None:
     np.testing.assert_allclose(np.linalg.norm(turned[ids] - centre, axis=1), 12.0)
 
 
+@pytest.mark.long
 def test_blendshapes_are_solved_once(tmp_path: Path) -> None:
     model = head_block()
     face = Face(model)

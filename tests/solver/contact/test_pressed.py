@@ -45,6 +45,7 @@ def pressed(model, face, thing, potentials):
     return stepped.y, here
 
 
+@pytest.mark.long
 def test_a_ball_stays_out_of_the_flesh_it_is_pressed_into(nose):
     model, face, thing = nose
     gauge, closed = Gauge(model), np.zeros(5)

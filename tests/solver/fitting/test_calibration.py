@@ -55,6 +55,7 @@ def test_rates_match_equilibria_nearby(plain):
         assert by_adjoint == pytest.approx(exact @ pull, rel=1e-8)
 
 
+@pytest.mark.long
 def test_turned_fibres_weak_muscles_and_wrong_fractions_are_found(plain, tmp_path):
     """Scans of muscles that differ from the template's in all that is calibrated."""
     shape = FibreShape(plain)

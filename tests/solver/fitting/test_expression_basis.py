@@ -32,6 +32,7 @@ def basis(face: Face, shapes: np.ndarray) -> ExpressionBasis:
     return ExpressionBasis.solve(face, shapes)
 
 
+@pytest.mark.long
 def test_a_fit_begins_half_way_where_the_whole_change_is_worse(
     face: Face, basis: ExpressionBasis
 ) -> None:
@@ -49,6 +50,7 @@ def test_a_fit_begins_half_way_where_the_whole_change_is_worse(
         np.testing.assert_allclose(state.pose.vector(), expected)
 
 
+@pytest.mark.long
 def test_what_was_kept_is_read(
     face: Face, shapes: np.ndarray, basis: ExpressionBasis, tmp_path: Path
 ) -> None:

@@ -87,6 +87,7 @@ def test_step_is_cut_to_the_trust(problem):
     assert 0.0 < found.gain < -gradient @ found.change
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("expression", "draw"), [("smile", 0), ("surprise", 3), ("ah", 6)])
 def test_few_points_are_fitted_from_rest(expression, draw):
     """With 40 of 1,849 points K is singular; it has to stay positive semi-definite as it learns."""

@@ -88,6 +88,7 @@ def test_step_solves_the_dense_system():
     assert np.linalg.norm(change - expected) < 0.1 * np.linalg.norm(expected)
 
 
+@pytest.mark.long
 def test_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
     """Targets come from the true S; the fit starts from one whose muscles are smeared."""
     targets = targets_of(face, 4)

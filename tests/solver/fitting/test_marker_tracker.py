@@ -81,6 +81,7 @@ def off(face, state, skin):
     return float(np.linalg.norm(face.face_points(state.x) - skin, axis=1).mean())
 
 
+@pytest.mark.long
 def test_face_and_head_are_followed(face, places, known, take):
     skins, heads, points = take
     tracker = tracker_of(face, places, known)
@@ -95,6 +96,7 @@ def test_face_and_head_are_followed(face, places, known, take):
         assert face.flesh.inverted(fit.state.x) == 0
 
 
+@pytest.mark.long
 def test_wrong_markers_are_found_and_swaps_mended(face, places, known, take):
     skins, _, points = take
     tracker = tracker_of(face, places, known)
@@ -120,6 +122,7 @@ def test_wrong_markers_are_found_and_swaps_mended(face, places, known, take):
         assert off(face, fit.state, skin) < 0.35
 
 
+@pytest.mark.long
 def test_what_nothing_tells_of_fades_and_comes_back(face, places, known, take):
     skins, _, points = take
     tracker = tracker_of(face, places, known)
@@ -182,6 +185,7 @@ def test_a_lost_marker_that_is_found_counts_in_full():
     assert judged.weights.min() > 0.9
 
 
+@pytest.mark.long
 def test_places_that_are_bound_wrong_are_mended(face, markers, places, known, take):
     """Each marker is bound 1.5 mm beside its place; the take says where it is."""
     points = take[2]
@@ -299,6 +303,7 @@ def test_a_head_that_was_lost_is_found_again(face, places, known, take):
     assert (fit.judged.states == "seen").all()
 
 
+@pytest.mark.long
 def test_a_sweep_in_blocks_is_that_in_one(face, places, known, take):
     tracker = tracker_of(face, places, known)
     fits = [tracker.step(SeenMarkers(seen)) for seen in take[2][:7]]
@@ -309,6 +314,7 @@ def test_a_sweep_in_blocks_is_that_in_one(face, places, known, take):
         np.testing.assert_allclose(one.sd, other.sd, rtol=0.05)
 
 
+@pytest.mark.long
 def test_a_sweep_back_bridges_a_gap(face, places, known, take):
     """In a gap the filter fades to rest; the sweep goes to what comes after it."""
     points = take[2]
@@ -357,6 +363,7 @@ def test_a_muscle_that_only_goes_along_in_expressions_is_not_determined(face, ma
     assert found.following_muscles >= 1
 
 
+@pytest.mark.long
 def test_held_muscles_keep_still_while_others_move(face, places, take):
     """Of a face whose left markers are gone the muscles there fade to rest, and do no more."""
     points = take[2].copy()
@@ -373,6 +380,7 @@ def test_held_muscles_keep_still_while_others_move(face, places, take):
     assert np.abs(gone[-1].state.pose.a - rest - faded)[held].max() < 0.02
 
 
+@pytest.mark.long
 def test_a_first_frame_far_from_rest_is_judged_by_the_face_that_it_shows(face, places, known):
     values, vectors = np.linalg.eigh(known.covariance)
     state = face.continuation(face.rest, face.rest_pose().add(np.sqrt(values[-1]) * vectors[:, -1]))

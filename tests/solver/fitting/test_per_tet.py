@@ -107,6 +107,7 @@ def test_reduced_gradient(posed, divided):
         assert np.vdot(by_a, a) + by_b @ b == pytest.approx(numeric, rel=1e-5)
 
 
+@pytest.mark.long
 def test_step_solves_the_reduced_system(posed, divided):
     """Conjugate gradients with the saddle point as preconditioner against a dense solve."""
     objective, state = posed
@@ -158,6 +159,7 @@ def test_activations_stay_positive_definite(divided):
     np.testing.assert_allclose(back, np.einsum("eij,eji->e", root, root), rtol=1e-9)
 
 
+@pytest.mark.long
 def test_round_trip_reaches_the_skin(divided):
     """Weak priors: the skin of random activations and an open jaw is found again."""
     rng = np.random.default_rng(8)
@@ -208,6 +210,7 @@ def test_refused_steps_are_no_minimum_where_viscous_flesh_came_further(divided):
     assert descend(0.6 * stopped) == (Status.NO_DESCENT, stopped)
 
 
+@pytest.mark.long
 def test_a_fit_goes_on_from_its_end(divided):
     rng = np.random.default_rng(8)
     target = target_of(divided, Pose(contracted(divided, rng, 0.3), np.zeros(5)))

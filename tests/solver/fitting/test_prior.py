@@ -50,6 +50,7 @@ def test_what_an_expression_does_is_probable(face):
     assert likely < 0.1 * unlikely
 
 
+@pytest.mark.long
 def test_large_shapes_are_fitted():
     """Half of a large shape comes of half its change, where the linear response errs by far."""
     face, rest = Face(small_model()), small_capture("neutral").vertices

@@ -93,6 +93,7 @@ def test_the_hessian_is_exact_where_the_residual_vanishes(face):
     np.testing.assert_allclose(hessian @ direction, numeric, atol=1e-6 * np.abs(numeric).max())
 
 
+@pytest.mark.long
 def test_joint_gauss_newton_reaches_the_multi_target_minimum(face):
     """Both minimise the same, to the same weights: one prior of the activations and of S."""
     S, data = smeared(face), two_targets(face)
@@ -112,6 +113,7 @@ def test_joint_gauss_newton_reaches_the_multi_target_minimum(face):
     assert problem.value(now.values, now.states) < 1.001 * full.objective
 
 
+@pytest.mark.long
 def test_per_tet_fit_reaches_the_minimum():
     face = face_with_fibres()
     divided = tissue.of_face(face)

@@ -52,6 +52,7 @@ def regulariser(face):
     return Regulariser(w_a=1e-3, w_v=1e-2, w_b=1e-6, prior=face.rest_pose())
 
 
+@pytest.mark.long
 def test_frames_are_as_good_as_on_their_own(face, targets):
     weights = regulariser(face)
     tracker = Tracker(DensePoints(face, weights))

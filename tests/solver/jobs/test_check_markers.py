@@ -29,6 +29,7 @@ def take(tmp_path: Path) -> Path:
     return file
 
 
+@pytest.mark.long
 def test_a_take_is_checked_against_a_person_and_against_nobody(tmp_path: Path, take: Path) -> None:
     model = tmp_path / "model.npz"
     small_model().save(model)
@@ -69,6 +70,7 @@ def test_a_set_that_is_not_of_the_person_is_refused(
         Reference.of(model, MarkerSet.load(given))
 
 
+@pytest.mark.long
 def test_a_take_without_labels_is_checked_by_its_tracks(tmp_path: Path) -> None:
     take, model = tmp_path / "take.npz", tmp_path / "model.npz"
     points, names = made_positions(300), tuple(f"*{number}" for number in range(len(LABELS)))
@@ -80,6 +82,7 @@ def test_a_take_without_labels_is_checked_by_its_tracks(tmp_path: Path) -> None:
     assert [each["label"] for each in found["labels"]] == list(names)
 
 
+@pytest.mark.long
 def test_a_take_without_rest_is_bound_in_an_expression(tmp_path: Path) -> None:
     model, face = small_model(), small_capture("ah")
     at_rest, none = Face(model).rest_pose(), np.zeros(len(face.vertices))
@@ -129,6 +132,7 @@ def test_a_frame_that_the_take_does_not_have_is_told(tmp_path: Path, take: Path)
     assert "frames 1 to 300, not 9999" in json.loads(report.read_text())["findings"][0]["message"]
 
 
+@pytest.mark.long
 def test_a_take_may_be_at_rest_before_frame_0(tmp_path: Path) -> None:
     take = tmp_path / "take.npz"
     made_take(made_positions(300), first=-200).save(take)

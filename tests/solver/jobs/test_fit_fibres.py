@@ -40,6 +40,7 @@ def real():
     return Rig(plain.model, plain.model.weights, fits)
 
 
+@pytest.mark.long
 def test_muscles_are_calibrated_and_unseen_expressions_gain(real, tmp_path):
     real.save(tmp_path / "rig.npz")
     steps = []

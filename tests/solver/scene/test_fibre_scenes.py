@@ -58,6 +58,7 @@ def motion(arrays: Any, frame: int = -1) -> float:
 TAKE = {"asset": "take"}
 
 
+@pytest.mark.long
 def test_a_take_of_fibre_muscles_is_the_flesh_that_it_was_fitted_with(
     files: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -73,6 +74,7 @@ def test_a_take_of_fibre_muscles_is_the_flesh_that_it_was_fitted_with(
     assert report["inverted"] == 0
 
 
+@pytest.mark.long
 def test_gains_end_at_one_and_curves_go_on(files: dict[str, Path], tmp_path: Path) -> None:
     once = simulate(files, tmp_path / "once", {"performance": TAKE})
     twice = simulate(files, tmp_path / "twice", {"performance": {**TAKE, "gain": 2}})
@@ -83,6 +85,7 @@ def test_gains_end_at_one_and_curves_go_on(files: dict[str, Path], tmp_path: Pat
     assert motion(once) < motion(twice) < motion(more)
 
 
+@pytest.mark.long
 def test_keys_direct_fibre_muscles(files: dict[str, Path], tmp_path: Path) -> None:
     keys = [{"time": 0}, {"time": 0.3, "fibres": {"left": 0.5}, "jaw": {"open_deg": 2}}]
     alone = simulate(files, tmp_path / "alone", {"keys": keys})
@@ -93,6 +96,7 @@ def test_keys_direct_fibre_muscles(files: dict[str, Path], tmp_path: Path) -> No
     np.testing.assert_allclose(layered["activations"][-1], [1.0, 0.0], atol=1e-12)
 
 
+@pytest.mark.long
 def test_a_palsy_weakens_fibre_muscles(files: dict[str, Path], tmp_path: Path) -> None:
     whole = simulate(files, tmp_path / "whole", {"performance": TAKE})
     edits = [{"kind": "paralysis", "muscles": ["left", "right"]}]

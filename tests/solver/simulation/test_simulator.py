@@ -284,6 +284,7 @@ def test_a_step_is_halved_as_often_as_need_be_and_ends_where_short_ones_do():
     np.testing.assert_allclose(halved.motion.v, motion.v, atol=1e-3)
 
 
+@pytest.mark.long
 def test_what_can_not_be_reached_fails_with_its_time():
     face = face_of()
     steps = simulator(face, [Lid()])

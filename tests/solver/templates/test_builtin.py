@@ -67,6 +67,7 @@ def test_flesh_surface_closes_mouth_and_eye_sockets(template):
     np.testing.assert_allclose(winding, [1, 1, 1, 0, 0], atol=0.05)
 
 
+@pytest.mark.long
 def test_bones_are_closed_apart_and_under_the_skin(template, skin):
     for bone in (template.cranium, template.mandible):
         assert mesh(bone).is_watertight
@@ -79,6 +80,7 @@ def test_bones_are_closed_apart_and_under_the_skin(template, skin):
     assert np.sqrt(squared.min()) >= 1.5
 
 
+@pytest.mark.long
 def test_bones_lie_at_the_published_depths(template, skin):
     for landmark, bone, depth in [
         ("glabella", template.cranium, 5.5),
@@ -92,6 +94,7 @@ def test_bones_lie_at_the_published_depths(template, skin):
         assert abs(np.sqrt(squared[0]) - depth) < 2, landmark
 
 
+@pytest.mark.long
 def test_muscles_are_closed_and_between_skin_and_bone(template, skin):
     assert len(template.muscles) >= 43
     under_arch = {row.name for row in read_muscles() if row.layer == "under_arch"}
@@ -186,6 +189,7 @@ def test_template_survives_the_cache(template, tmp_path):
     assert [muscle.name for muscle in again.muscles] == [m.name for m in template.muscles]
 
 
+@pytest.mark.long
 def test_shipped_tets_are_the_templates(template):
     """After a change of skin, bones or muscles: scripts/builtin_tets.py writes them anew."""
     mesh = template.mesh

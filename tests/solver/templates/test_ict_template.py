@@ -47,6 +47,7 @@ def test_quads_and_triangles_become_triangles():
     assert faces.tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
 
 
+@pytest.mark.long
 @needs_data
 def test_anatomy_that_lacks_a_part_is_named(tmp_path):
     rows = (ANATOMY / "index.csv").read_text().splitlines()

@@ -59,6 +59,7 @@ def test_places_derivative_matches_differences(preview, markers):
     np.testing.assert_allclose(found, change.ravel() / 2e-5, atol=1e-5)
 
 
+@pytest.mark.long
 def test_sliders_and_head_are_followed(preview, markers):
     tracker = LiveTracker(*preview, markers, 1.0 / 60.0)
     places, rng = tracker.places, np.random.default_rng(3)
@@ -80,6 +81,7 @@ def test_sliders_and_head_are_followed(preview, markers):
     assert np.isnan(gone.residuals).all()
 
 
+@pytest.mark.long
 def test_simulated_flesh_is_followed_by_its_expressions(markers):
     """A pose between expressions that the flesh makes comes back from its markers."""
     face = Face(small_model())

@@ -59,6 +59,7 @@ def told(check: MarkerCheck) -> list[Finding]:
     return [each for each in check.findings if each.severity != "info"]
 
 
+@pytest.mark.long
 def test_a_clean_take_is_good(person: Reference, clean: Floats) -> None:
     check = check_take(made_take(clean), person)
     assert check.findings == []
@@ -69,6 +70,7 @@ def test_a_clean_take_is_good(person: Reference, clean: Floats) -> None:
     assert check.bound.labels == LABELS
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", sorted(BAD_TAKES))
 def test_a_planted_fault_is_found_where_it_is(person: Reference, clean: Floats, fault: str) -> None:
     bad, take = BAD_TAKES[fault], made_take(clean)
@@ -81,6 +83,7 @@ def test_a_planted_fault_is_found_where_it_is(person: Reference, clean: Floats, 
 # Faults of a whole take.
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("change", "codes"),
     [
@@ -115,6 +118,7 @@ def test_a_unit_that_is_read_wrongly_is_found_by_the_face(
     assert check.figures["off_skin_mm"] < 0.1
 
 
+@pytest.mark.long
 def test_the_neutral_is_the_person_s_and_not_the_stillest_second() -> None:
     """People hold expressions more still than they rest."""
     rng = np.random.default_rng(3)
@@ -152,6 +156,7 @@ def test_more_markers_than_a_face_has_are_refused_before_pairs_are_made(person: 
         bind(take, small_model())
 
 
+@pytest.mark.long
 def test_labels_of_one_point_are_one_finding(person: Reference, clean: Floats) -> None:
     points = clean.copy()
     points[:, 3:] = points[:, :1]
@@ -165,6 +170,7 @@ def test_labels_of_one_point_are_one_finding(person: Reference, clean: Floats) -
     assert len(double.context["labels"]) == 6
 
 
+@pytest.mark.long
 def test_rest_that_shows_too_little_or_moves_is_told(person: Reference, clean: Floats) -> None:
     points = clean.copy()
     points[:150, 20:] = np.nan
@@ -184,6 +190,7 @@ def test_points_without_any_unit_are_refused_at_once(person: Reference, clean: F
     assert check.findings == [why]
 
 
+@pytest.mark.long
 def test_of_many_markers_some_that_are_spread_over_the_face_slide(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -228,6 +235,7 @@ def test_a_marker_that_lies_far_away_at_rest_is_in_no_set(
     assert MarkerSet.load(tmp_path / "markers.json").labels == LABELS[1:]
 
 
+@pytest.mark.long
 def test_two_faces_are_told_apart_and_a_body_is_left_out(person: Reference, clean: Floats) -> None:
     others = tuple(f"B_{label}" for label in LABELS)
     both = made_take(
@@ -242,6 +250,7 @@ def test_two_faces_are_told_apart_and_a_body_is_left_out(person: Reference, clea
     assert bind(take, small_model()).markers.markers == check.bound.markers
 
 
+@pytest.mark.long
 def test_another_person_is_told_and_an_actor_is_meant(person: Reference, clean: Floats) -> None:
     middle = clean.mean(axis=(0, 1))
     wide = (clean - middle) * [1.3, 0.85, 1.3] + middle
@@ -250,6 +259,7 @@ def test_another_person_is_told_and_an_actor_is_meant(person: Reference, clean: 
     assert told(check_take(made_take(wide), person, actor=True)) == []
 
 
+@pytest.mark.long
 def test_an_open_mouth_at_rest_is_told(person: Reference) -> None:
     noise = 0.1 * np.random.default_rng(0).normal(size=(200, len(LABELS), 3))
     opened = on_skin("ah") + noise
@@ -270,6 +280,7 @@ def test_takes_of_few_frames_are_no_error(person: Reference, clean: Floats, fram
     assert judge_findings(check.findings) == "good"
 
 
+@pytest.mark.long
 def test_half_of_the_markers_may_be_missing(person: Reference, clean: Floats) -> None:
     points = clean.copy()
     points[np.random.default_rng(3).random(points.shape[:2]) < 0.5] = np.nan
@@ -279,6 +290,7 @@ def test_half_of_the_markers_may_be_missing(person: Reference, clean: Floats) ->
     assert check.figures["off_skin_mm"] < 1.0
 
 
+@pytest.mark.long
 def test_a_take_of_which_a_third_is_thrown_is_bad(person: Reference, clean: Floats) -> None:
     points, rng = clean.copy(), np.random.default_rng(4)
     thrown = rng.random(points.shape[:2]) < 0.35
@@ -288,6 +300,7 @@ def test_a_take_of_which_a_third_is_thrown_is_bad(person: Reference, clean: Floa
     assert judge_findings(check.findings) == "bad"
 
 
+@pytest.mark.long
 def test_labels_may_say_nothing(person: Reference, clean: Floats) -> None:
     labels = tuple(f"M{number:03d}" for number in range(len(LABELS)))
     check = check_take(made_take(clean, labels), person)
@@ -296,6 +309,7 @@ def test_labels_may_say_nothing(person: Reference, clean: Floats) -> None:
     assert check.figures["off_skin_mm"] < 0.5
 
 
+@pytest.mark.long
 def test_an_unlabelled_track_that_fills_a_gap_is_named(person: Reference, clean: Floats) -> None:
     points = clean.copy()
     track = np.full((len(points), 1, 3), np.nan)
@@ -309,6 +323,7 @@ def test_an_unlabelled_track_that_fills_a_gap_is_named(person: Reference, clean:
     ]
 
 
+@pytest.mark.long
 def test_a_marker_set_tells_what_moved_between_takes(person: Reference, clean: Floats) -> None:
     bound = bind(made_take(clean), small_model()).markers
     known = replace(person, markers=bound)
@@ -327,6 +342,7 @@ def test_a_marker_set_tells_what_moved_between_takes(person: Reference, clean: F
     ]
 
 
+@pytest.mark.long
 def test_labels_that_a_marker_set_does_not_have_are_told(person: Reference, clean: Floats) -> None:
     bound = bind(made_take(clean), small_model()).markers
     known = replace(person, markers=bound)
@@ -342,6 +358,7 @@ def test_labels_that_a_marker_set_does_not_have_are_told(person: Reference, clea
     assert said(tuple(f"M{number}" for number in range(len(LABELS)))).severity == "error"
 
 
+@pytest.mark.long
 def test_bound_markers_lie_where_they_were_made(clean: Floats) -> None:
     model = small_model()
     found = bind(made_take(clean), model)
@@ -361,6 +378,7 @@ class Shown:
     jaw: Floats
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["ah", "smile", "surprise"])
 def test_a_take_without_rest_is_bound_to_an_expression_as_others_at_rest(name: str) -> None:
     model, jaw = small_model(), np.array([0.25, 0.03, 0.5, -1.0, 1.5])
@@ -384,6 +402,7 @@ def test_a_take_without_rest_is_bound_to_an_expression_as_others_at_rest(name: s
     assert told(check) == []
 
 
+@pytest.mark.long
 def test_a_fit_has_bound_markers_where_they_were_seen(clean: Floats) -> None:
     model = small_model()
     located = locate_take(choose_face(made_take(clean)), model_face(model))
@@ -393,6 +412,7 @@ def test_a_fit_has_bound_markers_where_they_were_seen(clean: Floats) -> None:
     np.testing.assert_allclose(rest_places(markers, model.skin), off + located.places, atol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("late", [False, True])
 def test_a_marker_that_moved_has_a_place_for_each_span(clean: Floats, late: bool) -> None:
     model, at, frame = small_model(), AT["LCheek"], 800
@@ -462,6 +482,7 @@ def test_real_takes_are_another_person_s_than_the_small_one(real: Take, person: 
     assert told_but_rest(check_take(real, Reference(person.face))) == []
 
 
+@pytest.mark.long
 def test_a_set_for_a_model_is_one_that_can_be_read_again(
     tmp_path, person: Reference, clean: Floats
 ) -> None:

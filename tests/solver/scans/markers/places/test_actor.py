@@ -91,6 +91,7 @@ def off_face(positions: Floats, still: Floats, chosen: list[int] | slice = slice
     return float(np.sqrt(np.mean(np.sum((placed - still)[:, chosen] ** 2, axis=-1))))
 
 
+@pytest.mark.long
 def test_motion_is_carried_by_the_local_jacobian(
     carried: CarriedTake, actor: Take, markers: MarkerSet, still: Floats
 ) -> None:
@@ -110,6 +111,7 @@ def test_motion_is_carried_by_the_local_jacobian(
     assert low < 1.0 < 1.1 < high
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", [0.7, 1.0, 1.4])
 def test_a_person_of_another_size_is_carried_exactly(
     size: float, still: Floats, markers: MarkerSet
@@ -257,6 +259,7 @@ def test_what_is_not_carried_is_told(actor: Take, markers: MarkerSet) -> None:
     assert found.report["markers"]["LBrow_In"]["missed_mm"] > 20.0
 
 
+@pytest.mark.long
 def test_an_actor_is_bound_by_names_in_the_person_s_size(actor: Take, markers: MarkerSet) -> None:
     places = on_skin("neutral")
 
@@ -273,6 +276,7 @@ def test_an_actor_is_bound_by_names_in_the_person_s_size(actor: Take, markers: M
     assert found.report["scale"] == pytest.approx(similar.scale, rel=0.05)
 
 
+@pytest.mark.long
 def test_markers_of_the_orbit_are_proposed_on_its_rim(actor: Take) -> None:
     """The names of the made take put the upper ones on the lids."""
     model = small_model()
@@ -288,6 +292,7 @@ def test_markers_of_the_orbit_are_proposed_on_its_rim(actor: Take) -> None:
 # The check goes the way of the fit.
 
 
+@pytest.mark.long
 def test_the_check_of_an_actor_agrees_with_the_fit(actor: Take, markers: MarkerSet) -> None:
     person = Reference(SKIN, small_model().sha256, markers)
     check = check_take(actor, person, REST, actor=True)
@@ -307,6 +312,7 @@ def test_the_check_of_an_actor_agrees_with_the_fit(actor: Take, markers: MarkerS
         assert judge_findings(check.findings) == "bad"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shape", ["line", "plane"])
 def test_markers_on_a_line_or_in_a_plane_are_refused(shape: str, markers: MarkerSet) -> None:
     rng = np.random.default_rng(5)

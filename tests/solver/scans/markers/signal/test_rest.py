@@ -71,6 +71,7 @@ def held(*poses: str) -> Take:
     return made_take(np.concatenate(parts))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("poses", [("neutral", "ah"), ("ah", "neutral")])
 def test_of_two_poses_that_are_held_alike_the_closed_mouth_is_rest(poses: tuple[str, str]) -> None:
     take = held(*poses)
