@@ -172,6 +172,8 @@ class _BlendedKeys:
             a, clamped = keep_within(pose.a, self._limits)
             return a, pose.b, clamped
         a, clamped = unfold(under + pose.a - IDENTITY)
+        if self._limits is None:
+            return a, pose.b, clamped
         # what was played stays as it was fitted where no key moves it
         moved = (pose.a != IDENTITY).any(axis=1)
         kept = np.where(moved[:, None], keep_within(a, self._limits)[0], a)

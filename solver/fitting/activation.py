@@ -15,6 +15,7 @@ further it goes, is learnt from the gradients (:class:`~.least_squares.SecondOrd
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -273,9 +274,10 @@ class GaussNewton:
         self.learnt = learnt
 
     def plus(self, matrix: Floats) -> GaussNewton:
-        """Add a known part (k, k) of f's Hessian."""
-        self._known = self._known + matrix
-        return self
+        """Return the model with a further part (k, k) of f's Hessian."""
+        other = copy.copy(self)
+        other._known = self._known + matrix
+        return other
 
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """See :meth:`DenseModel.step`."""
