@@ -4,7 +4,7 @@ The page has the same rule in ``service/page/static/js/scan_files.js``; both are
 of ``tests/fixtures/scan_names.json``.
 
 - A role is in the name: ``neutral``, ``neutre``, ``rest`` or ``relaxed`` as a word of its own is
-  the neutral, the ending ``.npy`` a performance, ``.c3d`` and ``.trc`` a take of markers, all else
+  the neutral, an ending that one role alone has (``.npy``, ``.c3d``) says that one, and all else is
   an expression.
 - A name that is legal stays as it is. In others accents go, and blanks and signs become ``_``.
 - What all files of a session begin with, up to a blank, ``_`` or ``-``, is the person and goes,
@@ -21,17 +21,14 @@ import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from myoface.errors import ApiError
+from myoface.roles import OWN_FORMATS, Role
 
-Role = Literal["neutral", "expression", "performance", "markers", "asset"]
 BAD_NAME = "client.name"
 LEGAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 LONGEST = 64
 NEUTRAL = frozenset({"neutral", "neutre", "rest", "relaxed"})
-PERFORMANCE = ".npy"
-TAKES = frozenset({".c3d", ".trc"})
 DEVICES = frozenset(
     {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
 )
@@ -137,10 +134,8 @@ def why_no_name(text: str) -> str:
 
 def _role(file: str) -> Role:
     stem, suffix = _split(file)
-    if suffix == PERFORMANCE:
-        return "performance"
-    if suffix in TAKES:
-        return "markers"
+    if suffix in OWN_FORMATS:
+        return OWN_FORMATS[suffix]
     words = re.sub(r"([a-z])([A-Z])", r"\1 \2", _plain(stem)).lower()
     return "neutral" if NEUTRAL & set(re.split(r"[^a-z]+", words)) else "expression"
 

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from myoface.names import Role, is_device, same_file
+from myoface.names import is_device, same_file
+from myoface.roles import Role
 from myoface.values import Resource, ValueFaultError, matching
 
 State = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled"]
-
-# Roles of what is checked and registered by nobody
-NO_SCANS: frozenset[Role] = frozenset({"performance", "markers", "asset"})
 
 Then = Literal["register", "model", "geometry"]
 

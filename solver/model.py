@@ -18,10 +18,11 @@ import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 from solver.errors import InputError, quote
+from solver.kinds import FILES
 from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.surface import Floats, Ints, Surface, part_of
 
-FORMAT = 1  # of the file
+FORMAT = FILES["model.npz"].format
 # Where a person's size comes from: the scan; the template, as the scan was in no known unit; the
 # face, by which the scan's unit was guessed.
 SizeFrom = Literal["scan", "template", "guess"]

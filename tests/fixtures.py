@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from solver.fitting.face import Face
 from solver.model import JawFrame, SubjectModel
+from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface
 
 MM_PER_M = 1000.0
@@ -45,6 +47,20 @@ def small_capture(name: str) -> Surface:
         return neutral
     with np.load(EXPRESSIONS_FILE) as data:
         return neutral.moved(neutral.vertices + data[name].astype(np.float64))
+
+
+@cache
+def small_rig() -> Rig:
+    """Return the small person with one fitted expression, ``ah``: the jaw alone is open."""
+    model = small_model()
+    face = Face(model)
+    rest = face.rest_pose()
+    change = np.zeros(face.layout.size)
+    change[face.layout["jaw"]] = [0.1, 0.0, 0.0, 1.0, 0.0]
+    pose = rest.add(change)
+    skin, none = small_capture("ah").vertices, np.zeros(len(model.skin.vertices))
+    opened = ExpressionFit("ah", "train", pose.a, pose.b, skin, skin, none, 0, 1, 0.0, 0.0)
+    return Rig(model, model.weights, (opened,))
 
 
 def data_folder(*parts: str) -> Path:

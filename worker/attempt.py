@@ -16,7 +16,7 @@ from service.store.database import Store
 from service.store.files import Files, LargerFileError
 from service.store.integrity import find_fault, note_fault
 from service.store.models import Artifact, Rig
-from solver.kinds import KINDS
+from solver.kinds import FILES, KINDS
 from worker.errors import InvalidOutputError, LostInputError
 from worker.orphans import remove_attempt
 
@@ -50,7 +50,7 @@ DEEPEST = 100
 ARTIFACT = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,254}")
 
 # Files in `out` that take minutes: the next attempt goes on with what is in them
-KEPT = ("blendshapes.npz", "expression_basis.npz")
+KEPT = tuple(name for name, file in FILES.items() if file.is_kept)
 
 
 class AttemptFolder:

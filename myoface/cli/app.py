@@ -66,10 +66,6 @@ WithLabels = Annotated[
     Option("--label", metavar="KEY[:VALUE]", help="only with this label, of any value; repeat"),
 ]
 Url = Annotated[str, Option("--url", envvar="MYOFACE_URL", help="the service")]
-Scan = Annotated[Path, Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL")]
-RawScan = Annotated[
-    Path, Argument(exists=True, dir_okay=False, help="OBJ, PLY, STL, GLB or point cloud")
-]
 NewFile = Annotated[Path, Option("--output", "-o", dir_okay=False, help="file to write")]
 NewFolder = Annotated[Path, Option("--output", "-o", file_okay=False, help="folder to fill")]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, cast
 
 from myoface.cli.app import (
     EyeDistance,
@@ -38,8 +38,9 @@ from myoface.cli.console import (
 from myoface.cli.lookup import find_subject, matching
 from myoface.client import DEFAULT_URL, Client
 from myoface.errors import UNREACHABLE, ApiError
-from myoface.names import NamedScan, Role, as_name, name_scans, why_no_name
-from myoface.resources import NO_SCANS, Capture, Job, Result
+from myoface.names import NamedScan, as_name, name_scans, why_no_name
+from myoface.resources import Capture, Job, Result
+from myoface.roles import NO_SCANS, Role, ScanRole
 
 captures = Group("A subject's scans: add, check, register, list, delete.")
 
@@ -147,9 +148,7 @@ def edit(
     capture: Annotated[str, Argument(help="name or id of the capture")],
     name: Annotated[str | None, Option(help="the new name, made legal")] = None,
     title: Annotated[str | None, Option(help="what people call it")] = None,
-    role: Annotated[
-        Literal["neutral", "expression"] | None, Option(help="what it is; check it again then")
-    ] = None,
+    role: Annotated[ScanRole | None, Option(help="what it is; check it again then")] = None,
     label: Labels = None,
     unlabel: Unlabel = None,
     url: Url = DEFAULT_URL,

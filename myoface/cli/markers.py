@@ -8,14 +8,16 @@ from typing import Annotated
 from myoface.cli.app import NewFile
 from myoface.cli.commands import Argument, Group, Option
 from myoface.cli.console import BAD, out, show_findings
-from myoface.cli.offline import Take, make_command
-from solver.kinds import KINDS
+from myoface.cli.offline import make_command
+from solver.kinds import INPUTS, KINDS
 
 markers = Group("Markers on a face: check takes, bind them to a person.")
 CHECK = KINDS["check_markers"]
 RULES = CHECK.schema["properties"]  # of its options, which binding has as well
 markers.command("check")(make_command(CHECK))
 
+TAKE = INPUTS["markers"].parts[0].words
+Take = Annotated[Path, Argument(exists=True, dir_okay=False, help=TAKE)]
 Person = Annotated[
     Path, Argument(exists=True, dir_okay=False, help="the person: rig.npz or model.npz")
 ]

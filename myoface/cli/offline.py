@@ -5,25 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from myoface.cli.app import (
-    LandmarksFile,
-    NewFile,
-    NewFolder,
-    RawScan,
-    Scan,
-    read_object,
-    read_scene,
-)
+from myoface.cli.app import NewFile, NewFolder, read_object, read_scene
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import JobView, out, show_outcome, show_verdict
 from myoface.names import name_scans
 from solver.jobs import run_job
-from solver.kinds import KINDS, Kind
+from solver.kinds import INPUTS, KINDS, SCANS, Kind, Part
 
 solve = Group("Solve here, without a service.")
 
@@ -33,93 +24,30 @@ SceneFile = Annotated[
 ]
 Resume = Annotated[bool, Option("--resume", help="go on after the frames in the folder")]
 
-Take = Annotated[
-    Path, Argument(exists=True, dir_okay=False, help="markers: C3D, TRC, Motive CSV or NPZ")
-]
-Scans = Annotated[list[Path], Argument(exists=True, dir_okay=False, help="expression scans")]
-Performance = Annotated[
-    Path, Argument(exists=True, help="frames (.npy), or a folder of registered scans")
-]
-Assets = Annotated[
-    list[str] | None, Option("--asset", help="NAME=FILE, a file that the scene names; repeatable")
-]
-Role = Annotated[
-    Literal["unknown", "neutral", "expression"], Option(help="what the scan is meant to be")
-]
-START = "rig to start from, also of another person"
-RIG = "rig.npz, or a rig's folder or ZIP; to one of 0.1 copy its model.npz"
+SCAN_ROLES = ("unknown", *SCANS)  # that a scan may be meant for
 
 
-@dataclass(frozen=True)
-class Input:
-    """An input of a contract on the command line: a parameter, and the role that its file has.
-
-    Without a ``role`` it is more than one file, or none.
-    """
-
-    parameter: str
-    annotation: Any
-    role: str | None = None
-    default: Any = None
-    is_argument: bool = False
+def _parts(kind: Kind) -> list[Part]:
+    """Return what a kind's command asks for, other than its options."""
+    found: list[Part] = []
+    for each in (INPUTS[name] for name in (*kind.reads, *kind.asks)):
+        is_optional = "capture" in kind.reads and each.of_an_expression
+        found += each.of_an_expression if is_optional else each.parts
+    return found
 
 
-def _file(words: str, *flags: str) -> Any:
-    return Annotated[Path | None, Option(*flags, exists=True, dir_okay=False, help=words)]
-
-
-def _argument(name: str, annotation: Any, role: str | None) -> Input:
-    return Input(name, annotation, role, Parameter.empty, is_argument=True)
-
-
-# What each input of a contract is on the command line.
-INPUTS: Mapping[str, tuple[Input, ...]] = {
-    "capture": (_argument("scan", RawScan, "scan"), Input("landmarks", LandmarksFile, "landmarks")),
-    "neutral": (_argument("neutral", Scan, "neutral"),),
-    "neutral of an expression": (
-        Input("neutral", _file("of an expression: registered neutral"), "neutral"),
-    ),
-    "model": (_argument("model", Model, "model"),),
-    "rig": (_argument("rig", Annotated[Path, Argument(exists=True, help=RIG)], "rig"),),
-    "any_rig": (
-        Input("rig", Annotated[Path | None, Option("--rig", exists=True, help=RIG)], "rig"),
-    ),
-    "captures": (_argument("scans", Scans, None),),
-    "performance": (_argument("performance", Performance, "performance"),),
-    "markers": (
-        _argument("take", Take, "markers"),
-        Input("marker_set", _file("the session's marker set, JSON", "--set"), "marker_set"),
-    ),
-    "template": (
-        Input(
-            "template",
-            Annotated[Path | None, Option(exists=True, help="template NPZ; default: built-in")],
-            "template",
-        ),
-    ),
-    "assets": (Input("asset", Assets),),
-    "blendshapes": (
-        Input("blendshapes", _file("blendshapes.npz of an earlier animation"), "blendshapes"),
-    ),
-    "expression_basis": (
-        Input("basis", _file("expression_basis.npz of an earlier job"), "expression_basis"),
-    ),
-    "fibre_muscles": (Input("fibres", _file("fibre_muscles.npz of fit-fibres"), "fibre_muscles"),),
-    "role": (Input("role", Role, default="unknown"),),
-    "start": (
-        Input(
-            "start_rig", Annotated[Path | None, Option("--start", exists=True, help=START)], "start"
-        ),
-    ),
-}
-
-
-def _inputs(kind: Kind) -> list[Input]:
-    """Return a kind's inputs; the neutral of a scan that may be one is an option."""
-    names: list[str] = [*kind.reads, *kind.asks]
-    if "capture" in names:
-        names = ["neutral of an expression" if name == "neutral" else name for name in names]
-    return [each for name in names for each in INPUTS.get(name, ())]
+def _typed(part: Part) -> tuple[Any, Any]:
+    """Return the type of a part on the command line, and its default."""
+    rules: dict[str, Any] = {"help": part.words}
+    if part.form in ("file", "file or folder", "files"):
+        rules |= {"exists": True, "dir_okay": part.form == "file or folder"}
+    said = Argument(**rules) if part.is_needed else Option(f"--{part.parameter}", **rules)
+    if part.form == "role":
+        return Annotated[Literal[SCAN_ROLES], said], SCAN_ROLES[0]
+    type_: Any = {"files": list[Path], "named files": list[str]}.get(part.form, Path)
+    if part.is_needed:
+        return Annotated[type_, said], Parameter.empty
+    return Annotated[type_ | None, said], None
 
 
 def make_command(kind: Kind) -> Callable[..., None]:
@@ -150,17 +78,17 @@ def _parameters(kind: Kind) -> list[Parameter]:
             name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation
         )
 
-    properties, inputs = kind.schema["properties"], _inputs(kind)
-    for each in inputs:
-        if each.is_argument:
-            add(each.parameter, each.annotation)
+    properties, parts = kind.schema["properties"], _parts(kind)
+    for part in parts:
+        if part.is_needed:
+            add(part.parameter, *_typed(part))
     for name, rules in properties.items():
         if _is_document(rules):
             add(name, SceneFile)
     add("output", NewFolder, Path(kind.folder))
-    for each in inputs:
-        if not each.is_argument:
-            add(each.parameter, each.annotation, each.default)
+    for part in parts:
+        if not part.is_needed:
+            add(part.parameter, *_typed(part))
     for name, rules in properties.items():
         if not _is_document(rules):
             add(name, _option(name, rules), rules.get("default", Parameter.empty))
@@ -216,7 +144,7 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
         for name, rules in properties.items()
     }
     # by what the kind reads: an option may be called as the input of another kind
-    files = {each.role: given[each.parameter] for each in _inputs(kind) if each.role}
+    files = {part.role: given[part.parameter] for part in _parts(kind) if part.role}
     if (rig := files.pop("rig", None)) is not None:
         from solver.rig.rig import find_files
 

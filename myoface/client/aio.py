@@ -41,7 +41,6 @@ from myoface.errors import ApiError
 from myoface.names import name_session
 from myoface.resources import (
     FINAL_STATES,
-    NO_SCANS,
     Artifact,
     Batch,
     Frame,
@@ -62,6 +61,7 @@ from myoface.resources import (
     WholeRig,
     as_query,
 )
+from myoface.roles import NO_SCANS
 
 TOO_MANY_STREAMS = "stream.too_many"
 

@@ -16,9 +16,8 @@ from myoface.client.files import (
     ignore_transfer,
     require_vertices,
 )
-from myoface.names import NamedScan, Role, name_scans, same_file
+from myoface.names import NamedScan, name_scans, same_file
 from myoface.resources import (
-    NO_SCANS,
     Capture,
     LabelChanges,
     LabelFilter,
@@ -28,6 +27,7 @@ from myoface.resources import (
     Template,
     as_query,
 )
+from myoface.roles import NO_SCANS, Role
 from myoface.tenant import Deletion, Limits
 
 

@@ -18,9 +18,8 @@ from myoface.client.files import (
     sha256_of,
 )
 from myoface.client.sync_access import Access
-from myoface.names import NamedScan, Role, name_scans, same_file
+from myoface.names import NamedScan, name_scans, same_file
 from myoface.resources import (
-    NO_SCANS,
     Capture,
     LabelChanges,
     LabelFilter,
@@ -30,6 +29,7 @@ from myoface.resources import (
     Template,
     as_query,
 )
+from myoface.roles import NO_SCANS, Role
 from myoface.tenant import Deletion, Limits
 
 

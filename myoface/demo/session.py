@@ -14,8 +14,8 @@ from myoface.cli.console import JobView, err, transfer_bar
 from myoface.client import Client
 from myoface.client.archive import RIG_NOTE
 from myoface.errors import ApiError
-from myoface.names import Role
 from myoface.resources import Job, Result
+from myoface.roles import Role
 from solver.templates.export import CaptureSet
 
 LOG_TAIL = 20

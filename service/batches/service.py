@@ -38,6 +38,7 @@ from service.store.models import Batch, Capture, Job
 from service.store.tenancy import own_tenant
 from service.subjects import repository as subjects
 from service.subjects import service as people
+from solver.kinds import SCANS
 
 OFFICE = "batches"
 
@@ -68,7 +69,7 @@ def create(session: Session, new: NewBatch, max_attempts: int) -> Batch:
     session.add(batch)
     session.flush()
     for capture in added:
-        if capture.role in ("neutral", "expression"):
+        if capture.role in SCANS:
             _submit(session, batch, max_attempts, CHECK, [capture.id])
     return batch
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import PurePath
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -22,9 +22,14 @@ from service.schemas import (
 )
 from service.store import retention
 from service.store.models import Capture, Job
+from solver.kinds import ROLES, SCANS
 
 LONGEST_TITLE = 200
-Role = Literal["neutral", "expression", "performance", "markers", "asset"]
+if TYPE_CHECKING:
+    Role = str
+    ScanRole = str
+else:
+    Role, ScanRole = Literal[tuple(ROLES)], Literal[SCANS]
 
 
 class NewCapture(RequestBody):
@@ -49,10 +54,9 @@ class NewCapture(RequestBody):
         default=None, description="what people call it; default: the name of its file"
     )
     role: Role = Field(
-        description="`performance`: frames of registered skin points, a `.npy` file; "
-        "`fit_sequence` reads it; `markers`: a take of them (C3D, TRC, CSV, NPZ), or their set "
-        "(JSON); `check_markers` reads it; `asset`: a file that scenes name (a recording, "
-        "a fitted sequence, a mesh, a map)"
+        description="what the file is; `GET /v1/limits` has the endings of each role's files. "
+        "A `performance` is frames of registered skin points, `markers` a take of them or their "
+        "set, an `asset` what scenes name: a recording, a fitted sequence, a mesh, a map"
     )
     upload_id: Id
     registered: bool = Field(
@@ -77,7 +81,7 @@ class CaptureChange(Change):
 
     name: Name | None = None
     title: Title | None = None
-    role: Literal["neutral", "expression"] | None = Field(
+    role: ScanRole | None = Field(
         default=None, description="of a scan; performances, markers and assets stay what they are"
     )
     labels: LabelChanges | None = None

@@ -18,16 +18,9 @@ from service.store.retention import own_days
 from service.subjects import repository as subjects
 from service.subjects.service import refuse_while_busy, relabel
 from service.uploads import repository as uploads
+from solver.kinds import ROLES, SCANS
 
-FORMATS = (".obj", ".ply", ".stl", ".glb")
-RAW_FORMATS = (*FORMATS, ".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
-PERFORMANCE_FORMATS = (".npy",)
-TAKE_FORMATS = (".c3d", ".trc", ".csv", ".npz")
-SET_FORMATS = (".json",)  # of marker sets
-ASSET_FORMATS = (*FORMATS, ".csv", ".npy", ".npz")
 LANDMARK_FORMATS = (".json", ".ljson", ".csv")
-# Roles of what is checked and registered
-SCANS = ("neutral", "expression")
 # Windows has devices of these names, whatever follows the first dot
 DEVICES = frozenset(
     {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
@@ -43,18 +36,7 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
     subjects.lock(session, subject_id)
     _require_file_name(new.name)
     upload = uploads.get_complete(session, new.upload_id)
-    if new.role == "performance":
-        _check_performance(upload, new)
-    elif new.role == "markers":
-        _check_format(upload, "capture.format", "a take of markers", (*TAKE_FORMATS, *SET_FORMATS))
-        _refuse_landmarks(new, "capture.is_markers", "a take of markers")
-    elif new.role == "asset":
-        _check_format(upload, "capture.format", "an asset", ASSET_FORMATS)
-        _refuse_landmarks(new, "capture.is_asset", "an asset")
-    elif new.registered:
-        _check_format(upload, "capture.format", "a registered scan", FORMATS)
-    else:
-        _check_format(upload, "capture.format", "a raw scan", RAW_FORMATS)
+    _check_role(upload, new)
     if new.replaces is not None:
         delete(session, subject_id, new.replaces)
     _refuse_a_second(session, subject_id, new.name, new.role)
@@ -139,26 +121,28 @@ def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:
     uploads.use(session, upload, capture.id)
 
 
-def _check_performance(upload: Upload, new: NewCapture) -> None:
-    _check_format(upload, "capture.format", "a performance", PERFORMANCE_FORMATS)
-    is_said_raw = "registered" in new.model_fields_set and not new.registered
-    if is_said_raw or new.landmarks_upload_id is not None:
-        raise Problem(
-            422,
-            "capture.is_performance",
-            f"{new.name}: a performance holds registered points and takes no landmarks",
-        )
-
-
-def _refuse_landmarks(new: NewCapture, code: str, what: str) -> None:
+def _check_role(upload: Upload, new: NewCapture) -> None:
+    """Refuse a file that is none of its role, and what goes with scans only."""
+    role = ROLES[new.role]
+    if role.is_scan:
+        what, formats = "a raw scan", role.formats
+        if new.registered:
+            what, formats = "a registered scan", role.registered
+        _check_format(upload, "capture.format", what, formats)
+        return
+    _check_format(upload, "capture.format", role.noun, (*role.formats, *role.sets))
+    code = f"capture.is_{new.role}"
+    if new.role == "performance" and "registered" in new.model_fields_set and not new.registered:
+        raise Problem(422, code, f"{new.name}: {role.noun} holds registered points")
     if new.landmarks_upload_id is not None:
-        raise Problem(422, code, f"{new.name}: {what} takes no landmarks")
+        raise Problem(422, code, f"{new.name}: {role.noun} takes no landmarks")
 
 
 def _check_format(upload: Upload, code: str, what: str, formats: Sequence[str]) -> None:
     suffix = PurePath(upload.filename).suffix.lower()
     if suffix not in formats:
-        hint = "; add it in the role performance" if suffix in PERFORMANCE_FORMATS else ""
+        own = next((name for name, role in ROLES.items() if suffix in role.own_formats), None)
+        hint = f"; add it in the role {own}" if own else ""
         raise Problem(
             422,
             code,

@@ -13,20 +13,12 @@ from service.jobs.schemas import FromJob, NewJob
 from service.queue.states import State
 from service.rigs import repository as rigs
 from service.store.models import Artifact, Job
-from solver.kinds import KINDS, Input, Kind
+from solver.kinds import FILES, KINDS, Kind
 
 InputFile = dict[str, Any]  # a file of a job, as its request keeps it
 
-# What a file is to the solver, by the input of a kind that it is handed on for
-ROLES: dict[Input, str] = {
-    "markers": "marker_set",
-    "assets": "asset",
-    "blendshapes": "blendshapes",
-    "expression_basis": "expression_basis",
-    "fibre_muscles": "fibre_muscles",
-}
-# What was made of one rig and is of no other
-OF_A_RIG = ("blendshapes", "expression_basis", "fibre_muscles")
+# Roles of what was made of one rig and is of no other
+OF_A_RIG = frozenset(file.role for file in FILES.values() if file.of_a_rig)
 
 
 def input_file(role: str, name: str, filename: str, sha256: str) -> InputFile:
@@ -71,14 +63,14 @@ def _refuse_unready(job: Job, new: NewJob, member: str) -> None:
 
 def _role(kind: Kind, job: Job, name: str, member: str) -> str:
     """Return what a job's file is to a job of a ``kind``."""
-    left = KINDS[job.kind].hands_on if job.kind in KINDS else {}
-    if left.get(name) not in kind.reads:
-        useful = [file for file, each in left.items() if each in kind.reads]
+    left = KINDS[job.kind].hands_on if job.kind in KINDS else ()
+    useful = [file for file in left if FILES[file].input in kind.reads]
+    if name not in useful:
         what = f"takes of it {', '.join(useful)}" if useful else "takes no file of it"
         detail = f"{kind.name} does not read {name} of a {job.kind} job: it {what}"
         more = {"member": member, "job_id": job.id, "expected": useful}
         raise Problem(422, "artifact.not_an_input", detail, **more)
-    return ROLES[left[name]]
+    return FILES[name].role
 
 
 def join(files: list[InputFile], handed: list[InputFile]) -> list[InputFile]:

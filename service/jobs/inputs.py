@@ -18,16 +18,15 @@ from sqlalchemy.orm import Session
 from service.bounds import shorten
 from service.captures import repository as captures
 from service.captures.repository import neutral_of, registered_form
-from service.captures.service import SET_FORMATS
 from service.errors import Problem, not_found
 from service.jobs import repository
-from service.jobs.handed_on import OF_A_RIG, InputFile, handed_on, input_file, join
+from service.jobs.handed_on import InputFile, handed_on, input_file, join
 from service.jobs.schemas import NewJob
 from service.rigs import repository as rigs
 from service.store.models import Capture, Job, Rig
 from service.subjects import repository as subjects
 from service.templates import repository as templates
-from solver.kinds import KINDS, Kind
+from solver.kinds import FILES, KINDS, ROLES, Kind
 
 
 @dataclass(frozen=True)
@@ -106,17 +105,11 @@ def _the_capture(session: Session, new: NewJob) -> Capture:
     return captures.get(session, new.subject_id, new.captures[0])
 
 
-_NO_SCANS = {
-    "performance": "is a performance: fit_sequence reads it",
-    "markers": "is a take of markers: check_markers reads it",
-    "asset": "is an asset: scenes name it",
-}
-
-
 def _refuse_no_scan(capture: Capture) -> None:
-    if why := _NO_SCANS.get(capture.role):
-        code = f"capture.is_{capture.role}"
-        raise Problem(422, code, f"{capture.name} {why}", capture_id=capture.id)
+    role = ROLES[capture.role]
+    if not role.is_scan:
+        detail = f"{capture.name} is {role.noun}: {role.then}"
+        raise Problem(422, f"capture.is_{capture.role}", detail, capture_id=capture.id)
 
 
 def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = False) -> InputFile:
@@ -165,19 +158,12 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
     elif "assets" in kind.reads:
         files += _assets(session, new)
     files += _template(session, kind, new)
-    for (name, file), leavers in _LEFT_BEFORE.items():
-        if name in kind.reads and (found := rigs.left_by(session, rig, leavers, file)):
-            files.append(input_file(name, found.name, found.name, found.sha256))
+    for name, file in FILES.items():
+        if file.of_a_rig and file.input in kind.reads:
+            leavers = [each.name for each in KINDS.values() if name in each.hands_on]
+            if found := rigs.left_by(session, rig, leavers, name):
+                files.append(input_file(file.role, found.name, found.name, found.sha256))
     return Inputs(files, model_job_id=model.id)
-
-
-# What later jobs of a rig read, if there is any: an input and its file, and the kinds that leave it
-_LEFT_BEFORE = {
-    (name, file): [each.name for each in KINDS.values() if each.hands_on.get(file) == name]
-    for kind in KINDS.values()
-    for file, name in kind.hands_on.items()
-    if name in OF_A_RIG
-}
 
 
 def _files_of_rig(session: Session, rig: Rig) -> list[InputFile]:
@@ -218,7 +204,7 @@ def _markers(session: Session, new: NewJob) -> list[InputFile]:
                 f"{capture.name} is no take of markers and no marker set",
                 capture_id=capture.id,
             )
-        is_set = PurePath(capture.filename).suffix.lower() in SET_FORMATS
+        is_set = PurePath(capture.filename).suffix.lower() in ROLES["markers"].sets
         role = "marker_set" if is_set else "markers"
         if role in found:
             raise Problem(

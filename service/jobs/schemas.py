@@ -7,13 +7,13 @@ from typing import Annotated, Any, Literal, Self
 
 from fastapi import Depends, Query
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
-from sqlalchemy import ColumnElement
+from sqlalchemy import ColumnElement, select
 
 from service.queue.states import State
 from service.rigs.schemas import ArtifactView, verdict_in
 from service.schemas import FileName, Id, Line, Moment, Name, RequestBody, RetainUntil, View
 from service.store import retention
-from service.store.models import Job
+from service.store.models import Artifact, Job
 
 Priority = Annotated[
     int, Field(ge=-9, le=9, description="order among your own jobs of a queue: 9 first, -9 last")
@@ -343,6 +343,7 @@ async def _filters(
     batch_id: Annotated[Id | None, Query()] = None,
     parent_id: Annotated[Id | None, Query(description="jobs made again from it")] = None,
     kind: Name | None = None,
+    has: Annotated[FileName | None, Query(description="that have left a file of this name")] = None,
     state: Annotated[
         list[State] | None, Query(description="one of these; may be given several times")
     ] = None,
@@ -358,6 +359,10 @@ async def _filters(
         Job.kind: kind,
     }
     conditions = [column == value for column, value in equal.items() if value is not None]
+    if has is not None:
+        # before it has succeeded, a job's files are not shown
+        left = select(Artifact.id).where(Artifact.job_id == Job.id, Artifact.name == has)
+        conditions += [Job.state == State.SUCCEEDED, left.exists()]
     if state:
         conditions.append(Job.state.in_(state))
     if since is not None:

@@ -8,14 +8,14 @@ from fastapi import APIRouter, Depends, Response
 from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4, CollectorRegistry, generate_latest
 
 from service.access.principal import Scope, need_scope
-from service.captures.service import FORMATS, LANDMARK_FORMATS, RAW_FORMATS
+from service.captures.service import LANDMARK_FORMATS
 from service.dependencies import ReadSession, SettingsDep, WholeStore, part
 from service.errors import problems
 from service.schemas import Page
 from service.store.retention import own_days
-from service.system.schemas import KindView, Limits, Readiness, Retention, WorkerView
+from service.system.schemas import KindView, Limits, Readiness, Retention, RoleView, WorkerView
 from service.system.service import ReadinessCache, living_workers
-from solver.kinds import BUILTIN_VERTICES, KINDS
+from solver.kinds import BUILTIN_VERTICES, KINDS, ROLES
 
 # RFC 9745: since when, in seconds of the epoch (2026-11-22)
 SOLVERS_DEPRECATED = "@1795305600"
@@ -38,9 +38,10 @@ def limits(session: ReadSession, settings: SettingsDep) -> Limits:
             rigs=kept.rigs,
             audit=settings.retain_audit,
         ),
-        scan_formats=list(FORMATS),
-        raw_scan_formats=list(RAW_FORMATS),
+        scan_formats=list(ROLES["neutral"].registered),
+        raw_scan_formats=list(ROLES["neutral"].formats),
         landmark_formats=list(LANDMARK_FORMATS),
+        roles=[RoleView.of(name, role) for name, role in ROLES.items()],
         builtin_vertices=BUILTIN_VERTICES,
         max_attempts=settings.max_attempts,
     )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from datetime import datetime
 from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
 from service.schemas import View
-from solver.kinds import Kind
+from solver.kinds import FILES, Kind, Role
 
 
 class Retention(BaseModel):
@@ -21,6 +22,28 @@ class Retention(BaseModel):
     audit: int | None
 
 
+class RoleView(View):
+    """A role of captures, and the endings of its files."""
+
+    role: str
+    title: str
+    noun: str
+    then: str = Field(description="what becomes of such a file, in words")
+    is_scan: bool = Field(description="whether it is checked and registered")
+    formats: list[str]
+    own_formats: list[str] = Field(
+        description="of these, those that no other role has: such a file is of this role"
+    )
+    sets: list[str] = Field(
+        description="of what lies beside such files for all of a session, a marker set"
+    )
+
+    @classmethod
+    def of(cls, name: str, role: Role) -> RoleView:
+        """Show a role."""
+        return cls.model_validate({"role": name, **asdict(role)})
+
+
 class Limits(BaseModel):
     """Limits on what this service accepts, and how long it keeps things (bytes, seconds)."""
 
@@ -31,6 +54,7 @@ class Limits(BaseModel):
     scan_formats: list[str]
     raw_scan_formats: list[str]
     landmark_formats: list[str]
+    roles: list[RoleView] = Field(description="that captures have")
     builtin_vertices: int = Field(
         description="of a registered scan of a subject without a template, the built-in face's"
     )
@@ -64,7 +88,7 @@ class KindView(View):
             queue=kind.queue,
             reads=list(kind.reads),
             leaves=kind.leaves,
-            hands_on=dict(kind.hands_on),
+            hands_on={name: FILES[name].input for name in kind.hands_on},
             options=kind.schema,
             frames=kind.frames,
             max_seconds=max_seconds,

@@ -33,6 +33,7 @@ from solver.fitting.interior_point import Bounds, FeasibleSet
 from solver.fitting.objective import Prior, Target, Term
 from solver.fitting.steps import StepOptions
 from solver.fitting.stretches import COLUMN, ROW, matrices
+from solver.kinds import FILES
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, identity
 from solver.scans.live_link import ARKIT_NAMES
@@ -98,7 +99,7 @@ def keep_within(a: Floats, limits: FeasibleSet | None) -> tuple[Floats, int]:
     return np.where(beyond[:, None], kept, a), int(beyond.sum())
 
 
-FORMAT = 1  # of blendshapes.npz
+FORMAT = FILES["blendshapes.npz"].format
 STORED = ("activations", "jaw", "mean_mm", "settled")  # its arrays
 CORRECTED = {"mouthClose": "jawOpen"}  # corrective shape -> the one it corrects
 # mm; a shape that moves no point of the face further is nothing for muscles: a tongue, a pupil

@@ -33,6 +33,7 @@ from solver.fitting.drives import are_fibres
 from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.stretches import map_stretches
 from solver.fitting.strips import strip_names
+from solver.kinds import FILES
 from solver.kinds.scene import PerformanceEntry
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.fibre_muscle import FibreMuscles
@@ -42,7 +43,7 @@ from solver.storage import read_arrays
 from solver.surface import Floats, Ints
 
 LEAST_STEP = 1e-6  # s from a frame to the next
-FORMATS = (1, 2)  # of sequence.npz that are read
+FORMATS = FILES["sequence.npz"].formats
 MOST_STRETCH = 1.0 / LEAST_STRETCH  # of a muscle, however great its gain
 
 

@@ -29,6 +29,7 @@ from solver.fitting.joint import GeometryProblem, Iterate, Listener
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.strips import StripOptions, neighbours, split_broad, strip_names
+from solver.kinds import FILES
 from solver.mechanics.fibre_muscle import CURVE, Curve, FibreMuscles, FibreTerm
 from solver.mechanics.response import SparseControls
 from solver.model import SubjectModel
@@ -37,7 +38,7 @@ from solver.surface import Floats, Ints, skew
 
 # 90 kPa in flesh of 3 kPa: published activations move the skin as far as faces do
 STRENGTH = 30.0
-FORMAT = 1  # of fibre_muscles.npz
+FORMAT = FILES["fibre_muscles.npz"].format
 
 
 def fibre_muscles(

@@ -24,13 +24,14 @@ from solver.fitting.drives import store
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.objective import PartPrior, Prior, PriorSum, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
+from solver.kinds import FILES
 from solver.mechanics.jaw_tracks import nearest_jaw
 from solver.model import identity
 from solver.storage import Archive
 from solver.surface import Floats, Ints
 
 FILE = "expression_basis.npz"
-FORMAT = 1
+FORMAT = FILES[FILE].format
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,13 @@ from pathlib import Path
 
 from solver.errors import InputError, judge_findings, worst_first
 from solver.jobs import Task, read_template
+from solver.kinds import SCANS
 from solver.kinds.kind import FrameOptions
 from solver.progress import Step
 from solver.scans.check import check, check_picture
 from solver.storage import write_json
 
-ROLES = ("unknown", "neutral", "expression")
+ROLES = ("unknown", *SCANS)
 
 
 def run(task: Task[FrameOptions]) -> list[Path]:

@@ -11,18 +11,26 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from solver.kinds.document import Fault
-from solver.kinds.kind import BUILTIN_VERTICES, Input, JobOptions, Kind, OptionsError
+from solver.kinds.inputs import FILES, INPUTS, LeftFile, Part
+from solver.kinds.kind import BUILTIN_VERTICES, JobOptions, Kind, OptionsError
 from solver.kinds.packing import NOT_READABLE, check_directory, is_plainly_packed
+from solver.kinds.roles import ROLES, SCANS, Role
 
 __all__ = [
     "BUILTIN_VERTICES",
+    "FILES",
+    "INPUTS",
     "KINDS",
     "NOT_READABLE",
+    "ROLES",
+    "SCANS",
     "Fault",
-    "Input",
     "JobOptions",
     "Kind",
+    "LeftFile",
     "OptionsError",
+    "Part",
+    "Role",
     "check_directory",
     "is_plainly_packed",
 ]

@@ -22,7 +22,7 @@ KIND = Kind(
     report="animation.json",
     result="animation.glb",
     folder="animation",
-    hands_on={"blendshapes.npz": "blendshapes", "expression_basis.npz": "expression_basis"},
+    hands_on=("blendshapes.npz", "expression_basis.npz"),
     options=Animate,
     frames=True,
 )

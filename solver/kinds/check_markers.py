@@ -38,6 +38,6 @@ KIND = Kind(
     report="check.json",
     result="check.png",
     folder="check",
-    hands_on={"markers.json": "markers"},
+    hands_on=("markers.json",),
     options=CheckMarkers,
 )

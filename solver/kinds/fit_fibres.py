@@ -37,6 +37,6 @@ KIND = Kind(
     report="fibre_muscles.json",
     result="fibre_muscles.npz",
     folder="fibres",
-    hands_on={"fibre_muscles.npz": "fibre_muscles"},
+    hands_on=("fibre_muscles.npz",),
     options=FitFibres,
 )

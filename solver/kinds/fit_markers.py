@@ -99,11 +99,7 @@ KIND = Kind(
     report="sequence.json",
     result="sequence.npz",
     folder="sequence",
-    hands_on={
-        "sequence.npz": "assets",
-        "markers.json": "markers",
-        "expression_basis.npz": "expression_basis",
-    },
+    hands_on=("sequence.npz", "markers.json", "expression_basis.npz"),
     options=FitMarkers,
     frames=True,
 )

@@ -46,7 +46,7 @@ KIND = Kind(
     report="sequence.json",
     result="sequence.npz",
     folder="sequence",
-    hands_on={"sequence.npz": "assets"},
+    hands_on=("sequence.npz",),
     options=FitSequence,
     frames=True,
 )

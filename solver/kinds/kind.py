@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Annotated, Any, Literal, get_args
 
@@ -11,25 +11,9 @@ from pydantic import Field, Tag, ValidationError, ValidationInfo, field_validato
 from pydantic_core import PydanticCustomError
 
 from solver.kinds.document import Document, Fault, find_faults, json_schema, tell_forms
+from solver.kinds.inputs import FILES, INPUTS
 
 Queue = Literal["ingest", "short", "long"]  # while a person waits, minutes, hours
-Input = Literal[
-    "capture",
-    "neutral",
-    "captures",
-    "performance",
-    "markers",
-    "template",
-    "model",
-    "rig",
-    "any_rig",
-    "assets",
-    "blendshapes",
-    "expression_basis",
-    "fibre_muscles",
-    "role",
-    "start",
-]
 
 BUILTIN_VERTICES = 4866  # of the built-in face's skin, which a registered scan of it has
 
@@ -69,8 +53,8 @@ class Kind:
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
         the ``start`` of a fit, another rig.
     hands_on
-        The files it leaves that later jobs may be told to read, and the input that each is: of
-        kinds that have that in ``reads``.
+        The files it leaves that later jobs may be told to read, of
+        :data:`~solver.kinds.inputs.FILES`.
     frames
         Whether it leaves frames, which can be read while it runs and are gone on with after a stop.
     """
@@ -78,17 +62,24 @@ class Kind:
     title: str
     description: str
     queue: Queue
-    reads: tuple[Input, ...]
+    reads: tuple[str, ...]
     leaves: str  # what it makes, in a word: jobs with the same word leave the same files
     report: str  # the JSON file of its verdict or figures, which the job's result shows
     result: str  # the file that a person opens first
     options: type[JobOptions] = JobOptions
-    asks: tuple[Input, ...] = ()
+    asks: tuple[str, ...] = ()
     folder: str = "result"  # that a command line fills by default
     frames: bool = False
-    hands_on: Mapping[str, Input] = field(default_factory=dict, hash=False)
+    hands_on: tuple[str, ...] = ()
     seconds: int | None = None  # that it may last, where others of its queue last much longer
     name: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse a contract that names an input or a file which is not declared."""
+        for name in {*self.reads, *self.asks} - INPUTS.keys():
+            raise ValueError(f"{self.title}: no input is called {name}: {', '.join(INPUTS)} are")
+        for name in set(self.hands_on) - FILES.keys():
+            raise ValueError(f"{self.title}: no file {name} is handed on: {', '.join(FILES)} are")
 
     @property
     def max_seconds(self) -> int:

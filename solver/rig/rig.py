@@ -26,14 +26,15 @@ from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face
 from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.stretches import fibre_tensors
+from solver.kinds import FILES
 from solver.mechanics.newton import NewtonOptions
 from solver.model import SIZE_WORDS, SubjectModel
 from solver.rig.round_trip import RoundTrip
 from solver.storage import Archive, Arrays, read_arrays, with_prefix
 from solver.surface import Floats, Ints
 
-FORMAT = 1  # of rig.npz, and of activations.npz and muscle_weights.npz
 FILE = "rig.npz"
+FORMAT = FILES[FILE].format  # also of activations.npz and muscle_weights.npz
 FREE_DRIVE = SixNumbers()
 ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")  # of an activation, in the order of its columns
 ROLES = {"train": "training", "test": "unseen"}  # of an expression's scan, in words

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, get_args
@@ -15,9 +16,8 @@ import pytest
 from myoface.cli.app import UNITS, EyeDistance
 from myoface.cli.commands import Command, Option
 from myoface.cli.offline import solve
-from service.captures import service as captures
 from service.queue.wakeups import QUEUES
-from solver.kinds import KINDS, OptionsError
+from solver.kinds import KINDS, ROLES, SCANS, OptionsError
 from solver.kinds.kind import FrameOptions, UnitName
 from solver.kinds.marker_set import MarkerSetDocument
 from solver.mechanics.linear import DOUBLE, SOLVERS
@@ -27,7 +27,8 @@ from solver.rig.frames import frames
 from solver.scans import performance
 from worker import attempt
 
-STANDINS = Path(__file__).parents[1] / "standin" / "jobs"
+ROOT = Path(__file__).parents[2]
+STANDINS = ROOT / "tests" / "standin" / "jobs"
 HEAVY = ("numpy", "scipy", "numba", "jsonschema", "sqlalchemy")
 
 
@@ -161,10 +162,25 @@ def test_frames_of_markers_are_counted_from_anywhere(kind: str) -> None:
 
 
 def test_scans_may_be_what_the_solver_reads() -> None:
-    assert captures.FORMATS == registered.REGISTERED_FORMATS
-    assert tuple(raw.FORMATS) == captures.RAW_FORMATS
-    assert captures.PERFORMANCE_FORMATS == performance.FORMATS
-    assert set(registered.REGISTERED_FORMATS) < set(captures.ASSET_FORMATS)
+    for name in SCANS:
+        assert ROLES[name].registered == registered.REGISTERED_FORMATS
+        assert tuple(raw.FORMATS) == ROLES[name].formats
+    assert ROLES["performance"].formats == performance.FORMATS
+    assert set(registered.REGISTERED_FORMATS) < set(ROLES["asset"].formats)
+
+
+def test_the_client_s_roles_are_those_declared() -> None:
+    command = [sys.executable, "scripts/client_roles.py", "--check"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_contract_names_what_is_declared() -> None:
+    kind = KINDS["fit_markers"]
+    with pytest.raises(ValueError, match="no input is called marker_film"):
+        replace(kind, reads=("rig", "marker_film"))
+    with pytest.raises(ValueError, match=r"no file film\.bin is handed on"):
+        replace(kind, hands_on=("film.bin",))
 
 
 def test_frames_are_where_the_worker_looks() -> None:

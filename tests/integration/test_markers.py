@@ -9,7 +9,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from myoface.client import Client
@@ -18,10 +17,8 @@ from myoface.resources import FromJob
 from myoface.stack import Stack
 from service.settings import Settings
 from service.store.models import DEFAULT_TENANT
-from solver.fitting.face import Face
-from solver.rig.rig import ExpressionFit, Rig
 from tests.browser.rig_place import put_rig
-from tests.fixtures import small_capture, small_model
+from tests.fixtures import small_rig
 from tests.servers.production import Production
 from tests.service_client import served
 from tests.solver.scans.markers.made_actor import to_actor
@@ -41,7 +38,7 @@ def session(
     """A running service with a person's rig."""
     folder = tmp_path_factory.mktemp("rig")
     settings = Settings(data_dir=tmp_path_factory.mktemp("stack"), port=0)
-    _small_rig().save(folder / "rig.npz")
+    small_rig().save(folder / "rig.npz")
     with served(settings) as studio:
         store = studio.http.app.state.store.of(DEFAULT_TENANT)  # type: ignore[attr-defined]
         subject, rig = put_rig(store, "Ada", [folder / "rig.npz"], {})
@@ -119,15 +116,3 @@ def test_a_take_that_cannot_be_read_is_told_by_the_check_and_refused_by_the_fit(
     with pytest.raises(ApiError) as caught:
         client.wait(fit.id)
     assert caught.value.code == code
-
-
-def _small_rig() -> Rig:
-    model = small_model()
-    face = Face(model)
-    rest = face.rest_pose()
-    change = np.zeros(face.layout.size)
-    change[face.layout["jaw"]] = [0.1, 0.0, 0.0, 1.0, 0.0]
-    pose = rest.add(change)
-    skin, none = small_capture("ah").vertices, np.zeros(len(model.skin.vertices))
-    opened = ExpressionFit("ah", "train", pose.a, pose.b, skin, skin, none, 0, 1, 0.0, 0.0)
-    return Rig(model, model.weights, (opened,))

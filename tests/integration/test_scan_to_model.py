@@ -11,8 +11,8 @@ import trimesh
 from PIL import Image
 
 from myoface.client import Client
-from myoface.names import Role
 from myoface.resources import Capture, Job
+from myoface.roles import Role
 from myoface.stack import Stack
 from service.settings import Settings
 from solver.surface import Surface

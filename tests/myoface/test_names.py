@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 from myoface.errors import ApiError
 from myoface.names import LEGAL, by_files, name_scans, name_session
+from solver.kinds import ROLES
 from tests.command_line import invoke
 
 ROOT = Path(__file__).parents[2]
@@ -20,8 +22,8 @@ PAGE = ROOT / "service/page/static/js/scan_files.js"
 
 IN_NODE = """
 import { named } from "./scan_files.mjs";
-const cases = JSON.parse(process.argv[1]);
-const rows = cases.map((files) => named(files).map(({ name, role }) => [name, role]));
+const [cases, roles] = process.argv.slice(1).map(JSON.parse);
+const rows = cases.map((files) => named(files, roles).map(({ name, role }) => [name, role]));
 console.log(JSON.stringify(rows));
 """
 
@@ -39,7 +41,8 @@ def test_the_page_has_the_same_rule(tmp_path: Path) -> None:
         pytest.skip("there is no node here")
     shutil.copy(PAGE, tmp_path / "scan_files.mjs")
     files = json.dumps([case["files"] for case in CASES])
-    command = [node, "--input-type=module", "-e", IN_NODE, files]
+    roles = json.dumps([{"role": name, **asdict(role)} for name, role in ROLES.items()])
+    command = [node, "--input-type=module", "-e", IN_NODE, files, roles]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == [case["named"] for case in CASES]

@@ -22,6 +22,7 @@ import numpy as np
 from solver.errors import InputError
 from solver.fitting.contraction import Contraction
 from solver.fitting.drives import are_fibres
+from solver.kinds import FILES
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.rig.container import write_container
 from solver.rig.frames.read_back import compare_activations
@@ -29,7 +30,7 @@ from solver.rig.rig import ENTRIES
 from solver.storage import MOST_BYTES, read_arrays, write_json
 from solver.surface import Floats
 
-FORMAT = 1  # of files of frames, of reports and of sequence.npz; 2 has what markers add
+FORMAT = FILES["sequence.npz"].formats[0]  # of files of frames and of reports, too
 FRAMES = "frames"  # name of the folder
 CONTRACTIONS = "contractions.bin"  # what the page moves its sliders by
 TABLE_DECIMALS = 6  # of activations.csv
@@ -219,7 +220,7 @@ class MarkerFrame(SequenceFrame):
     tracks: Floats  # (3,) of a jaw on its tracks, (0,) of a free one
     mandible: Floats  # (4, 4) its motion in the head's frame: x -> R x + t, mm
 
-    FORMAT: ClassVar[int] = 2
+    FORMAT: ClassVar[int] = FILES["sequence.npz"].format
     ARRAYS: ClassVar[tuple[str, ...]] = (
         *FrameRecord.ARRAYS,
         *("marker_mm", "marker_weight", "sd", "information", "contraction_sd", "held"),

@@ -76,6 +76,11 @@ export async function serviceLimits() {
   return limits;
 }
 
+/** Return the roles of captures as a Map by their names. */
+export async function rolesByName() {
+  return new Map((await serviceLimits()).roles.map((each) => [each.role, each]));
+}
+
 /** Return whose key this tab has (`/v1/me`); null without one. */
 export async function myself() {
   if (!auth.key()) return null;

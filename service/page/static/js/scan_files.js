@@ -4,16 +4,11 @@ const NEUTRAL = ["neutral", "neutre", "rest", "relaxed"];
 // letters that are none with an accent
 const LETTERS = { ß: "ss", æ: "ae", Æ: "AE", œ: "oe", Œ: "OE", ø: "o", Ø: "O", ł: "l", Ł: "L" };
 const LANDMARKS = /[ _.-]*(landmarks?|lm)$/i;
-const PERFORMANCE = ".npy";
-const TAKES = [".c3d", ".trc"];
 const DEVICES = /^(con|prn|aux|nul|com[0-9]|lpt[0-9])(\.|$)/i; // Windows keeps these names
 const LONGEST_NAME = 64;
 const LONGEST_HEADER = 1 << 14;
 const [NEW_LINE, V, BLANK, TAB] = [..."\nv \t"].map((letter) => letter.charCodeAt(0));
 const LEGAL = /^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/;
-
-/** Roles of what is checked and registered by nobody. */
-export const NO_SCANS = ["performance", "markers", "asset"];
 
 /** Whether a capture says where markers sit, and is no take of them. */
 export function isMarkerSet({ role, filename }) {
@@ -50,7 +45,8 @@ async function filesIn(entry) {
  * comes first.
  */
 export function sorted(files, limits) {
-  const isScan = (file) => [...limits.raw_scan_formats, PERFORMANCE, ...TAKES].includes(suffix(file));
+  const own = limits.roles.flatMap(({ own_formats: formats }) => formats);
+  const isScan = (file) => [...limits.raw_scan_formats, ...own].includes(suffix(file));
   const isLandmarks = (file) => limits.landmark_formats.includes(suffix(file));
   const meshes = files.filter((file) => isScan(file) && !isLandmarks(file));
   const stems = new Set(meshes.map(stem));
@@ -59,7 +55,7 @@ export function sorted(files, limits) {
     (file) => isLandmarks(file) && (!isScan(file) || LANDMARKS.test(stem(file)) || stems.has(stem(file))),
   );
   const scans = files.filter((file) => isScan(file) && !landmarks.includes(file));
-  const names = named(scans.map(({ name }) => name));
+  const names = named(scans.map(({ name }) => name), limits.roles);
   const of = (file) => landmarks.find((other) => stem(other).replace(LANDMARKS, "") === stem(file)) ?? null;
   const found = scans.map((file, i) => ({
     file,
@@ -74,17 +70,18 @@ export function sorted(files, limits) {
 /**
  * Return name and role of scans by their files' names; a name that cannot be made of them is empty.
  *
+ * `roles` are those of the service's limits: an ending that one role alone has says that one.
  * The command line has the same rule in `myoface/names.py`; both are tried on the same cases.
  */
-export function named(files) {
-  const found = files.map((name) => ({ name: stem({ name }), role: roleOf({ name }) }));
+export function named(files, roles) {
+  const found = files.map((name) => ({ name: stem({ name }), role: roleOf({ name }, roles) }));
   const start = found.some(({ role }) => role === "neutral") ? lengthOfPerson(found.map(({ name }) => name)) : 0;
   return found.map(({ name, role }) => ({ name: asName(name.slice(start)), role }));
 }
 
-function roleOf(file) {
-  if (suffix(file) === PERFORMANCE) return "performance";
-  if (TAKES.includes(suffix(file))) return "markers";
+function roleOf(file, roles) {
+  const only = roles.find(({ own_formats: formats }) => formats.includes(suffix(file)));
+  if (only) return only.role;
   const words = plain(stem(file)).replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase();
   return words.split(/[^a-z]+/).some((word) => NEUTRAL.includes(word)) ? "neutral" : "expression";
 }

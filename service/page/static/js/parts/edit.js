@@ -2,11 +2,10 @@
 
 import { ApiProblem, patch } from "../api.js";
 import { h } from "../dom.js";
+import { rolesByName } from "../library.js";
 import { NAME } from "../scan_files.js";
-import { plain } from "../words.js";
 import { ask } from "./dialog.js";
 
-const ROLES = ["neutral", "expression"];
 
 /** Ask for changes of a subject; resolves to it as it is then, or null. */
 export async function askToEditSubject(subject) {
@@ -16,8 +15,14 @@ export async function askToEditSubject(subject) {
 
 /** Ask for changes of a scan; name and role stay while jobs of its subject are not over. */
 export async function askToEditCapture(capture) {
-  const isScan = ROLES.includes(capture.role);
-  const role = h("select", {}, ROLES.map((each) => h("option", { value: each, selected: each === capture.role }, plain(each))));
+  const roles = await rolesByName();
+  const isScan = roles.get(capture.role).is_scan;
+  const scans = [...roles.values()].filter((each) => each.is_scan);
+  const role = h(
+    "select",
+    {},
+    scans.map((each) => h("option", { value: each.role, selected: each.role === capture.role }, each.title)),
+  );
   return edit(`Edit the scan ${capture.name}`, `/v1/subjects/${capture.subject_id}/captures/${capture.id}`, capture, {
     title: text("Title", { value: capture.title, required: true, maxlength: 200 }),
     name: text("Name", { value: capture.name, required: true, pattern: NAME, spellcheck: "false" }),

@@ -5,7 +5,7 @@ import { h } from "../dom.js";
 import { kindsByName } from "../library.js";
 import { plain, when } from "../words.js";
 
-// Jobs of a kind that are offered, the newest
+// Jobs that are offered with a file of a name, the newest
 const MOST = 5;
 // Inputs that are chosen here; others a job finds by itself
 const CHOSEN = ["markers", "assets"];
@@ -25,26 +25,20 @@ export async function handedOnFields(kind, request) {
 /** Return the files that a kind of job reads: `{job, artifact, input, words}`. */
 async function offered(kind, request) {
   const wanted = CHOSEN.filter((input) => kind.reads.includes(input));
-  const left = [...(await kindsByName()).values()].flatMap((each) =>
-    Object.entries(each.hands_on)
-      .filter(([, input]) => wanted.includes(input))
-      .map(([artifact, input]) => ({ kind: each.kind, artifact, input })),
-  );
-  return (await Promise.all(left.map((each) => filesOf(each, request.subject_id)))).flat();
+  const handed = [...(await kindsByName()).values()].flatMap((each) => Object.entries(each.hands_on));
+  const files = new Map(handed.filter(([, input]) => wanted.includes(input)));
+  return (await Promise.all([...files].map((file) => filesCalled(file, request.subject_id)))).flat();
 }
 
-async function filesOf({ kind, artifact, input }, subjectId) {
-  const query = { subject_id: subjectId, kind, state: "succeeded", limit: MOST };
-  const { items } = await get("/v1/jobs", query);
-  const jobs = await Promise.all(items.map(({ id }) => get(`/v1/jobs/${id}`)));
-  return jobs
-    .filter(({ result }) => result?.artifacts.some(({ name }) => name === artifact))
-    .map((job) => ({
-      job: job.id,
-      artifact,
-      input,
-      words: `${artifact} of ${plain(kind)}, ${when(job.finished_at)}`,
-    }));
+/** Return the newest files of a name that jobs of a person left: one request. */
+async function filesCalled([artifact, input], subjectId) {
+  const { items } = await get("/v1/jobs", { subject_id: subjectId, has: artifact, limit: MOST });
+  return items.map(({ id, kind, finished_at: at }) => ({
+    job: id,
+    artifact,
+    input,
+    words: `${artifact} of ${plain(kind)}, ${when(at)}`,
+  }));
 }
 
 function row({ job, artifact, input, words }, given) {

@@ -4,7 +4,7 @@ import { ApiProblem, get } from "../api.js";
 import { announce, h, setText, show } from "../dom.js";
 import * as interrupted from "../interrupted.js";
 import { inLine } from "../jobs.js";
-import { NAME, NO_SCANS } from "../scan_files.js";
+import { NAME } from "../scan_files.js";
 import { forget, upload } from "../tus.js";
 import { bytes } from "../words.js";
 import { ask } from "./dialog.js";
@@ -14,24 +14,13 @@ import { meter } from "./meter.js";
 import { state, verdictWords } from "./state.js";
 import { sentence } from "./trouble.js";
 
-const ROLES = [
-  ["neutral", "Neutral"],
-  ["expression", "Expression"],
-  ["performance", "Performance"],
-  ["markers", "Markers"],
-  ["asset", "File for scenes"],
-];
-
-/** What becomes of files that are no scans, by role. */
-const UNCHECKED = {
-  performance: "A performance is not checked; fit it with a rig.",
-  markers: "Markers are checked on the subject's page.",
-  asset: "Scenes can name it.",
-};
-
-/** A row; `stage` is ready, waiting, sending, sent, checking, over or failed. */
+/**
+ * A row; `stage` is ready, waiting, sending, sent, checking, over or failed. `roles` are those of the
+ * service's limits.
+ */
 export class ScanRow {
-  constructor({ file, name, role, landmarks }, { dropped, again }) {
+  constructor({ file, name, role, landmarks }, roles, { dropped, again }) {
+    this.roles = new Map(roles.map((each) => [each.role, each]));
     this.again = again;
     this.file = file;
     this.landmarks = landmarks;
@@ -51,7 +40,7 @@ export class ScanRow {
     this.role = h(
       "select",
       { "aria-label": `Role of ${file.name}`, onchange: () => this.mark() },
-      ROLES.map(([value, text]) => h("option", { value }, text)),
+      roles.map(({ role: value, title }) => h("option", { value }, title)),
     );
     this.role.value = role;
     this.badge = state("queued", "Ready");
@@ -129,6 +118,11 @@ export class ScanRow {
     }
   }
 
+  /** Whether it is to be checked and registered. */
+  get isScan() {
+    return this.roles.get(this.role.value).is_scan;
+  }
+
   /** What the API is told of the scan once its file is there. */
   get capture() {
     const role = this.role.value;
@@ -136,7 +130,7 @@ export class ScanRow {
       name: this.name.value,
       role,
       upload_id: this.uploadId,
-      registered: this.order.registered || NO_SCANS.includes(role),
+      registered: this.order.registered || !this.isScan,
       landmarks_upload_id: this.landmarksId ?? null,
       replaces: this.replaces,
     };
@@ -170,8 +164,9 @@ export class ScanRow {
       show(this.how);
       show(this.actions, h("a", { class: "button", href: `/jobs/${this.jobId}` }, "Details"));
     } else {
-      const words = UNCHECKED[this.role.value];
-      this.finish("succeeded", "Uploaded", h("p", { class: "fine" }, words));
+      const { noun, then } = this.roles.get(this.role.value);
+      const words = `${noun}: ${then}.`;
+      this.finish("succeeded", "Uploaded", h("p", { class: "fine" }, words[0].toUpperCase() + words.slice(1)));
     }
   }
 

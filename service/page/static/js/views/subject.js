@@ -3,7 +3,7 @@
 import { all, get, remove } from "../api.js";
 import { h, setText, show } from "../dom.js";
 import { keyed } from "../keyed.js";
-import { changed, kindsByName } from "../library.js";
+import { changed, kindsByName, rolesByName } from "../library.js";
 import { askToDeleteSubject } from "../parts/delete_subject.js";
 import { ask } from "../parts/dialog.js";
 import { askToEditCapture, askToEditRig, askToEditSubject } from "../parts/edit.js";
@@ -15,7 +15,7 @@ import { state, verdictState } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
 import { repeat } from "../repeat.js";
-import { isMarkerSet, NO_SCANS } from "../scan_files.js";
+import { isMarkerSet } from "../scan_files.js";
 import { navigate, title as nameWindow } from "../navigate.js";
 import { bytes, count, figure, labelWords, plain, short, when } from "../words.js";
 
@@ -32,9 +32,13 @@ function kindsOfRigs(kinds) {
 
 export async function mount(root, { id }) {
   const ending = new AbortController();
-  const [subject, kinds] = await Promise.all([get(`/v1/subjects/${id}`, {}, ending.signal), kindsByName()]);
+  const [subject, kinds, roles] = await Promise.all([
+    get(`/v1/subjects/${id}`, {}, ending.signal),
+    kindsByName(),
+    rolesByName(),
+  ]);
   nameWindow(subject.name);
-  const view = new SubjectView(subject, kindsOfRigs(kinds), ending.signal);
+  const view = new SubjectView(subject, kindsOfRigs(kinds), roles, ending.signal);
   root.append(...view.elements);
   await repeat(
     () => view.refresh(),
@@ -46,12 +50,12 @@ export async function mount(root, { id }) {
 }
 
 class SubjectView {
-  constructor(subject, kindsOfRigs, signal) {
+  constructor(subject, kindsOfRigs, roles, signal) {
     this.subject = subject;
     this.kindsOfRigs = kindsOfRigs;
+    this.roles = roles;
     this.signal = signal;
     this.chosen = new Set();
-    this.verdicts = new Map(); // of checks of markers, by the job's id
     this.captureBody = h("tbody");
     this.showCaptures = keyed(this.captureBody, ({ capture }) => this.captureRow(capture));
     this.rigBody = h("tbody");
@@ -107,8 +111,6 @@ class SubjectView {
     this.checks = new Map(checks.items.reverse().map((job) => [job.captures[0], job]));
     for (const job of markerChecks.items.reverse()) for (const id of job.captures) this.checks.set(id, job);
     this.sets = captures.filter(isMarkerSet).sort((a, b) => b.created_at.localeCompare(a.created_at));
-    const takes = captures.filter((each) => each.role === "markers" && !isMarkerSet(each));
-    await Promise.all(takes.map(({ id }) => this.judge(this.checks.get(id))));
     captures.sort((a, b) => (b.role === "neutral") - (a.role === "neutral") || a.name.localeCompare(b.name));
     this.rigs = rigs;
     this.assets = captures.filter(({ role }) => role === "asset").map(({ id }) => id);
@@ -125,13 +127,6 @@ class SubjectView {
     this.showModel(models.items[0]);
     this.mark();
     await this.showNext(proposals.items[0]);
-  }
-
-  /** Know the verdict of a check of markers, which lists of jobs do not have. */
-  async judge(job) {
-    if (job?.state !== "succeeded" || this.verdicts.has(job.id)) return;
-    const { result } = await get(`/v1/jobs/${job.id}`, {}, this.signal);
-    this.verdicts.set(job.id, result.summary.verdict);
   }
 
   showModel(job) {
@@ -182,7 +177,7 @@ class SubjectView {
     });
     const act = (words, action, kind = null) =>
       button([words, h("span", { class: "unseen" }, ` ${name}`)], action, kind);
-    const isScan = !NO_SCANS.includes(role);
+    const isScan = this.roles.get(role).is_scan;
     const isTake = role === "markers" && !isMarkerSet(capture);
     const actions = h(
       "div",
@@ -202,7 +197,7 @@ class SubjectView {
         {},
         h("td", { class: "tight" }, role === "expression" ? box : null),
         h("th", { scope: "row" }, name, about),
-        h("td", {}, plain(role)),
+        h("td", {}, this.roles.get(role).title),
         h("td", {}, isScan && (capture.registered ? "Registered" : "Raw"), isTake && "Take", isMarkerSet(capture) && "Marker set"),
         check,
         registration,
@@ -213,7 +208,7 @@ class SubjectView {
         const title = filename.startsWith(`${next.title}.`) ? filename : `${next.title}, ${filename}`;
         setText(about, `${title}, ${bytes(size)}${labelWords(next.labels)}`);
         const job = this.checks.get(id);
-        const verdict = isTake && this.verdicts.get(job?.id);
+        const verdict = isTake && job?.result?.verdict;
         const key = JSON.stringify([next.check, next.registration, job?.state, verdict]);
         if (shown === key) return;
         shown = key;

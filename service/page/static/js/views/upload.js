@@ -13,7 +13,7 @@ import { ScanRow } from "../parts/scan_row.js";
 import { Session } from "../parts/session.js";
 import { toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
-import { NO_SCANS, countVertices, dropped, sorted } from "../scan_files.js";
+import { countVertices, dropped, sorted } from "../scan_files.js";
 import { CAN_CHECK } from "../tus.js";
 import { count } from "../words.js";
 
@@ -151,7 +151,7 @@ class Tray {
       h(
         "p",
         { class: "fine" },
-        `${this.limits.raw_scan_formats.join(" ")}; landmarks ${this.limits.landmark_formats.join(" ")} beside a scan of the same name; performances .npy`,
+        `${this.limits.raw_scan_formats.join(" ")}; landmarks ${this.limits.landmark_formats.join(" ")} beside a scan of the same name; ${otherFiles(this.limits.roles)}`,
       ),
     );
   }
@@ -215,7 +215,9 @@ class Tray {
   take(files) {
     const { scans, others } = sorted(files, this.limits);
     for (const scan of scans)
-      this.rows.push(new ScanRow(scan, { dropped: (row) => this.drop(row), again: (row) => this.again(row) }));
+      this.rows.push(
+        new ScanRow(scan, this.limits.roles, { dropped: (row) => this.drop(row), again: (row) => this.again(row) }),
+      );
     this.others.hidden = !others.length;
     setText(
       this.others,
@@ -294,7 +296,7 @@ class Tray {
   async requireVertices(rows) {
     const template = (await subjectsById()).get(this.subject.value)?.template_id;
     const { vertices } = template ? await get(`/v1/templates/${template}`) : { vertices: this.limits.builtin_vertices };
-    const scans = rows.filter(({ role }) => !NO_SCANS.includes(role.value));
+    const scans = rows.filter(({ isScan }) => isScan);
     for (const { file } of vertices ? scans : []) {
       const found = await countVertices(file);
       if (found === null || found === vertices) continue;
@@ -357,6 +359,14 @@ class Tray {
 /** Let the bar at the top say how many uploads are left. */
 function tellUploads(left) {
   document.dispatchEvent(new CustomEvent("uploads", { detail: left }));
+}
+
+/** Say what else can be dropped, by the endings that name its role. */
+function otherFiles(roles) {
+  return roles
+    .filter(({ own_formats: own }) => own.length)
+    .map(({ noun, own_formats: own }) => `${noun} ${own.join(" ")}`)
+    .join("; ");
 }
 
 function repeated(names) {

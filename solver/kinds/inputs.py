@@ -1,0 +1,137 @@
+"""The inputs of jobs and the files that jobs leave for later ones, each declared once.
+
+A contract (:class:`~solver.kinds.kind.Kind`) names them: ``reads`` and ``asks`` those of
+:data:`INPUTS`, ``hands_on`` those of :data:`FILES`. The command line makes its arguments and
+options of the first; the service checks and finds by the second what earlier jobs left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+Form = Literal["file", "file or folder", "files", "named files", "role"]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of an input on the command line: an argument if a job needs it, else an option.
+
+    role
+        What the job calls its file (``task.inputs``). None: it is no file, or the job has all of
+        them by their own names (``task.captures``).
+    """
+
+    parameter: str
+    words: str  # of the command line's help
+    role: str | None = None
+    form: Form = "file"
+    is_needed: bool = False
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input of jobs.
+
+    of_an_expression
+        The parts that take the place of ``parts`` where a kind reads a ``capture``, too.
+    """
+
+    parts: tuple[Part, ...]
+    of_an_expression: tuple[Part, ...] = ()
+
+
+def _given(parameter: str, words: str, form: Form = "file", role: str | None = None) -> Part:
+    """Return an argument; its file has the role that is called as it is."""
+    return Part(parameter, words, role or parameter, form, is_needed=True)
+
+
+def _option(parameter: str, words: str, role: str | None = None, form: Form = "file") -> Part:
+    """Return an option; its file has the role that is called as it is."""
+    return Part(parameter, words, role or parameter, form)
+
+
+RIG = "rig.npz, or a rig's folder or ZIP; to one of 0.1 copy its model.npz"
+
+INPUTS: Mapping[str, Input] = {
+    "capture": Input(
+        (
+            _given("scan", "OBJ, PLY, STL, GLB or point cloud"),
+            _option("landmarks", "JSON, LJSON or CSV"),
+        )
+    ),
+    "neutral": Input(
+        (_given("neutral", "OBJ, PLY, GLB or STL"),),
+        (_option("neutral", "of an expression: registered neutral"),),
+    ),
+    "captures": Input((Part("scans", "expression scans", form="files", is_needed=True),)),
+    "performance": Input(
+        (_given("performance", "frames (.npy), or a folder of registered scans", "file or folder"),)
+    ),
+    "markers": Input(
+        (
+            _given("take", "markers: C3D, TRC, Motive CSV or NPZ", role="markers"),
+            _option("set", "the session's marker set, JSON", role="marker_set"),
+        )
+    ),
+    "model": Input((_given("model", "model.npz"),)),
+    "rig": Input((_given("rig", RIG, "file or folder"),)),
+    "any_rig": Input((_option("rig", RIG, form="file or folder"),)),
+    "template": Input((_option("template", "template NPZ; default: built-in"),)),
+    "assets": Input(
+        (Part("asset", "NAME=FILE, a file that the scene names; repeatable", form="named files"),)
+    ),
+    "blendshapes": Input((_option("blendshapes", "blendshapes.npz of an earlier animation"),)),
+    "expression_basis": Input(
+        (_option("basis", "expression_basis.npz of an earlier job", "expression_basis"),)
+    ),
+    "fibre_muscles": Input(
+        (_option("fibres", "fibre_muscles.npz of fit-fibres", "fibre_muscles"),)
+    ),
+    "role": Input((Part("role", "what the scan is meant to be", form="role"),)),
+    "start": Input(
+        (_option("start", "rig to start from, also of another person", form="file or folder"),)
+    ),
+}
+
+
+@dataclass(frozen=True)
+class LeftFile:
+    """A file that jobs leave for later ones.
+
+    input
+        What it is to those: of kinds that have it in ``reads``.
+    role
+        What the job that reads it calls it.
+    formats
+        The numbers of its format that this release reads, the newest last.
+    of_a_rig
+        Whether it was made of one rig and is of no other. Later jobs of that rig find the newest.
+    is_kept
+        Whether it takes minutes to make, so that the next attempt at a job goes on with it.
+    """
+
+    input: str
+    role: str
+    formats: tuple[int, ...] = (1,)
+    of_a_rig: bool = False
+    is_kept: bool = False
+
+    @property
+    def format(self) -> int:
+        """The number of the newest format."""
+        return self.formats[-1]
+
+
+FILES: Mapping[str, LeftFile] = {
+    "model.npz": LeftFile("model", "model"),
+    "rig.npz": LeftFile("rig", "rig"),
+    "markers.json": LeftFile("markers", "marker_set"),
+    "sequence.npz": LeftFile("assets", "asset", formats=(1, 2)),  # 2 has what markers add
+    "blendshapes.npz": LeftFile("blendshapes", "blendshapes", of_a_rig=True, is_kept=True),
+    "expression_basis.npz": LeftFile(
+        "expression_basis", "expression_basis", of_a_rig=True, is_kept=True
+    ),
+    "fibre_muscles.npz": LeftFile("fibre_muscles", "fibre_muscles", of_a_rig=True),
+}
