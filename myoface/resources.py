@@ -155,7 +155,7 @@ class Capture(Resource):
 
 @dataclass(frozen=True, kw_only=True)
 class Artifact(Resource):
-    """A file that the job ``job_id`` left; ``size`` in bytes."""
+    """A file that the job ``job_id`` left; ``size`` in bytes, ``format`` a number if known."""
 
     id: str
     name: FileName
@@ -163,6 +163,7 @@ class Artifact(Resource):
     sha256: Sha256
     media_type: str
     job_id: str | None = None
+    format: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,7 +71,10 @@ class NewKey(Key):
 
 @dataclass(frozen=True, kw_only=True)
 class Deletion(Resource):
-    """The receipt of a deletion: when nothing showed the object, and when its files were gone."""
+    """The receipt of a deletion: when nothing showed the object, and when its files were gone.
+
+    ``read_by`` are the newest jobs that stay and had read files of it.
+    """
 
     id: str
     kind: str
@@ -80,6 +83,7 @@ class Deletion(Resource):
     created_at: datetime
     rows_at: datetime | None = None
     files_at: datetime | None = None
+    read_by: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,8 @@ import unicodedata
 from dataclasses import dataclass
 from typing import Any
 
+from solver.kinds import FILES
+
 ELLIPSIS = "..."
 # Set in a document of which something was left out
 MARK = "shortened"
@@ -31,6 +33,8 @@ class Bounds:
 ERROR = Bounds()
 PROGRESS = Bounds(size=3000)
 SUMMARY = Bounds(items=2000, size=1024**2)
+# The number of a file's format, at most
+HIGHEST_FORMAT = 1_000_000
 
 
 def shorten(text: str, most: int = 200) -> str:
@@ -60,10 +64,21 @@ def fit(document: dict[str, Any], bounds: Bounds) -> dict[str, Any]:
     return {**fitting, MARK: True} if found.something else fitting
 
 
-def fit_result(summary: dict[str, Any], expressions: list[Any]) -> dict[str, Any]:
-    """Return what a job tells of its results within `SUMMARY`."""
+def fit_result(
+    summary: dict[str, Any], expressions: list[Any], formats: dict[str, Any]
+) -> dict[str, Any]:
+    """Return what a job tells of its results within `SUMMARY`.
+
+    ``formats`` are numbers of formats by the names of files, of those that later jobs read.
+    """
     names = [shorten(str(name)) for name in expressions[: SUMMARY.items]]
-    return {"expressions": names, "summary": fit(summary, SUMMARY)}
+    known = {name: formats.get(name) for name in FILES}
+    numbers = {
+        name: number
+        for name, number in known.items()
+        if type(number) is int and 0 < number <= HIGHEST_FORMAT
+    }
+    return {"expressions": names, "summary": fit(summary, SUMMARY), "formats": numbers}
 
 
 def fit_progress(step: dict[str, Any]) -> dict[str, Any]:

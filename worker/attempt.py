@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -122,16 +122,20 @@ class AttemptFolder:
         names = found.get("expressions")
         if not isinstance(found.get("summary"), dict) or not isinstance(names, list):
             raise InvalidOutputError("the solver left a result without a summary or expressions")
-        return fit_result(found["summary"], names)
+        formats = found.get("formats")
+        return fit_result(found["summary"], names, formats if isinstance(formats, dict) else {})
 
-    def store(self, files: Files) -> list[Artifact]:
-        """Put the outputs that were measured last into the file store."""
+    def store(self, files: Files, formats: Mapping[str, int]) -> list[Artifact]:
+        """Put the outputs that were measured last into the file store.
+
+        ``formats`` are the numbers of their formats, of those that have one.
+        """
         paths = sorted(self._outputs)
         if len(paths) > MOST_ARTIFACTS:
             count = f"{len(paths)} files: {MOST_ARTIFACTS} are the most"
             raise InvalidOutputError(f"the solver left {count}")
         try:
-            return [self._put(path, files) for path in paths]
+            return [self._put(path, files, formats.get(path.name)) for path in paths]
         except LargerFileError as error:
             raise InvalidOutputError(f"{error.filename} grew after the solver's end") from error
 
@@ -277,7 +281,7 @@ class AttemptFolder:
                 raise InvalidOutputError(f"the solver closed {folder.name}") from error
         return total
 
-    def _put(self, path: Path, files: Files) -> Artifact:
+    def _put(self, path: Path, files: Files, format_number: int | None = None) -> Artifact:
         blob = files.put(path, self._outputs[path])
         return Artifact(
             tenant_id=self._claim.tenant_id,
@@ -286,6 +290,7 @@ class AttemptFolder:
             size=blob.size,
             sha256=blob.sha256,
             media_type=MEDIA_TYPES.get(path.suffix, "application/octet-stream"),
+            format=format_number,
         )
 
     def _read(self, name: str, most: int) -> dict[str, Any] | None:

@@ -31,7 +31,7 @@ import structlog
 from service.bounds import ERROR, fit, fit_progress, fit_result
 from service.process import configure_logs, die_with_parent
 from solver.jobs import run_job
-from solver.kinds import KINDS
+from solver.kinds import FILES, KINDS, format_number
 from worker import sandbox
 from worker.errors import NO_ROOM, is_full
 
@@ -138,7 +138,7 @@ def _describe_error(error: Exception, memory_bytes: int) -> dict[str, Any]:
 
 
 def solve(folder: Path, progress: Progress, jobs: str = "solver.jobs") -> dict[str, Any]:
-    """Do the job; returns ``{summary, expressions}``, what the job tells of its results."""
+    """Do the job; returns ``{summary, expressions, formats}``, what it tells of its results."""
     job = json.loads((folder / "job.json").read_text())
     captures: dict[str, Path] = {}
     files: dict[str, Path] = {}
@@ -160,8 +160,9 @@ def solve(folder: Path, progress: Progress, jobs: str = "solver.jobs") -> dict[s
         jobs=jobs,
         **files,
     )
-    kind = KINDS[job["kind"]]
-    return _describe(folder / "out" / kind.report, is_rig=kind.leaves == "rig")
+    kind, out = KINDS[job["kind"]], folder / "out"
+    formats = {name: format_number(out / name) for name in FILES if (out / name).is_file()}
+    return {**_describe(out / kind.report, is_rig=kind.leaves == "rig"), "formats": formats}
 
 
 def _describe(file: Path, *, is_rig: bool) -> dict[str, Any]:
@@ -199,7 +200,7 @@ def _write(folder: Path, name: str, content: dict[str, Any]) -> None:
         return inputs.sub("", text).replace(f"{folder}/out/", "")
 
     told = _plain(content, without_folders)
-    told = fit_result(told["summary"], told["expressions"]) if name == RESULT else fit(told, ERROR)
+    told = fit_result(**told) if name == RESULT else fit(told, ERROR)
     partial = folder / f"{name}.partial"
     partial.write_text(json.dumps(told))
     partial.replace(folder / name)

@@ -262,7 +262,7 @@ class Supervisor:
     def _succeed(
         self, claim: Claim, folder: AttemptFolder, result: dict[str, Any], new: int
     ) -> None:
-        artifacts, rig = folder.store(self._store.files), folder.rig(result)
+        artifacts, rig = folder.store(self._store.files, result["formats"]), folder.rig(result)
 
         def change(session: Session) -> bool:
             if new:  # another job of the tenant may have ended meanwhile

@@ -252,7 +252,10 @@ def delete(
     with Client(url) as client:
         whose = find_subject(client, subject)
         for capture in choose(client.captures(whose), names):
-            client.delete_capture(whose, capture.id)
+            receipt = client.deletion(client.delete_capture(whose, capture.id))
+            if receipt.read_by:
+                jobs = ", ".join(receipt.read_by)
+                out.print(f"{capture.name} is deleted; jobs that had read it stay: {jobs}")
 
 
 def choose(captures: Iterable[Capture], names: list[str] | None) -> list[Capture]:

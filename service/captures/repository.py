@@ -70,10 +70,14 @@ def _role_in(job: Job) -> str | None:
 
 @dataclass(frozen=True)
 class RegisteredForm:
-    """A mesh in the template's topology: a name that people recognise, and the file's sha256."""
+    """A mesh in the template's topology: a name that people recognise, and the file's sha256.
+
+    ``of`` is the capture, or the job that registered it.
+    """
 
     filename: str
     sha256: str
+    of: str
 
 
 def registered_form(
@@ -85,10 +89,11 @@ def registered_form(
     newest form that was made from this neutral, so that no fit mixes two.
     """
     if capture.registered:
-        return RegisteredForm(capture.filename, capture.sha256)
+        return RegisteredForm(capture.filename, capture.sha256, capture.id)
     for job in succeeded_jobs(session, REGISTRATION, [capture]):
         if neutral_sha256 in (None, neutral_of(job)):
-            return RegisteredForm(f"{capture.name}.{REGISTERED_MESH}", registered_mesh(job).sha256)
+            name = f"{capture.name}.{REGISTERED_MESH}"
+            return RegisteredForm(name, registered_mesh(job).sha256, job.id)
     return None
 
 

@@ -21,9 +21,18 @@ InputFile = dict[str, Any]  # a file of a job, as its request keeps it
 OF_A_RIG = frozenset(file.role for file in FILES.values() if file.of_a_rig)
 
 
-def input_file(role: str, name: str, filename: str, sha256: str) -> InputFile:
-    """Return a file of a job; ``role`` is what it is to the solver, ``name`` what jobs call it."""
-    return {"role": role, "name": name, "filename": filename, "sha256": sha256}
+def input_file(role: str, name: str, filename: str, sha256: str, *, of: str) -> InputFile:
+    """Return a file of a job; ``role`` is what it is to the solver, ``name`` what jobs call it.
+
+    ``of`` is the id of the capture or template whose file it is, or of the job that left it.
+    """
+    return {"role": role, "name": name, "filename": filename, "sha256": sha256, "of": of}
+
+
+def artifact_file(role: str, artifact: Artifact, name: str | None = None) -> InputFile:
+    """Return a file that a job left; jobs call it by its own name unless another is given."""
+    name = name or artifact.name
+    return input_file(role, name, artifact.name, artifact.sha256, of=artifact.job_id)
 
 
 def handed_on(session: Session, kind: Kind, new: NewJob) -> list[InputFile]:
@@ -45,9 +54,25 @@ def _input(session: Session, kind: Kind, new: NewJob, given: FromJob, member: st
     if role in OF_A_RIG and job.request.get("rig_id") != new.rig_id:
         detail = f"{given.artifact} of job {job.id} is of another rig"
         raise Problem(409, "artifact.other_rig", detail, member=member, job_id=job.id)
-    artifact: Artifact = rigs.artifact_of_job(session, job.id, given.artifact)
-    name = given.name or PurePath(artifact.name).stem
-    return input_file(role, name, artifact.name, artifact.sha256)
+    artifact = readable(session, job.id, given.artifact, member=member)
+    return artifact_file(role, artifact, given.name or PurePath(artifact.name).stem)
+
+
+def readable(session: Session, job_id: str, name: str, **more: Any) -> Artifact:
+    """Return a file that a job left, for another job to read; ``more`` are members of a problem.
+
+    Raises :class:`Problem` if there is none, or if it is of a format that this release does not
+    read. The format is not known of what was left before formats were noted: the job finds out.
+    """
+    artifact = rigs.artifact_of_job(session, job_id, name)
+    formats = FILES[name].formats if name in FILES else (artifact.format,)
+    if artifact.format not in (None, *formats):
+        numbers = " and ".join(map(str, formats))
+        found = f"{name} of job {job_id} has format {artifact.format}"
+        detail = f"{found}: this release reads {numbers}"
+        about = {"job_id": job_id, "file": name, "found": artifact.format, "expected": [*formats]}
+        raise Problem(409, "artifact.format", detail, **about, **more)
+    return artifact
 
 
 def _refuse_unready(job: Job, new: NewJob, member: str) -> None:

@@ -1,8 +1,9 @@
 """The files a job reads, looked up and fixed when it is submitted.
 
-An input is ``{"role", "name", "filename", "sha256"}``: ``filename`` is the user's own name for the
-file, so that an error in it can name it. The scan that a job is about has its ``capture_role`` too.
-Of a raw capture, models and fits read the registered form.
+An input is ``{"role", "name", "filename", "sha256", "of"}``: ``filename`` is the user's own name
+for the file, so that an error in it can name it, ``of`` the id of what it belongs to. The scan that
+a job is about has its ``capture_role`` too. Of a raw capture, models and fits read the registered
+form.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from sqlalchemy.orm import Session
 
 from service.bounds import shorten
 from service.captures import repository as captures
-from service.captures.repository import neutral_of, registered_form
+from service.captures.repository import RegisteredForm, neutral_of, registered_form
 from service.errors import Problem, not_found
 from service.jobs import repository
-from service.jobs.handed_on import InputFile, handed_on, input_file, join
+from service.jobs.handed_on import InputFile, artifact_file, handed_on, input_file, join, readable
 from service.jobs.schemas import NewJob
 from service.rigs import repository as rigs
 from service.store.models import Capture, Job, Rig
@@ -81,12 +82,16 @@ def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
             f"{capture.name} was uploaded as a registered scan: there is nothing to register",
             capture_id=capture.id,
         )
-    scan = input_file("scan", capture.name, capture.filename, capture.sha256)
+    scan = _capture_file("scan", capture)
     files = [{**scan, "capture_role": capture.role}]
     if capture.landmarks_filename and capture.landmarks_sha256:
         files.append(
             input_file(
-                "landmarks", capture.name, capture.landmarks_filename, capture.landmarks_sha256
+                "landmarks",
+                capture.name,
+                capture.landmarks_filename,
+                capture.landmarks_sha256,
+                of=capture.id,
             )
         )
     if "neutral" in kind.reads and capture.role != "neutral":
@@ -119,7 +124,7 @@ def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = Fals
             409, "subject.no_neutral", "the subject has no neutral capture", subject_id=subject_id
         )
     if (form := registered_form(session, neutral)) is not None:
-        return input_file("neutral", neutral.name, form.filename, form.sha256)
+        return _form_file("neutral", neutral, form)
     if of_an_expression:
         raise Problem(
             409,
@@ -137,7 +142,8 @@ def _template(session: Session, kind: Kind, new: NewJob) -> list[InputFile]:
     if template_id is None or "template" not in kind.reads:
         return []
     template = templates.get(session, template_id)
-    return [input_file("template", template.name, template.filename, template.sha256)]
+    file = (template.name, template.filename, template.sha256)
+    return [input_file("template", *file, of=template_id)]
 
 
 def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
@@ -161,8 +167,8 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
     for name, file in FILES.items():
         if file.of_a_rig and file.input in kind.reads:
             leavers = [each.name for each in KINDS.values() if name in each.hands_on]
-            if found := rigs.left_by(session, rig, leavers, name):
-                files.append(input_file(file.role, found.name, found.name, found.sha256))
+            if found := rigs.left_by(session, rig, leavers, name, file.formats):
+                files.append(artifact_file(file.role, found))
     return Inputs(files, model_job_id=model.id)
 
 
@@ -189,7 +195,7 @@ def _performance(session: Session, new: NewJob) -> InputFile:
             f"{capture.name} is a scan, not a performance",
             capture_id=capture.id,
         )
-    return input_file("performance", capture.name, capture.filename, capture.sha256)
+    return _capture_file("performance", capture)
 
 
 def _markers(session: Session, new: NewJob) -> list[InputFile]:
@@ -213,7 +219,7 @@ def _markers(session: Session, new: NewJob) -> list[InputFile]:
                 f"{new.kind} reads one take, and one marker set beside it",
                 member="captures",
             )
-        found[role] = input_file(role, capture.name, capture.filename, capture.sha256)
+        found[role] = _capture_file(role, capture)
     if "markers" not in found:
         raise Problem(422, "job.missing", f"{new.kind} needs a take of markers", member="captures")
     return [*found.values()]
@@ -230,7 +236,7 @@ def _assets(session: Session, new: NewJob) -> list[InputFile]:
                 f"{capture.name} is no asset, which is a file that scenes name",
                 capture_id=capture.id,
             )
-    return [input_file("asset", each.name, each.filename, each.sha256) for each in found]
+    return [_capture_file("asset", each) for each in found]
 
 
 def _refuse_unnamed(new: NewJob, files: list[InputFile]) -> None:
@@ -289,7 +295,7 @@ def _expressions(session: Session, new: NewJob, model: Job) -> list[InputFile]:
         if form is None:
             faults[capture.id] = _what_to_do(session, capture)
         else:
-            inputs.append(input_file("capture", capture.name, form.filename, form.sha256))
+            inputs.append(_form_file("capture", capture, form))
     if faults:
         raise _not_registered(faults)
     return inputs
@@ -342,5 +348,12 @@ def _not_registered(faults: dict[str, str]) -> Problem:
 
 
 def _artifact(session: Session, job_id: str, role: str, name: str) -> InputFile:
-    artifact = rigs.artifact_of_job(session, job_id, name)
-    return input_file(role, name, name, artifact.sha256)
+    return artifact_file(role, readable(session, job_id, name))
+
+
+def _capture_file(role: str, capture: Capture) -> InputFile:
+    return input_file(role, capture.name, capture.filename, capture.sha256, of=capture.id)
+
+
+def _form_file(role: str, capture: Capture, form: RegisteredForm) -> InputFile:
+    return input_file(role, capture.name, form.filename, form.sha256, of=form.of)

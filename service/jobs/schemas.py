@@ -13,6 +13,7 @@ from service.queue.states import State
 from service.rigs.schemas import ArtifactView, verdict_in
 from service.schemas import FileName, Id, Line, Moment, Name, RequestBody, RetainUntil, View
 from service.store import retention
+from service.store.deletion import is_read_by
 from service.store.models import Artifact, Job
 
 Priority = Annotated[
@@ -344,6 +345,9 @@ async def _filters(
     parent_id: Annotated[Id | None, Query(description="jobs made again from it")] = None,
     kind: Name | None = None,
     has: Annotated[FileName | None, Query(description="that have left a file of this name")] = None,
+    reads: Annotated[
+        Id | None, Query(description="that read a file of this capture, or that this job left")
+    ] = None,
     state: Annotated[
         list[State] | None, Query(description="one of these; may be given several times")
     ] = None,
@@ -363,6 +367,8 @@ async def _filters(
         # before it has succeeded, a job's files are not shown
         left = select(Artifact.id).where(Artifact.job_id == Job.id, Artifact.name == has)
         conditions += [Job.state == State.SUCCEEDED, left.exists()]
+    if reads is not None:
+        conditions.append(is_read_by(reads))
     if state:
         conditions.append(Job.state.in_(state))
     if since is not None:

@@ -37,3 +37,7 @@ class DeletionView(View):
     files_at: datetime | None = Field(
         description="when its files were gone, too, but for those that others have"
     )
+    read_by: list[str] = Field(
+        description="jobs of the subject that stay and had read files of it, the newest 20: what "
+        "they made stays as well"
+    )

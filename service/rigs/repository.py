@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import select
+from sqlalchemy import or_, select
 from sqlalchemy.orm import Session, load_only
 
 from service import paging
@@ -82,8 +82,13 @@ def preview(session: Session, rig: Rig) -> Artifact | None:
     ).one_or_none()
 
 
-def left_by(session: Session, rig: Rig, kinds: Iterable[str], name: str) -> Artifact | None:
-    """Return the newest artifact ``name`` that jobs of some ``kinds`` left of a rig."""
+def left_by(
+    session: Session, rig: Rig, kinds: Iterable[str], name: str, formats: Iterable[int]
+) -> Artifact | None:
+    """Return the newest artifact ``name`` that jobs of some ``kinds`` left of a rig.
+
+    It is of one of ``formats``, or of one that was not noted.
+    """
     return session.scalars(
         select(Artifact)
         .join(Job, Job.id == Artifact.job_id)
@@ -93,6 +98,7 @@ def left_by(session: Session, rig: Rig, kinds: Iterable[str], name: str) -> Arti
             Job.kind.in_(kinds),
             Job.request["rig_id"].as_string() == rig.id,
             Artifact.name == name,
+            or_(Artifact.format.is_(None), Artifact.format.in_(formats)),
         )
         .order_by(Job.created_at.desc())
         .limit(1)

@@ -24,6 +24,10 @@ class ArtifactView(View):
     size: int
     sha256: str
     media_type: str
+    format: int | None = Field(
+        default=None,
+        description="number of its format, of a file that later jobs read; null: not known",
+    )
 
 
 class RigItem(View):

@@ -10,7 +10,7 @@ from contextlib import suppress
 from datetime import datetime, timedelta
 from typing import Literal
 
-from sqlalchemy import ColumnElement, delete, select, update
+from sqlalchemy import ColumnElement, Text, cast, delete, or_, select, update
 from sqlalchemy.orm import Session
 
 from service.queue.states import FINAL
@@ -34,6 +34,8 @@ from service.store.models import (
 Reason = Literal["request", "retention"]
 BY = "deletion"
 BATCH = 200
+# Jobs that a receipt names, of those that had read files of what was deleted
+MOST_READERS = 20
 # Seconds between two rounds of the sweeper's that collect garbage, at most
 COLLECT_EVERY = 60.0
 
@@ -53,6 +55,21 @@ def active_jobs(session: Session, subject_id: str) -> Sequence[str]:
     return session.scalars(
         select(Job.id).where(Job.subject_id == subject_id, Job.state.not_in(FINAL))
     ).all()
+
+
+def is_read_by(source: str) -> ColumnElement[bool]:
+    """Select the jobs that read a file of ``source``: of a capture, or of a job that left it."""
+    # as it is written: a name with quotes in it has them escaped
+    return cast(Job.inputs, Text).contains(f'"of": "{source}"', autoescape=True)
+
+
+def _readers(session: Session, subject_id: str, sources: Iterable[str]) -> list[str]:
+    """Return the newest jobs of a subject that had read files of what goes, and stay."""
+    gone = list(sources)
+    readers = select(Job.id).where(
+        Job.subject_id == subject_id, Job.id.not_in(gone), or_(*map(is_read_by, gone))
+    )
+    return [*session.scalars(readers.order_by(Job.created_at.desc()).limit(MOST_READERS))]
 
 
 def delete_subject(session: Session, subject: Subject, reason: Reason) -> Deletion:
@@ -89,6 +106,8 @@ def waiting_receipt(session: Session, subject_id: str) -> Deletion | None:
 def delete_capture(session: Session, capture: Capture, reason: Reason) -> Deletion:
     """Delete a scan with its checks and registrations."""
     receipt = _receipt(session, capture, "capture", reason)
+    about = session.scalars(select(Job.id).where(Job.capture_id == capture.id)).all()
+    receipt.read_by = _readers(session, capture.subject_id, [capture.id, *about])
     files = [
         *capture.uploaded_files,
         *_forget_uploads(session, Upload.used_by == capture.id),
@@ -106,6 +125,8 @@ def delete_job(session: Session, job: Job, reason: Reason) -> Deletion:
     receipt = _receipt(session, job, "rig" if rig else "job", reason)
     receipt.object_id = rig or job.id
     gone = (Job.id == job.id) if rig is None else (Job.id == job.id) | is_preview_of(rig)
+    jobs = session.scalars(select(Job.id).where(gone)).all()
+    receipt.read_by = _readers(session, job.subject_id, jobs)
     files = _left_by(session, gone)
     session.execute(delete(Job).where(gone))
     _sign(session, receipt, files)

@@ -11,6 +11,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from solver.kinds.document import Fault
+from solver.kinds.formats import format_number
 from solver.kinds.inputs import FILES, INPUTS, LeftFile, Part
 from solver.kinds.kind import BUILTIN_VERTICES, JobOptions, Kind, OptionsError
 from solver.kinds.packing import NOT_READABLE, check_directory, is_plainly_packed
@@ -32,6 +33,7 @@ __all__ = [
     "Part",
     "Role",
     "check_directory",
+    "format_number",
     "is_plainly_packed",
 ]
 

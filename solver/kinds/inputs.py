@@ -82,6 +82,7 @@ INPUTS: Mapping[str, Input] = {
     "assets": Input(
         (Part("asset", "NAME=FILE, a file that the scene names; repeatable", form="named files"),)
     ),
+    "sequences": Input(()),  # a scene names them as it does assets
     "blendshapes": Input((_option("blendshapes", "blendshapes.npz of an earlier animation"),)),
     "expression_basis": Input(
         (_option("basis", "expression_basis.npz of an earlier job", "expression_basis"),)
@@ -128,7 +129,7 @@ FILES: Mapping[str, LeftFile] = {
     "model.npz": LeftFile("model", "model"),
     "rig.npz": LeftFile("rig", "rig"),
     "markers.json": LeftFile("markers", "marker_set"),
-    "sequence.npz": LeftFile("assets", "asset", formats=(1, 2)),  # 2 has what markers add
+    "sequence.npz": LeftFile("sequences", "asset", formats=(1, 2)),  # 2 has what markers add
     "blendshapes.npz": LeftFile("blendshapes", "blendshapes", of_a_rig=True, is_kept=True),
     "expression_basis.npz": LeftFile(
         "expression_basis", "expression_basis", of_a_rig=True, is_kept=True

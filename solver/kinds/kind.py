@@ -45,10 +45,10 @@ class Kind:
         uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the
         subject's neutral and chosen expressions; ``performance`` is one capture of that role,
         ``markers`` a take of them with the session's marker set, if there is one, ``assets`` any
-        number of theirs; ``template`` is the subject's, ``model`` its newest, ``rig`` a fitted
-        person, ``any_rig`` one that may be left out, ``blendshapes``,
-        ``expression_basis`` and calibrated ``fibre_muscles`` are those that an earlier job of the
-        rig left.
+        number of theirs, ``sequences`` those that fits left, named as assets are; ``template`` is
+        the subject's, ``model`` its newest, ``rig`` a fitted person, ``any_rig`` one that may be
+        left out, ``blendshapes``, ``expression_basis`` and calibrated ``fibre_muscles`` are those
+        that an earlier job of the rig left.
     asks
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
         the ``start`` of a fit, another rig.

@@ -18,7 +18,7 @@ KIND = Kind(
     "the jaw by its flesh, with contact, forces, objects and edits; frames can be read while the "
     "job runs.",
     queue="long",
-    reads=("rig", "template", "assets", "fibre_muscles"),
+    reads=("rig", "template", "assets", "sequences", "fibre_muscles"),
     leaves="animation",
     report="animation.json",
     result="animation.glb",

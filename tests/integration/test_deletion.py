@@ -163,6 +163,57 @@ def test_a_scan_takes_another_one_s_place_or_nothing_is_done(studio: Studio) -> 
     }
 
 
+def test_a_receipt_names_the_jobs_that_read_what_is_gone(studio: Studio) -> None:
+    subject = studio.subject()
+    take = studio._add(subject, "take", "markers", {})
+    check = studio.submit("check_markers", subject, captures=[take])
+    path = f"/v1/subjects/{subject}/captures/{take}"
+    refused = studio.http.delete(path)  # what a job that is not over reads stays
+    assert (refused.status_code, refused.json()["code"]) == (409, "subject.busy")
+    assert refused.json()["job_ids"] == [check]
+    _end(studio, check)
+    receipt = studio.get(studio.http.delete(path).headers["Location"])
+    assert receipt["read_by"] == [check]
+    assert studio.job(check)["state"] == "succeeded"
+    everything = studio.get(studio.http.delete(f"/v1/subjects/{subject}").headers["Location"])
+    assert everything["read_by"] == []  # they go with it
+
+
+def test_readers_of_a_registration_are_those_of_its_scan(studio: Studio) -> None:
+    subject = studio.post("/v1/subjects", name="Ada")["id"]
+    neutral = studio.raw(subject, "neutral", "neutral")
+    registration = studio.submit("register_scan", subject, captures=[neutral])
+    studio.pretend(
+        registration, {"registered.ply": _store(studio).files.put(Path(__file__)).sha256}
+    )
+    model = studio.submit("build_model", subject)
+    _end(studio, model)
+    path = f"/v1/subjects/{subject}/captures/{neutral}"
+    assert studio.get(studio.http.delete(path).headers["Location"])["read_by"] == [model]
+    assert studio.http.get(f"/v1/jobs/{registration}").status_code == 404
+
+
+def test_jobs_that_go_by_themselves_name_their_readers(studio: Studio) -> None:
+    subject = studio.subject()
+    take = studio._add(subject, "take", "markers", {})
+    left = {"model.npz": _store(studio).files.put(Path(__file__)).sha256}
+    model = studio.submit("build_model", subject)
+    studio.pretend(model, left)
+    smile = studio.capture(subject, "smile")
+    fit = studio.submit("fit_geometry", subject, captures=[smile])
+    rig = {"subject_id": subject, "model_job_id": model}
+    studio.pretend(fit, {"rig.npz": left["model.npz"]}, rig=rig)
+    rig_id = studio.job(fit)["result"]["rig_id"]
+    check = studio.submit("check_markers", subject, captures=[take], rig_id=rig_id)
+    _end(studio, check)
+    with _store(studio).write() as session:
+        session.execute(update(Rig).values(created_at=OLD))
+    retention.enforce(_store(studio), _settings(studio, retain_rigs=30))
+    (receipt,) = studio.get("/v1/deletions")["items"]
+    assert (receipt["kind"], receipt["object_id"]) == ("rig", rig_id)
+    assert receipt["read_by"] == [check]
+
+
 def test_a_busy_subject_is_deleted_when_its_jobs_have_stopped(studio: Studio) -> None:
     subject = studio.subject()
     waiting, running_job = (studio.submit("build_model", subject) for _ in range(2))

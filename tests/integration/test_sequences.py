@@ -135,7 +135,7 @@ def test_the_real_solver_goes_on_in_an_attempt_s_folder(tmp_path: Path) -> None:
     assert isinstance(store, FolderFiles)
     left = json.loads(store.path(row["sha256"]).read_bytes())
     assert [FrameView.model_validate(each).frame for each in left["frames"]] == [2]
-    assert {artifact.name for artifact in folder.store(store)} == {
+    assert {artifact.name for artifact in folder.store(store, {})} == {
         "activations.csv",
         "contractions.bin",
         "sequence.glb",

@@ -38,6 +38,7 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "fibre_muscles": [(["--fibres", "fibres.npz"], {"fibre_muscles": "fibres.npz"})],
     "start": [(["--start", "rig.npz"], {"start": "rig.npz"})],
     "assets": [(["--asset", "soft=map.npy"], {})],
+    "sequences": [],
     "role": [(["--role", "neutral"], {})],
 }
 NAMES = {name for words, _ in TYPED.values() for name in words} | {

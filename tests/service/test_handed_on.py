@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import update
 
 from service.settings import Settings
 from service.store.database import Store
-from service.store.models import DEFAULT_TENANT, Job
+from service.store.models import DEFAULT_TENANT, Artifact, Job
 from solver.kinds import FILES, KINDS
 from tests.service_client import Studio, served
 
@@ -54,6 +55,17 @@ class Session:
         body = {"kind": kind, "subject_id": self.subject, "rig_id": self.rig}
         body |= {"from_jobs": list(handed), **more}
         return self.studio.http.post("/v1/jobs", json={k: v for k, v in body.items() if v})
+
+    def note_format(self, job: str, name: str, number: int) -> None:
+        """Say that a file of a job has another format, as a worker of another release would."""
+        with self.store.write() as session:
+            same = (Artifact.job_id == job, Artifact.name == name)
+            session.execute(update(Artifact).where(*same).values(format=number))
+
+    def sources(self, job: str) -> dict[str, str]:
+        """Return of which capture or job each input is, by its role."""
+        with self.store.read() as session:
+            return {each["role"]: each["of"] for each in session.get_one(Job, job).inputs}
 
     def inputs(self, job: str) -> list[tuple[str, str, str]]:
         with self.store.read() as session:
@@ -170,6 +182,79 @@ def test_what_cannot_be_handed_on_is_told(session: Session) -> None:
     other = Session(studio)
     handed = other.left("check_markers", "markers.json", captures=[other.take])
     assert refused(handed, "markers.json") == (409, "artifact.other_subject")
+
+
+def test_a_file_of_a_newer_format_is_refused_by_job_file_and_format(session: Session) -> None:
+    take = [session.take]
+    check = session.left("check_markers", "markers.json", captures=take)
+    handed = {"job": check, "artifact": "markers.json"}
+    for number, status in ((1, 201), (2, 409)):
+        session.note_format(check, "markers.json", number)
+        answer = session.ask("fit_markers", handed, captures=take)
+        assert answer.status_code == status, answer.text
+    found = answer.json()
+    assert found["detail"] == (f"markers.json of job {check} has format 2: this release reads 1")
+    named = {name: found[name] for name in ("code", "job_id", "file", "found", "expected")}
+    assert named == {
+        "code": "artifact.format",
+        "job_id": check,
+        "file": "markers.json",
+        "found": 2,
+        "expected": [1],
+    }
+    assert found["member"] == "from_jobs.0"
+
+
+def test_a_rig_of_a_newer_format_is_refused(session: Session) -> None:
+    rig = session.add_rig()
+    job = session.studio.get(f"/v1/rigs/{rig}")["job_id"]
+    session.note_format(job, "rig.npz", 7)
+    answer = session.ask("fit_markers", captures=[session.take], rig_id=rig)
+    assert (answer.status_code, answer.json()["code"]) == (409, "artifact.format")
+    assert (answer.json()["job_id"], answer.json()["found"]) == (job, 7)
+
+
+def test_what_is_found_by_itself_is_of_a_format_that_is_read(session: Session) -> None:
+    rig, basis = session.add_rig(), "expression_basis.npz"
+    old, new = (session.left("fit_markers", basis, rig=rig, captures=[session.take]) for _ in "ab")
+    for number, expected in ((1, new), (2, old)):
+        session.note_format(new, basis, number)
+        job = session.ask("next_scan", rig_id=rig).json()["id"]
+        assert session.sources(job)["expression_basis"] == expected
+
+
+def test_a_sequence_is_no_asset_of_scenes_that_play_none(session: Session) -> None:
+    fit = session.left("fit_markers", "sequence.npz", captures=[session.take])
+    scene = {"options": {"scene": {"recording": {"asset": "sequence"}}}}
+    answer = session.ask("animate", {"job": fit, "artifact": "sequence.npz"}, **scene)
+    assert (answer.status_code, answer.json()["code"]) == (422, "artifact.not_an_input")
+
+
+def test_a_job_cannot_read_what_itself_or_its_descendant_leaves(session: Session) -> None:
+    """Only jobs that have succeeded hand files on, and what a job reads is fixed before it runs."""
+    own = str(uuid.uuid4())
+    body = {"kind": "fit_markers", "subject_id": session.subject, "rig_id": session.rig}
+    body |= {"captures": [session.take], "from_jobs": [{"job": own, "artifact": "markers.json"}]}
+    answer = session.studio.http.put(f"/v1/jobs/{own}", json=body)
+    assert (answer.status_code, answer.json()["code"]) == (404, "job.unknown")
+
+
+def test_jobs_are_listed_by_what_they_left_and_read(session: Session) -> None:
+    studio, take = session.studio, [session.take]
+    check = session.left("check_markers", "markers.json", captures=take)
+    handed = {"job": check, "artifact": "markers.json"}
+    fit = session.ask("fit_markers", handed, captures=take).json()["id"]
+
+    def listed(query: str) -> list[str]:
+        found = studio.get(f"/v1/jobs?subject_id={session.subject}&{query}")["items"]
+        return [each["id"] for each in found]
+
+    assert check in listed("has=markers.json")
+    assert fit not in listed("has=markers.json")
+    assert listed(f"reads={check}") == [fit]
+    assert {check, fit} <= set(listed(f"reads={session.take}"))
+    assert listed(f"reads={fit}") == []
+    assert studio.http.get("/v1/jobs?reads=%25").status_code == 422
 
 
 def test_a_take_has_one_marker_set(session: Session) -> None:

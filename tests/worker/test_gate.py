@@ -56,11 +56,13 @@ def test_an_error_quotes_little(folder: AttemptFolder) -> None:
 def test_a_result_quotes_little_and_keeps_its_figures(folder: AttemptFolder) -> None:
     findings = [{"code": "scan.parts", "message": f"part {HOSTILE}" + "x" * 10_000}] * 3
     summary = {"verdict": "good", "findings": findings, "figures": {"mm": float("nan")}}
-    content = {"summary": summary, "expressions": ["smile"]}
+    formats = {"markers.json": 2, "rig.npz": "x" * 5000, "model.npz": 1e9, HOSTILE: 3}
+    content = {"summary": summary, "expressions": ["smile"], "formats": formats}
     solve._write(folder.path, solve.RESULT, content)
     told = folder.result()
     assert told is not None
     assert told["expressions"] == ["smile"]
+    assert told["formats"] == {"markers.json": 2}
     assert told["summary"]["verdict"] == "good"
     assert told["summary"]["figures"] == {"mm": None}
     for finding in told["summary"]["findings"]:
@@ -68,7 +70,7 @@ def test_a_result_quotes_little_and_keeps_its_figures(folder: AttemptFolder) -> 
         assert finding["message"].isprintable()
     large = {"verdict": "good", "values": {str(i): "z" * 490 for i in range(1900)}}
     many = {"verdict": "good", **{str(i): large["values"] for i in range(30)}}
-    solve._write(folder.path, solve.RESULT, {"summary": many, "expressions": []})
+    solve._write(folder.path, solve.RESULT, {"summary": many, "expressions": [], "formats": {}})
     assert (folder.path / "result.json").stat().st_size <= 1.1 * SUMMARY.size
     told = folder.result()
     assert told is not None

@@ -152,11 +152,13 @@ def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, sto
     assert shapes.read_text() == "ten"
     assert json.loads((folder.path / "job.json").read_text())["resume"] is True
     shapes.write_text("all")
-    (folder.path / "result.json").write_text(json.dumps({"summary": {}, "expressions": []}))
+    told = {"summary": {}, "expressions": [], "formats": {KEPT[0]: 4}}
+    (folder.path / "result.json").write_text(json.dumps(told))
     supervisor._commit_outcome(again, folder, 0, 60)
     with store.read() as session:
         (artifact,) = session.get_one(Job, claim.job_id).artifacts
     assert store.files.read(artifact.sha256) == b"all"
+    assert artifact.format == 4
     for _ in range(2):  # put aside, then removed
         deletion.collect_garbage(store, 0)
     assert [stored.sha256 for stored in store.files.list_stored()] == [artifact.sha256]
@@ -230,7 +232,7 @@ def test_what_a_solver_links_to_is_not_stored(settings: Settings, store: Store) 
     (out / FRAMES).mkdir()
     (out / FRAMES / "0-x.json").write_text("{}")
     folder.measure()
-    assert [each.name for each in folder.store(store.files)] == ["report.json"]
+    assert [each.name for each in folder.store(store.files, {})] == ["report.json"]
     assert folder.new_frames(store.files) == []
     (folder.path / "error.json").symlink_to(secret)
     with pytest.raises(InvalidOutputError):
@@ -241,7 +243,7 @@ def test_what_a_solver_links_to_is_not_stored(settings: Settings, store: Store) 
     out.rename(folder.path / "elsewhere")
     out.symlink_to(settings.data_dir)
     folder.measure()
-    assert folder.store(store.files) == []
+    assert folder.store(store.files, {}) == []
 
 
 @pytest.mark.long
@@ -261,7 +263,7 @@ def test_no_more_is_stored_than_was_measured(settings: Settings, store: Store) -
     with pytest.raises(InvalidOutputError):
         folder.new_frames(store.files)
     with pytest.raises(InvalidOutputError):
-        folder.store(store.files)
+        folder.store(store.files, {})
     assert list(store.files.list_stored()) == []
     secret = settings.data_dir / "secret"
     secret.write_text("of the service")

@@ -165,7 +165,7 @@ class Rig(Labelled, Owned, Base):
 
 
 class Artifact(Owned, Base):
-    """A file that a job left."""
+    """A file that a job left; of one that later jobs read, the number of its ``format``."""
 
     __tablename__ = "artifacts"
     __table_args__ = (UniqueConstraint("job_id", "name"),)
@@ -175,6 +175,7 @@ class Artifact(Owned, Base):
     size: Mapped[int] = mapped_column(BigInteger)
     sha256: Mapped[str] = mapped_column(String(64), index=True)
     media_type: Mapped[str] = mapped_column(String(100))
+    format: Mapped[int | None]
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 

@@ -39,6 +39,7 @@ class Deletion(Owned, Base):
 
     ``rows_at``: when the object was gone from the tables (null: its jobs are being stopped).
     ``files_at``: when the last of ``files`` (sha256) that nothing else has was gone, too.
+    ``read_by``: ids of the jobs that stay and had read files of it.
     """
 
     __tablename__ = "deletions"
@@ -47,6 +48,7 @@ class Deletion(Owned, Base):
     object_id: Mapped[str] = mapped_column(String(36))
     reason: Mapped[str] = mapped_column(String(16))
     files: Mapped[list[Any]]
+    read_by: Mapped[list[Any]] = mapped_column(default=list)
     created_at: Mapped[datetime] = mapped_column(default=now)
     rows_at: Mapped[datetime | None]
     files_at: Mapped[datetime | None] = mapped_column(index=True)

@@ -8,7 +8,7 @@ import { plain, when } from "../words.js";
 // Jobs that are offered with a file of a name, the newest
 const MOST = 5;
 // Inputs that are chosen here; others a job finds by itself
-const CHOSEN = ["markers", "assets"];
+const CHOSEN = ["markers", "sequences"];
 
 /**
  * Return the fields in which files of earlier jobs are chosen for a job of `kind`, and what reads
@@ -46,7 +46,7 @@ function row({ job, artifact, input, words }, given) {
   const box = h("input", { type: "checkbox", checked: Boolean(known) });
   const usual = artifact.replace(/\.[^.]*$/, "");
   const name =
-    input === "assets" &&
+    input === "sequences" &&
     h("input", { type: "text", value: known?.name ?? usual, "aria-label": `What a scene calls ${words}` });
   return {
     element: h("div", { class: "field" }, h("label", { class: "check-field" }, box, words), name || null),
