@@ -115,6 +115,7 @@ def test_a_take_is_checked_bound_fitted_played_and_exported(
     walk.look("ask-for-the-fit")
     walk.submit()
     page.get_by_role("button", name="Play it in a scene").wait_for()
+    page.get_by_role("link", name="markers.json").wait_for()  # what it reads
     walk.look("fit")
     fit = walk.job
 
@@ -125,14 +126,22 @@ def test_a_take_is_checked_bound_fitted_played_and_exported(
     walk.look("ask-for-the-film")
     walk.submit()
     page.get_by_role("img", name="Moments of the animation").wait_for()
-    page.get_by_role("link", name="animation.glb").wait_for()
+    page.get_by_role("button", name="Download animation.glb").wait_for()
     walk.look("film")
     film = walk.job
 
+    walk.go(f"/jobs/{fit}")
+    page.get_by_role("link", name="Simulate,").wait_for()  # by which it is read
+    walk.look("handed-on")
+
     walk.go(f"/subjects/{subject}")
+    page.get_by_role("button", name="Delete talk").click()
+    page.get_by_text("Jobs that have read it stay").wait_for()
+    walk.look("before-a-deletion")
+    page.get_by_role("dialog").get_by_role("button", name="Back").click()
     page.get_by_role("button", name="Export rig").click()
     walk.submit()
-    page.get_by_role("link", name="rig.glb").wait_for()
+    page.get_by_role("button", name="Download rig.glb").wait_for()
     walk.look("export")
 
     uploads = [each for each in walk.asked[sent:] if "/v1/uploads" in each or "/captures" in each]
@@ -162,6 +171,8 @@ def _is_handed_on(stack: tuple[Stack, str, str], **jobs: str) -> None:
     assert [each["job"] for each in film["from_jobs"]] == [fit["id"]]
     assert fit["result"]["summary"]["fitted"] == film["result"]["summary"]["frames"] == frames
     assert fit["result"]["summary"]["mean_mm"] < 3.0
+    formats = {each["name"]: each["format"] for each in fit["result"]["artifacts"]}
+    assert (formats["sequence.npz"], formats["markers.json"]) == (2, 1)
     left = {each["name"]: each["size"] for each in film["result"]["artifacts"]}
     assert left["animation.glb"] > 0
     assert [each["name"] for each in export["result"]["artifacts"]] == ["export.json", "rig.glb"]

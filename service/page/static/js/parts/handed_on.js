@@ -48,8 +48,9 @@ function row({ job, artifact, input, words }, given) {
   const name =
     input === "sequences" &&
     h("input", { type: "text", value: known?.name ?? usual, "aria-label": `What a scene calls ${words}` });
+  const field = name && h("div", {}, h("span", { class: "fine" }, "What the scene calls it"), name);
   return {
-    element: h("div", { class: "field" }, h("label", { class: "check-field" }, box, words), name || null),
+    element: h("div", { class: "field" }, h("label", { class: "check-field" }, box, words), field || null),
     read: () => box.checked && { job, artifact, ...(name && name.value !== usual ? { name: name.value } : {}) },
   };
 }

@@ -12,6 +12,7 @@ import { Log } from "../parts/log.js";
 import { meter } from "../parts/meter.js";
 import { askToRunAgain } from "../parts/new_job.js";
 import { Progress } from "../parts/progress.js";
+import { jobLinks, readersOf } from "../parts/readers.js";
 import { refuse } from "../parts/refuse.js";
 import { resultPanel } from "../parts/result.js";
 import { FINAL, state, word } from "../parts/state.js";
@@ -132,6 +133,12 @@ class JobView {
     );
   }
 
+  /** Tell which later jobs read what this one left. */
+  async describeReaders() {
+    this.readers = await readersOf(this.job.subject_id, this.job.id, this.signal);
+    this.showFacts();
+  }
+
   async refresh() {
     const wasOver = FINAL.has(this.job.state) && this.hasAll;
     if (wasOver) return;
@@ -185,6 +192,7 @@ class JobView {
     this.showAttempts();
     if (isOver && !this.shownResult && job.finished_at) {
       this.shownResult = true;
+      if (job.result?.artifacts.length) this.describeReaders().catch(() => {});
       show(
         this.result,
         resultPanel(job, this.signal),
@@ -211,6 +219,8 @@ class JobView {
       Finished: job.finished_at && when(job.finished_at),
       Took: lasted === null ? null : span(lasted),
       Priority: job.priority ? String(job.priority) : null,
+      Reads: job.from_jobs.length > 0 && handedOn(job.from_jobs),
+      "Read by": this.readers?.length > 0 && h("span", {}, jobLinks(this.readers)),
       "Made again from": job.parent_id && h("a", { href: `/jobs/${job.parent_id}` }, "an earlier job"),
       "Kept until": job.retain_until && when(job.retain_until),
       Rig: job.rig_id && h("a", { href: `/rigs/${job.rig_id}` }, "the one it was made from"),
@@ -247,6 +257,12 @@ class JobView {
     );
     this.cancel.hidden = this.again.hidden = true;
   }
+}
+
+/** The files of earlier jobs that a job reads, each with a link to its job. */
+function handedOn(files) {
+  const links = files.map(({ job, artifact }) => h("a", { href: `/jobs/${job}` }, artifact));
+  return h("span", {}, links.flatMap((link, i) => [i ? ", " : null, link]));
 }
 
 /** What matters most now: how far it is, or why it ended. */

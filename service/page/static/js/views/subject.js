@@ -10,6 +10,7 @@ import { askToEditCapture, askToEditRig, askToEditSubject } from "../parts/edit.
 import { panel, table } from "../parts/frame.js";
 import { verdictOf } from "../parts/certificate.js";
 import { askForJob } from "../parts/new_job.js";
+import { toldBeforeDeletion } from "../parts/readers.js";
 import { refuse } from "../parts/refuse.js";
 import { state, verdictState } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
@@ -76,7 +77,8 @@ class SubjectView {
       ["(Choose)", "Scan", "Role", "Form", "Check", "Registration", "Added", "(Actions)"],
       this.captureBody,
     );
-    this.rigTable = table(["Rig", "Verdict", "Expressions", "Mean error", "Made", "(Actions)"], this.rigBody);
+    const columns = ["Rig", "Verdict", "Expressions", "Mean error", "Made", "(Actions)"];
+    this.rigTable = table(columns, this.rigBody, { class: "rigs" });
     this.name = h("h1");
     this.about = h("p", { class: "fine grow" });
     this.showSubject();
@@ -304,14 +306,15 @@ class SubjectView {
     await this.order(kind, { rig_id: this.rigs[0].id, captures, ...more });
   }
 
-  async deleteCapture({ id, name }) {
+  async deleteCapture(capture) {
+    const { id, name } = capture;
+    const readers = await toldBeforeDeletion(this.captures.get(id) ?? capture);
     const done = await ask({
       title: `Delete the scan ${name}?`,
-      body: h(
-        "p",
-        {},
-        "It goes with its landmarks, checks and registrations. Models and rigs made from it stay.",
-      ),
+      body: [
+        h("p", {}, "It goes with its landmarks, checks and registrations. Models and rigs made from it stay."),
+        readers && h("p", {}, readers),
+      ],
       agree: "Delete the scan",
       danger: true,
       act: async () => {
