@@ -122,7 +122,7 @@ def test_a_take_is_checked_bound_fitted_played_and_exported(
     page.get_by_role("button", name="Play it in a scene").click()
     assert dialog.get_by_role("checkbox", name="sequence.npz of", exact=False).is_checked()
     scene = dialog.get_by_label("Scene", exact=True)
-    scene.fill('{"performance": {"asset": "sequence"}, "fps": 5}')
+    scene.fill('{"performance": {"asset": "sequence"}, "fps": 3}')
     walk.look("ask-for-the-film")
     walk.submit()
     page.get_by_role("img", name="Moments of the animation").wait_for()

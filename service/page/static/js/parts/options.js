@@ -19,9 +19,14 @@ export function readOptions(schema, form, given = {}) {
   const options = {};
   for (const [name, rules] of Object.entries(schema.properties)) {
     const value = read(form.elements[`option-${name}`], rules);
-    if (value !== (given[name] ?? rules.default ?? null)) options[name] = value;
+    if (!areAlike(value, given[name] ?? rules.default ?? null)) options[name] = value;
   }
   return options;
+}
+
+/** Tell whether two JSON values are the same. */
+function areAlike(one, other) {
+  return JSON.stringify(one) === JSON.stringify(other);
 }
 
 function field(name, rules, given) {

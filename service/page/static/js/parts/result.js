@@ -31,7 +31,7 @@ export function resultPanel(job, signal) {
   const figures = [
     ...Object.entries(summary?.figures ?? summary ?? {}),
     ...Object.entries(summary?.all_markers ?? {}).map(([name, value]) => [`all markers, ${name}`, value]),
-  ].filter(([, value]) => typeof value === "number" || typeof value === "string");
+  ].filter(([name, value]) => (typeof value === "number" && name !== "format") || typeof value === "string");
   const content = [
     summary?.verdict && h("p", { class: "verdict" }, rigId ? verdictOf(summary) : verdictState(summary.verdict, job.kind)),
     summary?.findings && findingList(summary.findings),
