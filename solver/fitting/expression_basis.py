@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from solver.errors import SolveError
 from solver.fitting.activation import ActivationOptions, fit, rest_curvature, unseen_regulariser
-from solver.fitting.drives import store
+from solver.fitting.drives.stored import store
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.objective import PartPrior, Prior, PriorSum, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity

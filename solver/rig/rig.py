@@ -20,9 +20,10 @@ import scipy.sparse as sp
 
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import Finding, InputError, make_warning, quote
-from solver.fitting.drives import MuscleDrive, restore, store
+from solver.fitting.drives import MuscleDrive
 from solver.fitting.drives.admissible import ADMISSIBLE, Admissible, AdmissibleSet
 from solver.fitting.drives.six_numbers import SixNumbers
+from solver.fitting.drives.stored import restore, store
 from solver.fitting.face import Face
 from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.stretches import fibre_tensors

@@ -26,7 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.anatomy.physiology import SHORTEST
-from solver.errors import InputError
+from solver.errors import Finding, InputError, make_warning
 from solver.fitting.controls import Block
 from solver.fitting.drives.six_numbers import SixNumbers, activation_block
 from solver.fitting.stretches import (
@@ -255,3 +255,14 @@ class Admissible(SixNumbers):
         """See :class:`~solver.fitting.drives.MuscleDrive`."""
         tensors = fibre_tensors(model, flesh.volumes, S)
         return activation_block(len(tensors), AdmissibleSet(self.limits, tensors))
+
+    def loosened(self, part: float) -> Admissible:
+        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+        return Admissible(self.limits.loosened(part))
+
+    def lacks(self, model: SubjectModel) -> list[Finding]:
+        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+        if model.fibres is not None:
+            return []
+        message = "the model has no fibres, so that muscles may push: build it again"
+        return [make_warning("model.no_fibres", message)]

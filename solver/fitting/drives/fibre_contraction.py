@@ -20,6 +20,7 @@ from solver.errors import InputError
 from solver.fitting import activation
 from solver.fitting.activation import UNSEEN_STOP, ActivationFit
 from solver.fitting.controls import Block
+from solver.fitting.drives import MuscleDrive
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import FROBENIUS, entries
@@ -90,7 +91,7 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
 
 
 @dataclass(frozen=True)
-class FibreContraction:
+class FibreContraction(MuscleDrive):
     """Contractions (m,) of a model's muscles within limits; 1 is relaxed."""
 
     model: SubjectModel

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.fitting.controls import Block, Spread
+from solver.fitting.drives import MuscleDrive
 from solver.fitting.drives.six_numbers import ACTIVATION_REACH
 from solver.fitting.tet_forces import MatrixRates, MuscleRates, TetForces
 from solver.mechanics.fibre_muscle import CURVE, Curve, FibreMuscles, driven_by_muscles
@@ -20,7 +21,7 @@ from solver.surface import Floats
 
 
 @dataclass(frozen=True)
-class FibreDrive:
+class FibreDrive(MuscleDrive):
     """The activations (m,) of fibre ``muscles``."""
 
     muscles: FibreMuscles

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from solver.fitting.controls import Block, Spread
+from solver.fitting.controls import Block, ShapePenalty, Spread
+from solver.fitting.drives import MuscleDrive
 from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.stretches import (
     FROBENIUS,
@@ -35,7 +36,7 @@ LEAST_STRETCH = 0.1
 
 
 @dataclass(frozen=True)
-class SixNumbers:
+class SixNumbers(MuscleDrive):
     """The published drive: any six numbers a muscle."""
 
     def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:  # noqa: ARG002
@@ -71,7 +72,7 @@ def activation_block(muscles: int, feasible: FeasibleSet | None = None) -> Block
 
 
 @dataclass(frozen=True)
-class TensorPenalty:
+class TensorPenalty(ShapePenalty):
     """The price of a muscle's shape S(a_j): a :class:`~solver.fitting.controls.ShapePenalty`."""
 
     def value(self, a: Floats, w_v: float, w_e: float) -> float:
