@@ -21,12 +21,11 @@ import scipy.sparse as sp
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import Finding, InputError, make_warning, quote
 from solver.fitting.drives import MuscleDrive
-from solver.fitting.drives.admissible import ADMISSIBLE, Admissible, AdmissibleSet
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.drives.stored import restore, store
 from solver.fitting.face import Face
 from solver.fitting.interior_point import FeasibleSet
-from solver.fitting.stretches import fibre_tensors
 from solver.mechanics.newton import NewtonOptions
 from solver.model import SIZE_WORDS, SubjectModel
 from solver.rig.round_trip import RoundTrip
@@ -103,7 +102,8 @@ class Rig:
     @cached_property
     def limits(self) -> FeasibleSet | None:
         """The values that the muscles can take, as the rig was fitted; None if all of them."""
-        return self.face().layout.drive.feasible
+        size = volumes(self.model.rest, self.model.tets)
+        return self.drive.feasible(self.model, size, self.weights)
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
@@ -219,10 +219,10 @@ class Rig:
         trained = [fit for fit in self.expressions if fit.role == "train"]
         if not trained:
             return SixNumbers()
-        size = volumes(self.model.rest, self.model.tets)
-        admissible = AdmissibleSet(ADMISSIBLE, fibre_tensors(self.model, size, self.weights))
+        drive, size = Admissible(), volumes(self.model.rest, self.model.tets)
+        admissible = drive.feasible(self.model, size, self.weights)
         inside = all(admissible.contains(fit.activations) for fit in trained)
-        return Admissible() if inside else SixNumbers()
+        return drive if inside else SixNumbers()
 
 
 def find_files(rig: Path) -> dict[str, Path]:

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 
 from solver.errors import Finding
 from solver.fitting.controls import Block
+from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.tet_forces import MuscleRates, TetForces
 from solver.mechanics.flesh import Flesh
 from solver.model import SubjectModel
@@ -34,6 +35,18 @@ class MuscleDrive(Protocol):
 
     def rates(self, forces: TetForces) -> MuscleRates:
         """Return the forces' derivative by the values."""
+
+    def feasible(
+        self,
+        model: SubjectModel,  # noqa: ARG002
+        volumes: Floats,  # noqa: ARG002
+        S: sp.csr_array,  # noqa: ARG002
+    ) -> FeasibleSet | None:
+        """Return the set that the values stay in, None if there is none but the block's box.
+
+        ``volumes`` (n,) are the tets' at rest.
+        """
+        return None
 
     def loosened(self, part: float) -> MuscleDrive | None:  # noqa: ARG002
         """Return the drive with its bounds ``part`` of the way to none that bind; 0 is the same.

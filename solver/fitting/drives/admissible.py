@@ -24,6 +24,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.anatomy.physiology import SHORTEST
 from solver.errors import Finding, InputError, make_warning
@@ -251,17 +252,20 @@ class Admissible(SixNumbers):
 
     limits: AdmissibleLimits = ADMISSIBLE
 
+    @override
     def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
-        tensors = fibre_tensors(model, flesh.volumes, S)
-        return activation_block(len(tensors), AdmissibleSet(self.limits, tensors))
+        return activation_block(S.shape[1] - 1, self.feasible(model, flesh.volumes, S))
 
+    @override
+    def feasible(self, model: SubjectModel, volumes: Floats, S: sp.csr_array) -> AdmissibleSet:
+        return AdmissibleSet(self.limits, fibre_tensors(model, volumes, S))
+
+    @override
     def loosened(self, part: float) -> Admissible:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return Admissible(self.limits.loosened(part))
 
+    @override
     def lacks(self, model: SubjectModel) -> list[Finding]:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         if model.fibres is not None:
             return []
         message = "the model has no fibres, so that muscles may push: build it again"

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import InputError
@@ -97,21 +98,21 @@ class FibreContraction(MuscleDrive):
     model: SubjectModel
     limits: ContractionLimits = ContractionLimits()
 
-    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:  # noqa: ARG002
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+    @override
+    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
         relaxed, limits = np.ones(S.shape[1] - 1), self.limits
         return Block("contractions", relaxed, lower=limits.least, upper=limits.most, role="muscles")
 
+    @override
     def attach(self, flesh: Flesh) -> Flesh:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return flesh
 
+    @override
     def controls(self, S: sp.csr_array, a: Floats) -> Floats:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return fibre_activations(self.model, S, a)
 
+    @override
     def rates(self, forces: TetForces) -> MuscleRates:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         by_activation = forces.flesh.forces_by_control(forces.x, forces.controls)
         rates = activation_rates(self.model, forces.S, forces.a)
         return MatrixRates(sp.csr_array(by_activation @ rates))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.fitting.controls import Block, Spread
 from solver.fitting.drives import MuscleDrive
@@ -27,8 +28,8 @@ class FibreDrive(MuscleDrive):
     muscles: FibreMuscles
     curve: Curve = CURVE
 
-    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:  # noqa: ARG002
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+    @override
+    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
         return Block(
             "fibres",
             np.zeros(len(self.muscles.strengths)),
@@ -39,14 +40,14 @@ class FibreDrive(MuscleDrive):
             role="muscles",
         )
 
+    @override
     def attach(self, flesh: Flesh) -> Flesh:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return driven_by_muscles(flesh, self.muscles, self.curve)
 
-    def controls(self, S: sp.csr_array, a: Floats) -> Floats:  # noqa: ARG002
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+    @override
+    def controls(self, S: sp.csr_array, a: Floats) -> Floats:
         return a
 
+    @override
     def rates(self, forces: TetForces) -> MuscleRates:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return MatrixRates(forces.flesh.forces_by_control(forces.x, forces.controls))

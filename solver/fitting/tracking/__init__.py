@@ -23,13 +23,8 @@ FitT_co = TypeVar("FitT_co", covariant=True)
 class Observation(Protocol[SeenT_contra, MemoryT, FitT_co]):
     """A kind of thing that is seen of a face, and the fit of one frame of it."""
 
-    @property
-    def face(self) -> Face:
-        """The face that is seen."""
-
-    @property
-    def tracking(self) -> TrackingOptions:
-        """The steps of a frame."""
+    face: Face  # that is seen
+    tracking: TrackingOptions  # the steps of a frame
 
     def begin(self, solver: FrameSolver) -> None:
         """Prepare for frames that follow on the ``solver``'s state."""
