@@ -125,6 +125,8 @@ def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Fac
     if given.jaw == "tracks":
         tracks = JawTracks.of(model.jaw) or jaw_tracks(read_template(task), model)
         face = face.with_joint(jaw_on_tracks(tracks))
+    elif given.jaw == "free":
+        face = face.with_free_jaw()
     return face, names
 
 
