@@ -124,6 +124,7 @@ def describe_fit(
         x=state.x,
         solver=found.solver,
         status=found.status,
+        confidence=scan.confidence,
     )
 
 

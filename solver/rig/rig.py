@@ -72,6 +72,12 @@ class ExpressionFit:
     solver: str = "reduced"  # or ``ipopt``
     status: str = "converged"
     notices: tuple[Finding, ...] = ()  # what was odd about the scan or the solve
+    confidence: Floats | None = None  # (v,) of the scan in [0, 1]; None in older rigs
+
+    def seen(self, vertices: Ints) -> Floats:
+        """Return the scan's confidence (k,) at ``vertices``; in older rigs 1 where it has any."""
+        shown = np.isfinite(self.error_mm[vertices]).astype(np.float64)
+        return shown if self.confidence is None else self.confidence[vertices] * shown
 
     def measured_error(self, vertices: Ints) -> Floats:
         """Return the errors (k,) in mm of those ``vertices`` that the scan shows."""
@@ -284,6 +290,8 @@ def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectMod
 
     unknown = np.full(model.rest.shape, np.nan)
     x = [unknown if fit.x is None else fit.x for fit in expressions]
+    unsure = np.full(vertices, np.nan)
+    confidence = [unsure if fit.confidence is None else fit.confidence for fit in expressions]
     trips = [astuple(fit.round_trip or RoundTrip()) for fit in expressions]
     return {
         "format": np.array(FORMAT),
@@ -300,6 +308,7 @@ def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectMod
         "seconds": column("seconds", ()),
         "objective": column("objective", ()),
         "x": np.reshape(x, (len(x), *unknown.shape)),
+        "confidence": np.reshape(confidence, (len(x), vertices)).astype(np.float32),
         "round_trip": np.reshape(trips, (len(trips), len(fields(RoundTrip)))),
         "solver": texts(fit.solver for fit in expressions),
         "status": texts(fit.status for fit in expressions),
@@ -332,6 +341,7 @@ def _expression_from(data: Arrays, k: int) -> ExpressionFit:
         **{name: data[name][k].astype(np.float64) for name in of_skin},
         **{name: data[name][k].item() for name in of_solve},
         "x": known("x"),
+        "confidence": known("confidence"),
         "round_trip": None if trip is None else RoundTrip(*trip.tolist()),
         "status": "unknown",
     }
