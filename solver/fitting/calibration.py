@@ -30,7 +30,7 @@ from solver.fitting.joint import GeometryProblem, Iterate, Listener, Shape
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.strips import StripOptions, neighbours, split_broad, strip_names
-from solver.mechanics.fibre_muscle import CURVE, Curve, FibreMuscles, FibreTerm
+from solver.mechanics.fibre_muscle import FibreMuscles, FibreTerm
 from solver.mechanics.response import SparseControls
 from solver.model import SubjectModel
 from solver.storage import Archive
@@ -54,9 +54,9 @@ def fibre_muscles(
     return split_broad(face.model.rest, face.model.tets, whole, strips) if strips else whole
 
 
-def with_fibres(face: Face, muscles: FibreMuscles, curve: Curve = CURVE) -> Face:
+def with_fibres(face: Face, muscles: FibreMuscles) -> Face:
     """Return a face driven by the activations (m,) of fibre muscles, in [0, 1]."""
-    return face.driven_by(FibreDrive(muscles, curve))
+    return face.driven_by(FibreDrive(muscles))
 
 
 @dataclass(frozen=True)

@@ -198,7 +198,7 @@ class ExpressionProblem(IpoptProblem):
         )
 
     def minimise(
-        self, start: Pose, x: Floats, tolerance: float, max_iterations: int
+        self, start: Pose, x: Floats, tolerance: float = 1e-7, max_iterations: int = 1000
     ) -> ReferenceSolution:
         """Minimise f from ``start`` and ``x`` (p, 3); raises :class:`NotConvergedError`."""
         forces = np.zeros(self.flesh.size)
@@ -314,15 +314,7 @@ def activations(
     return expression.minimise(start, x, tolerance, max_iterations)
 
 
-def per_tet(
-    face: Face,
-    data: Term,
-    options: PerTetOptions = PER_TET,
-    *,
-    tolerance: float = 1e-7,
-    max_iterations: int = 1000,
-    listen: Listener | None = None,
-) -> ReferenceSolution:
+def per_tet(face: Face, data: Term, options: PerTetOptions = PER_TET) -> ReferenceSolution:
     """Solve (P) from the resting face; the pose's ``a`` are those of the active tets.
 
     Every active tet is a muscle by itself (:mod:`solver.fitting.per_tet.tissue`), so this is (A)
@@ -333,8 +325,7 @@ def per_tet(
     tissue = tissues.of_face(face)
     rest = tissue.face.rest
     priors = PerTetPriors(tissue, options, rest.pose.b)
-    expression = ExpressionProblem(tissue.face, data, priors, listen=listen)
-    return expression.minimise(rest.pose, rest.x, tolerance, max_iterations)
+    return ExpressionProblem(tissue.face, data, priors).minimise(rest.pose, rest.x)
 
 
 class _Forward(IpoptProblem):

@@ -42,11 +42,9 @@ class Observation(Protocol[SeenT_contra, MemoryT, FitT_co]):
 class Tracker(Generic[SeenT, MemoryT, FitT]):
     """Fits frames in their order: ``memory`` is what the last one left, None before the first."""
 
-    def __init__(
-        self, observation: Observation[SeenT, MemoryT, FitT], start: PosedFace | None = None
-    ) -> None:
+    def __init__(self, observation: Observation[SeenT, MemoryT, FitT]) -> None:
         self.observation, self.face = observation, observation.face
-        self.begin(start or self.face.rest)
+        self.begin(self.face.rest)
 
     def begin(self, state: PosedFace, memory: MemoryT | None = None) -> None:
         """Go on from a frame: its state and what it left."""
