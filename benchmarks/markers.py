@@ -1,7 +1,8 @@
 """Fits of markers against the whole face that made them, and against fits of all its points.
 
 Takes are made of a recorded performance (:mod:`benchmarks.made_takes`), and real. ``face_mean_mm``
-is over all points of the face, as a scan of the frame would have them.
+is over all points of the face, as a scan of the frame would have them. Fits stay within the rig's
+limits, as those of jobs do, unless ``--controls free`` lifts them.
 
 Figures by key: ``sets.K.clean`` and ``.degraded`` for K markers with their places mended by the
 take, as jobs do; ``as_bound`` without that, ``scans_prior`` without the template's shapes;
@@ -27,13 +28,13 @@ from benchmarks.speed.clock import Stopwatch
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.build import build_subject_model, jaw_tracks
 from solver.anatomy.meshing import find_or_make_mesh
-from solver.anatomy.template import ShapeBasis
 from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
 from solver.fitting.controls import jaw_on_tracks
+from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.expression_basis import ExpressionBasis
-from solver.fitting.face import Face, Pose
+from solver.fitting.face import Face
 from solver.fitting.markers.filter import KnownControls
 from solver.fitting.markers.observation import Markers, SeenMarkers
 from solver.fitting.markers.places import refine_by_take
@@ -53,7 +54,7 @@ from solver.scans.markers.prepare import bind
 from solver.scans.markers.readers.take import read_take
 from solver.similarity import IDENTITY
 from solver.surface import Floats
-from solver.templates.ict_facekit import FaceKit, drive, ict_neutral, read_facekit, shape_basis
+from solver.templates.ict_facekit import FaceKit, drive, ict_neutral, read_facekit
 from solver.templates.ict_template import build_ict_template
 
 SETS = (79, 40, 17)
@@ -88,15 +89,20 @@ def run(options: argparse.Namespace) -> Figures:
     """Measure everything and return the figures."""
     frames, parts = options.frames or (QUICK_FRAMES if options.quick else FRAMES), options.parts
     rig = _rig(options)
-    face = Face(rig.model, rig.weights, linear=fastest())
+    face = rig.face(fastest())
     kit = read_facekit(options.faces)
     neutral = ict_neutral(kit, options.faces, options.subject, options.capture_sets)
     shapes = np.stack([*kit.deltas.values()])
     performance = drive(kit, neutral.vertices, read_live_link(options.recording))
     truth = make_truth(performance, frames, options.first)
-    known = prior.from_basis(face, ExpressionBasis.solve(face, shapes))
+    basis = ExpressionBasis.solve(face, shapes)
+    known = prior.from_basis(face, basis)
     counts = [int(count) for count in options.sets.split(",")]
-    found: Figures = {"tets": len(rig.model.tets), "frames": len(truth.numbers)}
+    found: Figures = {
+        "tets": len(rig.model.tets),
+        "frames": len(truth.numbers),
+        "controls": "free" if rig.limits is None else "admissible",
+    }
 
     def add(name: str, figures: Figures) -> None:
         log.info("%s: %s", name, figures)
@@ -104,7 +110,7 @@ def run(options: argparse.Namespace) -> Figures:
 
     if "sets" in parts:
         by_scans = prior.from_expressions(
-            face, [Pose(each.activations, each.jaw) for each in rig.expressions]
+            face, [face.pose_of(each.activations, each.jaw) for each in rig.expressions]
         )
         add("dense", _dense(face, truth))
         found["sets"] = {
@@ -128,7 +134,7 @@ def run(options: argparse.Namespace) -> Figures:
     if "calibration" in parts:
         add("calibration", _calibration(Bench(face, truth, SETS[0]), known))
     if "live" in parts:
-        add("live", _live(rig, Bench(face, truth, SETS[0]), known, shape_basis(kit)))
+        add("live", _live(rig, Bench(face, truth, SETS[0]), known, basis, kit))
     if "real" in parts and options.takes is not None:
         add("real", _real(options, kit, rig, shapes))
     return found
@@ -157,7 +163,8 @@ def _jaw(face: Face, truth: Truth, shapes: Floats, options: argparse.Namespace) 
     """Return how far the lower incisors are off, the jaw being free and on its tracks."""
     tracks = jaw_tracks(build_ict_template(options.anatomy, options.faces), face.model)
     found = {}
-    for name, each in (("free", face), ("tracks", face.with_joint(jaw_on_tracks(tracks)))):
+    on_tracks = face.with_joint(jaw_on_tracks(tracks))
+    for name, each in (("free", face.with_free_jaw()), ("tracks", on_tracks)):
         bench = Bench(each, truth, SETS[0])
         known, take = prior.from_basis(each, ExpressionBasis.solve(each, shapes)), bench.clean()
         fitted = bench.refined(known, take).fit(known, take)
@@ -187,14 +194,16 @@ def _calibration(bench: Bench, known: GaussianPrior) -> Figures:
     return {"poses": len(within), "coverage95": float(np.mean(within))}
 
 
-def _live(rig: Rig, bench: Bench, known: GaussianPrior, shapes: ShapeBasis) -> Figures:
+def _live(
+    rig: Rig, bench: Bench, known: GaussianPrior, basis: ExpressionBasis, kit: FaceKit
+) -> Figures:
     """Return time and error of the reduced skin at the same markers, beside the whole fit's."""
     face, truth, take = bench.face, bench.truth, bench.clean()
     bench = bench.refined(known, take)
     preview = make_live_preview(
-        Face(rig.model, rig.weights, linear=fastest(), tolerance=TOLERANCE),
-        shapes.expression_names,
-        shapes.expressions,
+        rig.face(fastest(), TOLERANCE),
+        tuple(kit.deltas),
+        basis,
         seed=1,
         seconds=LIVE_SECONDS,
         listen=lambda phase, done: log.debug("preview: %s %.2f", phase, done),
@@ -227,7 +236,7 @@ def _real(options: argparse.Namespace, kit: FaceKit, rig: Rig, shapes: Floats) -
     edge = COARSE_EDGE_MM if options.quick else EDGE_MM
     template = find_or_make_mesh(build_ict_template(options.anatomy, options.faces), edge)
     model = build_subject_model(template, neutral, edge_mm=edge)
-    face = Face(model, rig.weights, linear=fastest())
+    face = replace(rig, model=model).face(fastest())
     known, found = prior.from_basis(face, ExpressionBasis.solve(face, shapes)), {}
     for name in REAL_TAKES:
         take = read_take(options.takes / f"{name}.c3d")
@@ -280,12 +289,13 @@ def _left_out(
 
 def _rig(options: argparse.Namespace) -> Rig:
     if options.rig is not None:
-        return Rig.load({"rig": options.rig})
+        rig = Rig.load({"rig": options.rig})
+        return replace(rig, drive=SixNumbers()) if options.controls == "free" else rig
     edge = COARSE_EDGE_MM if options.quick else EDGE_MM
     model, captures = subjects.load(options, edge)
     schedule = subjects.schedule(options)
     fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
-    return Rig(model, fits.face.S, tuple(fits.expressions("train")))
+    return Rig(model, fits.face.S, tuple(fits.expressions("train")), drive=fits.face.drive)
 
 
 def _dense(face: Face, truth: Truth) -> Figures:
@@ -326,7 +336,8 @@ def section(figures: Figures) -> Section:
         compared=(
             f"{figures['frames']} frames of a recorded performance on one subject with "
             f"{figures['tets']:,} tets, seen by markers alone: the whole face that a fit makes of "
-            "them against the whole face that was there, beside a fit to all points of it."
+            "them against the whole face that was there, beside a fit to all points of it. Muscles "
+            f"are {'within' if figures.get('controls') == 'admissible' else 'free of'} limits."
         ),
         parts=[Table(header, rows), Table(["figure", "value"], _others(figures))],
     )

@@ -16,7 +16,7 @@ from benchmarks.documents import Figures, Plot, Section, Table
 from benchmarks.plots import Tradeoff
 from benchmarks.rig_figures import muscle_figures
 from benchmarks.subjects import COARSE_EDGE_MM, Subject
-from solver.fitting.drives.admissible import limits_by_plausibility
+from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.rig.report.certificate import muscles
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> Figures:
 
 
 def _fit(subject: Subject, plausibility: float, schedule: GeometryOptions) -> Figures:
-    schedule = replace(schedule, limits=limits_by_plausibility(plausibility))
+    schedule = replace(schedule, within=Admissible(limits_by_plausibility(plausibility)))
     fits = subject_fits.by_geometry(Face(subject.model), subject.sets["strong"].train, schedule)
     face = fits.face
     found = [

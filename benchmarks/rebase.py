@@ -22,7 +22,7 @@ from benchmarks.registration import raw_scans
 from solver.anatomy.build import build_subject_model
 from solver.anatomy.meshing import find_or_make_mesh
 from solver.anatomy.template import Template
-from solver.fitting.drives.admissible import ADMISSIBLE
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.registration.topology import topology
@@ -145,7 +145,7 @@ def _figures(based: Template, captures: CaptureSet, options: argparse.Namespace)
     # as jobs do: muscles divided, and within what they can do
     model = build_subject_model(based, captures.neutral.vertices, compartments=True)
     face = Face(model)
-    schedule = GeometryOptions(limits=ADMISSIBLE)
+    schedule = GeometryOptions(within=Admissible())
     schedule = replace(schedule, rounds=QUICK_ROUNDS) if options.quick else schedule
     train = subject_fits.by_geometry(face, captures.train, schedule)
     test = subject_fits.by_activations(train.face, captures.test)

@@ -16,7 +16,7 @@ from solver.errors import SolveError
 from solver.fitting import fallback, geometry, per_tet
 from solver.fitting.activation import UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
-from solver.fitting.drives.admissible import ADMISSIBLE
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit, Status
 from solver.fitting.geometry import GeometryOptions
@@ -111,7 +111,7 @@ class Fits:
 
 def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
     """Fit S, activations and jaws to all scans; within limits the jaw is on its tracks."""
-    face = face if schedule.limits is None else face.with_jaw_on_tracks()
+    face = face if schedule.within is None else face.with_jaw_on_tracks()
     targets, rounds = _targets(face, scans), 0
 
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
@@ -185,7 +185,7 @@ class Method:
 
 
 def _by_admissible(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
-    return by_geometry(face, scans, replace(schedule, limits=ADMISSIBLE))
+    return by_geometry(face, scans, replace(schedule, within=Admissible()))
 
 
 CONTROLS = {  # by what muscles and jaw may do

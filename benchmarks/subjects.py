@@ -11,7 +11,7 @@ from pathlib import Path
 from benchmarks.strong import strong_scans
 from solver.anatomy.build import build_subject_model, jaw_tracks
 from solver.anatomy.meshing import find_or_make_mesh
-from solver.fitting.drives.admissible import ADMISSIBLE, Admissible
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.mechanics.jaw_tracks import JawTracks
@@ -53,8 +53,8 @@ def bounded(face: Face, options: argparse.Namespace) -> Face:
 
 def schedule(options: argparse.Namespace, rounds: int = GeometryOptions.rounds) -> GeometryOptions:
     """Return the schedule of fits of S that end with these controls."""
-    limits = ADMISSIBLE if options.controls == "admissible" else None
-    return GeometryOptions(rounds=rounds, limits=limits)
+    within = Admissible() if options.controls == "admissible" else None
+    return GeometryOptions(rounds=rounds, within=within)
 
 
 def default_to_data(parser: argparse.ArgumentParser) -> None:

@@ -19,6 +19,14 @@ JAW_RANGES = {
     "condyles_down_mm": (-2.0, 15.0),
 }
 
+# Of the jaw's own numbers, in degrees and mm: rotation a standard deviation beyond the mean, 18 mm
+# sideways about condyles some 70 mm behind, and the path of the condyles. Fits bite some degrees
+# deep, as flesh gives way.
+JAW_FREEDOM = {"open_deg": (-10.0, 45.0), "left_deg": (-15.0, 15.0), "move_mm": (-20.0, 20.0)}
+
+# Way of the condyles per radian of opening, mm: 20.5 mm in 39.1 degrees.
+CONDYLE_PATH_MM = 30.0
+
 JAW_SOURCE = (
     "Mean and two standard deviations of adults: opening between the incisors 49.3 (9.1) mm and "
     "to the side 11.8 (3.1) mm (500 patients in Basel, Swiss Dental Journal), rotation 39.1 (5.9)° "

@@ -25,8 +25,9 @@ from solver.errors import InputError, SolveError
 from solver.fitting import activation
 from solver.fitting.activation import UNSEEN_STOP, DescentOptions, objective, unseen_regulariser
 from solver.fitting.contact import terms
-from solver.fitting.drives import MuscleDrive, restore, store
+from solver.fitting.drives import MuscleDrive
 from solver.fitting.drives.six_numbers import LEAST_STRETCH, SixNumbers
+from solver.fitting.drives.stored import restore, store
 from solver.fitting.expression_basis import begin_at
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.interior_point import Bounds, FeasibleSet

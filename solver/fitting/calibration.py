@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
+from typing_extensions import override
 
 from solver.errors import InputError
 from solver.fitting import activation, fallback, joint
@@ -25,12 +26,12 @@ from solver.fitting.controls import Block, Layout
 from solver.fitting.drives.fibre_muscles import FibreDrive
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
-from solver.fitting.joint import GeometryProblem, Iterate, Listener
+from solver.fitting.joint import GeometryProblem, Iterate, Listener, Shape
 from solver.fitting.objective import Regulariser, Term
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.strips import StripOptions, neighbours, split_broad, strip_names
 from solver.kinds import FILES
-from solver.mechanics.fibre_muscle import CURVE, Curve, FibreMuscles, FibreTerm
+from solver.mechanics.fibre_muscle import FibreMuscles, FibreTerm
 from solver.mechanics.response import SparseControls
 from solver.model import SubjectModel
 from solver.storage import Archive
@@ -54,9 +55,9 @@ def fibre_muscles(
     return split_broad(face.model.rest, face.model.tets, whole, strips) if strips else whole
 
 
-def with_fibres(face: Face, muscles: FibreMuscles, curve: Curve = CURVE) -> Face:
+def with_fibres(face: Face, muscles: FibreMuscles) -> Face:
     """Return a face driven by the activations (m,) of fibre muscles, in [0, 1]."""
-    return face.driven_by(FibreDrive(muscles, curve))
+    return face.driven_by(FibreDrive(muscles))
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,8 @@ class CalibrationOptions:
     tolerance: float = 3e-3  # gain of a round, relative to f, below which two in turn end the fit
 
 
-class FibreShape:
-    """The values g of fibre muscles: a :class:`~solver.fitting.joint.Shape`.
+class FibreShape(Shape):
+    """The values g of fibre muscles.
 
     ``layout`` has the blocks ``fractions`` (nnz) of the pattern of S, ``strengths`` (m) and
     ``directions`` (t, 3) of the tets with muscle.
@@ -89,7 +90,6 @@ class FibreShape:
     ) -> None:
         self._plain, self._begin = plain, fibre_muscles(plain, strength, strips)
         S, fibres = plain.S, np.asarray(plain.model.fibres)
-        self.indptr: Ints = S.indptr
         # the entries that FibreMuscles has, in its order
         self._entries = np.flatnonzero((S.indices > 0) & fibres.any(axis=1))
         self.tets, self._of_entry = np.unique(self._begin.tets, return_inverse=True)
@@ -98,6 +98,11 @@ class FibreShape:
         self.layout = Layout(
             (Block("fractions", S.data), Block("strengths", logarithms), Block("directions", turns))
         )
+
+    @override
+    @property
+    def indptr(self) -> Ints:
+        return np.asarray(self._plain.S.indptr)
 
     def muscles(self, values: Floats) -> FibreMuscles:
         """Return the muscles of values (k,)."""
@@ -110,12 +115,12 @@ class FibreShape:
             fibres=rotation.apply(begin.fibres),
         )
 
+    @override
     def face(self, values: Floats) -> Face:
-        """See :class:`~solver.fitting.joint.Shape`."""
         return with_fibres(self._plain, self.muscles(values))
 
+    @override
     def rates(self, sensitivity: Sensitivity, values: Floats) -> SparseControls:
-        """See :class:`~solver.fitting.joint.Shape`."""
         forces, flesh = sensitivity.forces, self._plain.flesh
         muscles = self.muscles(values)
         term, at = FibreTerm(flesh, muscles), (forces.x, forces.controls)

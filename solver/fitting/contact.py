@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.anatomy.embedding import rows_of
 from solver.contact.crossing import NearLips, Overlap, between_lips
@@ -94,7 +95,7 @@ class Teeth:
         return _Touching(depth[deep], by_x, np.full(len(deep), self._weight))
 
 
-class _Penalty:
+class _Penalty(Term):
     """w/2 of squared depths, a :class:`solver.fitting.objective.Term`.
 
     Its methods raise :class:`SolveError` (``solve.not_finite``) where x is not finite.
@@ -103,19 +104,19 @@ class _Penalty:
     def __init__(self) -> None:
         self._last: tuple[Floats, _Touching] | None = None
 
+    @override
     def value(self, x: Floats) -> float:
-        """See :class:`solver.fitting.objective.Term`."""
         touching = self.touching(x)
         return 0.5 * float(touching.weight @ touching.depth**2)
 
+    @override
     def gradient(self, x: Floats) -> Floats:
-        """See :class:`solver.fitting.objective.Term`."""
         touching = self.touching(x)
         push = touching.weight * touching.depth
         return np.asarray(touching.slope.T @ push).reshape(x.shape)
 
+    @override
     def curvature(self, x: Floats) -> Curvature:
-        """See :class:`solver.fitting.objective.Term`."""
         touching = self.touching(x)
         weights = sp.diags_array(touching.weight)
         return sp.csr_array(touching.slope.T @ (weights @ touching.slope))
@@ -175,8 +176,8 @@ class NearContact(_Penalty):
         self._mouth, self._weight, self._slack = mouth, weight, slack_mm
         self._lips = NearLips(mouth, mouth.points(model.rest))
 
+    @override
     def curvature(self, x: Floats) -> GramCurvature:
-        """See :class:`solver.fitting.objective.Term`."""
         touching = self.touching(x)
         return GramCurvature(touching.slope, np.diag(touching.weight))
 

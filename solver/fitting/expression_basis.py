@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from solver.errors import SolveError
 from solver.fitting.activation import ActivationOptions, fit, rest_curvature, unseen_regulariser
-from solver.fitting.drives import store
+from solver.fitting.drives.stored import store
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.objective import PartPrior, Prior, PriorSum, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
@@ -35,7 +35,7 @@ FORMAT = FILES[FILE].format
 
 
 @dataclass(frozen=True)
-class BasisOptions:
+class BasisFitOptions:
     """Choice of the shapes that are fitted, and the effort of their fits."""
 
     large_mm: float = 1.0  # mean motion of the face from which a shape is fitted ...
@@ -48,7 +48,7 @@ class BasisOptions:
     effort: ActivationOptions = field(default_factory=lambda: ActivationOptions(8, tolerance=3e-3))
 
 
-LINEAR = BasisOptions(large_mm=np.inf)  # nothing is fitted: a tenth of a second
+LINEAR = BasisFitOptions(large_mm=np.inf)  # nothing is fitted: a tenth of a second
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class ExpressionBasis:
         cls,
         face: Face,
         shapes: NDArray[np.floating],
-        options: BasisOptions = BasisOptions(),
+        options: BasisFitOptions = BasisFitOptions(),
         listen: Callable[[float], None] = lambda _done: None,
     ) -> ExpressionBasis:
         """Return the changes that make ``shapes`` (e, v, 3) on a face, within its limits.
@@ -188,7 +188,7 @@ def _linear_changes(face: Face, shapes: NDArray[np.floating]) -> Floats:
 
 
 def _fitted_change(
-    face: Face, shape: NDArray[np.floating], change: Floats, part: float, options: BasisOptions
+    face: Face, shape: NDArray[np.floating], change: Floats, part: float, options: BasisFitOptions
 ) -> Floats:
     """Return the change (k,) of a fit to ``part`` of a shape, which ``change`` makes about."""
     points, rest = face.model.face, face.model.skin.vertices

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from solver.errors import Finding, InputError
 from solver.fitting import activation, fallback, joint, reference, simplex
 from solver.fitting.activation import ActivationOptions, rest_curvature
-from solver.fitting.drives.admissible import Admissible, AdmissibleLimits
+from solver.fitting.drives import MuscleDrive
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate, Listener
@@ -58,13 +58,14 @@ class GeometryOptions:
     # where two rounds in turn gain less than this part of f, the fit goes on to the whole rounds,
     # or ends there
     tolerance: float = 3e-3
-    limits: AdmissibleLimits | None = None  # that activations end within; None leaves them free
+    # whose bounds close on the muscles in the end; None leaves them as the face has them
+    within: MuscleDrive | None = None
     tightening: TighteningOptions = TighteningOptions()
 
     @property
     def most_rounds(self) -> int:
         """Return how many rounds a fit takes at most."""
-        if self.limits is None:
+        if self.within is None:
             return self.rounds
         way = self.shortened_tightening
         return self.rounds + len(way.loosened) + way.rounds
@@ -111,7 +112,7 @@ def fit(
 ) -> GeometryFit:
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
 
-    Muscles of ``face`` are free; with limits in the options they end within those.
+    Muscles of ``face`` are free; they end ``within`` the options' drive, if there is one.
 
     ``first_terms`` takes the place of ``data`` in all but the last rounds (:data:`WHOLE_ROUNDS`):
     the distance without contact, which would take many small steps. ``start`` has the pattern of
@@ -120,7 +121,6 @@ def fit(
     end is the best that was found of it, and its ending says so.
     """
     first_terms = data if first_terms is None else first_terms
-    limits = options.limits
     face = face.with_weights(face.model.weights if start is None else start)
     first, known = ActivationOptions(options.first_iterations), rest_curvature(face)
     begin = _problem(face, first_terms, options, 0, structure).regulariser
@@ -141,32 +141,29 @@ def fit(
 
         now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen)
         steps += taken
-    if limits is not None:
-        bounded = face.driven_by(Admissible(limits))
-        problem = _problem(bounded, data, options, options.rounds - 1, structure)
-        now, taken = _tighten(problem, limits, now, options, listen)
-        steps, face = steps + taken, bounded
+    if options.within is not None:
+        face = face.driven_by(options.within)
+        problem = _problem(face, data, options, options.rounds - 1, structure)
+        now, taken = _tighten(problem, now, options, listen)
+        steps += taken
     last = replace(begin, w_a=options.w_a[1])
     found = face.with_weights(replace_values(face.S, now.values))
     return _finish(found, data, last, now.states, steps)
 
 
 def _tighten(
-    problem: GeometryProblem,
-    limits: AdmissibleLimits,
-    now: Iterate,
-    options: GeometryOptions,
-    listen: Listener | None,
+    problem: GeometryProblem, now: Iterate, options: GeometryOptions, listen: Listener | None
 ) -> tuple[Iterate, int]:
-    """Go on within bounds that close on ``limits``, and count the rounds."""
+    """Go on within bounds that close on those of the problem's drive, and count the rounds."""
     first, way = options.rounds, options.shortened_tightening
     parts = way.loosened
     closed = first + len(parts)
 
     def enter(number: int, now: Iterate) -> Iterate:
         # along the fibres of the newest S
-        loosened = limits.loosened(parts[number - first] if number < closed else 0.0)
-        face = problem.shape.face(now.values).driven_by(Admissible(loosened))
+        face = problem.shape.face(now.values)
+        loosened = face.drive.loosened(parts[number - first] if number < closed else 0.0)
+        face = face if loosened is None else face.driven_by(loosened)
         states = {
             name: activation.enter(face, problem.data[name], problem.regulariser, state)
             for name, state in now.states.items()

@@ -25,6 +25,7 @@ from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.errors import SolveError
 from solver.fitting import activation
@@ -63,22 +64,22 @@ class Shape(Protocol):
 
 
 @dataclass(frozen=True)
-class WeightShape:
+class WeightShape(Shape):
     """The values (nnz,) of S."""
 
     plain: Face
 
+    @override
     @property
     def indptr(self) -> Ints:
-        """See :class:`Shape`."""
         return np.asarray(self.plain.S.indptr)
 
+    @override
     def face(self, values: Floats) -> Face:
-        """See :class:`Shape`."""
         return self.plain.with_unchecked_weights(replace_values(self.plain.S, values))
 
-    def rates(self, sensitivity: Sensitivity, values: Floats) -> Controls:  # noqa: ARG002
-        """See :class:`Shape`."""
+    @override
+    def rates(self, sensitivity: Sensitivity, values: Floats) -> Controls:
         return sensitivity.weights
 
 

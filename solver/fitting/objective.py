@@ -21,6 +21,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
@@ -101,7 +102,7 @@ class Prior(Protocol):
 
 
 @dataclass(frozen=True)
-class Regulariser:
+class Regulariser(Prior):
     """Priors of a pose, with their weights."""
 
     w_a: float
@@ -156,7 +157,7 @@ class Regulariser:
 
 
 @dataclass(frozen=True)
-class PartPrior:
+class PartPrior(Prior):
     """-log of N(mean, P^-1) over some entries of the controls (size,), but for a constant."""
 
     size: int
@@ -164,40 +165,40 @@ class PartPrior:
     mean: Floats  # (j,)
     precision: Floats  # P (j, j)
 
+    @override
     def value(self, pose: Pose) -> float:
-        """See :class:`~solver.fitting.objective.Prior`."""
         away = pose.vector()[self.places] - self.mean
         return float(0.5 * away @ self.precision @ away)
 
+    @override
     def gradient(self, pose: Pose) -> Floats:
-        """See :class:`~solver.fitting.objective.Prior`."""
         out = np.zeros(self.size)
         out[self.places] = self.precision @ (pose.vector()[self.places] - self.mean)
         return out
 
-    def gauss_newton(self, pose: Pose) -> Floats:  # noqa: ARG002 - it is the same everywhere
-        """See :class:`~solver.fitting.objective.Prior`."""
+    @override
+    def gauss_newton(self, pose: Pose) -> Floats:
         out = np.zeros((self.size, self.size))
         out[np.ix_(self.places, self.places)] = self.precision
         return out
 
 
 @dataclass(frozen=True)
-class PriorSum:
+class PriorSum(Prior):
     """The sum of priors."""
 
     priors: tuple[Prior, ...]
 
+    @override
     def value(self, pose: Pose) -> float:
-        """See :class:`~solver.fitting.objective.Prior`."""
         return sum(prior.value(pose) for prior in self.priors)
 
+    @override
     def gradient(self, pose: Pose) -> Floats:
-        """See :class:`~solver.fitting.objective.Prior`."""
         return np.asarray(sum(prior.gradient(pose) for prior in self.priors))
 
+    @override
     def gauss_newton(self, pose: Pose) -> Floats:
-        """See :class:`~solver.fitting.objective.Prior`."""
         first, *others = (prior.gauss_newton(pose) for prior in self.priors)
         out = first.copy()
         for other in others:
@@ -252,7 +253,7 @@ class Term(Protocol):
         """Return the positive semi-definite Gauss-Newton Hessian by x, (3 p, 3 p)."""
 
 
-class SkinDistance:
+class SkinDistance(Term):
     """sum_v w_v |(M x)_v - t_v|^2, or sum_v w_v (n_v . ((M x)_v - t_v))^2: the published terms.
 
     The second, point to plane, where the :class:`Target` has normals.
@@ -267,18 +268,18 @@ class SkinDistance:
             raise InputError("target.shape", message)
         self._face, self.target = face, target
 
+    @override
     def value(self, x: Floats) -> float:
-        """See :class:`Term`."""
         return self.target.value(self._face.face_points(x))
 
+    @override
     def gradient(self, x: Floats) -> Floats:
-        """See :class:`Term`."""
         offset = self.target.offset(self._face.face_points(x))
         by_point = 2.0 * self.target.weights[:, None] * offset
         return np.asarray(self._face.face_embedding.T @ by_point)
 
-    def curvature(self, x: Floats) -> sp.csr_array:  # noqa: ARG002 - it is the same everywhere
-        """See :class:`Term`."""
+    @override
+    def curvature(self, x: Floats) -> sp.csr_array:
         return self._curvature
 
     @cached_property
@@ -300,19 +301,19 @@ def distances(face: Face, targets: Mapping[str, Target]) -> dict[str, Term]:
 
 
 @dataclass(frozen=True)
-class SumTerm:
+class SumTerm(Term):
     """The sum of terms."""
 
     terms: tuple[Term, ...]
 
+    @override
     def value(self, x: Floats) -> float:
-        """See :class:`Term`."""
         return sum(term.value(x) for term in self.terms)
 
+    @override
     def gradient(self, x: Floats) -> Floats:
-        """See :class:`Term`."""
         return np.asarray(sum(term.gradient(x) for term in self.terms))
 
+    @override
     def curvature(self, x: Floats) -> Curvature:
-        """See :class:`Term`."""
         return reduce(operator.add, (term.curvature(x) for term in self.terms))

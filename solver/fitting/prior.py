@@ -20,11 +20,13 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from solver.fitting.controls import Layout
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
 from solver.fitting.information import inverse_of_positive
+from solver.fitting.objective import Prior
 from solver.surface import Floats
 
 
@@ -44,7 +46,7 @@ LOOSE = PriorOptions(known="nothing")
 
 
 @dataclass(frozen=True)
-class GaussianPrior:
+class GaussianPrior(Prior):
     """-log of N(mean, covariance) over the controls q (k,), but for a constant.
 
     ``shapes`` (e, v, 3) are the motions of the whole skin, mm, of the template's expressions that
@@ -65,17 +67,17 @@ class GaussianPrior:
         """Return the variance (k,) of each control."""
         return np.diag(self.covariance)
 
+    @override
     def value(self, pose: Pose) -> float:
-        """See :class:`~solver.fitting.objective.Prior`."""
         away = pose.vector() - self.mean
         return float(0.5 * away @ self.precision @ away)
 
+    @override
     def gradient(self, pose: Pose) -> Floats:
-        """See :class:`~solver.fitting.objective.Prior`."""
         return np.asarray(self.precision @ (pose.vector() - self.mean))
 
-    def gauss_newton(self, pose: Pose) -> Floats:  # noqa: ARG002 - it is the same everywhere
-        """See :class:`~solver.fitting.objective.Prior`."""
+    @override
+    def gauss_newton(self, pose: Pose) -> Floats:
         return self.precision
 
     def about(self, mean: Floats) -> GaussianPrior:

@@ -13,6 +13,7 @@ from typing import Protocol
 import numba as nb
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.mechanics.flesh import IDENTITY, Flesh
 from solver.surface import Floats, Ints
@@ -58,25 +59,25 @@ class MuscleRates(Protocol):
         """Return the transpose of :meth:`product` applied to (size,), in any shape."""
 
 
-class BlendedRates:
+class BlendedRates(MuscleRates):
     """The derivative by activations a_j (m, 6) that S blends: A_i = sum_j s_ij a_j."""
 
     def __init__(self, forces: TetForces) -> None:
         self._forces = forces
 
+    @override
     def fill(self, out: Floats) -> None:
-        """See :class:`MuscleRates`."""
         _add_by_muscle(*self._forces.pattern, self._forces.S.data, out)
 
+    @override
     def product(self, change: Floats) -> Floats:
-        """See :class:`MuscleRates`."""
         tets, fractions = self._active
         out = np.zeros(self._forces.flesh.size)
         forces_by_activations(*self._forces.pattern[:2], tets, fractions @ change, out)
         return out
 
+    @override
     def adjoint(self, motion: Floats) -> Floats:
-        """See :class:`MuscleRates`."""
         tets, fractions = self._active
         by_tet_a = np.empty((len(tets), 6))
         _activations_by_forces(*self._forces.pattern[:2], tets, motion, by_tet_a)
@@ -90,22 +91,22 @@ class BlendedRates:
         return tets, muscles[tets]
 
 
-class MatrixRates:
+class MatrixRates(MuscleRates):
     """The derivative as a sparse matrix (size, values): of controls that the flesh has itself."""
 
     def __init__(self, matrix: sp.csr_array) -> None:
         self._matrix = matrix
 
+    @override
     def fill(self, out: Floats) -> None:
-        """See :class:`MuscleRates`."""
         out += self._matrix.toarray()
 
+    @override
     def product(self, change: Floats) -> Floats:
-        """See :class:`MuscleRates`."""
         return np.asarray(self._matrix @ change)
 
+    @override
     def adjoint(self, motion: Floats) -> Floats:
-        """See :class:`MuscleRates`."""
         return np.asarray(self._matrix.T @ motion)
 
 

@@ -63,9 +63,9 @@ class _Scans:
             raise InputError("fibres.no_scans", f"{message}: fit its muscle geometry first")
         targets = {}
         for fit in seen:
-            known = np.isfinite(fit.error_mm[face])
-            points = np.where(known[:, None], fit.target[face], np.nan)
-            targets[fit.name] = make.of_points(points, known.astype(np.float64))
+            confidence = fit.seen(face)
+            points = np.where(confidence[:, None] > 0.0, fit.target[face], np.nan)
+            targets[fit.name] = make.of_points(points, confidence)
         blended = {fit.name: float(fit.measured_error(face).mean()) for fit in seen}
         return cls(targets, {fit.name: fit.role for fit in seen}, blended)
 

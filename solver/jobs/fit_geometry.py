@@ -13,7 +13,6 @@ import scipy.sparse as sp
 from solver.errors import Finding, make_warning
 from solver.fitting import geometry
 from solver.fitting.contact import terms
-from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryFit, GeometryOptions
 from solver.fitting.objective import Target, distances
@@ -51,12 +50,12 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     subject = SubjectModel.load(task.inputs["model"])
     scans = read_scans(subject, task.captures)
     drive = asked_drive(given)
-    limits = drive.limits if isinstance(drive, Admissible) else None
+    bounded = drive.loosened(0.0)
     face = Face(subject, linear=given.linear_solver)
-    if limits is not None:
+    if bounded is not None:
         face = face.with_jaw_on_tracks()
     check_held(face)
-    schedule = GeometryOptions(rounds=given.rounds, limits=limits)
+    schedule = GeometryOptions(rounds=given.rounds, within=bounded)
     if given.solver == "ipopt":
         geometry.check_size(face, len(scans))
     priors: dict[str, sp.csr_array | None] = {"start": None, "structure": None}
@@ -96,8 +95,9 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     log.warn(0.8, check_neutral(face.with_weights(fitted.S), expressions))
     asked = given.model_dump(include={"symmetry", "smoothness", "distance", "solver"})
     settings = asdict(schedule) | asked | control_settings(drive)
-    if limits is None:
-        del settings["tightening"], settings["limits"]
+    del settings["within"]
+    if bounded is None:
+        del settings["tightening"]
     spent = {"geometry": seconds}
     rig = Rig(subject, fitted.S, tuple(expressions), spent, log.general, drive=drive)
     return leave_rig(fitted.face, rig, settings, task.out, part_of(progress, 0.8))
@@ -113,7 +113,7 @@ def _geometry(
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
         done = 0.02 + 0.78 * number / schedule.most_rounds
         error = geometry.mean_error(face, targets, states)
-        closing = schedule.limits is not None and number >= schedule.rounds
+        closing = schedule.within is not None and number >= schedule.rounds
         message = CLOSING if closing else None
         progress(Step("geometry", done, number + 1, mean_error_mm=error, message=message))
 

@@ -38,9 +38,10 @@ from solver.progress import Step
 from solver.rig.frames.frames import sequence_report, write_sequence
 from solver.rig.frames.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
-from solver.scans.markers.places.face_take import count_tracks
+from solver.scans.markers.places.bind import Reference
+from solver.scans.markers.places.face_take import USUAL_RATE, count_tracks, frames_about
 from solver.scans.markers.places.marker_set import BoundTake, MarkerSet
-from solver.scans.markers.prepare import PreparedTake, PrepareOptions, prepare_take
+from solver.scans.markers.prepare import MendedTake, PreparedTake, PrepareOptions
 from solver.scans.markers.readers.take import Take, read_take
 
 
@@ -48,7 +49,6 @@ from solver.scans.markers.readers.take import Take, read_take
 class FitMarkersOptions:
     """Numbers of the job itself."""
 
-    rate: float = 60.0  # of a take that does not say
     # A file of frames ends where the fit begins anew from what the file holds, so that a resumed
     # job goes the same way: so many frames, fewer of a face of so many tets.
     frames: int = 60
@@ -70,9 +70,9 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     progress(Step("read", 0.0, message=task.inputs["markers"].name))
     rig, take = Rig.load(task.inputs), count_tracks(read_take(task.inputs["markers"]))
     numbers = frame_numbers(take.file, take.numbers, given)
-    rate = given.rate or (take.rate if take.rate > 0 else OPTIONS.rate)
-    prepared = _prepared(task, take, rig, rate)
-    source, notices = prepared.source, prepared.notices
+    rate = given.rate or (take.rate if take.rate > 0 else USUAL_RATE)
+    mended = _mended(task, take, rig, rate)
+    source, notices = mended.source, mended.notices
     face, muscles = _face(task, rig, notices)
     check_held(face)
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(take)}"))
@@ -87,7 +87,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     progress(Step("export", 0.96))
     report = sequence_report(done, rate, take.file)
     report |= marker_report(done, source.labels, notices)
-    report |= prepared.carried | {"notices": [notice.as_dict() for notice in notices]}
+    report |= mended.carried | {"notices": [notice.as_dict() for notice in notices]}
     animated, report["files"] = write_animated(out, drawing.skin, rig.model, rate, take.first)
     view, contraction = out / VIEW_FILE, Contraction.of_face(face)
     report["files"][VIEW_FILE] = drawing.view.write(view, rate)
@@ -99,13 +99,13 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     return files
 
 
-def _prepared(task: Task[FitMarkers], take: Take, rig: Rig, rate: float) -> PreparedTake:
+def _mended(task: Task[FitMarkers], take: Take, rig: Rig, rate: float) -> MendedTake:
     """Return the take bound by the marker set, if one was given, and mended."""
     given, known = task.options, None
     if "marker_set" in task.inputs:
         known = MarkerSet.load(task.inputs["marker_set"], rig.model)
-    options = PrepareOptions(given.actor, given.neutral)
-    return prepare_take(take, rig.model, rate, known, options)
+    options = PrepareOptions(given.actor, frames_about(take, given.neutral, rate), rate)
+    return PreparedTake(take, Reference.of(rig.model, known), options).mended
 
 
 def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Face, tuple[str, ...]]:
@@ -125,6 +125,8 @@ def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Fac
     if given.jaw == "tracks":
         tracks = JawTracks.of(model.jaw) or jaw_tracks(read_template(task), model)
         face = face.with_joint(jaw_on_tracks(tracks))
+    elif given.jaw == "free":
+        face = face.with_free_jaw()
     return face, names
 
 

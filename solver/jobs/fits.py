@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from solver.errors import Finding, InputError, SolveError, make_warning
-from solver.fitting.drives import MuscleDrive, store
+from solver.fitting.drives import MuscleDrive
 from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.drives.six_numbers import SixNumbers
+from solver.fitting.drives.stored import store
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
@@ -77,12 +78,8 @@ def find_oddities(
     face: Face, scans: Mapping[str, RegisteredScan], drive: MuscleDrive
 ) -> list[Finding]:
     """Return what is odd about a face and scans before they are fitted by a drive."""
-    found = [*idle_muscles(face), *before_fit(face.model, scans)]
-    within = isinstance(drive, Admissible)
-    if within and face.model.fibres is None:
-        message = "the model has no fibres, so that muscles may push: build it again"
-        found.append(make_warning("model.no_fibres", message))
-    if within and face.model.jaw.tracks is None:
+    found = [*idle_muscles(face), *before_fit(face.model, scans), *drive.lacks(face.model)]
+    if drive.loosened(0.0) is not None and face.model.jaw.tracks is None:
         message = "the model has no tracks of its condyles, so that its jaw is free: build it again"
         found.append(make_warning("model.no_tracks", message))
     return found
@@ -127,6 +124,7 @@ def describe_fit(
         x=state.x,
         solver=found.solver,
         status=found.status,
+        confidence=scan.confidence,
     )
 
 

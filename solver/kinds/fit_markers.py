@@ -39,10 +39,10 @@ class FitMarkers(JobOptions):
         description="blended, six numbers a muscle with the rig's weights, within the limits that "
         "it was fitted in; fibre, one activation in [0, 1] a muscle or strip",
     )
-    jaw: Literal["free", "tracks"] = Field(
-        default="free",
-        description="free, five numbers, or tracks on a rig fitted within limits; tracks, an angle "
-        "and both condyles' slides along tracks",
+    jaw: Literal["rig", "free", "tracks"] = Field(
+        default="rig",
+        description="rig, as that was fitted: tracks within limits, else free; free, five numbers; "
+        "tracks, an angle and both condyles' slides along tracks",
     )
     prior: Literal["shapes", "scans", "none"] = Field(
         default="shapes",

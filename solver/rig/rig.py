@@ -20,12 +20,12 @@ import scipy.sparse as sp
 
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import Finding, InputError, make_warning, quote
-from solver.fitting.drives import MuscleDrive, restore, store
-from solver.fitting.drives.admissible import ADMISSIBLE, Admissible, AdmissibleSet
+from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.drives.six_numbers import SixNumbers
+from solver.fitting.drives.stored import restore, store
 from solver.fitting.face import Face
 from solver.fitting.interior_point import FeasibleSet
-from solver.fitting.stretches import fibre_tensors
 from solver.kinds import FILES
 from solver.mechanics.newton import NewtonOptions
 from solver.model import SIZE_WORDS, SubjectModel
@@ -73,6 +73,12 @@ class ExpressionFit:
     solver: str = "reduced"  # or ``ipopt``
     status: str = "converged"
     notices: tuple[Finding, ...] = ()  # what was odd about the scan or the solve
+    confidence: Floats | None = None  # (v,) of the scan in [0, 1]; None in older rigs
+
+    def seen(self, vertices: Ints) -> Floats:
+        """Return the scan's confidence (k,) at ``vertices``; in older rigs 1 where it has any."""
+        shown = np.isfinite(self.error_mm[vertices]).astype(np.float64)
+        return shown if self.confidence is None else self.confidence[vertices] * shown
 
     def measured_error(self, vertices: Ints) -> Floats:
         """Return the errors (k,) in mm of those ``vertices`` that the scan shows."""
@@ -103,7 +109,8 @@ class Rig:
     @cached_property
     def limits(self) -> FeasibleSet | None:
         """The values that the muscles can take, as the rig was fitted; None if all of them."""
-        return self.face().layout.drive.feasible
+        size = volumes(self.model.rest, self.model.tets)
+        return self.drive.feasible(self.model, size, self.weights)
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
@@ -219,10 +226,10 @@ class Rig:
         trained = [fit for fit in self.expressions if fit.role == "train"]
         if not trained:
             return SixNumbers()
-        size = volumes(self.model.rest, self.model.tets)
-        admissible = AdmissibleSet(ADMISSIBLE, fibre_tensors(self.model, size, self.weights))
+        drive, size = Admissible(), volumes(self.model.rest, self.model.tets)
+        admissible = drive.feasible(self.model, size, self.weights)
         inside = all(admissible.contains(fit.activations) for fit in trained)
-        return Admissible() if inside else SixNumbers()
+        return drive if inside else SixNumbers()
 
 
 def find_files(rig: Path) -> dict[str, Path]:
@@ -284,6 +291,8 @@ def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectMod
 
     unknown = np.full(model.rest.shape, np.nan)
     x = [unknown if fit.x is None else fit.x for fit in expressions]
+    unsure = np.full(vertices, np.nan)
+    confidence = [unsure if fit.confidence is None else fit.confidence for fit in expressions]
     trips = [astuple(fit.round_trip or RoundTrip()) for fit in expressions]
     return {
         "format": np.array(FORMAT),
@@ -300,6 +309,7 @@ def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectMod
         "seconds": column("seconds", ()),
         "objective": column("objective", ()),
         "x": np.reshape(x, (len(x), *unknown.shape)),
+        "confidence": np.reshape(confidence, (len(x), vertices)).astype(np.float32),
         "round_trip": np.reshape(trips, (len(trips), len(fields(RoundTrip)))),
         "solver": texts(fit.solver for fit in expressions),
         "status": texts(fit.status for fit in expressions),
@@ -332,6 +342,7 @@ def _expression_from(data: Arrays, k: int) -> ExpressionFit:
         **{name: data[name][k].astype(np.float64) for name in of_skin},
         **{name: data[name][k].item() for name in of_solve},
         "x": known("x"),
+        "confidence": known("confidence"),
         "round_trip": None if trip is None else RoundTrip(*trip.tolist()),
         "status": "unknown",
     }

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from pydantic import ValidationError
 
+from solver.anatomy.physiology import JAW_FREEDOM
 from solver.animation.drives import Drives, HeadKey, KeyedDrives, PoseKey
 from solver.animation.performance import FittedSequence, MixedPerformances, PlayedPerformance
 from solver.errors import InputError
@@ -52,10 +53,6 @@ def _whole(value: Any) -> Any:
     if isinstance(value, list):
         return [_whole(each) for each in value]
     return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
-# as far as a jaw gets, and a little more, as fits bite some degrees deep: beyond it flesh tears
-JAW_LIMITS = {"open_deg": (-10.0, 45.0), "left_deg": (-15.0, 15.0), "move_mm": (-20.0, 20.0)}
 
 
 def drives_of(
@@ -181,7 +178,7 @@ def check_jaw(b: Floats, where: str) -> None:
     """Raise :class:`InputError` (``scene.jaw``) if no jaw can be at b (5,)."""
     found = {"open_deg": np.degrees(b[:1]), "left_deg": np.degrees(b[1:2]), "move_mm": b[2:]}
     for name, values in found.items():
-        least, most = JAW_LIMITS[name]
+        least, most = JAW_FREEDOM[name]  # beyond it flesh tears
         worst = float(values[np.argmax(np.abs(values))])
         if not least <= worst <= most:
             place = f"{where}: the jaw's {name} is {worst:.1f}, with all that moves it"

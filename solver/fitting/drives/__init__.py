@@ -2,21 +2,19 @@
 
 A drive is one module with one class. :mod:`.six_numbers` is the published one, six numbers a muscle
 that S blends; :mod:`.admissible` keeps these to what muscles can make; :mod:`.fibre_muscles` has
-muscles that pull along their fibres. ``docs/develop/add-a-control.md`` adds one.
+muscles that pull along their fibres. ``docs/develop/add-a-control.md`` adds one. :mod:`.stored` has
+those that rigs keep.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, is_dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import scipy.sparse as sp
 
-from solver.errors import InputError, quote
+from solver.errors import Finding
 from solver.fitting.controls import Block
-from solver.fitting.drives.admissible import Admissible, AdmissibleLimits
-from solver.fitting.drives.six_numbers import SixNumbers
+from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.tet_forces import MuscleRates, TetForces
 from solver.mechanics.flesh import Flesh
 from solver.model import SubjectModel
@@ -38,37 +36,31 @@ class MuscleDrive(Protocol):
     def rates(self, forces: TetForces) -> MuscleRates:
         """Return the forces' derivative by the values."""
 
+    def feasible(
+        self,
+        model: SubjectModel,  # noqa: ARG002
+        volumes: Floats,  # noqa: ARG002
+        S: sp.csr_array,  # noqa: ARG002
+    ) -> FeasibleSet | None:
+        """Return the set that the values stay in, None if there is none but the block's box.
 
-# name in files -> its class, and how it is made of what is stored: a rig knows how it was fitted
-DRIVES: Mapping[str, tuple[type, Callable[[Mapping[str, Any]], MuscleDrive]]] = {
-    "free": (SixNumbers, lambda _: SixNumbers()),
-    "admissible": (Admissible, lambda stored: Admissible(AdmissibleLimits(**stored["limits"]))),
-}
+        ``volumes`` (n,) are the tets' at rest.
+        """
+        return None
+
+    def loosened(self, part: float) -> MuscleDrive | None:  # noqa: ARG002
+        """Return the drive with its bounds ``part`` of the way to none that bind; 0 is the same.
+
+        None for one that free activations cannot be brought into step by step: it has no bounds, or
+        its values are others.
+        """
+        return None
+
+    def lacks(self, model: SubjectModel) -> list[Finding]:  # noqa: ARG002
+        """Return warnings of what a model does not have, so that the drive cannot do its part."""
+        return []
 
 
 def are_fibres(activations: Floats) -> bool:
     """Tell whether frames' stored activations (f, m) are of fibre muscles; S has (f, m, 6)."""
     return activations.ndim == 2
-
-
-def store(drive: MuscleDrive) -> dict[str, Any]:
-    """Return a drive as JSON values: its ``name`` and its fields."""
-    [name] = (name for name, (kind, _) in DRIVES.items() if kind is type(drive))
-    assert is_dataclass(drive)
-    return {"name": name, **asdict(drive)}
-
-
-def restore(stored: Mapping[str, Any]) -> MuscleDrive:
-    """Return the drive that :func:`store` wrote.
-
-    Raises :class:`InputError` (``rig.drive``) for one that this release does not know.
-    """
-    name = str(stored.get("name"))
-    if name not in DRIVES:
-        message = f"the rig is driven by {quote(name)}, which this release does not know"
-        raise InputError("rig.drive", message, found=quote(name), expected=list(DRIVES))
-    try:
-        return DRIVES[name][1](stored)
-    except (LookupError, TypeError) as error:
-        message = f"the rig's drive, {name}, has no such limits: {error}"
-        raise InputError("rig.drive", message, found=quote(name)) from error

@@ -24,9 +24,10 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.anatomy.physiology import SHORTEST
-from solver.errors import InputError
+from solver.errors import Finding, InputError, make_warning
 from solver.fitting.controls import Block
 from solver.fitting.drives.six_numbers import SixNumbers, activation_block
 from solver.fitting.stretches import (
@@ -251,7 +252,21 @@ class Admissible(SixNumbers):
 
     limits: AdmissibleLimits = ADMISSIBLE
 
+    @override
     def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
-        tensors = fibre_tensors(model, flesh.volumes, S)
-        return activation_block(len(tensors), AdmissibleSet(self.limits, tensors))
+        return activation_block(S.shape[1] - 1, self.feasible(model, flesh.volumes, S))
+
+    @override
+    def feasible(self, model: SubjectModel, volumes: Floats, S: sp.csr_array) -> AdmissibleSet:
+        return AdmissibleSet(self.limits, fibre_tensors(model, volumes, S))
+
+    @override
+    def loosened(self, part: float) -> Admissible:
+        return Admissible(self.limits.loosened(part))
+
+    @override
+    def lacks(self, model: SubjectModel) -> list[Finding]:
+        if model.fibres is not None:
+            return []
+        message = "the model has no fibres, so that muscles may push: build it again"
+        return [make_warning("model.no_fibres", message)]

@@ -14,12 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import InputError
 from solver.fitting import activation
 from solver.fitting.activation import UNSEEN_STOP, ActivationFit
 from solver.fitting.controls import Block
+from solver.fitting.drives import MuscleDrive
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import FROBENIUS, entries
@@ -90,27 +92,27 @@ def _along(model: SubjectModel, S: sp.csr_array) -> Floats:
 
 
 @dataclass(frozen=True)
-class FibreContraction:
+class FibreContraction(MuscleDrive):
     """Contractions (m,) of a model's muscles within limits; 1 is relaxed."""
 
     model: SubjectModel
     limits: ContractionLimits = ContractionLimits()
 
-    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:  # noqa: ARG002
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+    @override
+    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
         relaxed, limits = np.ones(S.shape[1] - 1), self.limits
         return Block("contractions", relaxed, lower=limits.least, upper=limits.most, role="muscles")
 
+    @override
     def attach(self, flesh: Flesh) -> Flesh:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return flesh
 
+    @override
     def controls(self, S: sp.csr_array, a: Floats) -> Floats:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return fibre_activations(self.model, S, a)
 
+    @override
     def rates(self, forces: TetForces) -> MuscleRates:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         by_activation = forces.flesh.forces_by_control(forces.x, forces.controls)
         rates = activation_rates(self.model, forces.S, forces.a)
         return MatrixRates(sp.csr_array(by_activation @ rates))

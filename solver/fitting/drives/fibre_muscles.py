@@ -9,8 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.fitting.controls import Block, Spread
+from solver.fitting.drives import MuscleDrive
 from solver.fitting.drives.six_numbers import ACTIVATION_REACH
 from solver.fitting.tet_forces import MatrixRates, MuscleRates, TetForces
 from solver.mechanics.fibre_muscle import CURVE, Curve, FibreMuscles, driven_by_muscles
@@ -20,14 +22,14 @@ from solver.surface import Floats
 
 
 @dataclass(frozen=True)
-class FibreDrive:
+class FibreDrive(MuscleDrive):
     """The activations (m,) of fibre ``muscles``."""
 
     muscles: FibreMuscles
     curve: Curve = CURVE
 
-    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:  # noqa: ARG002
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+    @override
+    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
         return Block(
             "fibres",
             np.zeros(len(self.muscles.strengths)),
@@ -38,14 +40,14 @@ class FibreDrive:
             role="muscles",
         )
 
+    @override
     def attach(self, flesh: Flesh) -> Flesh:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return driven_by_muscles(flesh, self.muscles, self.curve)
 
-    def controls(self, S: sp.csr_array, a: Floats) -> Floats:  # noqa: ARG002
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+    @override
+    def controls(self, S: sp.csr_array, a: Floats) -> Floats:
         return a
 
+    @override
     def rates(self, forces: TetForces) -> MuscleRates:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return MatrixRates(forces.flesh.forces_by_control(forces.x, forces.controls))

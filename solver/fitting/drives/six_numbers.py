@@ -14,8 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
-from solver.fitting.controls import Block, Spread
+from solver.fitting.controls import Block, ShapePenalty, Spread
+from solver.fitting.drives import MuscleDrive
 from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.stretches import (
     FROBENIUS,
@@ -35,23 +37,23 @@ LEAST_STRETCH = 0.1
 
 
 @dataclass(frozen=True)
-class SixNumbers:
+class SixNumbers(MuscleDrive):
     """The published drive: any six numbers a muscle."""
 
-    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:  # noqa: ARG002
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
+    @override
+    def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
         return activation_block(S.shape[1] - 1)
 
+    @override
     def attach(self, flesh: Flesh) -> Flesh:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return flesh
 
+    @override
     def controls(self, S: sp.csr_array, a: Floats) -> Floats:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return np.ascontiguousarray(S @ np.vstack([IDENTITY, a]))
 
+    @override
     def rates(self, forces: TetForces) -> MuscleRates:
-        """See :class:`~solver.fitting.drives.MuscleDrive`."""
         return BlendedRates(forces)
 
 
@@ -71,24 +73,24 @@ def activation_block(muscles: int, feasible: FeasibleSet | None = None) -> Block
 
 
 @dataclass(frozen=True)
-class TensorPenalty:
+class TensorPenalty(ShapePenalty):
     """The price of a muscle's shape S(a_j): a :class:`~solver.fitting.controls.ShapePenalty`."""
 
+    @override
     def value(self, a: Floats, w_v: float, w_e: float) -> float:
-        """See :class:`~solver.fitting.controls.ShapePenalty`."""
         det = determinants(a) - 1.0
         deficit, _ = eigenvalue_deficits(a)
         return float(0.5 * w_v * det @ det + 0.5 * w_e * np.sum(deficit**2))
 
+    @override
     def gradient(self, a: Floats, w_v: float, w_e: float) -> Floats:
-        """See :class:`~solver.fitting.controls.ShapePenalty`."""
         det = determinants(a) - 1.0
         deficit, gradients = eigenvalue_deficits(a)
         by_volume = w_v * det[:, None] * determinant_gradients(a)
         return np.asarray(by_volume - w_e * np.einsum("jk,jkq->jq", deficit, gradients))
 
+    @override
     def curvature(self, a: Floats, w_v: float, w_e: float) -> Floats:
-        """See :class:`~solver.fitting.controls.ShapePenalty`."""
         gradients = determinant_gradients(a)
         _, towards = eigenvalue_deficits(a)
         by_volume = w_v * gradients[:, :, None] * gradients[:, None, :]

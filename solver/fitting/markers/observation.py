@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
+from typing_extensions import override
 
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError
@@ -36,7 +37,7 @@ from solver.fitting.markers.term import (
 from solver.fitting.objective import PartPrior, Prior, PriorSum, Regulariser
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.sensitivity import Jacobian
-from solver.fitting.tracking import Tracker
+from solver.fitting.tracking import Observation, Tracker
 from solver.fitting.tracking.frame_solver import FrameSolver, TrackingOptions
 from solver.mechanics.equilibrium import CorrectorOptions
 from solver.similarity import Similarity
@@ -151,7 +152,7 @@ class _Response:
         return self._spread[1]
 
 
-class Markers:
+class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
     """Labelled points ``seconds`` apart: an :class:`~solver.fitting.tracking.Observation`.
 
     ``prior`` is that of any pose; one of a template's shapes tells the head, too, and the jaw on
@@ -195,16 +196,16 @@ class Markers:
         own = self.face.layout["activations"]
         return self._contraction.sd(covariance[own, own])
 
+    @override
     def begin(self, solver: FrameSolver) -> None:
-        """See :class:`~solver.fitting.tracking.Observation`."""
         self.filter.begin()
         unseen = np.zeros((len(self.places), 3))
         solver.relinearise(MarkerTerm(self.places, unseen, unseen), unseen)
 
+    @override
     def fit(
         self, seen: SeenMarkers, solver: FrameSolver, memory: MarkerMemory | None
     ) -> tuple[MarkerFit, MarkerMemory]:
-        """See :class:`~solver.fitting.tracking.Observation`."""
         prior, head = self._before(seen.points, solver.state, memory)
         fit, left = self._fit(seen, solver, memory, prior, prior, head)
         if memory is not None:

@@ -21,11 +21,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from typing_extensions import override
 
 from solver.anatomy.embedding import rows_of
 from solver.contact.mouth import Mandible
 from solver.fitting.information import inverse_of_positive
-from solver.fitting.objective import GramCurvature
+from solver.fitting.objective import GramCurvature, Term
 from solver.fitting.sensitivity import Jacobian
 from solver.model import SubjectModel
 from solver.scans.markers.places.marker_set import BONY, Marker, places_over
@@ -254,7 +255,7 @@ class _TurnedMarkers(NamedTuple):
 
 
 @dataclass(frozen=True)
-class MarkerTerm:
+class MarkerTerm(Term):
     """f for what was seen in one frame: an :class:`~solver.fitting.objective.Term`.
 
     ``seen`` (k, 3) may hold NaN where ``precision`` (k, 3), the diagonals of Lambda in the take's
@@ -272,19 +273,19 @@ class MarkerTerm:
         default_factory=list, init=False, compare=False
     )
 
+    @override
     def value(self, x: Floats) -> float:
-        """See :class:`~solver.fitting.objective.Term`."""
         self.place(self.places.at(x))
         return self._known[-1][-1]
 
+    @override
     def gradient(self, x: Floats) -> Floats:
-        """See :class:`~solver.fitting.objective.Term`."""
         placed = self.place(self.places.at(x))
         pull = (self.precision * placed.offsets) @ placed.head.rotation
         return self.places.gradient(x, pull)
 
+    @override
     def curvature(self, x: Floats) -> GramCurvature:
-        """See :class:`~solver.fitting.objective.Term`."""
         placed = self.place(self.places.at(x))
         return GramCurvature(self.places.jacobian(x), self.inner(placed))
 

@@ -6,12 +6,14 @@ one row per free coordinate.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
 import cyipopt
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.errors import Finding, SolveError, make_warning
 from solver.fitting.controls import Block, Layout
@@ -67,13 +69,11 @@ class NotConvergedError(SolveError):
         return make_warning(self.code, f"{self.message}; {kept}", self.context)
 
 
-class IpoptProblem:
+class IpoptProblem(ABC):
     """A problem in cyipopt's form: minimise the objective under constraints, z (n,) being free.
 
-    It has ``objective`` (z) and ``gradient`` (z); ``hessianstructure`` (), rows and columns of the
-    Hessian's lower triangle, where entries that repeat are summed; ``hessian`` (z, multipliers,
-    factor), the entries of ``factor`` times the objective's Gauss-Newton Hessian; and where there
-    are constraints ``constraints`` (z), ``jacobianstructure`` () and ``jacobian`` (z).
+    Where there are constraints it has ``constraints`` (z), ``jacobianstructure`` () and
+    ``jacobian`` (z) as well.
     """
 
     def __init__(self, listen: Listener | None = None) -> None:
@@ -86,6 +86,22 @@ class IpoptProblem:
         if self._listen:
             self._listen(iteration, objective)
         return True
+
+    @abstractmethod
+    def objective(self, z: Floats) -> float:
+        """Return f."""
+
+    @abstractmethod
+    def gradient(self, z: Floats) -> Floats:
+        """Return f's derivative (n,)."""
+
+    @abstractmethod
+    def hessianstructure(self) -> tuple[Ints, Ints]:
+        """Return rows and columns of the Hessian's lower triangle; repeated entries are summed."""
+
+    @abstractmethod
+    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:
+        """Return the entries of ``factor`` times the objective's Gauss-Newton Hessian."""
 
 
 def solve(
@@ -182,7 +198,7 @@ class ExpressionProblem(IpoptProblem):
         )
 
     def minimise(
-        self, start: Pose, x: Floats, tolerance: float, max_iterations: int
+        self, start: Pose, x: Floats, tolerance: float = 1e-7, max_iterations: int = 1000
     ) -> ReferenceSolution:
         """Minimise f from ``start`` and ``x`` (p, 3); raises :class:`NotConvergedError`."""
         forces = np.zeros(self.flesh.size)
@@ -205,23 +221,23 @@ class ExpressionProblem(IpoptProblem):
         x[self.flesh.free] = self.layout.part("x", z)
         return x
 
+    @override
     def objective(self, z: Floats) -> float:
-        """Return f."""
         return self._data.value(self.place(z)) + self._priors.value(self.pose(z))
 
+    @override
     def gradient(self, z: Floats) -> Floats:
-        """Return f's derivative (n,)."""
         pose = self.pose(z)
         out = self._motion_at(pose).T @ self._data.gradient(self.place(z)).ravel()
         out[self.flesh.size :] += self._priors.gradient(pose)
         return np.asarray(out)
 
+    @override
     def hessianstructure(self) -> tuple[Ints, Ints]:
-        """See :class:`IpoptProblem`."""
         return self._hessian_structure
 
-    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:  # noqa: ARG002
-        """See :class:`IpoptProblem`."""
+    @override
+    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:
         pose = self.pose(z)
         blocks, jaw = self._priors.curvature(pose)
         motion = self._motion_at(pose)
@@ -298,15 +314,7 @@ def activations(
     return expression.minimise(start, x, tolerance, max_iterations)
 
 
-def per_tet(
-    face: Face,
-    data: Term,
-    options: PerTetOptions = PER_TET,
-    *,
-    tolerance: float = 1e-7,
-    max_iterations: int = 1000,
-    listen: Listener | None = None,
-) -> ReferenceSolution:
+def per_tet(face: Face, data: Term, options: PerTetOptions = PER_TET) -> ReferenceSolution:
     """Solve (P) from the resting face; the pose's ``a`` are those of the active tets.
 
     Every active tet is a muscle by itself (:mod:`solver.fitting.per_tet.tissue`), so this is (A)
@@ -317,8 +325,7 @@ def per_tet(
     tissue = tissues.of_face(face)
     rest = tissue.face.rest
     priors = PerTetPriors(tissue, options, rest.pose.b)
-    expression = ExpressionProblem(tissue.face, data, priors, listen=listen)
-    return expression.minimise(rest.pose, rest.x, tolerance, max_iterations)
+    return ExpressionProblem(tissue.face, data, priors).minimise(rest.pose, rest.x)
 
 
 class _Forward(IpoptProblem):
@@ -338,16 +345,20 @@ class _Forward(IpoptProblem):
         x[self._flesh.free] = z.reshape(-1, 3)
         return x
 
+    @override
     def objective(self, z: Floats) -> float:
         return finite(self._flesh.energy(self.place(z), self._a))
 
+    @override
     def gradient(self, z: Floats) -> Floats:
         return self._flesh.gradient(self.place(z), self._a)
 
+    @override
     def hessianstructure(self) -> tuple[Ints, Ints]:
         return self._structure
 
-    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:  # noqa: ARG002
+    @override
+    def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:
         return np.asarray(factor * self._flesh.hessian(self.place(z), self._a).data[self._keep])
 
 

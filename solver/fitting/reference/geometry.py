@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.fitting.controls import Block, Layout
 from solver.fitting.face import Pose, PosedFace
@@ -84,14 +85,14 @@ class FullGeometry(IpoptProblem):
         *pieces, values = self.layout.split(z)
         return dict(zip(self.parts, pieces, strict=True)), replace_values(self._S, values)
 
+    @override
     def objective(self, z: Floats) -> float:
-        """See :class:`IpoptProblem`."""
         pieces, S = self.split(z)
         parts = sum(part.objective(pieces[name]) for name, part in self.parts.items())
         return parts + self._problem.prior_value(S.data)
 
+    @override
     def gradient(self, z: Floats) -> Floats:
-        """See :class:`IpoptProblem`."""
         pieces, S = self.split(z)
         parts = [part.gradient(pieces[name]) for name, part in self.parts.items()]
         return self.layout.join([*parts, self._problem.prior_gradient(S.data)])
@@ -125,16 +126,16 @@ class FullGeometry(IpoptProblem):
             values += [part.jacobian(piece, S), by_weights.data[self._felt]]
         return np.concatenate([*values, np.ones(S.nnz)])
 
+    @override
     def hessianstructure(self) -> tuple[Ints, Ints]:
-        """See :class:`IpoptProblem`."""
         parts = zip(self._firsts, self.parts.values(), strict=True)
         pairs = [first + np.array(part.hessianstructure()) for first, part in parts]
         by_weights = self.layout["S"].start + np.array(self._by_weights.coords)
         rows, columns = np.hstack([*pairs, by_weights])
         return rows, columns
 
+    @override
     def hessian(self, z: Floats, multipliers: Floats, factor: float) -> Floats:
-        """See :class:`IpoptProblem`."""
         pieces, _ = self.split(z)
         by_part = (part.hessian(pieces[k], multipliers, factor) for k, part in self.parts.items())
         return np.concatenate([*by_part, factor * self._by_weights.data])

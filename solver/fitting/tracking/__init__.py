@@ -23,13 +23,8 @@ FitT_co = TypeVar("FitT_co", covariant=True)
 class Observation(Protocol[SeenT_contra, MemoryT, FitT_co]):
     """A kind of thing that is seen of a face, and the fit of one frame of it."""
 
-    @property
-    def face(self) -> Face:
-        """The face that is seen."""
-
-    @property
-    def tracking(self) -> TrackingOptions:
-        """The steps of a frame."""
+    face: Face  # that is seen
+    tracking: TrackingOptions  # the steps of a frame
 
     def begin(self, solver: FrameSolver) -> None:
         """Prepare for frames that follow on the ``solver``'s state."""
@@ -47,11 +42,9 @@ class Observation(Protocol[SeenT_contra, MemoryT, FitT_co]):
 class Tracker(Generic[SeenT, MemoryT, FitT]):
     """Fits frames in their order: ``memory`` is what the last one left, None before the first."""
 
-    def __init__(
-        self, observation: Observation[SeenT, MemoryT, FitT], start: PosedFace | None = None
-    ) -> None:
+    def __init__(self, observation: Observation[SeenT, MemoryT, FitT]) -> None:
         self.observation, self.face = observation, observation.face
-        self.begin(start or self.face.rest)
+        self.begin(self.face.rest)
 
     def begin(self, state: PosedFace, memory: MemoryT | None = None) -> None:
         """Go on from a frame: its state and what it left."""

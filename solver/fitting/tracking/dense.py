@@ -11,11 +11,13 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from typing_extensions import override
 
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
+from solver.fitting.tracking import Observation
 from solver.fitting.tracking.frame_solver import FrameSolver, TrackingOptions
 from solver.meshio.registered import RegisteredScan
 from solver.registration.register import head_motion
@@ -53,7 +55,7 @@ class DenseFit:
     target: Target | None = None  # of a frame that was fitted
 
 
-class DensePoints:
+class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
     """Points of a performance: an :class:`~.tracker.Observation`, whose memory is the head.
 
     What is seen are the face's points (k, 3) with their confidence (k,), 0 where unseen; ``target``
@@ -79,13 +81,14 @@ class DensePoints:
             )
             raise InputError("sequence.no_still_points", message)
 
+    @override
     def begin(self, solver: FrameSolver) -> None:
-        """See :class:`~.tracker.Observation`."""
+        """Do nothing: every frame is linearised anew."""
 
+    @override
     def fit(
         self, seen: RegisteredScan, solver: FrameSolver, memory: Similarity | None
     ) -> tuple[DenseFit, Similarity]:
-        """See :class:`~.tracker.Observation`."""
         before, head = solver.state, memory or IDENTITY
         coverage = float(np.mean(seen.confidence > 0))
         if coverage < self._options.coverage or not self._sees_the_head(seen):

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from solver.drawing.head import DrawnHead
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.errors import InputError, SolveError
+from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
 from solver.model import SubjectModel
 from solver.rig.container import read_container, write_container
@@ -38,7 +38,7 @@ from solver.rig.preview.poses import (
     shape_poses_to_learn,
     shape_poses_to_measure,
 )
-from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of, controls_of_shapes
+from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of, controls_of_basis
 from solver.rig.rig import ExpressionFit
 from solver.surface import Floats, Ints
 
@@ -161,7 +161,7 @@ def make_preview(
 def make_live_preview(
     face: Face,
     names: Sequence[str],
-    shapes: NDArray[np.floating],
+    basis: ExpressionBasis,
     *,
     seed: int,
     seconds: float,
@@ -170,13 +170,12 @@ def make_live_preview(
 ) -> Preview:
     """Make sliders for :class:`solver.rig.preview.live.LiveTracker`: a template's expressions.
 
-    ``shapes`` (e, v, 3) are their motions of the whole skin, mm; the face's muscles are by S and
-    its jaw is free. Each is fitted first, in about a second that does not count. Otherwise as
-    :func:`make_preview`, whose sliders span the person's own few expressions: markers of a whole
+    They are those of the face's ``basis``, one that a job of its rig left or a new one. Otherwise
+    as :func:`make_preview`, whose sliders span the person's own few expressions: markers of a whole
     take were twice as far off by them.
     """
     listen("controls", 0.0)
-    controls = controls_of_shapes(face, names, shapes, lambda _done: listen("controls", 0.0))
+    controls = controls_of_basis(face, names, basis)
     return _make(
         face,
         controls,

@@ -18,7 +18,6 @@ from solver.fitting.information import inverse_of_positive
 from solver.fitting.markers.robust import Judge, RobustOptions
 from solver.fitting.markers.term import HeadOptions, HeadPrior, MarkerPlaces, MarkerTerm
 from solver.fitting.prior import GaussianPrior
-from solver.mechanics.boundary import jaw_jacobian, move_jaw
 from solver.model import SubjectModel
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview.sliders import Sliders
@@ -34,7 +33,7 @@ class ReducedPlaces(MarkerPlaces):
         self, model: SubjectModel, sliders: Sliders, skin: ReducedSkin, markers: Sequence[Marker]
     ) -> None:
         super().__init__(model, markers)
-        self._sliders, self._skin, self._jaw = sliders, skin, model.jaw
+        self._sliders, self._skin = sliders, skin
         ids = np.array([marker.vertices for marker in markers], np.int64).ravel()
         on_bone = np.repeat([marker.place_mm is not None for marker in markers], 3)
         basis = np.where(on_bone[:, None], 0.0, skin.basis[:, ids].astype(np.float64))
@@ -49,7 +48,7 @@ class ReducedPlaces(MarkerPlaces):
         points = self._rest + (self._skin.amounts(x) @ self._basis).reshape(-1, 3)
         if self._on_jaw.any():
             b = self._sliders.pose(x).b
-            points[self._on_jaw] = move_jaw(self._jaw, self._rest[self._on_jaw], b)
+            points[self._on_jaw] = self._sliders.jaw.move(self._rest[self._on_jaw], b)
         return np.asarray(points.reshape(-1, 3, 3))
 
     def jacobian(self, x: Floats) -> Floats:
@@ -57,7 +56,7 @@ class ReducedPlaces(MarkerPlaces):
         by_corner = (self._basis.T @ self._skin.amount_rates(x)).reshape(-1, 3, len(x))
         if self._on_jaw.any():
             b = self._sliders.pose(x).b
-            direct = jaw_jacobian(self._jaw, self._rest[self._on_jaw], b)
+            direct = self._sliders.jaw.jacobian(self._rest[self._on_jaw], b)
             by_corner[self._on_jaw] = direct @ self._jaw_rates
         return self.motion(x, by_corner.reshape(len(self), 9, -1))
 

@@ -18,7 +18,6 @@ from solver.drawing.head import both_sides
 from solver.errors import SolveError
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.sensitivity import Sensitivity
-from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian
 from solver.mechanics.equilibrium import Equilibrium
 from solver.mechanics.newton import Factorization
 from solver.rig.preview.sliders import Kind, Sliders
@@ -284,5 +283,6 @@ class Responses:
         by_x = Sensitivity(face, state).motions_along(directions)
         out = self._of_x @ by_x.reshape(self._of_x.shape[1], -1)
         points = model.skin.vertices[model.attached_mandible]
-        attached = jaw_jacobian(model.jaw, points, state.pose.b).reshape(-1, JAW_FREEDOM)
-        return np.asarray(out + self._of_mandible @ (attached @ directions[face.layout["jaw"]]))
+        attached = face.jaw.jacobian(points, state.pose.b)
+        by_jaw = attached.reshape(-1, attached.shape[2]) @ directions[face.layout.joint_places]
+        return np.asarray(out + self._of_mandible @ by_jaw)

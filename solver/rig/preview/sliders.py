@@ -11,18 +11,19 @@ few numbers are fast.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solver.anatomy.physiology import CONDYLE_PATH_MM, JAW_FREEDOM, SHORTEST
 from solver.fitting.contraction import Contraction
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import shorten
+from solver.mechanics.boundary import JawMotion
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.rig import ExpressionFit
 from solver.surface import Floats
@@ -39,32 +40,26 @@ from solver.surface import Floats
 class SliderOptions:
     """Ends of the sliders."""
 
-    # length to which a slider at 1 shortens a muscle's fibres: well within what muscles can (half:
-    # solver.anatomy.physiology), and on the straight line from rest to there the
-    # muscle's volume is never off by more than 5 %
-    full_stretch: float = 0.6
+    # length to which a slider at 1 shortens a muscle's fibres: well within what muscles can, and on
+    # the straight line from rest to there the muscle's volume is never off by more than 5 %
+    full_stretch: float = 1.2 * SHORTEST
     margin: float = 1.25  # the jaw's sliders go so many times as far as the fitted expressions ...
-    # ... and at least so far, rad and mm, each way of JAW_WAYS: near half of what adults' jaws do,
-    # so that a jaw which an expression hardly moves is hardly moved on its slider
-    least_ranges: tuple[tuple[float, float], ...] = (
-        (0.2, 0.05),
-        (0.1, 0.1),
-        (5.0, 5.0),
-        (2.0, 5.0),
-        (10.0, 2.0),
-    )
-    # way of the condyles per radian of opening (Muto and Kanazawa 1996: 20.5 mm and 39.1 degrees)
-    condyle_path_mm: float = 30.0
+    # ... and at least this part of what jaws do, so that a jaw which an expression hardly moves is
+    # hardly moved on its slider
+    least_part: float = 0.25
+    condyle_path_mm: float = CONDYLE_PATH_MM
     least_jaw_mm: float = 0.3  # motion of the chin from which on a degree of freedom is used
 
 
-# b's entries, and where each leads when it grows and when it falls
+# b's entries: where each leads when it grows and when it falls, and how far a jaw gets
+OPEN, LEFT = (np.radians(JAW_FREEDOM[name]) for name in ("open_deg", "left_deg"))
+MOVE = np.array(JAW_FREEDOM["move_mm"])
 JAW_WAYS = (
-    ("jaw opens", "jaw closes"),
-    ("jaw turns left", "jaw turns right"),
-    ("jaw moves left", "jaw moves right"),
-    ("jaw moves up", "jaw moves down"),
-    ("jaw moves forward", "jaw moves back"),
+    ("jaw opens", "jaw closes", OPEN),
+    ("jaw turns left", "jaw turns right", LEFT),
+    ("jaw moves left", "jaw moves right", MOVE),
+    ("jaw moves up", "jaw moves down", MOVE),
+    ("jaw moves forward", "jaw moves back", MOVE),
 )
 
 Kind = Literal["muscle", "jaw", "expression"]
@@ -92,8 +87,9 @@ class Sliders:
 
     each: tuple[Control, ...]
     rest: Pose
-    directions: Floats  # (6 m + 5, k) change of (a, b) from ``rest`` that each makes at 1
+    directions: Floats  # (size, k) change of (a, b) from ``rest`` that each makes at 1
     presets: dict[str, Floats]  # values (k,) of every fitted expression
+    jaw: JawMotion  # the mandible's motion by b
 
     def __len__(self) -> int:
         """Return k."""
@@ -132,26 +128,18 @@ def controls_of(
         face.rest_pose(),
         np.hstack([directions, left.T]),
         {fit.name: row for fit, row in zip(fits, whole, strict=True)},
+        face.jaw,
     )
 
 
-def controls_of_shapes(
-    face: Face,
-    names: Sequence[str],
-    shapes: NDArray[np.floating],
-    listen: Callable[[float], None] = lambda _done: None,
-) -> Sliders:
-    """Return a control for each of a template's expressions: the change of (a, b) that makes it.
-
-    ``shapes`` (e, v, 3) are motions of the whole skin, mm.
-    """
-    changes = ExpressionBasis.solve(face, shapes, listen=listen).whole
-    amounts = np.eye(len(names))
+def controls_of_basis(face: Face, names: Sequence[str], basis: ExpressionBasis) -> Sliders:
+    """Return a control for each expression of a face's basis: its change of (a, b)."""
     return Sliders(
         tuple(Control(name, "expression", name) for name in names),
         face.rest_pose(),
-        changes.T,
-        dict(zip(names, amounts, strict=True)),
+        basis.whole.T,
+        dict(zip(names, np.eye(len(names)), strict=True)),
+        face.jaw,
     )
 
 
@@ -188,11 +176,11 @@ def _jaw(fitted: Floats, options: SliderOptions) -> tuple[list[Control], Floats,
     reads = np.linalg.inv(along)
     places = fitted @ reads.T
     listed, columns, values = [], [], []
-    for axis, (ways, ranges) in enumerate(zip(JAW_WAYS, options.least_ranges, strict=True)):
-        for sign, title, least in zip((1.0, -1.0), ways, ranges, strict=True):
+    for axis, (grows, falls, (low, high)) in enumerate(JAW_WAYS):
+        for sign, title, farthest in ((1.0, grows, high), (-1.0, falls, -low)):
             there = np.maximum(sign * places[:, axis], 0.0)
             used = options.margin * there.max(initial=0.0)
-            most = max(used, least)
+            most = max(used, options.least_part * float(farthest))
             if used * JAW_UNITS[axis] >= options.least_jaw_mm or title == "jaw opens":
                 by_jaw = tuple((sign / most * reads[axis]).tolist())
                 name = title.replace(" ", "_")

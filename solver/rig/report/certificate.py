@@ -254,7 +254,7 @@ def scan_information(linearisation: Linearisation, rig: Rig) -> list[Floats]:
         if fit.role != "train" or fit.status == "failed" or fit.x is None:
             continue
         state = face.settle(Pose(fit.activations, fit.jaw), fit.x)
-        seen = np.isfinite(fit.error_mm[face.model.face]).astype(np.float64)
+        seen = fit.seen(face.model.face)
         if state is None or not seen.any():
             continue
         with contextlib.suppress(SolveError):  # the certificate has no figures of it then

@@ -1,8 +1,12 @@
-"""Prepare a take for a fit: markers bound to the person, another actor's carried, labels mended."""
+"""A take on a person: its face found and bound, and for a fit carried and mended.
+
+A check, a binding and a fit ask one :class:`PreparedTake`, each as far as it goes.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,16 +21,18 @@ from solver.scans.markers.places.bind import (
     BindOptions,
     Expression,
     Reference,
-    model_face,
     place_on,
     place_take,
     places_of,
+    rest_places,
 )
 from solver.scans.markers.places.face_take import (
     FACE,
+    USUAL_RATE,
     FaceOptions,
+    FaceTake,
+    LocatedTake,
     choose_face,
-    frames_about,
     living_labels,
     locate_take,
 )
@@ -47,15 +53,27 @@ from solver.surface import Floats, Surface
 
 @dataclass(frozen=True)
 class PrepareOptions:
-    """Facts known of a take."""
+    """Facts known of a take, and the limits of binding it."""
 
     actor: bool = False  # it is another person's, whose motion is carried over
-    neutral: int | None = None  # frame, as the file counts, at which the face is at rest
-    least: int = 4  # markers of the set that it has to have
+    neutral: tuple[int, int] | None = None  # first and last row at which the face is at rest
+    rate: float = 0.0  # frames a second; 0 is what the take says, or the usual
+    least: int = 4  # markers of the set that a frame has to have
+    bind: BindOptions = BIND
 
 
 @dataclass(frozen=True)
-class PreparedTake:
+class Binding:
+    """A marker set for a take, and where the take's face lies."""
+
+    markers: MarkerSet
+    pose: Located
+    neutral: tuple[int, int]  # first and last row of the take at rest
+    findings: tuple[Finding, ...] = ()  # what to look at before the set is used
+
+
+@dataclass(frozen=True)
+class MendedTake:
     """A take to be fitted; ``carried`` is what a report says of another actor's, {} without."""
 
     source: BoundTake
@@ -63,43 +81,113 @@ class PreparedTake:
     notices: list[Finding]
 
 
-def prepare_take(
+@dataclass(frozen=True)
+class PreparedTake:
+    """The steps from a take to a fit of it; each is taken once, when it is first asked for."""
+
+    take: Take
+    person: Reference  # with the take's marker set, if there is one
+    options: PrepareOptions = PrepareOptions()
+
+    @cached_property
+    def face(self) -> FaceTake:
+        """The labels that are on one face; raises as :func:`choose_face`."""
+        return choose_face(self.take, self.options.bind.face)
+
+    @cached_property
+    def located(self) -> LocatedTake:
+        """Where that face lies on the person at rest, and what is wrong with its markers."""
+        options, compared = self.options, bool(self.person.model_sha256) and not self.options.actor
+        skin, neutral = self.person.face, options.neutral
+        return locate_take(self.face, skin, neutral, options.bind.face, compared=compared)
+
+    @cached_property
+    def placed(self) -> MarkerSet:
+        """The set of the markers where they lie; the face must have a pose."""
+        pose = self.located.pose
+        assert pose is not None, "asked for once the face is located"
+        options = self.options
+        markers = place_take(self.located, pose, self.person, options.bind, actor=options.actor)
+        return self.person.bind(markers, pose.session)
+
+    @cached_property
+    def binding(self) -> Binding:
+        """That set, with what to look at before it is used.
+
+        Raises :class:`InputError`: ``markers.few``, not enough markers are seen at rest,
+        ``markers.flat`` or ``markers.too_large``.
+        """
+        file, options, check = self.take.file, self.options, MarkerCheck()
+        if len(self.face.numbers) < options.bind.face.least:
+            raise _few_error(file, len(self.face.numbers), "on the face", options.bind.face)
+        located = self.located
+        if located.pose is None:
+            seen = int(np.isfinite(located.points[:, 0]).sum())
+            raise _few_error(file, seen, "seen at rest", options.bind.face)
+        refuse_flat(file, located.points)
+        report_rest(check, located, is_given=options.neutral is not None)
+        report_off_skin(check, located, self.placed)
+        if self.person.jaw is None:
+            report_mouth(check, located, None)
+        return Binding(self.placed, located.pose, located.neutral, tuple(check.findings))
+
+    @cached_property
+    def mended(self) -> MendedTake:
+        """The take ready to be fitted, bound by the person's marker set or its own.
+
+        What stands still or was drawn is missing, labels that are swapped are exchanged, and a
+        marker that moved is another one from then on. Raises :class:`InputError` for what cannot be
+        bound, carried or fitted.
+        """
+        options, skin, notices = self.options, self.person.face, list[Finding]()
+        take, rest = self.take.pick(living_labels(self.take).tolist()), options.neutral
+        rate = options.rate or (take.rate if take.rate > 0 else USUAL_RATE)
+        markers = self.person.markers
+        if markers is None:
+            markers = self.binding.markers
+            notices.extend(self.binding.findings)
+            if options.actor:
+                rest = self.binding.neutral  # the motions count from the frames whose places it has
+        carried: dict[str, Any] = {}
+        if options.actor:
+            found = carry(take, markers, skin, rate, rest)
+            take, markers, carried = found.take, found.markers, {"actor": found.report}
+            notices.extend(found.notices)
+        faults = find_faults(markers.session.scale * take.positions, rate)
+        refuse_flat(take.file, faults.motion.middle)
+        if is_motionless(faults.motion):
+            message = (
+                f"no marker of {take.file} moves against the others: there is no motion to fit"
+            )
+            notices.append(make_warning("markers.motionless", message))
+        if not options.actor:
+            notices.extend(_other_person(take, markers, faults.motion, skin, rate, rest))
+        positions, exchanged = faults.put_right(faults.hide_unmeasured(take.positions))
+        take, markers = split_moved(replace(take, positions=positions), markers, faults, skin)
+        return MendedTake(BoundTake(take, markers, options.least, exchanged), carried, notices)
+
+
+def bind(
     take: Take,
     model: SubjectModel,
-    rate: float,
-    markers: MarkerSet | None = None,
-    options: PrepareOptions = PrepareOptions(),
-) -> PreparedTake:
-    """Return a take of ``rate`` frames per second, ready to be fitted to a person.
+    neutral: tuple[int, int] | None = None,
+    *,
+    expression: Expression | None = None,
+    actor: bool = False,
+) -> Binding:
+    """Return where the markers of a take sit on ``model``, at rest in the ``neutral`` rows.
 
-    Without a set of ``markers`` these are bound by their names and places. What stands still or was
-    drawn is missing, labels that are swapped are exchanged, and a marker that moved is another one
-    from then on. Raises :class:`InputError` for what cannot be bound, carried or fitted.
+    Without these a still second is taken, to which the face comes back most, or in which the
+    markers lie most like the face. With an ``expression`` the face shows that instead. An ``actor``
+    is another person: see :func:`place_take`. Raises as :attr:`PreparedTake.binding`.
     """
-    skin, notices = model_face(model), list[Finding]()
-    take = take.pick(living_labels(take).tolist())
-    rest = frames_about(take, options.neutral, rate)
-    if markers is None:
-        bound = bind(take, model, rest, actor=options.actor)
-        markers = bound.markers
-        notices.extend(bound.findings)
-        if options.actor:
-            rest = bound.neutral  # the motions count from the frames whose places they are
-    carried: dict[str, Any] = {}
-    if options.actor:
-        found = carry(take, markers, skin, rate, rest)
-        take, markers, carried = found.take, found.markers, {"actor": found.report}
-        notices.extend(found.notices)
-    faults = find_faults(markers.session.scale * take.positions, rate)
-    refuse_flat(take.file, faults.motion.middle)
-    if is_motionless(faults.motion):
-        message = f"no marker of {take.file} moves against the others: there is no motion to fit"
-        notices.append(make_warning("markers.motionless", message))
-    if not options.actor:
-        notices.extend(_other_person(take, markers, faults.motion, skin, rate, rest))
-    positions, exchanged = faults.put_right(faults.hide_unmeasured(take.positions))
-    take, markers = split_moved(replace(take, positions=positions), markers, faults, skin)
-    return PreparedTake(BoundTake(take, markers, options.least, exchanged), carried, notices)
+    person = Reference.of(model, expression=expression)
+    return PreparedTake(take, person, PrepareOptions(actor, neutral)).binding
+
+
+def _few_error(file: str, found: int, where: str, options: FaceOptions) -> InputError:
+    message = f"{file}: {found} markers are {where}, {options.least} are needed"
+    return InputError("markers.few", message, file=file, found=found)
 
 
 def _other_person(
@@ -156,7 +244,7 @@ def split_moved(
     markers = markers.for_take(take.labels)
     if not faults.moved:
         return take, markers
-    goal = places_of(take.labels, markers, skin)
+    goal = places_of(take.labels, markers, rest_places(markers, skin))
     in_person = _in_person(faults.motion, markers, goal, options)
     labels, columns, now = list(take.labels), list(range(len(take.labels))), list(markers.markers)
     positions = take.positions.copy()
@@ -203,54 +291,3 @@ def _move_to(marker: Marker, place: Floats, skin: Surface) -> Marker:
         return place_on(marker, place, skin)
     x, y, z = place.tolist()
     return replace(marker, place_mm=(x, y, z))
-
-
-# A marker set by the places of a take's markers.
-
-
-@dataclass(frozen=True)
-class Binding:
-    """A marker set for a take, and where the take's face lies."""
-
-    markers: MarkerSet
-    pose: Located
-    neutral: tuple[int, int]  # first and last row of the take at rest
-    findings: tuple[Finding, ...] = ()  # what to look at before the set is used
-
-
-def bind(
-    take: Take,
-    model: SubjectModel,
-    neutral: tuple[int, int] | None = None,
-    options: BindOptions = BIND,
-    *,
-    expression: Expression | None = None,
-    actor: bool = False,
-) -> Binding:
-    """Return where the markers of a take sit on ``model``, at rest in the ``neutral`` rows.
-
-    Without these a still second is taken, to which the face comes back most, or in which the
-    markers lie most like the face. With an ``expression`` the face shows that instead. An ``actor``
-    is another person: see :func:`place_take`. Raises :class:`InputError`: ``markers.few``, not
-    enough of them are seen in these frames, ``markers.flat`` or ``markers.too_large``.
-    """
-    reference, face = Reference.of(model, expression=expression), choose_face(take, options.face)
-    if len(face.numbers) < options.face.least:
-        raise _few_error(take.file, len(face.numbers), "on the face", options.face)
-    located = locate_take(face, reference.face, neutral, options.face, compared=not actor)
-    if located.pose is None:
-        seen = int(np.isfinite(located.points[:, 0]).sum())
-        raise _few_error(take.file, seen, "seen at rest", options.face)
-    refuse_flat(take.file, located.points)
-    markers = place_take(located, located.pose, reference, options, actor=actor)
-    bound, check = reference.bind(markers, located.pose.session), MarkerCheck()
-    report_rest(check, located, is_given=neutral is not None)
-    report_off_skin(check, located, bound)
-    if expression is None:
-        report_mouth(check, located, None)
-    return Binding(bound, located.pose, located.neutral, tuple(check.findings))
-
-
-def _few_error(file: str, found: int, where: str, options: FaceOptions) -> InputError:
-    message = f"{file}: {found} markers are {where}, {options.least} are needed"
-    return InputError("markers.few", message, file=file, found=found)

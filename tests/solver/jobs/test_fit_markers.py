@@ -19,6 +19,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.markers.term import MarkerPlaces
 from solver.jobs import fit_markers, run_job
 from solver.mechanics.boundary import move_jaw
+from solver.model import CondyleTracks, SubjectModel
 from solver.progress import Step
 from solver.rig.container import read_container
 from solver.rig.frames.frames import MarkerFrame, read_chunks
@@ -45,9 +46,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_files(tmp_path_factory.mktemp("take"), 0.05)
 
 
-def make_files(folder: Path, contracted: float) -> Path:
+def make_files(folder: Path, contracted: float, model: SubjectModel | None = None) -> Path:
     """Leave them in a folder; muscles are ``contracted`` by about so much, or stretched."""
-    model = small_model()
+    model = model or small_model()
     face = Face(model)
     rng = np.random.default_rng(7)
     change = np.zeros(face.layout.size)
@@ -311,7 +312,9 @@ def test_a_jaw_on_its_tracks(files: Path, tmp_path: Path) -> None:
 
 def test_a_rig_fitted_within_limits_is_followed_within_them(tmp_path: Path) -> None:
     """Frames as they come, where no marker tells of them, and after the sweep back."""
-    make_files(tmp_path, 0.12)
+    model = small_model()
+    jaw = replace(model.jaw, tracks=CondyleTracks(0.6, 60.0, 2.0, 0.3))
+    make_files(tmp_path, 0.12, replace(model, jaw=jaw))
     free = fit(tmp_path, tmp_path / "free")
     rig = replace(Rig.load(tmp_path / "rig.npz"), drive=Admissible(limits_by_plausibility(1.0)))
     rig.save(tmp_path / "rig.npz")
@@ -320,7 +323,10 @@ def test_a_rig_fitted_within_limits_is_followed_within_them(tmp_path: Path) -> N
     swept = fit(tmp_path, tmp_path / "within", options={"smooth": True})
     frames = read_chunks(tmp_path / "within" / "frames", MarkerFrame, "", lambda _frame: True)
     assert {"fitted", "predicted"} == {frame.status for frame in frames}
-    within = [frame.activations for frame in frames] + list(swept["activations"])
+    freed = fit(tmp_path, tmp_path / "freed", options={"jaw": "free"})
+    assert [each["tracks"].shape[1] for each in (free, swept, freed)] == [0, 3, 0]
+    within = [frame.activations for frame in frames]
+    within += [*swept["activations"], *freed["activations"]]
     assert sum(not limits.contains(a) for a in free["activations"]) > FRAMES / 2
     assert all(limits.contains(a) for a in within)
 

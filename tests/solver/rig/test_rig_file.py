@@ -27,6 +27,7 @@ def rig() -> Rig:
     fit = ExpressionFit(
         "smile", "train", a, np.arange(5.0), skin, skin, error, 0, 3, 0.5, 0.1, x=model.rest + 0.25
     )
+    fit = replace(fit, confidence=np.linspace(0.0, 1.0, len(skin)).astype(np.float32))
     notice = make_warning("model.odd", "something is odd")
     return Rig(model, model.weights, (fit,), {"fit": 1.5}, (notice,), {"verdict": "good"})
 
@@ -39,6 +40,7 @@ def check_same(one: Rig, other: Rig) -> None:
         np.testing.assert_array_equal(before.activations, after.activations)
         np.testing.assert_array_equal(before.jaw, after.jaw)
         np.testing.assert_array_equal(before.x, after.x)
+        np.testing.assert_array_equal(before.confidence, after.confidence)
         np.testing.assert_allclose(before.skin, after.skin, atol=1e-5)
     assert one.figures == other.figures
 
@@ -186,3 +188,16 @@ def test_a_file_that_is_no_rig_is_told_in_words(rig: Rig, tmp_path: Path) -> Non
         with pytest.raises(InputError, match=words) as caught:
             Rig.load(tmp_path / name)
         assert caught.value.code == "rig.unreadable"
+
+
+def test_what_a_scan_shows_is_by_its_confidence_or_its_errors(rig: Rig, tmp_path: Path) -> None:
+    (fit,), vertices = rig.expressions, np.arange(4)
+    error = np.where(np.arange(len(fit.error_mm)) == 1, np.nan, 0.1)
+    assert fit.confidence is not None
+    sure = replace(fit, error_mm=error, confidence=np.full_like(fit.confidence, 0.25))
+    np.testing.assert_array_equal(sure.seen(vertices), [0.25, 0.0, 0.25, 0.25])
+    older = replace(sure, confidence=None)
+    replace(rig, expressions=(older,)).save(tmp_path / "rig.npz")
+    (read,) = Rig.load(tmp_path / "rig.npz").expressions
+    assert read.confidence is None
+    np.testing.assert_array_equal(read.seen(vertices), [1.0, 0.0, 1.0, 1.0])

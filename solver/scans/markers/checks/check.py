@@ -28,16 +28,10 @@ from solver.scans.markers.checks.findings import (
 )
 from solver.scans.markers.checks.rest_findings import report_mouth, report_off_skin, report_rest
 from solver.scans.markers.places.actor import ActorWarp, fit_warp
-from solver.scans.markers.places.bind import Reference, place_take
-from solver.scans.markers.places.face_take import (
-    FACE,
-    USUAL_RATE,
-    FaceTake,
-    LocatedTake,
-    choose_face,
-    locate_take,
-)
+from solver.scans.markers.places.bind import Reference, place_take, places_of
+from solver.scans.markers.places.face_take import FACE, USUAL_RATE, FaceTake, LocatedTake
 from solver.scans.markers.places.marker_set import BONY, MarkerSet
+from solver.scans.markers.prepare import PreparedTake, PrepareOptions
 from solver.scans.markers.readers.names import LOWER
 from solver.scans.markers.readers.take import Take
 from solver.scans.markers.signal.motion import is_motionless, refuse_flat, rms_of_seen
@@ -54,10 +48,11 @@ def check_take(
     limits: CheckLimits = LIMITS,
 ) -> MarkerCheck:
     """Check a take, at rest in the ``neutral`` rows; an ``actor`` is meant to be another person."""
+    prepared = PreparedTake(take, reference, PrepareOptions(actor, neutral))
     check = MarkerCheck([each for each in take.findings if each.code != "markers.two_faces"])
     _check_rate(check, take, limits)
     try:
-        face = choose_face(take)
+        face = prepared.face
     except InputError as error:
         add(check, error.code, "error", error.message, **error.context)
         return check
@@ -73,9 +68,7 @@ def check_take(
     _check_face(check, face)
     if _are_few(check, take, len(face.numbers)):
         return check
-    compared = bool(reference.model_sha256) and not actor
-    located = locate_take(face, reference.face, neutral, compared=compared)
-    check.located = located
+    located = check.located = prepared.located
     if located.distinct < len(face.numbers) and _are_few(check, take, located.distinct):
         return check
     report_faults(check, located, limits)
@@ -98,8 +91,7 @@ def check_take(
         add(check, "markers.motionless", "info", message)
     report_location(check, located, located.pose)
     if reference.model_sha256:
-        markers = place_take(located, located.pose, reference, actor=actor)
-        check.bound = reference.bind(markers, located.pose.session)
+        check.bound = prepared.placed
         _check_person(check, located, reference, actor=actor, limits=limits)
         if not any(each.code == "markers.other_person" for each in check.findings):
             report_off_skin(check, located, check.bound)
@@ -234,7 +226,7 @@ def _warp_to(located: LocatedTake, reference: Reference, markers: MarkerSet) -> 
     face, session = located.face, markers.session
     bony = {each.label for each in markers.markers if each.part in BONY}
     on_bone = np.array([label in bony for label in face.labels], bool)
-    goal = _places_of(face.labels, reference, markers)
+    goal = places_of(face.labels, markers, reference.places(markers))
     rest = session.scale * located.points
     return fit_warp(face.take.file, rest, goal, on_bone, session.rotation)
 
@@ -247,16 +239,10 @@ def _check_mouth(
         return
     if reference.markers is not None:
         labels = located.face.labels
-        report_mouth(check, located, _places_of(labels, reference, reference.markers), limits)
+        known = reference.markers
+        report_mouth(check, located, places_of(labels, known, reference.places(known)), limits)
     elif reference.jaw is None:  # names tell of closed lips
         report_mouth(check, located, None, limits)
-
-
-def _places_of(labels: Sequence[str], reference: Reference, markers: MarkerSet) -> Floats:
-    """Return the places (n, 3) of labels in a set on the face, NaN for those not in it."""
-    row = {label: number for number, label in enumerate(markers.labels)}
-    places = np.vstack([reference.places(markers), np.full(3, np.nan)])
-    return np.asarray(places[[row.get(label, -1) for label in labels]])
 
 
 def _off_places(
@@ -274,7 +260,7 @@ def _off_places(
     """
     placed, labels = located.places, located.face.labels
     assert placed is not None
-    goal = _places_of(labels, reference, markers)
+    goal = places_of(labels, markers, reference.places(markers))
     known = np.flatnonzero(np.isfinite(goal[:, 0]) & np.isfinite(placed[:, 0]))
     off = np.full(len(labels), np.nan)
     _check_labels(check, markers, labels, len(known), limits)

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 
 from solver.errors import Finding, InputError, make_warning, quote_names
-from solver.scans.markers.places.bind import places_of
+from solver.scans.markers.places.bind import places_of, rest_places
 from solver.scans.markers.places.face_take import living_labels
 from solver.scans.markers.places.locate import FLIP, fit_most
 from solver.scans.markers.places.marker_set import BONY, MarkerSet
@@ -120,7 +120,7 @@ def carry(
     faults = find_faults(scale * take.positions, rate)
     motion = faults.motion
     rows, unclear = (neutral, []) if neutral else _find_rest(take, faults, rate)
-    rest, goal = _at_rest(motion, rows), places_of(take.labels, markers, skin)
+    rest, goal = _at_rest(motion, rows), places_of(take.labels, markers, rest_places(markers, skin))
     warp = fit_warp(take.file, rest, goal, on_bone, markers.session.rotation, options)
     turns, shifts = _head_motions(motion, warp.similarity, sum(rows) // 2)
     places = _carry_labels(faults, warp)
@@ -153,7 +153,7 @@ def off_places(
 ) -> float:
     """Return how far a take's markers at rest are off a set's places, mm rms; 0 for too few."""
     rest = _at_rest(motion, rows) @ markers.session.rotation.T
-    goal = places_of(take.labels, markers, skin)
+    goal = places_of(take.labels, markers, rest_places(markers, skin))
     to_places = robust_motion_of_seen(rest, goal, options.slack, options.steps, options.least)
     if to_places is None:
         return 0.0

@@ -203,11 +203,11 @@ def rest_places(markers: MarkerSet, skin: Surface) -> Floats:
     return np.where(is_face[:, None], on_skin, markers.places)
 
 
-def places_of(labels: Sequence[str], markers: MarkerSet, skin: Surface) -> Floats:
-    """Return :func:`rest_places` of labels (k, 3), NaN for those that are not in the set."""
+def places_of(labels: Sequence[str], markers: MarkerSet, places: Floats) -> Floats:
+    """Return the ``places`` (n, 3) of a set by labels (k, 3), NaN for those that it lacks."""
     row = {label: number for number, label in enumerate(markers.labels)}
-    places = np.vstack([rest_places(markers, skin), np.full(3, np.nan)])
-    return np.asarray(places[[row.get(label, -1) for label in labels]])
+    all_places = np.vstack([places, np.full(3, np.nan)])
+    return np.asarray(all_places[[row.get(label, -1) for label in labels]])
 
 
 # Rims of a person's orbits. Another actor's face lies on the person's by one size for all of it,

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose, usual_layout
 from solver.fitting.markers.term import MarkerPlaces
+from solver.mechanics.boundary import FreeJaw
 from solver.rig.frames.skin_basis import ReducedSkin
 from solver.rig.preview import PreviewOptions, make_live_preview
 from solver.rig.preview.live import LiveTracker, ReducedPlaces
@@ -28,7 +30,8 @@ def preview():
     directions = np.zeros((layout.size, 3))
     directions[layout["jaw"], 2] = [0.2, 0.0, 0.0, 2.0, 0.0]
     controls = tuple(Control(name, "expression", name) for name in NAMES)
-    sliders = Sliders(controls, Pose(*layout.split(layout.rest)), directions, {})
+    rest = Pose(*layout.split(layout.rest))
+    sliders = Sliders(controls, rest, directions, {}, FreeJaw(model.jaw))
     return (
         model,
         sliders,
@@ -88,8 +91,9 @@ def test_simulated_flesh_is_followed_by_its_expressions(markers):
     neutral = small_capture("neutral").vertices
     shapes = np.stack([0.5 * (small_capture(name).vertices - neutral) for name in NAMES])
     few = PreviewOptions(shape_samples=ShapeSampleOptions(learn=6, measure=2, shapes=(2, 3)))
+    basis = ExpressionBasis.solve(face, shapes)
     made = make_live_preview(
-        face, NAMES, shapes, seed=1, seconds=120.0, listen=lambda *_: None, options=few
+        face, NAMES, basis, seed=1, seconds=120.0, listen=lambda *_: None, options=few
     )
     assert [control.name for control in made.controls.each] == [*NAMES]
     values = np.array([0.6, 0.0, 0.4])
