@@ -33,7 +33,9 @@ def _find() -> dict[str, Kind]:
     for name in sorted(module.name for module in iter_modules(__path__)):
         kind = getattr(import_module(f"{__name__}.{name}"), "KIND", None)
         if isinstance(kind, Kind):
-            found[name] = replace(kind, name=name)
+            report = kind.report or f"{kind.leaves}.json"
+            result, folder = kind.result or report, kind.folder or kind.leaves
+            found[name] = replace(kind, name=name, report=report, result=result, folder=folder)
     return found
 
 

@@ -25,8 +25,6 @@ KIND = Kind(
     queue="short",
     reads=("neutral", "template"),
     leaves="model",
-    report="model.json",
     result="model.npz",
-    folder="model",
     options=BuildModel,
 )

@@ -31,8 +31,6 @@ KIND = Kind(
     queue="short",
     reads=("rig",),
     leaves="preview",
-    report="preview.json",
     result="preview.bin",
-    folder="preview",
     options=BuildPreview,
 )

@@ -10,8 +10,6 @@ KIND = Kind(
     reads=("capture", "template"),
     asks=("role",),
     leaves="check",
-    report="check.json",
     result="check.png",
-    folder="check",
     options=FrameOptions,
 )

@@ -19,7 +19,6 @@ KIND = Kind(
     queue="long",
     reads=("rig", "template", "assets"),
     leaves="edit",
-    report="edit.json",
     result="edit.glb",
     folder="edited",
     options=Edit,

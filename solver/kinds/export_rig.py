@@ -35,8 +35,5 @@ KIND = Kind(
     queue="short",
     reads=("rig",),
     leaves="export",
-    report="export.json",
-    result="export.json",
-    folder="export",
     options=ExportRig,
 )

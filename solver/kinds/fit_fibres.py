@@ -34,7 +34,6 @@ KIND = Kind(
     queue="long",
     reads=("rig",),
     leaves="fibre_muscles",
-    report="fibre_muscles.json",
     result="fibre_muscles.npz",
     folder="fibres",
     hands_on={"fibre_muscles.npz": "fibre_muscles"},

@@ -50,6 +50,5 @@ KIND = Kind(
     leaves="rig",
     report="report.json",
     result="rig.glb",
-    folder="rig",
     options=FitGeometry,
 )

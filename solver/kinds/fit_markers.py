@@ -96,9 +96,7 @@ KIND = Kind(
     queue="long",
     reads=("rig", "markers", "template", "fibre_muscles", "expression_basis"),
     leaves="sequence",
-    report="sequence.json",
     result="sequence.npz",
-    folder="sequence",
     hands_on={
         "sequence.npz": "assets",
         "markers.json": "markers",

@@ -80,11 +80,11 @@ class Kind:
     queue: Queue
     reads: tuple[Input, ...]
     leaves: str  # what it makes, in a word: jobs with the same word leave the same files
-    report: str  # the JSON file of its verdict or figures, which the job's result shows
-    result: str  # the file that a person opens first
+    report: str = ""  # the JSON file that the job's result shows; not given: leaves.json
+    result: str = ""  # the file that a person opens first; not given: the report
     options: type[JobOptions] = JobOptions
     asks: tuple[Input, ...] = ()
-    folder: str = "result"  # that a command line fills by default
+    folder: str = ""  # that a command line fills by default; not given: leaves
     frames: bool = False
     hands_on: Mapping[str, Input] = field(default_factory=dict, hash=False)
     seconds: int | None = None  # that it may last, where others of its queue last much longer

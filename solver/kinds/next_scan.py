@@ -25,7 +25,6 @@ KIND = Kind(
     reads=("rig", "template", "expression_basis"),
     leaves="proposal",
     report="next_scan.json",
-    result="next_scan.json",
     folder="next-scan",
     options=NextScan,
 )

@@ -9,7 +9,6 @@ KIND = Kind(
     queue="short",
     reads=("capture", "template", "neutral"),
     leaves="registration",
-    report="registration.json",
     result="registered.ply",
     folder="registered",
     options=FrameOptions,

@@ -20,7 +20,6 @@ KIND = Kind(
     queue="long",
     reads=("rig", "template", "assets", "fibre_muscles"),
     leaves="animation",
-    report="animation.json",
     result="animation.glb",
     folder="simulation",
     options=Simulate,
