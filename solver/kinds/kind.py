@@ -56,6 +56,8 @@ class OptionsError(ValueError):
 class Kind:
     """A kind of job, declared once: ``KIND`` of the module that it is named after.
 
+    The module's docstring is what customers read: the kind's title, and after it what it does.
+
     reads
         Its inputs. A service looks them up at submission: ``capture`` is one scan as it was
         uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the
@@ -75,8 +77,6 @@ class Kind:
         Whether it leaves frames, which can be read while it runs and are gone on with after a stop.
     """
 
-    title: str
-    description: str
     queue: Queue
     reads: tuple[Input, ...]
     leaves: str  # what it makes, in a word: jobs with the same word leave the same files
@@ -88,7 +88,9 @@ class Kind:
     frames: bool = False
     hands_on: Mapping[str, Input] = field(default_factory=dict, hash=False)
     seconds: int | None = None  # that it may last, where others of its queue last much longer
-    name: str = ""
+    name: str = ""  # the module's, whose docstring has title and description
+    title: str = ""
+    description: str = ""
 
     @property
     def max_seconds(self) -> int:
@@ -169,7 +171,7 @@ class FitOptions(JobOptions):
 
 
 class ExpressionFitOptions(FitOptions):
-    """Options of fits of expressions by six numbers a muscle; each describes its ``solver``."""
+    """Options of fits of expressions by six numbers a muscle."""
 
     controls: Literal["admissible", "free"] | None = Field(
         default=None,
@@ -195,7 +197,12 @@ class ExpressionFitOptions(FitOptions):
             raise PydanticCustomError("no_bounds", message)
         return value
 
-    solver: Literal["reduced", "ipopt"] = "reduced"
+    solver: Literal["reduced", "ipopt"] = Field(
+        default="reduced",
+        description="reduced: positions are eliminated, and IPOPT steps in where a fit of "
+        "activations fails; ipopt: the full-space reference, minutes for an expression, and the "
+        "geometry of small meshes only (tetrahedra times expressions at most 2000)",
+    )
 
     @field_validator("solver")
     @classmethod
