@@ -8,7 +8,7 @@ ARKit's shapes and of plain words.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -79,12 +79,6 @@ def actions_of(expression: str) -> tuple[Action, ...]:
         return ()
     side = SIDES["lr".index(found[2][0].lower())]
     return tuple(Action(unit, side) for unit in units_of(found[1]))
-
-
-def actions_of_shapes(weights: Mapping[str, float], least: float = 0.25) -> tuple[Action, ...]:
-    """Return the actions of all shapes that a scan has with a weight of at least ``least``."""
-    found = [actions_of(shape) for shape, weight in weights.items() if weight >= least]
-    return tuple(dict.fromkeys(action for actions in found for action in actions))
 
 
 def joined_codes(units: Iterable[ActionUnit]) -> str:

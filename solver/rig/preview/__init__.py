@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.drawing.head import DrawnHead
+from solver.drawing.head import DrawnHead, face_camera
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
@@ -25,7 +25,6 @@ from solver.rig.frames.skin_basis import (
     quadratic_map,
     reduce_skin,
 )
-from solver.rig.pictures import face_camera
 from solver.rig.preview.poses import (
     Responses,
     Sample,
