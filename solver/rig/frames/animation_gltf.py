@@ -297,7 +297,7 @@ class AnimatedSkin:
         A shape that is needed both ways is two: animation tools hold weights between 0 and 1.
         """
         if self._morphs is None:
-            turned, weights = self._basis.turned()
+            turned, weights = self._basis.orthonormal()
             shapes, tracks = {}, [np.zeros((len(weights), 0))]
             for number, (track, shape) in enumerate(zip(weights.T, turned, strict=True)):
                 for name, way in ((f"shape_{number}", 1.0), (f"shape_{number}_back", -1.0)):

@@ -341,7 +341,7 @@ class GrowingBasis:
         self._weights.append(weights)
         self._off.append(off)
 
-    def turned(self) -> tuple[Singles, Floats]:
+    def orthonormal(self) -> tuple[Singles, Floats]:
         """Return orthonormal shapes (s, 3 v), those of most motion first, and weights (f, s).
 
         There are as few as hold all skins within the options' distance, if there may be so many.

@@ -78,7 +78,7 @@ def likely_rests(
     well as the first.
     """
     motion = faults.motion
-    places = np.where(_compared(faults, names)[..., None], motion.places, np.nan)
+    places = np.where(_mark_telling(faults, names)[..., None], motion.places, np.nan)
     blocks = _blocks(places, rate, options)
     is_still = _still(blocks, options)
     found: list[Rest] = []
@@ -136,7 +136,7 @@ def compare_rests(
     return {"message": message, "frames": spans, "elsewhere": elsewhere[:MOST_NAMES], **figures}
 
 
-def _compared(faults: Faults, names: Sequence[Named | None]) -> Mask:
+def _mark_telling(faults: Faults, names: Sequence[Named | None]) -> Mask:
     """Return which points (f, k) tell poses apart: right ones of markers that stay in place.
 
     Lids do not: they blink.
