@@ -19,7 +19,7 @@ DEEPEST = 32
 
 
 @dataclass(frozen=True)
-class Bounds:
+class DocumentBounds:
     """Bounds of a document: characters of a text, items of a list or object, bytes of the whole."""
 
     text: int = 500
@@ -28,9 +28,9 @@ class Bounds:
 
 
 # What a solver tells of its failure and of its progress, and what it tells of its results
-ERROR = Bounds()
-PROGRESS = Bounds(size=3000)
-SUMMARY = Bounds(items=2000, size=1024**2)
+ERROR = DocumentBounds()
+PROGRESS = DocumentBounds(size=3000)
+SUMMARY = DocumentBounds(items=2000, size=1024**2)
 
 
 def shorten(text: str, most: int = 200) -> str:
@@ -42,7 +42,7 @@ def shorten(text: str, most: int = 200) -> str:
     return escaped if len(escaped) <= most else escaped[: most - len(ELLIPSIS)] + ELLIPSIS
 
 
-def fit(document: dict[str, Any], bounds: Bounds) -> dict[str, Any]:
+def fit(document: dict[str, Any], bounds: DocumentBounds) -> dict[str, Any]:
     """Return a document of JSON values within ``bounds``, with the mark `MARK` if it was cut.
 
     Where it is too large with all its members, the last ones go: the first say what it is about.
@@ -81,7 +81,7 @@ def refuse_constant(name: str) -> float:
 class _Cut:
     """Cuts values; ``something`` says whether there was anything to cut."""
 
-    def __init__(self, bounds: Bounds) -> None:
+    def __init__(self, bounds: DocumentBounds) -> None:
         self._bounds = bounds
         self.something = False
 
