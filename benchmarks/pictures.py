@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from solver.drawing.head import DrawnHead
+from solver.drawing.head import THREE_QUARTER, DrawnHead, face_camera
 from solver.drawing.render import DrawnBody, render_bust
 from solver.drawing.sheet import HEADER, Sheet
 from solver.fitting.face import Face, PosedFace
-from solver.rig.pictures import THREE_QUARTER, WIDTH, face_camera
+from solver.rig.pictures import WIDTH
 from solver.surface import Floats
 
 FOOTER = 64

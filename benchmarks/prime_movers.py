@@ -26,7 +26,7 @@ from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.model import SubjectModel
 from solver.rig.report.certificate import muscles
-from solver.rig.report.prime_movers import MoverOptions, movers, ranked
+from solver.rig.report.prime_movers import MoverOptions, movers, rank_contractions
 from solver.rig.rig import Rig
 from solver.surface import Surface
 from solver.templates.builtin.build import builtin_template
@@ -112,7 +112,11 @@ def _shape(fits: Fits, name: str) -> Figures:
     model = face.model
     of = muscles(model, face.flesh.volumes, face.S, a)
     wholes = dict(zip(model.muscle_names, model.muscle_groups, strict=True))
-    found = movers(ranked(model.muscle_names, of.contraction, of.judged), wholes, actions_of(name))
+    found = movers(
+        rank_contractions(model.muscle_names, of.contraction, of.is_judged),
+        wholes,
+        actions_of(name),
+    )
     judged = [check for check in found.actions if check.is_judged]
     named = sorted({muscle for check in judged for muscle in check.muscles})
     ahead = sorted({muscle for check in judged for muscle in check.ahead[: MoverOptions.places]})

@@ -17,7 +17,7 @@ from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
 from solver.rig.report.certificate import Muscles, certify
 from solver.rig.report.checks import Judgement, expression_verdict, judge
-from solver.rig.report.prime_movers import ranked
+from solver.rig.report.prime_movers import rank_contractions
 from solver.rig.round_trip import activation_error
 
 
@@ -68,7 +68,9 @@ def rig_figures(train: Fits, test: Fits, tracks: JawTracks) -> Figures:
             "beyond": beyond[name].value,
             **muscle_figures([muscles]),
             "condyle_out_mm": tracks.departure(motion),
-            "contractions": ranked(rig.model.muscle_names, muscles.contraction, muscles.judged),
+            "contractions": rank_contractions(
+                rig.model.muscle_names, muscles.contraction, muscles.is_judged
+            ),
         }
     failed = {**train.failed, **test.failed}
     bad = sum(found["verdict"] == "bad" for found in expressions.values())
@@ -127,7 +129,7 @@ def muscle_figures(expressions: Sequence[Muscles]) -> Figures:
     }
     figures: Figures = {}
     for key, column in columns.items():
-        values = np.concatenate([column(found)[found.judged] for found in expressions])
+        values = np.concatenate([column(found)[found.is_judged] for found in expressions])
         known = values[np.isfinite(values)]
         figures[key] = float(known.max()) if len(known) else None
     return figures

@@ -21,7 +21,7 @@ DEEPEST = 32
 
 
 @dataclass(frozen=True)
-class Bounds:
+class DocumentBounds:
     """Bounds of a document: characters of a text, items of a list or object, bytes of the whole."""
 
     text: int = 500
@@ -30,9 +30,9 @@ class Bounds:
 
 
 # What a solver tells of its failure and of its progress, and what it tells of its results
-ERROR = Bounds()
-PROGRESS = Bounds(size=3000)
-SUMMARY = Bounds(items=2000, size=1024**2)
+ERROR = DocumentBounds()
+PROGRESS = DocumentBounds(size=3000)
+SUMMARY = DocumentBounds(items=2000, size=1024**2)
 # The number of a file's format, at most
 HIGHEST_FORMAT = 1_000_000
 
@@ -46,7 +46,7 @@ def shorten(text: str, most: int = 200) -> str:
     return escaped if len(escaped) <= most else escaped[: most - len(ELLIPSIS)] + ELLIPSIS
 
 
-def fit(document: dict[str, Any], bounds: Bounds) -> dict[str, Any]:
+def fit(document: dict[str, Any], bounds: DocumentBounds) -> dict[str, Any]:
     """Return a document of JSON values within ``bounds``, with the mark `MARK` if it was cut.
 
     Where it is too large with all its members, the last ones go: the first say what it is about.
@@ -96,7 +96,7 @@ def refuse_constant(name: str) -> float:
 class _Cut:
     """Cuts values; ``something`` says whether there was anything to cut."""
 
-    def __init__(self, bounds: Bounds) -> None:
+    def __init__(self, bounds: DocumentBounds) -> None:
         self._bounds = bounds
         self.something = False
 

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 
-from service.bounds import Bounds, fit, shorten
+from service.bounds import DocumentBounds, fit, shorten
 from service.schemas import IN_WORDS
 from service.store.files import UnreachableError
 
@@ -41,7 +41,7 @@ SENTENCES = {
     "extra_forbidden": "there is no such member",
 }
 # Ids of a thousand captures fit
-ANSWER = Bounds(text=1000, items=1000)
+ANSWER = DocumentBounds(text=1000, items=1000)
 
 log = structlog.get_logger()
 

@@ -23,6 +23,11 @@ def quote_names(names: Sequence[object]) -> list[str]:
     return [*map(quote, names[:MOST_NAMES]), *([f"and {more} more"] if more > 0 else [])]
 
 
+def count_words(number: int, one: str, many: str) -> str:
+    """Return a number with its noun, and a verb, in the singular or the plural."""
+    return f"{number:,} {one if number == 1 else many}"
+
+
 class _PlainError(Exception):
     """A fault that is told to people.
 

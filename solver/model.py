@@ -172,6 +172,11 @@ class SubjectModel:
         return len(self.muscle_names)
 
     @property
+    def tet_centres(self) -> Floats:
+        """Return the middles (n, 3) of the tets at rest, mm."""
+        return np.asarray(self.rest[self.tets].mean(axis=1))
+
+    @property
     def muscle_groups(self) -> tuple[str, ...]:
         """Return the name (m,) of the whole muscle that each muscle is a compartment of, or is."""
         return self.wholes or self.muscle_names
@@ -179,7 +184,7 @@ class SubjectModel:
     @property
     def muscle_surfaces(self) -> dict[str, Surface]:
         """Return muscle -> surface: a compartment has the triangles of the whole nearest to it."""
-        centres, entries, found = self.rest[self.tets].mean(axis=1), self.weights.tocoo(), {}
+        centres, entries, found = self.tet_centres, self.weights.tocoo(), {}
         for name, whole in self.muscles.items():
             columns = [k for k, group in enumerate(self.muscle_groups, start=1) if group == name]
             own = np.isin(entries.col, columns) & (entries.data > 0.0)

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from benchmarks.documents import Figures
-from solver.drawing.head import DrawnHead
+from solver.drawing.head import THREE_QUARTER, DrawnHead, face_camera
 from solver.drawing.render import render_bust
 from solver.drawing.sheet import HEADER, Sheet
 from solver.edits.edit import Edited, Replay, Replayed, apply
@@ -30,7 +30,6 @@ from solver.fitting.face import Face
 from solver.kinds.scene import ContactEntry, EditScene, FleshEntry
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
-from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.rig.report.edit_report import Compared, EditedPerson, edit_report
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scene.document import read_scene

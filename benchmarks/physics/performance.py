@@ -23,14 +23,13 @@ from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import ShapeBasis
 from solver.animation.drives import RecordedDrives
 from solver.cache import cache_directory
-from solver.drawing.head import DrawnHead
+from solver.drawing.head import DrawnHead, face_camera
 from solver.drawing.render import render_bust
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.jobs.scenes import finish, play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.progress import silent
 from solver.rig.frames.animation import MotionRecord
-from solver.rig.pictures import face_camera
 from solver.scans.live_link import LiveLinkTake
 from solver.scene.places import Places
 from solver.scene.stage import Stage

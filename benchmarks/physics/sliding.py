@@ -17,11 +17,11 @@ from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from solver.anatomy.bones import bone_normals
 from solver.drawing import head as drawing_head
-from solver.drawing.head import DrawnHead
+from solver.drawing.head import THREE_QUARTER, DrawnHead, face_camera
 from solver.drawing.render import DrawnBody, Lit, render_bust
 from solver.drawing.sheet import HEADER, Sheet
 from solver.fitting.face import Face, Pose
-from solver.rig.pictures import THREE_QUARTER, WIDTH, face_camera
+from solver.rig.pictures import WIDTH
 from solver.surface import Floats, Surface
 
 RAISED = ("browInnerUp", "browOuterUp")

@@ -8,12 +8,12 @@ ARKit's shapes and of plain words.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
-from solver.anatomy.data import listed, read_table
+from solver.anatomy.data import read_table, split_cell
 from solver.drawing.head import both_sides
 
 SIDES = ("left", "right")
@@ -45,8 +45,8 @@ def action_units() -> dict[str, ActionUnit]:
         row["unit"]: ActionUnit(
             row["unit"],
             row["name"],
-            listed(row["muscles"]),
-            listed(row["antagonists"]),
+            split_cell(row["muscles"]),
+            split_cell(row["antagonists"]),
             row["by_relaxing"] == "yes",
             tuple(row["source"].split()),
         )
@@ -81,12 +81,6 @@ def actions_of(expression: str) -> tuple[Action, ...]:
     return tuple(Action(unit, side) for unit in units_of(found[1]))
 
 
-def actions_of_shapes(weights: Mapping[str, float], least: float = 0.25) -> tuple[Action, ...]:
-    """Return the actions of all shapes that a scan has with a weight of at least ``least``."""
-    found = [actions_of(shape) for shape, weight in weights.items() if weight >= least]
-    return tuple(dict.fromkeys(action for actions in found for action in actions))
-
-
 def joined_codes(units: Iterable[ActionUnit]) -> str:
     """Return the codes of units in one, as ``AU 6 + 12``; "" of none."""
     return " + ".join(dict.fromkeys(unit.code for unit in units)).replace("+ AU ", "+ ")
@@ -101,7 +95,7 @@ def template_names(muscle: str) -> frozenset[str]:
 def _template_names() -> dict[str, frozenset[str]]:
     found = {}
     for row in read_table("muscle_names"):
-        names = [row["muscle"], *listed(row["builtin"]), *listed(row["bodyparts3d"])]
+        names = [row["muscle"], *split_cell(row["builtin"]), *split_cell(row["bodyparts3d"])]
         found[row["muscle"]] = frozenset(both_sides(name) for name in names)
     return found
 
@@ -109,7 +103,7 @@ def _template_names() -> dict[str, frozenset[str]]:
 @cache
 def _expressions() -> dict[str, tuple[str, ...]]:
     rows = read_table("expression_units")
-    return {_plain(row["expression"]): listed(row["units"]) for row in rows}
+    return {_plain(row["expression"]): split_cell(row["units"]) for row in rows}
 
 
 def _plain(name: str) -> str:

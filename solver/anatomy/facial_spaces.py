@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from solver.anatomy.bones import bone_normals
-from solver.anatomy.data import SIDES, LandmarkPath, listed, missing_landmarks, read_table
+from solver.anatomy.data import SIDES, LandmarkPath, missing_landmarks, read_table, split_cell
 from solver.anatomy.embedding import at_nearest
 from solver.anatomy.muscle_weights import end_vertices
 from solver.anatomy.template import Muscle, Template
@@ -54,9 +54,9 @@ def facial_spaces() -> tuple[FacialSpace, ...]:
             row["name"],
             row["kind"] == "ligament",
             LandmarkPath.read(row["path"]),
-            listed(row["under"]),
+            split_cell(row["under"]),
             float(row["radius_mm"]),
-            listed(row["origins"]),
+            split_cell(row["origins"]),
         )
         for row in read_table("facial_spaces")
     )

@@ -243,7 +243,7 @@ def find_or_make_mesh(
     """
     if template.mesh is not None and template.mesh.edge_mm == edge_mm:
         return template
-    bare = replace(template.undivided, mesh=None)
+    bare = replace(template.without_compartments, mesh=None)
     path = cache_directory() / f"meshed-{MAKING}-{bare.sha256[:16]}-{edge_mm:g}mm.npz"
     if (kept := _read_kept(path, bare, edge_mm)) is not None:
         return replace(template, mesh=kept)

@@ -356,7 +356,7 @@ class Template:
         return self.flesh.moved(self.skin.vertices + self.parting)
 
     @property
-    def undivided(self) -> Template:
+    def without_compartments(self) -> Template:
         """Return the template with every muscle in one piece."""
         whole = tuple(replace(muscle, compartments=None) for muscle in self.muscles)
         return replace(self, muscles=whole)

@@ -9,6 +9,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
+from typing_extensions import override
 
 from solver.animation.blendshapes import Blend, Blendshapes, keep_within, unfold
 from solver.errors import InputError
@@ -201,7 +202,7 @@ class _FibreKeys:
         return np.clip(a, 0.0, 1.0), np.zeros(5), 0
 
 
-class KeyedDrives:
+class KeyedDrives(Drives):
     """:class:`Drives` by ``keys``, with frames at ``times`` (f,) in s.
 
     Weights of the expressions ``poses``, activations and jaw are interpolated, each by itself, at
@@ -238,8 +239,8 @@ class KeyedDrives:
         values = np.reshape(rows, (len(keys), self._keys.size + 5))
         self._track = track([key.time for key in keys], values, what, interpolation)
 
+    @override
     def __call__(self, time: float) -> PosedFrame:
-        """See :class:`Drives`."""
         values, jaw = np.split(self._track(time), [-5])
         under = None if self.under is None else self.under(time)
         a, b, clamped = self._keys.pose(values, None if under is None else under.a)
@@ -293,7 +294,7 @@ def check_muscles(names: Iterable[str], muscles: Sequence[str], where: str, **co
             raise InputError("scene.muscle", reason, found=name, expected=list(muscles), **context)
 
 
-class RecordedDrives:
+class RecordedDrives(Drives):
     """:class:`Drives` of a recording of Live Link Face, from frame ``start`` to before ``end``.
 
     ``weights`` (f, e) are what drives each of the ``shapes`` in these frames. Times begin at 0.
@@ -333,8 +334,8 @@ class RecordedDrives:
         self._neck = neck(model)
         self._head = head_motion(head, self._neck)
 
+    @override
     def __call__(self, time: float) -> PosedFrame:
-        """See :class:`Drives`."""
         weights, head, eyes = np.split(self._track(time), [-9, -6])
         pose = self._blend.pose(weights)
         a, clamped = keep_within(pose.a, self._limits)

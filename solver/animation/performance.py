@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from typing_extensions import override
 
 from solver.animation.blendshapes import unfold
 from solver.animation.drives import (
@@ -182,7 +183,7 @@ def from_logarithms(logarithms: Floats) -> tuple[Floats, int]:
     return unfold(map_stretches(logarithms, lambda values: np.exp(np.minimum(values, most))))
 
 
-class PlayedPerformance:
+class PlayedPerformance(Drives):
     """:class:`Drives` of a fitted ``sequence``, played by a scene's ``entry``.
 
     Its first frame is at time 0. ``frames`` (f,) are the numbers of those that are played as
@@ -227,8 +228,8 @@ class PlayedPerformance:
         name = f"performance {entry.asset}"
         self._track = track(moments.tolist(), values, name, interpolation)
 
+    @override
     def __call__(self, time: float) -> PosedFrame:
-        """See :class:`Drives`."""
         carried, jaw, turn, move = np.split(self._track(time), [-JAW_FREEDOM - 6, -6, -3])
         a, clamped = (carried, 0) if self.of_fibres else from_logarithms(carried.reshape(-1, 6))
         turned = (self._start * Rotation.from_rotvec(turn)).as_rotvec()
@@ -297,7 +298,7 @@ def _head(head: Floats, pivot: Floats, entry: PerformanceEntry) -> tuple[Rotatio
     return start, (start.inv() * turns).as_rotvec(), turns.apply(pivot) + shifts - pivot
 
 
-class MixedPerformances:
+class MixedPerformances(Drives):
     """:class:`Drives` of several ``performances``: each moves the muscles of its mask.
 
     They move the face by their ``drives``, which add keys to them. Jaw, head and eyes are the
@@ -324,8 +325,8 @@ class MixedPerformances:
         for number, each in enumerate(performances):
             self.curve[self._movers == number] = each.curve[self._movers == number]
 
+    @override
     def __call__(self, time: float) -> PosedFrame:
-        """See :class:`Drives`."""
         poses = [drives(time) for drives in self._drives]
         a = np.zeros(len(self._movers))
         if not self.of_fibres:

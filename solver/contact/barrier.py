@@ -22,13 +22,14 @@ import numpy as np
 import scipy.sparse as sp
 import structlog
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from solver.anatomy.embedding import rows_of
 from solver.anatomy.tetrahedra import barycentric_in_tets
 from solver.contact.crossing import between_lips
 from solver.contact.mouth import Mouth, area_weighted_normals
 from solver.errors import InputError
-from solver.mechanics.boundary import Boundary, BoundaryRates
+from solver.mechanics.boundary import Boundary, BoundaryRates, Potential
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints, Surface, adjacency, inside, join_surfaces, own_numbers
 
@@ -202,8 +203,8 @@ class _Friction:
         return np.asfortranarray((points - self.points) / self.seconds)
 
 
-class Barrier:
-    """A :class:`solver.mechanics.boundary.Potential` of the skin and of objects.
+class Barrier(Potential):
+    """The potential of the skin and of objects.
 
     ``surface`` is the skin that may touch, also ``itself``, and ``objects`` are closed surfaces,
     where they are to begin with. ``stiffness_pa`` is the flesh's, ``friction`` the coefficient of
@@ -237,8 +238,8 @@ class Barrier:
         self._last: tuple[Floats, Floats, ipctk.NormalCollisions] | None = None
         self._mesh = _join(surface, objects, itself=itself)
 
+    @override
     def begin(self, x: Floats, now: Boundary, seconds: float) -> None:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         self.place(now)
         if not self._friction:
             return
@@ -246,13 +247,13 @@ class Barrier:
         lagged.build(self._mesh, points, collisions, self._barrier, self._friction)
         self._lagged = _Friction(points, lagged, seconds)
 
+    @override
     def place(self, boundary: Boundary) -> None:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         self._objects = list(boundary.objects)
         self._last = None
 
+    @override
     def value(self, x: Floats) -> float:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         (points, collisions), lagged = self._touching(x), self._lagged
         value = float(self._barrier(collisions, self._mesh, points))
         if lagged is not None:
@@ -260,8 +261,8 @@ class Barrier:
             value += lagged.seconds * float(self._sliding(lagged.collisions, self._mesh, speed))
         return value
 
+    @override
     def gradient(self, x: Floats) -> Floats:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         (points, collisions), lagged = self._touching(x), self._lagged
         force = self._barrier.gradient(collisions, self._mesh, points)
         if lagged is not None:
@@ -269,16 +270,16 @@ class Barrier:
             force = force + self._sliding.gradient(lagged.collisions, self._mesh, speed)
         return self._on_flesh(force)
 
+    @override
     def hessian(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         return self._by_flesh(self._second(x, ipctk.PSDProjectionMethod.CLAMP))
 
+    @override
     def curvature(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         return self._by_flesh(self._second(x, ipctk.PSDProjectionMethod.NONE))
 
+    @override
     def by_boundary(self, x: Floats, rates: BoundaryRates) -> Floats:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         out = np.zeros((*x.shape, rates.count))
         if rates.objects:
             own = self._skin_size
@@ -287,8 +288,8 @@ class Barrier:
             out += (self._rows.T @ (matrix[:own, own:] @ motion)).reshape(out.shape)
         return out
 
+    @override
     def pull(self, x: Floats, goal: Boundary) -> Floats:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         if not self._objects:
             return np.zeros_like(x)
         motion = np.vstack(goal.objects) - np.vstack(self._objects)
@@ -296,8 +297,8 @@ class Barrier:
         matrix = self._second(x, ipctk.PSDProjectionMethod.CLAMP)
         return self._on_flesh(matrix[:own, own:] @ motion.ravel())
 
+    @override
     def max_step(self, x: Floats, y: Floats, goal: Boundary) -> float:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         start = self._points(x, self._objects)
         motion = self._points(y, goal.objects) - start
         far = float(np.linalg.norm(motion, axis=1).max(initial=0.0))

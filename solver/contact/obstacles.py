@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import distance_transform_edt, gaussian_filter, grey_closing
+from typing_extensions import override
 
 from solver.surface import Floats, Surface, nearest_sphere
 
@@ -45,7 +46,7 @@ class ArchOptions:
 
 
 @dataclass(frozen=True)
-class Arch:
+class Arch(DepthField):
     """A :class:`DepthField`: how far out a row of teeth reaches, all around.
 
         r = R(theta, y)
@@ -89,8 +90,8 @@ class Arch:
         border = RectBivariateSpline(*grid, gaussian_filter(inside, 1.0))
         return cls(axis, RectBivariateSpline(*grid, table), border, options)
 
+    @override
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """See :class:`DepthField`."""
         place = _Cylindrical.of(points - self.axis, self.options.step_mm)
         reach, slope = place.value(self.radius), place.gradient(self.radius)
         border = place.gradient(self.inside)
@@ -99,8 +100,8 @@ class Arch:
         fades = (6.0 * part * (1.0 - part) / fade_mm)[:, None] * border
         return reach - place.radius, slope - place.outward, counts, fades
 
+    @override
     def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
-        """See :class:`DepthField`."""
         place = _Cylindrical.of(points - self.axis, self.options.step_mm)
         around, radius = place.around, place.radius
         by_depth = place.curvature(self.radius)
@@ -180,7 +181,7 @@ def _samples(surface: Surface, apart: float) -> Floats:
 
 
 @dataclass(frozen=True)
-class Eyeball:
+class Eyeball(DepthField):
     """A :class:`DepthField` of what lids lie on: ``centre`` (3,) and ``radius`` in mm."""
 
     centre: Floats
@@ -194,13 +195,14 @@ class Eyeball:
         centre, radius = nearest_sphere(front - middle)
         return cls(middle + centre, radius)
 
+    @override
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """See :class:`DepthField`: all of it counts everywhere."""
+        """Measure points, all of which count everywhere."""
         distance, out = self._from_centre(points)
         return self.radius - distance, -out, np.ones(len(points)), np.zeros_like(points)
 
+    @override
     def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
-        """See :class:`DepthField`."""
         distance, out = self._from_centre(points)
         tangent = np.eye(3) - out[:, :, None] * out[:, None, :]
         return -tangent / distance[:, None, None], np.zeros_like(tangent)

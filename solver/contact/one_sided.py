@@ -12,12 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.contact.obstacles import DepthField
 from solver.mechanics.boundary import (
     JAW_FREEDOM,
     Boundary,
     BoundaryRates,
+    Potential,
     jaw_jacobian,
     jaw_rotation,
     move_jaw_back,
@@ -78,8 +80,8 @@ class Excess:
         return np.flatnonzero((depth - np.maximum(self._free, 0.0) > tolerance) & (counts > 0.5))
 
 
-class OneSided:
-    """A :class:`solver.mechanics.boundary.Potential` of skin vertices and one obstacle.
+class OneSided(Potential):
+    """The potential of skin vertices and one obstacle.
 
     The vertices ``rows @ x + offset``, (k, p) CSR and (k, 3), may lie in the ``obstacle``, which is
     where it is at rest, ``free`` mm deep (k,): :func:`free_depths`. ``stiffness`` (k,) is energy
@@ -104,34 +106,35 @@ class OneSided:
         self._jaw = np.zeros(JAW_FREEDOM)
         self._last: tuple[Floats, tuple[Floats, Floats]] | None = None
 
-    def begin(self, x: Floats, now: Boundary, seconds: float) -> None:  # noqa: ARG002 - nothing lags
-        """See :class:`solver.mechanics.boundary.Potential`."""
+    @override
+    def begin(self, x: Floats, now: Boundary, seconds: float) -> None:
         self.place(now)
 
+    @override
     def place(self, boundary: Boundary) -> None:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         self._jaw = boundary.jaw
         self._last = None
 
+    @override
     def value(self, x: Floats) -> float:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         h, _ = self._depths(x)
         return 0.5 * float(self._stiffness @ h**2)
 
+    @override
     def gradient(self, x: Floats) -> Floats:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         h, slope = self._depths(x)
         return np.asarray(self._rows.T @ ((self._stiffness * h)[:, None] * slope))
 
+    @override
     def hessian(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.mechanics.boundary.Potential`: by Gauss and Newton."""
+        """Return the second derivative by Gauss and Newton."""
         h, slope = self._depths(x)
         deep = np.flatnonzero(h)
         by_x = along(sp.csr_array(self._rows[deep]), slope[deep])
         return sp.csr_array(by_x.T @ (sp.diags_array(self._stiffness[deep]) @ by_x))
 
+    @override
     def curvature(self, x: Floats) -> sp.csr_array:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         deep, blocks = self._second(x)
         if not len(deep):
             return sp.csr_array((x.size, x.size))
@@ -139,8 +142,8 @@ class OneSided:
         places = np.arange(len(deep) + 1)
         return sp.csr_array(rows.T @ (sp.bsr_array((blocks, places[:-1], places)) @ rows))
 
+    @override
     def by_boundary(self, x: Floats, rates: BoundaryRates) -> Floats:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         out = np.zeros((*x.shape, rates.count))
         deep, blocks = self._second(x)
         if self._carried is None or not len(deep):
@@ -157,8 +160,8 @@ class OneSided:
         out += (self._rows[deep].T @ on_points).reshape(out.shape)
         return out
 
+    @override
     def pull(self, x: Floats, goal: Boundary) -> Floats:
-        """See :class:`solver.mechanics.boundary.Potential`."""
         if self._carried is None:
             return np.zeros_like(x)
         _, slope = self._depths(x)
@@ -168,8 +171,8 @@ class OneSided:
         nearer = np.einsum("ki,ki->k", slope, seen @ self._turn.T)
         return np.asarray(self._rows.T @ ((self._stiffness * nearer)[:, None] * slope))
 
-    def max_step(self, x: Floats, y: Floats, goal: Boundary) -> float:  # noqa: ARG002 - no bounds
-        """See :class:`solver.mechanics.boundary.Potential`."""
+    @override
+    def max_step(self, x: Floats, y: Floats, goal: Boundary) -> float:
         return 1.0
 
     def behind(self, x: Floats, b: Floats, tolerance: float) -> Ints:

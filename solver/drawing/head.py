@@ -10,7 +10,7 @@ import igl
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from solver.drawing.render import GAMMA, DrawnBody, Lit
+from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit
 from solver.model import OTHER_SIDE, name_words
 from solver.surface import Floats, Ints, Surface, adjacency, nearest_sphere, own_numbers
 
@@ -153,6 +153,8 @@ def _eye_sphere(points: Floats, sizes: PartSizes) -> tuple[Floats, float] | None
 
 # The head as it is drawn.
 
+THREE_QUARTER, SIDE = np.radians(38.0), np.radians(88.0)  # angles of cameras, from the front
+
 EYE_SUBDIVISIONS = 2  # so that the iris has a round edge
 NONE = np.zeros((0, 3), np.int64)
 
@@ -219,3 +221,13 @@ def _eye_colour(points: Floats) -> Floats:
         colour[eye[front & (radius < IRIS_MM)]] = COLOURS["iris"]
         colour[eye[front & (radius < PUPIL_MM)]] = COLOURS["pupil"]
     return colour
+
+
+def face_camera(skin: Floats, face: Ints, yaw: float) -> Camera:
+    """Return a camera that shows the face with the head around it."""
+    low, high = skin[face].min(axis=0), skin[face].max(axis=0)
+    height = high[1] - low[1]
+    centre = (low + high) / 2 + np.array([0.0, 0.06 * height, 0.0])
+    head = skin[skin[:, 1] > low[1]]
+    centre[2] = (head[:, 2].min() + head[:, 2].max()) / 2
+    return Camera(centre, span=1.62 * height, yaw=yaw)

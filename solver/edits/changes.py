@@ -76,7 +76,7 @@ def off_the_ends(model: SubjectModel, fade_mm: float) -> Floats:
     ends = np.vstack([model.rest[model.cut], _border(model)])
     if not len(ends):
         return np.ones(len(model.tets))
-    return _smooth(cKDTree(ends).query(_centres(model))[0] / fade_mm)
+    return _smooth(cKDTree(ends).query(model.tet_centres)[0] / fade_mm)
 
 
 def _border(model: SubjectModel) -> Floats:
@@ -111,7 +111,7 @@ class Filler:
         if not (self.ml > 0.0 and self.radius_mm > 0.0 and len(self.path)):
             reason = "a filler needs a path, and a volume and a radius above 0"
             raise InputError("scene.filler", reason)
-        away = distance_to_path(_centres(model), self.path)
+        away = distance_to_path(model.tet_centres, self.path)
         shares = np.exp(-0.5 * (away / self.radius_mm) ** 2)
         room = float((volumes(model.rest, model.tets) * before.growth**3) @ shares)
         near = f"within {self.radius_mm} mm of the path"
@@ -179,7 +179,7 @@ class Paralysis:
         rows, columns = S.tocoo().coords
         share = np.isin(columns, self._columns(model.muscle_names)).astype(np.float64)
         if self.side is not None:
-            x = _centres(model)[:, 0] - model.jaw.origin[0]
+            x = model.tet_centres[:, 0] - model.jaw.origin[0]
             outward = x if self.side == "left" else -x
             share *= _smooth(0.5 + 0.5 * outward / before.options.side_mm)[rows]
         kept = S.data * (1.0 - (1.0 - self.strength) * share)
@@ -319,10 +319,6 @@ def _check(model: SubjectModel, painted: Floats) -> None:
         first = f"{len(wrong)} do not, the first is {painted[wrong[0]]} at vertex {wrong[0]}"
         reason = f"a map's values lie between 0 and 1; {first}"
         raise InputError("scene.map", reason, vertex=int(wrong[0]))
-
-
-def _centres(model: SubjectModel) -> Floats:
-    return np.asarray(model.rest[model.tets].mean(axis=1))
 
 
 def _bump(away: Floats, radius: float) -> Floats:

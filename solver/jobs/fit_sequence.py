@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from typing_extensions import override
 
 from solver.errors import InputError, SolveError
 from solver.fitting.activation import unseen_regulariser
@@ -66,12 +67,12 @@ class PerformanceFitter(FrameFitter[SequenceFrame]):
         self._target: Target | None = None  # of the frame that was fitted or taken up last
         self.shots: list[SequenceShot] = []
 
+    @override
     def read(self, folder: Path) -> list[SequenceFrame]:
-        """See :class:`~.sequences.FrameFitter`."""
         return read_frames(folder, self._face.model.muscle_count)
 
+    @override
     def take_up(self, frame: SequenceFrame, position: int) -> None:
-        """See :class:`~.sequences.FrameFitter`."""
         if frame.status != "fitted":
             return  # and kept what the frame before had
         self._tracker.memory = head = small_motion(frame.head)
@@ -81,8 +82,9 @@ class PerformanceFitter(FrameFitter[SequenceFrame]):
             scan = self._source.frame(frame.frame)
             self._target = self._points.target(head.inverse()(scan.vertices), scan.confidence)
 
+    @override
     def fit(self, number: int) -> SequenceFrame:
-        """See :class:`~.sequences.FrameFitter`; raises ``performance.unlike`` at the first."""
+        """Fit a frame; raises ``performance.unlike`` at the first."""
         start = time.perf_counter()
         found = self._tracker.step(self._source.frame(number))
         self._target = found.target
@@ -91,8 +93,8 @@ class PerformanceFitter(FrameFitter[SequenceFrame]):
             _check_likeness(self._source, frame)
         return frame
 
+    @override
     def show(self, frame: SequenceFrame, position: int) -> None:
-        """See :class:`~.sequences.FrameFitter`."""
         state = self._tracker.state
         skin = self._face.whole_skin(state.x, state.pose.b)
         self.skin.add(frame, skin)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from solver.errors import Finding, InputError, SolveError
 from solver.fitting.face import Face, Pose, PosedFace
@@ -75,8 +76,8 @@ class TakeFitter(FrameFitter[MarkerFrame]):
         self._about = hashlib.sha256(text.encode()).hexdigest()
         self._stored: Mapping[str, str] = {}
 
+    @override
     def read(self, folder: Path) -> list[MarkerFrame]:
-        """See :class:`~.sequences.FrameFitter`."""
         shape, layout = self._tracker.face.rest_pose().a.shape, self._tracker.face.layout
 
         def take(values: Mapping[str, Any], _frames: Sequence[MarkerFrame]) -> None:
@@ -94,13 +95,13 @@ class TakeFitter(FrameFitter[MarkerFrame]):
             take,
         )
 
-    def take_up(self, frame: MarkerFrame, position: int) -> None:  # noqa: ARG002
-        """See :class:`~.sequences.FrameFitter`."""
+    @override
+    def take_up(self, frame: MarkerFrame, position: int) -> None:
         with suppress(SolveError):  # out of reach: it is shown as the one before
             self._tracker.go_to(pose_of(self._tracker.face, frame))
 
+    @override
     def fit(self, number: int) -> MarkerFrame:
-        """See :class:`~.sequences.FrameFitter`."""
         start, source = time.perf_counter(), self._source
         points, free = source.points(number), source.unlabelled(number)
         fit = self._tracker.step(SeenMarkers(points, free, source.sigma(number)))
@@ -111,12 +112,13 @@ class TakeFitter(FrameFitter[MarkerFrame]):
         states = np.where(exchanged, "swapped", states)  # an array of "seen" has no room for it
         return replace(frame, marker_state=tuple(states.tolist()))
 
-    def show(self, frame: MarkerFrame, position: int) -> None:  # noqa: ARG002
-        """See :class:`~.sequences.FrameFitter`."""
+    @override
+    def show(self, frame: MarkerFrame, position: int) -> None:
         self._drawing.add(frame, self._tracker.state.x)
 
+    @override
     def beside(self) -> dict[str, Any]:
-        """See :class:`~.sequences.FrameFitter`: all that the next frame begins with, exactly."""
+        """Return all that the next frame begins with, exactly."""
         state, memory = self._tracker.state, self._tracker.memory
         assert memory is not None, "a frame was fitted"
         rigid = np.vstack([memory.head.motion.rotation, memory.head.motion.shift[None]])
@@ -131,8 +133,9 @@ class TakeFitter(FrameFitter[MarkerFrame]):
         self._stored = {name: pack(values, "<f8") for name, values in parts.items()}
         return {"about": self._about, "state": self._stored}
 
+    @override
     def begin_file(self) -> None:
-        """See :class:`~.sequences.FrameFitter`: the same whether it was read or written."""
+        """Go on from the last file, in the same way whether it was read or written."""
         stored, face = self._stored, self._tracker.face
         controls = unpack(stored["controls"], "<f8", 1).ravel()
         rigid = unpack(stored["head"], "<f8")

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
+from inspect import getdoc
 from pkgutil import iter_modules
 
 from solver.kinds.document import Fault
@@ -39,12 +40,28 @@ __all__ = [
 
 
 def _find() -> dict[str, Kind]:
-    found = {}
-    for name in sorted(module.name for module in iter_modules(__path__)):
-        kind = getattr(import_module(f"{__name__}.{name}"), "KIND", None)
-        if isinstance(kind, Kind):
-            found[name] = replace(kind, name=name)
-    return found
+    names = sorted(module.name for module in iter_modules(__path__))
+    modules = {name: import_module(f"{__name__}.{name}") for name in names}
+    return {
+        name: _complete(name, module.KIND, getdoc(module) or "")
+        for name, module in modules.items()
+        if hasattr(module, "KIND")
+    }
+
+
+def _complete(name: str, kind: Kind, words: str) -> Kind:
+    """Return a kind with what its module's name and docstring say of it, and what follows."""
+    title, _, description = words.partition("\n\n")
+    report = kind.report or f"{kind.leaves}.json"
+    return replace(
+        kind,
+        name=name,
+        title=title.rstrip("."),
+        description=" ".join(description.split()),
+        report=report,
+        result=kind.result or report,
+        folder=kind.folder or kind.leaves,
+    )
 
 
 KINDS: Mapping[str, Kind] = _find()

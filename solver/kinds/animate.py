@@ -1,4 +1,8 @@
-"""Play a recording of Live Link Face by a rig's flesh."""
+"""Animate by a recording.
+
+Plays a recording of Live Link Face by the rig's flesh, with contact, forces, objects and edits;
+frames can be read while the job runs.
+"""
 
 from pydantic import Field
 
@@ -13,15 +17,10 @@ class Animate(PlayOptions):
 
 
 KIND = Kind(
-    title="Animate by a recording",
-    description="Plays a recording of Live Link Face by the rig's flesh, with contact, forces, "
-    "objects and edits; frames can be read while the job runs.",
     queue="long",
     reads=("rig", "template", "assets", "blendshapes", "expression_basis"),
     leaves="animation",
-    report="animation.json",
     result="animation.glb",
-    folder="animation",
     hands_on=("blendshapes.npz", "expression_basis.npz"),
     options=Animate,
     frames=True,

@@ -1,4 +1,7 @@
-"""Build a subject's model inside its neutral scan."""
+"""Build a subject's model.
+
+Flesh, bones and muscles inside the subject's neutral scan, from its template anatomy.
+"""
 
 from typing import Literal
 
@@ -19,14 +22,9 @@ class BuildModel(JobOptions):
 
 
 KIND = Kind(
-    title="Build a subject's model",
-    description="Flesh, bones and muscles inside the subject's neutral scan, from its template "
-    "anatomy.",
     queue="short",
     reads=("neutral", "template"),
     leaves="model",
-    report="model.json",
     result="model.npz",
-    folder="model",
     options=BuildModel,
 )

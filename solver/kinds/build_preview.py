@@ -1,4 +1,9 @@
-"""Make the sliders of a rig's page."""
+"""Make a rig's sliders.
+
+What the page's sliders of a rig move: poses of its muscles and jaw are simulated, a reduced skin is
+fitted to them, and its error measured on others. The rig's files have its preview.bin once it is
+done.
+"""
 
 from pydantic import Field
 
@@ -24,15 +29,5 @@ class BuildPreview(JobOptions):
 
 
 KIND = Kind(
-    title="Make a rig's sliders",
-    description="What the page's sliders of a rig move: poses of its muscles and jaw are "
-    "simulated, a reduced skin is fitted to them, and its error measured on others. The rig's "
-    "files have its preview.bin once it is done.",
-    queue="short",
-    reads=("rig",),
-    leaves="preview",
-    report="preview.json",
-    result="preview.bin",
-    folder="preview",
-    options=BuildPreview,
+    queue="short", reads=("rig",), leaves="preview", result="preview.bin", options=BuildPreview
 )

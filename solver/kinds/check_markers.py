@@ -1,4 +1,8 @@
-"""Check a take of markers: whether it can be used, and what is wrong with which label."""
+"""Check markers.
+
+Whether a take of markers can be used: verdict, findings with label, frames and advice, and a
+picture; with a rig also where each label sits on it.
+"""
 
 from pydantic import Field
 
@@ -28,9 +32,6 @@ class CheckMarkers(JobOptions):
 
 
 KIND = Kind(
-    title="Check markers",
-    description="Whether a take of markers can be used: verdict, findings with label, frames and "
-    "advice, and a picture; with a rig also where each label sits on it.",
     queue="short",
     seconds=300,
     reads=("markers", "any_rig", "template"),

@@ -1,17 +1,16 @@
-"""Check a raw scan while the person is still in the chair."""
+"""Check a scan.
+
+Whether a scan can be used, while the person is still in the chair: verdict, findings with advice,
+and a picture.
+"""
 
 from solver.kinds.kind import FrameOptions, Kind
 
 KIND = Kind(
-    title="Check a scan",
-    description="Whether a scan can be used, while the person is still in the chair: verdict, "
-    "findings with advice, and a picture.",
     queue="ingest",
     reads=("capture", "template"),
     asks=("role",),
     leaves="check",
-    report="check.json",
     result="check.png",
-    folder="check",
     options=FrameOptions,
 )

@@ -167,17 +167,13 @@ def _sentence(detail: ErrorDetails) -> str:
         return f"{_shown(value)} is not of type '{_TYPES[kind]}'"
     if kind not in _WORDS:
         return f"{_shown(value)} {detail['msg']}"
-    bounds = {name: _bound(bound) for name, bound in detail.get("ctx", {}).items()}
+    bounds = {name: _whole(bound) for name, bound in detail.get("ctx", {}).items()}
     return f"{_shown(value)} {_WORDS[kind].format(**bounds)}"
 
 
 def _shown(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
-
-
-def _bound(value: Any) -> str:
-    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
 
 
 _TYPES = {

@@ -1,4 +1,8 @@
-"""Edit a person's anatomy, and replay the rig's expressions before and after."""
+"""Edit a face.
+
+Fattens, slims, fills, operates on or paralyses the rig's person, and replays its expressions before
+and after.
+"""
 
 from pydantic import Field
 
@@ -13,13 +17,9 @@ class Edit(JobOptions):
 
 
 KIND = Kind(
-    title="Edit a face",
-    description="Fattens, slims, fills, operates on or paralyses the rig's person, and replays its "
-    "expressions before and after.",
     queue="long",
     reads=("rig", "template", "assets"),
     leaves="edit",
-    report="edit.json",
     result="edit.glb",
     folder="edited",
     options=Edit,

@@ -1,4 +1,7 @@
-"""Write a rig in the format of another program."""
+"""Export a rig.
+
+Writes the rig in the format of another program, by an exporter and its settings.
+"""
 
 from pathlib import Path
 from pkgutil import iter_modules
@@ -29,14 +32,4 @@ class ExportRig(JobOptions):
     settings: dict[str, Any] = Field(default={}, description="the exporter's options, by name")
 
 
-KIND = Kind(
-    title="Export a rig",
-    description="Writes the rig in the format of another program, by an exporter and its settings.",
-    queue="short",
-    reads=("rig",),
-    leaves="export",
-    report="export.json",
-    result="export.json",
-    folder="export",
-    options=ExportRig,
-)
+KIND = Kind(queue="short", reads=("rig",), leaves="export", options=ExportRig)

@@ -1,6 +1,8 @@
-"""Fit activations and jaw of new expressions with a rig's muscle weights."""
+"""Fit activations to new expressions.
 
-from typing import Literal
+Activations and jaw of further expressions with the parent rig's muscle weights; the new rig carries
+the parent's expressions too.
+"""
 
 from pydantic import Field
 
@@ -18,18 +20,10 @@ class FitActivations(ExpressionFitOptions):
         description="Gauss-Newton iterations per expression at most; IPOPT may take four of its "
         "own for each",
     )
-    solver: Literal["reduced", "ipopt"] = Field(
-        default="reduced",
-        description="reduced: positions are eliminated, and IPOPT steps in where that fails; "
-        "ipopt: the full-space reference, minutes for an expression",
-    )
     linear_solver: LinearSolver = None
 
 
 KIND = Kind(
-    title="Fit activations to new expressions",
-    description="Activations and jaw of further expressions with the parent rig's muscle weights; "
-    "the new rig carries the parent's expressions too.",
     queue="short",
     reads=("rig", "captures"),
     leaves="rig",

@@ -1,4 +1,8 @@
-"""Calibrate a rig's fibre muscles to the scans that it was fitted to."""
+"""Calibrate fibre muscles.
+
+Strengths, volume fractions and fibre directions of muscles with one activation in [0, 1] each, from
+the scans that the rig was fitted to; its unseen expressions are a test.
+"""
 
 from pydantic import Field
 
@@ -28,13 +32,9 @@ class FitFibres(FitOptions):
 
 
 KIND = Kind(
-    title="Calibrate fibre muscles",
-    description="Strengths, volume fractions and fibre directions of muscles with one activation "
-    "in [0, 1] each, from the scans that the rig was fitted to; its unseen expressions are a test.",
     queue="long",
     reads=("rig",),
     leaves="fibre_muscles",
-    report="fibre_muscles.json",
     result="fibre_muscles.npz",
     folder="fibres",
     hands_on=("fibre_muscles.npz",),

@@ -1,6 +1,7 @@
-"""Fit the muscle geometry of a subject to several expressions at once."""
+"""Fit the muscle geometry.
 
-from typing import Literal
+Muscle weights S, activations and jaw of several expressions at once; the result is a rig.
+"""
 
 from pydantic import Field
 
@@ -32,24 +33,15 @@ class FitGeometry(ExpressionFitOptions):
         description="weight of the prior that keeps the changes of S alike where compartments of "
         "one muscle meet; 0: none",
     )
-    solver: Literal["reduced", "ipopt"] = Field(
-        default="reduced",
-        description="reduced: positions are eliminated; ipopt: the full-space reference, for small "
-        "meshes only (tetrahedra times expressions at most 2000)",
-    )
     linear_solver: DoubleSolver = None
 
 
 KIND = Kind(
-    title="Fit the muscle geometry",
-    description="Muscle weights S, activations and jaw of several expressions at once; the result "
-    "is a rig.",
     queue="long",
     reads=("model", "captures"),
     asks=("start",),
     leaves="rig",
     report="report.json",
     result="rig.glb",
-    folder="rig",
     options=FitGeometry,
 )

@@ -1,4 +1,8 @@
-"""Fit a take of markers with a rig's muscle weights, frame after frame."""
+"""Fit markers.
+
+Activations, jaw and head of every frame of a take of markers, with the spread of each; wrong points
+are rejected, swaps mended, and muscles that no marker tells of held.
+"""
 
 from typing import Literal
 
@@ -90,15 +94,10 @@ class FitMarkers(JobOptions):
 
 
 KIND = Kind(
-    title="Fit markers",
-    description="Activations, jaw and head of every frame of a take of markers, with the spread "
-    "of each; wrong points are rejected, swaps mended, and muscles that no marker tells of held.",
     queue="long",
     reads=("rig", "markers", "template", "fibre_muscles", "expression_basis"),
     leaves="sequence",
-    report="sequence.json",
     result="sequence.npz",
-    folder="sequence",
     hands_on=("sequence.npz", "markers.json", "expression_basis.npz"),
     options=FitMarkers,
     frames=True,

@@ -1,4 +1,8 @@
-"""Fit a performance with a rig's muscle weights, frame after frame."""
+"""Fit a performance.
+
+Activations and jaw of every frame of a performance with the rig's muscle weights, within the limits
+that it was fitted in, each frame from the one before; frames can be read while the job runs.
+"""
 
 from typing import Annotated
 
@@ -36,16 +40,10 @@ class FitSequence(FitOptions):
 
 
 KIND = Kind(
-    title="Fit a performance",
-    description="Activations and jaw of every frame of a performance with the rig's muscle "
-    "weights, within the limits that it was fitted in, each frame from the one before; frames can "
-    "be read while the job runs.",
     queue="long",
     reads=("rig", "performance"),
     leaves="sequence",
-    report="sequence.json",
     result="sequence.npz",
-    folder="sequence",
     hands_on=("sequence.npz",),
     options=FitSequence,
     frames=True,

@@ -40,6 +40,8 @@ class OptionsError(ValueError):
 class Kind:
     """A kind of job, declared once: ``KIND`` of the module that it is named after.
 
+    The module's docstring is what customers read: the kind's title, and after it what it does.
+
     reads
         Its inputs. A service looks them up at submission: ``capture`` is one scan as it was
         uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the
@@ -59,27 +61,27 @@ class Kind:
         Whether it leaves frames, which can be read while it runs and are gone on with after a stop.
     """
 
-    title: str
-    description: str
     queue: Queue
     reads: tuple[str, ...]
     leaves: str  # what it makes, in a word: jobs with the same word leave the same files
-    report: str  # the JSON file of its verdict or figures, which the job's result shows
-    result: str  # the file that a person opens first
+    report: str = ""  # the JSON file that the job's result shows; not given: leaves.json
+    result: str = ""  # the file that a person opens first; not given: the report
     options: type[JobOptions] = JobOptions
     asks: tuple[str, ...] = ()
-    folder: str = "result"  # that a command line fills by default
+    folder: str = ""  # that a command line fills by default; not given: leaves
     frames: bool = False
     hands_on: tuple[str, ...] = ()
     seconds: int | None = None  # that it may last, where others of its queue last much longer
-    name: str = ""
+    name: str = ""  # the module's, whose docstring has title and description
+    title: str = ""
+    description: str = ""
 
     def __post_init__(self) -> None:
         """Refuse a contract that names an input or a file which is not declared."""
         for name in {*self.reads, *self.asks} - INPUTS.keys():
-            raise ValueError(f"{self.title}: no input is called {name}: {', '.join(INPUTS)} are")
+            raise ValueError(f"{self.leaves}: no input is called {name}: {', '.join(INPUTS)} are")
         for name in set(self.hands_on) - FILES.keys():
-            raise ValueError(f"{self.title}: no file {name} is handed on: {', '.join(FILES)} are")
+            raise ValueError(f"{self.leaves}: no file {name} is handed on: {', '.join(FILES)} are")
 
     @property
     def max_seconds(self) -> int:
@@ -160,7 +162,7 @@ class FitOptions(JobOptions):
 
 
 class ExpressionFitOptions(FitOptions):
-    """Options of fits of expressions by six numbers a muscle; each describes its ``solver``."""
+    """Options of fits of expressions by six numbers a muscle."""
 
     controls: Literal["admissible", "free"] | None = Field(
         default=None,
@@ -186,7 +188,12 @@ class ExpressionFitOptions(FitOptions):
             raise PydanticCustomError("no_bounds", message)
         return value
 
-    solver: Literal["reduced", "ipopt"] = "reduced"
+    solver: Literal["reduced", "ipopt"] = Field(
+        default="reduced",
+        description="reduced: positions are eliminated, and IPOPT steps in where a fit of "
+        "activations fails; ipopt: the full-space reference, minutes for an expression, and the "
+        "geometry of small meshes only (tetrahedra times expressions at most 2000)",
+    )
 
     @field_validator("solver")
     @classmethod

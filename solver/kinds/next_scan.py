@@ -1,4 +1,8 @@
-"""Propose which expression to scan next."""
+"""Propose the next scan.
+
+Which muscles the rig's training scans determine, and which expressions of the template would add
+most to them, while the person is still in the chair.
+"""
 
 from pydantic import Field
 
@@ -18,14 +22,10 @@ class NextScan(JobOptions):
 
 
 KIND = Kind(
-    title="Propose the next scan",
-    description="Which muscles the rig's training scans determine, and which expressions of the "
-    "template would add most to them, while the person is still in the chair.",
     queue="short",
     reads=("rig", "template", "expression_basis"),
     leaves="proposal",
     report="next_scan.json",
-    result="next_scan.json",
     folder="next-scan",
     options=NextScan,
 )

@@ -1,4 +1,8 @@
-"""Simulate a scene of keys with a rig's flesh."""
+"""Simulate a scene.
+
+Plays fitted performances and keys of the rig's expressions, of muscles and of the jaw by its flesh,
+with contact, forces, objects and edits; frames can be read while the job runs.
+"""
 
 from pydantic import Field
 
@@ -13,14 +17,9 @@ class Simulate(PlayOptions):
 
 
 KIND = Kind(
-    title="Simulate a scene",
-    description="Plays fitted performances and keys of the rig's expressions, of muscles and of "
-    "the jaw by its flesh, with contact, forces, objects and edits; frames can be read while the "
-    "job runs.",
     queue="long",
     reads=("rig", "template", "assets", "sequences", "fibre_muscles"),
     leaves="animation",
-    report="animation.json",
     result="animation.glb",
     folder="simulation",
     options=Simulate,

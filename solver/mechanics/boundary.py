@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.model import JawFrame
 from solver.surface import Floats, skew
@@ -78,21 +79,21 @@ def five_numbers(frame: JawFrame, motion: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class FreeJaw:
+class FreeJaw(JawMotion):
     """The mandible by b (5,), whatever its joint can do: :func:`move_jaw`."""
 
     frame: JawFrame
 
+    @override
     def move(self, points: Floats, b: Floats) -> Floats:
-        """See :class:`JawMotion`."""
         return move_jaw(self.frame, points, b)
 
+    @override
     def jacobian(self, points: Floats, b: Floats) -> Floats:
-        """See :class:`JawMotion`."""
         return jaw_jacobian(self.frame, points, b)
 
+    @override
     def matrix(self, b: Floats) -> Floats:
-        """See :class:`JawMotion`."""
         out, R = np.eye(4), jaw_rotation(self.frame, b)
         origin = self.frame.origin
         out[:3, :3], out[:3, 3] = R, origin + b[2:] @ self.frame.axes - R @ origin

@@ -24,11 +24,12 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.errors import InputError
 from solver.mechanics.assembly import PAIRS
 from solver.mechanics.flesh import Flesh
-from solver.mechanics.terms import RestingTerm, force_columns
+from solver.mechanics.terms import EnergyTerm, RestingTerm, force_columns
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
@@ -147,8 +148,8 @@ class FibreMuscles:
         return replace(self, strengths=self.strengths * factor)
 
 
-class FibreTerm:
-    """The energy of fibre muscles, an :class:`~solver.mechanics.terms.EnergyTerm` by a (m,)."""
+class FibreTerm(EnergyTerm):
+    """The energy of fibre muscles by a (m,); its entries are the tets with muscle."""
 
     def __init__(self, flesh: Flesh, muscles: FibreMuscles, curve: Curve = CURVE) -> None:
         self.muscles, self.curve = muscles, curve
@@ -163,39 +164,36 @@ class FibreTerm:
             self._whole * muscles.fractions,
             np.ascontiguousarray(muscles.strengths, dtype=np.float64),
         )
-
-    @property
-    def vertices(self) -> Ints:
-        """See :class:`~solver.mechanics.terms.EnergyTerm`: (t, 4) of every tet with muscle."""
-        return self._entries.vertices
+        self.vertices = self._entries.vertices
 
     def stretches(self, x: Floats) -> Floats:
         """Return L of every entry, (e,)."""
         return self._at(x).L
 
+    @override
     def energy(self, x: Floats, controls: Floats) -> float:
-        """See :class:`~solver.mechanics.terms.EnergyTerm`."""
         out = np.empty(len(self.tets))
         _energies(self._entries, np.ascontiguousarray(x), controls, self.curve, out)
         return float(out.sum())
 
+    @override
     def forces(self, x: Floats, controls: Floats) -> Floats:
-        """See :class:`~solver.mechanics.terms.EnergyTerm`."""
         _forces(self._entries, np.ascontiguousarray(x), controls, self.curve, self._out)
         return self._out
 
+    @override
     def blocks(
         self, x: Floats, controls: Floats, *, project: float = 0.0, some: Ints | None = None
     ) -> Floats:
-        """See :class:`~solver.mechanics.terms.EnergyTerm`."""
         which = np.arange(len(self.tets)) if some is None else some
         out = np.empty((len(which), PAIRS, 3, 3))
         at = np.ascontiguousarray(x), controls, self.curve
         _blocks(self._entries, *at, float(project), which, out)
         return out
 
-    def forces_by_control(self, x: Floats, controls: Floats) -> sp.csc_array:  # noqa: ARG002
-        """See :class:`~solver.mechanics.terms.EnergyTerm`: (3 p, m) by the activations."""
+    @override
+    def forces_by_control(self, x: Floats, controls: Floats) -> sp.csc_array:
+        """Return (3 p, m) by the activations."""
         at = self._at(x)
         return self._columns(at, self._strengths * at.active) @ self._by_muscle
 

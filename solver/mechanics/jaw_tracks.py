@@ -22,6 +22,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
+from typing_extensions import override
 
 from solver.mechanics.boundary import JawMotion, rotation
 from solver.model import JawFrame
@@ -52,7 +53,7 @@ TRACKS = TrackOptions()
 
 
 @dataclass(frozen=True)
-class JawTracks:
+class JawTracks(JawMotion):
     """Tracks of the condyles: a :class:`~solver.mechanics.boundary.JawMotion` by q (3,)."""
 
     frame: JawFrame
@@ -78,20 +79,21 @@ class JawTracks:
         """Return the greatest q."""
         return np.array([self.opening, self.length, self.length])
 
+    @override
     def matrix(self, b: Floats) -> Floats:
-        """See :class:`~solver.mechanics.boundary.JawMotion`."""
         R, slide, _ = self._motion(b)
         out, m = np.eye(4), self.frame.origin
         out[:3, :3], out[:3, 3] = R, m + slide - R @ m
         return out
 
+    @override
     def move(self, points: Floats, b: Floats) -> Floats:
-        """See :class:`~solver.mechanics.boundary.JawMotion`."""
         R, slide, _ = self._motion(b)
         return np.asarray((points - self.frame.origin) @ R.T + self.frame.origin + slide)
 
+    @override
     def jacobian(self, points: Floats, b: Floats) -> Floats:
-        """See :class:`~solver.mechanics.boundary.JawMotion`: (n, 3, 3)."""
+        """Return the derivative (n, 3, 3)."""
         _, _, (rates, slides) = self._motion(b)
         arms = points - self.frame.origin
         return np.asarray(np.einsum("qij,nj->niq", rates, arms) + slides.T)

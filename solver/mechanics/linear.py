@@ -14,6 +14,7 @@ import pymetis
 import scipy.sparse as sp
 import scipy.sparse.linalg
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from solver.errors import InputError
 from solver.surface import Floats, Ints
@@ -48,7 +49,7 @@ class LinearSolver(Protocol):
         """
 
 
-class Rslab:
+class Rslab(LinearSolver):
     """Supernodal LDL^T in Rust (MIT): by far the fastest with many right-hand sides."""
 
     dtype = "float64"
@@ -70,8 +71,8 @@ class Rslab:
             threads=nb.get_num_threads(),
         )
 
+    @override
     def factor(self, data: Floats, *, indefinite: bool = False) -> Factor:
-        """See :class:`LinearSolver`."""
         try:
             factor = self._analysis.factor(data[self._keep])
         except RuntimeError as error:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.errors import SolveError
 from solver.mechanics.boundary import Boundary, Potential
@@ -88,7 +89,7 @@ class Accelerator:
         return np.asarray(correction - (np.diff(self._points, axis=0).T + changes) @ weights)
 
 
-class Factorization:
+class Factorization(Factor):
     """The Hessian at x (p, 3) with controls ``a``, factorised when first asked for.
 
     It is projected as far as need be, from number ``first`` of the options' ``projections`` on.
@@ -109,8 +110,8 @@ class Factorization:
         self._flesh, self._linear, self._a = flesh, linear, a
         self._first, self._options = first, options
 
+    @override
     def solve(self, B: Floats) -> Floats:
-        """See :class:`~solver.mechanics.linear.Factor`."""
         return self._factor_and_projection[0].solve(B)
 
     @property

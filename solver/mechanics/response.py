@@ -17,6 +17,7 @@ from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.mechanics.boundary import BoundaryRates, Potential
 from solver.mechanics.flesh import Flesh
@@ -27,9 +28,7 @@ from solver.surface import Floats
 class Controls(Protocol):
     """Controls q (k,) of a flesh at one state x: the linear map G and the held vertices' motion."""
 
-    @property
-    def held(self) -> sp.csr_array:
-        """Return dx_held/dq as (3 p, k): zero rows for free coordinates."""
+    held: sp.csr_array  # dx_held/dq as (3 p, k): zero rows for free coordinates
 
     def columns(self) -> Floats:
         """Return G (size, k) in memory order of columns; the caller may overwrite it."""
@@ -42,8 +41,8 @@ class Controls(Protocol):
 
 
 @dataclass(frozen=True)
-class SparseControls:
-    """:class:`Controls` with G as a matrix: ``forces`` (size, k) CSC and ``held`` (3 p, k) CSR."""
+class SparseControls(Controls):
+    """Controls with G as a matrix: ``forces`` (size, k) CSC and ``held`` (3 p, k) CSR."""
 
     forces: sp.csc_array
     held: sp.csr_array
@@ -77,16 +76,16 @@ class SparseControls:
             held = sp.csr_array(flat)
         return cls(sp.csc_array(forces), held)
 
+    @override
     def columns(self) -> Floats:
-        """See :class:`Controls`."""
         return np.asarray(self.forces.toarray(order="F"))
 
+    @override
     def product(self, change: Floats) -> Floats:
-        """See :class:`Controls`."""
         return np.asarray(self.forces @ change)
 
+    @override
     def adjoint(self, motion: Floats) -> Floats:
-        """See :class:`Controls`."""
         return np.asarray(self.forces.T @ motion)
 
 

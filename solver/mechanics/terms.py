@@ -8,13 +8,14 @@ and is a :class:`solver.mechanics.boundary.Potential`.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
+from typing_extensions import override
 
 from solver.errors import InputError, SolveError
 from solver.mechanics import elements, laws
@@ -27,9 +28,7 @@ from solver.surface import Floats, Ints
 class EnergyTerm(Protocol):
     """A part of the energy of vertices x (p, 3), by controls: a sum over e entries."""
 
-    @property
-    def vertices(self) -> Ints:
-        """Return each entry's vertices: (e, 4), those of a tet, or (e, 1)."""
+    vertices: Ints  # each entry's: (e, 4), those of a tet, or (e, 1)
 
     def energy(self, x: Floats, controls: Floats) -> float:
         """Return the energy, infinite where x is not feasible."""
@@ -56,33 +55,30 @@ class InvertedActivationError(InputError, SolveError):
     """A tet is activated to no positive volume: to a fit, a step that went too far."""
 
 
-class ElasticTerm:
-    """The law of all tets, an :class:`EnergyTerm`; its controls are activations (n, 6)."""
+class ElasticTerm(EnergyTerm):
+    """The law of all tets; its controls are activations (n, 6)."""
 
     def __init__(self, mesh: Elements) -> None:
-        self._mesh = mesh
+        self._mesh, self.vertices = mesh, mesh.tets
 
-    @property
-    def vertices(self) -> Ints:
-        """See :class:`EnergyTerm`."""
-        return self._mesh.tets
-
+    @override
     def energy(self, x: Floats, controls: Floats) -> float:
-        """See :class:`EnergyTerm`."""
         out = np.empty(len(self._mesh.tets))
         elements.energies(self._mesh, np.ascontiguousarray(x), controls, out)
         return float(out.sum())
 
+    @override
     def forces(self, x: Floats, controls: Floats) -> Floats:
-        """See :class:`EnergyTerm`. Raises :class:`InvertedActivationError`."""
+        """Differentiate; raises :class:`InvertedActivationError`."""
         self._check(controls)
         elements.forces(self._mesh, np.ascontiguousarray(x), controls, self._forces)
         return self._forces
 
+    @override
     def blocks(
         self, x: Floats, controls: Floats, *, project: float = 0.0, some: Ints | None = None
     ) -> Floats:
-        """See :class:`EnergyTerm`. Raises :class:`InvertedActivationError`."""
+        """Differentiate; raises :class:`InvertedActivationError`."""
         self._check(controls)
         mesh, out = self._mesh, self._blocks if some is None else np.empty((len(some), PAIRS, 3, 3))
         if some is not None:
@@ -97,8 +93,9 @@ class ElasticTerm:
         elements.forces_by_activation(self._mesh, np.ascontiguousarray(x), a, out)
         return out
 
+    @override
     def forces_by_control(self, x: Floats, controls: Floats) -> sp.csc_array:
-        """See :class:`EnergyTerm`: (3 p, 6 n), each tet's six entries in turn."""
+        """Return (3 p, 6 n), each tet's six entries in turn."""
         by_tet = self.forces_by_activation(x, controls).transpose(0, 3, 1, 2)
         vertices = np.repeat(self._mesh.tets, 6, axis=0)
         return force_columns(by_tet.reshape(-1, 4, 3), vertices, x.size)
@@ -119,63 +116,47 @@ class ElasticTerm:
         return np.empty((len(self._mesh.tets), PAIRS, 3, 3))
 
 
-class RestingTerm:
-    """The law of tets whose activations ``a`` (n, 6) stay as they are, an :class:`EnergyTerm`."""
+class RestingTerm(EnergyTerm):
+    """The law of tets whose activations ``a`` (n, 6) stay as they are."""
 
     def __init__(self, elastic: ElasticTerm, a: Floats) -> None:
-        self._elastic, self._a = elastic, a
+        self._elastic, self._a, self.vertices = elastic, a, elastic.vertices
 
-    @property
-    def vertices(self) -> Ints:
-        """See :class:`EnergyTerm`."""
-        return self._elastic.vertices
-
-    def energy(self, x: Floats, controls: Floats) -> float:  # noqa: ARG002
-        """See :class:`EnergyTerm`."""
+    @override
+    def energy(self, x: Floats, controls: Floats) -> float:
         return self._elastic.energy(x, self._a)
 
-    def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
-        """See :class:`EnergyTerm`."""
+    @override
+    def forces(self, x: Floats, controls: Floats) -> Floats:
         return self._elastic.forces(x, self._a)
 
+    @override
     def blocks(
-        self,
-        x: Floats,
-        controls: Floats,  # noqa: ARG002
-        *,
-        project: float = 0.0,
-        some: Ints | None = None,
+        self, x: Floats, controls: Floats, *, project: float = 0.0, some: Ints | None = None
     ) -> Floats:
-        """See :class:`EnergyTerm`."""
         return self._elastic.blocks(x, self._a, project=project, some=some)
 
+    @override
     def forces_by_control(self, x: Floats, controls: Floats) -> None:
-        """See :class:`EnergyTerm`: none."""
+        return None
 
 
-class PassiveTerm(ABC):
-    """Base of an :class:`EnergyTerm` that no control changes, quadratic in x."""
-
-    vertices: Ints  # (e, v), the entries'
+class PassiveTerm(EnergyTerm):
+    """A term that no control changes, quadratic in x."""
 
     @abstractmethod
     def stiffness_of(self, some: Ints | slice) -> Floats:
         """Return the second derivatives of some entries, as :meth:`blocks` has them."""
 
+    @override
     def blocks(
-        self,
-        x: Floats,  # noqa: ARG002
-        controls: Floats,  # noqa: ARG002
-        *,
-        project: float = 0.0,  # noqa: ARG002
-        some: Ints | None = None,
+        self, x: Floats, controls: Floats, *, project: float = 0.0, some: Ints | None = None
     ) -> Floats:
-        """See :class:`EnergyTerm`."""
         return self.stiffness_of(slice(None) if some is None else some)
 
-    def forces_by_control(self, x: Floats, controls: Floats) -> None:  # noqa: ARG002
-        """See :class:`EnergyTerm`: none."""
-        return
+    @override
+    def forces_by_control(self, x: Floats, controls: Floats) -> None:
+        return None
 
 
 @dataclass(frozen=True)
@@ -196,17 +177,17 @@ class SlidingPlanes(PassiveTerm):
         """Return how far the vertices ``x`` (p, 3) have left their planes, (k,) mm."""
         return np.asarray(((x[self.vertices[:, 0]] - self.points) * self.normals).sum(axis=1))
 
-    def energy(self, x: Floats, controls: Floats) -> float:  # noqa: ARG002
-        """See :class:`EnergyTerm`."""
+    @override
+    def energy(self, x: Floats, controls: Floats) -> float:
         return float(0.5 * self.stiffness @ self.drift(x) ** 2)
 
-    def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
-        """See :class:`EnergyTerm`."""
+    @override
+    def forces(self, x: Floats, controls: Floats) -> Floats:
         along = self.stiffness * self.drift(x)
         return np.asarray(along[:, None] * self.normals)[:, None]
 
+    @override
     def stiffness_of(self, some: Ints | slice) -> Floats:
-        """See :class:`PassiveTerm`."""
         normals, stiffness = self.normals[some], self.stiffness[some]
         outer = normals[:, :, None] * normals[:, None, :]
         return np.asarray((stiffness[:, None, None] * outer)[:, None])

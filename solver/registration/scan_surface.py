@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree, cKDTree
+from typing_extensions import override
 
 from solver.errors import InputError
 from solver.meshio.raw import RawScan
@@ -110,8 +111,8 @@ class MeshScan(ScanSurface):
         self._tree = igl.AABB()
         self._tree.init(self.vertices, self.faces)
 
+    @override
     def closest(self, points: Floats) -> Matches:
-        """See :class:`ScanSurface`."""
         squared, face, near = self._tree.squared_distance(self.vertices, self.faces, points)
         corners = self.faces[face]
         weights = _barycentric(near, self.vertices[corners])
@@ -135,8 +136,8 @@ class CloudScan(ScanSurface):
         normals = unit_rows(samples.normals[near].mean(axis=1))
         super().__init__(Surface(points, np.zeros((0, 3), np.int64)), normals, options)
 
+    @override
     def closest(self, points: Floats) -> Matches:
-        """See :class:`ScanSurface`."""
         distance, near = self._tree.query(points, self._options.cloud_neighbours)
         centre, normals = self._means(1 / (distance**2 + (0.3 * self._spacing) ** 2), near)
         height = np.einsum("nd,nd->n", points - centre, normals)

@@ -12,7 +12,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from solver.anatomy.template import Template
-from solver.drawing.head import COLOURS, DrawnHead, both_sides, linear, muscle_colours
+from solver.drawing.head import (
+    COLOURS,
+    SIDE,
+    THREE_QUARTER,
+    DrawnHead,
+    both_sides,
+    face_camera,
+    linear,
+    muscle_colours,
+)
 from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, render, render_bust
 from solver.drawing.sheet import HEADER, INK, MARGIN, Colour, Column, Sheet, SheetLayout, draw_sheet
 from solver.model import SubjectModel
@@ -43,7 +52,7 @@ def fibre_threads(
     if model.fibres is None:
         return {}
     entries = model.weights.tocoo()
-    points = model.rest[model.tets].mean(axis=1)[entries.row]
+    points = model.tet_centres[entries.row]
     threads = {}
     for column, name in enumerate(model.muscle_names, start=1):
         own = (entries.col == column) & (entries.data >= options.least_share)
@@ -92,7 +101,7 @@ def _tubes(lines: Floats, options: ThreadOptions) -> Surface:
 
 
 WIDTH, VIEW_HEIGHT = 1600, 640  # of a picture and of what it shows of an anatomy, pixels
-THREE_QUARTER, SECTION, SIDE = np.radians(38.0), np.radians(62.0), np.radians(88.0)
+SECTION = np.radians(62.0)  # the camera's angle to a section through the tets
 
 
 def fit_picture(model: SubjectModel, fit: ExpressionFit, path: Path) -> None:
@@ -177,7 +186,7 @@ def tets_picture(model: SubjectModel, path: Path) -> None:
     """Draw sections through the tets, coloured by the muscle with the greatest share in each."""
     palette = muscle_colours(model.muscle_names)
     colour = _tet_colours(model, palette)
-    centre = model.rest[model.tets].mean(axis=1) - model.jaw.origin
+    centre = model.tet_centres - model.jaw.origin
     front = model.skin.vertices[model.face, 2].max() - model.jaw.origin[2]
     views = [
         ("all tets", 0.0, np.full(len(centre), True)),
@@ -210,16 +219,6 @@ def _draw_views(
         page.panel((column * width, HEADER), image)
         page.text((column * width + width // 2, HEADER + VIEW_HEIGHT + 6), name, 17, anchor="ma")
     page.save(path)
-
-
-def face_camera(skin: Floats, face: Ints, yaw: float) -> Camera:
-    """Return a camera that shows the face with the head around it."""
-    low, high = skin[face].min(axis=0), skin[face].max(axis=0)
-    height = high[1] - low[1]
-    centre = (low + high) / 2 + np.array([0.0, 0.06 * height, 0.0])
-    head = skin[skin[:, 1] > low[1]]
-    centre[2] = (head[:, 2].min() + head[:, 2].max()) / 2
-    return Camera(centre, span=1.62 * height, yaw=yaw)
 
 
 def _inside(anatomy: _Anatomy, palette: dict[str, Colour], organs: DrawnBody) -> DrawnBody:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from solver.anatomy.template import Template
-from solver.errors import MOST_NAMES, Finding, InputError, Severity, advise, quote
+from solver.errors import MOST_NAMES, Finding, InputError, Severity, advise, count_words, quote
 from solver.meshio.raw import WELDED_SHARE, Mending, RawScan
 from solver.registration.landmarks import match, read_landmarks
 from solver.registration.locate import Location
@@ -238,8 +238,9 @@ def file_findings(
     if lost:
         severity: Severity = "error" if lost > limits.not_finite * vertices else "warning"
         message = (
-            f"{_count(lost, 'vertex', 'vertices')} of {vertices} {'is' if lost == 1 else 'are'} "
-            f"not a number; the first is vertex {first} (counted from 0)."
+            f"{count_words(lost, 'vertex', 'vertices')} of {vertices} "
+            f"{'is' if lost == 1 else 'are'} not a number; the first is vertex {first} "
+            "(counted from 0)."
         )
         add("scan.nan", severity, message, vertex=first, found=lost)
     is_welded = mending.duplicate > WELDED_SHARE * vertices
@@ -258,11 +259,11 @@ def file_findings(
     for code, (number, is_worth_a_look) in counts.items():
         if number:
             sentence, subjects = COUNTED[code]
-            message = sentence.format(_count(number, *subjects))
+            message = sentence.format(count_words(number, *subjects))
             add(code, "warning" if is_worth_a_look else "info", message, found=number)
     if raw.empty_groups:
         groups, names = len(raw.empty_groups), ", ".join(raw.empty_groups[:5])
-        message = f"{_count(groups, 'group holds', 'groups hold')} no triangle: {names}."
+        message = f"{count_words(groups, 'group holds', 'groups hold')} no triangle: {names}."
         add("scan.empty_groups", "warning", message, groups=list(raw.empty_groups[:MOST_NAMES]))
     if not len(raw.faces) and raw.normals is None:
         message = f"{raw.file} is a point cloud without normals; they are found from neighbours."
@@ -271,10 +272,6 @@ def file_findings(
         message = f"{vertices:,} vertices are more than a registration can use."
         add("scan.dense", "warning", message, found=vertices, expected=limits.dense)
     return found
-
-
-def _count(number: int, one: str, many: str) -> str:
-    return f"{number:,} {one if number == 1 else many}"
 
 
 # Findings about landmarks that came with a scan: whether they belong to it.

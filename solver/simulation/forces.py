@@ -18,6 +18,7 @@ from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from typing_extensions import override
 
 from solver.errors import InputError
 from solver.fitting.face import Face
@@ -47,20 +48,20 @@ class Inertia(PassiveTerm):
         self._rest = self.centre = flesh.rest
         self.release()
 
-    def energy(self, x: Floats, controls: Floats) -> float:  # noqa: ARG002
-        """See :class:`~solver.mechanics.terms.EnergyTerm`."""
+    @override
+    def energy(self, x: Floats, controls: Floats) -> float:
         free = self.vertices[:, 0]
         stretched = ((x - self.centre)[free] ** 2).sum(axis=1)
         work = float((self.load * (x - self._rest))[free].sum())
         return 0.5 * float(self.stiffness[free] @ stretched) - work
 
-    def forces(self, x: Floats, controls: Floats) -> Floats:  # noqa: ARG002
-        """See :class:`~solver.mechanics.terms.EnergyTerm`."""
+    @override
+    def forces(self, x: Floats, controls: Floats) -> Floats:
         outside = self.stiffness[:, None] * (x - self.centre) - self.load
         return np.asarray(outside[self.vertices])
 
+    @override
     def stiffness_of(self, some: Ints | slice) -> Floats:
-        """See :class:`~solver.mechanics.terms.PassiveTerm`."""
         return self.stiffness[self.vertices[some, 0], None, None, None] * np.eye(3)
 
     def release(self) -> None:
@@ -132,7 +133,7 @@ class ExternalForce(Protocol):
         """Return the forces (p, 3) in the world at ``time`` in seconds, g mm/s^2."""
 
 
-class Gravity:
+class Gravity(ExternalForce):
     """Weight, less the weight under which the neutral face was scanned: its shape is not to sag.
 
     ``masses`` (p,) are the vertices' in g, ``mm_s2`` (3,) is the acceleration in the world,
@@ -143,13 +144,13 @@ class Gravity:
         self._masses = masses
         self._now, self._scanned = np.asarray(mm_s2, float), np.asarray(scanned, float)
 
+    @override
     def at(self, motion: FleshMotion, _time: float, /) -> Floats:
-        """See :class:`ExternalForce`."""
         change = self._now - motion.head.rotation @ self._scanned
         return np.asarray(self._masses[:, None] * change)
 
 
-class Wind:
+class Wind(ExternalForce):
     """Wind on the face skin: rho/2 C A |w_n| w_n n on a triangle of area A and normal n.
 
     w_n is the part along n of the wind relative to the skin: it presses on one side and sucks on
@@ -181,8 +182,8 @@ class Wind:
         gust = np.sin(2.0 * np.pi * self._hertz * time + self._phases).mean()
         return np.asarray((1.0 + self._gusts * gust) * self._mm_s)
 
+    @override
     def at(self, motion: FleshMotion, time: float, /) -> Floats:
-        """See :class:`ExternalForce`."""
         skin = self._embedding @ motion.x + motion.head.turn(self._offset)
         doubled = area_normals(skin, self._triangles)
         area = 0.5 * np.linalg.norm(doubled, axis=1)
@@ -196,7 +197,7 @@ class Wind:
         return np.asarray(self._embedding.T @ on_skin)
 
 
-class Pull:
+class Pull(ExternalForce):
     """Skin that is pulled at a point, in the head's frame, as if by a patch that sticks to it.
 
     ``mn`` (3,) is the whole force in millinewton. It is spread over the skin within ``radius_mm``
@@ -222,7 +223,7 @@ class Pull:
         self._share = np.asarray(model.embedding.T @ (weights / weights.sum()))
         self._force, self._ramp = MILLINEWTON * np.asarray(mn, float), ramp
 
+    @override
     def at(self, motion: FleshMotion, time: float, /) -> Floats:
-        """See :class:`ExternalForce`."""
         part = np.clip(time / self._ramp, 0.0, 1.0) if self._ramp else 1.0
         return np.asarray(self._share[:, None] * (part * motion.head.rotation @ self._force))

@@ -34,9 +34,9 @@ print("pc2" in offered, told["file"], told["bytes"])
 """
 AFTER_A_FIT = """
 from pathlib import Path
-from solver.rig.exporters import write_all
+from solver.rig.exporters import export_all
 from solver.rig.rig import Rig
-print(*(path.name for path in write_all(Rig.load(Path("rig.npz")), Path("made"))))
+print(*(each.path.name for each in export_all(Rig.load(Path("rig.npz")), Path("made"))))
 """
 
 

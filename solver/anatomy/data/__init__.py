@@ -25,7 +25,7 @@ def read_table(name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def listed(cell: str) -> tuple[str, ...]:
+def split_cell(cell: str) -> tuple[str, ...]:
     """Return what a cell lists between semicolons."""
     return tuple(cell.split("; ")) if cell else ()
 

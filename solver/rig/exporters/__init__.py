@@ -100,12 +100,8 @@ def export_measured(
     return Exported(file, chosen.read_back(rig, file, given))
 
 
-def write_all(rig: Rig, folder: Path) -> list[Path]:
+def export_all(rig: Rig, folder: Path) -> list[Exported]:
     """Write what belongs to every rig into its folder, unless its extra is missing."""
-    return [each.path for each in _export_all(rig, folder)]
-
-
-def _export_all(rig: Rig, folder: Path) -> list[Exported]:
     files = []
     for name in FORMATS:
         try:
@@ -129,7 +125,7 @@ def write_rig(rig: Rig, certificate: Certificate, out: Path) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     figures = report(rig, certificate)
     figures_file, page = out / "report.json", out / "report.html"
-    exported = _export_all(replace(rig, figures=figures), out)
+    exported = export_all(replace(rig, figures=figures), out)
     measured = {each.path.name: each.figures for each in exported}
     write_json(figures_file, {**figures, "files": measured})
     files = [*(each.path for each in exported), *rig.save_as_0_1(out)]

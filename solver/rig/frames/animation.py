@@ -16,7 +16,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 
 from solver.anatomy.tetrahedra import volume_ml
-from solver.drawing.head import DrawnHead
+from solver.drawing.head import THREE_QUARTER, DrawnHead, face_camera
 from solver.drawing.render import DrawnBody, Lit, Pixels, render_bust
 from solver.drawing.sheet import MARGIN, Column, SheetLayout, draw_sheet
 from solver.errors import InputError
@@ -27,7 +27,6 @@ from solver.rig.frames.frames import FrameRecord, pack, read_chunks, unpack
 from solver.rig.frames.gltf import Solid
 from solver.rig.frames.read_back import Comparison
 from solver.rig.frames.skin_basis import Singles
-from solver.rig.pictures import THREE_QUARTER, face_camera
 from solver.scene.objects import SceneObject
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.forces import FleshMotion

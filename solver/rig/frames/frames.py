@@ -345,25 +345,25 @@ def _columns(muscles: Sequence[str], arrays: Mapping[str, Any]) -> dict[str, Flo
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
     head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]
     activations = arrays["activations"]
-    controls = _named(_entries(muscles, arrays), activations.reshape(len(activations), -1))
+    controls = _by_name(_entries(muscles, arrays), activations.reshape(len(activations), -1))
     spread: dict[str, Floats] = {}
     if "sd" in arrays:
         on_tracks = [f"tracks.{name}" for name in ("opening", "left", "right")]
         names = [*controls, *(on_tracks if arrays["tracks"].size else jaw)]
-        spread = _named(_spread_of(names), arrays["sd"])
+        spread = _by_name(_spread_of(names), arrays["sd"])
     first = {}
     if are_fibres(activations):
         first = controls | {name: spread[name] for name in _spread_of(muscles) if name in spread}
     elif "contraction" in arrays:
         own = [f"{name}.contraction" for name in muscles]
-        first = _named(own, arrays["contraction"])
+        first = _by_name(own, arrays["contraction"])
         if spread:
-            first |= _named(_spread_of(own), arrays["contraction_sd"])
-    placed = _named(jaw, arrays["jaw"]) | _named(head, arrays["head"])
+            first |= _by_name(_spread_of(own), arrays["contraction_sd"])
+    placed = _by_name(jaw, arrays["jaw"]) | _by_name(head, arrays["head"])
     return first | placed | controls | spread
 
 
-def _named(names: Sequence[str], values: Floats) -> dict[str, Floats]:
+def _by_name(names: Sequence[str], values: Floats) -> dict[str, Floats]:
     return dict(zip(names, values.T, strict=True))
 
 

@@ -21,7 +21,7 @@ from solver.errors import SolveError
 from solver.rig.frames.skin_basis import Singles
 from solver.surface import Floats
 
-LIMIT_MM = 0.2
+LIMIT_MM = 0.2  # that a file may be off
 NEUTRAL = "neutral"  # the skin at rest, among expressions
 BLOCK = 16  # frames that are looked at together
 METRE = 1e3  # mm
@@ -104,7 +104,7 @@ class MorphedSkin:
     shapes: Singles  # (s, 3 v) changes from the neutral
     motion: Callable[[Floats], tuple[Floats, Floats, Floats]]
 
-    def blended(self, weights: Floats) -> Singles:
+    def blend(self, weights: Floats) -> Singles:
         """Return the skins (f, v, 3) of weights (f, s)."""
         change = weights.astype(np.float32) @ self.shapes
         return np.asarray(self.neutral + change.reshape(len(weights), *self.neutral.shape))
@@ -143,7 +143,7 @@ def compare_motion(
     for first in range(0, len(skins), BLOCK):
         rows = slice(first, first + BLOCK)
         weights, rotations, shifts = shown.motion(times[rows])
-        blended = shown.blended(weights)
+        blended = shown.blend(weights)
         for number, row in enumerate(range(first, first + len(blended))):
             placed = blended[number].astype(np.float64) @ rotations[number].T + shifts[number]
             wanted = skins[row].astype(np.float64) @ turns[row].T + heads[row, 3:]
@@ -187,14 +187,14 @@ def read_glb(path: Path, node: int = 0) -> MorphedSkin:
         if "translation" in tracks:
             shifts = METRE * between(*tracks["translation"], times)
         if "rotation" in tracks:
-            turns = _turned(*tracks["rotation"], times)
+            turns = _turn(*tracks["rotation"], times)
         return weights, turns, shifts
 
     names = mesh.get("extras", {}).get("targetNames", [])
     return MorphedSkin(neutral, names, shapes, motion)
 
 
-def _turned(keys: Floats, quaternions: np.ndarray, times: Floats) -> Floats:
+def _turn(keys: Floats, quaternions: np.ndarray, times: Floats) -> Floats:
     """Return rotations (f, 3, 3) at ``times``, steady between keys (k,), of (x, y, z, w) (k, 4)."""
     turns = Rotation.from_quat(quaternions.astype(np.float64))
     if len(keys) == 1:

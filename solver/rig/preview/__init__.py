@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.drawing.head import DrawnHead
+from solver.drawing.head import DrawnHead, face_camera
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.errors import InputError, SolveError
 from solver.fitting.expression_basis import ExpressionBasis
@@ -25,7 +25,6 @@ from solver.rig.frames.skin_basis import (
     quadratic_map,
     reduce_skin,
 )
-from solver.rig.pictures import face_camera
 from solver.rig.preview.poses import (
     Responses,
     Sample,

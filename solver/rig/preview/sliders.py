@@ -112,7 +112,7 @@ def controls_of(
     in_a, in_b = layout["activations"], layout["jaw"]
     fitted = np.array([Pose(fit.activations, fit.jaw).vector() for fit in fits]) - layout.rest
     muscles, changes = _muscles(face, options.full_stretch)
-    contracted = _contracted(face, fits, muscles)
+    contracted = _read_contraction(face, fits, muscles)
     jaws, ways, opened = _jaw(fitted[:, in_b], options)
     directions = np.zeros((layout.size, len(muscles) + len(jaws)))
     directions[in_a, : len(muscles)] = changes
@@ -158,7 +158,9 @@ def _muscles(face: Face, full_stretch: float) -> tuple[list[Control], Floats]:
     return listed, changes.reshape(6 * len(names), -1)
 
 
-def _contracted(face: Face, fits: Sequence[ExpressionFit], muscles: Sequence[Control]) -> Floats:
+def _read_contraction(
+    face: Face, fits: Sequence[ExpressionFit], muscles: Sequence[Control]
+) -> Floats:
     """Return the values (e, .) of the ``muscles`` in fitted expressions; 0 where they lengthen."""
     numbers = [face.model.muscle_number(str(control.muscle)) for control in muscles]
     contraction = Contraction.of_face(face)

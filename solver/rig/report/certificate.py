@@ -26,7 +26,7 @@ from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization
 from solver.model import SubjectModel
-from solver.rig.report.prime_movers import Movers, Said, movers, ranked
+from solver.rig.report.prime_movers import Movers, Said, movers, rank_contractions
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import round_trip
 from solver.surface import Floats, Ints
@@ -57,7 +57,7 @@ class Muscles:
     limits: MuscleLimits = MuscleLimits()
 
     @property
-    def judged(self) -> NDArray[np.bool_]:
+    def is_judged(self) -> NDArray[np.bool_]:
         """Return which muscles (m,) have flesh enough to be judged."""
         return np.asarray(self.flesh_mm3 >= self.limits.least_flesh_mm3)
 
@@ -76,7 +76,7 @@ class Muscles:
         The amount is by how much a limit is passed, as a logarithm of the stretch or the volume.
         """
         limits = self.limits
-        if not self.judged[muscle]:
+        if not self.is_judged[muscle]:
             return []
         least, most = self.shortest[muscle], self.longest[muscle]
         fibres, volume = self.fibres[muscle], self.volume[muscle]
@@ -97,7 +97,7 @@ class Muscles:
     @property
     def inside_out(self) -> Ints:
         """Return the numbers of the muscles that are turned inside out."""
-        return np.flatnonzero((self.shortest <= 0.0) & self.judged)
+        return np.flatnonzero((self.shortest <= 0.0) & self.is_judged)
 
 
 def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) -> Muscles:
@@ -270,7 +270,7 @@ def _check(
     return ExpressionCheck(
         found,
         movers(
-            ranked(face.model.muscle_names, found.contraction, found.judged),
+            rank_contractions(face.model.muscle_names, found.contraction, found.is_judged),
             dict(zip(face.model.muscle_names, face.model.muscle_groups, strict=True)),
             actions_of(fit.name),
         ),

@@ -11,13 +11,12 @@ import numpy as np
 
 from solver.anatomy.tetrahedra import ML, volume_ml, volumes
 from solver.contact.potentials import Gauge
-from solver.drawing.head import DrawnHead
+from solver.drawing.head import SIDE, THREE_QUARTER, DrawnHead, face_camera
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.edits.edit import Edited, Replayed
 from solver.model import SubjectModel
 from solver.rig.frames.gltf import in_turn, write_face
 from solver.rig.frames.read_back import NEUTRAL, compare_expressions, read_glb
-from solver.rig.pictures import SIDE, THREE_QUARTER, face_camera
 from solver.storage import csr_arrays, read_arrays, write_json
 from solver.surface import Floats, vertex_areas, vertex_normals
 

@@ -59,7 +59,7 @@ def _find_parted_teeth(model: SubjectModel, options: NeutralLimits) -> list[Find
     if apart <= options.apart_mm:
         return []
     message = f"the neutral's teeth are {apart:.1f} mm apart"
-    return [_parted(message, apart)]
+    return [_report_parted(message, apart)]
 
 
 def _find_closing_jaw(
@@ -74,10 +74,10 @@ def _find_closing_jaw(
         return []
     typical = float(np.median([closings[name] for name in names]))
     message = f"the jaw closes {typical:.1f} mm beyond the neutral in {', '.join(names)}"
-    return [_parted(message, typical)]
+    return [_report_parted(message, typical)]
 
 
-def _parted(message: str, mm: float) -> Finding:
+def _report_parted(message: str, mm: float) -> Finding:
     advice = "it was scanned with parted teeth: scan a neutral with closed ones"
     return make_warning("neutral.parted_teeth", f"{message}: {advice}", {"mm": round(mm, 1)})
 
@@ -88,7 +88,7 @@ def _find_smile(face: Face, fits: Sequence[ExpressionFit], options: NeutralLimit
     of_unit = np.array([is_one_of(whole, unit.muscles) for whole in model.muscle_groups])
     for fit in fits:
         each = muscles(model, face.flesh.volumes, face.S, fit.activations)
-        mine = each.contraction[of_unit & each.judged & np.isfinite(each.contraction)]
+        mine = each.contraction[of_unit & each.is_judged & np.isfinite(each.contraction)]
         if not len(mine):
             return []
         found[fit.name] = float(mine.mean())

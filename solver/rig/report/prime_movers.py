@@ -145,7 +145,7 @@ def movers(
     )
 
 
-def ranked(
+def rank_contractions(
     names: Sequence[str], contraction: Floats, judged: NDArray[np.bool_]
 ) -> dict[str, float]:
     """Return muscle or compartment -> ``contraction`` (m,), most first.

@@ -13,8 +13,13 @@ import numpy as np
 
 from solver.errors import Finding, InputError, make_warning
 from solver.model import SubjectModel
-from solver.scans.markers.checks.findings import LIMITS, MarkerCheck
-from solver.scans.markers.checks.rest_findings import report_mouth, report_off_skin, report_rest
+from solver.scans.markers.checks.findings import (
+    LIMITS,
+    MarkerCheck,
+    report_mouth,
+    report_off_skin,
+    report_rest,
+)
 from solver.scans.markers.places.actor import carry, off_places
 from solver.scans.markers.places.bind import (
     BIND,

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from solver.anatomy.action_units import (
-    action_units,
-    actions_of,
-    actions_of_shapes,
-    joined_codes,
-    template_names,
-)
+from solver.anatomy.action_units import action_units, actions_of, joined_codes, template_names
 from solver.anatomy.data import read_table
 from solver.scans.live_link import ARKIT_NAMES
 
@@ -62,8 +56,3 @@ def test_a_name_speaks_for_actions(name: str, codes: str, sides: set[str]) -> No
     found = actions_of(name)
     assert joined_codes(action.unit for action in found) == codes
     assert {action.side for action in found} == sides
-
-
-def test_shapes_with_little_weight_make_no_action() -> None:
-    found = actions_of_shapes({"mouthSmile_L": 0.9, "mouthSmile_R": 0.1, "PupilDilate_L": 1.0})
-    assert [(action.unit.code, action.side) for action in found] == [("AU 12", "left")]

@@ -139,7 +139,9 @@ def test_unit_and_axes_of_the_whole_folder(folder: Path, template: Template) -> 
     expected = replace(
         template,
         shapes=None,
-        muscles=tuple(replace(muscle, fibre=along) for muscle in template.undivided.muscles),
+        muscles=tuple(
+            replace(muscle, fibre=along) for muscle in template.without_compartments.muscles
+        ),
     )
     found = read_template(folder)
     assert np.abs(found.parting - template.parting).max() < 2e-3  # OBJ has six decimals of a metre

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from solver.errors import Finding, InputError, Severity, quote, quote_names
+from solver.errors import Finding, InputError, Severity, count_words, quote, quote_names
 from solver.scans.markers.checks.findings import (
     ACTOR_ADVICE,
     ADVICE,
@@ -19,14 +19,15 @@ from solver.scans.markers.checks.findings import (
     CheckLimits,
     MarkerCheck,
     add,
-    count_words,
     label_rows,
     report_exchanged,
     report_faults,
     report_location,
+    report_mouth,
+    report_off_skin,
+    report_rest,
     report_unlabelled,
 )
-from solver.scans.markers.checks.rest_findings import report_mouth, report_off_skin, report_rest
 from solver.scans.markers.places.actor import ActorWarp, fit_warp
 from solver.scans.markers.places.bind import Reference, place_take, places_of
 from solver.scans.markers.places.face_take import FACE, USUAL_RATE, FaceTake, LocatedTake

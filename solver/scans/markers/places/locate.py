@@ -137,7 +137,8 @@ def _by_names(
     if not turned:
         return [plain], False
     across = (goal - nose_tip(face)) @ FLIP + nose_tip(face)
-    return [_flip(other), fit_most(points[known], across, options)[0]], True
+    mirrored = replace(other, rotation=other.rotation @ FLIP)  # of the points, not of their images
+    return [mirrored, fit_most(points[known], across, options)[0]], True
 
 
 def _goals(
@@ -148,11 +149,6 @@ def _goals(
     known = [number for number in places if np.isfinite(points[number, 0])]
     goal = np.array([places[number] for number in known], float).reshape(-1, 3)
     return known, goal + nose_tip(face)
-
-
-def _flip(motion: Similarity) -> Similarity:
-    """Return a motion of mirrored points as one of the points."""
-    return Similarity(motion.scale, motion.rotation @ FLIP, motion.shift)
 
 
 def fit_most(

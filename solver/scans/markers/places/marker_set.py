@@ -69,11 +69,6 @@ class MarkerSet:
         """Return the markers' labels."""
         return tuple(marker.label for marker in self.markers)
 
-    @property
-    def mirrors(self) -> bool:
-        """Tell whether the session's axes are left-handed."""
-        return bool(np.linalg.det(self.session.rotation) < 0)
-
     @cached_property
     def vertices(self) -> Ints:
         """Return skin vertices (k, 3)."""

@@ -54,7 +54,9 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
     """
     plain = [tidy_label(name) for name in names[:count]] + [""] * (count - len(names))
     parts = [tuple(map(str.strip, name.rpartition(":")[::2])) for name in plain]
-    labelled = [at for at, (_, label) in enumerate(parts) if label and not _is_unlabelled(label)]
+    labelled = [
+        at for at, (_, label) in enumerate(parts) if label and not UNLABELLED.fullmatch(label)
+    ]
     others = sorted(set(range(count)) - set(labelled))
     unnamed = [at for at in others if not parts[at][1]]
     findings = []
@@ -93,10 +95,6 @@ def tidy_label(name: str) -> str:
     """Return a name in one form of Unicode, with single blanks and nothing that does not print."""
     text = " ".join(unicodedata.normalize("NFC", name[: 4 * LONGEST_LABEL]).split())
     return "".join(each for each in text if each.isprintable())[:LONGEST_LABEL].strip(" :")
-
-
-def _is_unlabelled(label: str) -> bool:
-    return UNLABELLED.fullmatch(label) is not None
 
 
 def _number_labels(file: str, texts: Sequence[str]) -> tuple[list[str], list[Finding]]:

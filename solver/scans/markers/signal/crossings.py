@@ -56,7 +56,7 @@ def find_swaps(
     for a, b in pairs:
         at = np.flatnonzero(leaps[:, a] & leaps[:, b])
         at = at[_is_crossing(places[at][:, [a, b]], before[at][:, [a, b]], options)]
-        for rows in _exchanged(places, expected, (a, b), at, rate, options):
+        for rows in _find_swaps(places, expected, (a, b), at, rate, options):
             free = rows[~(taken[rows, a] | taken[rows, b])]
             if len(free):
                 taken[free, a] = taken[free, b] = True
@@ -91,7 +91,7 @@ def _is_crossing(now: Floats, before: Floats, options: CrossingOptions) -> Mask:
     return np.asarray((apart > options.least_mm) & (off < options.near * apart))
 
 
-def _exchanged(
+def _find_swaps(
     places: Floats,
     expected: Floats,
     pair: tuple[int, int],

@@ -78,7 +78,7 @@ def likely_rests(
     well as the first.
     """
     motion = faults.motion
-    places = np.where(_compared(faults, names)[..., None], motion.places, np.nan)
+    places = np.where(_mark_telling(faults, names)[..., None], motion.places, np.nan)
     blocks = _blocks(places, rate, options)
     is_still = _still(blocks, options)
     found: list[Rest] = []
@@ -96,7 +96,8 @@ def likely_rests(
     found.sort(key=lambda each: (-each.visits, each.second.unrest))
     different: list[Rest] = []
     for each in found:
-        if all(_differ(each, other, options) for other in different):
+        apart = [np.nan_to_num(each.apart(other)) for other in different]
+        if all((mm > options.apart).any() for mm in apart):
             different.append(each)
     best = different[0]
     for each in rivals(best, different, options):
@@ -135,7 +136,7 @@ def compare_rests(
     return {"message": message, "frames": spans, "elsewhere": elsewhere[:MOST_NAMES], **figures}
 
 
-def _compared(faults: Faults, names: Sequence[Named | None]) -> Mask:
+def _mark_telling(faults: Faults, names: Sequence[Named | None]) -> Mask:
     """Return which points (f, k) tell poses apart: right ones of markers that stay in place.
 
     Lids do not: they blink.
@@ -168,10 +169,6 @@ def _is_alike(blocks: Floats, at: Floats, options: RestOptions) -> Mask:
     off = np.linalg.norm(blocks - at, axis=2)
     enough = np.isfinite(off).sum(axis=1) >= options.least
     return np.asarray(enough & ~(np.nan_to_num(off) > options.alike).any(axis=1))
-
-
-def _differ(one: Rest, other: Rest, options: RestOptions) -> bool:
-    return bool((np.nan_to_num(one.apart(other)) > options.apart).any())
 
 
 def _opening(places: Floats, names: Sequence[Named | None]) -> float:

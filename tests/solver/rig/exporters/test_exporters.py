@@ -13,7 +13,7 @@ from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.kinds.export_rig import FORMATS
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.exporters import export, export_measured, exporter, write_all
+from solver.rig.exporters import export, export_all, export_measured, exporter
 from solver.rig.report.certificate import certify
 from solver.rig.report.report import report
 from solver.rig.rig import ExpressionFit, Rig
@@ -73,7 +73,7 @@ def test_a_file_of_another_face_is_refused(name: str, rig: Rig, tmp_path: Path) 
 
 
 def test_every_rig_has_the_files_that_the_service_serves(rig: Rig, tmp_path: Path) -> None:
-    names = {path.name for path in write_all(rig, tmp_path)}
+    names = {each.path.name for each in export_all(rig, tmp_path)}
     assert {"rig.npz", "rig.glb", "activations.csv", "view.bin", "inside.bin"} <= names
     assert ("rig.usdc" in names) == bool(find_spec("pxr"))
     assert names == {path.name for path in tmp_path.iterdir()}

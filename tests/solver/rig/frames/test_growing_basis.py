@@ -33,7 +33,7 @@ def drifting_skins() -> Floats:
 
 def off_mm(skins: Floats, basis: GrowingBasis) -> Floats:
     """Return how far each skin (f,) is off its sum of shapes, blended in single precision."""
-    shapes, weights = basis.turned()
+    shapes, weights = basis.orthonormal()
     blended = (weights.astype(np.float32) @ shapes).reshape(skins.shape)
     return np.asarray(np.linalg.norm(NEUTRAL.vertices + blended - skins, axis=2).max(axis=1))
 
@@ -43,7 +43,7 @@ def test_every_skin_of_a_wide_motion_is_reached() -> None:
     for skin in skins:
         basis.add(skin)
     assert off_mm(skins, basis).max() <= SEQUENCE_BASIS.within_mm + 1e-4
-    shapes, weights = basis.turned()
+    shapes, weights = basis.orthonormal()
     products = shapes.astype(np.float64) @ shapes.T.astype(np.float64)
     np.testing.assert_allclose(products, np.eye(len(shapes)), atol=1e-6)
     largest = np.linalg.norm(shapes.reshape(len(shapes), -1, 3), axis=2).max(axis=1)
@@ -57,7 +57,7 @@ def test_in_the_end_fewer_shapes_are_left() -> None:
     for skin in skins:
         fine.add(skin)
         coarse.add(skin)
-    assert 0 < len(coarse.turned()[0]) < len(fine.turned()[0])
+    assert 0 < len(coarse.orthonormal()[0]) < len(fine.orthonormal()[0])
     assert off_mm(skins, coarse).max() <= 0.8 + 1e-4
 
 
@@ -65,12 +65,12 @@ def test_where_there_may_be_no_more_shapes_frames_are_off() -> None:
     skins, basis = drifting_skins(), GrowingBasis(NEUTRAL, GrowingOptions(most_shapes=4))
     for skin in skins:
         basis.add(skin)
-    assert len(basis.turned()[0]) == 4
+    assert len(basis.orthonormal()[0]) == 4
     assert off_mm(skins, basis).max() > SEQUENCE_BASIS.within_mm
 
 
 def test_what_is_still_has_no_shapes() -> None:
     basis = GrowingBasis(NEUTRAL)
     basis.add(NEUTRAL.vertices)
-    shapes, weights = basis.turned()
+    shapes, weights = basis.orthonormal()
     assert (shapes.shape, weights.shape) == ((0, NEUTRAL.vertices.size), (1, 0))

@@ -8,13 +8,13 @@ import pytest
 from solver.anatomy.action_units import actions_of
 from solver.fitting.contraction import STILL
 from solver.fitting.drives.admissible import ADMISSIBLE
-from solver.rig.report.prime_movers import Movers, movers, ranked
+from solver.rig.report.prime_movers import Movers, movers, rank_contractions
 
 
 def test_muscles_are_ranked_by_how_much_they_shorten() -> None:
     contraction = np.array([0.1, np.nan, 0.5, -0.2, 0.9])
     judged = np.array([True, True, True, True, False])
-    found = ranked(["a", "b", "c", "d", "e"], contraction, judged)
+    found = rank_contractions(["a", "b", "c", "d", "e"], contraction, judged)
     assert list(found) == ["c", "a", "d"]
     assert found["d"] == pytest.approx(-0.2)
 
