@@ -10,8 +10,8 @@ from contextlib import suppress
 from datetime import datetime, timedelta
 from typing import Literal
 
-from sqlalchemy import ColumnElement, Text, cast, delete, or_, select, update
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, Text, and_, cast, delete, or_, select, update
+from sqlalchemy.orm import Session, aliased
 
 from service.queue.states import FINAL
 from service.queue.table import cancel
@@ -59,8 +59,13 @@ def active_jobs(session: Session, subject_id: str) -> Sequence[str]:
 
 def is_read_by(source: str) -> ColumnElement[bool]:
     """Select the jobs that read a file of ``source``: of a capture, or of a job that left it."""
-    # as it is written: a name with quotes in it has them escaped
-    return cast(Job.inputs, Text).contains(f'"of": "{source}"', autoescape=True)
+    other = aliased(Job)
+    of_capture = select(Capture.subject_id).where(Capture.id == source)
+    of_job = select(other.subject_id).where(other.id == source)
+    # the subject's jobs alone are looked through, by an index; no name has a quote that is not
+    # escaped, and so none looks like this
+    named = cast(Job.inputs, Text).contains(f'"of": "{source}"', autoescape=True)
+    return and_(or_(Job.subject_id.in_(of_capture), Job.subject_id.in_(of_job)), named)
 
 
 def _readers(session: Session, subject_id: str, sources: Iterable[str]) -> list[str]:

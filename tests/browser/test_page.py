@@ -180,7 +180,7 @@ def test_a_registered_scan_is_counted_before_it_is_sent(
     # what is no scan has no template's topology
     page.get_by_label("Role of neutral.obj").select_option("asset")
     page.get_by_role("button", name="Upload 1 scan").click()
-    _row(page, "neutral.obj").get_by_text("Scenes can name it.").wait_for()
+    _row(page, "neutral.obj").get_by_text("An asset: scenes name it.").wait_for()
 
 
 def test_a_subject_and_its_scans_are_called_as_the_studio_likes(show: Show, studio: Studio) -> None:

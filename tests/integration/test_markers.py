@@ -75,6 +75,8 @@ def _is_played(client: Client, subject: str, rig: str, fit: str) -> None:
     film = client.run("simulate", subject, captures=[played], rig_id=rig, options=options)
     assert film.result.summary["frames"] == len(range(FRAMES.start, FRAMES.stop, FRAMES.step))
     assert film.result["animation.glb"].size > 0
+    export = client.run("export_rig", subject, rig_id=rig, options={"format": "glb"})
+    assert export.result["rig.glb"].size > 0
 
 
 def test_another_actor_s_take_is_checked_and_carried(

@@ -13,7 +13,7 @@ import pytest
 from service.bounds import ERROR, MARK, SUMMARY, Bounds, fit, fit_progress, shorten
 from service.queue.table import Claim
 from solver.errors import InputError
-from solver.progress import Step
+from solver.progress import Step, silent
 from worker import solve
 from worker.attempt import AttemptFolder
 from worker.errors import InvalidOutputError
@@ -75,6 +75,26 @@ def test_a_result_quotes_little_and_keeps_its_figures(folder: AttemptFolder) -> 
     told = folder.result()
     assert told is not None
     assert (told["summary"]["verdict"], told["summary"][MARK]) == ("good", True)
+
+
+def test_what_later_jobs_read_tells_its_format(
+    folder: AttemptFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run_job(_kind: str, out: Path, **_order: Any) -> None:
+        out.mkdir(exist_ok=True)
+        (out / "markers.json").write_text('{"format": 1}')
+        (out / "check.json").write_text('{"verdict": "good"}')
+
+    monkeypatch.setattr(solve, "run_job", run_job)
+    job = {"kind": "check_markers", "inputs": [], "options": {}, "resume": False}
+    (folder.path / "job.json").write_text(json.dumps(job))
+    told = solve.solve(folder.path, silent)
+    solve._write(folder.path, solve.RESULT, told)
+    assert folder.result() == {
+        "summary": {"verdict": "good"},
+        "expressions": [],
+        "formats": {"markers.json": 1},
+    }
 
 
 @pytest.mark.parametrize(
