@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from solver.fitting.face import Face as Face
     from solver.fitting.face import Pose as Pose
     from solver.fitting.fallback import fit as fit_expression  # noqa: F401
+    from solver.fitting.geometry import GeometryOptions as GeometryOptions
+    from solver.fitting.geometry import fit as fit_geometry  # noqa: F401
     from solver.fitting.objective import Target as Target
     from solver.fitting.sensitivity import Sensitivity as Sensitivity
     from solver.fitting.tracking import Tracker as Tracker
@@ -35,7 +37,9 @@ if TYPE_CHECKING:
     from solver.meshio.registered import read_registered as read_registered
     from solver.meshio.registered import write_registered as write_registered
     from solver.model import SubjectModel as SubjectModel
+    from solver.rig.exporters import export as export
     from solver.rig.rig import Rig as Rig
+    from solver.simulation.simulator import Simulator as Simulator
 
 # Read when the first kernel starts its threads. Else these wait busily for the next kernel, which
 # takes a tenth of the speed from what runs meanwhile and half of the processor from other workers.
@@ -48,19 +52,23 @@ _PLACES = {
     "Contraction": "solver.fitting.contraction:Contraction",
     "DensePoints": "solver.fitting.tracking.dense:DensePoints",
     "Face": "solver.fitting.face:Face",
+    "GeometryOptions": "solver.fitting.geometry:GeometryOptions",
     "Material": "solver.mechanics.flesh:Material",
     "PassiveTerm": "solver.mechanics.terms:PassiveTerm",
     "Pose": "solver.fitting.face:Pose",
     "RegisteredScan": "solver.meshio.registered:RegisteredScan",
     "Rig": "solver.rig.rig:Rig",
     "Sensitivity": "solver.fitting.sensitivity:Sensitivity",
+    "Simulator": "solver.simulation.simulator:Simulator",
     "SubjectModel": "solver.model:SubjectModel",
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",
     "Tracker": "solver.fitting.tracking:Tracker",
     "check_term": "solver.mechanics.terms:check_term",
+    "export": "solver.rig.exporters:export",
     "expression_terms": "solver.fitting.contact:terms",
     "fit_expression": "solver.fitting.fallback:fit",
+    "fit_geometry": "solver.fitting.geometry:fit",
     "read_registered": "solver.meshio.registered:read_registered",
     "run_job": "solver.jobs:run_job",
     "unseen_regulariser": "solver.fitting.activation:unseen_regulariser",

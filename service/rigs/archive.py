@@ -24,7 +24,7 @@ from sqlalchemy.orm import Session
 
 from service.errors import Problem, lost, not_found
 from service.rigs import repository
-from service.rigs.download import Sendable, Span
+from service.rigs.download import ByteRange, Sendable
 from service.rigs.schemas import ArtifactView, verdict_in
 from service.store.database import Store
 from service.store.deletion import waiting_receipt
@@ -162,7 +162,7 @@ class Archive(Sendable):
             if fault := known_fault(self.store, sha256):
                 raise self._lost(names[sha256], LostFileError(sha256, fault))
 
-    def blocks(self, span: Span) -> Iterator[bytes]:
+    def blocks(self, span: ByteRange) -> Iterator[bytes]:
         """See `Sendable`."""
         self.check()
         parts = lay_out([(each, self._checksum(each)) for each in self.members], self.made)
@@ -184,7 +184,7 @@ class Archive(Sendable):
         note_fault(self.store, error.sha256, error.fault)
         return lost(name, error.fault, rig_id=self.rig_id)
 
-    def _blocks(self, parts: Iterable[bytes | Member], span: Span) -> Iterator[bytes]:
+    def _blocks(self, parts: Iterable[bytes | Member], span: ByteRange) -> Iterator[bytes]:
         place = 0
         for part in parts:
             start, end = max(span.start - place, 0), min(span.end - place, length(part))
@@ -196,12 +196,12 @@ class Archive(Sendable):
             elif part.content is not None:
                 yield part.content[start:end]
             else:
-                yield from self._read(part, Span(start, end))
+                yield from self._read(part, ByteRange(start, end))
 
-    def _read(self, member: Member, span: Span) -> Iterator[bytes]:
+    def _read(self, member: Member, span: ByteRange) -> Iterator[bytes]:
         """Read a part of a file; a fault cuts the answer off, and the next request is refused."""
         try:
-            if span == Span(0, member.size):
+            if span == ByteRange(0, member.size):
                 yield from open_checked(self.store.files, member.sha256)
             else:
                 yield from self.store.files.open(member.sha256, *span)

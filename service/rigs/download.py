@@ -25,7 +25,7 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox 
 RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 
 
-class Span(NamedTuple):
+class ByteRange(NamedTuple):
     """The bytes from ``start`` to before ``end``."""
 
     start: int
@@ -46,7 +46,7 @@ class Sendable(ABC):
         """Raise the problem of what cannot be sent, as far as it shows without reading it."""
 
     @abstractmethod
-    def blocks(self, span: Span) -> Iterator[bytes]:
+    def blocks(self, span: ByteRange) -> Iterator[bytes]:
         """Give a part of it; what is known to be wrong is raised here, before the first block."""
 
 
@@ -68,11 +68,11 @@ class StoredArtifact(Sendable):
         with self._problems():
             self._require_size()
 
-    def blocks(self, span: Span) -> Iterator[bytes]:
+    def blocks(self, span: ByteRange) -> Iterator[bytes]:
         """See `Sendable`: what is sent whole is compared with its name on the way."""
         sha256 = self.tag
         with self._problems():
-            if span == Span(0, self.size):
+            if span == ByteRange(0, self.size):
                 return _noting(open_checked(self.store.files, sha256), self.store)
             self._require_size()
             return self.store.files.open(sha256, *span)
@@ -117,7 +117,7 @@ def send(content: Sendable, request: Request) -> Response:
     if _has(request.headers.get("if-none-match", ""), tag):
         return Response(status_code=304, headers=headers)
     part = _range(content, tag, request)
-    span = part or Span(0, content.size)
+    span = part or ByteRange(0, content.size)
     headers["Content-Length"] = str(span.end - span.start)
     if part:
         headers["Content-Range"] = f"bytes {span.start}-{span.end - 1}/{content.size}"
@@ -155,7 +155,7 @@ def _has(given: str, tag: str) -> bool:
     return bool(known & {tag, "*"})
 
 
-def _range(content: Sendable, tag: str, request: Request) -> Span | None:
+def _range(content: Sendable, tag: str, request: Request) -> ByteRange | None:
     """Return the range asked for; None: the whole file, also for several ranges or other units."""
     match = RANGE.fullmatch(request.headers.get("range", "").replace(" ", ""))
     if match is None or not any(match.groups()):
@@ -175,7 +175,7 @@ def _range(content: Sendable, tag: str, request: Request) -> Span | None:
         )
         problem.headers = {"Content-Range": f"bytes */{size}"}
         raise problem
-    return Span(start, end)
+    return ByteRange(start, end)
 
 
 def _disposition(content: Sendable) -> str:

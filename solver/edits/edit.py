@@ -74,7 +74,7 @@ class Edited:
         return cls(model, model, ones, ones, DENSITY * ones, np.zeros_like(model.rest), S, options)
 
 
-class Change(Protocol):
+class AnatomyChange(Protocol):
     """A change of a person's anatomy, by what it does to all edits before it."""
 
     def __call__(self, before: Edited) -> Edited:
@@ -82,7 +82,7 @@ class Change(Protocol):
 
 
 def apply(
-    edits: Iterable[Change],
+    edits: Iterable[AnatomyChange],
     model: SubjectModel,
     S: sp.csr_array,
     options: EditOptions = EditOptions(),

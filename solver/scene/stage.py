@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from solver.animation.drives import Drives, Gaze, PosedFrame
 from solver.contact.potentials import Gauge, Penetration, contact_potentials
 from solver.edits.changes import Bone, Fat, Filler, Paralysis, Scaling, under_skin
-from solver.edits.edit import Change, Edited, apply
+from solver.edits.edit import AnatomyChange, Edited, apply
 from solver.edits.fat_compartments import FAT_MAP
 from solver.errors import InputError
 from solver.fitting.calibration import with_fibres
@@ -38,7 +38,7 @@ from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface
 
 
-def edit_of(entry: scenes.Edit, places: Places) -> Change:
+def edit_of(entry: scenes.Edit, places: Places) -> AnatomyChange:
     """Return an edit that a scene describes; raises as :class:`Places`."""
     if isinstance(entry, scenes.FatEntry):
         painted, depth = places.map_of(entry.map), None

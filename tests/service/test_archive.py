@@ -19,7 +19,7 @@ import pytest
 
 from service.rigs import archive, repository
 from service.rigs.archive import Member, archive_of, lay_out, length
-from service.rigs.download import Span
+from service.rigs.download import ByteRange
 from service.settings import Settings
 from service.store.database import Store
 from service.store.files import Files
@@ -177,7 +177,7 @@ def test_of_two_who_want_it_at_once_one_reads_its_files(
     monkeypatch.setattr(archive, "open_checked", read_beside)
     with store.read() as session:
         found = archive_of(session, repository.get(session, made["rig"]), store)
-    threads = [threading.Thread(target=found.blocks, args=(Span(0, 1),)) for _ in range(2)]
+    threads = [threading.Thread(target=found.blocks, args=(ByteRange(0, 1),)) for _ in range(2)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -253,7 +253,7 @@ def test_a_rig_that_is_deleted_between_two_looks_is_not_there(
     from service.errors import Problem
 
     with pytest.raises(Problem) as caught:
-        found.blocks(Span(0, found.size))
+        found.blocks(ByteRange(0, found.size))
     assert (caught.value.status, caught.value.code) == (404, "rig.unknown")
     assert studio.http.get(made["path"]).status_code == 404
 
@@ -275,7 +275,7 @@ def test_a_slow_reader_holds_neither_the_file_nor_a_session(
     with store.read() as session:
         found = archive_of(session, repository.get(session, made["rig"]), store)
     tracemalloc.start()
-    blocks = found.blocks(Span(0, found.size))
+    blocks = found.blocks(ByteRange(0, found.size))
     read = len(next(blocks))
     assert store.database.engine.pool.checkedout() == 0  # type: ignore[attr-defined]
     read += sum(map(len, blocks))

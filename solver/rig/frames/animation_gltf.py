@@ -37,10 +37,10 @@ from solver.rig.frames.read_back import MorphedSkin, between, compare_motion, re
 from solver.rig.frames.skin_basis import (
     SEQUENCE_BASIS,
     Basis,
-    BasisOptions,
     GrowingBasis,
     GrowingOptions,
     Singles,
+    SkinBasisOptions,
     normal_shapes,
     span_skins,
 )
@@ -74,7 +74,7 @@ SHORT = 2**15 - 1  # the greatest of 16 bits
 class AnimationOptions:
     """Limits of what an animation's file leaves out."""
 
-    basis: BasisOptions = field(default_factory=BasisOptions)
+    basis: SkinBasisOptions = field(default_factory=SkinBasisOptions)
     keys_mm: float = 0.05  # a vertex may be so far off for the keys that are left out
     # small shapes are stored so many times as large at most, and their weights as much smaller:
     # whole numbers are as far apart in small shapes as in large ones

@@ -32,7 +32,7 @@ BLOCK = 64  # frames that are looked at together
 
 
 @dataclass(frozen=True)
-class BasisOptions:
+class SkinBasisOptions:
     """Number and accuracy of the shapes that span many skins."""
 
     within_mm: float = 0.1  # a vertex may be so far off
@@ -63,7 +63,9 @@ class Basis:
     weights: Floats
 
 
-def span_skins(neutral: Surface, skins: Singles, options: BasisOptions = BasisOptions()) -> Basis:
+def span_skins(
+    neutral: Surface, skins: Singles, options: SkinBasisOptions = SkinBasisOptions()
+) -> Basis:
     """Return a basis of ``skins`` (f, v, 3), mm, with no vertex further off than the options say.
 
     Unless there are ``most_shapes``, or frames that were not sampled ask for more.
@@ -83,7 +85,7 @@ def span_skins(neutral: Surface, skins: Singles, options: BasisOptions = BasisOp
 
 
 def _span(
-    neutral: Surface, skins: Singles, moving: Ints, chosen: Ints, options: BasisOptions
+    neutral: Surface, skins: Singles, moving: Ints, chosen: Ints, options: SkinBasisOptions
 ) -> Basis:
     """Return a basis of all skins by shapes that are made of those ``chosen`` (k,)."""
     samples = _motion(neutral, skins[chosen], moving)
@@ -105,7 +107,7 @@ def _span(
 
 
 def normal_shapes(
-    neutral: Surface, skins: Singles, basis: Basis, options: BasisOptions = BasisOptions()
+    neutral: Surface, skins: Singles, basis: Basis, options: SkinBasisOptions = SkinBasisOptions()
 ) -> Singles:
     """Return changes of the moving vertices' normals (s, k, 3), whose blend is the skins' normals.
 
@@ -133,7 +135,7 @@ def _errors(neutral: Surface, skins: Singles, basis: Basis) -> Floats:
     return np.concatenate(found).astype(np.float64)
 
 
-def _directions(samples: Singles, options: BasisOptions) -> tuple[Singles, Singles]:
+def _directions(samples: Singles, options: SkinBasisOptions) -> tuple[Singles, Singles]:
     """Return shapes (s, 3 k) that make ``samples`` (f, 3 k), and what coordinates (3 k,) count."""
     importance = np.ones(samples.shape[1], np.float32)
     most = min(options.most_shapes, len(samples))
@@ -156,7 +158,7 @@ def _directions(samples: Singles, options: BasisOptions) -> tuple[Singles, Singl
         importance = np.maximum(importance / importance.mean(), least)
 
 
-def _samples(frames: int, options: BasisOptions) -> Ints:
+def _samples(frames: int, options: SkinBasisOptions) -> Ints:
     return np.unique(np.linspace(0, frames - 1, options.most_samples).round().astype(int))
 
 
