@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from benchmarks import report
 from benchmarks.documents import Section, Table
 from solver.anatomy.build import build_subject_model, model_summary
-from solver.anatomy.meshing import EDGE_MM, with_mesh
+from solver.anatomy.meshing import EDGE_MM, make_mesh
 from solver.anatomy.template import Template
 from solver.mechanics.boundary import JAW_FREEDOM, jaw_jacobian, move_jaw
 from solver.model import JawFrame, SubjectModel
@@ -106,7 +106,7 @@ def _template(options: argparse.Namespace) -> tuple[Template, dict[str, Any]]:
     start = time.perf_counter()
     bare = build_ict_template(options.anatomy, options.faces)
     built = time.perf_counter()
-    template = with_mesh(bare, EDGE_MM)
+    template = replace(bare, mesh=make_mesh(bare, EDGE_MM))
     return template, {
         "template_seconds": built - start,
         "from_scratch_seconds": time.perf_counter() - built,

@@ -49,6 +49,12 @@ class InputError(_PlainError, ValueError):
     """Something the user gave cannot be used."""
 
 
+def file_error(code: str, file: object, reason: str, **where: Any) -> InputError:
+    """Return the error about a file, at a ``line`` if it is about one."""
+    place = f"{file}, line {where['line']}" if "line" in where else f"{file}"
+    return InputError(code, f"{place}: {reason}", file=str(file), **where)
+
+
 class SolveError(_PlainError, RuntimeError):
     """A solve could not be finished (singular system, no descent, a mesher that died)."""
 

@@ -7,10 +7,12 @@ not reproducible: another run gives other tets, and tests must not depend on the
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from solver.anatomy.build import build_subject_model
-from solver.anatomy.meshing import with_mesh
+from solver.anatomy.meshing import make_mesh
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
 from tests.fixtures import EXPRESSIONS_FILE, MODEL_FILE
 
@@ -20,7 +22,8 @@ NAMES = ("smile", "surprise", "ah")
 
 def main() -> None:
     """Write the model and the skin's displacements (V, 3) in its expressions, mm."""
-    template = with_mesh(builtin_template(), EDGE_MM)
+    template = builtin_template()
+    template = replace(template, mesh=make_mesh(template, EDGE_MM))
     captures = builtin_capture_set()
     neutral = captures.neutral.vertices
     model = build_subject_model(template, neutral, edge_mm=EDGE_MM)

@@ -59,16 +59,6 @@ class MeshOptions:
 MESH = MeshOptions()
 
 
-def with_mesh(
-    template: Template,
-    edge_mm: float = EDGE_MM,
-    progress: Progress = silent,
-    options: MeshOptions = MESH,
-) -> Template:
-    """Return the template with tetrahedra of its own neutral; see :func:`make_mesh`."""
-    return replace(template, mesh=make_mesh(template, edge_mm, progress, options))
-
-
 def make_mesh(
     head: Template,
     edge_mm: float = EDGE_MM,
@@ -248,9 +238,9 @@ def find_or_make_mesh(
     if (kept := _read_kept(path, bare, edge_mm)) is not None:
         return replace(template, mesh=kept)
     log.info("making the template's tets", template=template.name, to=str(path))
-    made = with_mesh(bare, edge_mm, progress, replace(MESH, mesher_seconds=mesher_seconds))
+    made = make_mesh(bare, edge_mm, progress, replace(MESH, mesher_seconds=mesher_seconds))
     if not path.exists():  # else another process was faster: then its tets are everybody's
-        made.save(path)
+        replace(bare, mesh=made).save(path)
     return replace(template, mesh=Template.load(path).mesh)
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.errors import InputError
+from solver.errors import InputError, file_error
 from solver.surface import Floats, Ints
 
 Number = TypeVar("Number", bound=np.generic)
@@ -68,19 +69,14 @@ def count_up(lengths: Ints) -> Ints:
 # The faults that every format shares, in one wording and with stable codes.
 
 
-def unreadable_error(file: str, reason: str, **where: Any) -> InputError:
-    """Return the error for content that breaks the format's rules."""
-    return InputError("scan.unreadable", f"{file}{_at(where)}: {reason}", file=file, **where)
+# what breaks the format's rules, and what is well-formed in a form that cannot be used
+unreadable_error = partial(file_error, "scan.unreadable")
+unsupported_error = partial(file_error, "scan.format")
 
 
 def truncated_error(file: str, reason: str, **where: Any) -> InputError:
     """Return the error for a file that ends before what it announces."""
     return InputError("scan.truncated", f"{file} is cut short: {reason}", file=file, **where)
-
-
-def unsupported_error(file: str, reason: str, **where: Any) -> InputError:
-    """Return the error for a well-formed file in a form that cannot be used."""
-    return InputError("scan.format", f"{file}{_at(where)}: {reason}", file=file, **where)
 
 
 def empty_error(file: str) -> InputError:
@@ -94,14 +90,10 @@ def too_large_error(file: str, has: str, found: int, who: str, limit: int) -> In
     return InputError("scan.too_large", message, file=file, expected=limit, found=found)
 
 
-def _at(where: dict[str, Any]) -> str:
-    return f", line {where['line']}" if "line" in where else ""
-
-
 def not_finite_error(file: str, vertex: int, found: tuple[float, ...], **where: Any) -> InputError:
     """Return the error for a coordinate that is NaN or infinite; ``vertex`` counts from 0."""
-    message = f"{file}{_at(where)}: vertex {vertex} is not finite: {found}"
-    return InputError("scan.nan", message, file=file, vertex=vertex, found=str(found), **where)
+    reason = f"vertex {vertex} is not finite: {found}"
+    return file_error("scan.nan", file, reason, vertex=vertex, found=str(found), **where)
 
 
 def check_finite(file: str, rows: Floats, line: Callable[[int], int] | None = None) -> None:

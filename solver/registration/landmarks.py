@@ -10,6 +10,7 @@ import importlib.util
 import json
 import math
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 
 from solver.anatomy.template import Template
 from solver.drawing.render import Camera, DrawnBody, Lit, Pixels, Visible, look, render
-from solver.errors import InputError, quote, quote_names
+from solver.errors import InputError, file_error, quote, quote_names
 from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface
 
@@ -77,6 +78,8 @@ MISPLACED_MM = 20.0  # off where a face has it
 
 Points = dict[str, Floats]
 
+_unreadable = partial(file_error, "landmarks.unreadable")
+
 
 def read_landmarks(path: Path) -> Points:
     """Return name -> point (3,), in the scan's own unit and axes.
@@ -89,7 +92,7 @@ def read_landmarks(path: Path) -> Points:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise _unreadable(path, str(error)) from error
+        raise _unreadable(path.name, str(error)) from error
     if suffix == ".csv":
         return _csv(path, text)
     if suffix not in (".json", ".ljson"):
@@ -99,13 +102,13 @@ def read_landmarks(path: Path) -> Points:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise _unreadable(path, str(error)) from error
+        raise _unreadable(path.name, str(error)) from error
     if isinstance(content, dict) and "groups" in content:
         return _ljson(path, content)
     if isinstance(content, dict) and isinstance(content.get("landmarks"), dict):
         content = content["landmarks"]
     if not isinstance(content, dict) or not content:
-        raise _unreadable(path, "an object of name -> [x, y, z] is expected")
+        raise _unreadable(path.name, "an object of name -> [x, y, z] is expected")
     return {str(name): _point(path, str(name), value) for name, value in content.items()}
 
 
@@ -181,9 +184,9 @@ def _ljson(path: Path, content: Mapping[str, Any]) -> Points:
             rows = [rows[number] for mask in ordered for number in mask]
         points = {name: rows[number] for number, name in IBUG_68.items() if count == 68}
     except (LookupError, TypeError, AttributeError, StopIteration) as error:
-        raise _unreadable(path, "not an ljson file with landmarks and points") from error
+        raise _unreadable(path.name, "not an ljson file with landmarks and points") from error
     if count != 68:
-        raise _unreadable(path, f"{count} points; only the 68-point scheme is known")
+        raise _unreadable(path.name, f"{count} points; only the 68-point scheme is known")
     return {name: _point(path, name, point) for name, point in points.items()}
 
 
@@ -194,10 +197,10 @@ def _csv(path: Path, text: str) -> Points:
         if not any(cells) or (number == 1 and cells[0].lower() in ("name", "landmark")):
             continue
         if len(cells) != 4:
-            raise _unreadable(path, "four columns are expected: name, x, y, z", line=number)
+            raise _unreadable(path.name, "four columns are expected: name, x, y, z", line=number)
         points[cells[0]] = _point(path, cells[0], cells[1:], line=number)
     if not points:
-        raise _unreadable(path, "it holds no landmarks")
+        raise _unreadable(path.name, "it holds no landmarks")
     return points
 
 
@@ -206,16 +209,12 @@ def _point(path: Path, name: str, value: Any, **where: Any) -> Floats:
     try:
         x, y, z = (float(number) for number in value)
     except (TypeError, ValueError, OverflowError):
-        raise _unreadable(path, f"{shown} is not three numbers", landmark=shown, **where) from None
+        raise _unreadable(
+            path.name, f"{shown} is not three numbers", landmark=shown, **where
+        ) from None
     if not all(math.isfinite(number) for number in (x, y, z)):
-        raise _unreadable(path, f"{shown} is not finite", landmark=shown, **where)
+        raise _unreadable(path.name, f"{shown} is not finite", landmark=shown, **where)
     return np.array([x, y, z])
-
-
-def _unreadable(path: Path, reason: str, **where: Any) -> InputError:
-    place = f", line {where['line']}" if "line" in where else ""
-    message = f"{path.name}{place}: {reason}"
-    return InputError("landmarks.unreadable", message, file=path.name, **where)
 
 
 # Landmarks found by MediaPipe's face landmarker (optional extra), which runs offline: the scan is

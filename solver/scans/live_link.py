@@ -20,7 +20,7 @@ from typing import NoReturn
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from solver.errors import InputError, quote
+from solver.errors import InputError, file_error, quote
 from solver.surface import Floats
 
 TIMECODE = "timecode"
@@ -167,5 +167,4 @@ def _rotations(angles: Floats | None, count: int) -> Floats:
 
 
 def _refuse(path: Path, line: int, code: str, what: str) -> NoReturn:
-    message = f"{path.name}, line {line}: {what}"
-    raise InputError(f"live_link.{code}", message, file=path.name, line=line)
+    raise file_error(f"live_link.{code}", path.name, what, line=line)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
-from solver.errors import InputError
+from solver.errors import file_error
 from solver.kinds import NOT_READABLE
 from solver.surface import Floats, Ints
 from solver.templates.tables import file_fault
+
+_broken_mesh = partial(file_error, "download.mesh")
 
 
 @dataclass(frozen=True)
@@ -101,12 +104,12 @@ def _vertices(file: PublicFile, rows: list[bytes]) -> Floats:
             try:
                 x, y, z = map(float, row.split()[1:4])
             except ValueError:
-                raise _fault(file, line, "not three numbers") from None
+                raise _broken_mesh(file, "not three numbers", line=line) from None
             if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-                raise _fault(file, line, f"vertex {len(vertices)} is not finite")
+                raise _broken_mesh(file, f"vertex {len(vertices)} is not finite", line=line)
             vertices.append((x, y, z))
     if not vertices:
-        raise _fault(file, len(rows), "the file has no vertices")
+        raise _broken_mesh(file, "the file has no vertices", line=len(rows))
     return np.array(vertices)
 
 
@@ -114,13 +117,9 @@ def _corners(file: PublicFile, line: int, row: bytes, vertices: int) -> list[int
     try:
         corners = [int(word.partition(b"/")[0]) - 1 for word in row.split()[1:]]
     except ValueError:
-        raise _fault(file, line, "a face holds what is not a vertex number") from None
+        raise _broken_mesh(file, "a face holds what is not a vertex number", line=line) from None
     if len(corners) not in (3, 4):
-        raise _fault(file, line, f"a face has {len(corners)} corners, not 3 or 4")
+        raise _broken_mesh(file, f"a face has {len(corners)} corners, not 3 or 4", line=line)
     if min(corners) < 0 or max(corners) >= vertices:
-        raise _fault(file, line, f"a face uses a vertex that is none of the {vertices}")
+        raise _broken_mesh(file, f"a face uses a vertex that is none of the {vertices}", line=line)
     return corners if len(corners) == 4 else [*corners, -1]
-
-
-def _fault(file: PublicFile, line: int, reason: str) -> InputError:
-    return file_fault("download.mesh", f"{file}, line {line}: {reason}", file, line=line)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.errors import InputError
+from solver.errors import InputError, file_error
 from solver.surface import Floats, Ints
 
 _RANGE = re.compile(r"(\d+)-(\d+)")
@@ -61,7 +61,7 @@ class Row:
 
     def fault(self, reason: str) -> InputError:
         """Return an error about this line."""
-        return _table_fault(self.file, self.line, reason)
+        return file_error("template.table", self.file, reason, line=self.line)
 
 
 def read_table(path: Path, columns: Iterable[str]) -> list[Row]:
@@ -73,7 +73,8 @@ def read_table(path: Path, columns: Iterable[str]) -> list[Row]:
     reader = csv.DictReader(_read_text(path).splitlines())
     missing = set(columns) - set(reader.fieldnames or ())
     if missing:
-        raise _table_fault(path.name, 1, f"lacks the columns {', '.join(sorted(missing))}")
+        reason = f"lacks the columns {', '.join(sorted(missing))}"
+        raise file_error("template.table", path.name, reason, line=1)
     rows = []
     for cells in reader:
         row = Row(path.name, reader.line_num, {k: (v or "").strip() for k, v in cells.items() if k})
@@ -130,10 +131,6 @@ def vertex_fault(file: str, name: str, reason: str, vertex: int | None = None) -
 def file_fault(code: str, reason: str, file: object, **context: Any) -> InputError:
     """Return an error about a file."""
     return InputError(code, reason, file=str(file), **context)
-
-
-def _table_fault(file: str, line: int, reason: str) -> InputError:
-    return file_fault("template.table", f"{file}, line {line}: {reason}", file, line=line)
 
 
 def parse_file(path: Path, parse: Callable[[str], Any]) -> Any:

@@ -1,7 +1,7 @@
 """``report.html``: the certificate for a person to read, in one file that needs no network.
 
-``report.html`` beside this module lays out the values of ``report.json``; here is what takes more
-than a template's words.
+``report.html`` and ``report_parts.html`` beside this module lay out the values of ``report.json``;
+here is what takes more than a template's words.
 """
 
 from __future__ import annotations

@@ -10,13 +10,13 @@ from tests.solver.ball import EDGE_MM, ball_template, meshed_ball
 def test_tets_are_made_once_and_anew_if_the_file_was_spoilt(tmp_path, monkeypatch):
     made = []
 
-    def with_mesh(template, edge_mm, _progress, _options):
+    def make_mesh(template, edge_mm, _progress, _options):
         assert template.sha256 == ball_template().sha256
         made.append(edge_mm)
-        return meshed_ball()
+        return meshed_ball().mesh
 
     monkeypatch.setenv("MYOFACE_CACHE", str(tmp_path))
-    monkeypatch.setattr(meshing, "with_mesh", with_mesh)
+    monkeypatch.setattr(meshing, "make_mesh", make_mesh)
     first = find_or_make_mesh(ball_template(), EDGE_MM)
     assert first.sha256 == meshed_ball().sha256
     assert find_or_make_mesh(ball_template(), EDGE_MM).sha256 == first.sha256

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.errors import Finding, InputError, advise
+from solver.errors import Finding, InputError, advise, file_error
 from solver.kinds.kind import MM_A_UNIT
 from solver.surface import Floats
 
@@ -28,6 +28,7 @@ ADVICE = {
 }
 
 make_finding = partial(advise, ADVICE)
+unreadable_error = partial(file_error, "markers.unreadable")
 
 
 MOST_FRAME = 10**9  # a frame's number
@@ -79,12 +80,6 @@ class RawTake:
     up: str | None = None  # the axis that is up by the file
     events: tuple[Event, ...] = ()
     findings: list[Finding] = field(default_factory=list)
-
-
-def unreadable_error(file: str, reason: str, **context: Any) -> InputError:
-    """Return the error of a file that is broken, at a ``line`` if it is about one."""
-    place = f"{file}, line {context['line']}" if "line" in context else file
-    return InputError("markers.unreadable", f"{place}: {reason}", file=file, **context)
 
 
 def truncated_error(file: str, reason: str, **context: Any) -> InputError:
