@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from service.bounds import ERROR, MARK, SUMMARY, Bounds, fit, fit_progress, shorten
+from service.bounds import ERROR, MARK, SUMMARY, DocumentBounds, fit, fit_progress, shorten
 from service.queue.table import Claim
 from solver.errors import InputError
 from solver.progress import Step, silent
@@ -143,7 +143,7 @@ def test_a_line_without_an_end_takes_no_room() -> None:
 
 
 def test_bounds_hold_whatever_comes() -> None:
-    bounds = Bounds(text=20, items=3, size=200)
+    bounds = DocumentBounds(text=20, items=3, size=200)
     cases: list[dict[str, Any]] = [
         {"a": "x" * 100},
         {"a": ["\u2028" * 100] * 100},
