@@ -48,7 +48,12 @@ Names = Annotated[
     list[str] | None, Argument(help="names or ids of captures; default: all that apply")
 ]
 Files = Annotated[
-    list[Path], Argument(exists=True, dir_okay=False, help="OBJ, PLY, GLB or STL; raw also XYZ")
+    list[Path],
+    Argument(
+        exists=True,
+        dir_okay=False,
+        help="scans: OBJ, PLY, GLB, STL, raw also XYZ; takes of markers, performances, assets",
+    ),
 ]
 Results = Annotated[
     Path | None, Option("--output", "-o", file_okay=False, help="folder for the jobs' files")
