@@ -20,11 +20,16 @@ from myoface.resources import Job, Progress
 if TYPE_CHECKING:
     from solver.progress import Step
 
-# The exit code of a check whose verdict is bad; 1 says that there was no verdict.
+# The exit code where a verdict is bad; 1 says that there was no verdict.
 BAD = 3
 
 # Kinds of job that say what a file is worth, and what it is
-JUDGED = {"check_scan": "scan", "check_markers": "take", "register_scan": "scan"}
+JUDGED = {
+    "check_scan": "scan",
+    "check_markers": "take",
+    "register_scan": "scan",
+    "fit_markers": "take",
+}
 
 VERDICTS = {
     "good": ("green", "good"),
@@ -183,9 +188,10 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None
 
 
 def show_outcome(kind: str, report: Mapping[str, Any], title: str | None = None) -> int:
-    """Show what a check or registration came to; return its exit code, :data:`BAD` for a bad one.
+    """Show what a job that judges came to; return its exit code, :data:`BAD` for a bad one.
 
-    Of other kinds of job it shows nothing. ``title`` names the scan or take.
+    Those are checks, registrations and fits of takes: of other kinds it shows nothing. ``title``
+    names the scan or take.
     """
     if kind not in JUDGED:
         return 0
@@ -193,7 +199,8 @@ def show_outcome(kind: str, report: Mapping[str, Any], title: str | None = None)
     if "verdict" not in report:
         show_registration(title, report)
         return 0
-    show_verdict(title, report)
+    findings = [*report.get("notices", ()), *report["findings"]]
+    show_verdict(title, {**report, "findings": findings})
     return BAD if report["verdict"] == "bad" else 0
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from myoface.cli.app import NewFile, NewFolder, read_object, read_scene
 from myoface.cli.commands import Argument, Group, Option, UsageError
-from myoface.cli.console import JobView, out, show_outcome, show_verdict
+from myoface.cli.console import JobView, out, show_outcome
 from myoface.names import name_scans
 from solver.jobs import run_job
 from solver.kinds import INPUTS, KINDS, SCANS, Kind, Part
@@ -174,7 +174,7 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
         raise SystemExit(code)
 
 
-def _show_sequence(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+def _show_sequence(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:
     out.print(
         f"{report['fitted']} of {report['frames']} frames fitted, {report['mean_mm']:.2f} mm off "
         f"on average, {report['frame_ms']:.0f} ms a frame"
@@ -188,8 +188,6 @@ def _show_sequence(report: Mapping[str, Any], given: Mapping[str, Any]) -> None:
             f"mm, at most {every['max_mm']:.1f} mm: {every['max_label']} in frame "
             f"{every['max_frame']}"
         )
-    findings = [*report["notices"], *report["findings"]]
-    show_verdict(given["take"].name, {"verdict": report["verdict"], "findings": findings})
 
 
 def _show_animation(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:

@@ -191,9 +191,10 @@ def _labels_off(
         return []
     names = quote_names([labels[each] for each in far])
     shown = [f"{quote(labels[each])} {rms[each]:.1f}" for each in far[: limits.labels]]
-    which = "label is" if len(far) == 1 else "labels are"
+    which = "label that was" if len(far) == 1 else "labels that were"
+    are = "is" if len(far) == 1 else "are"
     words = (
-        f"{len(far)} {which} more than {limits.off:g} mm off (root mean square, mm) and were kept, "
+        f"{len(far)} {which} kept {are} more than {limits.off:g} mm off (root mean square, mm), "
         f"the worst first: {', '.join(shown)}."
     )
     context = {"labels": names, "found": round(float(rms[far[0]]), 2), "expected": limits.off}
