@@ -62,17 +62,21 @@ def is_read_by(source: str) -> ColumnElement[bool]:
     other = aliased(Job)
     of_capture = select(Capture.subject_id).where(Capture.id == source)
     of_job = select(other.subject_id).where(other.id == source)
-    # the subject's jobs alone are looked through, by an index; no name has a quote that is not
-    # escaped, and so none looks like this
-    named = cast(Job.inputs, Text).contains(f'"of": "{source}"', autoescape=True)
-    return and_(or_(Job.subject_id.in_(of_capture), Job.subject_id.in_(of_job)), named)
+    # the subject's jobs alone are looked through, by an index
+    return and_(or_(Job.subject_id.in_(of_capture), Job.subject_id.in_(of_job)), _names(source))
+
+
+def _names(source: str) -> ColumnElement[bool]:
+    """Select the jobs whose inputs name a capture or job; all jobs there are are looked through."""
+    # no name has a quote that is not escaped, and so none looks like this
+    return cast(Job.inputs, Text).contains(f'"of": "{source}"', autoescape=True)
 
 
 def _readers(session: Session, subject_id: str, sources: Iterable[str]) -> list[str]:
     """Return the newest jobs of a subject that had read files of what goes, and stay."""
     gone = list(sources)
     readers = select(Job.id).where(
-        Job.subject_id == subject_id, Job.id.not_in(gone), or_(*map(is_read_by, gone))
+        Job.subject_id == subject_id, Job.id.not_in(gone), or_(*map(_names, gone))
     )
     return [*session.scalars(readers.order_by(Job.created_at.desc()).limit(MOST_READERS))]
 

@@ -41,7 +41,7 @@ class RoleView(View):
     @classmethod
     def of(cls, name: str, role: Role) -> RoleView:
         """Show a role."""
-        return cls.model_validate({"role": name, **asdict(role)})
+        return cls.model_validate({"role": name, "is_scan": role.is_scan, **asdict(role)})
 
 
 class Limits(BaseModel):

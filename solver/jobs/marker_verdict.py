@@ -13,7 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.errors import Finding, Severity, advise, judge_findings, quote, quote_names, worst_first
+from solver.errors import (
+    Finding,
+    Severity,
+    advise,
+    count_words,
+    judge_findings,
+    quote,
+    quote_names,
+    worst_first,
+)
 from solver.jobs.sequences import distance_figures
 from solver.scans.markers.readers.names import LOWER, read_names
 from solver.scans.markers.signal.faults import runs
@@ -191,10 +200,9 @@ def _labels_off(
         return []
     names = quote_names([labels[each] for each in far])
     shown = [f"{quote(labels[each])} {rms[each]:.1f}" for each in far[: limits.labels]]
-    which = "label that was" if len(far) == 1 else "labels that were"
-    are = "is" if len(far) == 1 else "are"
+    what = count_words(len(far), "label that was kept is", "labels that were kept are")
     words = (
-        f"{len(far)} {which} kept {are} more than {limits.off:g} mm off (root mean square, mm), "
+        f"{what} more than {limits.off:g} mm off (root mean square, mm), "
         f"the worst first: {', '.join(shown)}."
     )
     context = {"labels": names, "found": round(float(rms[far[0]]), 2), "expected": limits.off}

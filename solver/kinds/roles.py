@@ -25,9 +25,6 @@ class Role:
         Those of them that no file of another role has: it is of this role if nobody says another.
     sets
         The endings of what lies beside such files for all of a session, and is one of them as well.
-    is_scan
-        Whether it is checked and registered. What is no scan takes no landmarks, and stays what it
-        is.
     then
         What becomes of it, in words that follow a colon.
     """
@@ -39,7 +36,11 @@ class Role:
     registered: tuple[str, ...] = ()
     own_formats: tuple[str, ...] = ()
     sets: tuple[str, ...] = ()
-    is_scan: bool = False
+
+    @property
+    def is_scan(self) -> bool:
+        """Whether it is checked and registered; what is none takes no landmarks, and stays so."""
+        return bool(self.registered)
 
 
 ROLES: Mapping[str, Role] = {
@@ -49,7 +50,6 @@ ROLES: Mapping[str, Role] = {
         formats=(*MESHES, *CLOUDS),
         registered=MESHES,
         then="it is checked and registered, and the model is built from it",
-        is_scan=True,
     ),
     "expression": Role(
         title="Expression",
@@ -57,7 +57,6 @@ ROLES: Mapping[str, Role] = {
         formats=(*MESHES, *CLOUDS),
         registered=MESHES,
         then="it is checked, registered and fitted",
-        is_scan=True,
     ),
     "performance": Role(
         title="Performance",

@@ -12,6 +12,7 @@ from myoface.cli.console import (
     JobView,
     Painted,
     complain,
+    show_outcome,
     show_registration,
     show_table,
     show_verdict,
@@ -70,6 +71,18 @@ def test_a_stranger_s_text_does_nothing_to_the_terminal(capsys: pytest.CaptureFi
     assert len(lines) > 8
     assert [line for line in lines if not line.isprintable()] == []
     assert r"smile\x1b]0;owned\x07\x1b[8m\x9b31m\u202e\u2066" in told.err
+
+
+def test_a_fit_of_a_bad_take_ends_as_its_check_does(capsys: pytest.CaptureFixture[str]) -> None:
+    notice, finding = {"message": "another person's"}, {"message": "half was rejected"}
+    report = {"verdict": "bad", "notices": [notice], "findings": [finding]}
+    assert show_outcome("fit_markers", report, "take.c3d") == console.BAD
+    told = capsys.readouterr().out
+    assert told.startswith("take.c3d: bad")
+    assert "another person's" in told
+    assert "half was rejected" in told
+    assert show_outcome("fit_markers", {**report, "verdict": "usable"}) == 0
+    assert show_outcome("fit_markers", {"frames": 3}) == 0  # of a release without verdicts
 
 
 def test_colours_are_still_the_command_line_s_own(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,6 +29,11 @@ function fill(element, attributes, children) {
   return element;
 }
 
+/** Return elements with commas between them. */
+export function joined(elements) {
+  return elements.flatMap((element, i) => (i ? [", ", element] : [element]));
+}
+
 /** Set an element's text if it is another: what has the focus or is read aloud stays. */
 export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;

@@ -374,9 +374,10 @@ def report_off_skin(check: MarkerCheck, located: LocatedTake, markers: MarkerSet
     off = [label for label, name in face if label in ignored and name and name.part == "face"]
     if off:
         names = quote_names(off)
-        what = count_words(len(off), "label of the face lies", "labels of the face lie")
-        message = f"{what} too far off the skin, and are left out: {', '.join(names)}."
-        message = message if len(off) > 1 else message.replace("and are", "and is")
+        one, many = "label of the face lies", "labels of the face lie"
+        where = "too far off the skin, and"
+        what = count_words(len(off), f"{one} {where} is", f"{many} {where} are")
+        message = f"{what} left out: {', '.join(names)}."
         add(check, "markers.off_skin", "warning", message, labels=names)
 
 

@@ -6,7 +6,6 @@ import { rolesByName } from "../library.js";
 import { NAME } from "../scan_files.js";
 import { ask } from "./dialog.js";
 
-
 /** Ask for changes of a subject; resolves to it as it is then, or null. */
 export async function askToEditSubject(subject) {
   const name = text("Name", { value: subject.name, required: true, maxlength: 200 });

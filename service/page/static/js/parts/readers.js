@@ -1,7 +1,7 @@
 // Jobs that read files of a scan or of another job: what was made of them stays when they go.
 
 import { get } from "../api.js";
-import { h } from "../dom.js";
+import { h, joined } from "../dom.js";
 import { plain, when } from "../words.js";
 
 // Jobs that are named, the newest
@@ -17,7 +17,7 @@ export async function readersOf(subjectId, id, signal) {
 
 /** Return links to jobs, with commas. */
 export function jobLinks(jobs) {
-  return jobs.flatMap((job, i) => [i ? ", " : null, h("a", { href: `/jobs/${job.id}` }, called(job))]);
+  return joined(jobs.map((job) => h("a", { href: `/jobs/${job.id}` }, called(job))));
 }
 
 /** Say which jobs read a scan or its registration, and stay when it is deleted; "" if none does. */

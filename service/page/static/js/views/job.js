@@ -1,7 +1,7 @@
 // One job: what it does, how far it is, what came of it, and what can be done about it.
 
 import { get, request } from "../api.js";
-import { announce, h, setText, show } from "../dom.js";
+import { announce, h, joined, setText, show } from "../dom.js";
 import { watch } from "../events.js";
 import { applied, inLine, seconds } from "../jobs.js";
 import { capturesById, kindsByName, subjectName } from "../library.js";
@@ -261,8 +261,7 @@ class JobView {
 
 /** The files of earlier jobs that a job reads, each with a link to its job. */
 function handedOn(files) {
-  const links = files.map(({ job, artifact }) => h("a", { href: `/jobs/${job}` }, artifact));
-  return h("span", {}, links.flatMap((link, i) => [i ? ", " : null, link]));
+  return h("span", {}, joined(files.map(({ job, artifact }) => h("a", { href: `/jobs/${job}` }, artifact))));
 }
 
 /** What matters most now: how far it is, or why it ended. */
