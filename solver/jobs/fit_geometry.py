@@ -11,7 +11,7 @@ from typing import Any
 import scipy.sparse as sp
 
 from solver.errors import Finding, make_warning
-from solver.fitting import geometry
+from solver.fitting import geometry, recruitment
 from solver.fitting.contact import terms
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryFit, GeometryOptions
@@ -58,7 +58,8 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     schedule = GeometryOptions(rounds=given.rounds, within=bounded)
     if given.solver == "ipopt":
         geometry.check_size(face, len(scans))
-    priors: dict[str, sp.csr_array | None] = {"start": None, "structure": None}
+    targets = Targets(subject, given.distance).of_scans(scans)
+    priors: dict[str, Any] = {"prices": recruitment.prices(face, targets)}
     if "start" in task.inputs:
         start = Rig.load(task.inputs["start"])
         priors["start"] = transfer(start.weights, start.model, subject)
@@ -78,7 +79,6 @@ def run(task: Task[FitGeometry]) -> list[Path]:
         )
         oddities.append(make_warning("fit.one_target", message))
     log.warn(0.02, oddities)
-    targets = Targets(subject, given.distance).of_scans(scans)
     begin = time.perf_counter()
     if given.solver == "ipopt":
         fitted, notices = _geometry_by_ipopt(face, targets, schedule, priors, progress)

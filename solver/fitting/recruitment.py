@@ -1,0 +1,125 @@
+"""Recruitment: which muscles an expression calls for, and what the others pay to take part.
+
+Position says next to nothing about who pulls: an inverse fit of a finite-element face to markers of
+the lips had activations that correlated by 0.27 and 0.20 with simulated and measured ones (Eskes et
+al., Scientific Reports 7, 2017). What skin does not tell anatomy does: the template's expressions
+carry action units of FACS, and each unit names muscles (:mod:`solver.anatomy.action_units`). A scan
+is about a sum of them,
+
+    t ~ rest + sum_e u_e motion_e,    0 <= u_e <= 1,
+
+and calls for muscle j by c_j, the greatest u_e / ``called`` of those that name it, 1 at most. In
+its fit the weight w_a of a muscle's activation is multiplied by its price
+
+    others^(r (1 - c_j)),
+
+r being the part of the scan's motion that the sum explains: what nobody's expression is, anybody
+may make.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from solver.anatomy.action_units import actions_of, template_names
+from solver.drawing.head import both_sides, muscle_side
+from solver.fitting.face import Face
+from solver.fitting.objective import Target
+from solver.model import SubjectModel
+from solver.surface import Floats
+
+
+@dataclass(frozen=True)
+class RecruitmentOptions:
+    """The price of muscles that an expression does not call for."""
+
+    others: float = 30.0  # of a muscle that nothing calls for; 1 leaves all alike
+    called: float = 0.25  # amount of an expression from which its muscles are called for wholly
+
+
+@dataclass(frozen=True, eq=False)
+class Recruitment:
+    """Who makes the template's expressions on a person.
+
+    ``motions`` (e, k, 3) are those of the face's points, mm, off ``rest`` (k, 3); ``named`` (e, m)
+    tells whether a unit of an expression names a muscle, on its side.
+    """
+
+    motions: NDArray[np.floating]
+    named: NDArray[np.bool_]
+    rest: Floats
+    options: RecruitmentOptions = RecruitmentOptions()
+
+    @classmethod
+    def of_face(
+        cls, face: Face, options: RecruitmentOptions = RecruitmentOptions()
+    ) -> Recruitment | None:
+        """Return that of a face; None where nothing is known of its muscles, or S drives none.
+
+        Models have no expressions that were made before they had, or of a template without any.
+        """
+        model, shapes = face.model, face.model.expressions
+        if shapes is None or face.layout.drive.penalty is None:
+            return None
+        named = np.array([named_muscles(model, name) for name in shapes.names])
+        if not named.any():
+            return None
+        return cls(shapes.motions, named, model.skin.vertices[model.face], options)
+
+    def prices(self, target: Target) -> Floats:
+        """Return by how much w_a of every muscle is multiplied in the fit of a target, (m, 1)."""
+        amounts, explained = self.amounts(target)
+        called = np.minimum(amounts / self.options.called, 1.0)
+        called = (called[:, None] * self.named).max(axis=0)
+        return np.asarray(self.options.others ** (explained * (1.0 - called))[:, None])
+
+    def amounts(self, target: Target) -> tuple[Floats, float]:
+        """Return the amounts (e,) of the expressions whose sum is nearest to a target.
+
+        The second is the part of its squared motion that they explain, from 0 to 1. A jaw that
+        opens is an expression like any other.
+        """
+        seen = target.weights > 0.0
+        root = np.sqrt(target.weights[seen])[:, None]
+        motion = root * (target.points - self.rest)[seen]
+        rows = root * self.motions[:, seen]
+        if target.normals is not None:
+            along = target.normals[seen]
+            motion, rows = (motion * along).sum(axis=-1), (rows * along).sum(axis=-1)
+        motion, rows = motion.ravel(), rows.reshape(len(rows), -1)
+        whole = float(motion @ motion)
+        if whole == 0.0:
+            return np.zeros(len(rows)), 0.0
+        q, r = np.linalg.qr(rows.T)
+        amounts = np.asarray(lsq_linear(r, q.T @ motion, (0.0, 1.0)).x)
+        left = motion - amounts @ rows
+        return amounts, max(1.0 - float(left @ left) / whole, 0.0)
+
+
+def named_muscles(model: SubjectModel, expression: str) -> list[bool]:
+    """Tell of every muscle of a model whether a unit of an expression names it, on its side."""
+    actions = [
+        (action.side, frozenset().union(*map(template_names, action.unit.muscles)))
+        for action in actions_of(expression)
+    ]
+
+    def is_named(whole: str) -> bool:
+        bare, side = both_sides(whole).lower(), muscle_side(whole)
+        return any(side in (of, "") and bare in names for of, names in actions)
+
+    return [is_named(whole) for whole in model.muscle_groups]
+
+
+def prices(
+    face: Face, targets: Mapping[str, Target], options: RecruitmentOptions = RecruitmentOptions()
+) -> dict[str, Floats]:
+    """Return target -> :meth:`Recruitment.prices`; {} where nothing is known."""
+    recruitment = Recruitment.of_face(face, options)
+    if recruitment is None:
+        return {}
+    return {name: recruitment.prices(target) for name, target in targets.items()}
