@@ -8,10 +8,11 @@ is about a sum of them,
 
     t ~ rest + sum_e u_e motion_e,    0 <= u_e <= 1,
 
-and calls for muscle j by c_j, the greatest u_e / ``called`` of those that name it, 1 at most. In
-its fit the weight w_a of a muscle's activation is multiplied by its price
+and calls for muscle j by c_j, the greatest u_e / ``called`` of those that name it, 1 at most; d_j
+is the same of those whose units it works against. In its fit the weight w_a of a muscle's
+activation is multiplied by its price
 
-    others^(r (1 - c_j)),
+    (others opposed^d_j)^(r (1 - c_j)),
 
 r being the part of the scan's motion that the sum explains: what nobody's expression is, anybody
 may make.
@@ -19,14 +20,14 @@ may make.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from solver.anatomy.action_units import actions_of, template_names
+from solver.anatomy.action_units import ActionUnit, actions_of, template_names
 from solver.drawing.head import both_sides, muscle_side
 from solver.fitting.face import Face
 from solver.fitting.objective import Target
@@ -38,7 +39,8 @@ from solver.surface import Floats
 class RecruitmentOptions:
     """The price of muscles that an expression does not call for."""
 
-    others: float = 30.0  # of a muscle that nothing calls for; 1 leaves all alike
+    others: float = 100.0  # of a muscle that nothing calls for
+    opposed: float = 10.0  # by which that of one is greater that works against what is called for
     called: float = 0.25  # amount of an expression from which its muscles are called for wholly
 
 
@@ -46,12 +48,14 @@ class RecruitmentOptions:
 class Recruitment:
     """Who makes the template's expressions on a person.
 
-    ``motions`` (e, k, 3) are those of the face's points, mm, off ``rest`` (k, 3); ``named`` (e, m)
-    tells whether a unit of an expression names a muscle, on its side.
+    ``motions`` (e, k, 3) are those of the face's points, mm, off ``rest`` (k, 3). ``named`` (e, m)
+    tells whether a unit of an expression names a muscle, on its side, and ``opposed`` (e, m)
+    whether it is an antagonist of one.
     """
 
     motions: NDArray[np.floating]
     named: NDArray[np.bool_]
+    opposed: NDArray[np.bool_]
     rest: Floats
     options: RecruitmentOptions = RecruitmentOptions()
 
@@ -66,17 +70,21 @@ class Recruitment:
         model, shapes = face.model, face.model.expressions
         if shapes is None or face.layout.drive.penalty is None:
             return None
-        named = np.array([named_muscles(model, name) for name in shapes.names])
+        named, opposed = np.array([find_called(model, name) for name in shapes.names]).swapaxes(
+            0, 1
+        )
         if not named.any():
             return None
-        return cls(shapes.motions, named, model.skin.vertices[model.face], options)
+        return cls(shapes.motions, named, opposed, model.skin.vertices[model.face], options)
 
     def prices(self, target: Target) -> Floats:
         """Return by how much w_a of every muscle is multiplied in the fit of a target, (m, 1)."""
         amounts, explained = self.amounts(target)
-        called = np.minimum(amounts / self.options.called, 1.0)
-        called = (called[:, None] * self.named).max(axis=0)
-        return np.asarray(self.options.others ** (explained * (1.0 - called))[:, None])
+        options = self.options
+        shares = np.minimum(amounts / options.called, 1.0)[:, None]
+        called, against = ((shares * each).max(axis=0) for each in (self.named, self.opposed))
+        price = options.others * options.opposed**against
+        return np.asarray(price ** (explained * (1.0 - called)))[:, None]
 
     def amounts(self, target: Target) -> tuple[Floats, float]:
         """Return the amounts (e,) of the expressions whose sum is nearest to a target.
@@ -101,18 +109,24 @@ class Recruitment:
         return amounts, max(1.0 - float(left @ left) / whole, 0.0)
 
 
-def named_muscles(model: SubjectModel, expression: str) -> list[bool]:
-    """Tell of every muscle of a model whether a unit of an expression names it, on its side."""
-    actions = [
-        (action.side, frozenset().union(*map(template_names, action.unit.muscles)))
-        for action in actions_of(expression)
-    ]
+def find_called(model: SubjectModel, expression: str) -> tuple[list[bool], list[bool]]:
+    """Tell of every muscle whether a unit of an expression names it, or as an antagonist.
 
-    def is_named(whole: str) -> bool:
-        bare, side = both_sides(whole).lower(), muscle_side(whole)
-        return any(side in (of, "") and bare in names for of, names in actions)
+    A unit is made on its side, by muscles of that side and of the middle.
+    """
 
-    return [is_named(whole) for whole in model.muscle_groups]
+    def are_of(muscles: Callable[[ActionUnit], tuple[str, ...]]) -> list[bool]:
+        names = {
+            (name, side)
+            for unit, of in actions_of(expression)
+            for muscle in muscles(unit)
+            for name in template_names(muscle)
+            for side in (of, "")
+        }
+        return [(both_sides(each).lower(), muscle_side(each)) in names for each in groups]
+
+    groups = model.muscle_groups
+    return are_of(lambda unit: unit.muscles), are_of(lambda unit: unit.antagonists)
 
 
 def prices(
