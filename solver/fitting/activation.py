@@ -66,7 +66,7 @@ def unseen_regulariser(face: Face, target: Target | None = None) -> Regulariser:
     recruitment = Recruitment.of_face(face)
     if target is None or recruitment is None:
         return plain
-    return replace(plain, w_a=plain.w_a * recruitment.prices(target))
+    return recruitment.regularise(plain, target)
 
 
 @dataclass(frozen=True)

@@ -21,16 +21,17 @@ may make.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from solver.anatomy.action_units import ActionUnit, actions_of, template_names
 from solver.drawing.head import both_sides, muscle_side
 from solver.fitting.face import Face
-from solver.fitting.objective import Target
+from solver.fitting.objective import Regulariser, Target
 from solver.model import SubjectModel
 from solver.surface import Floats
 
@@ -77,6 +78,10 @@ class Recruitment:
             return None
         return cls(shapes.motions, named, opposed, model.skin.vertices[model.face], options)
 
+    def regularise(self, plain: Regulariser, target: Target) -> Regulariser:
+        """Return a regulariser by which muscles pay their price in the fit of a target."""
+        return replace(plain, w_a=plain.w_a * self.prices(target))
+
     def prices(self, target: Target) -> Floats:
         """Return by how much w_a of every muscle is multiplied in the fit of a target, (m, 1)."""
         amounts, explained = self.amounts(target)
@@ -103,8 +108,11 @@ class Recruitment:
         whole = float(motion @ motion)
         if whole == 0.0:
             return np.zeros(len(rows)), 0.0
-        q, r = np.linalg.qr(rows.T)
-        amounts = np.asarray(lsq_linear(r, q.T @ motion, (0.0, 1.0)).x)
+        square = rows @ rows.T
+        # expressions that are sums of others, or are not seen, are left where they are
+        root = np.linalg.cholesky(square + 1e-9 * np.trace(square) * np.eye(len(rows)))
+        goal = scipy.linalg.solve_triangular(root, rows @ motion, lower=True)
+        amounts = np.asarray(lsq_linear(root.T, goal, (0.0, 1.0), method="bvls").x)
         left = motion - amounts @ rows
         return amounts, max(1.0 - float(left @ left) / whole, 0.0)
 
