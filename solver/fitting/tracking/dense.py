@@ -60,10 +60,10 @@ class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
     """Points of a performance: an :class:`~.tracker.Observation`, whose memory is the head.
 
     What is seen are the face's points (k, 3) with their confidence (k,), 0 where unseen; ``target``
-    makes what is fitted of both. Muscles that a frame does not call for pay more than ``regulariser``
-    says (:mod:`solver.fitting.recruitment`). ``still`` (k,) says how still each point lies on the skull
-    (:func:`stillness`) and asks for the head's rigid motion. Raises :class:`InputError`
-    (``sequence.no_still_points``) if nothing of the face lies still.
+    makes what is fitted of both. ``still`` (k,) says how still each point lies on the skull
+    (:func:`stillness`) and asks for the head's rigid motion. Muscles that a frame does not call for
+    pay more than ``regulariser`` says (:mod:`solver.fitting.recruitment`). Raises
+    :class:`InputError` (``sequence.no_still_points``) if nothing of the face lies still.
     """
 
     def __init__(
