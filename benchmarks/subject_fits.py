@@ -22,7 +22,7 @@ from solver.fitting.fallback import FallbackFit, Status
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Target, Term, distances
 from solver.fitting.per_tet import PerTetOptions
-from solver.fitting.recruitment import prices
+from solver.fitting.recruitment import recruit
 from solver.jobs.fits import describe_fit
 from solver.meshio.registered import RegisteredScan
 from solver.rig.report.certificate import with_round_trips
@@ -123,7 +123,12 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
     start = time.perf_counter()
     data, first_terms = terms(face, targets), distances(face, targets)
     fitted = geometry.fit(
-        face, data, schedule, first_terms=first_terms, prices=prices(face, targets), listen=listen
+        face,
+        data,
+        schedule,
+        first_terms=first_terms,
+        recruited=recruit(face, targets),
+        listen=listen,
     )
     seconds = time.perf_counter() - start
     return Fits(fitted.face, dict(scans), fitted.endings, seconds, rounds=rounds)

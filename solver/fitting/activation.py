@@ -59,14 +59,14 @@ UNSEEN_STOP = ActivationOptions(max_iterations=25, tolerance=1e-3)
 def unseen_regulariser(face: Face, target: Target | None = None) -> Regulariser:
     """Return the regulariser of an expression that S was not fitted to, around the resting face.
 
-    Muscles that S blends pay more where a ``target`` does not call for them
+    Of muscles that S blends what a ``target`` calls for is expected
     (:mod:`solver.fitting.recruitment`).
     """
     plain = Regulariser(**UNSEEN, prior=face.rest_pose())
     recruitment = Recruitment.of_face(face)
     if target is None or recruitment is None:
         return plain
-    return recruitment.regularise(plain, target)
+    return recruitment.of_target(target).regularise(plain)
 
 
 @dataclass(frozen=True)

@@ -27,12 +27,12 @@ from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate, Listener
 from solver.fitting.least_squares import Listener as StepListener
 from solver.fitting.objective import Regulariser, Target, Term
+from solver.fitting.recruitment import Recruited
 from solver.fitting.reference import NotConvergedError
 from solver.fitting.simplex import mix_by_stiffness, replace_values
-from solver.surface import Floats
 
 WHOLE_ROUNDS = 5  # at the end, which see all terms
-NO_PRICES: Mapping[str, Floats] = {}
+NOBODY: Mapping[str, Recruited] = {}
 LAST = ActivationOptions(20, tolerance=1e-3)  # of the activations, once S is found
 
 
@@ -111,7 +111,7 @@ def fit(
     first_terms: Mapping[str, Term] | None = None,
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,
-    prices: Mapping[str, Floats] = NO_PRICES,
+    recruited: Mapping[str, Recruited] = NOBODY,
     listen: Listener | None = None,
 ) -> GeometryFit:
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
@@ -122,14 +122,14 @@ def fit(
     the distance without contact, which would take many small steps. ``start`` has the pattern of
     the model's geometric S; if not given it is that, its muscles as stiff as the options say
     (:func:`~solver.fitting.simplex.mix_by_stiffness`). ``structure`` L (k, nnz) adds
-    1/2 |L (S - start)|^2 (:mod:`solver.fitting.joint`). ``prices`` are those of single expressions'
-    muscles (:mod:`solver.fitting.recruitment`). An expression that cannot be settled at the end is
+    1/2 |L (S - start)|^2 (:mod:`solver.fitting.joint`). ``recruited`` is what single expressions
+    call for (:mod:`solver.fitting.recruitment`). An expression that cannot be settled at the end is
     the best that was found of it, and its ending says so.
     """
     first_terms = data if first_terms is None else first_terms
     face = face.with_weights(_start(face, options) if start is None else start)
     first, known = ActivationOptions(options.first_iterations), rest_curvature(face)
-    begin = _problem(face, first_terms, options, 0, structure, prices).regularisers
+    begin = _problem(face, first_terms, options, 0, structure, recruited).regularisers
     states = {
         name: activation.descend(
             face, term, begin[name], face.rest, first, go=Face.newton_predict, matrix=known
@@ -143,17 +143,17 @@ def fit(
     for terms, rounds in ((first_terms, range(whole)), (data, range(whole, options.rounds))):
 
         def problem_of(number: int, terms: Mapping[str, Term] = terms) -> GeometryProblem:
-            return _problem(face, terms, options, number, structure, prices)
+            return _problem(face, terms, options, number, structure, recruited)
 
         now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen)
         steps += taken
     if options.within is not None:
         face = face.driven_by(options.within)
-        problem = _problem(face, data, options, options.rounds - 1, structure, prices)
+        problem = _problem(face, data, options, options.rounds - 1, structure, recruited)
         now, taken = _tighten(problem, now, options, listen)
         steps += taken
     found = face.with_weights(replace_values(face.S, now.values))
-    last = _regularisers(found, data, options, options.w_a[1], prices)
+    last = _regularisers(found, data, options, options.w_a[1], recruited)
     return _finish(found, data, last, now.states, steps)
 
 
@@ -196,12 +196,12 @@ def _problem(
     options: GeometryOptions,
     number: int,
     structure: sp.csr_array | None,
-    prices: Mapping[str, Floats] = NO_PRICES,
+    recruited: Mapping[str, Recruited] = NOBODY,
 ) -> GeometryProblem:
     """Return the problem of round ``number`` (from 0); S of ``face`` is its prior."""
     t = number / max(options.rounds - 1, 1)
     w_a, w_s = (first * (last / first) ** t for first, last in (options.w_a, options.w_s))
-    regularisers = _regularisers(face, data, options, w_a, prices)
+    regularisers = _regularisers(face, data, options, w_a, recruited)
     structure = sp.csr_array((0, face.S.nnz)) if structure is None else structure
     return GeometryProblem(face, data, regularisers, w_s, face.S.data, structure)
 
@@ -211,10 +211,12 @@ def _regularisers(
     names: Iterable[str],
     options: GeometryOptions,
     w_a: float,
-    prices: Mapping[str, Floats],
+    recruited: Mapping[str, Recruited],
 ) -> dict[str, Regulariser]:
     plain = Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
-    return {name: replace(plain, w_a=w_a * prices.get(name, 1.0)) for name in names}
+    return {
+        name: recruited[name].regularise(plain) if name in recruited else plain for name in names
+    }
 
 
 def _finish(
@@ -269,7 +271,7 @@ def fit_by_ipopt(
     *,
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,
-    prices: Mapping[str, Floats] = NO_PRICES,
+    recruited: Mapping[str, Recruited] = NOBODY,
 ) -> tuple[GeometryFit, tuple[Finding, ...]]:
     """Do as :func:`fit` with the last round's weights.
 
@@ -279,7 +281,7 @@ def fit_by_ipopt(
     check_size(face, len(data))
     fallback.refuse_limits(face)
     face = face.with_weights(_start(face, options) if start is None else start)
-    problem = _problem(face, data, options, options.rounds - 1, structure, prices)
+    problem = _problem(face, data, options, options.rounds - 1, structure, recruited)
     rest, most = dict.fromkeys(data, face.rest), most_iterations(options)
     notices: tuple[Finding, ...] = ()
     try:

@@ -9,13 +9,14 @@ is about a sum of them,
     t ~ rest + sum_e u_e motion_e,    0 <= u_e <= 1,
 
 and calls for muscle j by c_j, the greatest u_e / ``called`` of those that name it, 1 at most; d_j
-is the same of those whose units it works against. In its fit the weight w_a of a muscle's
-activation is multiplied by its price
+is the same of those whose units it works against. In its fit
 
-    (others opposed^d_j)^(r (1 - c_j)),
+    w_a/2 price_j^r |a_j - m_j|^2,    price_j = price opposed^(d_j (1 - c_j)),
 
-r being the part of the scan's motion that the sum explains: what nobody's expression is, anybody
-may make.
+takes the place of w_a/2 |a_j - I|^2: m_j is the shape of a muscle whose fibres have shortened by
+the part ``contraction`` u_j of their length, its volume kept, u_j being the greatest u_e of those
+that name it. r is the part of the scan's motion that the sum explains: what nobody's expression is,
+anybody may make.
 """
 
 from __future__ import annotations
@@ -32,16 +33,19 @@ from solver.anatomy.action_units import ActionUnit, actions_of, template_names
 from solver.drawing.head import both_sides, muscle_side
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, Target
+from solver.fitting.stretches import fibre_tensors, shorten
+from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.surface import Floats
 
 
 @dataclass(frozen=True)
 class RecruitmentOptions:
-    """The price of muscles that an expression does not call for."""
+    """What is expected of muscles, and what else they do costs."""
 
-    others: float = 100.0  # of a muscle that nothing calls for
-    opposed: float = 10.0  # by which that of one is greater that works against what is called for
+    contraction: float = 0.25  # of a muscle whose expression is at full strength
+    price: float = 30.0  # by which w_a is greater than where nothing is known
+    opposed: float = 10.0  # by which that of a muscle is greater that works against one called for
     called: float = 0.25  # amount of an expression from which its muscles are called for wholly
 
 
@@ -51,13 +55,15 @@ class Recruitment:
 
     ``motions`` (e, k, 3) are those of the face's points, mm, off ``rest`` (k, 3). ``named`` (e, m)
     tells whether a unit of an expression names a muscle, on its side, and ``opposed`` (e, m)
-    whether it is an antagonist of one.
+    whether it is an antagonist of one. ``tensors`` (m, 3, 3) are the means of d d^T
+    along the muscles' fibres d, NaN where there are none.
     """
 
     motions: NDArray[np.floating]
     named: NDArray[np.bool_]
     opposed: NDArray[np.bool_]
     rest: Floats
+    tensors: Floats
     options: RecruitmentOptions = RecruitmentOptions()
 
     @classmethod
@@ -76,20 +82,21 @@ class Recruitment:
         )
         if not named.any():
             return None
-        return cls(shapes.motions, named, opposed, model.skin.vertices[model.face], options)
+        tensors = fibre_tensors(model, face.flesh.volumes, face.S)
+        rest = model.skin.vertices[model.face]
+        return cls(shapes.motions, named, opposed, rest, tensors, options)
 
-    def regularise(self, plain: Regulariser, target: Target) -> Regulariser:
-        """Return a regulariser by which muscles pay their price in the fit of a target."""
-        return replace(plain, w_a=plain.w_a * self.prices(target))
-
-    def prices(self, target: Target) -> Floats:
-        """Return by how much w_a of every muscle is multiplied in the fit of a target, (m, 1)."""
-        amounts, explained = self.amounts(target)
-        options = self.options
+    def of_target(self, target: Target) -> Recruited:
+        """Return what a target calls for."""
+        options, (amounts, explained) = self.options, self.amounts(target)
         shares = np.minimum(amounts / options.called, 1.0)[:, None]
         called, against = ((shares * each).max(axis=0) for each in (self.named, self.opposed))
-        price = options.others * options.opposed**against
-        return np.asarray(price ** (explained * (1.0 - called)))[:, None]
+        price = options.price * options.opposed ** (against * (1.0 - called))
+        contraction = options.contraction * (amounts[:, None] * self.named).max(axis=0)
+        mean = np.tile(IDENTITY, (len(price), 1))
+        for muscle in np.flatnonzero((contraction > 0.0) & np.isfinite(self.tensors[:, 0, 0])):
+            mean[muscle] = shorten(self.tensors[muscle], 1.0 - contraction[muscle])
+        return Recruited((price**explained)[:, None], mean)
 
     def amounts(self, target: Target) -> tuple[Floats, float]:
         """Return the amounts (e,) of the expressions whose sum is nearest to a target.
@@ -117,6 +124,19 @@ class Recruitment:
         return amounts, max(1.0 - float(left @ left) / whole, 0.0)
 
 
+@dataclass(frozen=True, eq=False)
+class Recruited:
+    """What is expected of m muscles in one expression."""
+
+    price: Floats  # (m, 1) by which w_a is greater
+    mean: Floats  # (m, 6) of their activations
+
+    def regularise(self, plain: Regulariser) -> Regulariser:
+        """Return a regulariser that expects this of muscles, from one that expects them at rest."""
+        prior = replace(plain.prior, a=self.mean)
+        return replace(plain, w_a=plain.w_a * self.price, prior=prior)
+
+
 def find_called(model: SubjectModel, expression: str) -> tuple[list[bool], list[bool]]:
     """Tell of every muscle whether a unit of an expression names it, or as an antagonist.
 
@@ -137,11 +157,11 @@ def find_called(model: SubjectModel, expression: str) -> tuple[list[bool], list[
     return are_of(lambda unit: unit.muscles), are_of(lambda unit: unit.antagonists)
 
 
-def prices(
+def recruit(
     face: Face, targets: Mapping[str, Target], options: RecruitmentOptions = RecruitmentOptions()
-) -> dict[str, Floats]:
-    """Return target -> :meth:`Recruitment.prices`; {} where nothing is known."""
+) -> dict[str, Recruited]:
+    """Return target -> what it calls for; {} where nothing is known of a face's muscles."""
     recruitment = Recruitment.of_face(face, options)
     if recruitment is None:
         return {}
-    return {name: recruitment.prices(target) for name, target in targets.items()}
+    return {name: recruitment.of_target(target) for name, target in targets.items()}

@@ -11,11 +11,12 @@ from typing import Any
 import scipy.sparse as sp
 
 from solver.errors import Finding, make_warning
-from solver.fitting import geometry, recruitment
+from solver.fitting import geometry
 from solver.fitting.contact import terms
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryFit, GeometryOptions
 from solver.fitting.objective import Target, distances
+from solver.fitting.recruitment import recruit
 from solver.fitting.simplex import mirror_structure, smooth_structure, transfer
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
@@ -59,7 +60,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if given.solver == "ipopt":
         geometry.check_size(face, len(scans))
     targets = Targets(subject, given.distance).of_scans(scans)
-    priors: dict[str, Any] = {"prices": recruitment.prices(face, targets)}
+    priors: dict[str, Any] = {"recruited": recruit(face, targets)}
     if "start" in task.inputs:
         start = Rig.load(task.inputs["start"])
         priors["start"] = transfer(start.weights, start.model, subject)

@@ -61,8 +61,8 @@ class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
 
     What is seen are the face's points (k, 3) with their confidence (k,), 0 where unseen; ``target``
     makes what is fitted of both. ``still`` (k,) says how still each point lies on the skull
-    (:func:`stillness`) and asks for the head's rigid motion. Muscles that a frame does not call for
-    pay more than ``regulariser`` says (:mod:`solver.fitting.recruitment`). Raises
+    (:func:`stillness`) and asks for the head's rigid motion. ``regulariser`` is the one of
+    muscles of which nothing is known (:mod:`solver.fitting.recruitment`). Raises
     :class:`InputError` (``sequence.no_still_points``) if nothing of the face lies still.
     """
 
@@ -142,7 +142,7 @@ class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
     def _fit(self, target: Target, solver: FrameSolver, before: Pose) -> int:
         prior = self._regulariser
         if self._recruitment is not None:
-            prior = self._recruitment.regularise(prior, target)
+            prior = self._recruitment.of_target(target).regularise(prior)
         prior = prior.with_proximal_term(before, self._options.temporal)
         return solver.fit(SkinDistance(self.face, target), target.weights, prior)
 

@@ -7,10 +7,12 @@ import pytest
 
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions, unseen_regulariser
+from solver.fitting.contraction import Contraction
 from solver.fitting.drives.fibre_contraction import FibreContraction
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
-from solver.fitting.recruitment import Recruitment, RecruitmentOptions, prices
+from solver.fitting.recruitment import Recruitment, RecruitmentOptions, recruit
+from solver.fitting.stretches import determinants
 from solver.model import Expressions
 from tests.fixtures import small_model
 from tests.solver.block import block_model, poses
@@ -38,8 +40,13 @@ def target_of(face, amounts, normals=None):
 
 
 def price_of(face, found, muscle):
-    (price,) = set(found[face.model.muscle_numbers(muscle), 0].tolist())
+    (price,) = set(found.price[face.model.muscle_numbers(muscle), 0].tolist())
     return price
+
+
+def contraction_of(face, found, muscle):
+    contraction = Contraction.of_face(face)(found.mean)
+    return contraction[face.model.muscle_numbers(muscle)].mean()
 
 
 @pytest.mark.parametrize("along_normals", [False, True])
@@ -54,11 +61,14 @@ def test_amounts_of_expressions_are_found_again(face, along_normals):
     assert explained == pytest.approx(1.0, abs=1e-6)
 
 
-def test_others_pay_and_antagonists_most(face):
-    options = RecruitmentOptions(others=50.0, opposed=4.0)
-    found = Recruitment.of_face(face, options).prices(target_of(face, [1.0, 0.0, 1.0]))
-    assert found.shape == (face.model.muscle_count, 1)
-    assert price_of(face, found, "zygomaticus_major_l") == pytest.approx(1.0)
+def test_muscles_that_are_named_contract_and_antagonists_pay_most(face):
+    options = RecruitmentOptions(contraction=0.3, price=50.0, opposed=4.0)
+    found = Recruitment.of_face(face, options).of_target(target_of(face, [1.0, 0.0, 1.0]))
+    assert found.price.shape == (face.model.muscle_count, 1)
+    assert contraction_of(face, found, "zygomaticus_major_l") == pytest.approx(0.3, abs=0.05)
+    assert contraction_of(face, found, "zygomaticus_major_r") == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(determinants(found.mean), 1.0)
+    assert price_of(face, found, "zygomaticus_major_l") == pytest.approx(50.0, rel=1e-3)
     assert price_of(face, found, "zygomaticus_major_r") == pytest.approx(50.0, rel=1e-3)
     # against the smile on its own side, and against an open jaw on both
     assert price_of(face, found, "depressor_anguli_oris_l") == pytest.approx(200.0, rel=1e-3)
@@ -66,10 +76,11 @@ def test_others_pay_and_antagonists_most(face):
     assert price_of(face, found, "masseter_deep_r") == pytest.approx(200.0, rel=1e-3)
 
 
-def test_half_of_what_calls_wholly_halves_the_price_in_its_logarithm(face):
-    options = RecruitmentOptions(others=100.0, called=0.5)
-    found = Recruitment.of_face(face, options).prices(target_of(face, [0.25, 0.0, 0.0]))
-    assert price_of(face, found, "zygomaticus_major_l") == pytest.approx(10.0, rel=1e-3)
+def test_a_part_of_an_expression_calls_for_a_part(face):
+    options = RecruitmentOptions(contraction=0.3, price=50.0, opposed=4.0, called=0.5)
+    found = Recruitment.of_face(face, options).of_target(target_of(face, [0.25, 0.0, 0.0]))
+    assert contraction_of(face, found, "zygomaticus_major_l") == pytest.approx(0.075, abs=0.02)
+    assert price_of(face, found, "depressor_anguli_oris_l") == pytest.approx(100.0, rel=1e-3)
 
 
 def test_what_no_expression_explains_anybody_may_make(face):
@@ -77,15 +88,17 @@ def test_what_no_expression_explains_anybody_may_make(face):
     rest = face.model.skin.vertices[face.model.face]
     across = Target.from_points(rest + [[0.0, -0.7, 0.5]] * rest.shape[0])
     recruitment = Recruitment.of_face(face)
-    assert recruitment.prices(across).max() < 1.5
-    assert recruitment.prices(Target.from_points(rest)).max() == 1.0
+    assert recruitment.of_target(across).price.max() < 2.0
+    still = recruitment.of_target(Target.from_points(rest))
+    assert still.price.max() == 1.0
+    np.testing.assert_array_equal(still.mean, face.rest_pose().a)
 
 
-def test_models_without_expressions_and_muscles_without_shapes_have_no_prices(face):
+def test_nothing_is_known_without_expressions_and_of_muscles_without_shapes(face):
     target = target_of(face, [1.0, 0.0, 0.0])
     plain = Face(small_model())
     assert Recruitment.of_face(plain) is None
-    assert prices(plain, {"smile": target}) == {}
+    assert recruit(plain, {"smile": target}) == {}
     assert unseen_regulariser(plain, target).w_a == activation.UNSEEN["w_a"]
     assert Recruitment.of_face(face.driven_by(FibreContraction(face.model))) is None
     assert np.max(unseen_regulariser(face, target).w_a) > 10.0 * activation.UNSEEN["w_a"]
