@@ -228,8 +228,9 @@ class TrustRegion:
     least: float = 2.0**-8
     tries: int = 6  # from one point before that counts as stuck
     # part of f's rise by one step that a shorter one leaves at least where f leaps, as where flesh
-    # snaps: still shorter steps lead to the same place, and the point counts as stuck
-    leap: float = 0.5
+    # snaps: still shorter steps lead to the same place, and the point counts as stuck. Where it
+    # rises by far more, as where lips cross on the way, they do not
+    leap: float = 0.7
 
     def __post_init__(self) -> None:
         self.damping, self.reach = self.rule.start, self.most
@@ -255,7 +256,7 @@ class TrustRegion:
             if reached < value:
                 done = whole and value - reached <= stop.gained * reached
                 return Trial(moved, reached, termination=Termination.CONVERGED if done else None)
-            if reached - value > self.leap * rise:
+            if self.leap * rise < reached - value < rise / self.leap:
                 break
             rise = reached - value
         return Trial(point=None, value=value, termination=Termination.STUCK)

@@ -105,6 +105,20 @@ class Cliff:
         return Linearised(2.0 * (q - 3.0), 2.0 * np.eye(1))
 
 
+class Bump(Cliff):
+    """f that is highest half way, as where lips cross that both steps and rests keep apart."""
+
+    def value(self, q):
+        crossing = np.interp(q[0], [0.2, 0.5, 1.0], [0.0, self.rise, 0.1 * self.rise])
+        return float((q[0] - 3.0) ** 2 + crossing)
+
+
+def test_a_bump_half_way_is_no_leap():
+    found = minimise(Bump(1.0, rise=60.0), np.zeros(1), SEARCHES[0](), StopOptions(1))
+    assert (found.termination, found.steps) == (Termination.ITERATIONS, 1)
+    assert found.value < 9.0
+
+
 def test_no_step_after_step_is_tried_where_all_of_them_leap():
     """Each is as dear as a search for the equilibrium behind a fold."""
     problem, stop = Cliff(edge=0.0), StopOptions(20)
