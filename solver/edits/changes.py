@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import LooseSkin
 from solver.anatomy.tetrahedra import ML, volumes
-from solver.edits.edit import Edited
+from solver.edits import Edited
 from solver.errors import InputError
 from solver.model import SubjectModel, find_muscles, tell_muscles
 from solver.surface import (

@@ -25,7 +25,7 @@ from solver.jobs.fits import (
 from solver.kinds.fit_activations import FitActivations
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
-from solver.rig.report.report import known_information
+from solver.rig.report import known_information
 from solver.rig.rig import Rig
 
 

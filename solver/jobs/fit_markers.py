@@ -35,7 +35,7 @@ from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.mechanics.linear import fastest
 from solver.progress import Step
-from solver.rig.frames.frames import sequence_report, write_sequence
+from solver.rig.frames import sequence_report, write_sequence
 from solver.rig.frames.marker_view import FILE as VIEW_FILE
 from solver.rig.rig import Rig
 from solver.scans.markers.places.bind import Reference

@@ -29,8 +29,8 @@ from solver.fitting.markers.term import HeadPrior
 from solver.fitting.tracking import Tracker
 from solver.jobs.marker_verdict import judge_fit
 from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
+from solver.rig.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
 from solver.rig.frames.animation_gltf import AnimatedSkin
-from solver.rig.frames.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
 from solver.rig.frames.marker_view import MarkerView
 from solver.scans.markers.places.marker_set import BoundTake
 from solver.scans.markers.signal.motion import rms_of_seen

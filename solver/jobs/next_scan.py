@@ -21,8 +21,8 @@ from solver.rig.next_scan import (
     suggestion_figures,
     suggestion_words,
 )
+from solver.rig.report import information_figures
 from solver.rig.report.certificate import scan_information
-from solver.rig.report.report import information_figures
 from solver.rig.rig import Rig
 from solver.storage import write_json
 

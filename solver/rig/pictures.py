@@ -25,7 +25,7 @@ from solver.drawing.head import (
 from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, render, render_bust
 from solver.drawing.sheet import HEADER, INK, MARGIN, Colour, Column, Sheet, SheetLayout, draw_sheet
 from solver.model import SubjectModel
-from solver.rig.frames.frames import SequenceFrame
+from solver.rig.frames import SequenceFrame
 from solver.rig.rig import ROLES, ExpressionFit
 from solver.surface import Floats, Ints, Surface, join_surfaces, own_numbers, vertex_normals
 

@@ -10,10 +10,10 @@ import ipctk
 import numpy as np
 import trimesh
 
-from solver.animation.drives import Interpolation, Track, track
+from solver.animation import Interpolation, Track, track
+from solver.contact import touching
 from solver.contact.barrier import ContactSurface, collision_mesh
 from solver.contact.crossing import depth_inside
-from solver.contact.potentials import touching
 from solver.drawing.head import skin_parts
 from solver.errors import InputError
 from solver.kinds.scene import Ball, Box, Object, Rod

@@ -19,13 +19,13 @@ from scipy.spatial.transform import Rotation
 
 from solver.mechanics.boundary import move_jaw
 from solver.rig.exporters import glb
+from solver.rig.frames import SequenceFrame
 from solver.rig.frames.animation_gltf import (
     SEQUENCE_BASIS,
     AnimatedSkin,
     AnimationOptions,
     write_animation_glb,
 )
-from solver.rig.frames.frames import SequenceFrame
 from solver.rig.frames.gltf import Solid
 from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Surface, vertex_normals

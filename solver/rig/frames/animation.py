@@ -21,9 +21,9 @@ from solver.drawing.render import DrawnBody, Lit, Pixels, render_bust
 from solver.drawing.sheet import MARGIN, Column, SheetLayout, draw_sheet
 from solver.errors import InputError
 from solver.model import SubjectModel
+from solver.rig.frames import FORMAT as FRAMES_FORMAT
+from solver.rig.frames import FrameRecord, pack, read_chunks, unpack
 from solver.rig.frames.animation_gltf import write_animation_glb
-from solver.rig.frames.frames import FORMAT as FRAMES_FORMAT
-from solver.rig.frames.frames import FrameRecord, pack, read_chunks, unpack
 from solver.rig.frames.gltf import Solid
 from solver.rig.frames.read_back import Comparison
 from solver.rig.frames.skin_basis import Singles

@@ -21,7 +21,7 @@ import pygltflib as gl
 from scipy.spatial.transform import Rotation, Slerp
 
 from solver.errors import SolveError
-from solver.rig.frames.frames import SequenceFrame
+from solver.rig.frames import SequenceFrame
 from solver.rig.frames.gltf import (
     METRES,
     Buffer,

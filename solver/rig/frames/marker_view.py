@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from solver.rig.container import read_container, write_container
-from solver.rig.frames.frames import MarkerFrame
+from solver.rig.frames import MarkerFrame
 from solver.rig.frames.read_back import Comparison
 from solver.similarity import small_motion
 from solver.surface import Floats

@@ -13,6 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import ShapeBasis
+from solver.animation import Gaze, HeadKey, KeyedDrives, PoseKey, RecordedDrives, neck
 from solver.animation.blendshapes import (
     FORMAT,
     Blend,
@@ -22,7 +23,6 @@ from solver.animation.blendshapes import (
     solve_blendshapes,
     unfold,
 )
-from solver.animation.drives import Gaze, HeadKey, KeyedDrives, PoseKey, RecordedDrives, neck
 from solver.errors import InputError
 from solver.fitting import activation
 from solver.fitting.drives.admissible import (

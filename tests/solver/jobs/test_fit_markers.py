@@ -22,7 +22,7 @@ from solver.mechanics.boundary import move_jaw
 from solver.model import CondyleTracks, SubjectModel
 from solver.progress import Step
 from solver.rig.container import read_container
-from solver.rig.frames.frames import MarkerFrame, read_chunks
+from solver.rig.frames import MarkerFrame, read_chunks
 from solver.rig.frames.read_back import LIMIT_MM
 from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.markers.places.marker_set import Marker, MarkerSet

@@ -17,8 +17,8 @@ from solver.rig.container import read_container
 from solver.rig.exporters import inside as inside_exporter
 from solver.rig.exporters import view as view_exporter
 from solver.rig.exporters.inside import NO_MUSCLE
+from solver.rig.report import report
 from solver.rig.report.certificate import certify
-from solver.rig.report.report import report
 from solver.rig.rig import ExpressionFit, Rig
 from solver.storage import Archive
 from solver.surface import Surface

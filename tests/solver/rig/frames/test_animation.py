@@ -12,7 +12,7 @@ import trimesh
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from solver.animation.drives import track
+from solver.animation import track
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig.frames import animation

@@ -9,8 +9,8 @@ import pygltflib
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from solver.rig.frames import SequenceFrame
 from solver.rig.frames.animation_gltf import SEQUENCE_BASIS, AnimatedSkin
-from solver.rig.frames.frames import SequenceFrame
 from solver.rig.frames.read_back import validate_glb
 from solver.surface import Surface
 from tests.solver.glb import shown_skins, tracks
