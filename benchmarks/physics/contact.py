@@ -30,7 +30,7 @@ from solver.fitting.face import Face, Pose
 from solver.kinds.scene import STIFFNESS_PA
 from solver.model import SubjectModel
 from solver.rig.pictures import WIDTH
-from solver.scene.objects import check_objects
+from solver.scene.places import check_objects
 from solver.simulation import Simulator, Stepped
 from solver.surface import Floats, Surface
 

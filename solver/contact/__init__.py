@@ -36,7 +36,7 @@ def contact_potentials(
     skin: lips, and lids with ``eyes``, or all skin if there are ``objects``. With ``teeth`` lips
     meet these, with ``eyes`` lids meet eyeballs, where the model has both. ``objects`` are closed
     surfaces from outside, in the head's frame, where they are to begin with; that they do not cross
-    the skin there is for :func:`solver.scene.objects.check_objects`. ``friction`` is the
+    the skin there is for :func:`solver.scene.places.check_objects`. ``friction`` is the
     coefficient between skins and with objects.
 
     Raises :class:`InputError` (``contact.crossed``) where the neutral skin crosses itself widely.

@@ -10,7 +10,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.geometry_information import InformationOptions, Linearisation, MuscleInformation
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
-from solver.jobs.expressions import known_basis
+from solver.jobs.fits import known_basis
 from solver.kinds.next_scan import NextScan
 from solver.mechanics.linear import fastest
 from solver.progress import Step

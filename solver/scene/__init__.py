@@ -31,8 +31,7 @@ from solver.mechanics.flesh import (
 )
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
-from solver.scene.objects import check_objects, objects_of
-from solver.scene.places import Places
+from solver.scene.places import Places, check_objects, objects_of
 from solver.simulation import Simulator
 from solver.simulation.forces import Drive, ExternalForce, Gravity, Pull, Wind, lumped_masses
 from solver.surface import Floats, Surface

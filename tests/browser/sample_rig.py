@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from solver.anatomy.template import Muscle
-from solver.rig.container import write_container
+from solver.storage import write_container
 from solver.surface import Floats, Ints, Surface, adjacency, part_of, vertex_normals
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
 from solver.templates.export import CaptureSet

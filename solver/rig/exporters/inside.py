@@ -15,12 +15,11 @@ import scipy.sparse as sp
 from solver.anatomy.embedding import tet_binder
 from solver.mechanics.boundary import jaw_rotation, move_jaw
 from solver.model import JawFrame, SubjectModel
-from solver.rig.container import read_container, write_container
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
 from solver.rig.frames.read_back import NEUTRAL, compare_expressions
 from solver.rig.rig import Rig
-from solver.storage import Arrays
+from solver.storage import Arrays, read_container, write_container
 from solver.surface import Floats, Surface
 
 FILE = "inside.bin"

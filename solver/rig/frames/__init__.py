@@ -24,10 +24,9 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.drives import are_fibres
 from solver.kinds import FILES
 from solver.mechanics.boundary import JAW_FREEDOM
-from solver.rig.container import write_container
 from solver.rig.frames.read_back import compare_activations
 from solver.rig.rig import ENTRIES
-from solver.storage import MOST_BYTES, read_arrays, write_json
+from solver.storage import MOST_BYTES, read_arrays, write_container, write_json
 from solver.surface import Floats
 
 FORMAT = FILES["sequence.npz"].formats[0]  # of files of frames and of reports, too

@@ -27,7 +27,7 @@ from solver.rig.frames.animation_gltf import write_animation_glb
 from solver.rig.frames.gltf import Solid
 from solver.rig.frames.read_back import Comparison
 from solver.rig.frames.skin_basis import Singles
-from solver.scene.objects import SceneObject
+from solver.scene.places import SceneObject
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.forces import FleshMotion
 from solver.storage import write_json

@@ -17,7 +17,7 @@ from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig.frames import animation
 from solver.rig.frames.animation import MotionRecord, write_animation
-from solver.scene.objects import SceneObject
+from solver.scene.places import SceneObject
 from solver.storage import read_arrays
 from solver.surface import Floats, Surface
 from solver.templates.builtin.build import builtin_expression
