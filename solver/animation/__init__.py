@@ -348,9 +348,7 @@ class Gaze:
 
     def __init__(self, model: SubjectModel) -> None:
         skin = model.skin.vertices
-        regions = [
-            model.regions.get(f"{side}_eyeball", np.zeros(0, int)) for side in ("left", "right")
-        ]
+        regions = [model.region(f"{side}_eyeball") for side in ("left", "right")]
         self._balls = [(ids, nearest_sphere(skin[ids])[0]) for ids in regions]
 
     def turn(self, skin: Floats, eyes: Floats) -> Floats:

@@ -59,8 +59,7 @@ def touching(
     model: SubjectModel, mouth: Mouth | None, *, lips: bool, eyes: bool, objects: bool
 ) -> Ints:
     """Return the skin's triangles (f, 3) that may touch other skin or objects."""
-    faces = model.skin.faces
-    on_flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
+    on_flesh = model.flesh_faces
     if objects:
         return on_flesh
     near = [np.empty(0, np.int64)]
@@ -105,14 +104,13 @@ def eyeballs(
     model: SubjectModel, stiffness_pa: float, options: OneSidedOptions = ONE_SIDED
 ) -> list[OneSided]:
     """Return what keeps lids on their eyeballs, as far as the model names them."""
-    nothing: Ints = np.empty(0, dtype=np.int64)
-    skin, faces = model.skin.vertices, model.skin.faces
-    area = vertex_areas(skin, faces[np.isin(faces, model.embedded).all(axis=1)])
+    skin = model.skin.vertices
+    area = vertex_areas(skin, model.flesh_faces)
     kept = []
     for side in ("left", "right"):
-        named = [model.regions.get(f"{side}_{lid}_lid", nothing) for lid in ("upper", "lower")]
+        named = [model.region(f"{side}_{lid}_lid") for lid in ("upper", "lower")]
         lids = np.intersect1d(np.concatenate(named), model.embedded)
-        ball = model.regions.get(f"{side}_eyeball", nothing)
+        ball = model.region(f"{side}_eyeball")
         if len(lids) and len(ball):
             number = np.searchsorted(model.embedded, lids)
             rows, offset = model.embedding[number], model.offset[number]
@@ -165,8 +163,7 @@ class Gauge:
         self._arches = [each for each in one_sided if isinstance(each.obstacle, Arch)]
         if self._mouth is not None and not self._arches:
             self._arches = arches(model, self._mouth, 1.0, unedited)
-        on_flesh = touching(model, None, lips=False, eyes=False, objects=True)
-        self._faces: Ints = np.searchsorted(model.embedded, on_flesh)
+        self._faces: Ints = np.searchsorted(model.embedded, model.flesh_faces)
 
     def neutral(self) -> Penetration:
         """Measure the unedited person at rest: scans of closed lips cross themselves."""

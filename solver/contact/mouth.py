@@ -114,12 +114,14 @@ class Mouth:
     @classmethod
     def of(cls, model: SubjectModel, options: MouthOptions = MouthOptions()) -> Mouth | None:
         """Find the mouth of a model; None if its regions do not name both lips, on its flesh."""
-        named = [model.regions.get(f"{lip}_lip", np.empty(0, int)) for lip in ("upper", "lower")]
+        named = [model.region(f"{lip}_lip") for lip in ("upper", "lower")]
         if not all(np.isin(lip, model.embedded).any() for lip in named):
             return None
         vertices, faces = model.skin.vertices, model.skin.faces
-        flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
-        teeth = [model.regions.get(f"{jaw}_teeth", np.empty(0, int)) for jaw in ("upper", "lower")]
+        flesh, teeth = (
+            model.flesh_faces,
+            [model.region(f"{jaw}_teeth") for jaw in ("upper", "lower")],
+        )
         lips, side = _lips(model, flesh, np.concatenate(teeth), options)
         around = np.intersect1d(flesh, np.flatnonzero(_within(vertices, lips, options.around_mm)))
         label = np.full(len(vertices), -1)

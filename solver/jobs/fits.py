@@ -172,11 +172,7 @@ class Targets:
 
     def __init__(self, model: SubjectModel, distance: Distance) -> None:
         self._face, self._distance = model.face, distance
-        # the skin's triangles (f, 3) within the face, by numbers of the face's points
-        number = np.full(len(model.skin.vertices), -1)
-        number[model.face] = np.arange(len(model.face))
-        triangles = number[model.skin.faces]
-        self._triangles = triangles[(triangles >= 0).all(axis=1)]
+        self._triangles = model.face_triangles
 
     def of_scans(self, scans: Mapping[str, RegisteredScan]) -> dict[str, Target]:
         """Return the targets of scans of the whole topology by their names."""

@@ -15,7 +15,6 @@ import trimesh
 
 from solver.anatomy.template import Template
 from solver.animation import Interpolation, Track, track
-from solver.contact import touching
 from solver.contact.barrier import ContactSurface, collision_mesh
 from solver.contact.crossing import depth_inside
 from solver.drawing.head import skin_parts
@@ -254,7 +253,7 @@ def check_objects(model: SubjectModel, objects: Mapping[str, Surface]) -> None:
             raise InputError("scene.object_open", reason, object=name)
     if not objects:
         return
-    skin = ContactSurface.of(model, touching(model, None, lips=False, eyes=False, objects=True))
+    skin = ContactSurface.of(model, model.flesh_faces)
     face = Surface(skin.rest, skin.faces)
     head = Surface(model.skin.vertices, model.skin.faces[skin_parts(model.skin)["skin"]])
     for name, each in objects.items():

@@ -51,7 +51,7 @@ def check_neutral(
 
 def _find_parted_teeth(model: SubjectModel, options: NeutralLimits) -> list[Finding]:
     """Find rows of teeth that are apart in the neutral."""
-    rows = [model.regions.get(f"{name}_teeth", np.empty(0, int)) for name in ("upper", "lower")]
+    rows = [model.region(f"{name}_teeth") for name in ("upper", "lower")]
     upper, lower = (model.skin.vertices[row] for row in rows)
     if not (len(upper) and len(lower)):
         return []
