@@ -135,19 +135,14 @@ class Kind:
 
 Axis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
 Distance = Literal["point", "plane"]
+FACTORISATION = "factorisation of the tangent stiffness; null: the fastest that is installed, in"
 LinearSolver = Annotated[
     Literal["rslab", "rslab-single", "cholmod", "superlu", None],
-    Field(
-        description="factorisation of the tangent stiffness; null: the fastest that is installed, "
-        "in single precision"
-    ),
+    Field(description=f"{FACTORISATION} single precision"),
 ]
 DoubleSolver = Annotated[
     Literal["rslab", "cholmod", "superlu", None],
-    Field(
-        description="factorisation of the tangent stiffness; null: the fastest that is installed, "
-        "in double precision"
-    ),
+    Field(description=f"{FACTORISATION} double precision"),
 ]
 
 

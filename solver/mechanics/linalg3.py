@@ -195,6 +195,12 @@ def add(X: Matrix, Y: Matrix) -> Matrix:
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
+def transpose(X: Matrix) -> Matrix:
+    """Return X^T."""
+    return X[0], X[3], X[6], X[1], X[4], X[7], X[2], X[5], X[8]
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def subtract(X: Matrix, Y: Matrix) -> Matrix:
     """Return X - Y."""
     return add(X, scale(-1.0, Y))
