@@ -43,26 +43,17 @@ class EditOptions:
 class Edited:
     """An edited person, which is all that simulations see of edits.
 
-    model
-        The person; bones that were moved, and the skin vertices that stay with them (teeth), are
-        where they are now. Its flesh, ``rest`` included, is as it was.
-    unedited
-        The person before all edits.
-    growth, stiffness_factor, density
-        (n,) per tet: f of F_p = f I, a factor of the material's stiffness, and g/mm^3.
-    bones
-        (p, 3) in mm, added to the rest of vertices on bones: held ones and those that slide.
-    S
-        (n, m + 1) blends the activations.
+    In ``model`` bones that were moved, and the skin vertices that stay with them (teeth), are where
+    they are now. Its flesh, ``rest`` included, is as it was.
     """
 
     model: SubjectModel
-    unedited: SubjectModel
-    growth: Floats
-    stiffness_factor: Floats
-    density: Floats
-    bones: Floats
-    S: sp.csr_array
+    unedited: SubjectModel  # the person before all edits
+    growth: Floats  # (n,) f of F_p = f I of each tet
+    stiffness_factor: Floats  # (n,) of the material's stiffness
+    density: Floats  # (n,) g/mm^3
+    bones: Floats  # (p, 3) mm, added to the rest of vertices on bones: held ones, those that slide
+    S: sp.csr_array  # (n, m + 1) blends the activations
     options: EditOptions = EditOptions()
 
     @classmethod

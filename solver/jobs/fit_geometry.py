@@ -22,7 +22,7 @@ from solver.jobs import Task, fits
 from solver.kinds.fit_geometry import FitGeometry
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, part_of
-from solver.rig.report.neutral_checks import check_neutral
+from solver.rig.report.measures import check_neutral
 from solver.rig.rig import Rig
 
 # of rounds whose mean grows

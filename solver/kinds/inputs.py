@@ -17,15 +17,12 @@ Form = Literal["file", "file or folder", "files", "named files", "role"]
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an input on the command line: an argument if a job needs it, else an option.
-
-    role
-        What the job calls its file (``task.inputs``). None: it is no file, or the job has all of
-        them by their own names (``task.captures``).
-    """
+    """A part of an input on the command line: an argument if a job needs it, else an option."""
 
     parameter: str
     words: str  # of the command line's help
+    # what the job calls its file (task.inputs); None: it is no file, or the job has all of them by
+    # their own names (task.captures)
     role: str | None = None
     form: Form = "file"
     is_needed: bool = False
@@ -33,14 +30,10 @@ class Part:
 
 @dataclass(frozen=True)
 class Input:
-    """An input of jobs.
-
-    of_an_expression
-        The parts that take the place of ``parts`` where a kind reads a ``capture``, too.
-    """
+    """An input of jobs."""
 
     parts: tuple[Part, ...]
-    of_an_expression: tuple[Part, ...] = ()
+    of_an_expression: tuple[Part, ...] = ()  # in their place where a kind reads a capture, too
 
 
 def _given(parameter: str, words: str, form: Form = "file", role: str | None = None) -> Part:
@@ -100,25 +93,13 @@ INPUTS: Mapping[str, Input] = {
 
 @dataclass(frozen=True)
 class LeftFile:
-    """A file that jobs leave for later ones.
+    """A file that jobs leave for later ones."""
 
-    input
-        What it is to those: of kinds that have it in ``reads``.
-    role
-        What the job that reads it calls it.
-    formats
-        The numbers of its format that this release reads, the newest last.
-    of_a_rig
-        Whether it was made of one rig and is of no other. Later jobs of that rig find the newest.
-    is_kept
-        Whether it takes minutes to make, so that the next attempt at a job goes on with it.
-    """
-
-    input: str
-    role: str
-    formats: tuple[int, ...] = (1,)
-    of_a_rig: bool = False
-    is_kept: bool = False
+    input: str  # what it is to those: of kinds that have it in ``reads``
+    role: str  # what the job that reads it calls it
+    formats: tuple[int, ...] = (1,)  # the numbers that this release reads, the newest last
+    of_a_rig: bool = False  # made of one rig and of no other: later jobs of it find the newest
+    is_kept: bool = False  # takes minutes to make: the next attempt at a job goes on with it
 
     @property
     def format(self) -> int:
@@ -148,27 +129,15 @@ CLOUDS = (".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
 
 @dataclass(frozen=True)
 class Role:
-    """A role of captures.
-
-    noun
-        What such a file is, in errors and descriptions.
-    formats
-        The endings of its files, and in ``registered`` those of one in the template's topology.
-    own_formats
-        Those of them that no file of another role has: it is of this role if nobody says another.
-    sets
-        The endings of what lies beside such files for all of a session, and is one of them as well.
-    then
-        What becomes of it, in words that follow a colon.
-    """
+    """A role of captures; files have formats by their endings."""
 
     title: str
-    noun: str
+    noun: str  # what such a file is, in errors and descriptions
     formats: tuple[str, ...]
-    then: str
-    registered: tuple[str, ...] = ()
-    own_formats: tuple[str, ...] = ()
-    sets: tuple[str, ...] = ()
+    then: str  # what becomes of it, in words that follow a colon
+    registered: tuple[str, ...] = ()  # formats of one in the template's topology
+    own_formats: tuple[str, ...] = ()  # of no other role: it is of this one if nobody says another
+    sets: tuple[str, ...] = ()  # of what lies beside such files for all of a session, one as well
 
     @property
     def is_scan(self) -> bool:
