@@ -215,8 +215,8 @@ def _greatest(vectors: Singles) -> Floats:
 
 # a frame has many shapes at once: what each leaves out for a still vertex adds up
 SEQUENCE_SHAPES = ShapeOptions(still_mm=1e-4)
-# a file's numbers have the rest of the 0.2 mm that it may be off; frames of takes are noisy, and ask
-# for more shapes and samples than those of simulations
+# a file's numbers have the rest of the 0.2 mm that it may be off; frames of takes are noisy, and
+# ask for more shapes and samples than those of simulations
 SEQUENCE_BASIS = SkinBasisOptions(
     within_mm=0.15, most_shapes=512, first_shapes=32, more_shapes=2.0, more_samples=200
 )
