@@ -218,7 +218,7 @@ SEQUENCE_SHAPES = ShapeOptions(still_mm=1e-4)
 # a file's numbers have the rest of the 0.2 mm that it may be off; frames of takes are noisy, and
 # ask for more shapes and samples than those of simulations
 SEQUENCE_BASIS = SkinBasisOptions(
-    within_mm=0.15, most_shapes=512, first_shapes=32, more_shapes=2.0, more_samples=200
+    within_mm=0.15, most_shapes=512, more_shapes=2.0, more_samples=200, samplings=32
 )
 
 
