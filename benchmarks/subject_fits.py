@@ -22,6 +22,7 @@ from solver.fitting.fallback import FallbackFit, Status
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Target, Term, distances
 from solver.fitting.per_tet import PerTetOptions
+from solver.fitting.recruitment import recruit
 from solver.jobs.fits import describe_fit
 from solver.meshio.registered import RegisteredScan
 from solver.rig.report.certificate import with_round_trips
@@ -121,28 +122,36 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
 
     start = time.perf_counter()
     data, first_terms = terms(face, targets), distances(face, targets)
-    fitted = geometry.fit(face, data, schedule, first_terms=first_terms, listen=listen)
+    fitted = geometry.fit(
+        face,
+        data,
+        schedule,
+        first_terms=first_terms,
+        recruited=recruit(face, targets),
+        listen=listen,
+    )
     seconds = time.perf_counter() - start
     return Fits(fitted.face, dict(scans), fitted.endings, seconds, rounds=rounds)
 
 
 def by_activations(face: Face, scans: Scans) -> Fits:
     """Fit activations and jaw to every scan, S being known."""
-    regulariser = unseen_regulariser(face)
+    targets = _targets(face, scans)
 
-    def fit(data: Term) -> FallbackFit:
-        found = fallback.fit(face, data, regulariser, UNSEEN_STOP)
+    def fit(name: str, data: Term) -> FallbackFit:
+        prior = unseen_regulariser(face, targets[name])
+        found = fallback.fit(face, data, prior, UNSEEN_STOP)
         if found.status == "failed":
             raise SolveError("fit.failed", "; ".join(notice.message for notice in found.notices))
         return found
 
-    return _each(face, scans, terms(face, _targets(face, scans)), fit)
+    return _each(face, scans, terms(face, targets), fit)
 
 
 def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
     """Fit six activations per tet and the jaw to every scan; ``face`` has that model's material."""
 
-    def fit(data: Term) -> FallbackFit:
+    def fit(_name: str, data: Term) -> FallbackFit:
         found = per_tet.fit(face, data, options=options)
         status: Status = "converged" if found.status == "converged" else "stopped"
         return FallbackFit(found.state, found.objective, found.iterations, "reduced", status)
@@ -151,14 +160,14 @@ def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
 
 
 def _each(
-    face: Face, scans: Scans, data: Mapping[str, Term], fit: Callable[[Term], FallbackFit]
+    face: Face, scans: Scans, data: Mapping[str, Term], fit: Callable[[str, Term], FallbackFit]
 ) -> Fits:
     endings, failed = {}, {}
     start = time.perf_counter()
     for name, term in data.items():
         begin = time.perf_counter()
         try:
-            endings[name] = fit(term)
+            endings[name] = fit(name, term)
         except SolveError as error:
             failed[name] = f"{error.code}: {error.message}"
             log.warning("%s: %s", name, failed[name])

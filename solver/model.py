@@ -15,6 +15,7 @@ from typing import Literal, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from solver.errors import InputError, quote
@@ -70,6 +71,17 @@ class JawFrame:
         slope = self.tracks.slope if self.tracks else 0.0
         sideways = np.cos(slope) * up + np.sin(slope) * ahead
         return np.stack([across, sideways, np.cross(across, sideways)])
+
+
+@dataclass(frozen=True)
+class Expressions:
+    """The template's expressions on a person: what scans are likely to be made of.
+
+    ``motions`` (e, k, 3) float32 are those of the face's points at full strength, mm.
+    """
+
+    names: tuple[str, ...]
+    motions: NDArray[np.float32]
 
 
 def lower_teeth(regions: Mapping[str, Ints], attached_mandible: Ints) -> Ints:
@@ -160,6 +172,7 @@ class SubjectModel:
     fibres: Floats | None = None  # (nnz, 3) unit directions, one for each entry of ``weights``
     size_from: SizeFrom = "scan"
     wholes: tuple[str, ...] = ()  # (m,) the whole muscle of each compartment
+    expressions: Expressions | None = None  # None in models made before them, or without shapes
 
     @property
     def lower_teeth(self) -> Ints:
@@ -286,6 +299,8 @@ class SubjectModel:
         arrays |= {f"region_{name}": ids for name, ids in self.regions.items()}
         if self.fibres is not None:
             arrays["fibres"] = self.fibres
+        if self.expressions is not None:
+            arrays["expression_motions"] = self.expressions.motions
         header = {
             "format": FORMAT,
             "units": "mm",
@@ -300,6 +315,8 @@ class SubjectModel:
             header["size_from"] = self.size_from
         if self.wholes:
             header["wholes"] = self.wholes
+        if self.expressions is not None:
+            header["expressions"] = self.expressions.names
         if self.jaw.tracks:
             header["condyle_tracks"] = asdict(self.jaw.tracks)
         return Archive(header, arrays)
@@ -316,6 +333,8 @@ class SubjectModel:
             }
 
         names, tracks = tuple(header["muscle_names"]), header.get("condyle_tracks")
+        shapes = header.get("expressions")
+        expressions = shapes and Expressions(tuple(shapes), data["expression_motions"])
         return cls(
             **{name: data[name] for name in ARRAYS},
             muscle_names=names,
@@ -331,6 +350,7 @@ class SubjectModel:
             fibres=data.get("fibres"),
             size_from=header.get("size_from", "scan"),
             wholes=tuple(header.get("wholes", ())),
+            expressions=expressions,
         )
 
 

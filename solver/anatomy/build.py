@@ -20,7 +20,7 @@ from solver.anatomy.tetrahedra import dihedral_angles, volumes
 from solver.anatomy.transfer import carry, skin_warp, transport
 from solver.errors import InputError, SolveError
 from solver.mechanics.jaw_tracks import TRACKS, JawTracks, TrackOptions, tracks_of_shapes
-from solver.model import CondyleTracks, JawFrame, SubjectModel, lower_teeth
+from solver.model import CondyleTracks, Expressions, JawFrame, SubjectModel, lower_teeth
 from solver.progress import Progress, Step, silent
 from solver.similarity import fit_similarity
 from solver.surface import Floats, Surface, join_surfaces, part_of
@@ -102,7 +102,16 @@ def _assemble(template: Template, person: Template, made_by: str) -> SubjectMode
         template={"name": template.name, "version": template.version, "sha256": template.sha256},
         mesh_source=made_by,
         fibres=fibre_directions(mesh.vertices, mesh.tets, mesh.weights, person.muscles),
+        expressions=_expressions(template),
     )
+
+
+def _expressions(template: Template) -> Expressions | None:
+    shapes = template.shapes
+    if shapes is None or not len(shapes.expressions):
+        return None
+    motions = shapes.expressions[:, template.face_vertices].astype(np.float32)
+    return Expressions(shapes.expression_names, motions)
 
 
 def _glide(model: SubjectModel, source: Template) -> SubjectModel:

@@ -242,8 +242,9 @@ def solve_blendshapes(
     }
     found = dict(done)
     if missing:
-        data, regulariser = terms(face, missing), unseen_regulariser(face)
+        data = terms(face, missing)
         for name, target in missing.items():
+            regulariser = unseen_regulariser(face, target)
             try:
                 start = _start(face, name, data[name], regulariser, known)
                 fit = activation.fit(

@@ -37,6 +37,7 @@ from solver.fitting.least_squares import (
     minimise,
 )
 from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, Term
+from solver.fitting.recruitment import Recruitment
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.steps import StepOptions, solve_positive
 from solver.surface import Floats
@@ -55,9 +56,17 @@ UNSEEN = {"w_a": 1e-3, "w_v": 1e-2, "w_b": 1e-6}
 UNSEEN_STOP = ActivationOptions(max_iterations=25, tolerance=1e-3)
 
 
-def unseen_regulariser(face: Face) -> Regulariser:
-    """Return the regulariser of an expression that S was not fitted to, around the resting face."""
-    return Regulariser(**UNSEEN, prior=face.rest_pose())
+def unseen_regulariser(face: Face, target: Target | None = None) -> Regulariser:
+    """Return the regulariser of an expression that S was not fitted to, around the resting face.
+
+    Of muscles that S blends what a ``target`` calls for is expected
+    (:mod:`solver.fitting.recruitment`).
+    """
+    plain = Regulariser(**UNSEEN, prior=face.rest_pose())
+    recruitment = Recruitment.of_face(face)
+    if target is None or recruitment is None:
+        return plain
+    return recruitment.of_target(target).regularise(plain)
 
 
 @dataclass(frozen=True)

@@ -181,7 +181,8 @@ def calibrate(
         for name, term in data.items()
     }
     stiffness = shape.stiffness(options)
-    problem = GeometryProblem(face, data, priors, 0.0, values, stiffness, shape)
+    alike = dict.fromkeys(data, priors)
+    problem = GeometryProblem(face, data, alike, 0.0, values, stiffness, shape)
     rules = joint.RoundOptions(options.retries, options.tolerance)
     now, _ = joint.minimise_rounds(
         lambda _number: problem, Iterate(values, states), range(options.rounds), rules, listen

@@ -176,7 +176,7 @@ def jaw_of_teeth(
 def _linear_changes(face: Face, shapes: NDArray[np.floating]) -> Floats:
     """Return the changes (e, k) of the controls that make the shapes, to first order at rest."""
     jacobian = Sensitivity(face, face.rest).by_pose()
-    hessian = rest_curvature(face) + unseen_regulariser(face).gauss_newton(face.rest.pose)
+    hessian = rest_curvature(face)
     moved = np.asarray(shapes[:, face.model.face], np.float64) * (2.0 / len(face.model.face))
     pulls = np.array([jacobian.adjoint(face.face_embedding.T @ shape) for shape in moved])
     if follows_teeth(face):
@@ -184,7 +184,16 @@ def _linear_changes(face: Face, shapes: NDArray[np.floating]) -> Floats:
         rows, part = _teeth_by_controls(face), 2.0 / len(teeth)
         hessian += part * (rows.T @ rows)
         pulls += part * (shapes[:, teeth].reshape(len(shapes), -1) @ rows)
-    return np.asarray(scipy.linalg.solve(hessian, pulls.T, assume_a="pos").T)
+    rest, pose = face.model.skin.vertices[face.model.face], face.rest.pose
+    priors = (
+        unseen_regulariser(face, Target.from_points(rest + shape[face.model.face]))
+        for shape in shapes
+    )
+    changes = [
+        scipy.linalg.solve(hessian + prior.gauss_newton(pose), pull, assume_a="pos")
+        for prior, pull in zip(priors, pulls, strict=True)
+    ]
+    return np.array(changes)
 
 
 def _fitted_change(
@@ -194,7 +203,8 @@ def _fitted_change(
     points, rest = face.model.face, face.model.skin.vertices
     goal = rest + part * np.asarray(shape, np.float64)
     near = face.rest_pose().add(options.fitted_from * part * change)
-    regulariser: Prior = unseen_regulariser(face)
+    target = Target.from_points(goal[points])
+    regulariser: Prior = unseen_regulariser(face, target)
     if follows_teeth(face):
         teeth, jaw = face.model.lower_teeth, face.joint.block
         places, b = jaw_of_teeth(face, rest[teeth], goal[teeth], near.b)
@@ -202,8 +212,7 @@ def _fitted_change(
         weights = np.diag(options.held * np.broadcast_to(jaw.units, b.shape) ** 2)
         regulariser = PriorSum((regulariser, PartPrior(face.layout.size, places, b, weights)))
     start, effort = face.continuation(face.rest, near), options.effort
-    distance = SkinDistance(face, Target.from_points(goal[points]))
-    found = fit(face, distance, regulariser, start, effort)
+    found = fit(face, SkinDistance(face, target), regulariser, start, effort)
     return np.asarray((found.state.pose.vector() - face.layout.rest) / part)
 
 

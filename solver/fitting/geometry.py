@@ -12,7 +12,7 @@ fits end in worse minima.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,10 +27,12 @@ from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate, Listener
 from solver.fitting.least_squares import Listener as StepListener
 from solver.fitting.objective import Regulariser, Target, Term
+from solver.fitting.recruitment import Recruited
 from solver.fitting.reference import NotConvergedError
-from solver.fitting.simplex import replace_values
+from solver.fitting.simplex import mix_by_stiffness, replace_values
 
 WHOLE_ROUNDS = 5  # at the end, which see all terms
+NOBODY: Mapping[str, Recruited] = {}
 LAST = ActivationOptions(20, tolerance=1e-3)  # of the activations, once S is found
 
 
@@ -53,6 +55,7 @@ class GeometryOptions:
     w_s: tuple[float, float] = (1e-4, 1e-7)
     w_v: float = 1e-2  # of the muscles' volume
     w_b: float = 1e-6  # of the jaw
+    stiffness: float = 30.0  # of a muscle that contracts, by that of the flesh around it
     first_iterations: int = 4  # of the activations alone, for the first poses
     retries: int = 3  # of a round whose step is refused, each with more damping
     # where two rounds in turn gain less than this part of f, the fit goes on to the whole rounds,
@@ -108,6 +111,7 @@ def fit(
     first_terms: Mapping[str, Term] | None = None,
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,
+    recruited: Mapping[str, Recruited] = NOBODY,
     listen: Listener | None = None,
 ) -> GeometryFit:
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
@@ -116,17 +120,19 @@ def fit(
 
     ``first_terms`` takes the place of ``data`` in all but the last rounds (:data:`WHOLE_ROUNDS`):
     the distance without contact, which would take many small steps. ``start`` has the pattern of
-    the model's geometric S, which it is if not given. ``structure`` L (k, nnz) adds
-    1/2 |L (S - start)|^2 (:mod:`solver.fitting.joint`). An expression that cannot be settled at the
-    end is the best that was found of it, and its ending says so.
+    the model's geometric S; if not given it is that, its muscles as stiff as the options say
+    (:func:`~solver.fitting.simplex.mix_by_stiffness`). ``structure`` L (k, nnz) adds
+    1/2 |L (S - start)|^2 (:mod:`solver.fitting.joint`). ``recruited`` is what single expressions
+    call for (:mod:`solver.fitting.recruitment`). An expression that cannot be settled at the end is
+    the best that was found of it, and its ending says so.
     """
     first_terms = data if first_terms is None else first_terms
-    face = face.with_weights(face.model.weights if start is None else start)
+    face = face.with_weights(_start(face, options) if start is None else start)
     first, known = ActivationOptions(options.first_iterations), rest_curvature(face)
-    begin = _problem(face, first_terms, options, 0, structure).regulariser
+    begin = _problem(face, first_terms, options, 0, structure, recruited).regularisers
     states = {
         name: activation.descend(
-            face, term, begin, face.rest, first, go=Face.newton_predict, matrix=known
+            face, term, begin[name], face.rest, first, go=Face.newton_predict, matrix=known
         ).state
         for name, term in first_terms.items()
     }
@@ -137,18 +143,22 @@ def fit(
     for terms, rounds in ((first_terms, range(whole)), (data, range(whole, options.rounds))):
 
         def problem_of(number: int, terms: Mapping[str, Term] = terms) -> GeometryProblem:
-            return _problem(face, terms, options, number, structure)
+            return _problem(face, terms, options, number, structure, recruited)
 
         now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen)
         steps += taken
     if options.within is not None:
         face = face.driven_by(options.within)
-        problem = _problem(face, data, options, options.rounds - 1, structure)
+        problem = _problem(face, data, options, options.rounds - 1, structure, recruited)
         now, taken = _tighten(problem, now, options, listen)
         steps += taken
-    last = replace(begin, w_a=options.w_a[1])
     found = face.with_weights(replace_values(face.S, now.values))
+    last = _regularisers(found, data, options, options.w_a[1], recruited)
     return _finish(found, data, last, now.states, steps)
+
+
+def _start(face: Face, options: GeometryOptions) -> sp.csr_array:
+    return mix_by_stiffness(face.model.weights, options.stiffness)
 
 
 def _tighten(
@@ -165,7 +175,7 @@ def _tighten(
         loosened = face.drive.loosened(parts[number - first] if number < closed else 0.0)
         face = face if loosened is None else face.driven_by(loosened)
         states = {
-            name: activation.enter(face, problem.data[name], problem.regulariser, state)
+            name: activation.enter(face, problem.data[name], problem.regularisers[name], state)
             for name, state in now.states.items()
         }
         return replace(now, states=states)
@@ -186,26 +196,40 @@ def _problem(
     options: GeometryOptions,
     number: int,
     structure: sp.csr_array | None,
+    recruited: Mapping[str, Recruited] = NOBODY,
 ) -> GeometryProblem:
     """Return the problem of round ``number`` (from 0); S of ``face`` is its prior."""
     t = number / max(options.rounds - 1, 1)
     w_a, w_s = (first * (last / first) ** t for first, last in (options.w_a, options.w_s))
-    regulariser = Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
+    regularisers = _regularisers(face, data, options, w_a, recruited)
     structure = sp.csr_array((0, face.S.nnz)) if structure is None else structure
-    return GeometryProblem(face, data, regulariser, w_s, face.S.data, structure)
+    return GeometryProblem(face, data, regularisers, w_s, face.S.data, structure)
+
+
+def _regularisers(
+    face: Face,
+    names: Iterable[str],
+    options: GeometryOptions,
+    w_a: float,
+    recruited: Mapping[str, Recruited],
+) -> dict[str, Regulariser]:
+    plain = Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
+    return {
+        name: recruited[name].regularise(plain) if name in recruited else plain for name in names
+    }
 
 
 def _finish(
     face: Face,
     data: Mapping[str, Term],
-    regulariser: Regulariser,
+    regularisers: Mapping[str, Regulariser],
     states: Mapping[str, PosedFace],
     steps: int,
 ) -> GeometryFit:
     """Settle states that were only approached, together with a last fit of the activations."""
     endings = {}
     for name, term in data.items():
-        ending = fallback.fit(face, term, regulariser, LAST, start=states[name])
+        ending = fallback.fit(face, term, regularisers[name], LAST, start=states[name])
         endings[name] = replace(ending, iterations=steps + ending.iterations)
     return GeometryFit(face, endings)
 
@@ -247,6 +271,7 @@ def fit_by_ipopt(
     *,
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,
+    recruited: Mapping[str, Recruited] = NOBODY,
 ) -> tuple[GeometryFit, tuple[Finding, ...]]:
     """Do as :func:`fit` with the last round's weights.
 
@@ -255,8 +280,8 @@ def fit_by_ipopt(
     """
     check_size(face, len(data))
     fallback.refuse_limits(face)
-    face = face.with_weights(face.model.weights if start is None else start)
-    problem = _problem(face, data, options, options.rounds - 1, structure)
+    face = face.with_weights(_start(face, options) if start is None else start)
+    problem = _problem(face, data, options, options.rounds - 1, structure, recruited)
     rest, most = dict.fromkeys(data, face.rest), most_iterations(options)
     notices: tuple[Finding, ...] = ()
     try:
@@ -270,4 +295,4 @@ def fit_by_ipopt(
     S = replace_values(face.S, simplex.project(found.S.data, face.S.indptr))
     fitted = face.with_weights(S)
     states = {name: fitted.settle(found.poses[name], found.x[name]) or face.rest for name in data}
-    return _finish(fitted, data, problem.regulariser, states, found.iterations), notices
+    return _finish(fitted, data, problem.regularisers, states, found.iterations), notices

@@ -89,7 +89,7 @@ class GeometryProblem:
 
     face: Face
     data: Mapping[str, Term]
-    regulariser: Regulariser
+    regularisers: Mapping[str, Regulariser]
     w_s: float
     prior: Floats  # (nnz,) the values of S_0
     structure: sp.csr_array  # L (k, nnz)
@@ -107,7 +107,7 @@ class GeometryProblem:
 
     def expression_value(self, name: str, state: PosedFace) -> float:
         """Return one expression's contribution to f."""
-        return activation.objective(self.data[name], self.regulariser, state)
+        return activation.objective(self.data[name], self.regularisers[name], state)
 
     def prior_value(self, values: Floats) -> float:
         """Return the priors of S."""
@@ -262,7 +262,7 @@ class _Linearised:
         self._response = sensitivity.response
         self._weights = problem.shape.rates(sensitivity, values)
         self._jacobian = jacobian
-        data, regulariser = problem.data[name], problem.regulariser
+        data, regulariser = problem.data[name], problem.regularisers[name]
         gradient = data.gradient(state.estimate)
         curvature = sparse(data.curvature(state.estimate))
         self._by_x = gradient.ravel()[jacobian.free]

@@ -1,9 +1,11 @@
 """The objective of fits: the distance to the target, and the regularisers on the activations.
 
-    f(a, b) = sum_v w_v |(M x)_v - t_v|^2 + w_a/2 |a - a_prior|^2 + w_v/2 sum_j (det S(a_j) - 1)^2
+    f(a, b) = sum_v w_v |(M x)_v - t_v|^2 + sum_j w_a/2 |a_j - a_prior|^2
+              + w_v/2 sum_j (det S(a_j) - 1)^2
               + w_b/2 |D (b - b_prior)|^2 + w_e/2 sum_jk max(0, e - lambda_k(S(a_j)))^2
 
-of which muscles that are no shapes S(a_j) have no volume and no stretches
+w_a being one for all muscles or each one's own (:mod:`solver.fitting.recruitment`). Of the others
+muscles that are no shapes S(a_j) have no volume and no stretches
 (:class:`~solver.fitting.controls.ShapePenalty`).
 
 The vertex weights sum to one, so that the first term is a mean squared distance in mm^2 and the
@@ -105,7 +107,7 @@ class Prior(Protocol):
 class Regulariser(Prior):
     """Priors of a pose, with their weights."""
 
-    w_a: float
+    w_a: float | Floats  # of activations; or (m, 1), each muscle's
     w_v: float  # of volume
     w_b: float
     prior: Pose
@@ -116,13 +118,21 @@ class Regulariser(Prior):
         if weight == 0.0:
             return self
         total = self.w_a + weight
-        w_b = self.w_b * (total / self.w_a if self.w_a > 0.0 else 1.0)
-        return replace(self, w_a=total, w_b=w_b, prior=self.prior.toward(pose, weight / total))
+        # the jaw's weight grows as that of the muscles that pay least does
+        least, sum_of_least = float(np.min(self.w_a)), float(np.min(total))
+        w_b = self.w_b * (sum_of_least / least if least > 0.0 else 1.0)
+        part = weight / total
+        prior = replace(
+            self.prior,
+            a=self.prior.a + part * (pose.a - self.prior.a),
+            b=self.prior.b + weight / sum_of_least * (pose.b - self.prior.b),
+        )
+        return replace(self, w_a=total, w_b=w_b, prior=prior)
 
     def value(self, pose: Pose) -> float:
         """Return the regularisers' sum."""
         joints = pose.layout.joint_units * (pose.b - self.prior.b)
-        away = 0.5 * self.w_a * np.sum((pose.a - self.prior.a) ** 2)
+        away = 0.5 * np.sum(self.w_a * (pose.a - self.prior.a) ** 2)
         penalty = pose.layout.drive.penalty
         shapes = penalty.value(pose.a, self.w_v, self.w_e) if penalty else 0.0
         return float(away + shapes + 0.5 * self.w_b * joints @ joints)

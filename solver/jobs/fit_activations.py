@@ -45,7 +45,6 @@ def run(task: Task[FitActivations]) -> list[Path]:
     if given.solver == "ipopt":
         oddities += fallback.warn_of_slowness(face)
     log.warn(0.02, oddities)
-    regulariser = unseen_regulariser(face)
     stop = replace(UNSEEN_STOP, max_iterations=given.max_iterations)
     targets = fits.Targets(subject, given.distance).of_scans(scans)
     data = terms(face, targets)
@@ -58,7 +57,8 @@ def run(task: Task[FitActivations]) -> list[Path]:
             progress(Step("activations", 0.02 + 0.48 * part, iteration, value, message=name))
 
         start = time.perf_counter()
-        found = fallback.fit(face, data[name], regulariser, stop, given.solver, listen)
+        prior = unseen_regulariser(face, targets[name])
+        found = fallback.fit(face, data[name], prior, stop, given.solver, listen)
         spent = time.perf_counter() - start
         expression = fits.describe_fit(face, name, "test", scan, targets[name], found, spent)
         done = 0.02 + 0.48 * (number + 1) / len(scans)

@@ -16,6 +16,7 @@ from solver.fitting.contact import terms
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.geometry import GeometryFit, GeometryOptions
 from solver.fitting.objective import Target, distances
+from solver.fitting.recruitment import recruit
 from solver.fitting.simplex import mirror_structure, smooth_structure, transfer
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, fits
@@ -47,7 +48,8 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     schedule = GeometryOptions(rounds=given.rounds, within=bounded)
     if given.solver == "ipopt":
         geometry.check_size(face, len(scans))
-    priors: dict[str, sp.csr_array | None] = {"start": None, "structure": None}
+    targets = fits.Targets(subject, given.distance).of_scans(scans)
+    priors: dict[str, Any] = {"recruited": recruit(face, targets)}
     if "start" in task.inputs:
         start = Rig.load(task.inputs["start"])
         priors["start"] = transfer(start.weights, start.model, subject)
@@ -67,7 +69,6 @@ def run(task: Task[FitGeometry]) -> list[Path]:
         )
         oddities.append(make_warning("fit.one_target", message))
     log.warn(0.02, oddities)
-    targets = fits.Targets(subject, given.distance).of_scans(scans)
     begin = time.perf_counter()
     fitted, notices = _fit(given.solver, face, targets, schedule, priors, progress)
     log.warn(0.8, notices)

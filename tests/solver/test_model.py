@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.model import CondyleTracks, SubjectModel, by_muscle, find_muscles
+from solver.model import CondyleTracks, Expressions, SubjectModel, by_muscle, find_muscles
 from solver.surface import Surface
 from tests.solver.block import block_model, divided_block
 
@@ -58,6 +58,19 @@ def test_compartments_and_their_wholes_come_back(tmp_path: Path) -> None:
     whole = block_model()
     assert whole.muscle_groups == whole.muscle_names == ("left", "right")
     assert "wholes" not in whole.archive().header  # older models keep their hash
+
+
+def test_expressions_come_back(tmp_path: Path) -> None:
+    whole = block_model()
+    motions = np.arange(6.0 * len(whole.face), dtype=np.float32).reshape(2, -1, 3)
+    model = replace(whole, expressions=Expressions(("smile", "frown"), motions))
+    model.save(tmp_path / "model.npz")
+    found = SubjectModel.load(tmp_path / "model.npz").expressions
+    assert found is not None
+    assert found.names == ("smile", "frown")
+    np.testing.assert_array_equal(found.motions, motions)
+    assert model.sha256 != whole.sha256
+    assert "expressions" not in whole.archive().header  # older models keep their hash
 
 
 def test_tracks_of_the_condyles_come_back(tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ class AdmissibleLimits:
     certificate judges any fit are wider (:class:`~solver.rig.report.certificate.MuscleLimits`).
     """
 
-    fibre: float = 1.05  # mean stretch along the fibres
+    fibre: float = 1.02  # mean stretch along the fibres
     shortest: float = SHORTEST  # stretch in any direction
     longest: float = 1.5
     volume: float = 1.1  # by that at rest, and its inverse

@@ -67,7 +67,7 @@ class FullGeometry(IpoptProblem):
         self._S = S = problem.face.S
         candidates = replace_values(S, np.ones(S.nnz))
         self.parts = {
-            name: ExpressionProblem(problem.face, term, problem.regulariser, candidates)
+            name: ExpressionProblem(problem.face, term, problem.regularisers[name], candidates)
             for name, term in problem.data.items()
         }
         blocks = [Block(f"z_{name}", part.layout.rest) for name, part in self.parts.items()]

@@ -16,6 +16,7 @@ from typing_extensions import override
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.objective import Regulariser, SkinDistance, Target
+from solver.fitting.recruitment import Recruitment
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.tracking import Observation
 from solver.fitting.tracking.frame_solver import FrameSolver, TrackingOptions
@@ -60,8 +61,9 @@ class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
 
     What is seen are the face's points (k, 3) with their confidence (k,), 0 where unseen; ``target``
     makes what is fitted of both. ``still`` (k,) says how still each point lies on the skull
-    (:func:`stillness`) and asks for the head's rigid motion. Raises :class:`InputError`
-    (``sequence.no_still_points``) if nothing of the face lies still.
+    (:func:`stillness`) and asks for the head's rigid motion. ``regulariser`` is the one of
+    muscles of which nothing is known (:mod:`solver.fitting.recruitment`). Raises
+    :class:`InputError` (``sequence.no_still_points``) if nothing of the face lies still.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
     ) -> None:
         self.face, self.tracking, self.target = face, options.tracking, target
         self._regulariser, self._still, self._options = regulariser, still, options
+        self._recruitment = Recruitment.of_face(face)
         if still is not None and np.sum(still > options.still) < options.still_points:
             message = (
                 "the head's motion cannot be told from the face's: muscles or the jaw move every "
@@ -137,7 +140,10 @@ class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
         return roughly.then(head_motion(roughly(fitted), there, weights))
 
     def _fit(self, target: Target, solver: FrameSolver, before: Pose) -> int:
-        prior = self._regulariser.with_proximal_term(before, self._options.temporal)
+        prior = self._regulariser
+        if self._recruitment is not None:
+            prior = self._recruitment.of_target(target).regularise(prior)
+        prior = prior.with_proximal_term(before, self._options.temporal)
         return solver.fit(SkinDistance(self.face, target), target.weights, prior)
 
 

@@ -47,7 +47,7 @@ def test_step_solves_the_dense_system():
     problem = GeometryProblem(
         face,
         data,
-        regulariser,
+        dict.fromkeys(data, regulariser),
         0.05,
         S.data - 0.1 * np.tile([1, 0, -1], len(S.data) // 3),
         structure,

@@ -43,7 +43,7 @@ def multi_target(face, data, w_a, w_v, w_s):
     """Return the problem with the rest pose and S as priors, left and right tied to each other."""
     tied = sp.csr_array(0.05 * (sp.eye_array(6, face.S.nnz) - sp.eye_array(6, face.S.nnz, k=9)))
     regulariser = Regulariser(w_a, w_v, 1e-3, face.rest_pose())
-    return GeometryProblem(face, data, regulariser, w_s, face.S.data, tied)
+    return GeometryProblem(face, data, dict.fromkeys(data, regulariser), w_s, face.S.data, tied)
 
 
 def differences(function, z, direction):

@@ -1,0 +1,167 @@
+"""Recruitment: which muscles an expression calls for, and what the others pay to take part.
+
+Position says next to nothing about who pulls: an inverse fit of a finite-element face to markers of
+the lips had activations that correlated by 0.27 and 0.20 with simulated and measured ones (Eskes et
+al., Scientific Reports 7, 2017). What skin does not tell anatomy does: the template's expressions
+carry action units of FACS, and each unit names muscles (:mod:`solver.anatomy.action_units`). A scan
+is about a sum of them,
+
+    t ~ rest + sum_e u_e motion_e,    0 <= u_e <= 1,
+
+and calls for muscle j by c_j, the greatest u_e / ``called`` of those that name it, 1 at most; d_j
+is the same of those whose units it works against. In its fit
+
+    w_a/2 price_j^r |a_j - m_j|^2,    price_j = price opposed^(d_j (1 - c_j)),
+
+takes the place of w_a/2 |a_j - I|^2: m_j is the shape of a muscle whose fibres have shortened by
+the part ``contraction`` u_j of their length, its volume kept, u_j being the greatest u_e of those
+that name it. r is the part of the scan's motion that the sum explains: what nobody's expression is,
+anybody may make.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from solver.anatomy.action_units import ActionUnit, actions_of, template_names
+from solver.drawing.head import both_sides, muscle_side
+from solver.fitting.face import Face
+from solver.fitting.objective import Regulariser, Target
+from solver.fitting.stretches import fibre_tensors, shorten
+from solver.mechanics.flesh import IDENTITY
+from solver.model import SubjectModel
+from solver.surface import Floats
+
+
+@dataclass(frozen=True)
+class RecruitmentOptions:
+    """What is expected of muscles, and what else they do costs."""
+
+    contraction: float = 0.25  # of a muscle whose expression is at full strength
+    price: float = 30.0  # by which w_a is greater than where nothing is known
+    opposed: float = 10.0  # by which that of a muscle is greater that works against one called for
+    called: float = 0.25  # amount of an expression from which its muscles are called for wholly
+
+
+@dataclass(frozen=True, eq=False)
+class Recruitment:
+    """Who makes the template's expressions on a person.
+
+    ``motions`` (e, k, 3) are those of the face's points, mm, off ``rest`` (k, 3). ``named`` (e, m)
+    tells whether a unit of an expression names a muscle, on its side, and ``opposed`` (e, m)
+    whether it is an antagonist of one. ``tensors`` (m, 3, 3) are the means of d d^T
+    along the muscles' fibres d, NaN where there are none.
+    """
+
+    motions: NDArray[np.floating]
+    named: NDArray[np.bool_]
+    opposed: NDArray[np.bool_]
+    rest: Floats
+    tensors: Floats
+    options: RecruitmentOptions = RecruitmentOptions()
+
+    @classmethod
+    def of_face(
+        cls, face: Face, options: RecruitmentOptions = RecruitmentOptions()
+    ) -> Recruitment | None:
+        """Return that of a face; None where nothing is known of its muscles, or S drives none.
+
+        Models have no expressions that were made before they had, or of a template without any.
+        """
+        model, shapes = face.model, face.model.expressions
+        if shapes is None or face.layout.drive.penalty is None:
+            return None
+        named, opposed = np.array([find_called(model, name) for name in shapes.names]).swapaxes(
+            0, 1
+        )
+        if not named.any():
+            return None
+        tensors = fibre_tensors(model, face.flesh.volumes, face.S)
+        rest = model.skin.vertices[model.face]
+        return cls(shapes.motions, named, opposed, rest, tensors, options)
+
+    def of_target(self, target: Target) -> Recruited:
+        """Return what a target calls for."""
+        options, (amounts, explained) = self.options, self.amounts(target)
+        shares = np.minimum(amounts / options.called, 1.0)[:, None]
+        called, against = ((shares * each).max(axis=0) for each in (self.named, self.opposed))
+        price = options.price * options.opposed ** (against * (1.0 - called))
+        contraction = options.contraction * (amounts[:, None] * self.named).max(axis=0)
+        mean = np.tile(IDENTITY, (len(price), 1))
+        for muscle in np.flatnonzero((contraction > 0.0) & np.isfinite(self.tensors[:, 0, 0])):
+            mean[muscle] = shorten(self.tensors[muscle], 1.0 - contraction[muscle])
+        return Recruited((price**explained)[:, None], mean)
+
+    def amounts(self, target: Target) -> tuple[Floats, float]:
+        """Return the amounts (e,) of the expressions whose sum is nearest to a target.
+
+        The second is the part of its squared motion that they explain, from 0 to 1. A jaw that
+        opens is an expression like any other.
+        """
+        seen = target.weights > 0.0
+        root = np.sqrt(target.weights[seen])[:, None]
+        motion = root * (target.points - self.rest)[seen]
+        rows = root * self.motions[:, seen]
+        if target.normals is not None:
+            along = target.normals[seen]
+            motion, rows = (motion * along).sum(axis=-1), (rows * along).sum(axis=-1)
+        motion, rows = motion.ravel(), rows.reshape(len(rows), -1)
+        whole = float(motion @ motion)
+        if whole == 0.0:
+            return np.zeros(len(rows)), 0.0
+        square = rows @ rows.T
+        # expressions that are sums of others, or are not seen, are left where they are
+        root = np.linalg.cholesky(square + 1e-9 * np.trace(square) * np.eye(len(rows)))
+        goal = scipy.linalg.solve_triangular(root, rows @ motion, lower=True)
+        amounts = np.asarray(lsq_linear(root.T, goal, (0.0, 1.0), method="bvls").x)
+        left = motion - amounts @ rows
+        return amounts, max(1.0 - float(left @ left) / whole, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Recruited:
+    """What is expected of m muscles in one expression."""
+
+    price: Floats  # (m, 1) by which w_a is greater
+    mean: Floats  # (m, 6) of their activations
+
+    def regularise(self, plain: Regulariser) -> Regulariser:
+        """Return a regulariser that expects this of muscles, from one that expects them at rest."""
+        prior = replace(plain.prior, a=self.mean)
+        return replace(plain, w_a=plain.w_a * self.price, prior=prior)
+
+
+def find_called(model: SubjectModel, expression: str) -> tuple[list[bool], list[bool]]:
+    """Tell of every muscle whether a unit of an expression names it, or as an antagonist.
+
+    A unit is made on its side, by muscles of that side and of the middle.
+    """
+
+    def are_of(muscles: Callable[[ActionUnit], tuple[str, ...]]) -> list[bool]:
+        names = {
+            (name, side)
+            for unit, of in actions_of(expression)
+            for muscle in muscles(unit)
+            for name in template_names(muscle)
+            for side in (of, "")
+        }
+        return [(both_sides(each).lower(), muscle_side(each)) in names for each in groups]
+
+    groups = model.muscle_groups
+    return are_of(lambda unit: unit.muscles), are_of(lambda unit: unit.antagonists)
+
+
+def recruit(
+    face: Face, targets: Mapping[str, Target], options: RecruitmentOptions = RecruitmentOptions()
+) -> dict[str, Recruited]:
+    """Return target -> what it calls for; {} where nothing is known of a face's muscles."""
+    recruitment = Recruitment.of_face(face, options)
+    if recruitment is None:
+        return {}
+    return {name: recruitment.of_target(target) for name, target in targets.items()}

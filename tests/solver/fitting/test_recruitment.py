@@ -1,0 +1,144 @@
+"""Recruitment: which muscles a target calls for, and that fits leave the work to them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solver.fitting import activation
+from solver.fitting.activation import ActivationOptions, unseen_regulariser
+from solver.fitting.contraction import Contraction
+from solver.fitting.drives.fibre_contraction import FibreContraction
+from solver.fitting.face import Face
+from solver.fitting.objective import Regulariser, SkinDistance, Target
+from solver.fitting.recruitment import Recruitment, RecruitmentOptions, recruit
+from solver.fitting.stretches import determinants
+from solver.model import Expressions
+from tests.fixtures import small_model
+from tests.solver.block import block_model, poses
+
+NAMES = ("mouthSmileLeft", "browInnerUp", "jawOpen")
+
+
+@pytest.fixture(scope="module")
+def face():
+    """A face whose expressions are bumps of 5 mm, each at a place of its own."""
+    model = small_model()
+    points = model.skin.vertices[model.face]
+    far = points[[np.argmax(points[:, 0]), np.argmax(points[:, 1]), np.argmin(points[:, 1])]]
+    bumps = 5.0 * np.exp(-np.sum((points - far[:, None]) ** 2, axis=2) / 800.0)
+    motions = (bumps[:, :, None] * [[[0.5, 0.5, 0.7]]]).astype(np.float32)
+    return Face(replace(model, expressions=Expressions(NAMES, motions)))
+
+
+def target_of(face, amounts, normals=None):
+    model = face.model
+    rest = model.skin.vertices[model.face]
+    return Target.from_points(
+        rest + np.tensordot(amounts, model.expressions.motions, 1), normals=normals
+    )
+
+
+def price_of(face, found, muscle):
+    (price,) = set(found.price[face.model.muscle_numbers(muscle), 0].tolist())
+    return price
+
+
+def contraction_of(face, found, muscle):
+    contraction = Contraction.of_face(face)(found.mean)
+    return contraction[face.model.muscle_numbers(muscle)].mean()
+
+
+@pytest.mark.parametrize("along_normals", [False, True])
+def test_amounts_of_expressions_are_found_again(face, along_normals):
+    count = len(face.model.face)
+    normals = np.tile([0.0, 0.6, 0.8], (count, 1)) if along_normals else None
+    target = target_of(face, [0.6, 0.0, 0.3], normals)
+    unseen = np.where(np.arange(count) % 3 == 0, 0.0, target.weights)
+    recruitment = Recruitment.of_face(face)
+    amounts, explained = recruitment.amounts(replace(target, weights=unseen / unseen.sum()))
+    np.testing.assert_allclose(amounts, [0.6, 0.0, 0.3], atol=1e-4)
+    assert explained == pytest.approx(1.0, abs=1e-6)
+
+
+def test_muscles_that_are_named_contract_and_antagonists_pay_most(face):
+    options = RecruitmentOptions(contraction=0.3, price=50.0, opposed=4.0)
+    found = Recruitment.of_face(face, options).of_target(target_of(face, [1.0, 0.0, 1.0]))
+    assert found.price.shape == (face.model.muscle_count, 1)
+    assert contraction_of(face, found, "zygomaticus_major_l") == pytest.approx(0.3, abs=0.05)
+    assert contraction_of(face, found, "zygomaticus_major_r") == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(determinants(found.mean), 1.0)
+    assert price_of(face, found, "zygomaticus_major_l") == pytest.approx(50.0, rel=1e-3)
+    assert price_of(face, found, "zygomaticus_major_r") == pytest.approx(50.0, rel=1e-3)
+    # against the smile on its own side, and against an open jaw on both
+    assert price_of(face, found, "depressor_anguli_oris_l") == pytest.approx(200.0, rel=1e-3)
+    assert price_of(face, found, "depressor_anguli_oris_r") == pytest.approx(50.0, rel=1e-3)
+    assert price_of(face, found, "masseter_deep_r") == pytest.approx(200.0, rel=1e-3)
+
+
+def test_a_part_of_an_expression_calls_for_a_part(face):
+    options = RecruitmentOptions(contraction=0.3, price=50.0, opposed=4.0, called=0.5)
+    found = Recruitment.of_face(face, options).of_target(target_of(face, [0.25, 0.0, 0.0]))
+    assert contraction_of(face, found, "zygomaticus_major_l") == pytest.approx(0.075, abs=0.02)
+    assert price_of(face, found, "depressor_anguli_oris_l") == pytest.approx(100.0, rel=1e-3)
+
+
+def test_what_no_expression_explains_anybody_may_make(face):
+    """A motion at right angles to all expressions, and a face at rest."""
+    rest = face.model.skin.vertices[face.model.face]
+    across = Target.from_points(rest + [[0.0, -0.7, 0.5]] * rest.shape[0])
+    recruitment = Recruitment.of_face(face)
+    assert recruitment.of_target(across).price.max() < 2.0
+    still = recruitment.of_target(Target.from_points(rest))
+    assert still.price.max() == 1.0
+    np.testing.assert_array_equal(still.mean, face.rest_pose().a)
+
+
+def test_nothing_is_known_without_expressions_and_of_muscles_without_shapes(face):
+    target = target_of(face, [1.0, 0.0, 0.0])
+    plain = Face(small_model())
+    assert Recruitment.of_face(plain) is None
+    assert recruit(plain, {"smile": target}) == {}
+    assert unseen_regulariser(plain, target).w_a == activation.UNSEEN["w_a"]
+    assert Recruitment.of_face(face.driven_by(FibreContraction(face.model))) is None
+    assert np.max(unseen_regulariser(face, target).w_a) > 10.0 * activation.UNSEEN["w_a"]
+
+
+def test_a_muscle_that_pays_leaves_the_work_to_the_other():
+    face = Face(block_model())
+    there = face.continuation(face.rest, poses(1)[0])
+    data = SkinDistance(face, Target.from_points(face.face_points(there.x)))
+    plain = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
+    rest = plain.prior.a
+
+    def used(w_a):
+        found = activation.fit(
+            face, data, replace(plain, w_a=w_a), face.rest, ActivationOptions(40, 1e-6)
+        )
+        return np.linalg.norm(found.state.pose.a - rest, axis=1)
+
+    alike, dear = used(1e-3), used(np.array([[1e3], [1e-3]]))
+    assert alike.min() > 0.02
+    assert dear[0] < 0.2 * alike[0]
+    assert dear[1] > 0.8 * alike[1]
+
+
+def test_derivatives_of_priced_muscles():
+    face = Face(block_model())
+    here, other = poses(2)
+    prior = Regulariser(np.array([[2.0], [0.1]]), 1e-2, 1e-3, face.rest_pose())
+    q, step = here.vector(), 1e-6
+
+    def value(q):
+        return prior.value(type(here).of(here.layout, q))
+
+    slopes = [(value(q + e) - value(q - e)) / (2 * step) for e in step * np.eye(len(q))]
+    found = prior.gradient(here)
+    assert np.abs(found).max() > 1.0
+    np.testing.assert_allclose(found, slopes, atol=1e-6 * np.abs(found).max())
+    # a proximal term adds its square, but for a constant
+    near = prior.with_proximal_term(other, 0.3)
+    square = 0.5 * 0.3 * np.sum((here.a - other.a) ** 2)
+    of = replace(near, w_b=0.0), replace(prior, w_b=0.0)
+    gained = [each.value(here) - each.value(other) for each in of]
+    assert gained[0] - gained[1] == pytest.approx(square, rel=1e-9)
