@@ -41,8 +41,8 @@ WRAP = WrapOptions()
 class VoxelGrid:
     """Cubes that cover the box ``lo`` to ``hi`` (3,) in mm."""
 
-    def __init__(self, lo: Floats, hi: Floats, options: WrapOptions = WRAP) -> None:
-        self.lo, self.options, self._side = lo, options, options.voxel_mm
+    def __init__(self, lo: Floats, hi: Floats) -> None:
+        self.lo, self._side = lo, WRAP.voxel_mm
         self.shape = tuple(np.ceil((hi - lo) / self._side).astype(int))
 
     def shell(self, surface: Surface) -> Volume:
@@ -72,10 +72,10 @@ class VoxelGrid:
     def surface(self, volume: Volume) -> Surface:
         """Return the smoothed, decimated boundary of the largest piece of ``volume``."""
         padded = np.pad(largest_piece(volume), 2).astype(float)
-        field = ndimage.gaussian_filter(padded, self.options.smoothing_voxels)
+        field = ndimage.gaussian_filter(padded, WRAP.smoothing_voxels)
         places = zip(self.lo, field.shape, strict=True)
         grid = [low + (np.arange(count) - 1.5) * self._side for low, count in places]
-        steps, count = self.options.taubin_steps, self.options.faces
+        steps, count = WRAP.taubin_steps, WRAP.faces
         mesh = trimesh.Trimesh(*level_set(field, grid, 0.5), process=True)
         trimesh.smoothing.filter_taubin(mesh, iterations=steps)  # type: ignore[no-untyped-call]
         vertices, faces, _, _ = igl.qslim(np.asarray(mesh.vertices), np.asarray(mesh.faces), count)
@@ -121,19 +121,18 @@ def wrap_bones(
     """Return watertight wraps of cranium and mandible within the box of ``grid``.
 
     The cranium's wrap is solid: brain, orbits behind their rim, nose and sinuses are filled. It
-    keeps ``joint_gap_mm`` of the grid's options to the mandible, and both keep ``skin_gap_mm`` to
+    keeps ``joint_gap_mm`` of :data:`WRAP` to the mandible, and both keep ``skin_gap_mm`` to
     ``skin``.
     """
-    options = grid.options
     jaw = grid.solid(mandible)
-    skull = grid.close(grid.shell(cranium), options.closing_mm)
+    skull = grid.close(grid.shell(cranium), WRAP.closing_mm)
     # Frontal slices: walls around brain, orbits and nose are rings there, the zygomatic arches are
     # not, so the temporal fossae stay open.
     for k in range(skull.shape[2]):
         skull[:, :, k] = ndimage.binary_fill_holes(skull[:, :, k])
-    near_skin = grid.distance(grid.shell(skin)) < options.skin_gap_mm
+    near_skin = grid.distance(grid.shell(skin)) < WRAP.skin_gap_mm
     jaw &= ~near_skin
-    skull &= ~near_skin & (grid.distance(jaw) > options.joint_gap_mm + options.voxel_mm)
+    skull &= ~near_skin & (grid.distance(jaw) > WRAP.joint_gap_mm + WRAP.voxel_mm)
     return grid.surface(ndimage.binary_opening(skull)), grid.surface(jaw)
 
 

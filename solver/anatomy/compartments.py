@@ -72,7 +72,6 @@ def number_compartments(
     fibres: Floats,
     muscles: tuple[Muscle, ...],
     middle_x: float,
-    options: CutOptions = CUTTING,
 ) -> Ints:
     """Return for every entry (nnz,) of S the number of its compartment within its muscle.
 
@@ -93,10 +92,10 @@ def number_compartments(
         places = centres[rows] - [middle_x, 0.0, 0.0]
         cut, names = muscle.compartments.cut, muscle.compartments.names
         if cut == "sectors":
-            order = _around(places, options) if muscle.ring else places @ muscle.fibre
+            order = _around(places) if muscle.ring else places @ muscle.fibre
         else:
-            direction = _direction(cut, places, options)
-            order = _across(vertices, tets[rows], fibres[own], direction, options)
+            direction = _direction(cut, places)
+            order = _across(vertices, tets[rows], fibres[own], direction)
         part = _equal_parts(order, sizes[rows] * entries.data[own], len(names))
         numbers[every] = part[cKDTree(centres[rows]).query(centres[entries.row[every]])[1]]
     return numbers
@@ -116,42 +115,40 @@ def fibre_laplacian(
     return sp.csc_array(((sizes[:, None, None] * local).ravel(), pairs))
 
 
-def _across(
-    vertices: Floats, tets: Ints, fibres: Floats, direction: Floats, options: CutOptions
-) -> Floats:
+def _across(vertices: Floats, tets: Ints, fibres: Floats, direction: Floats) -> Floats:
     """Return u (k,) in tets (k, 4) of a muscle with unit ``fibres`` (k, 3), in mm."""
     gradients, sizes = shape_gradients(vertices, tets)
     used, corners = own_numbers(tets)
-    K = fibre_laplacian(gradients, sizes, corners, fibres, options.slip)
+    K = fibre_laplacian(gradients, sizes, corners, fibres, CUTTING.slip)
     wanted = unit_rows(direction - (fibres @ direction)[:, None] * fibres)
-    load = options.slip * sizes[:, None] * np.einsum("evi,ei->ev", gradients, wanted)
-    pull = options.pull * np.bincount(corners.ravel(), np.repeat(sizes / 4.0, 4), len(used))
+    load = CUTTING.slip * sizes[:, None] * np.einsum("evi,ei->ev", gradients, wanted)
+    pull = CUTTING.pull * np.bincount(corners.ravel(), np.repeat(sizes / 4.0, 4), len(used))
     place = vertices[used] @ direction
     right = pull * place + np.bincount(corners.ravel(), load.ravel(), len(used))
     u = splu((K + sp.diags_array(pull)).tocsc()).solve(right)
     return np.asarray(u[corners].mean(axis=1))
 
 
-def _direction(cut: str, places: Floats, options: CutOptions) -> Floats:
+def _direction(cut: str, places: Floats) -> Floats:
     """Return the direction (3,) of a cut for a muscle with ``places`` (k, 3) from the middle."""
-    length = _outward(places, options) if cut == "lateral" else 1.0
+    length = _outward(places) if cut == "lateral" else 1.0
     return np.asarray(length * np.eye(3)[("lateral", "superior", "anterior").index(cut)])
 
 
-def _outward(places: Floats, options: CutOptions) -> float:
+def _outward(places: Floats) -> float:
     """Return the sign of x that leads away from the middle; to the left for what lies in it."""
     x = places[:, 0]
-    return -1.0 if x.mean() < -options.middle * np.ptp(x) else 1.0
+    return -1.0 if x.mean() < -CUTTING.middle * np.ptp(x) else 1.0
 
 
-def _around(places: Floats, options: CutOptions) -> Floats:
+def _around(places: Floats) -> Floats:
     """Return the angles (k,), in [0, 2 pi), of a ring's places (k, 3) from its top outwards."""
     centre = (places.min(axis=0) + places.max(axis=0)) / 2
     axis = np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2][2]
     up = np.array([0.0, 1.0, 0.0])
     up -= axis * (axis @ up)
     side = np.cross(up, axis)
-    side *= _outward(places, options) * np.sign(side[0])
+    side *= _outward(places) * np.sign(side[0])
     return np.asarray(np.arctan2((places - centre) @ side, (places - centre) @ up) % (2.0 * np.pi))
 
 

@@ -62,7 +62,7 @@ def facial_spaces() -> tuple[FacialSpace, ...]:
     )
 
 
-def gliding(head: Template, points: Floats, options: SpaceOptions = SPACES) -> np.ndarray:
+def gliding(head: Template, points: Floats) -> np.ndarray:
     """Return (k,) True where flesh glides, of ``points`` (k, 3) on a template's cranium, in mm."""
     glides, held = np.zeros((2, len(points)), dtype=bool)
     for space in facial_spaces():
@@ -72,7 +72,7 @@ def gliding(head: Template, points: Floats, options: SpaceOptions = SPACES) -> n
         else:
             holding = _muscles(head, space.origins)
             origins = [end_vertices(each.surface, each.fibre)[0] for each in holding]
-            glides |= near & ~(_distance(origins, points) < options.origin_mm)
+            glides |= near & ~(_distance(origins, points) < SPACES.origin_mm)
     return np.asarray(glides & ~held)
 
 

@@ -53,9 +53,7 @@ class SamplingOptions:
 SAMPLING = SamplingOptions()
 
 
-def initial_weights(
-    vertices: Floats, tets: Ints, muscles: list[Surface], sampling: SamplingOptions = SAMPLING
-) -> sp.csr_array:
+def initial_weights(vertices: Floats, tets: Ints, muscles: list[Surface]) -> sp.csr_array:
     """Return S (t, m + 1): volume fractions of muscles in tetrahedra, column 0 the passive rest.
 
     Stored entries are the candidates: the passive column and every muscle within
@@ -63,8 +61,8 @@ def initial_weights(
     """
     parts = []
     for column, muscle in enumerate(muscles, start=1):
-        candidates = _candidates(vertices, tets, muscle, sampling)
-        fractions = _fractions(vertices[tets[candidates]], muscle, sampling)
+        candidates = _candidates(vertices, tets, muscle)
+        fractions = _fractions(vertices[tets[candidates]], muscle)
         parts.append((candidates, np.full(len(candidates), column), fractions))
     rows, columns, fractions = (np.concatenate(part) for part in zip(*parts, strict=True))
     sizes = np.array([enclosed_volume(muscle) for muscle in muscles])
@@ -131,11 +129,11 @@ def contains(surface: Surface, points: Floats) -> np.ndarray:
     return np.abs(winding_numbers(surface, points)) > 0.5
 
 
-def _fractions(corners: Floats, muscle: Surface, sampling: SamplingOptions) -> Floats:
+def _fractions(corners: Floats, muscle: Surface) -> Floats:
     """Return which part (t,) of tetrahedra with ``corners`` (t, 4, 3) a muscle fills."""
     touched = np.flatnonzero(_near_tets(corners, muscle))
-    small = enclosed_volume(muscle) < sampling.fine_below_mm3
-    samples = _samples(sampling.fine_level if small else sampling.level)
+    small = enclosed_volume(muscle) < SAMPLING.fine_below_mm3
+    samples = _samples(SAMPLING.fine_level if small else SAMPLING.level)
     points = np.einsum("sk,tkd->tsd", samples, corners[touched])
     inside = contains(muscle, points.reshape(-1, 3)).reshape(len(touched), len(samples))
     fractions = np.zeros(len(corners))
@@ -158,13 +156,13 @@ def _samples(level: int) -> Floats:
     return np.asarray(parts.mean(axis=1))
 
 
-def _candidates(vertices: Floats, tets: Ints, surface: Surface, sampling: SamplingOptions) -> Ints:
+def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
     """Return the tetrahedra within :data:`CANDIDATE_MM` of a muscle, by corners and samples."""
     near = np.asarray(_within(vertices, surface, CANDIDATE_MM)[tets].any(axis=1))
     others = np.flatnonzero(~near)
     corners = vertices[tets[others]]
     possible = _near_tets(corners, surface, CANDIDATE_MM)
-    points = np.einsum("sk,tkd->tsd", _samples(sampling.near_level), corners[possible])
+    points = np.einsum("sk,tkd->tsd", _samples(SAMPLING.near_level), corners[possible])
     inside = _within(points.reshape(-1, 3), surface, CANDIDATE_MM)
     near[others[possible]] = inside.reshape(points.shape[:2]).any(axis=1)
     return np.flatnonzero(near)
@@ -219,11 +217,7 @@ FIBRES = FibreOptions()
 
 
 def fibre_directions(
-    vertices: Floats,
-    tets: Ints,
-    weights: sp.csr_array,
-    muscles: tuple[Muscle, ...],
-    options: FibreOptions = FIBRES,
+    vertices: Floats, tets: Ints, weights: sp.csr_array, muscles: tuple[Muscle, ...]
 ) -> Floats:
     """Return unit directions (nnz, 3), one for each stored entry of S, zero in column 0.
 
@@ -242,8 +236,8 @@ def fibre_directions(
         if len(own) == 0:
             continue
         rows = entries.row[own]
-        weight = sizes[rows] * (entries.data[own] + options.conductivity)
-        field = _Field(vertices, tets[rows], gradients[rows], weight, options)
+        weight = sizes[rows] * (entries.data[own] + FIBRES.conductivity)
+        field = _Field(vertices, tets[rows], gradients[rows], weight)
         flow = field.around(muscle) if muscle.ring else field.along(muscle)
         length = np.linalg.norm(flow, axis=1, keepdims=True)
         directions[own] = np.where(length > 0, flow / np.where(length > 0, length, 1), muscle.fibre)
@@ -264,10 +258,8 @@ def _bend(muscle: Muscle) -> float:
 class _Field:
     """Potentials on the candidates of one muscle, with the conductivity times volume of each."""
 
-    def __init__(
-        self, vertices: Floats, tets: Ints, gradients: Floats, weight: Floats, options: FibreOptions
-    ) -> None:
-        self._options, self._gradients, self._weight = options, gradients, weight
+    def __init__(self, vertices: Floats, tets: Ints, gradients: Floats, weight: Floats) -> None:
+        self._gradients, self._weight = gradients, weight
         numbers, self._tets = own_numbers(tets)
         self._points = vertices[numbers]
         entries = np.einsum("t,tid,tjd->tij", weight, gradients, gradients)
@@ -277,15 +269,14 @@ class _Field:
 
     def along(self, muscle: Muscle) -> Floats:
         """Return the gradient (t, 3) of the potential between a muscle's ends."""
-        options = self._options
         surface = muscle.surface.vertices
         # Muscle outside the flesh, such as the platysma below the cut, has no say.
-        surface = surface[cKDTree(self._points).query(surface)[0] < options.reach_mm]
+        surface = surface[cKDTree(self._points).query(surface)[0] < FIBRES.reach_mm]
         extent = surface @ muscle.fibre
         low, high = np.quantile(extent, [0.02, 0.98])
         guess = (self._points @ muscle.fibre - low) / (high - low)
         place = (extent[cKDTree(surface).query(self._points)[1]] - low) / (high - low)
-        end = options.bent_end if _bend(muscle) > options.bent else options.straight_end
+        end = FIBRES.bent_end if _bend(muscle) > FIBRES.bent else FIBRES.straight_end
         given = (place < end) | (place > 1 - end)
         return self._gradient(self._solve(np.zeros(len(guess)), guess, given))
 
@@ -310,7 +301,7 @@ class _Field:
 
     def _solve(self, load: Floats, guess: Floats, given: np.ndarray) -> Floats:
         """Return u (p,) with -div(sigma grad u) = ``load`` that is ``guess`` where it is given."""
-        pull = self._options.pull * self._matrix.diagonal().mean() * sp.eye_array(len(guess))
+        pull = FIBRES.pull * self._matrix.diagonal().mean() * sp.eye_array(len(guess))
         return extend((self._matrix + pull).tocsc(), guess, given, load + pull @ guess)
 
 

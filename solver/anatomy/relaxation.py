@@ -80,21 +80,23 @@ class Guides:
         return float(np.sum(pull * away)), 2.0 * (self.rows.T @ pull)
 
 
-def relax(x: Floats, tets: Ints, guides: Guides, options: RelaxationOptions = RELAXATION) -> Floats:
+def relax(x: Floats, tets: Ints, guides: Guides) -> Floats:
     """Return the vertices (p, 3) of least energy, from the start ``x`` (p, 3) in mm.
 
     Raises :class:`SolveError` (``mesh.inverted``) if a tet stays inverted.
     """
-    stiffness = np.full(len(tets), options.stiffness)
+    stiffness = np.full(len(tets), RELAXATION.stiffness)
     if volumes(x, tets).min() <= 0:
-        x = _minimise(x, tets, guides, stiffness, options.untangling, options.iterations)
-    x = _minimise(x, tets, guides, stiffness, options.smoothing, options.iterations)
-    for _ in range(options.rounds):
-        bad = (dihedral_angles(x, tets).min(axis=1) < options.wanted_deg) | (volumes(x, tets) <= 0)
+        x = _minimise(x, tets, guides, stiffness, RELAXATION.untangling, RELAXATION.iterations)
+    x = _minimise(x, tets, guides, stiffness, RELAXATION.smoothing, RELAXATION.iterations)
+    for _ in range(RELAXATION.rounds):
+        bad = (dihedral_angles(x, tets).min(axis=1) < RELAXATION.wanted_deg) | (
+            volumes(x, tets) <= 0
+        )
         if not bad.any():
             break
-        stiffness[bad] *= options.stiffening
-        x = _minimise(x, tets, guides, stiffness, options.smoothing, options.later_iterations)
+        stiffness[bad] *= RELAXATION.stiffening
+        x = _minimise(x, tets, guides, stiffness, RELAXATION.smoothing, RELAXATION.later_iterations)
     inverted = np.flatnonzero(volumes(x, tets) <= 0)
     if len(inverted):
         reason = f"{len(inverted)} tetrahedra stay inverted"

@@ -31,16 +31,14 @@ class TransferOptions:
 TRANSFER = TransferOptions()
 
 
-def skin_warp(template: Template, neutral: Floats, options: TransferOptions = TRANSFER) -> Warp:
+def skin_warp(template: Template, neutral: Floats) -> Warp:
     """Return the smooth map of space from the template's head to the one with skin ``neutral``."""
     flesh, source = np.unique(template.flesh.faces), template.skin.vertices
-    chosen = flesh[spread(source[flesh], options.correspondences)]
-    return interpolate(source[chosen], neutral[chosen], options.smoothing_mm)
+    chosen = flesh[spread(source[flesh], TRANSFER.correspondences)]
+    return interpolate(source[chosen], neutral[chosen], TRANSFER.smoothing_mm)
 
 
-def carry(
-    template: Template, neutral: Floats, warp: Warp, options: TransferOptions = TRANSFER
-) -> Template:
+def carry(template: Template, neutral: Floats, warp: Warp) -> Template:
     """Return the anatomy of the person with skin ``neutral`` (n, 3), without shapes and tets.
 
     ``warp`` is the person's :func:`skin_warp`. The cut planes move outwards where the face
@@ -50,7 +48,7 @@ def carry(
     skins = list(zip(_skin_depths(template, source), _skin_depths(template, neutral), strict=True))
 
     def bone(surface: Surface) -> Surface:
-        return surface.moved(_deep_enough(surface.vertices, warp, skins, options))
+        return surface.moved(_deep_enough(surface.vertices, warp, skins))
 
     face = template.face_vertices
     reach = neutral[face].min(axis=0) - source[face].min(axis=0)
@@ -91,18 +89,16 @@ def _skin_depths(template: Template, skin: Floats) -> tuple[SkinDepth, SkinDepth
     return SkinDepth(flesh), SkinDepth(flesh, flesh.faces[on_face])
 
 
-def _deep_enough(
-    points: Floats, warp: Warp, skins: list[tuple[SkinDepth, SkinDepth]], options: TransferOptions
-) -> Floats:
+def _deep_enough(points: Floats, warp: Warp, skins: list[tuple[SkinDepth, SkinDepth]]) -> Floats:
     """Return warped ``points`` (n, 3) as deep under the moved skins as they were, or the clearance.
 
     Between face and lining there may be no room for both; then the face's skin is kept clear.
     """
     moved = warp(points)
-    for _ in range(options.clearance_steps):
+    for _ in range(TRANSFER.clearance_steps):
         start = moved
         for before, after in skins:
-            least = np.minimum(before(points)[0], options.clearance_mm)
+            least = np.minimum(before(points)[0], TRANSFER.clearance_mm)
             depths, deeper = after(moved)
             # A bone that reaches through the lining of the mouth has no depth to keep.
             missing = np.where(least > 0, np.maximum(least - depths, 0.0), 0.0)
@@ -159,7 +155,6 @@ def guidance(
     held: Ints,
     held_at: Floats,
     start: Floats,
-    pulls: Pulls = PULLS,
 ) -> Guides:
     """Return the springs of a mesh with vertices that ``start`` (p, 3).
 
@@ -168,10 +163,10 @@ def guidance(
     belong to ``held_at`` (h, 3).
     """
     count = len(start)
-    pull = np.where(np.isin(embedded, head.face_vertices), pulls.face, pulls.skin)
+    pull = np.where(np.isin(embedded, head.face_vertices), PULLS.face, PULLS.skin)
     to_skin = Guides(surface_rows, skin[embedded], pull)
-    to_bones = Guides.of_vertices(held, held_at, pulls.bone, count)
-    to_start = Guides.of_vertices(np.arange(count), start, pulls.stay, count)
+    to_bones = Guides.of_vertices(held, held_at, PULLS.bone, count)
+    to_start = Guides.of_vertices(np.arange(count), start, PULLS.stay, count)
     return Guides.join([to_skin, to_bones, to_start])
 
 
@@ -182,17 +177,13 @@ def guidance(
 
 
 def transport(
-    template: Template,
-    mesh: TemplateMesh,
-    person: Template,
-    warp: Warp,
-    options: TransferOptions = TRANSFER,
+    template: Template, mesh: TemplateMesh, person: Template, warp: Warp
 ) -> tuple[TemplateMesh, Template]:
     """Return the template's mesh in a person, and the person with muscles moved as their tets are.
 
     ``mesh`` was made for ``template``, which ``warp``, the map of space between their skins,
     carried into ``person``. Raises :class:`SolveError`: ``mesh.inverted``, or ``mesh.flat`` for a
-    tet with a dihedral angle below the least of ``options``.
+    tet with a dihedral angle below the least of :data:`TRANSFER`.
     """
     start = warp(mesh.vertices)
     place = start.copy()
@@ -208,7 +199,7 @@ def transport(
     )
     moved = relax(start, mesh.tets, guides)
     narrow = dihedral_angles(moved, mesh.tets).min()
-    if narrow < options.least_deg:
+    if narrow < TRANSFER.least_deg:
         reason = f"a tetrahedron is left with a dihedral angle of {narrow:.1f} degrees"
         raise SolveError("mesh.flat", reason, degrees=float(narrow))
     motion = flesh_motion(mesh.vertices, mesh.tets, moved, warp)

@@ -189,19 +189,13 @@ def fit_likeness(
 
 
 def _judge_likeness(
-    pose: FacePose,
-    samples: Samples,
-    template: Template,
-    face: Surface,
-    look: SecondLook = SECOND,
-    *,
-    certain: bool,
+    pose: FacePose, samples: Samples, template: Template, face: Surface, *, certain: bool
 ) -> tuple[ShapeFit | None, bool]:
     """Return the likeness to what is at a pose, and whether it is a face; it may be ``certain``.
 
     A doubtful pose is a face's if it is one once the template looks like the person.
     """
-    if not (certain or pose.is_face or pose.cost <= look.most_cost):
+    if not (certain or pose.is_face or pose.cost <= SECOND.most_cost):
         return None, False
     near = near_face(samples, pose.motion, face)
     if len(near.points) < REFINEMENT.least_points:  # landmarks may lie off the scan
@@ -210,10 +204,10 @@ def _judge_likeness(
     if certain or pose.is_face:
         return fitted, True
     if template.shapes is None:
-        return fitted, pose.cost < look.shapeless_cost
+        return fitted, pose.cost < SECOND.shapeless_cost
     points = face_points(Surface(fitted.vertices, face.faces))
     again = judge_pose(points, samples, KDTree(samples.points), fitted.motion)
-    return fitted, again.cost < look.likeness_cost
+    return fitted, again.cost < SECOND.likeness_cost
 
 
 @dataclass(frozen=True)

@@ -210,6 +210,9 @@ class ConfidenceOptions:
     trusted_mm: float = 2.0  # distance at which confidence has fallen to 1/e
 
 
+CONFIDENCE = ConfidenceOptions()
+
+
 @dataclass(frozen=True)
 class Trust:
     """Per skin vertex: ``confidence`` (n,) in [0, 1], ``covered`` (n,), ``distance_mm`` (n,).
@@ -224,13 +227,7 @@ class Trust:
     distance_mm: Floats
 
 
-def trust(
-    scan: ScanSurface,
-    motion: Similarity,
-    skin: Surface,
-    outer: Ints,
-    options: ConfidenceOptions = ConfidenceOptions(),
-) -> Trust:
+def trust(scan: ScanSurface, motion: Similarity, skin: Surface, outer: Ints) -> Trust:
     """Compare a registered ``skin`` with the scan that ``motion`` takes to it.
 
     Confidence is the product of a term of distance, one of the angle between the normals, and the
@@ -241,12 +238,14 @@ def trust(
     found = scan.closest(motion.inverse()(skin.vertices[outer]))
     distance = found.distance * motion.scale
     cosine = np.einsum("nd,nd->n", normals, motion.turn(found.normals))
-    seen = ~found.at_edge & (distance < options.covered_mm) & (cosine > options.covered_cosine)
+    seen = (
+        ~found.at_edge & (distance < CONFIDENCE.covered_mm) & (cosine > CONFIDENCE.covered_cosine)
+    )
     covered = np.zeros(count, dtype=bool)
     covered[outer] = seen
     near = np.zeros(count)
-    near[outer] = np.exp(-((distance / options.trusted_mm) ** 2))
-    near[outer] *= facing_weights(cosine, options.covered_cosine)
+    near[outer] = np.exp(-((distance / CONFIDENCE.trusted_mm) ** 2))
+    near[outer] *= facing_weights(cosine, CONFIDENCE.covered_cosine)
     apart = np.full(count, np.nan)
     apart[outer[seen]] = distance[seen]
     graph = adjacency(skin.faces, count)

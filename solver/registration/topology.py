@@ -66,13 +66,16 @@ class ViewOptions:
     pitches: tuple[int, ...] = (-35, 0, 35)  # degrees
 
 
-def outer_skin(template: Template, options: ViewOptions = ViewOptions()) -> NDArray[np.bool_]:
+VIEW = ViewOptions()
+
+
+def outer_skin(template: Template) -> NDArray[np.bool_]:
     """Return which skin vertices (n,) of the template's flesh are seen from outside."""
-    skin, pixels = template.skin, options.pixels
+    skin, pixels = template.skin, VIEW.pixels
     centre = (skin.vertices.min(axis=0) + skin.vertices.max(axis=0)) / 2
     span = 1.2 * float(np.ptp(skin.vertices, axis=0).max())
     seen = np.zeros(len(skin.faces), dtype=bool)
-    for yaw, pitch in product(np.radians(options.yaws), np.radians(options.pitches)):
+    for yaw, pitch in product(np.radians(VIEW.yaws), np.radians(VIEW.pitches)):
         triangle = look(Camera(centre, span, yaw, pitch), skin, pixels, pixels).triangle
         seen[np.unique(triangle[triangle >= 0])] = True
     flesh = template.flesh_faces
@@ -91,6 +94,9 @@ class StillSkinOptions:
     mobile: float = 0.4  # root mean square move that halves a vertex's stability
 
 
+STILL = StillSkinOptions()
+
+
 @dataclass(frozen=True)
 class Topology:
     """A template's skin as registration sees it."""
@@ -104,26 +110,26 @@ class Topology:
     stable: Floats  # (n,) weights in [0, 1]: 1 where the skin lies still on the skull
 
 
-def topology(template: Template, options: StillSkinOptions = StillSkinOptions()) -> Topology:
+def topology(template: Template) -> Topology:
     """Find outer skin, lips that touch, rigid parts and stable skin of a template."""
     outer = np.flatnonzero(outer_skin(template))
     flesh = template.skin.faces[template.flesh_faces]
     face = np.intersect1d(template.face_vertices, outer)
-    touching = _touching(template, np.unique(flesh), options)
-    stable = _stable(template, outer, face, options)
+    touching = _touching(template, np.unique(flesh))
+    stable = _stable(template, outer, face)
     return Topology(template, flesh, outer, face, touching, rigid_groups(template), stable)
 
 
-def _touching(template: Template, vertices: Ints, options: StillSkinOptions) -> Ints:
+def _touching(template: Template, vertices: Ints) -> Ints:
     """Pair every lip vertex with the closest one that parting takes away from it, each once."""
     rest = template.skin.vertices
-    pairs = vertices[cKDTree(rest[vertices]).query_pairs(options.touching, output_type="ndarray")]
+    pairs = vertices[cKDTree(rest[vertices]).query_pairs(STILL.touching, output_type="ndarray")]
     gap, parted = (
         np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
         for points in (rest, rest + template.parting)
     )
     opened = parted - gap
-    apart = np.flatnonzero(opened > options.parted_share * opened.max(initial=0.0))
+    apart = np.flatnonzero(opened > STILL.parted_share * opened.max(initial=0.0))
     chosen: list[Ints] = []
     taken: set[int] = set()
     for pair in pairs[apart[np.argsort(gap[apart], kind="stable")]]:
@@ -133,14 +139,14 @@ def _touching(template: Template, vertices: Ints, options: StillSkinOptions) -> 
     return np.array(chosen, dtype=np.int64).reshape(-1, 2)
 
 
-def _stable(template: Template, outer: Ints, face: Ints, options: StillSkinOptions) -> Floats:
+def _stable(template: Template, outer: Ints, face: Ints) -> Floats:
     """Weigh by how little the expressions move a vertex; without shapes the upper face counts."""
     weights = np.zeros(len(template.skin.vertices))
     if template.shapes is not None and len(template.shapes.expressions):
         squares = np.sum(template.shapes.expressions[:, outer].astype(float) ** 2, axis=2)
-        weights[outer] = robust_weights(squares.mean(axis=0) / options.mobile**2)
+        weights[outer] = robust_weights(squares.mean(axis=0) / STILL.mobile**2)
     else:
         points = template.skin.vertices[face]
         tip = points[np.argmax(points[:, 2])]
-        weights[face[points[:, 1] > tip[1] - options.below_tip]] = 1.0
+        weights[face[points[:, 1] > tip[1] - STILL.below_tip]] = 1.0
     return weights

@@ -71,14 +71,12 @@ def read_muscles() -> list[MuscleRow]:
     return rows
 
 
-def build_muscles(
-    head: Head, skin: OuterSkin, bed: Surface, options: SweepOptions = SWEEP
-) -> tuple[Muscle, ...]:
+def build_muscles(head: Head, skin: OuterSkin, bed: Surface) -> tuple[Muscle, ...]:
     """Sweep every muscle of the table; ``bed`` is all that muscles can lie on: bones and linings.
 
     Paired muscles get the suffixes ``_l`` and ``_r``, the right one being the mirror image.
     """
-    sweep = _Sweep(head, skin.stretched_over(head.ears), bed, options)
+    sweep = _Sweep(head, skin.stretched_over(head.ears), bed)
     muscles = []
     for row in read_muscles():
         left = sweep.muscle(row)
@@ -96,17 +94,17 @@ def _mirror(left: Muscle) -> Muscle:
 class _Sweep:
     """Lays ribbons into the soft tissue of one head."""
 
-    def __init__(self, head: Head, skin: OuterSkin, bed: Surface, options: SweepOptions) -> None:
-        self._head, self._skin, self._options = head, skin, options
+    def __init__(self, head: Head, skin: OuterSkin, bed: Surface) -> None:
+        self._head, self._skin = head, skin
         self._bed = trimesh.Trimesh(bed.vertices, bed.faces, process=False)
-        self._normals = _smooth_normals(skin, options.normal_smoothing)
+        self._normals = _smooth_normals(skin, SWEEP.normal_smoothing)
 
     def muscle(self, row: MuscleRow) -> Muscle:
         """Return the left (or the mid-line) muscle of a row."""
         anchors = self._anchors(row)
         length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(anchors, axis=0), axis=1))]
-        rows = max(5, round(length[-1] / self._options.step_mm))
-        columns = max(5, round(row.width.max() / self._options.step_mm))
+        rows = max(5, round(length[-1] / SWEEP.step_mm))
+        columns = max(5, round(row.width.max() / SWEEP.step_mm))
         along = np.linspace(0, length[-1], rows)
         across = np.linspace(-1, 1, columns)
         curve = CubicSpline(length, anchors)
@@ -123,7 +121,7 @@ class _Sweep:
         bottom = depth[:, None] + half_thickness
         if row.layer == "bed":
             room = self._room(above, normals).reshape(top.shape)
-            top, bottom = _fit_between(top, bottom, room, self._options)
+            top, bottom = _fit_between(top, bottom, room)
         upper, lower = (above - sheet.reshape(-1, 1) * normals for sheet in (top, bottom))
         surface = _closed_sheet(np.concatenate([upper, lower]), rows, columns)
         middle = ((upper + lower) / 2).reshape(rows, columns, 3).mean(axis=1)
@@ -146,7 +144,7 @@ class _Sweep:
 
     def _room(self, above: Floats, normals: Floats) -> Floats:
         """Return the soft-tissue thickness (k,) from the skin inwards to the bed, in mm."""
-        room = np.full(len(above), self._options.deepest_mm)
+        room = np.full(len(above), SWEEP.deepest_mm)
         hits, ray, _ = self._bed.ray.intersects_location(
             above - 0.2 * normals, -normals, multiple_hits=False
         )
@@ -161,12 +159,10 @@ def _profile(along: Floats, across: Floats) -> Floats:
     return np.outer(end, side)
 
 
-def _fit_between(
-    top: Floats, bottom: Floats, room: Floats, options: SweepOptions
-) -> tuple[Floats, Floats]:
+def _fit_between(top: Floats, bottom: Floats, room: Floats) -> tuple[Floats, Floats]:
     """Move and, where there is no room, thin a ribbon so that it lies between skin and bed."""
-    lowest = room - options.bed_gap_mm
-    cover = np.minimum(options.skin_layer_mm, 0.35 * room)
+    lowest = room - SWEEP.bed_gap_mm
+    cover = np.minimum(SWEEP.skin_layer_mm, 0.35 * room)
     down = (cover - top).clip(0)
     top, bottom = top + down, bottom + down
     up = (bottom - lowest).clip(0)

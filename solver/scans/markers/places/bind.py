@@ -17,7 +17,7 @@ from solver.anatomy.embedding import barycentric
 from solver.mechanics.boundary import move_jaw, move_jaw_back
 from solver.model import JawFrame, SubjectModel
 from solver.registration.search import nose_tip
-from solver.scans.markers.places.face_take import FACE, FaceOptions, FaceTake, LocatedTake
+from solver.scans.markers.places.face_take import FaceTake, LocatedTake
 from solver.scans.markers.places.locate import Located, LocateOptions, heights_over
 from solver.scans.markers.places.marker_set import Marker, MarkerSet, Triple, places_over
 from solver.scans.markers.readers.names import PLACES, Named
@@ -36,7 +36,6 @@ class BindOptions:
     farthest: float = 10_000.0  # beyond it nothing is a marker; a set has no room for such places
     sigma: float = 1.0  # of a place by the nearest point of the skin
     bony_sigma: float = 0.5
-    face: FaceOptions = FACE
 
 
 BIND = BindOptions()
@@ -114,12 +113,7 @@ def model_face(model: SubjectModel) -> Surface:
 
 
 def place_take(
-    located: LocatedTake,
-    pose: Located,
-    reference: Reference,
-    options: BindOptions = BIND,
-    *,
-    actor: bool = False,
+    located: LocatedTake, pose: Located, reference: Reference, *, actor: bool = False
 ) -> tuple[Marker, ...]:
     """Return a marker for every label of a take whose face has a ``pose``.
 
@@ -129,40 +123,36 @@ def place_take(
     """
     session, height = pose.session, None
     if actor:
-        session, height = pose.similar or session, options.usual_height
+        session, height = pose.similar or session, BIND.usual_height
     placed = session(located.points)
     if actor:
         placed = clear_lids(placed, located.face.names, reference.rims)
-    return place_markers(located.face, placed, reference.face, options, height)
+    return place_markers(located.face, placed, reference.face, height)
 
 
 def place_markers(
-    face: FaceTake,
-    placed: Floats,
-    skin: Surface,
-    options: BindOptions = BIND,
-    height_mm: float | None = None,
+    face: FaceTake, placed: Floats, skin: Surface, height_mm: float | None = None
 ) -> tuple[Marker, ...]:
     """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored.
 
     Those of the skin get one ``height_mm``; without it each has its own.
     """
-    seen = np.flatnonzero((np.abs(placed) < options.farthest).all(axis=1))
+    seen = np.flatnonzero((np.abs(placed) < BIND.farthest).all(axis=1))
     heights, tip = heights_over(placed[seen], skin), nose_tip(skin)
     found = []
     for row, number in enumerate(seen.tolist()):
         name, at, label = face.names[number], placed[number], face.labels[number]
         part = "face" if name is None else name.part
-        if part == "face" and abs(heights[row]) > options.off_skin:
-            near = np.linalg.norm(at - tip) < options.of_head and at[1] - tip[1] > options.above
+        if part == "face" and abs(heights[row]) > BIND.off_skin:
+            near = np.linalg.norm(at - tip) < BIND.of_head and at[1] - tip[1] > BIND.above
             part = "head" if near else "ignore"
         if part == "face":
-            marker = place_on(Marker(label, sigma_mm=options.sigma), at, skin)
+            marker = place_on(Marker(label, sigma_mm=BIND.sigma), at, skin)
             height = marker.height_mm if height_mm is None else height_mm
             found.append(replace(marker, height_mm=height))
         else:
             at_bone: Triple = (float(at[0]), float(at[1]), float(at[2]))
-            sigma = options.bony_sigma
+            sigma = BIND.bony_sigma
             found.append(Marker(label, part=part, sigma_mm=sigma, place_mm=at_bone))
     return tuple(found)
 

@@ -25,6 +25,9 @@ class CrossingOptions:
     confirmed: float = 0.5  # s after a crossing without return that have to look exchanged
 
 
+CROSSING = CrossingOptions()
+
+
 @dataclass(frozen=True)
 class Swap:
     """Frames ``rows`` in which two labels have each other's marker."""
@@ -35,12 +38,7 @@ class Swap:
 
 
 def find_swaps(
-    places: Floats,
-    expected: Floats,
-    pairs: Iterable[tuple[int, int]],
-    leap_mm: float,
-    rate: float,
-    options: CrossingOptions = CrossingOptions(),
+    places: Floats, expected: Floats, pairs: Iterable[tuple[int, int]], leap_mm: float, rate: float
 ) -> list[Swap]:
     """Return the swaps of ``pairs`` of markers at ``places`` (f, k, 3), in the head's frame.
 
@@ -51,12 +49,12 @@ def find_swaps(
     before, since = _places_before(places)
     with np.errstate(invalid="ignore"):
         way = np.linalg.norm(places - before, axis=2)
-        leaps = (way > leap_mm) & (since <= max(1, round(options.hidden * rate)))
+        leaps = (way > leap_mm) & (since <= max(1, round(CROSSING.hidden * rate)))
     found, taken = [], np.zeros(leaps.shape, bool)
     for a, b in pairs:
         at = np.flatnonzero(leaps[:, a] & leaps[:, b])
-        at = at[_is_crossing(places[at][:, [a, b]], before[at][:, [a, b]], options)]
-        for rows in _find_swaps(places, expected, (a, b), at, rate, options):
+        at = at[_is_crossing(places[at][:, [a, b]], before[at][:, [a, b]])]
+        for rows in _find_swaps(places, expected, (a, b), at, rate):
             free = rows[~(taken[rows, a] | taken[rows, b])]
             if len(free):
                 taken[free, a] = taken[free, b] = True
@@ -84,20 +82,15 @@ def _places_before(places: Floats) -> tuple[Floats, Ints]:
     return before, numbers - last
 
 
-def _is_crossing(now: Floats, before: Floats, options: CrossingOptions) -> Mask:
+def _is_crossing(now: Floats, before: Floats) -> Mask:
     """Return at which of n leaps two markers (n, 2, 3) came to where the other was ``before``."""
     apart = np.linalg.norm(before[:, 0] - before[:, 1], axis=1)
     off = np.linalg.norm(now - before[:, ::-1], axis=2).max(axis=1, initial=0.0)
-    return np.asarray((apart > options.least_mm) & (off < options.near * apart))
+    return np.asarray((apart > CROSSING.least_mm) & (off < CROSSING.near * apart))
 
 
 def _find_swaps(
-    places: Floats,
-    expected: Floats,
-    pair: tuple[int, int],
-    crossings: Ints,
-    rate: float,
-    options: CrossingOptions,
+    places: Floats, expected: Floats, pair: tuple[int, int], crossings: Ints, rate: float
 ) -> Iterator[Ints]:
     """Yield the rows of each swap of a ``pair``, between a crossing and the next."""
     if not len(crossings):
@@ -114,20 +107,15 @@ def _find_swaps(
         rows = np.flatnonzero(phase == number)
         # a swap that ends has crossed twice; one crossing alone may be something else
         is_closed = rows[0] > 0 and rows[-1] + 1 < len(places)
-        if is_closed or _look_exchanged(places, expected, pair, rows, rate, options):
+        if is_closed or _look_exchanged(places, expected, pair, rows, rate):
             yield rows[seen[rows]]
 
 
 def _look_exchanged(
-    places: Floats,
-    expected: Floats,
-    pair: tuple[int, int],
-    rows: Ints,
-    rate: float,
-    options: CrossingOptions,
+    places: Floats, expected: Floats, pair: tuple[int, int], rows: Ints, rate: float
 ) -> bool:
     """Tell whether two markers lie where the other is expected, beside where they crossed."""
-    count = max(1, round(options.confirmed * rate))
+    count = max(1, round(CROSSING.confirmed * rate))
     near = rows[:count] if rows[0] > 0 else rows[-count:]
     here, there = list(pair), list(pair[::-1])
     own = np.linalg.norm(places[near][:, here] - expected[near][:, here], axis=2)
