@@ -9,10 +9,9 @@ import igl
 import numpy as np
 import structlog
 
-from solver.anatomy.bones import jaw_frame
+from solver.anatomy.bones import gliding, jaw_frame
 from solver.anatomy.compartments import divide_muscles, number_compartments
 from solver.anatomy.embedding import barycentric
-from solver.anatomy.facial_spaces import gliding
 from solver.anatomy.meshing import EDGE_MM, make_mesh
 from solver.anatomy.muscle_weights import enclosed_volume, fibre_directions, muscle_volumes
 from solver.anatomy.template import Template, TemplateMesh

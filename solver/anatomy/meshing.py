@@ -23,10 +23,9 @@ from solver.anatomy.domain import (
 )
 from solver.anatomy.embedding import at_nearest, bind_outside, extend, rows_of
 from solver.anatomy.muscle_weights import initial_weights
-from solver.anatomy.relaxation import relax
 from solver.anatomy.template import Template, TemplateMesh
 from solver.anatomy.tetrahedra import tetrahedralize
-from solver.anatomy.transfer import guidance
+from solver.anatomy.transfer import guidance, relax
 from solver.cache import cache_directory
 from solver.errors import InputError, SolveError
 from solver.progress import Progress, Step, silent

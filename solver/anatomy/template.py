@@ -164,7 +164,7 @@ class TemplateMesh:
         (p, 3) at rest, and (n, 4) vertex numbers, every volume positive.
     cranium, mandible, cut
         Vertices on the bones and on the cut planes, disjoint; on some of the cranium's the flesh
-        glides (:mod:`solver.anatomy.facial_spaces`).
+        glides (:mod:`solver.anatomy.bones`).
     embedded, embedded_in, shares
         (e,) skin vertices that follow the flesh, the tets (e,) under them, and the (e, 4)
         barycentric coordinates of their nearest point on the flesh's outside, none negative.

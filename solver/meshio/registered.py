@@ -17,7 +17,7 @@ from solver.meshio.glb import MM_PER_METRE, read_glb
 from solver.meshio.mesh import Mesh, check_finite, check_suffix, read_content, unsupported_error
 from solver.meshio.obj import read_obj
 from solver.meshio.ply import read_ply, write_ply
-from solver.meshio.stl import read_stl
+from solver.meshio.soup import read_stl
 from solver.model import SIZE_WORDS, SizeFrom
 from solver.similarity import weighted_motion
 from solver.surface import Floats, Ints, Surface

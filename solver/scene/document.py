@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from pydantic import ValidationError
 
-from solver.anatomy.physiology import JAW_FREEDOM
+from solver.anatomy.data import JAW_FREEDOM
 from solver.animation.drives import Drives, HeadKey, KeyedDrives, PoseKey
 from solver.animation.performance import FittedSequence, MixedPerformances, PlayedPerformance
 from solver.errors import InputError

@@ -19,8 +19,7 @@ from solver.anatomy.template import Compartments, Muscle
 from solver.anatomy.warp import MIRROR
 from solver.errors import InputError
 from solver.surface import Floats, Surface, join_surfaces, part_of
-from solver.templates.downloads import PublicFile, obj_mesh, public_files
-from solver.templates.tables import file_fault
+from solver.templates.tables import PublicFile, file_fault, obj_mesh, public_files
 
 # The download as DBCLS publishes it: release 3.0, one OBJ an organ, named by its FMA id. Release
 # 4.0 (``FJ1234.obj`` with element lists) has no muscles of the face and another pose.

@@ -19,9 +19,8 @@ from solver.anatomy.build import carry_anatomy
 from solver.anatomy.contact_regions import contact_regions, eye_corners, stomia
 from solver.anatomy.domain import MeshedFlesh
 from solver.anatomy.meshing import bind_skin, find_or_make_mesh
-from solver.anatomy.relaxation import relax
 from solver.anatomy.template import ShapeBasis, Template
-from solver.anatomy.transfer import carry_muscle, guidance
+from solver.anatomy.transfer import carry_muscle, guidance, relax
 from solver.errors import Finding, InputError
 from solver.meshio.mesh import check_finite, too_large_error, weld
 from solver.meshio.raw import RawScan, mend, read_raw

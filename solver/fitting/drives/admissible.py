@@ -26,7 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 from typing_extensions import override
 
-from solver.anatomy.physiology import SHORTEST
+from solver.anatomy.data import SHORTEST
 from solver.errors import Finding, InputError, make_warning
 from solver.fitting.controls import Block
 from solver.fitting.drives.six_numbers import SixNumbers, activation_block

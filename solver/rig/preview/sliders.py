@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from solver.anatomy.physiology import CONDYLE_PATH_MM, JAW_FREEDOM, SHORTEST
+from solver.anatomy.data import CONDYLE_PATH_MM, JAW_FREEDOM, SHORTEST
 from solver.fitting.contraction import Contraction
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.expression_basis import ExpressionBasis

@@ -12,8 +12,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from solver.anatomy.action_units import actions_of
+from solver.anatomy.data import JAW_RANGES, SHORTEST, THICKEST
 from solver.anatomy.embedding import at_nearest
-from solver.anatomy.physiology import JAW_RANGES, SHORTEST, THICKEST
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
 from solver.errors import SolveError

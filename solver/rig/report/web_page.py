@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from PIL import Image
 
-from solver.anatomy.physiology import JAW_RANGES, JAW_SOURCE, MUSCLE_SOURCE
+from solver.anatomy.data import JAW_RANGES, JAW_SOURCE, MUSCLE_SOURCE
 from solver.drawing.head import both_sides
 from solver.fitting.contraction import STILL
 from solver.rig.report.checks import overall

@@ -13,7 +13,7 @@ import numpy as np
 
 from solver.errors import Finding, InputError, make_warning
 from solver.model import SubjectModel
-from solver.scans.markers.checks.findings import (
+from solver.scans.markers.findings import (
     LIMITS,
     MarkerCheck,
     report_mouth,

@@ -16,7 +16,7 @@ from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.drawing.sheet import HEADER, MARGIN, Colour, Sheet
 from solver.errors import Finding, InputError, Severity, count_words, quote, quote_names
 from solver.registration.search import nose_tip
-from solver.scans.markers.checks.findings import (
+from solver.scans.markers.findings import (
     ACTOR_ADVICE,
     ADVICE,
     LIMITS,
