@@ -1,6 +1,6 @@
 """Findings of a scan's check, each with a stable code, a plain sentence and advice.
 
-Every code has one advice, here, in one place; ``docs/guide/scans.md`` lists the same.
+Every code has one advice, in ``advice.csv``; ``docs/guide/scans.md`` lists the same.
 """
 
 from __future__ import annotations
@@ -23,60 +23,14 @@ from solver.registration.scan_surface import Samples
 from solver.registration.search import REFINEMENT, FacePoints
 from solver.registration.units import ADVICE as UNIT_ADVICE
 from solver.registration.units import choose_unit, given_unit
+from solver.scans import read_advice
 from solver.scans.cover import Cover
 from solver.scans.mouth import Eye, MouthGaps
 from solver.similarity import fit_similarity
 from solver.surface import Floats
 
 EXPORT_AGAIN = "Export the scan again from the scanner's software and send the new file."
-ADVICE = {
-    # the file
-    "scan.format": "Export the scan as OBJ, PLY, STL, GLB or XYZ.",
-    "scan.wrong_extension": "Give the file the suffix of what it holds, or export it again.",
-    "scan.too_large": "Reduce the scan to about 200,000 vertices in the scanner's software.",
-    "scan.empty": EXPORT_AGAIN,
-    "scan.unreadable": EXPORT_AGAIN,
-    "scan.truncated": "Copy or upload the file again; it was cut off on the way.",
-    # the mesh
-    "scan.nan": "Nothing to do: these vertices are left out. If they are many, export again.",
-    "scan.duplicate_vertices": "Nothing to do: they are joined.",
-    "scan.zero_area_faces": "Nothing to do: they are left out.",
-    "scan.repeated_faces": "Nothing to do: they are left out.",
-    "scan.unused_vertices": "Check that the file is whole: triangles seem to be missing.",
-    "scan.non_manifold": "Nothing to do, but look at the marked places in the picture.",
-    "scan.inconsistent_normals": "Nothing to do: the triangles are turned the same way round.",
-    "scan.inverted_normals": "Nothing to do: the surface is turned inside out.",
-    "scan.mirrored": "Switch off mirroring in the scanner's export and send the scan again.",
-    "scan.empty_groups": "Nothing to do, if no part of the face is missing in the picture.",
-    "scan.no_normals": "Send a mesh rather than points if you can; it registers more surely.",
-    "scan.dense": "Nothing to do: it is thinned. About 200,000 vertices upload faster.",
-    "scan.coarse": "Export the scan at a higher resolution: a vertex every 1 to 2 mm.",
-    # unit and axes
-    **UNIT_ADVICE,
-    "scan.axes": "Nothing to do: the scan is turned.",
-    "scan.upside_down": "Nothing to do: the scan is turned. Next time, scan the right way up.",
-    # what is in it
-    "scan.not_a_face": "Look at the picture: aim the scanner at the face and scan again.",
-    "scan.half_face": "Scan again from both sides, so that both cheeks and ears are seen.",
-    "scan.two_heads": "Cut the other person out of the scan, or scan one person alone.",
-    "scan.coverage": "Scan again, and cover the side that is missing.",
-    "scan.cut_off": "Scan again if skin is missing; hair before forehead and temples is no harm.",
-    "scan.holes": "Scan again if a hole lies where the face moves: brows, cheeks, lips, chin.",
-    "scan.gaps": "Nothing to do: what is red in the picture is filled in smoothly.",
-    "scan.noise": "Let the person hold still, more light, closer; then scan again.",
-    "scan.spikes": "Nothing to do if they lie in the hair; cut them off if they lie on the face.",
-    "scan.mouth_open": "If this is the neutral, scan again: lips closed, teeth apart, relaxed.",
-    "scan.eyes_closed": "If this is the neutral, scan again with the eyes open.",
-    # landmarks
-    "landmarks.swapped": "Swap the names of the left and right landmarks: left is the subject's.",
-    "landmarks.misplaced": "Set this landmark again, or leave it out.",
-    "landmarks.unknown": "Use the names that the message lists.",
-    "landmarks.unreadable": "Send landmarks as name, x, y, z in JSON or CSV.",
-    "landmarks.format": "Send landmarks as name, x, y, z in JSON or CSV.",
-    "landmarks.off_surface": "Check that the landmarks belong to this scan, in the same unit.",
-}
-
-
+ADVICE = read_advice("scan") | UNIT_ADVICE
 make_finding = partial(advise, ADVICE)
 
 

@@ -1,6 +1,6 @@
 """Findings about a take of markers, each with a stable code, a plain sentence and advice.
 
-Every code has one advice, here; frames are named as the file counts them.
+Every code has one advice, in ``scans/advice.csv``; frames are named as the file counts them.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from solver.errors import MOST_NAMES, Finding, Severity, advise, count_words, quote, quote_names
 from solver.registration.locate import nearest_axis
 from solver.registration.units import ScanUnit
+from solver.scans import read_advice
 from solver.scans.markers.places.face_take import LocatedTake
 from solver.scans.markers.places.locate import Located, LocateOptions, fit_most
 from solver.scans.markers.places.marker_set import MarkerSet
@@ -24,42 +25,7 @@ from solver.scans.markers.signal.motion import find_neutral
 from solver.scans.markers.signal.rest import RestOptions, compare_rests
 from solver.surface import Floats
 
-WHERE = "on the brows, the cheeks, the lips' rims, the chin, and four on a headband"
-ADVICE = {
-    **READING,
-    # the file
-    "markers.axes": "Nothing to do: the take is turned.",
-    "markers.repeated": "Export at the rate of the recording: repeated frames hold nothing new.",
-    "markers.mirrored": "Export with right-handed axes; until then the take is mirrored back.",
-    "markers.sides": "Left is the person's own left: exchange the sides of the labels.",
-    "markers.outside": "Nothing to do: these labels are left out.",
-    "markers.unlabelled": "Label these tracks as the message says, or go on: they are candidates.",
-    "markers.reach": "Put the next marker there, if there is one to spare.",
-    "markers.few": f"Put more markers on the face: {WHERE}.",
-    # single labels
-    "markers.dead": "Nothing to do: the label is left out.",
-    "markers.double": "Leave one of these labels, and take the others out.",
-    "markers.unlike_set": "Bind the take a second time if markers were added or renamed.",
-    "markers.frozen": "Nothing to do: these frames count as missing.",
-    "markers.filled": "Nothing to do, but gaps left open are filled better by the fit.",
-    "markers.missing": "Nothing to do if they are short; else look for what hid the marker.",
-    "markers.gone": "Nothing to do: these frames are predicted, and marked so.",
-    "markers.swapped": "Exchange the two labels in these frames, or go on: the fit does.",
-    "markers.relabelled": "Give the track the other label in these frames, or go on: the fit does.",
-    "markers.exchanged": "Exchange the two labels in the whole take.",
-    "markers.moved": "Nothing to do: the fit places it anew from then on. Bind later takes again.",
-    "markers.outlier": "Nothing to do: the fit leaves these frames of the label out.",
-    "markers.ghost": "Nothing to do: a reflection took the label, and is left out.",
-    "markers.wrong": "Clean the take, or take it again: too much of it is wrong.",
-    # the person
-    "markers.neutral": "Name frames with a relaxed face, lips closed, or the expression they show.",
-    "markers.unclear_rest": "Look at both, and name a frame with the face at rest: --neutral.",
-    "markers.off_skin": "Name other frames at rest if the mouth is open in these; else do nothing.",
-    "markers.flat": "Export points in space, of markers all over the face.",
-    "markers.motionless": "Nothing to do, if it is to be a take of the face at rest.",
-    "markers.actor": "Nothing to do: the take is fitted as another actor's.",
-    "markers.other_person": "Take this person's own rig, or fit it as another actor's: --actor.",
-}
+ADVICE = READING | read_advice("markers")
 # Of what an actor's take is refused for: that it is an actor's is known.
 ACTOR_ADVICE = {
     "markers.other_person": "Bind the take again with --actor, or name a frame at rest: --neutral."

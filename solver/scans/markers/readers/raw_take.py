@@ -25,22 +25,10 @@ from solver.errors import (
 from solver.kinds.kind import MM_A_UNIT
 from solver.kinds.marker_set import LONGEST_LABEL
 from solver.registration.units import COMMON, UNITS, ScanUnit, likely_unit
+from solver.scans import read_advice
 from solver.surface import Floats
 
-ADVICE = {
-    "markers.unreadable": "Export the take again, as C3D, TRC, Motive CSV or NPZ.",
-    "markers.truncated": "Copy or upload the file again; it was cut off on the way.",
-    "markers.too_large": "Cut the take into shorter ones, or export it without unlabelled tracks.",
-    "markers.none": "Export the labelled trajectories; analog data alone hold no face.",
-    "markers.labels": "Give each marker a name of its own in the capture software.",
-    "markers.two_faces": "Export each person's markers to a file of their own.",
-    "markers.unit": "Write the unit of lengths in the capture software's export.",
-    "markers.rate": "Write the frame rate in the export.",
-    "markers.frames": "Nothing to do: frames that the file leaves out count as missing.",
-    "markers.far": "Nothing to do: such points count as missing.",
-    "markers.header": "Export the take again if the number of its frames is not right.",
-}
-
+ADVICE = read_advice("take")
 make_finding = partial(advise, ADVICE)
 unreadable_error = partial(file_error, "markers.unreadable")
 
