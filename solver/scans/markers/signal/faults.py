@@ -2,7 +2,7 @@
 
 A marker is wrong where it is far from where most others put it (``motion.py``) and came or went
 there at once, as no skin does; two are swapped where each lies where the other is expected, or from
-the frame in which they cross on, until they cross back (``crossings.py``).
+the frame in which they cross on, until they cross back (:func:`.find_swaps`).
 """
 
 from __future__ import annotations
@@ -13,8 +13,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from solver.scans.markers.signal.crossings import Swap, exchange, find_swaps
-from solver.scans.markers.signal.motion import Mask, Motion, median_of_seen, take_apart
+from solver.scans.markers.signal.motion import (
+    Mask,
+    Motion,
+    Swap,
+    exchange,
+    find_swaps,
+    median_of_seen,
+    take_apart,
+)
 from solver.surface import Floats, Ints
 
 
