@@ -150,9 +150,6 @@ def wrap_bones(
     return grid.surface(ndimage.binary_opening(skull)), grid.surface(jaw)
 
 
-# Normals of the bone surface under vertices of the flesh, along which they slide.
-
-
 def bone_normals(bone: Surface, points: Floats) -> Floats:
     """Return the bone's unit normals, (k, 3), where it is nearest to ``points`` (k, 3).
 
@@ -171,9 +168,6 @@ def skull_planes(model: SubjectModel, rest: Floats, mu: Floats | float) -> Slidi
     points = rest[model.sliding]
     normals = bone_normals(model.bones["cranium"], points)
     return replace(planes(model.rest, model.tets, model.sliding, normals, mu), points=points)
-
-
-# The frame of the mandible's five degrees of freedom.
 
 
 def jaw_frame(condyles: Floats) -> JawFrame:

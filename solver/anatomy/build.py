@@ -21,7 +21,7 @@ from solver.anatomy.tetrahedra import dihedral_angles, volumes
 from solver.anatomy.transfer import carry, skin_warp, transport
 from solver.errors import InputError, SolveError
 from solver.mechanics.flesh import shape_gradients
-from solver.mechanics.jaw_tracks import TRACKS, JawTracks, TrackOptions, tracks_of_shapes
+from solver.mechanics.jaw_tracks import JawTracks, tracks_of_shapes
 from solver.model import CondyleTracks, JawFrame, SubjectModel, lower_teeth
 from solver.progress import Progress, Step, silent
 from solver.similarity import fit_similarity
@@ -127,29 +127,25 @@ def _divide(model: SubjectModel, source: Template) -> SubjectModel:
     )
 
 
-def jaw_tracks(
-    template: Template, model: SubjectModel, options: TrackOptions = TRACKS
-) -> JawTracks:
+def jaw_tracks(template: Template, model: SubjectModel) -> JawTracks:
     """Return the tracks of a person's jaw: those of the template's shapes, in the person's size.
 
     They keep their slope against the frame of the condyles, and grow with the head.
     """
-    return _tracks(template, model.jaw, model.skin.vertices, options)
+    return _tracks(template, model.jaw, model.skin.vertices)
 
 
 def _with_tracks(frame: JawFrame, template: Template, neutral: Floats) -> JawFrame:
-    found = _tracks(template, frame, neutral, TRACKS)
+    found = _tracks(template, frame, neutral)
     sizes = CondyleTracks(found.slope, found.apart, found.length, found.opening)
     return replace(frame, tracks=sizes)
 
 
-def _tracks(
-    template: Template, frame: JawFrame, neutral: Floats, options: TrackOptions
-) -> JawTracks:
+def _tracks(template: Template, frame: JawFrame, neutral: Floats) -> JawTracks:
     skin, teeth = template.skin.vertices, lower_teeth(template.regions, template.attached_mandible)
     apart = float(np.linalg.norm(template.condyles[0] - template.condyles[1]))
     shapes = [] if template.shapes is None else list(template.shapes.expressions[:, teeth])
-    found = tracks_of_shapes(jaw_frame(template.condyles), apart, skin[teeth], shapes, options)
+    found = tracks_of_shapes(jaw_frame(template.condyles), apart, skin[teeth], shapes)
     size = fit_similarity(skin, neutral).scale
     return replace(
         found, frame=frame, apart=size * apart, length=size * found.length, bend=found.bend / size

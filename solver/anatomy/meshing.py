@@ -179,9 +179,6 @@ def _drawn_along(head: Template, points: Floats) -> np.ndarray:
     return np.asarray((near_jaw < MESH.jaw_free_mm) | in_throat)
 
 
-# From the parted pose, in which the flesh is meshed, back to the neutral pose.
-
-
 def close_lips(head: Template, vertices: Floats, tets: Ints, outside: Ints, held: Ints) -> Floats:
     """Return the flesh's vertices (p, 3), meshed with parted lips, with the lips closed.
 

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from solver.anatomy.embedding import extend
 from solver.anatomy.template import Muscle
 from solver.anatomy.tetrahedra import volumes
+from solver.mechanics.flesh import shape_gradients
 from solver.surface import (
     Floats,
     Ints,
@@ -226,10 +227,7 @@ def fibre_directions(
     ``muscles``, which are in the place of the vertices, directions go from origin to insertion, or
     once around a ring.
     """
-    entries, sizes = weights.tocoo(), volumes(vertices, tets)
-    # Of the linear basis functions, (n, 4, 3).
-    others = np.swapaxes(np.linalg.inv(vertices[tets[:, 1:]] - vertices[tets[:, :1]]), 1, 2)
-    gradients = np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
+    entries, (gradients, sizes) = weights.tocoo(), shape_gradients(vertices, tets)
     directions = np.zeros((weights.nnz, 3))
     for column, muscle in enumerate(muscles, start=1):
         own = np.flatnonzero(entries.col == column)
@@ -303,9 +301,6 @@ class _Field:
         """Return u (p,) with -div(sigma grad u) = ``load`` that is ``guess`` where it is given."""
         pull = FIBRES.pull * self._matrix.diagonal().mean() * sp.eye_array(len(guess))
         return extend((self._matrix + pull).tocsc(), guess, given, load + pull @ guess)
-
-
-# The axis of a muscle that nobody described: its greatest length, away from the skull.
 
 
 def with_axis(name: str, surface: Surface, skull: Floats) -> Muscle:

@@ -68,9 +68,6 @@ def split_side(expression: str) -> tuple[str, str]:
     return expression, ""
 
 
-# Checks that a template's arrays fit together: shapes, finite numbers, indices in range.
-
-
 def check_arrays(template: Template, file: str) -> None:
     """Raise what is wrong with a template's arrays; ``file`` is named in the message.
 
@@ -151,9 +148,6 @@ class _Check:
         self.numbers(f"{name} faces", surface.faces, len(surface.vertices), columns=3)
 
 
-# The template's tetrahedra: made once, carried into every person.
-
-
 @dataclass(frozen=True)
 class TemplateMesh:
     """Tetrahedra of the flesh in the neutral pose; mm.
@@ -211,8 +205,6 @@ class TemplateMesh:
             plain["cranium"] = np.union1d(plain["cranium"], arrays["sliding"])
         return cls(**plain, weights=csr_from("weights", arrays, muscle_count + 1))
 
-
-# The template itself.
 
 FORMAT = 1  # of the file
 SURFACES = ("skin", "cranium", "mandible")

@@ -262,9 +262,6 @@ def _deep_enough(points: Floats, warp: Warp, skins: list[tuple[SkinDepth, SkinDe
     return moved
 
 
-# Motion of all points of the flesh when its tetrahedra move.
-
-
 def flesh_motion(
     vertices: Floats, tets: Ints, moved: Floats, warp: Warp
 ) -> Callable[[Floats], Floats]:
@@ -284,12 +281,9 @@ def flesh_motion(
     return motion
 
 
-# Springs on a mesh of flesh: from the skin it carries, the bones it lies on, and its place.
-
-
 @dataclass(frozen=True)
 class Pulls:
-    """Weights of springs, 1/mm^2."""
+    """Weights of the springs on a mesh of flesh, 1/mm^2."""
 
     face: float = 20.0  # of a skin vertex on the face
     skin: float = 4.0  # of one elsewhere

@@ -101,9 +101,6 @@ def least_bending(centres: Floats, planes: PlaneConstraints, stiffness: float) -
     return Warp(centres, coefficients)
 
 
-# The depth of a point under the skin, and the way that leads deeper.
-
-
 class SkinDepth:
     """Signed distance to a skin whose holes (mouth, lids, neck) are closed by fans.
 

@@ -41,9 +41,6 @@ class CorrespondenceOptions:
 CORRESPONDENCE = CorrespondenceOptions()
 
 
-# Parts of a head: skin, and what moves with a bone.
-
-
 @dataclass(frozen=True)
 class HeadParts:
     """Masks (n,) of a head's vertices by part; gums, tongue and the like are in none."""
@@ -96,9 +93,6 @@ def _inner_parts(person: Template) -> dict[str, Surface]:
 def _mean(values: NDArray, piece: Ints) -> Floats:
     """Return the mean (n,) of values (n,) over each vertex's ``piece`` (n,)."""
     return np.asarray((np.bincount(piece, values) / np.bincount(piece))[piece])
-
-
-# What lies where.
 
 
 @dataclass(frozen=True)

@@ -198,9 +198,6 @@ def _check(file: str, found: Trust, topology: Topology) -> None:
     raise InputError("scan.not_a_face", f"{file} shows no whole face: {reason}", file=file)
 
 
-# Confidence in registered vertices, their distances to the scan, and the head's motion.
-
-
 @dataclass(frozen=True)
 class ConfidenceOptions:
     """Limits of what a scan says of a registered vertex."""

@@ -134,9 +134,6 @@ def _round(value: float | np.floating) -> float:
     return round(float(value), 4)
 
 
-# ``distance.png``: the raw scan, the registered face and the distance between them.
-
-
 CELL = (500, 440)  # pixels of a view
 TITLE = 34  # height of a column's title in pixels
 VIEWS = np.radians([0.0, 50.0, -50.0])  # yaws

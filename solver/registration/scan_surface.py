@@ -115,7 +115,8 @@ class MeshScan(ScanSurface):
     def closest(self, points: Floats) -> Matches:
         squared, face, near = self._tree.squared_distance(self.vertices, self.faces, points)
         corners = self.faces[face]
-        weights = _barycentric(near, self.vertices[corners])
+        weights = igl.barycentric_coordinates(near, *self.vertices[corners].swapaxes(0, 1))
+        weights = np.clip(np.nan_to_num(weights), 0.0, 1.0)
         normals = unit_rows(np.einsum("nk,nkd->nd", weights, self.normals[corners]))
         on_edge = (self._edge_opposite[face] & (weights < 1e-4)).any(axis=1)
         at_vertex = (self._edge_vertex[corners] & (weights > 1 - 1e-4)).any(axis=1)
@@ -228,24 +229,9 @@ def _smooth_normals(surface: Surface, radius: float) -> Floats:
     return unit_rows(sums)
 
 
-def _barycentric(points: Floats, corners: Floats) -> Floats:
-    """Return the weights (n, 3) of points that lie in triangles ``corners`` (n, 3, 3)."""
-    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    w = points - corners[:, 0]
-    uu, uv, vv, wu, wv = (
-        np.einsum("nd,nd->n", *pair) for pair in ((u, u), (u, v), (v, v), (w, u), (w, v))
-    )
-    area = uu * vv - uv * uv + 1e-30
-    b, c = (vv * wu - uv * wv) / area, (uu * wv - uv * wu) / area
-    return np.asarray(np.clip(np.stack([1 - b - c, b, c], axis=1), 0.0, 1.0))
-
-
-# Points spread evenly over a scan, with normals: what poses and fits are found from.
-
-
 @dataclass(frozen=True)
 class Samples:
-    """Points (n, 3) with unit normals (n, 3), whose signs mean nothing unless ``oriented``."""
+    """Points (n, 3) of a scan with unit normals (n, 3), of either sign unless ``oriented``."""
 
     points: Floats
     normals: Floats

@@ -270,9 +270,6 @@ def _solve(normal: Floats, right: Floats, bounded: NDArray[np.bool_], strongest:
     return np.asarray(lsq_linear(root.T, np.linalg.solve(root, right), (lower, upper)).x)
 
 
-# Rigid motion, and uniform scale where asked for, of a scan onto a model of fixed shape.
-
-
 RIGID_REACHES_MM = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0)  # of the rounds
 
 

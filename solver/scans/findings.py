@@ -232,9 +232,6 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
     return found
 
 
-# Findings about landmarks that came with a scan: whether they belong to it.
-
-
 OFF_SURFACE_MM = 6.0  # farther landmarks are of another scan, or in another unit
 
 
@@ -261,9 +258,6 @@ def landmark_findings(
     message = f"{path.name}: {name} lies {found:.0f} mm off the scan."
     figures = {"landmark": name, "found": found, "expected": OFF_SURFACE_MM}
     return [make_finding("landmarks.off_surface", "error", message, **figures)], None
-
-
-# Findings about how a scan lies: its axes and winding.
 
 
 MOST_INWARD, SOME_INWARD = 0.8, 0.1  # shares of a face whose triangles face inwards

@@ -178,8 +178,6 @@ def _falls(height: Floats) -> Floats:
     return np.asarray(np.median(arched, axis=1))
 
 
-# How rough a scan is: noise against a smooth surface, and spikes.
-
 UNKNOWNS = 6  # of a quadratic height field
 
 

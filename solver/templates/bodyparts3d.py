@@ -65,8 +65,6 @@ def _surface(files: dict[str, PublicFile], fma_id: str, name: str, folder: Path)
     return Surface(to_subject_axes(vertices), polygons[:, :3])
 
 
-# Parts by name, from the download or from an index.
-
 MIDDLE_X = -0.65  # mm, the plane of symmetry
 RINGS = ("orbital", "palpebral")  # parts of orbicularis oculi, the larger first
 _COLUMNS = {"fma_id", "category", "name"}

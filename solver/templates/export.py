@@ -47,9 +47,6 @@ class CaptureSet:
         return paths
 
 
-# Writing a template as the folder that :mod:`solver.templates.folder` reads.
-
-
 def write_template(template: Template, folder: Path) -> None:
     """Write a template, without its tetrahedra, into a new or empty folder, in mm.
 

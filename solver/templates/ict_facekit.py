@@ -187,9 +187,6 @@ def shape_basis(kit: FaceKit) -> ShapeBasis:
     )
 
 
-# Captures of the subjects of a capture-sets file.
-
-
 def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None) -> CaptureSet:
     """Return the scans (mm) of one subject of a capture-sets file.
 

@@ -260,9 +260,6 @@ def depth_table(skin: Floats) -> tuple[dict[str, int], tuple[Depth, ...]]:
     return both_sides(landmarks, skin), tuple(depths)
 
 
-# Regions of the ICT-FaceKit face.
-
-
 def named_regions(skin: Floats, sides: Ints) -> dict[str, Ints]:
     """Return region -> narrow-face vertices; the regions do not overlap and leave none out.
 
@@ -292,8 +289,6 @@ def named_regions(skin: Floats, sides: Ints) -> dict[str, Ints]:
     }
     return first_match(face, tests)
 
-
-# The template.
 
 BACK_Z, BOTTOM_Y = 24.0, -95.5  # cut planes, mm
 PARTING = 0.4  # weight of each expression that parts the lips

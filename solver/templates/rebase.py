@@ -268,9 +268,6 @@ def _bind(template: Template, person: Template) -> Template:
     return replace(template, face_vertices=face, mesh=bound)
 
 
-# What is worth a look.
-
-
 def _remarks(based: Template, person: Template, found: Correspondence) -> Iterator[Finding]:
     """Yield what the head lacks: eyes, teeth, a mouth that opens."""
     parts = found.parts

@@ -35,9 +35,6 @@ def read_json(name: str) -> Any:
     return json.loads(resources.files(__name__).joinpath(f"{name}.json").read_text())
 
 
-# Paths on a face by its landmarks: the notation of tables that place anatomy on every template.
-
-
 SIDES = ("_l", "_r")
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
 
 from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.drawing.sheet import HEADER, MARGIN, Colour, Sheet
@@ -99,9 +100,6 @@ def check_take(
     return check
 
 
-# The file: rate, unit, whose markers these are.
-
-
 def _check_rate(check: MarkerCheck, take: Take) -> None:
     if take.rate > 0:
         if take.rate < LIMITS.slow:
@@ -145,9 +143,6 @@ def _are_few(check: MarkerCheck, take: Take, count: int) -> bool:
         add(check, "markers.few", "error", message, found=count, expected=FACE.least)
     stops = "markers.few", "markers.unit"
     return any(each.code in stops and each.severity == "error" for each in check.findings)
-
-
-# Where the face is, and whose.
 
 
 def _check_person(
@@ -380,7 +375,7 @@ def _draw_face(
     body = DrawnBody(lit, np.tile(SKIN, (len(light), 1)))
     page.panel((left, HEADER), render([body], camera, WIDTH, HEIGHT))
     pixels = camera.project(np.nan_to_num(placed), WIDTH, HEIGHT)
-    backward = vertex_normals(face)[np.argmin(_squares(placed, face.vertices), axis=1)]
+    backward = vertex_normals(face)[KDTree(face.vertices).query(np.nan_to_num(placed))[1]]
     written: list[tuple[int, int]] = []
     is_good = np.array([colour == SEEN for colour in colours])
     for number in np.lexsort((pixels[:, 2], is_good)).tolist():  # names of the odd ones first
@@ -395,14 +390,6 @@ def _draw_face(
         if all(abs(x - a) > NAME[0] or abs(y - b) > NAME[1] for a, b in written):
             page.text((x + 7, y - 6), quote(names[number])[:14], 10)
             written.append((x, y))
-
-
-def _squares(points: Floats, vertices: Floats) -> Floats:
-    """Return squared distances (k, n), 0 for what is not seen."""
-    known = np.nan_to_num(points)
-    return np.asarray(
-        (known**2).sum(axis=1)[:, None] - 2 * known @ vertices.T + (vertices**2).sum(axis=1)
-    )
 
 
 def _draw_lanes(page: Sheet, located: LocatedTake, left: int) -> None:

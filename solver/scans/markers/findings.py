@@ -220,9 +220,6 @@ def report_unlabelled(check: MarkerCheck, located: LocatedTake) -> None:
     add(check, "markers.unlabelled", "info", f"{message}.", tracks=fits[:MOST_NAMES])
 
 
-# Where the face is.
-
-
 def report_location(check: MarkerCheck, located: LocatedTake, pose: Located) -> None:
     """Add unit and axes, and what is mirrored or exchanged."""
     take, labels = located.face.take, located.face.labels
@@ -266,9 +263,6 @@ def report_exchanged(check: MarkerCheck, first: str, second: str) -> None:
     """Add that two labels have each other's marker all the time."""
     message = f"{quote(first)} and {quote(second)} lie in each other's place in the whole take."
     add(check, "markers.exchanged", "warning", message, label=first, other=second)
-
-
-# The seconds that are taken for rest, in which markers are bound.
 
 
 def report_rest(check: MarkerCheck, located: LocatedTake, *, is_given: bool) -> None:

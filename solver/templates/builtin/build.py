@@ -211,9 +211,6 @@ def _smooth_normals(skin: OuterSkin, rounds: int) -> Floats:
     return normals
 
 
-# Named parts of the built-in head's skin, drawn with its landmarks.
-
-
 def named_regions(
     head: Head,
     visible: Ints,
@@ -254,8 +251,6 @@ def named_regions(
     }
     return {"face": face, **first_match(face, tests), "neck": neck}
 
-
-# The template.
 
 NAME = "builtin"
 VERSION = "1"

@@ -160,9 +160,6 @@ def off_places(
     return rms_of_seen(np.linalg.norm(to_places(rest) - goal, axis=1))
 
 
-# Rest, and the warp from one face to the other.
-
-
 def _find_rest(take: Take, faults: Faults, rate: float) -> tuple[tuple[int, int], list[Finding]]:
     """Return the rows of the likeliest rest, and a notice if another pose may be rest as well."""
     rests = likely_rests(faults, read_names(take.labels), rate)
@@ -260,9 +257,6 @@ def _unlike_error(file: str, scale: float, misfit: float, options: ActorOptions)
     return InputError("markers.other_person", message, file=file, **figures)
 
 
-# What is carried.
-
-
 def _head_motions(motion: Motion, similar: Similarity, row: int) -> tuple[Floats, Floats]:
     """Return the head's motions since ``row`` in the person's frame: (f, 3, 3) and (f, 3)."""
     back = np.einsum("ij,fkj->fik", motion.rotations[row], motion.rotations)
@@ -307,9 +301,6 @@ def _carry_sigma(sigma: Floats, motion: Motion, warp: ActorWarp, turns: Floats) 
         whole = turns @ jacobian @ motion.rotations
         carried[:, marker] = np.sqrt(np.einsum("fij,fj->fi", whole**2, sigma[:, marker] ** 2))
     return carried
-
-
-# Report and notices.
 
 
 def _report(labels: Sequence[str], warp: ActorWarp, often: Mask) -> dict[str, Any]:

@@ -191,9 +191,6 @@ def _usual_distances(positions: Floats, frames: int = 40) -> Floats:
     )
 
 
-# The face at rest.
-
-
 def locate_take(
     face: FaceTake, skin: Surface, neutral: tuple[int, int] | None = None, *, compared: bool = True
 ) -> LocatedTake:

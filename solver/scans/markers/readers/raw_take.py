@@ -281,9 +281,6 @@ def _find_foreign(file: str, labels: Sequence[str]) -> list[Finding]:
     ]
 
 
-# Units, and points that are none.
-
-
 def settle_unit(
     file: str, raw: RawTake, columns: Sequence[int], options: TakeOptions
 ) -> tuple[float, list[Finding]]:

@@ -164,9 +164,6 @@ def _explain(changes: Floats, shapes: Floats, spread: Floats) -> Floats:
     return found
 
 
-# The face at rest.
-
-
 @dataclass(frozen=True)
 class NeutralOptions:
     """Bounds by which a neutral is judged; lengths in mm."""
