@@ -120,17 +120,13 @@ def label_tets(head: Template, vertices: Floats, tets: Ints) -> Ints:
 
 @dataclass(frozen=True)
 class MeshedFlesh:
-    """Kept tetrahedra in the parted pose.
-
-    ``outside`` (f, 3) are the faces towards the air, the skin and its linings, ``outside_of`` (f,)
-    their tets; ``held`` label -> vertex numbers on a bone or cut plane.
-    """
+    """Kept tetrahedra in the parted pose."""
 
     vertices: Floats
     tets: Ints
-    outside: Ints
-    outside_of: Ints
-    held: dict[Label, Ints]
+    outside: Ints  # (f, 3) faces towards the air: the skin and its linings
+    outside_of: Ints  # (f,) their tets
+    held: dict[Label, Ints]  # vertex numbers on a bone or cut plane
 
     @property
     def held_vertices(self) -> Ints:

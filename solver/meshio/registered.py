@@ -55,13 +55,10 @@ PLAUSIBLE = PlausibleScan()
 
 @dataclass(frozen=True)
 class RegisteredScan:
-    """``vertices`` (n, 3) in mm and their ``confidence`` (n,) in [0, 1], 0 where nothing was seen.
+    """A registered scan; a file that says nothing about confidence is trusted everywhere."""
 
-    A file that says nothing about confidence is trusted everywhere.
-    """
-
-    vertices: Floats
-    confidence: Floats
+    vertices: Floats  # (n, 3) in mm
+    confidence: Floats  # (n,) in [0, 1], 0 where nothing was seen
     size_from: SizeFrom = "scan"
 
 

@@ -69,14 +69,11 @@ STILL = 0.1  # least weight of the vertices on which an expression's head is ali
 
 @dataclass(frozen=True)
 class RegisteredFace:
-    """A scan in the template's topology.
-
-    ``skin`` is in mm: of a neutral in the template's frame, of an expression in its neutral's,
-    without head motion.
-    """
+    """A scan in the template's topology."""
 
     scan: ScanSurface  # in mm
     start: Location  # of its face, before registration
+    # In mm: a neutral in the template's frame, an expression in its neutral's, the head still.
     skin: Surface
     trust: Trust
     motion: Similarity  # takes the scan in mm onto ``skin``

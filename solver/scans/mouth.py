@@ -37,12 +37,9 @@ LIPS = LipOptions()
 
 @dataclass(frozen=True)
 class MouthGaps:
-    """Gaps between lips and between teeth, in mm; None where the scan does not show it.
+    """Gaps between lips and between teeth, in mm; None where the scan does not show it."""
 
-    ``lips_mm`` 0 means that the lips are closed; no scan shows that of the teeth.
-    """
-
-    lips_mm: float | None
+    lips_mm: float | None  # 0: they are closed; no scan shows that of the teeth
     teeth_mm: float | None = None
     is_open: bool = False  # the lips are apart
     why_not: str = ""  # nothing is known of the lips

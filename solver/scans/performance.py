@@ -202,18 +202,16 @@ DAY = 86400.0  # s
 
 @dataclass(frozen=True)
 class LiveLinkTake:
-    """``times`` (f,) in s after the first frame and ``weights`` (f, 52), named ARKIT_NAMES.
+    """A recording of f frames; turns are rotation vectors in radians.
 
-    ``head`` (f, 3) and ``eyes`` (f, 2, 3), the subject's left one first, are rotation vectors in
-    radians, x to the subject's left, y up, z forward; zero where the file has no columns for them.
-    Eyes turn in the head. ``timecodes`` (f,) are the frames', as the file has them.
+    Their x is to the subject's left, y up, z forward; zero where the file has no columns for them.
     """
 
-    times: Floats
-    weights: Floats
-    head: Floats
-    eyes: Floats
-    timecodes: tuple[str, ...]
+    times: Floats  # (f,) in s after the first frame
+    weights: Floats  # (f, 52), named ARKIT_NAMES
+    head: Floats  # (f, 3)
+    eyes: Floats  # (f, 2, 3) in the head, the subject's left one first
+    timecodes: tuple[str, ...]  # (f,) as the file has them
 
 
 def read_live_link(path: Path) -> LiveLinkTake:

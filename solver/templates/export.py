@@ -22,15 +22,11 @@ from solver.templates.tables import file_fault, vertex_ranges
 
 @dataclass(frozen=True)
 class CaptureSet:
-    """Registered scans of one subject, in mm, all with the faces of ``neutral``.
-
-    ``train`` are the expressions that the muscle geometry is fitted to, ``test`` those that are
-    solved for activations only; the keys are the expressions' names.
-    """
+    """Registered scans of one subject by name, in mm, all with the faces of ``neutral``."""
 
     neutral: Surface
-    train: dict[str, Surface]
-    test: dict[str, Surface]
+    train: dict[str, Surface]  # expressions that the muscle geometry is fitted to
+    test: dict[str, Surface]  # those that are solved for activations only
 
     def first(self, train: int, test: int) -> CaptureSet:
         """Return the neutral with the first expressions only."""

@@ -110,15 +110,11 @@ TEETH_NAMES = tuple(
 
 @dataclass(frozen=True)
 class FaceKit:
-    """The head: ``skin`` with all vertices and how it varies, in mm.
+    """The head and how it varies, in mm."""
 
-    ``deltas`` are the displacements (n, 3) of the expressions; ``identities`` (k, n, 3) those of
-    one standard deviation of each identity component, whose coefficients are independent.
-    """
-
-    skin: Surface
-    deltas: dict[str, Floats]
-    identities: Floats
+    skin: Surface  # with all vertices
+    deltas: dict[str, Floats]  # (n, 3) of the expressions
+    identities: Floats  # (k, n, 3) one standard deviation of each independent component
 
     def part(self, vertices: range) -> Surface:
         """Return the skin with only the faces whose vertices all lie in a range."""
@@ -282,16 +278,12 @@ def _faults(sets: dict[str, Any]) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class IctPerformance:
-    """Frames (V, 3) in mm, made when they are asked for.
+    """Frames (V, 3) in mm, made when they are asked for."""
 
-    ``neutral`` is (V, 3), ``shapes`` (e, 3 V) are the displacements of the expressions that are
-    driven, ``weights`` (f, e) drive them, ``times`` (f,) are in s.
-    """
-
-    neutral: Floats
-    shapes: Floats
-    weights: Floats
-    times: Floats
+    neutral: Floats  # (V, 3)
+    shapes: Floats  # (e, 3 V) displacements of the expressions that are driven
+    weights: Floats  # (f, e)
+    times: Floats  # (f,) in s
 
     def __len__(self) -> int:
         return len(self.weights)

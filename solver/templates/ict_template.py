@@ -32,17 +32,13 @@ from solver.templates.ict_facekit import EYEBALLS, FaceKit
 
 @dataclass(frozen=True)
 class DepthTable:
-    """Soft-tissue depths at points (k, 3) of the skull, mean and standard deviation in mm.
+    """Soft-tissue depths at points of the skull, in mm."""
 
-    Depths may differ from the mean by ``range_sd`` standard deviations, and are wanted within about
-    ``spread_mm`` of their points.
-    """
-
-    points: Floats
-    mean: Floats
-    deviation: Floats
-    range_sd: float = 2.0
-    spread_mm: float = 18.0
+    points: Floats  # (k, 3)
+    mean: Floats  # (k,)
+    deviation: Floats  # (k,) standard deviation
+    range_sd: float = 2.0  # by so many of these depths may differ from the mean
+    spread_mm: float = 18.0  # depths are wanted within about this of their points
 
     def bounds(self, points: Floats, least_mm: float) -> tuple[Floats, Floats]:
         """Return least and greatest depths (n,); no greatest one far from every landmark."""

@@ -85,15 +85,12 @@ class ActorWarp:
 
 @dataclass(frozen=True)
 class CarriedTake:
-    """A take as if the person had played it, in the model's axes, with ``markers`` as read there.
-
-    ``report`` has what was carried, as JSON values, and ``notices`` what was not.
-    """
+    """A take as if the person had played it, in the model's axes."""
 
     take: Take
-    markers: MarkerSet
-    report: dict[str, Any]
-    notices: tuple[Finding, ...]
+    markers: MarkerSet  # as read there
+    report: dict[str, Any]  # what was carried, as JSON values
+    notices: tuple[Finding, ...]  # what was not
 
 
 def carry(

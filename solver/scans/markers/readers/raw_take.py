@@ -67,13 +67,10 @@ class Event:
 
 @dataclass
 class RawTake:
-    """n tracks of f frames, in the units of the file.
-
-    ``points`` (f, n, 3) is NaN where the file leaves a point out or marks it so.
-    """
+    """n tracks of f frames, in the units of the file."""
 
     names: Sequence[str]  # (n,) as the file has them; shorter where tracks have no name
-    points: Floats
+    points: Floats  # (f, n, 3), NaN where the file leaves a point out or marks it so
     rate: float  # Hz; NaN where the file has none
     first: int = 1  # number of the first frame
     unit: str | float | None = None  # its name as the file has it, or mm
