@@ -292,7 +292,8 @@ def number_compartments(
         if cut == "sectors":
             order = _around(places) if muscle.ring else places @ muscle.fibre
         else:
-            direction = _direction(cut, places)
+            length = _outward(places) if cut == "lateral" else 1.0
+            direction = length * np.eye(3)[("lateral", "superior", "anterior").index(cut)]
             order = _across(vertices, tets[rows], fibres[own], direction)
         part = _equal_parts(order, sizes[rows] * entries.data[own], len(names))
         numbers[every] = part[cKDTree(centres[rows]).query(centres[entries.row[every]])[1]]
@@ -325,12 +326,6 @@ def _across(vertices: Floats, tets: Ints, fibres: Floats, direction: Floats) -> 
     right = pull * place + np.bincount(corners.ravel(), load.ravel(), len(used))
     u = splu((K + sp.diags_array(pull)).tocsc()).solve(right)
     return np.asarray(u[corners].mean(axis=1))
-
-
-def _direction(cut: str, places: Floats) -> Floats:
-    """Return the direction (3,) of a cut for a muscle with ``places`` (k, 3) from the middle."""
-    length = _outward(places) if cut == "lateral" else 1.0
-    return np.asarray(length * np.eye(3)[("lateral", "superior", "anterior").index(cut)])
 
 
 def _outward(places: Floats) -> float:

@@ -180,6 +180,13 @@ class TransferOptions:
     clearance_mm: float = 1.9  # bones stay this deep under the skin where they do in the template
     clearance_steps: int = 8
     least_deg: float = 5.0  # a mesh with a smaller dihedral angle is of no use
+    # Weights of the springs on a mesh of flesh, 1/mm^2: of a skin vertex on the face, of one
+    # elsewhere, of a vertex on a bone or cut plane, and of every one to where it starts, so that
+    # nothing drifts that is not pulled.
+    face_pull: float = 20.0
+    skin_pull: float = 4.0
+    bone_pull: float = 10.0
+    stay_pull: float = 0.1
 
 
 TRANSFER = TransferOptions()
@@ -281,20 +288,6 @@ def flesh_motion(
     return motion
 
 
-@dataclass(frozen=True)
-class Pulls:
-    """Weights of the springs on a mesh of flesh, 1/mm^2."""
-
-    face: float = 20.0  # of a skin vertex on the face
-    skin: float = 4.0  # of one elsewhere
-    bone: float = 10.0  # of a vertex on a bone or cut plane
-    # Of every vertex to where it starts, so that nothing drifts that is not pulled.
-    stay: float = 0.1
-
-
-PULLS = Pulls()
-
-
 def guidance(
     head: Template,
     skin: Floats,
@@ -311,10 +304,10 @@ def guidance(
     belong to ``held_at`` (h, 3).
     """
     count = len(start)
-    pull = np.where(np.isin(embedded, head.face_vertices), PULLS.face, PULLS.skin)
+    pull = np.where(np.isin(embedded, head.face_vertices), TRANSFER.face_pull, TRANSFER.skin_pull)
     to_skin = Guides(surface_rows, skin[embedded], pull)
-    to_bones = Guides.of_vertices(held, held_at, PULLS.bone, count)
-    to_start = Guides.of_vertices(np.arange(count), start, PULLS.stay, count)
+    to_bones = Guides.of_vertices(held, held_at, TRANSFER.bone_pull, count)
+    to_start = Guides.of_vertices(np.arange(count), start, TRANSFER.stay_pull, count)
     return Guides.join([to_skin, to_bones, to_start])
 
 

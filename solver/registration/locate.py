@@ -129,7 +129,9 @@ def locate_face(
     surface = face_surface(template)
     face = face_points(surface)
     if marks is None:
-        pose = _search(face, samples, given, scan.mm_per_unit, _given_axes(frame))
+        axes = {name: np.array(axis) for name, axis in AXES.items()}
+        upright = axes.get(frame["up"]), axes.get(frame["forward"])  # None for auto
+        pose = _search(face, samples, given, scan.mm_per_unit, upright)
     else:
         start = fit_similarity(*marks)
         pose = refine_pose(face, samples, KDTree(samples.points), start, start.scale)
@@ -308,12 +310,6 @@ def _search(
     if known[0] == best.motion.scale:
         more.append(find_pose(face, samples, known, upright))
     return min(best, *more, key=lambda pose: pose.cost)
-
-
-def _given_axes(frame: Mapping[str, Any]) -> Axes:
-    """Return the directions (3,) that ``frame`` gives for ``up`` and ``forward``; None for auto."""
-    known = {name: np.array(axis) for name, axis in AXES.items()}
-    return known.get(frame["up"]), known.get(frame["forward"])
 
 
 def nearest_axis(direction: Floats) -> str:

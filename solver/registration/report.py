@@ -176,9 +176,7 @@ def _camera(face: Floats, yaw: float) -> Camera:
 
 
 def _scan_body(scan: ScanSurface, vertices: Floats) -> DrawnBody:
-    surface = Surface(vertices, scan.faces)
-    if not len(scan.faces):
-        surface = _dots(vertices)
+    surface = Surface(vertices, scan.faces) if len(scan.faces) else _dots(vertices)
     return DrawnBody(Lit(surface), np.broadcast_to(GREY, surface.vertices.shape))
 
 

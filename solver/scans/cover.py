@@ -54,7 +54,7 @@ def relief(surface: Surface, centre: Floats, size: tuple[float, float], step: fl
 
 @dataclass(frozen=True)
 class CoverOptions:
-    """The part of a face that a scan should show; lengths in mm."""
+    """The part of a face that a scan should show, half a face, and a second one; lengths in mm."""
 
     points: int = 5000  # of the face that are looked for
     border: float = 12.0  # so near the rim of the template's face, scans may end
@@ -67,6 +67,10 @@ class CoverOptions:
     nearby: tuple[float, ...] = (-6.0, -3.0, 3.0, 6.0)  # where a slide may swing between layers
     mouth: float = 32.0  # radius of the mouth
     behind: tuple[float, ...] = (8.0, 14.0, 20.0, 26.0, 32.0)  # depths of teeth and tongue
+    half_share: float = 0.8  # of a half that is covered at least
+    half_cost: float = 1.9  # at most; other persons' cost up to 1.5, balls and skulls 2.2 and more
+    nothing: float = 18.0  # about the other half without a scan
+    other_share: float = 0.08  # of the scan outside the head that may hold another
 
 
 COVER = CoverOptions()
@@ -237,22 +241,6 @@ HEAD_MM = np.array([[-95.0, -210.0, -220.0], [95.0, 190.0, 120.0]])
 OPPOSITE = {"left": "right", "right": "left", "upper": "lower", "lower": "upper"}
 
 
-@dataclass(frozen=True)
-class PartOptions:
-    """Limits of half a face and of a second one.
-
-    Halves of other persons' faces cost up to 1.5, balls and skulls 2.2 and more where one is.
-    """
-
-    share: float = 0.8  # of a half that is covered at least
-    cost: float = 1.9  # of a half at most, in mm
-    nothing: float = 18.0  # mm about the other half without a scan
-    other_share: float = 0.08  # of the scan outside the head that may hold another
-
-
-PART = PartOptions()
-
-
 def _halves(face: Surface) -> dict[str, FacePoints]:
     """Return the ``left``, ``right``, ``upper`` and ``lower`` halves of a template's face."""
     x, y, _ = face.vertices[face.faces].mean(axis=1).T
@@ -268,9 +256,9 @@ def visible_part(scan: Samples, face: Surface, scales: list[float]) -> str | Non
     costs = {}
     for name, part in parts.items():
         pose = find_pose(part, scan, scales)
-        if pose.coverage > PART.share and pose.cost < PART.cost:
+        if pose.coverage > COVER.half_share and pose.cost < COVER.half_cost:
             gap, _ = KDTree(pose.motion(scan.points)).query(parts[OPPOSITE[name]].points)
-            if (gap > PART.nothing).mean() > 0.5:  # most of the other half is not there
+            if (gap > COVER.nothing).mean() > 0.5:  # most of the other half is not there
                 costs[name] = pose.cost
     return min(costs, key=lambda name: costs[name], default=None)
 
@@ -280,7 +268,7 @@ def has_second_face(scan: Samples, face: FacePoints, pose: FacePose) -> bool:
     scan = orient_outward(scan)
     there = pose.motion(scan.points) - face.points.mean(axis=0)
     outside = ((there < HEAD_MM[0]) | (there > HEAD_MM[1])).any(axis=1)
-    if outside.sum() < PART.other_share * len(outside):
+    if outside.sum() < COVER.other_share * len(outside):
         return False
     rest = Samples(scan.points[outside], scan.normals[outside], scan.oriented)
     return find_pose(face, rest, [pose.motion.scale]).is_face

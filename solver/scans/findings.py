@@ -48,8 +48,8 @@ def error_finding(error: InputError) -> Finding:
 
 
 @dataclass(frozen=True)
-class FaceLimits:
-    """Beyond these a scan's face has a finding."""
+class ScanLimits:
+    """Beyond these a scan has a finding: its face, and shares of its vertices or triangles."""
 
     hole_mm2: float = 180.0  # area of a hole
     cut_off_mm2: float = 500.0  # area missing at the rim
@@ -60,9 +60,15 @@ class FaceLimits:
     coarse_mm: float = 2.5  # between vertices
     coarse_noise: float = 0.2  # more noise a mm of spacing: the quadratic misses folds
     spikes: int = 4  # vertices
+    not_finite: float = 0.2  # vertices: an error
+    flat: float = 0.0005  # triangles
+    flipped: float = 0.005  # triangles
+    unused: float = 0.2  # vertices
+    touching: float = 0.005  # edges of three triangles where touching parts are joined
+    dense: int = 400_000  # vertices, not a share
 
 
-FACE_LIMITS = FaceLimits()
+LIMITS = ScanLimits()
 
 
 def cover_findings(cover: Cover) -> list[Finding]:
@@ -70,19 +76,17 @@ def cover_findings(cover: Cover) -> list[Finding]:
     found = []
     worst = min(("left", "right", "upper", "lower"), key=cover.share)
     whole = cover.share()
-    if whole < FACE_LIMITS.least_cover or cover.share(worst) < FACE_LIMITS.least_side:
+    if whole < LIMITS.least_cover or cover.share(worst) < LIMITS.least_side:
         place = f"in the {worst} half" if worst in ("upper", "lower") else f"on the {worst} side"
         message = f"{1 - whole:.0%} of the face is missing, most of it {place}."
         found.append(make_finding("scan.coverage", "error", message, covered=round(whole, 3)))
-    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > FACE_LIMITS.cut_off_mm2]
+    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > LIMITS.cut_off_mm2]
     if cut and not found:
         area = sum(hole.area_mm2 for hole in cut)
         regions = ", ".join(dict.fromkeys(hole.region for hole in cut))
         message = f"The scan ends before the face does: {area / 100:.0f} cm2 miss at the {regions}."
         found.append(make_finding("scan.cut_off", "warning", message, area_mm2=round(area)))
-    holes = [
-        hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > FACE_LIMITS.hole_mm2
-    ]
+    holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > LIMITS.hole_mm2]
     if holes:
         number = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
         area, region = holes[0].area_mm2 / 100, holes[0].region
@@ -90,7 +94,7 @@ def cover_findings(cover: Cover) -> list[Finding]:
         places = [{"region": h.region, "area_mm2": round(h.area_mm2)} for h in holes[:10]]
         found.append(make_finding("scan.holes", "warning", message, holes=places))
     small = [hole for hole in cover.holes if not any(hole is told for told in (*cut, *holes))]
-    if small and whole >= FACE_LIMITS.least_cover:
+    if small and whole >= LIMITS.least_cover:
         area, region = sum(hole.area_mm2 for hole in small), small[0].region
         number = "a small gap" if len(small) == 1 else f"{len(small)} small gaps"
         message = f"The face has {number}, {area / 100:.1f} cm2, at the {region}: red in check.png."
@@ -101,20 +105,20 @@ def cover_findings(cover: Cover) -> list[Finding]:
 def roughness_findings(noise_mm: float, spacing_mm: float, spikes: int) -> list[Finding]:
     """Return whether a face is noisy, spiky or coarse."""
     found = []
-    limit = FACE_LIMITS.noise_mm + FACE_LIMITS.coarse_noise * max(spacing_mm - 3.0, 0.0)
+    limit = LIMITS.noise_mm + LIMITS.coarse_noise * max(spacing_mm - 3.0, 0.0)
     if noise_mm > limit:
-        severity: Severity = "error" if noise_mm > limit + FACE_LIMITS.much_noise_mm else "warning"
+        severity: Severity = "error" if noise_mm > limit + LIMITS.much_noise_mm else "warning"
         message = f"The surface is noisy: {noise_mm:.1f} mm; a good scan has below 0.3 mm."
-        figures = {"found": round(noise_mm, 2), "expected": FACE_LIMITS.noise_mm}
+        figures = {"found": round(noise_mm, 2), "expected": LIMITS.noise_mm}
         found.append(make_finding("scan.noise", severity, message, **figures))
-    if spacing_mm > FACE_LIMITS.coarse_mm:
+    if spacing_mm > LIMITS.coarse_mm:
         message = f"The scan is coarse: a vertex every {spacing_mm:.1f} mm on the face."
-        figures = {"found": round(spacing_mm, 1), "expected": FACE_LIMITS.coarse_mm}
+        figures = {"found": round(spacing_mm, 1), "expected": LIMITS.coarse_mm}
         found.append(make_finding("scan.coarse", "warning", message, **figures))
     if spikes:
         many = "spikes stick" if spikes > 1 else "spike sticks"
         message = f"{spikes} {many} out on or around the face: orange in check.png."
-        severity = "warning" if spikes >= FACE_LIMITS.spikes else "info"
+        severity = "warning" if spikes >= LIMITS.spikes else "info"
         found.append(make_finding("scan.spikes", severity, message, found=spikes))
     return found
 
@@ -143,21 +147,6 @@ def feature_findings(mouth: MouthGaps, eyes: dict[str, Eye], role: str) -> list[
 
 
 # Findings about the file and its mesh, before anything is known of a face.
-
-
-@dataclass(frozen=True)
-class FileLimits:
-    """Shares of vertices or triangles beyond which a fault is worth a look."""
-
-    not_finite: float = 0.2  # vertices: an error
-    flat: float = 0.0005  # triangles
-    flipped: float = 0.005  # triangles
-    unused: float = 0.2  # vertices
-    touching: float = 0.005  # edges of three triangles where touching parts are joined
-    dense: int = 400_000  # vertices, not a share
-
-
-FILE_LIMITS = FileLimits()
 
 
 # What is counted in a file: the sentence, and its subject with a verb for one and for many.
@@ -194,7 +183,7 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
         add("scan.wrong_extension", "warning", message, expected=expected, found=held)
     lost, first = mending.not_finite, mending.first_not_finite
     if lost:
-        severity: Severity = "error" if lost > FILE_LIMITS.not_finite * vertices else "warning"
+        severity: Severity = "error" if lost > LIMITS.not_finite * vertices else "warning"
         message = (
             f"{count_words(lost, 'vertex', 'vertices')} of {vertices} "
             f"{'is' if lost == 1 else 'are'} not a number; the first is vertex {first} "
@@ -204,13 +193,13 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
     is_welded = mending.duplicate > WELDED_SHARE * vertices
     seams = held in ("glb", "stl")  # which cannot share vertices across a seam
     touches = held == "stl" or is_welded
-    many_touch = mending.non_manifold >= FILE_LIMITS.touching * 1.5 * triangles
-    flat, flipped = FILE_LIMITS.flat * triangles, FILE_LIMITS.flipped * triangles
+    many_touch = mending.non_manifold >= LIMITS.touching * 1.5 * triangles
+    flat, flipped = LIMITS.flat * triangles, LIMITS.flipped * triangles
     counts = {
         "scan.duplicate_vertices": (mending.duplicate, is_welded and not seams),
         "scan.zero_area_faces": (mending.flat, mending.flat > flat),
         "scan.repeated_faces": (mending.repeated, mending.repeated > flat),
-        "scan.unused_vertices": (mending.unused, mending.unused > FILE_LIMITS.unused * vertices),
+        "scan.unused_vertices": (mending.unused, mending.unused > LIMITS.unused * vertices),
         "scan.non_manifold": (mending.non_manifold, many_touch or not touches),
         "scan.inconsistent_normals": (mending.flipped, mending.flipped > flipped),
     }
@@ -226,9 +215,9 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
     if not len(raw.faces) and raw.normals is None:
         message = f"{raw.file} is a point cloud without normals; they are found from neighbours."
         add("scan.no_normals", "warning", message)
-    if vertices > FILE_LIMITS.dense:
+    if vertices > LIMITS.dense:
         message = f"{vertices:,} vertices are more than a registration can use."
-        add("scan.dense", "warning", message, found=vertices, expected=FILE_LIMITS.dense)
+        add("scan.dense", "warning", message, found=vertices, expected=LIMITS.dense)
     return found
 
 

@@ -10,7 +10,7 @@ import csv
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn, Protocol
+from typing import NoReturn
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,19 +24,6 @@ from solver.surface import Floats, Ints, Surface
 FORMATS = (".npy",)
 FARTHEST_MM = 1e4  # a coordinate beyond it is no place in a studio
 SIZES = (0.5, 2.0)  # of a face beside the neutral; a wrong unit is farther off
-
-
-class Performance(Protocol):
-    """Frames of one person's face."""
-
-    @property
-    def name(self) -> str:
-        """Return the file's or folder's name."""
-
-    def __len__(self) -> int: ...
-
-    def frame(self, number: int) -> RegisteredScan:
-        """Return the face's points (k, 3) in mm and their confidence (k,), 0 where unseen."""
 
 
 def open_performance(path: Path, neutral: Surface, face: Ints) -> Performance:
@@ -110,6 +97,7 @@ class _Array:
         return len(self.points)
 
     def frame(self, number: int) -> RegisteredScan:
+        """Return the face's points (k, 3) in mm and their confidence (k,), 0 where unseen."""
         points = np.asarray(self.points[number][self.columns], np.float64)
         beyond = (np.abs(points) > FARTHEST_MM).any(axis=1)  # NaN is not: unseen
         if beyond.any():
@@ -143,6 +131,7 @@ class _Folder:
         return len(self.paths)
 
     def frame(self, number: int) -> RegisteredScan:
+        """Return the same as :meth:`_Array.frame`."""
         path, vertices = self.paths[number], self.neutral.vertices
         try:
             scan = read_registered(path, self.neutral.faces, len(vertices))
@@ -151,6 +140,9 @@ class _Folder:
             raise
         points = np.where(scan.confidence[:, None] > 0, scan.vertices, np.nan)[self.face]
         return RegisteredScan(points, scan.confidence[self.face])
+
+
+Performance = _Array | _Folder  # frames of one person's face; ``name`` is the file's or folder's
 
 
 def _check_size(file: str, number: int, points: Floats, rest: Floats) -> None:

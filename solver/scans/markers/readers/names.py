@@ -91,7 +91,9 @@ def read_names(labels: Sequence[str]) -> list[Named | None]:
 
 def read_name(label: str) -> Named | None:
     """Return the place by one label; what is named after the body has the part ``ignore``."""
-    parts = _split(label)
+    # the words in lower case: ``Mouth_UpL1`` is mouth, up, l, 1
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])", " ", label)
+    parts = re.findall(r"[a-z]+|\d+", spaced.lower())
     joined = "".join(parts)
     if BODY.match(joined):
         return Named("body", (0.0, 0.0, 0.0), "ignore")
@@ -116,12 +118,6 @@ def read_name(label: str) -> Named | None:
     if x and side in (None, 0):
         return None if part == "face" else Named(region, (0, y, z), part)
     return Named(region, (x * (side or 1), y, z), part, (side or 0) if x else 0)
-
-
-def _split(label: str) -> list[str]:
-    """Return a label's words in lower case: ``Mouth_UpL1`` is mouth, up, l, 1."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])", " ", label)
-    return re.findall(r"[a-z]+|\d+", spaced.lower())
 
 
 def _rest(parts: list[str], start: int, length: int) -> list[str]:
