@@ -33,7 +33,7 @@ from solver.scans.markers.findings import (
     report_unlabelled,
 )
 from solver.scans.markers.places.actor import ActorWarp, fit_warp
-from solver.scans.markers.places.bind import Reference, place_take, places_of
+from solver.scans.markers.places.bind import BIND, Reference, place_take, places_of
 from solver.scans.markers.places.face_take import FACE, USUAL_RATE, FaceTake, LocatedTake
 from solver.scans.markers.places.marker_set import BONY, MarkerSet
 from solver.scans.markers.prepare import PreparedTake, PrepareOptions
@@ -254,7 +254,7 @@ def _off_places(
     if len(known) < FACE.least:
         return off
     there = goal[known]
-    motion = robust_motion(placed[known], there, np.ones(len(known)), 3.0, 12)
+    motion = robust_motion(placed[known], there, np.ones(len(known)), BIND.slack, BIND.steps)
     apart = np.linalg.norm(motion(placed[known])[:, None] - there[None], axis=2)
     _, chosen = linear_sum_assignment(apart**2)
     off[known] = np.diag(apart)

@@ -24,6 +24,7 @@ from solver.scans.markers.places.actor import carry, off_places
 from solver.scans.markers.places.bind import (
     Expression,
     Reference,
+    onto_places,
     place_on,
     place_take,
     places_of,
@@ -50,7 +51,6 @@ from solver.scans.markers.signal.motion import (
     still_seconds,
 )
 from solver.scans.markers.signal.rest import REST
-from solver.similarity import robust_motion_of_seen
 from solver.surface import Floats, Surface
 
 
@@ -220,18 +220,6 @@ def _other_person(
 # residuals (``signal/motion.py``) differ by before and after.
 
 
-@dataclass(frozen=True)
-class SplitOptions:
-    """Settings of the motion of a take's middle face onto a set's places."""
-
-    least: int = 4  # markers that give it
-    slack_mm: float = 3.0  # off by more: little weight
-    steps: int = 12
-
-
-SPLIT = SplitOptions()
-
-
 def split_moved(
     take: Take, markers: MarkerSet, faults: Faults, skin: Surface
 ) -> tuple[Take, MarkerSet]:
@@ -274,9 +262,7 @@ def _in_person(motion: Motion, markers: MarkerSet, goal: Floats) -> tuple[Floats
     None if too few markers have a place.
     """
     turn = markers.session.rotation.T  # it mirrors if the take's axes are left-handed
-    middle = motion.middle @ turn
-    least, slack = SPLIT.least, SPLIT.slack_mm
-    to_person = robust_motion_of_seen(middle, goal, slack, SPLIT.steps, least)
+    to_person = onto_places(motion.middle @ turn, goal)
     if to_person is None:
         return None
     return to_person(motion.places @ turn), to_person.turn(motion.residuals @ turn)

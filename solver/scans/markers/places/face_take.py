@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from solver.errors import InputError
 from solver.registration.units import choose_unit, likely_unit
-from solver.scans.markers.places.locate import NAMES_UNIT, Located, LocateOptions, locate
+from solver.scans.markers.places.locate import LOCATE, NAMES_UNIT, Located, locate
 from solver.scans.markers.readers.names import Named, read_names
 from solver.scans.markers.readers.take import Take
 from solver.scans.markers.signal.faults import Faults, find_faults
@@ -35,7 +35,6 @@ class FaceOptions:
     linked: float = 100.0  # markers of one head lie no farther apart, one to the next
     second: float = 0.4  # of the first face's markers make another face ...
     least_second: int = 6  # ... if they are so many
-    off_skin: float = LocateOptions.off_skin  # a marker counts for no more, of likeness to a person
     least_on: float = 0.5  # of a face's markers are on the skin, or it is none
     resembles: float = 0.5  # of it: a pose that is so much more like the person is the rest
 
@@ -231,7 +230,7 @@ def _unlikeness(pose: Located | None) -> float:
     """Return how far markers miss the skin at their usual height, mm, infinite without a pose."""
     if pose is None or not np.isfinite(pose.off_skin).any():
         return np.inf
-    return float(np.nanmean(np.minimum(np.abs(pose.off_skin), FACE.off_skin)))
+    return float(np.nanmean(np.minimum(np.abs(pose.off_skin), LOCATE.off_skin)))
 
 
 def _lies_elsewhere(pose: Located | None) -> bool:
@@ -239,7 +238,7 @@ def _lies_elsewhere(pose: Located | None) -> bool:
     if pose is None:
         return False
     off = pose.off_skin[np.isfinite(pose.off_skin)]
-    return bool((np.abs(off) <= FACE.off_skin).sum() < FACE.least_on * len(off))
+    return bool((np.abs(off) <= LOCATE.off_skin).sum() < FACE.least_on * len(off))
 
 
 def frames_about(
