@@ -228,27 +228,24 @@ def _members(archive: Path) -> list[str]:
         raise file_fault("download.unreadable", reason, archive) from error
 
 
-def obj_vertices(file: PublicFile) -> Floats:
-    """Return the vertices (n, 3) of a Wavefront OBJ, in its own unit and order.
-
-    Raises :class:`InputError` (``download.mesh``) with ``file`` and ``line``.
-    """
-    return _parse_vertices(file, file.read().splitlines())
-
-
 def obj_mesh(file: PublicFile) -> tuple[Floats, Ints]:
     """Return vertices (n, 3) and polygons (f, 4) of a Wavefront OBJ of triangles and quads.
 
     The fourth column of a triangle is -1. Raises as :func:`obj_vertices`.
     """
     rows = file.read().splitlines()
-    vertices = _parse_vertices(file, rows)
+    vertices = obj_vertices(file, rows)
     faces = [(line, row) for line, row in enumerate(rows, start=1) if row.startswith(b"f ")]
     polygons = [_corners(file, line, row, len(vertices)) for line, row in faces]
     return vertices, np.array(polygons, dtype=np.int64).reshape(-1, 4)
 
 
-def _parse_vertices(file: PublicFile, rows: list[bytes]) -> Floats:
+def obj_vertices(file: PublicFile, rows: list[bytes] | None = None) -> Floats:
+    """Return the vertices (n, 3) of a Wavefront OBJ, in its own unit and order.
+
+    Raises :class:`InputError` (``download.mesh``) with ``file`` and ``line``.
+    """
+    rows = file.read().splitlines() if rows is None else rows
     vertices: list[tuple[float, float, float]] = []
     for line, row in enumerate(rows, start=1):
         if row.startswith(b"v "):
