@@ -11,21 +11,14 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 import scipy.sparse as sp
+import trimesh
 from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import extend
 from solver.anatomy.template import Muscle
 from solver.anatomy.tetrahedra import volumes
 from solver.mechanics.flesh import shape_gradients
-from solver.surface import (
-    Floats,
-    Ints,
-    Surface,
-    area_normals,
-    directed_edges,
-    own_numbers,
-    winding_numbers,
-)
+from solver.surface import Floats, Ints, Surface, area_normals, own_numbers, winding_numbers
 
 CANDIDATE_MM = 10.0  # a muscle may act in the tets within this distance (the paper's sparsity of S)
 # Eight equal parts of a tetrahedron: each corner is half way between two of its corners.
@@ -99,7 +92,8 @@ def enclosed_volume(surface: Surface, samples: int = 40_000) -> float:
     Where it is closed that is a sum over its triangles. Else, with gaps or pieces inside out, it is
     counted on a grid of ``samples`` along the surface's principal axes, to about 2 %.
     """
-    if _is_closed(surface.faces):
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    if mesh.is_watertight and mesh.is_winding_consistent:
         return abs(signed_volume(surface))
     middle = surface.vertices.mean(axis=0)
     axes = np.linalg.svd(surface.vertices - middle, full_matrices=False)[2]
@@ -115,14 +109,6 @@ def signed_volume(surface: Surface) -> float:
     """Return the volume in mm^3 inside a closed surface, negative if it is turned inwards."""
     corners = surface.vertices[surface.faces] - surface.vertices.mean(axis=0)
     return float(np.linalg.det(corners).sum() / 6.0)
-
-
-def _is_closed(faces: Ints) -> bool:
-    """Tell whether every edge has two faces, which run along it in opposite directions."""
-    edges = directed_edges(faces)
-    places = np.array([faces.max() + 1, 1])
-    there, back = np.sort(edges @ places), np.sort(edges[:, ::-1] @ places)
-    return bool(np.array_equal(there, back) and (np.diff(there) > 0).all())
 
 
 def contains(surface: Surface, points: Floats) -> np.ndarray:

@@ -43,18 +43,9 @@ PARTS: dict[str, Part] = {
 }
 WORDS: dict[str, list[str]] = TABLES["words"]  # for parts
 # The 68 points: corners of chains, between which the others lie.
-CHAINS: tuple[dict[int, Place], ...] = (
-    {0: (-71, 20, -95), 4: (-55, -43, -92), 6: (-34, -64, -56), 8: (0, -76, -32)},
-    {17: (-50, 56, -32), 19: (-27, 53, -20), 21: (-11, 50, -18)},
-    {27: (0, 38, -19), 30: (0, 0, 0)},
-    {31: (-17, -8, -21), 33: (0, -13, -11)},
-    {36: (-45, 37, -34), 37: (-36, 42, -27), 38: (-26, 42, -26), 39: (-17, 36, -29)},
-    {39: (-17, 36, -29), 40: (-26, 31, -28), 41: (-36, 31, -29)},
-    {48: (-25, -33, -22), 50: (-5, -22, -7), 51: (0, -23, -7)},
-    {57: (0, -42, -11), 58: (-7, -42, -12), 59: (-16, -40, -15)},
-    {60: (-22, -33, -21), 61: (-8, -32, -14), 62: (0, -32, -13)},
-    {66: (0, -34, -12), 67: (-8, -34, -13)},
-)
+CHAINS: list[dict[int, Place]] = [
+    {int(number): place for number, place in chain.items()} for chain in TABLES["chains"]
+]
 # Each point's twin on the other side.
 TWINS_68 = {
     **{n: 16 - n for n in range(17)},
