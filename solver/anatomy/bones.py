@@ -36,8 +36,8 @@ Volume = np.ndarray
 
 
 @dataclass(frozen=True)
-class WrapOptions:
-    """Fineness of bone wraps, and the room that they leave for flesh."""
+class BoneOptions:
+    """Fineness of bone wraps, the room that they leave for flesh, and where flesh is held."""
 
     voxel_mm: float = 1.25
     joint_gap_mm: float = 1.5  # room for flesh between mandible and cranium
@@ -47,16 +47,17 @@ class WrapOptions:
     faces: int = 6000  # of each wrap, after decimation
     smoothing_voxels: float = 1.0  # deviation of the Gaussian before marching cubes
     taubin_steps: int = 16  # of smoothing after it
+    origin_mm: float = 5.0  # from a muscle's end: its attachment holds the flesh of a space
 
 
-WRAP = WrapOptions()
+BONES = BoneOptions()
 
 
 class VoxelGrid:
     """Cubes that cover the box ``lo`` to ``hi`` (3,) in mm."""
 
     def __init__(self, lo: Floats, hi: Floats) -> None:
-        self.lo, self._side = lo, WRAP.voxel_mm
+        self.lo, self._side = lo, BONES.voxel_mm
         self.shape = tuple(np.ceil((hi - lo) / self._side).astype(int))
 
     def shell(self, surface: Surface) -> Volume:
@@ -86,10 +87,10 @@ class VoxelGrid:
     def surface(self, volume: Volume) -> Surface:
         """Return the smoothed, decimated boundary of the largest piece of ``volume``."""
         padded = np.pad(largest_piece(volume), 2).astype(float)
-        field = ndimage.gaussian_filter(padded, WRAP.smoothing_voxels)
+        field = ndimage.gaussian_filter(padded, BONES.smoothing_voxels)
         places = zip(self.lo, field.shape, strict=True)
         grid = [low + (np.arange(count) - 1.5) * self._side for low, count in places]
-        steps, count = WRAP.taubin_steps, WRAP.faces
+        steps, count = BONES.taubin_steps, BONES.faces
         mesh = trimesh.Trimesh(*level_set(field, grid, 0.5), process=True)
         trimesh.smoothing.filter_taubin(mesh, iterations=steps)  # type: ignore[no-untyped-call]
         vertices, faces, _, _ = igl.qslim(np.asarray(mesh.vertices), np.asarray(mesh.faces), count)
@@ -135,18 +136,18 @@ def wrap_bones(
     """Return watertight wraps of cranium and mandible within the box of ``grid``.
 
     The cranium's wrap is solid: brain, orbits behind their rim, nose and sinuses are filled. It
-    keeps ``joint_gap_mm`` of :data:`WRAP` to the mandible, and both keep ``skin_gap_mm`` to
+    keeps ``joint_gap_mm`` of :data:`BONES` to the mandible, and both keep ``skin_gap_mm`` to
     ``skin``.
     """
     jaw = grid.solid(mandible)
-    skull = grid.close(grid.shell(cranium), WRAP.closing_mm)
+    skull = grid.close(grid.shell(cranium), BONES.closing_mm)
     # Frontal slices: walls around brain, orbits and nose are rings there, the zygomatic arches are
     # not, so the temporal fossae stay open.
     for k in range(skull.shape[2]):
         skull[:, :, k] = ndimage.binary_fill_holes(skull[:, :, k])
-    near_skin = grid.distance(grid.shell(skin)) < WRAP.skin_gap_mm
+    near_skin = grid.distance(grid.shell(skin)) < BONES.skin_gap_mm
     jaw &= ~near_skin
-    skull &= ~near_skin & (grid.distance(jaw) > WRAP.joint_gap_mm + WRAP.voxel_mm)
+    skull &= ~near_skin & (grid.distance(jaw) > BONES.joint_gap_mm + BONES.voxel_mm)
     return grid.surface(ndimage.binary_opening(skull)), grid.surface(jaw)
 
 
@@ -200,16 +201,6 @@ class FacialSpace:
     origins: tuple[str, ...]  # muscles likewise
 
 
-@dataclass(frozen=True)
-class SpaceOptions:
-    """Share of the bone that an attachment takes."""
-
-    origin_mm: float = 5.0  # from a muscle's end
-
-
-SPACES = SpaceOptions()
-
-
 @cache
 def facial_spaces() -> tuple[FacialSpace, ...]:
     """Return the table of spaces and ligaments."""
@@ -236,7 +227,7 @@ def gliding(head: Template, points: Floats) -> np.ndarray:
         else:
             holding = _muscles(head, space.origins)
             origins = [end_vertices(each.surface, each.fibre)[0] for each in holding]
-            glides |= near & ~(_distance(origins, points) < SPACES.origin_mm)
+            glides |= near & ~(_distance(origins, points) < BONES.origin_mm)
     return np.asarray(glides & ~held)
 
 
