@@ -20,7 +20,7 @@ from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
 from solver.rig.frames.animation import check_video
 from solver.rig.rig import Rig
-from solver.scans.live_link import read_live_link
+from solver.scans.performance import read_live_link
 from solver.scene import Stage
 from solver.scene.document import head_of
 from solver.surface import Floats
