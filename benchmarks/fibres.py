@@ -27,7 +27,7 @@ from benchmarks.speed.clock import Stopwatch
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.build import build_subject_model
 from solver.anatomy.meshing import find_or_make_mesh
-from solver.contact.potentials import Gauge, contact_potentials
+from solver.contact import Gauge, contact_potentials
 from solver.errors import SolveError
 from solver.fitting import prior
 from solver.fitting.activation import unseen_regulariser
@@ -54,10 +54,10 @@ from solver.mechanics.linear import fastest
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.rig.rig import Rig
-from solver.scans.live_link import read_live_link
+from solver.scans.performance import read_live_link
 from solver.similarity import IDENTITY as STILL
+from solver.simulation import Simulator
 from solver.simulation.forces import Drive
-from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Surface
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
 from solver.templates.ict_facekit import drive, ict_capture_set, ict_neutral, read_facekit

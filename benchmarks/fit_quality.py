@@ -46,7 +46,7 @@ from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.fitting.per_tet import PerTetOptions
 from solver.mechanics.flesh import COROTATED_DET
-from solver.templates.export import CaptureSet
+from solver.templates.tables import CaptureSet
 
 QUICK_ROUNDS = 6
 FEW_SCANS = 3

@@ -42,8 +42,8 @@ from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.rig.next_scan import Library, library_targets
 from solver.surface import Floats
 from solver.templates.builtin.build import builtin_template
-from solver.templates.export import CaptureSet
 from solver.templates.ict_facekit import read_facekit, shape_basis
+from solver.templates.tables import CaptureSet
 
 SCANS, OTHERS = 3, 5
 QUICK_ROUNDS = 4

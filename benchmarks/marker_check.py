@@ -27,7 +27,7 @@ from solver.anatomy.template import Template
 from solver.anatomy.warp import spread
 from solver.jobs import run_job
 from solver.registration.locate import face_surface
-from solver.scans.markers.checks.check import check_take
+from solver.scans.markers.check import check_take
 from solver.scans.markers.places.bind import Reference
 from solver.scans.markers.readers.take import read_take
 from solver.surface import Floats, vertex_normals

@@ -30,9 +30,9 @@ from solver.rig.pictures import skin_picture, template_picture
 from solver.storage import read_arrays
 from solver.surface import Floats, Surface
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
-from solver.templates.export import CaptureSet
 from solver.templates.rebase import Rebased, rebase
 from solver.templates.report import report_template
+from solver.templates.tables import CaptureSet
 
 QUICK_ROUNDS = 6
 COLUMNS = {

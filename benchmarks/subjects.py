@@ -17,9 +17,9 @@ from solver.fitting.geometry import GeometryOptions
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
-from solver.templates.export import CaptureSet
 from solver.templates.ict_facekit import ict_capture_set
 from solver.templates.ict_template import build_ict_template
+from solver.templates.tables import CaptureSet
 
 EDGE_MM, COARSE_EDGE_MM = 9.0, 18.0
 """Tets' edges of benchmarks: as in jobs, and small enough for IPOPT."""

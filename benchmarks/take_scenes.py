@@ -25,8 +25,7 @@ from solver.kinds.scene import PerformanceEntry, SimulateScene
 from solver.model import SubjectModel
 from solver.rig.rig import Rig
 from solver.scene.document import read_scene
-from solver.scene.objects import SceneObject, objects_of
-from solver.scene.places import Places
+from solver.scene.places import Places, SceneObject, objects_of
 from solver.similarity import small_motion
 from solver.surface import Floats
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from solver.model import SubjectModel as SubjectModel
     from solver.rig.exporters import export as export
     from solver.rig.rig import Rig as Rig
-    from solver.simulation.simulator import Simulator as Simulator
+    from solver.simulation import Simulator as Simulator
 
 # Read when the first kernel starts its threads. Else these wait busily for the next kernel, which
 # takes a tenth of the speed from what runs meanwhile and half of the processor from other workers.
@@ -61,7 +61,7 @@ _PLACES = {
     "RegisteredScan": "solver.meshio.registered:RegisteredScan",
     "Rig": "solver.rig.rig:Rig",
     "Sensitivity": "solver.fitting.sensitivity:Sensitivity",
-    "Simulator": "solver.simulation.simulator:Simulator",
+    "Simulator": "solver.simulation:Simulator",
     "SubjectModel": "solver.model:SubjectModel",
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",

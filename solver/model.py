@@ -179,6 +179,23 @@ class SubjectModel:
         """Return the skin vertices of the lower teeth; all on the mandible if none are named."""
         return lower_teeth(self.regions, self.attached_mandible)
 
+    def region(self, name: str) -> Ints:
+        """Return the skin vertices (k,) of a region; none if the model does not name it."""
+        return self.regions.get(name, np.empty(0, np.int64))
+
+    @property
+    def flesh_faces(self) -> Ints:
+        """Return the skin's triangles (f, 3) that follow the flesh."""
+        return self.skin.faces[np.isin(self.skin.faces, self.embedded).all(axis=1)]
+
+    @property
+    def face_triangles(self) -> Ints:
+        """Return the skin's triangles (f, 3) within the face, by numbers of the face's points."""
+        number = np.full(len(self.skin.vertices), -1)
+        number[self.face] = np.arange(len(self.face))
+        triangles = number[self.skin.faces]
+        return np.asarray(triangles[(triangles >= 0).all(axis=1)])
+
     @property
     def muscle_count(self) -> int:
         """Return m, the number of muscles (the passive column not counted)."""

@@ -22,10 +22,10 @@ from benchmarks.physics.section import section
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from myoface.client import Client
 from solver.anatomy.template import Template
-from solver.animation.drives import RecordedDrives
+from solver.animation import RecordedDrives
 from solver.model import SubjectModel
 from solver.rig.rig import Rig
-from solver.scans.live_link import read_live_link
+from solver.scans.performance import read_live_link
 
 SHOWS = ("checks", "contact", "sliding", "speed", "effects", "performance", "jobs")
 QUICK_FRAMES = 20

@@ -23,7 +23,7 @@ from scipy.optimize import brentq
 from benchmarks.documents import Figures
 from benchmarks.physics.box import box
 from benchmarks.plots import COLOURS, HEIGHT_IN, STYLE, WIDTH_IN, power_law, save
-from solver.edits.edit import DENSITY
+from solver.edits import DENSITY
 from solver.fitting.face import Face
 from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics import equilibrium, linear
@@ -37,8 +37,8 @@ from solver.mechanics.flesh import (
 )
 from solver.model import SubjectModel
 from solver.similarity import IDENTITY
+from solver.simulation import Simulator
 from solver.simulation.forces import Drive, FleshMotion, Inertia, lumped_masses
-from solver.simulation.simulator import Simulator
 from solver.surface import Floats, Ints, area_normals
 
 MATERIALS = {

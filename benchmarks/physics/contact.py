@@ -20,18 +20,18 @@ import trimesh
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from benchmarks.physics.headset import headset
+from solver.contact import Gauge, Penetration, contact_potentials
 from solver.contact.crossing import depth_inside
-from solver.contact.potentials import Gauge, Penetration, contact_potentials
 from solver.drawing.head import SIDE, THREE_QUARTER, DrawnHead
 from solver.drawing.render import Camera, DrawnBody, Lit, render_bust
 from solver.drawing.sheet import HEADER, Sheet
-from solver.edits.edit import DENSITY
+from solver.edits import DENSITY
 from solver.fitting.face import Face, Pose
 from solver.kinds.scene import STIFFNESS_PA
 from solver.model import SubjectModel
 from solver.rig.pictures import WIDTH
-from solver.scene.objects import check_objects
-from solver.simulation.simulator import Simulator, Stepped
+from solver.scene.places import check_objects
+from solver.simulation import Simulator, Stepped
 from solver.surface import Floats, Surface
 
 FPS = 30.0

@@ -23,7 +23,7 @@ from benchmarks.documents import Figures
 from solver.drawing.head import THREE_QUARTER, DrawnHead, face_camera
 from solver.drawing.render import render_bust
 from solver.drawing.sheet import HEADER, Sheet
-from solver.edits.edit import Edited, Replay, Replayed, apply
+from solver.edits import Edited, Replay, Replayed, apply
 from solver.errors import SolveError
 from solver.fitting.drives.fibre_contraction import fit_contractions
 from solver.fitting.face import Face
@@ -32,9 +32,9 @@ from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig.report.edit_report import Compared, EditedPerson, edit_report
 from solver.rig.rig import ExpressionFit, Rig
+from solver.scene import Physics, edit_of
 from solver.scene.document import read_scene
 from solver.scene.places import Places
-from solver.scene.stage import Physics, edit_of
 from solver.surface import Floats, Ints, vertex_areas, vertex_normals
 
 SCENES = Path(__file__).parents[2] / "docs" / "examples" / "scenes"

@@ -16,9 +16,9 @@ from benchmarks.physics.jobs import FOLDER
 from solver.jobs.scenes import play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.rig.frames.animation import Filming, Shot, contact_sheet
+from solver.scene import Stage
 from solver.scene.document import drives_of, read_scene
 from solver.scene.places import Places
-from solver.scene.stage import Stage
 
 SMILE = [{"time": 0}, {"time": 0.5, "expressions": {"smile": 1}}]
 HEADSET = {

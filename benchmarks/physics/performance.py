@@ -21,7 +21,7 @@ from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
 from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import ShapeBasis
-from solver.animation.drives import RecordedDrives
+from solver.animation import RecordedDrives
 from solver.cache import cache_directory
 from solver.drawing.head import DrawnHead, face_camera
 from solver.drawing.render import render_bust
@@ -30,9 +30,9 @@ from solver.jobs.scenes import finish, play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.progress import silent
 from solver.rig.frames.animation import MotionRecord
-from solver.scans.live_link import LiveLinkTake
+from solver.scans.performance import LiveLinkTake
+from solver.scene import Stage
 from solver.scene.places import Places
-from solver.scene.stage import Stage
 from solver.surface import Floats
 
 START, FRAMES = 2000, 300

@@ -17,16 +17,16 @@ import scipy.sparse as sp
 from benchmarks import plots
 from benchmarks.documents import Figures
 from benchmarks.physics.fitted import Fitted
-from solver.animation.drives import Drives
-from solver.contact.potentials import contact_potentials
-from solver.edits.edit import DENSITY
+from solver.animation import Drives
+from solver.contact import contact_potentials
+from solver.edits import DENSITY
 from solver.fitting.face import Face
 from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
+from solver.simulation import Simulator, Stepped
 from solver.simulation.forces import Drive
-from solver.simulation.simulator import Simulator, Stepped
 from solver.surface import Floats
 
 WARM = 2

@@ -17,7 +17,7 @@ from solver.fitting.objective import SkinDistance, Target
 from solver.mechanics.linear import Factor, LinearSolver, fastest
 from solver.model import SubjectModel
 from solver.surface import Floats
-from solver.templates.export import CaptureSet
+from solver.templates.tables import CaptureSet
 
 NEIGHBOUR = 0.95
 """Part of the way from rest to an expression: where the warm start of that expression is."""

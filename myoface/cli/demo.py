@@ -19,7 +19,7 @@ from myoface.demo.outcome import Bars, DemoOutcome, khronos_validation, millimet
 
 if TYPE_CHECKING:
     from myoface.demo.session import Options
-    from solver.templates.export import CaptureSet
+    from solver.templates.tables import CaptureSet
 
 BUILTIN_BARS = Bars(train_mm=0.9, test_mm=1.0)
 ICT_BARS = Bars(train_mm=0.85, test_mm=0.90)

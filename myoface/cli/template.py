@@ -165,7 +165,7 @@ def show(
 @template.command()
 def export(given: Given = None, output: NewFolder = Path("template")) -> None:
     """Write a template as a folder of meshes and tables, to change it or as an example."""
-    from solver.templates.export import write_template
+    from solver.templates.tables import write_template
 
     write_template(_load(given), output)
     out.print(f"{output}")

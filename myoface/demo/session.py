@@ -16,7 +16,7 @@ from myoface.client.archive import RIG_NOTE
 from myoface.errors import ApiError
 from myoface.resources import Job, Result
 from myoface.roles import Role
-from solver.templates.export import CaptureSet
+from solver.templates.tables import CaptureSet
 
 LOG_TAIL = 20
 WORTH_TELLING_S = 0.05

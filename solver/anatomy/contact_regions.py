@@ -79,11 +79,7 @@ DISTANCES = ContactDistances()
 
 
 def contact_regions(
-    flesh: Surface,
-    sides: Ints,
-    parts: Mapping[str, Ints],
-    landmarks: Mapping[str, int],
-    distances: ContactDistances = DISTANCES,
+    flesh: Surface, sides: Ints, parts: Mapping[str, Ints], landmarks: Mapping[str, int]
 ) -> dict[str, Ints]:
     """Return region -> skin vertices, sorted.
 
@@ -97,18 +93,16 @@ def contact_regions(
     skin, own = flesh.vertices, np.unique(flesh.faces)
     rows = [skin[parts[f"{jaw}_teeth"]] for jaw in ("upper", "lower")]
     # those that lips cover
-    front = [row[row[:, 2] > np.quantile(row[:, 2], 1 - distances.front_teeth)] for row in rows]
-    lining = own[cKDTree(np.vstack(front)).query(skin[own])[0] < distances.lining_mm]
+    front = [row[row[:, 2] > np.quantile(row[:, 2], 1 - DISTANCES.front_teeth)] for row in rows]
+    lining = own[cKDTree(np.vstack(front)).query(skin[own])[0] < DISTANCES.lining_mm]
     for lip, side in (("upper", UPPER), ("lower", LOWER)):
         regions[f"{lip}_lip_lining"] = lining[sides[lining] == side]
     for eye, corners in eye_corners(landmarks).items():
-        regions |= _lids(flesh, own, parts[f"{eye}_eyeball"], corners, eye, distances)
+        regions |= _lids(flesh, own, parts[f"{eye}_eyeball"], corners, eye)
     return regions
 
 
-def _lids(
-    flesh: Surface, own: Ints, eyeball: Ints, corners: Ints, side: str, distances: ContactDistances
-) -> dict[str, Ints]:
+def _lids(flesh: Surface, own: Ints, eyeball: Ints, corners: Ints, side: str) -> dict[str, Ints]:
     """Split the skin on one eyeball along the line between the corners of the eye."""
     skin, ball = flesh.vertices, flesh.vertices[eyeball]
     centre = (ball.min(axis=0) + ball.max(axis=0)) / 2
@@ -116,7 +110,7 @@ def _lids(
     away = skin[own] - centre
     height = np.linalg.norm(away, axis=1) - radius
     outward = (away * vertex_normals(flesh)[own]).sum(axis=1) > 0
-    on_lid = (height > -distances.on_ball_mm) & (height < distances.lid_mm)
+    on_lid = (height > -DISTANCES.on_ball_mm) & (height < DISTANCES.lid_mm)
     own = own[outward & on_lid & (away[:, 2] > 0)]
     inner, outer = sorted(skin[corners], key=lambda point: float(point[0]))
     line = np.interp(skin[own, 0], [inner[0], outer[0]], [inner[1], outer[1]])

@@ -55,9 +55,9 @@ def in_front(head: Template, points: Floats, margin: float = 0.0) -> np.ndarray:
     return ~(behind | (points[..., 1] < head.bottom_y + margin))
 
 
-def domain_soup(head: Template, options: DomainOptions = DOMAIN) -> Surface:
+def domain_soup(head: Template) -> Surface:
     """Return every triangle the tetrahedra have to follow: parted skin, bones and cut planes."""
-    margin, cells = options.margin_mm, options.plane_cells
+    margin, cells = DOMAIN.margin_mm, DOMAIN.plane_cells
     surfaces = []
     for part in (head.parted_flesh, head.cranium, head.mandible):
         ahead = in_front(head, part.vertices[part.faces], -margin).any(axis=1)
@@ -91,21 +91,19 @@ def split_quads(quads: Ints) -> Ints:
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
-def edge_lengths(
-    head: Template, soup: Surface, edge_mm: float, options: DomainOptions = DOMAIN
-) -> EdgeLengths:
+def edge_lengths(head: Template, soup: Surface, edge_mm: float) -> EdgeLengths:
     """Return wanted edge lengths: fine at lips, eyes and nose, ``edge_mm`` on the face."""
-    grid = options.grid_mm
+    grid = DOMAIN.grid_mm
     lo, hi = soup.vertices.min(axis=0) - grid, soup.vertices.max(axis=0) + grid
     points, tets = background_grid(lo, hi, grid)
-    lengths = np.full(len(points), options.deep_factor * edge_mm)
+    lengths = np.full(len(points), DOMAIN.deep_factor * edge_mm)
     fine = [(head.regions.get(name, ()), part) for name, part in FINE_REGIONS.items()]
     skin = head.parted_skin.vertices
     for vertices, part in [(head.face_vertices, 1.0), *fine]:
         if len(vertices) == 0:
             continue
         distance = cKDTree(skin[vertices]).query(points)[0]
-        grown = part * edge_mm + options.growth * np.maximum(distance - grid, 0)
+        grown = part * edge_mm + DOMAIN.growth * np.maximum(distance - grid, 0)
         lengths = np.minimum(lengths, grown)
     return EdgeLengths(points, tets, lengths)
 
@@ -122,17 +120,13 @@ def label_tets(head: Template, vertices: Floats, tets: Ints) -> Ints:
 
 @dataclass(frozen=True)
 class MeshedFlesh:
-    """Kept tetrahedra in the parted pose.
-
-    ``outside`` (f, 3) are the faces towards the air, the skin and its linings, ``outside_of`` (f,)
-    their tets; ``held`` label -> vertex numbers on a bone or cut plane.
-    """
+    """Kept tetrahedra in the parted pose."""
 
     vertices: Floats
     tets: Ints
-    outside: Ints
-    outside_of: Ints
-    held: dict[Label, Ints]
+    outside: Ints  # (f, 3) faces towards the air: the skin and its linings
+    outside_of: Ints  # (f,) their tets
+    held: dict[Label, Ints]  # vertex numbers on a bone or cut plane
 
     @property
     def held_vertices(self) -> Ints:

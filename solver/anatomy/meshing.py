@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 
 from solver.anatomy.domain import (
     DOMAIN,
-    DomainOptions,
     Label,
     MeshedFlesh,
     choose_flesh,
@@ -24,10 +23,9 @@ from solver.anatomy.domain import (
 )
 from solver.anatomy.embedding import at_nearest, bind_outside, extend, rows_of
 from solver.anatomy.muscle_weights import initial_weights
-from solver.anatomy.relaxation import relax
 from solver.anatomy.template import Template, TemplateMesh
 from solver.anatomy.tetrahedra import tetrahedralize
-from solver.anatomy.transfer import guidance
+from solver.anatomy.transfer import guidance, relax
 from solver.cache import cache_directory
 from solver.errors import InputError, SolveError
 from solver.progress import Progress, Step, silent
@@ -53,7 +51,6 @@ class MeshOptions:
     # Skin beyond the flesh goes with the jaw this near to it: the mouth's lining, not the neck.
     lining_mm: float = 8.0
     fitting_rounds: int = 3  # of binding the skin to the mesh and fitting the mesh to the skin
-    domain: DomainOptions = DOMAIN
 
 
 MESH = MeshOptions()
@@ -63,7 +60,7 @@ def make_mesh(
     head: Template,
     edge_mm: float = EDGE_MM,
     progress: Progress = silent,
-    options: MeshOptions = MESH,
+    mesher_seconds: float = MESH.mesher_seconds,
 ) -> TemplateMesh:
     """Fill the flesh between a head's skin and bones with tetrahedra (1 to 6 minutes).
 
@@ -77,10 +74,10 @@ def make_mesh(
     ``mesh.uncovered``.
     """
     progress(Step("mesh", 0.0, message="tetrahedra by fTetWild"))
-    flesh = _mesh(head, edge_mm, options)
+    flesh = _mesh(head, edge_mm, mesher_seconds)
     progress(Step("relax", 0.85))
-    flesh = _fit(head, flesh, options)
-    embedded, tet, shares, jaw_skin = bind_skin(head, flesh, edge_mm, options)
+    flesh = _fit(head, flesh)
+    embedded, tet, shares, jaw_skin = bind_skin(head, flesh, edge_mm)
     lost = np.setdiff1d(head.face_vertices, embedded)
     if len(lost):
         reason = f"{len(lost)} face vertices, the first is {lost[0]}, are too far from the flesh"
@@ -97,7 +94,7 @@ def make_mesh(
         edge_mm=edge_mm,
         vertices=rest,
         tets=flesh.tets,
-        **_held(head, flesh, options),
+        **_held(head, flesh),
         embedded=embedded,
         embedded_in=tet,
         shares=shares,
@@ -106,26 +103,25 @@ def make_mesh(
     )
 
 
-def _mesh(head: Template, edge_mm: float, options: MeshOptions) -> MeshedFlesh:
+def _mesh(head: Template, edge_mm: float, mesher_seconds: float) -> MeshedFlesh:
     """Return the flesh in the parted pose, as the mesher leaves it."""
-    domain = options.domain
-    soup = domain_soup(head, domain)
+    soup = domain_soup(head)
     vertices, tets = tetrahedralize(
         soup,
-        domain.deep_factor * edge_mm,
-        envelope_mm=min(options.envelope * edge_mm, options.greatest_envelope_mm),
-        lengths=edge_lengths(head, soup, edge_mm, domain),
-        cpu_seconds=options.mesher_seconds,
+        DOMAIN.deep_factor * edge_mm,
+        envelope_mm=min(MESH.envelope * edge_mm, MESH.greatest_envelope_mm),
+        lengths=edge_lengths(head, soup, edge_mm),
+        cpu_seconds=mesher_seconds,
     )
-    return choose_flesh(vertices, tets, label_tets(head, vertices, tets), domain.least_piece)
+    return choose_flesh(vertices, tets, label_tets(head, vertices, tets))
 
 
-def _fit(head: Template, flesh: MeshedFlesh, options: MeshOptions) -> MeshedFlesh:
+def _fit(head: Template, flesh: MeshedFlesh) -> MeshedFlesh:
     """Return the flesh with its vertices fitted to the parted skin in least squares."""
     skin, parted = np.unique(head.flesh.faces), head.parted_skin.vertices
-    for _ in range(options.fitting_rounds):
+    for _ in range(MESH.fitting_rounds):
         tet, shares, distance = _bound(flesh, parted[skin])
-        near = distance < options.greatest_envelope_mm
+        near = distance < MESH.greatest_envelope_mm
         rows = rows_of(flesh.tets[tet], shares, len(flesh.vertices))[near]
         held, place = flesh.held_vertices, _on_bones(head, flesh)
         guides = guidance(head, parted, skin[near], rows, held, place[held], flesh.vertices)
@@ -148,7 +144,7 @@ def _bound(flesh: MeshedFlesh, points: Floats) -> tuple[Ints, Floats, Floats]:
 
 
 def bind_skin(
-    head: Template, flesh: MeshedFlesh, edge_mm: float, options: MeshOptions = MESH
+    head: Template, flesh: MeshedFlesh, edge_mm: float
 ) -> tuple[Ints, Ints, Floats, Ints]:
     """Return skin vertices that follow the flesh, their tets and coordinates, and the jaw's skin.
 
@@ -157,33 +153,30 @@ def bind_skin(
     skin = np.unique(head.flesh.faces)
     parted = head.parted_skin.vertices[skin]
     (tet, shares, distance), ahead = _bound(flesh, parted), in_front(head, parted)
-    near = (distance < options.embedding * edge_mm) & ahead
+    near = (distance < MESH.embedding * edge_mm) & ahead
     loose = ~near & ahead
     to_jaw = cKDTree(head.mandible.vertices).query(parted[loose])[0]
     to_skull = cKDTree(head.cranium.vertices).query(parted[loose])[0]
-    lining = (to_jaw < to_skull) & (to_jaw < options.lining_mm)
+    lining = (to_jaw < to_skull) & (to_jaw < MESH.lining_mm)
     jaw_skin = np.union1d(head.attached_mandible, skin[loose][lining])
     return skin[near], tet[near], shares[near], jaw_skin
 
 
-def _held(head: Template, flesh: MeshedFlesh, options: MeshOptions) -> dict[str, Ints]:
+def _held(head: Template, flesh: MeshedFlesh) -> dict[str, Ints]:
     """Return vertex numbers by what holds them; a vertex of the mandible is held by it only."""
     mandible = flesh.held[Label.MANDIBLE]
     cranium = np.setdiff1d(flesh.held[Label.CRANIUM], mandible)
     cut = np.setdiff1d(flesh.held[Label.CUT], np.union1d(mandible, cranium))
-    cut = cut[~_drawn_along(head, flesh.vertices[cut], options)]
+    cut = cut[~_drawn_along(head, flesh.vertices[cut])]
     return {"cranium": cranium, "mandible": mandible, "cut": cut}
 
 
-def _drawn_along(head: Template, points: Floats, options: MeshOptions) -> np.ndarray:
+def _drawn_along(head: Template, points: Floats) -> np.ndarray:
     """Return (n,) True for points of a cut plane that move with jaw or face."""
     jaw, face = head.mandible.vertices, head.skin.vertices[head.face_vertices]
     near_jaw, near_face = (cKDTree(part).query(points)[0] for part in (jaw, face))
-    in_throat = (points[:, 1] < jaw[:, 1].min()) & (near_face < options.face_free_mm)
-    return np.asarray((near_jaw < options.jaw_free_mm) | in_throat)
-
-
-# From the parted pose, in which the flesh is meshed, back to the neutral pose.
+    in_throat = (points[:, 1] < jaw[:, 1].min()) & (near_face < MESH.face_free_mm)
+    return np.asarray((near_jaw < MESH.jaw_free_mm) | in_throat)
 
 
 def close_lips(head: Template, vertices: Floats, tets: Ints, outside: Ints, held: Ints) -> Floats:
@@ -238,7 +231,7 @@ def find_or_make_mesh(
     if (kept := _read_kept(path, bare, edge_mm)) is not None:
         return replace(template, mesh=kept)
     log.info("making the template's tets", template=template.name, to=str(path))
-    made = make_mesh(bare, edge_mm, progress, replace(MESH, mesher_seconds=mesher_seconds))
+    made = make_mesh(bare, edge_mm, progress, mesher_seconds)
     if not path.exists():  # else another process was faster: then its tets are everybody's
         replace(bare, mesh=made).save(path)
     return replace(template, mesh=Template.load(path).mesh)

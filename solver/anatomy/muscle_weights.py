@@ -11,20 +11,14 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 import scipy.sparse as sp
+import trimesh
 from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import extend
 from solver.anatomy.template import Muscle
 from solver.anatomy.tetrahedra import volumes
-from solver.surface import (
-    Floats,
-    Ints,
-    Surface,
-    area_normals,
-    directed_edges,
-    own_numbers,
-    winding_numbers,
-)
+from solver.mechanics.flesh import shape_gradients
+from solver.surface import Floats, Ints, Surface, area_normals, own_numbers, winding_numbers
 
 CANDIDATE_MM = 10.0  # a muscle may act in the tets within this distance (the paper's sparsity of S)
 # Eight equal parts of a tetrahedron: each corner is half way between two of its corners.
@@ -53,9 +47,7 @@ class SamplingOptions:
 SAMPLING = SamplingOptions()
 
 
-def initial_weights(
-    vertices: Floats, tets: Ints, muscles: list[Surface], sampling: SamplingOptions = SAMPLING
-) -> sp.csr_array:
+def initial_weights(vertices: Floats, tets: Ints, muscles: list[Surface]) -> sp.csr_array:
     """Return S (t, m + 1): volume fractions of muscles in tetrahedra, column 0 the passive rest.
 
     Stored entries are the candidates: the passive column and every muscle within
@@ -63,8 +55,8 @@ def initial_weights(
     """
     parts = []
     for column, muscle in enumerate(muscles, start=1):
-        candidates = _candidates(vertices, tets, muscle, sampling)
-        fractions = _fractions(vertices[tets[candidates]], muscle, sampling)
+        candidates = _candidates(vertices, tets, muscle)
+        fractions = _fractions(vertices[tets[candidates]], muscle)
         parts.append((candidates, np.full(len(candidates), column), fractions))
     rows, columns, fractions = (np.concatenate(part) for part in zip(*parts, strict=True))
     sizes = np.array([enclosed_volume(muscle) for muscle in muscles])
@@ -100,7 +92,8 @@ def enclosed_volume(surface: Surface, samples: int = 40_000) -> float:
     Where it is closed that is a sum over its triangles. Else, with gaps or pieces inside out, it is
     counted on a grid of ``samples`` along the surface's principal axes, to about 2 %.
     """
-    if _is_closed(surface.faces):
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    if mesh.is_watertight and mesh.is_winding_consistent:
         return abs(signed_volume(surface))
     middle = surface.vertices.mean(axis=0)
     axes = np.linalg.svd(surface.vertices - middle, full_matrices=False)[2]
@@ -118,24 +111,16 @@ def signed_volume(surface: Surface) -> float:
     return float(np.linalg.det(corners).sum() / 6.0)
 
 
-def _is_closed(faces: Ints) -> bool:
-    """Tell whether every edge has two faces, which run along it in opposite directions."""
-    edges = directed_edges(faces)
-    places = np.array([faces.max() + 1, 1])
-    there, back = np.sort(edges @ places), np.sort(edges[:, ::-1] @ places)
-    return bool(np.array_equal(there, back) and (np.diff(there) > 0).all())
-
-
 def contains(surface: Surface, points: Floats) -> np.ndarray:
     """Return (n,) True where a point lies inside; the surface may have gaps or be inside out."""
     return np.abs(winding_numbers(surface, points)) > 0.5
 
 
-def _fractions(corners: Floats, muscle: Surface, sampling: SamplingOptions) -> Floats:
+def _fractions(corners: Floats, muscle: Surface) -> Floats:
     """Return which part (t,) of tetrahedra with ``corners`` (t, 4, 3) a muscle fills."""
     touched = np.flatnonzero(_near_tets(corners, muscle))
-    small = enclosed_volume(muscle) < sampling.fine_below_mm3
-    samples = _samples(sampling.fine_level if small else sampling.level)
+    small = enclosed_volume(muscle) < SAMPLING.fine_below_mm3
+    samples = _samples(SAMPLING.fine_level if small else SAMPLING.level)
     points = np.einsum("sk,tkd->tsd", samples, corners[touched])
     inside = contains(muscle, points.reshape(-1, 3)).reshape(len(touched), len(samples))
     fractions = np.zeros(len(corners))
@@ -158,13 +143,13 @@ def _samples(level: int) -> Floats:
     return np.asarray(parts.mean(axis=1))
 
 
-def _candidates(vertices: Floats, tets: Ints, surface: Surface, sampling: SamplingOptions) -> Ints:
+def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
     """Return the tetrahedra within :data:`CANDIDATE_MM` of a muscle, by corners and samples."""
     near = np.asarray(_within(vertices, surface, CANDIDATE_MM)[tets].any(axis=1))
     others = np.flatnonzero(~near)
     corners = vertices[tets[others]]
     possible = _near_tets(corners, surface, CANDIDATE_MM)
-    points = np.einsum("sk,tkd->tsd", _samples(sampling.near_level), corners[possible])
+    points = np.einsum("sk,tkd->tsd", _samples(SAMPLING.near_level), corners[possible])
     inside = _within(points.reshape(-1, 3), surface, CANDIDATE_MM)
     near[others[possible]] = inside.reshape(points.shape[:2]).any(axis=1)
     return np.flatnonzero(near)
@@ -219,11 +204,7 @@ FIBRES = FibreOptions()
 
 
 def fibre_directions(
-    vertices: Floats,
-    tets: Ints,
-    weights: sp.csr_array,
-    muscles: tuple[Muscle, ...],
-    options: FibreOptions = FIBRES,
+    vertices: Floats, tets: Ints, weights: sp.csr_array, muscles: tuple[Muscle, ...]
 ) -> Floats:
     """Return unit directions (nnz, 3), one for each stored entry of S, zero in column 0.
 
@@ -232,18 +213,15 @@ def fibre_directions(
     ``muscles``, which are in the place of the vertices, directions go from origin to insertion, or
     once around a ring.
     """
-    entries, sizes = weights.tocoo(), volumes(vertices, tets)
-    # Of the linear basis functions, (n, 4, 3).
-    others = np.swapaxes(np.linalg.inv(vertices[tets[:, 1:]] - vertices[tets[:, :1]]), 1, 2)
-    gradients = np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
+    entries, (gradients, sizes) = weights.tocoo(), shape_gradients(vertices, tets)
     directions = np.zeros((weights.nnz, 3))
     for column, muscle in enumerate(muscles, start=1):
         own = np.flatnonzero(entries.col == column)
         if len(own) == 0:
             continue
         rows = entries.row[own]
-        weight = sizes[rows] * (entries.data[own] + options.conductivity)
-        field = _Field(vertices, tets[rows], gradients[rows], weight, options)
+        weight = sizes[rows] * (entries.data[own] + FIBRES.conductivity)
+        field = _Field(vertices, tets[rows], gradients[rows], weight)
         flow = field.around(muscle) if muscle.ring else field.along(muscle)
         length = np.linalg.norm(flow, axis=1, keepdims=True)
         directions[own] = np.where(length > 0, flow / np.where(length > 0, length, 1), muscle.fibre)
@@ -264,10 +242,8 @@ def _bend(muscle: Muscle) -> float:
 class _Field:
     """Potentials on the candidates of one muscle, with the conductivity times volume of each."""
 
-    def __init__(
-        self, vertices: Floats, tets: Ints, gradients: Floats, weight: Floats, options: FibreOptions
-    ) -> None:
-        self._options, self._gradients, self._weight = options, gradients, weight
+    def __init__(self, vertices: Floats, tets: Ints, gradients: Floats, weight: Floats) -> None:
+        self._gradients, self._weight = gradients, weight
         numbers, self._tets = own_numbers(tets)
         self._points = vertices[numbers]
         entries = np.einsum("t,tid,tjd->tij", weight, gradients, gradients)
@@ -277,15 +253,14 @@ class _Field:
 
     def along(self, muscle: Muscle) -> Floats:
         """Return the gradient (t, 3) of the potential between a muscle's ends."""
-        options = self._options
         surface = muscle.surface.vertices
         # Muscle outside the flesh, such as the platysma below the cut, has no say.
-        surface = surface[cKDTree(self._points).query(surface)[0] < options.reach_mm]
+        surface = surface[cKDTree(self._points).query(surface)[0] < FIBRES.reach_mm]
         extent = surface @ muscle.fibre
         low, high = np.quantile(extent, [0.02, 0.98])
         guess = (self._points @ muscle.fibre - low) / (high - low)
         place = (extent[cKDTree(surface).query(self._points)[1]] - low) / (high - low)
-        end = options.bent_end if _bend(muscle) > options.bent else options.straight_end
+        end = FIBRES.bent_end if _bend(muscle) > FIBRES.bent else FIBRES.straight_end
         given = (place < end) | (place > 1 - end)
         return self._gradient(self._solve(np.zeros(len(guess)), guess, given))
 
@@ -310,11 +285,8 @@ class _Field:
 
     def _solve(self, load: Floats, guess: Floats, given: np.ndarray) -> Floats:
         """Return u (p,) with -div(sigma grad u) = ``load`` that is ``guess`` where it is given."""
-        pull = self._options.pull * self._matrix.diagonal().mean() * sp.eye_array(len(guess))
+        pull = FIBRES.pull * self._matrix.diagonal().mean() * sp.eye_array(len(guess))
         return extend((self._matrix + pull).tocsc(), guess, given, load + pull @ guess)
-
-
-# The axis of a muscle that nobody described: its greatest length, away from the skull.
 
 
 def with_axis(name: str, surface: Surface, skull: Floats) -> Muscle:

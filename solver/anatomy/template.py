@@ -23,34 +23,24 @@ from solver.surface import Floats, Ints, Surface
 
 @dataclass(frozen=True)
 class Depth:
-    """The mean depth in mm of ``bone`` (cranium or mandible) under a landmark of the skin.
-
-    ``deviation`` is the standard deviation over persons in mm, None where it is not known.
-    """
+    """The depth of a bone under a landmark of the skin, by a table."""
 
     landmark: str
-    bone: str
-    mean: float
-    deviation: float | None
+    bone: str  # cranium or mandible
+    mean: float  # mm
+    deviation: float | None  # standard deviation over persons in mm, None where it is not known
     source: str
 
 
 @dataclass(frozen=True)
 class ShapeBasis:
-    """Linear shapes of a template's skin, all displacements in mm from the template's neutral.
+    """Linear shapes of a template's skin, displacements in mm from the template's neutral."""
 
-    identity
-        (k, n, 3) float32, one standard deviation of each component; coefficients are independent
-        with unit variance. k = 0 where nothing is known.
-    expressions
-        (e, n, 3) float32, each at its full strength (weight 1); weights lie in [0, 1].
-    expression_names
-        The e names, as ARKit calls them where it has one.
-    """
-
+    # (k, n, 3) one standard deviation of each component; coefficients are independent with unit
+    # variance. k = 0 where nothing is known.
     identity: NDArray[np.float32]
-    expressions: NDArray[np.float32]
-    expression_names: tuple[str, ...]
+    expressions: NDArray[np.float32]  # (e, n, 3) each at weight 1; weights lie in [0, 1]
+    expression_names: tuple[str, ...]  # (e,) as ARKit calls them where it has one
 
 
 # expressions of ARKit that move the whole face to one side, not one side of it
@@ -66,9 +56,6 @@ def split_side(expression: str) -> tuple[str, str]:
         if expression.endswith(side) and expression not in _SIDEWAYS:
             return expression.removesuffix(side), side.lower()
     return expression, ""
-
-
-# Checks that a template's arrays fit together: shapes, finite numbers, indices in range.
 
 
 def check_arrays(template: Template, file: str) -> None:
@@ -151,40 +138,23 @@ class _Check:
         self.numbers(f"{name} faces", surface.faces, len(surface.vertices), columns=3)
 
 
-# The template's tetrahedra: made once, carried into every person.
-
-
 @dataclass(frozen=True)
 class TemplateMesh:
-    """Tetrahedra of the flesh in the neutral pose; mm.
+    """Tetrahedra of the flesh in the neutral pose; mm."""
 
-    edge_mm
-        The edge length on the face that was asked for.
-    vertices, tets
-        (p, 3) at rest, and (n, 4) vertex numbers, every volume positive.
-    cranium, mandible, cut
-        Vertices on the bones and on the cut planes, disjoint; on some of the cranium's the flesh
-        glides (:mod:`solver.anatomy.facial_spaces`).
-    embedded, embedded_in, shares
-        (e,) skin vertices that follow the flesh, the tets (e,) under them, and the (e, 4)
-        barycentric coordinates of their nearest point on the flesh's outside, none negative.
-    attached_mandible
-        Skin vertices that move rigidly with the mandible.
-    weights
-        (n, m + 1) initial S, which every person shares.
-    """
-
-    edge_mm: float
-    vertices: Floats
-    tets: Ints
+    edge_mm: float  # the edge length on the face that was asked for
+    vertices: Floats  # (p, 3) at rest
+    tets: Ints  # (n, 4) of positive volume
+    # Vertices on the bones and on the cut planes, disjoint; on some of the cranium's the flesh
+    # glides (:func:`solver.anatomy.bones.gliding`).
     cranium: Ints
     mandible: Ints
     cut: Ints
-    embedded: Ints
-    embedded_in: Ints
-    shares: Floats
-    attached_mandible: Ints
-    weights: sp.csr_array
+    embedded: Ints  # (e,) skin vertices that follow the flesh
+    embedded_in: Ints  # (e,) the tets under them
+    shares: Floats  # (e, 4) coordinates there of their nearest point on the flesh's outside, >= 0
+    attached_mandible: Ints  # skin vertices that move rigidly with the mandible
+    weights: sp.csr_array  # (n, m + 1) initial S, which every person shares
 
     @property
     def surface_rows(self) -> sp.csr_array:
@@ -211,8 +181,6 @@ class TemplateMesh:
             plain["cranium"] = np.union1d(plain["cranium"], arrays["sliding"])
         return cls(**plain, weights=csr_from("weights", arrays, muscle_count + 1))
 
-
-# The template itself.
 
 FORMAT = 1  # of the file
 SURFACES = ("skin", "cranium", "mandible")
@@ -256,19 +224,14 @@ class Compartments:
 
 @dataclass(frozen=True)
 class Muscle:
-    """One muscle: a closed-enough ``surface`` in mm and its main ``fibre`` direction, unit (3,).
-
-    ``fibre`` points from origin (bone) to insertion (skin); ``origin`` and ``insertion`` (3,) are
-    the centres of the two attachments, in mm. The fibres of a ``ring`` run around an opening.
-    Without ``compartments`` the muscle contracts as one.
-    """
+    """One muscle. Without ``compartments`` it contracts as one."""
 
     name: str
-    surface: Surface
-    fibre: Floats
-    origin: Floats
-    insertion: Floats
-    ring: bool = False
+    surface: Surface  # closed enough, in mm
+    fibre: Floats  # (3,) unit, the main direction, from origin (bone) to insertion (skin)
+    origin: Floats  # (3,) centre of the attachment, mm
+    insertion: Floats  # (3,) likewise
+    ring: bool = False  # its fibres run around an opening
     compartments: Compartments | None = None
 
     @property
@@ -286,59 +249,31 @@ class Muscle:
 
 @dataclass(frozen=True)
 class Template:
-    """Template anatomy in mm; x to the subject's left, y up, z forward.
-
-    skin
-        The whole registered-scan topology at rest: every vertex a scan must have.
-    flesh_faces
-        (k,) numbers of skin faces that bound the flesh (face, neck, lips, lining of mouth and
-        eyelids), as opposed to eyeballs, teeth, tongue and lashes.
-    face_vertices
-        (k,) skin vertices that are fitted and on which errors are reported (the face skin).
-    attached_cranium, attached_mandible
-        Skin vertices that move rigidly with a bone: eyes, upper teeth, back of the head; lower
-        teeth, tongue.
-    parting
-        (n, 3) displacement of the skin that parts the closed lips (and lids) enough to mesh them.
-    cranium, mandible
-        Watertight bone surfaces that bound the flesh from inside.
-    condyles
-        (2, 3) centres of the left and right mandibular condyle.
-    landmarks, regions
-        Name -> skin vertex, and name -> skin vertices, for reports by region.
-    back_z, bottom_y
-        Planes behind and below which there is no flesh: its tets end there, held fixed.
-    shapes
-        How the skin varies over persons and expressions, where that is known; registration fits
-        it to a scan before it fits the vertices.
-    licence
-        What the template may be used for, by its sources; empty where nobody said.
-    depths, mesh
-        Soft-tissue depths that the bones were placed by, and the tetrahedra that every person's
-        model shares, where they have been made.
-    """
+    """Template anatomy in mm; x to the subject's left, y up, z forward."""
 
     name: str
     version: str
     source: str
-    skin: Surface
+    skin: Surface  # the whole registered-scan topology at rest: every vertex a scan must have
+    # (k,) skin faces that bound the flesh (face, neck, lips, lining of mouth and eyelids), as
+    # opposed to eyeballs, teeth, tongue and lashes.
     flesh_faces: Ints
-    face_vertices: Ints
-    attached_cranium: Ints
-    attached_mandible: Ints
-    parting: Floats
-    cranium: Surface
-    mandible: Surface
+    face_vertices: Ints  # (k,) skin vertices that are fitted and on which errors are reported
+    attached_cranium: Ints  # skin vertices that move rigidly with it: eyes, upper teeth, scalp
+    attached_mandible: Ints  # the same: lower teeth, tongue
+    parting: Floats  # (n, 3) displacement that parts the closed lips (and lids) enough to mesh them
+    cranium: Surface  # watertight, bounds the flesh from inside
+    mandible: Surface  # the same
     muscles: tuple[Muscle, ...]
-    condyles: Floats
-    back_z: float
-    bottom_y: float
-    landmarks: dict[str, int] = field(default_factory=dict)
-    regions: dict[str, Ints] = field(default_factory=dict)
-    shapes: ShapeBasis | None = None
-    licence: str = ""
-    depths: tuple[Depth, ...] = ()
-    mesh: TemplateMesh | None = None
+    condyles: Floats  # (2, 3) centres of the left and right one
+    back_z: float  # behind it there is no flesh: its tets end there, held fixed
+    bottom_y: float  # the same below it
+    landmarks: dict[str, int] = field(default_factory=dict)  # name -> skin vertex
+    regions: dict[str, Ints] = field(default_factory=dict)  # for reports
+    shapes: ShapeBasis | None = None  # how the skin varies, where that is known
+    licence: str = ""  # what it may be used for, by its sources; empty where nobody said
+    depths: tuple[Depth, ...] = ()  # of soft tissue, that the bones were placed by
+    mesh: TemplateMesh | None = None  # that every person's model shares, where it is made
 
     @property
     def parted_skin(self) -> Surface:

@@ -20,13 +20,10 @@ from solver.surface import Floats, Ints, Surface, inside
 
 @dataclass(frozen=True)
 class Warp:
-    """x -> x + sum_k |x - centre_k| w_k + [x 1] A.
+    """x -> x + sum_k |x - centre_k| w_k + [x 1] A."""
 
-    ``centres`` (k, 3); ``coefficients`` (k + 4, 3) are the rows w_k, then A.
-    """
-
-    centres: Floats
-    coefficients: Floats
+    centres: Floats  # (k, 3)
+    coefficients: Floats  # (k + 4, 3) rows w_k, then A
 
     def __call__(self, points: Floats) -> Floats:
         """Return the images (n, 3) of ``points`` (n, 3)."""
@@ -68,14 +65,11 @@ def spread(points: Floats, count: int, first: int = 0, density: Floats | float =
 
 @dataclass(frozen=True)
 class PlaneConstraints:
-    """Wanted displacements of points along directions: direction_i . u(point_i) = distance_i.
+    """Wanted displacements of points along directions: direction_i . u(point_i) = distance_i."""
 
-    ``points`` (n, 3), unit ``directions`` (n, 3), ``distances`` (n,) in mm.
-    """
-
-    points: Floats
-    directions: Floats
-    distances: Floats
+    points: Floats  # (n, 3)
+    directions: Floats  # (n, 3) unit
+    distances: Floats  # (n,) in mm
 
 
 def least_bending(centres: Floats, planes: PlaneConstraints, stiffness: float) -> Warp:
@@ -99,9 +93,6 @@ def least_bending(centres: Floats, planes: PlaneConstraints, stiffness: float) -
     solution = solve(normal, right, assume_a="pos").reshape(3, -1).T
     coefficients = np.vstack([complement @ solution[: count - 4], solution[count - 4 :]])
     return Warp(centres, coefficients)
-
-
-# The depth of a point under the skin, and the way that leads deeper.
 
 
 class SkinDepth:

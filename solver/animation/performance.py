@@ -19,8 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
-from solver.animation.blendshapes import unfold
-from solver.animation.drives import (
+from solver.animation import (
     Drives,
     Interpolation,
     PosedFrame,
@@ -29,6 +28,7 @@ from solver.animation.drives import (
     track,
     turn_about,
 )
+from solver.animation.blendshapes import unfold
 from solver.errors import InputError, quote, quote_names
 from solver.fitting.drives import are_fibres
 from solver.fitting.drives.six_numbers import LEAST_STRETCH
@@ -54,7 +54,7 @@ class FittedSequence:
 
     ``frames`` (f,) are their numbers and ``times`` (f,) in s; ``fitted`` (f,) is false where there
     was no data to fit. ``activations`` (f, m, 6), or (f, m) of fibre muscles, ``jaw`` (f, 5) and
-    ``head`` (f, 6) are as in :class:`solver.rig.frames.frames.SequenceFrame`.
+    ``head`` (f, 6) are as in :class:`solver.rig.frames.SequenceFrame`.
     """
 
     asset: str

@@ -73,23 +73,16 @@ log = structlog.get_logger(__name__)
 class ContactSurface:
     """Skin vertices that follow the flesh, under the skin, and the triangles between them.
 
-    skin, faces
-        (s,) skin vertices, sorted, and (f, 3) triangles, numbered by these.
-    rows, offset
-        (s, p) CSR and (s, 3): positions are ``rows @ x + offset`` at the tets' vertices x. The
-        inset is a part of ``rows``: it turns with the flesh.
-    rest
-        (s, 3) the positions in the neutral face.
-    crossed
-        (s,) bool, what crosses there, with its neighbours: no two of these meet.
+    Positions are ``rows @ x + offset`` at the tets' vertices x. The inset is a part of ``rows``: it
+    turns with the flesh.
     """
 
-    skin: Ints
-    faces: Ints
-    rows: sp.csr_array
-    offset: Floats
-    rest: Floats
-    crossed: NDArray[np.bool_]
+    skin: Ints  # (s,) skin vertices, sorted
+    faces: Ints  # (f, 3) triangles, numbered by these
+    rows: sp.csr_array  # (s, p)
+    offset: Floats  # (s, 3)
+    rest: Floats  # (s, 3) the positions in the neutral face
+    crossed: NDArray[np.bool_]  # (s,) what crosses there, with its neighbours: no two of these meet
 
     @classmethod
     def of(

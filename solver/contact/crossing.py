@@ -40,23 +40,13 @@ class NearOptions:
 
 @dataclass(frozen=True)
 class Overlap:
-    """h vertices of the mouth, each with the nearest point of the surface it has crossed.
+    """h vertices of the mouth, each with the nearest point of the surface it has crossed."""
 
-    ids
-        (h,) vertices, sorted.
-    corners, shares
-        (h, 3) the triangle that holds the nearest point, and barycentric shares in it.
-    depth
-        (h,) mm from the vertex to that point.
-    out
-        (h, 3) unit vectors from the vertex to that point.
-    """
-
-    ids: Ints
-    corners: Ints
-    shares: Floats
-    depth: Floats
-    out: Floats
+    ids: Ints  # (h,) vertices, sorted
+    corners: Ints  # (h, 3) the triangle that holds the nearest point,
+    shares: Floats  # (h, 3) and barycentric shares in it
+    depth: Floats  # (h,) mm from the vertex to that point
+    out: Floats  # (h, 3) unit vectors from the vertex to that point
 
     @classmethod
     def at(cls, points: Floats, ids: Ints, corners: Ints, shares: Floats) -> Overlap:
@@ -178,21 +168,13 @@ def _nearest(mouth: Mouth, points: Floats, ids: Ints, partner: Ints) -> tuple[In
 
 @dataclass(frozen=True)
 class Crossing:
-    """Depths in mm, zero where nothing crosses: the least motion that would undo it.
+    """Depths in mm, zero where nothing crosses: the least motion that would undo it."""
 
-    lips
-        Of a lip's vertex in the other lip; ``vertex`` is that skin vertex, None if none crosses.
-    upper_teeth, lower_teeth
-        Of a lip's vertex in teeth; None in models without them.
-    bite
-        Of lower teeth in the upper ones; None without teeth.
-    """
-
-    lips: float
-    vertex: int | None
-    upper_teeth: float | None
+    lips: float  # of a lip's vertex in the other lip
+    vertex: int | None  # that skin vertex; None if none crosses
+    upper_teeth: float | None  # of a lip's vertex in teeth; None in models without them
     lower_teeth: float | None
-    bite: float | None
+    bite: float | None  # of lower teeth in the upper ones; None without teeth
 
 
 def crossing(mouth: Mouth, skin: Floats) -> Crossing:

@@ -91,35 +91,28 @@ LIPS, AROUND, UPPER_TEETH, LOWER_TEETH = range(4)
 class Mouth:
     """The parts of a model's skin that touch where the mouth closes, numbered on their own.
 
-    skin
-        (m,) skin vertices, sorted.
-    label
-        (m,) ``LIPS``, the skin ``AROUND`` them, ``UPPER_TEETH`` or ``LOWER_TEETH``.
-    faces
-        (f, 3) triangles between them; those of flesh and of teeth share no vertex.
-    rows, offset
-        (m, p) CSR and (m, 3): positions are ``rows @ x + offset`` at the tets' vertices x. Lower
-        teeth are affine combinations of four mandible vertices; upper teeth stay.
-    side
-        (m,) the lip that a vertex belongs to, ``UPPER`` or ``LOWER``; 0 is neither.
+    Positions are ``rows @ x + offset`` at the tets' vertices x. Lower teeth are affine combinations
+    of four mandible vertices; upper teeth stay.
     """
 
-    skin: Ints
-    label: Ints
-    faces: Ints
-    rows: sp.csr_array
-    offset: Floats
-    side: Ints
+    skin: Ints  # (m,) skin vertices, sorted
+    label: Ints  # (m,) LIPS, the skin AROUND them, UPPER_TEETH or LOWER_TEETH
+    faces: Ints  # (f, 3) triangles between them; those of flesh and of teeth share no vertex
+    rows: sp.csr_array  # (m, p)
+    offset: Floats  # (m, 3)
+    side: Ints  # (m,) the lip that a vertex belongs to, UPPER or LOWER; 0 is neither
 
     @classmethod
     def of(cls, model: SubjectModel, options: MouthOptions = MouthOptions()) -> Mouth | None:
         """Find the mouth of a model; None if its regions do not name both lips, on its flesh."""
-        named = [model.regions.get(f"{lip}_lip", np.empty(0, int)) for lip in ("upper", "lower")]
+        named = [model.region(f"{lip}_lip") for lip in ("upper", "lower")]
         if not all(np.isin(lip, model.embedded).any() for lip in named):
             return None
         vertices, faces = model.skin.vertices, model.skin.faces
-        flesh = faces[np.isin(faces, model.embedded).all(axis=1)]
-        teeth = [model.regions.get(f"{jaw}_teeth", np.empty(0, int)) for jaw in ("upper", "lower")]
+        flesh, teeth = (
+            model.flesh_faces,
+            [model.region(f"{jaw}_teeth") for jaw in ("upper", "lower")],
+        )
         lips, side = _lips(model, flesh, np.concatenate(teeth), options)
         around = np.intersect1d(flesh, np.flatnonzero(_within(vertices, lips, options.around_mm)))
         label = np.full(len(vertices), -1)

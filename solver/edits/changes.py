@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import LooseSkin
 from solver.anatomy.tetrahedra import ML, volumes
-from solver.edits.edit import Edited
+from solver.edits import Edited
 from solver.errors import InputError
 from solver.model import SubjectModel, find_muscles, tell_muscles
 from solver.surface import (
@@ -260,7 +260,7 @@ def _vertices(model: SubjectModel, bone: str) -> tuple[Ints, Ints]:
     """Return the flesh's vertices on a bone, and the skin's that stay with it."""
     if bone == "mandible":
         return model.mandible, model.attached_mandible
-    eyes = [model.regions.get(f"{side}_eyeball", model.cut[:0]) for side in ("left", "right")]
+    eyes = [model.region(f"{side}_eyeball") for side in ("left", "right")]
     # skin beyond the flesh follows the flesh that the bone moves
     follows = [model.embedded, LooseSkin(model).ids]
     others = np.concatenate([*follows, model.attached_mandible, *eyes])
@@ -281,7 +281,7 @@ def into_volume(
     if painted is None:
         return np.ones(len(model.tets))
     _check(model, painted)
-    painted_skin = np.union1d(model.face, model.regions.get("neck", model.face[:0]))
+    painted_skin = np.union1d(model.face, model.region("neck"))
     outer = np.isin(model.embedded, painted_skin)
     skin = model.embedding[outer]
     area = vertex_areas(model.skin.vertices, model.skin.faces)[model.embedded[outer]] / blur_mm

@@ -27,12 +27,11 @@ from solver.mechanics.equilibrium import (
 )
 from solver.mechanics.flesh import COROTATED_TRACE, Flesh, Material
 from solver.mechanics.jaw_tracks import JawTracks, nearest_jaw
-from solver.mechanics.linear import LinearSolver, analyse
+from solver.mechanics.linear import LinearSolver, analyse, leave_threads_to_kernels
 from solver.mechanics.newton import Factorization, NewtonOptions
 from solver.mechanics.terms import EnergyTerm, check_entries, no_planes
 from solver.model import SubjectModel
 from solver.surface import Floats
-from solver.threads import leave_threads_to_kernels
 
 
 @dataclass(frozen=True)

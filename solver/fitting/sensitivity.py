@@ -16,10 +16,10 @@ import scipy.sparse as sp
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.objective import Curvature, GramCurvature
 from solver.fitting.tet_forces import TetForces, forces_by_activations, weights_by_forces
+from solver.mechanics.linear import in_threads
 from solver.mechanics.response import Response, SparseControls
 from solver.mechanics.terms import force_columns
 from solver.surface import Floats, Ints
-from solver.threads import in_threads
 
 BLOCK = 64  # columns that a symmetric product takes at once
 

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from solver.anatomy.compartments import fibre_laplacian
+from solver.anatomy.build import fibre_laplacian
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import shape_gradients
 from solver.surface import Floats, Ints, own_numbers, unit_rows

@@ -7,22 +7,22 @@ from pathlib import Path
 import numpy as np
 
 from solver.anatomy.template import ShapeBasis
+from solver.animation import RecordedDrives
 from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
-from solver.animation.drives import RecordedDrives
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
-from solver.jobs.expressions import solve_basis
+from solver.jobs.fits import solve_basis
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
 from solver.rig.frames.animation import check_video
 from solver.rig.rig import Rig
-from solver.scans.live_link import read_live_link
+from solver.scans.performance import read_live_link
+from solver.scene import Stage
 from solver.scene.document import head_of
-from solver.scene.stage import Stage
 from solver.surface import Floats
 
 BASIS = 0.1  # part of a job after which its basis is solved, if none was left

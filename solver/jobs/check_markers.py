@@ -21,8 +21,8 @@ from solver.model import SubjectModel
 from solver.progress import Step
 from solver.registration.locate import face_surface
 from solver.rig.rig import Rig
-from solver.scans.markers.checks.check import check_picture, check_take
-from solver.scans.markers.checks.findings import ADVICE, MarkerCheck, add
+from solver.scans.markers.check import check_picture, check_take
+from solver.scans.markers.findings import ADVICE, MarkerCheck, add
 from solver.scans.markers.places.bind import Reference, rest_places
 from solver.scans.markers.places.face_take import frames_about
 from solver.scans.markers.places.marker_set import MarkerSet

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from solver.edits.edit import Edited, Replay, Replayed, apply
+from solver.edits import Edited, Replay, Replayed, apply
 from solver.errors import SolveError
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task
@@ -21,7 +21,7 @@ from solver.rig.report.edit_report import (
     write_edit,
 )
 from solver.rig.rig import ExpressionFit
-from solver.scene.stage import Physics, edit_of
+from solver.scene import Physics, edit_of
 
 
 def run(task: Task[Edit]) -> list[Path]:

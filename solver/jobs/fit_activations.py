@@ -10,22 +10,11 @@ from solver.fitting import fallback
 from solver.fitting.activation import UNSEEN, UNSEEN_STOP, unseen_regulariser
 from solver.fitting.contact import terms
 from solver.fitting.target_checks import check_held, check_repeated, check_replaced
-from solver.jobs import Task
-from solver.jobs.fits import (
-    Targets,
-    WarningLog,
-    asked_drive,
-    control_settings,
-    describe_fit,
-    find_oddities,
-    leave_rig,
-    read_scans,
-    refuse_failures,
-)
+from solver.jobs import Task, fits
 from solver.kinds.fit_activations import FitActivations
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
-from solver.rig.report.report import known_information
+from solver.rig.report import known_information
 from solver.rig.rig import Rig
 
 
@@ -40,13 +29,13 @@ def run(task: Task[FitActivations]) -> list[Path]:
     progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
     parent = Rig.load(task.inputs)
     subject, carried = parent.model, parent.expressions
-    scans = read_scans(subject, task.captures)
-    drive = asked_drive(given, parent.drive)
+    scans = fits.read_scans(subject, task.captures)
+    drive = fits.asked_drive(given, parent.drive)
     parent = replace(parent, drive=drive)
     face = parent.face(given.linear_solver or fastest())
     check_held(face)
-    log = WarningLog(subject, progress)
-    oddities = find_oddities(face, scans, drive)
+    log = fits.WarningLog(subject, progress)
+    oddities = fits.find_oddities(face, scans, drive)
     for fit in carried:
         if fit.name in scans:
             oddities += check_replaced(subject, fit.name, fit.target, scans[fit.name])
@@ -57,7 +46,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
         oddities += fallback.warn_of_slowness(face)
     log.warn(0.02, oddities)
     stop = replace(UNSEEN_STOP, max_iterations=given.max_iterations)
-    targets = Targets(subject, given.distance).of_scans(scans)
+    targets = fits.Targets(subject, given.distance).of_scans(scans)
     data = terms(face, targets)
     fitted = []
     begin = time.perf_counter()
@@ -71,13 +60,13 @@ def run(task: Task[FitActivations]) -> list[Path]:
         prior = unseen_regulariser(face, targets[name])
         found = fallback.fit(face, data[name], prior, stop, given.solver, listen)
         spent = time.perf_counter() - start
-        expression = describe_fit(face, name, "test", scan, targets[name], found, spent)
+        expression = fits.describe_fit(face, name, "test", scan, targets[name], found, spent)
         done = 0.02 + 0.48 * (number + 1) / len(scans)
         fitted.append(log.about(expression, done, found.notices))
-    refuse_failures(fitted)
+    fits.refuse_failures(fitted)
     kept = [fit for fit in carried if fit.name not in scans]
     asked = given.model_dump(include={"distance", "solver"})
-    settings = {**UNSEEN, **asdict(stop), **asked, **control_settings(drive)}
+    settings = {**UNSEEN, **asdict(stop), **asked, **fits.control_settings(drive)}
     # the expressions that S was fitted to share its time
     trained = [fit for fit in carried if fit.role == "train"]
     together = [fit.seconds for fit in trained]
@@ -87,4 +76,4 @@ def run(task: Task[FitActivations]) -> list[Path]:
     whole = Rig(subject, face.S, expressions, seconds, log.general, drive=drive)
     same = not any(fit.name in scans for fit in trained)
     information = known_information(parent) if same else None
-    return leave_rig(face, whole, settings, task.out, part_of(progress, 0.5), information)
+    return fits.leave_rig(face, whole, settings, task.out, part_of(progress, 0.5), information)

@@ -19,22 +19,11 @@ from solver.fitting.objective import Target, distances
 from solver.fitting.recruitment import recruit
 from solver.fitting.simplex import mirror_structure, smooth_structure, transfer
 from solver.fitting.target_checks import check_held
-from solver.jobs import Task
-from solver.jobs.fits import (
-    Targets,
-    WarningLog,
-    asked_drive,
-    control_settings,
-    describe_fit,
-    find_oddities,
-    leave_rig,
-    read_scans,
-    refuse_failures,
-)
+from solver.jobs import Task, fits
 from solver.kinds.fit_geometry import FitGeometry
 from solver.model import SubjectModel
 from solver.progress import Progress, Step, part_of
-from solver.rig.report.neutral_checks import check_neutral
+from solver.rig.report.measures import check_neutral
 from solver.rig.rig import Rig
 
 # of rounds whose mean grows
@@ -49,8 +38,8 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     given, progress = task.options, task.progress
     progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
     subject = SubjectModel.load(task.inputs["model"])
-    scans = read_scans(subject, task.captures)
-    drive = asked_drive(given)
+    scans = fits.read_scans(subject, task.captures)
+    drive = fits.asked_drive(given)
     bounded = drive.loosened(0.0)
     face = Face(subject, linear=given.linear_solver)
     if bounded is not None:
@@ -59,7 +48,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     schedule = GeometryOptions(rounds=given.rounds, within=bounded)
     if given.solver == "ipopt":
         geometry.check_size(face, len(scans))
-    targets = Targets(subject, given.distance).of_scans(scans)
+    targets = fits.Targets(subject, given.distance).of_scans(scans)
     priors: dict[str, Any] = {"recruited": recruit(face, targets)}
     if "start" in task.inputs:
         start = Rig.load(task.inputs["start"])
@@ -71,8 +60,8 @@ def run(task: Task[FitGeometry]) -> list[Path]:
         structures.append(smooth_structure(subject, given.smoothness))
     if structures:
         priors["structure"] = sp.csr_array(sp.vstack(structures))
-    log = WarningLog(subject, progress)
-    oddities = find_oddities(face, scans, drive)
+    log = fits.WarningLog(subject, progress)
+    oddities = fits.find_oddities(face, scans, drive)
     if len(scans) == 1:
         message = (
             "the muscle geometry is fitted to one expression: it will follow that one and say "
@@ -81,36 +70,40 @@ def run(task: Task[FitGeometry]) -> list[Path]:
         oddities.append(make_warning("fit.one_target", message))
     log.warn(0.02, oddities)
     begin = time.perf_counter()
-    if given.solver == "ipopt":
-        fitted, notices = _geometry_by_ipopt(face, targets, schedule, priors, progress)
-        log.warn(0.8, notices)
-    else:
-        fitted = _geometry(face, targets, schedule, priors, progress)
+    fitted, notices = _fit(given.solver, face, targets, schedule, priors, progress)
+    log.warn(0.8, notices)
     seconds = time.perf_counter() - begin
     expressions = []
     for name, ending in fitted.endings.items():
         each, scan = seconds / len(targets), scans[name]
-        expression = describe_fit(face, name, "train", scan, targets[name], ending, each)
+        expression = fits.describe_fit(face, name, "train", scan, targets[name], ending, each)
         expressions.append(log.about(expression, 0.8, ending.notices))
-    refuse_failures(expressions)
+    fits.refuse_failures(expressions)
     log.warn(0.8, check_neutral(face.with_weights(fitted.S), expressions))
     asked = given.model_dump(include={"symmetry", "smoothness", "distance", "solver"})
-    settings = asdict(schedule) | asked | control_settings(drive)
+    settings = asdict(schedule) | asked | fits.control_settings(drive)
     del settings["within"]
     if bounded is None:
         del settings["tightening"]
     spent = {"geometry": seconds}
     rig = Rig(subject, fitted.S, tuple(expressions), spent, log.general, drive=drive)
-    return leave_rig(fitted.face, rig, settings, task.out, part_of(progress, 0.8))
+    return fits.leave_rig(fitted.face, rig, settings, task.out, part_of(progress, 0.8))
 
 
-def _geometry(
+def _fit(
+    solver: str,
     face: Face,
     targets: Mapping[str, Target],
     schedule: GeometryOptions,
     priors: Mapping[str, Any],
     progress: Progress,
-) -> GeometryFit:
+) -> tuple[GeometryFit, tuple[Finding, ...]]:
+    """Fit by a solver; returns what IPOPT noticed, too."""
+
+    def listen_ipopt(iteration: int, value: float) -> None:
+        part = min(iteration / geometry.most_iterations(schedule), 1.0)
+        progress(Step("geometry", 0.02 + 0.78 * part, iteration, value))
+
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
         done = 0.02 + 0.78 * number / schedule.most_rounds
         error = geometry.mean_error(face, targets, states)
@@ -118,19 +111,8 @@ def _geometry(
         message = CLOSING if closing else None
         progress(Step("geometry", done, number + 1, mean_error_mm=error, message=message))
 
-    data, first_terms = terms(face, targets), distances(face, targets)
-    return geometry.fit(face, data, schedule, first_terms=first_terms, listen=listen, **priors)
-
-
-def _geometry_by_ipopt(
-    face: Face,
-    targets: Mapping[str, Target],
-    schedule: GeometryOptions,
-    priors: Mapping[str, Any],
-    progress: Progress,
-) -> tuple[GeometryFit, tuple[Finding, ...]]:
-    def listen(iteration: int, value: float) -> None:
-        part = min(iteration / geometry.most_iterations(schedule), 1.0)
-        progress(Step("geometry", 0.02 + 0.78 * part, iteration, value))
-
-    return geometry.fit_by_ipopt(face, terms(face, targets), schedule, listen, **priors)
+    data = terms(face, targets)
+    if solver == "ipopt":
+        return geometry.fit_by_ipopt(face, data, schedule, listen_ipopt, **priors)
+    first_terms = distances(face, targets)
+    return geometry.fit(face, data, schedule, first_terms=first_terms, listen=listen, **priors), ()

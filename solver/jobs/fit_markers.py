@@ -27,16 +27,21 @@ from solver.fitting.strips import strip_names
 from solver.fitting.target_checks import check_held
 from solver.fitting.tracking import Tracker
 from solver.jobs import Task, hash_files, read_template
-from solver.jobs.expressions import solve_basis
-from solver.jobs.marker_frames import TakeDrawing, TakeFitter, marker_report, smooth_frames
+from solver.jobs.fits import solve_basis
+from solver.jobs.marker_frames import (
+    VIEW_FILE,
+    TakeDrawing,
+    TakeFitter,
+    marker_report,
+    smooth_frames,
+)
 from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted, write_animated
 from solver.kinds.fit_markers import FitMarkers
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.mechanics.linear import fastest
 from solver.progress import Step
-from solver.rig.frames.frames import sequence_report, write_sequence
-from solver.rig.frames.marker_view import FILE as VIEW_FILE
+from solver.rig.frames import sequence_report, write_sequence
 from solver.rig.rig import Rig
 from solver.scans.markers.places.bind import Reference
 from solver.scans.markers.places.face_take import USUAL_RATE, count_tracks, frames_about

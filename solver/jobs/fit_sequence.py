@@ -36,14 +36,14 @@ from solver.mechanics.linear import fastest
 from solver.meshio.registered import PLAUSIBLE
 from solver.model import SubjectModel
 from solver.progress import Step
-from solver.rig.frames.animation_gltf import AnimatedSkin
-from solver.rig.frames.frames import (
+from solver.rig.frames import (
     ChunkOptions,
     SequenceFrame,
     read_frames,
     sequence_report,
     write_sequence,
 )
+from solver.rig.frames.animation_gltf import AnimatedSkin
 from solver.rig.pictures import SequenceShot, sequence_picture
 from solver.rig.rig import Rig
 from solver.scans.performance import Performance, open_performance

@@ -1,25 +1,29 @@
-"""Shared by the fits of expressions: scans, targets, warnings, and the rig that is left."""
+"""Shared by fits: scans, targets, warnings, the rig that is left, and its basis of expressions."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from solver.errors import Finding, InputError, SolveError, make_warning
 from solver.fitting.drives import MuscleDrive
 from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.drives.stored import store
+from solver.fitting.expression_basis import FILE as BASIS_FILE
+from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
 from solver.fitting.objective import Target
 from solver.fitting.target_checks import after_fit, before_fit, find_inflated, idle_muscles
+from solver.jobs import Task
 from solver.kinds.kind import Distance, ExpressionFitOptions
 from solver.mechanics.flesh import IDENTITY
 from solver.meshio.registered import RegisteredScan, read_registered
@@ -168,11 +172,7 @@ class Targets:
 
     def __init__(self, model: SubjectModel, distance: Distance) -> None:
         self._face, self._distance = model.face, distance
-        # the skin's triangles (f, 3) within the face, by numbers of the face's points
-        number = np.full(len(model.skin.vertices), -1)
-        number[model.face] = np.arange(len(model.face))
-        triangles = number[model.skin.faces]
-        self._triangles = triangles[(triangles >= 0).all(axis=1)]
+        self._triangles = model.face_triangles
 
     def of_scans(self, scans: Mapping[str, RegisteredScan]) -> dict[str, Target]:
         """Return the targets of scans of the whole topology by their names."""
@@ -227,3 +227,28 @@ class WarningLog:
     def general(self) -> tuple[Finding, ...]:
         """Return the notices that are about no expression."""
         return tuple(each for each in self._notices if "expression" not in each.context)
+
+
+# The template's expressions on a rig, which jobs solve once and leave for each other.
+
+
+def known_basis(
+    task: Task[Any], face: Face, shapes: NDArray[np.floating]
+) -> ExpressionBasis | None:
+    """Return the basis that an earlier attempt or an earlier job left; None if it is of others."""
+    kept = task.out / BASIS_FILE
+    known: Path | None = task.inputs.get("expression_basis")
+    if task.resume and kept.is_file():
+        known = kept
+    return ExpressionBasis.load(known, face, shapes) if known else None
+
+
+def solve_basis(
+    task: Task[Any], face: Face, shapes: NDArray[np.floating], listen: Callable[[float], None]
+) -> ExpressionBasis:
+    """Return the known basis, else solve it; it is left for later jobs."""
+    basis = known_basis(task, face, shapes)
+    if basis is None:
+        basis = ExpressionBasis.solve(face, shapes, listen=listen)
+    basis.save(task.out / BASIS_FILE, face)
+    return basis

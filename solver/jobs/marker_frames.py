@@ -29,12 +29,13 @@ from solver.fitting.markers.term import HeadPrior
 from solver.fitting.tracking import Tracker
 from solver.jobs.marker_verdict import judge_fit
 from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
+from solver.rig.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
 from solver.rig.frames.animation_gltf import AnimatedSkin
-from solver.rig.frames.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
-from solver.rig.frames.marker_view import MarkerView
+from solver.rig.frames.read_back import Comparison
 from solver.scans.markers.places.marker_set import BoundTake
 from solver.scans.markers.signal.motion import rms_of_seen
 from solver.similarity import Similarity, small_motion
+from solver.storage import read_container, write_container
 from solver.surface import Floats
 
 
@@ -274,3 +275,56 @@ def marker_report(
 def _rms(distances: Floats) -> float | None:
     """Return the root mean square of what is not NaN, None if nothing is."""
     return round(rms_of_seen(distances), 4) if np.isfinite(distances).any() else None
+
+
+# ``markers.bin``: where a fitted take's markers are and were seen, for a page that plays it, mm in
+# the head's frame (docs/guide/rig-view.md).
+
+
+VIEW_FILE = "markers.bin"
+FARTHEST = float(np.finfo(np.float16).max)  # mm that a point is off at most: what its bits hold
+STATES = ("seen", "missing", "outlier", "swapped", "relabelled")
+
+
+class MarkerView:
+    """Collects frames of k markers and m muscles, to be written together."""
+
+    def __init__(self, labels: Sequence[str], muscles: Sequence[str]) -> None:
+        self._labels, self._muscles = list(labels), list(muscles)
+        self._places: list[Floats] = []
+        self._off: list[Floats] = []
+        self._frames: list[MarkerFrame] = []
+
+    def add(self, frame: MarkerFrame, places: Floats, seen: Floats) -> None:
+        """Add a frame: ``places`` (k, 3) of the fitted face, points (k, 3) seen in the studio.
+
+        A point that was seen nowhere is NaN.
+        """
+        back = small_motion(frame.head).inverse()
+        self._places.append(places)
+        self._off.append(back(seen) - places)
+        self._frames.append(frame)
+
+    def write(self, path: Path, fps: float) -> dict[str, Any]:
+        """Write the file; returns how far its places, read back, are off, by frame and marker."""
+        states = np.array([[STATES.index(each) for each in f.marker_state] for f in self._frames])
+        header = {
+            "labels": self._labels,
+            "muscles": self._muscles,
+            "states": list(STATES),
+            "numbers": [frame.frame for frame in self._frames],
+            "status": [frame.status for frame in self._frames],
+            "fps": fps,
+        }
+        arrays: dict[str, np.ndarray] = {
+            "places": np.array(self._places, np.float32),
+            "off": np.clip(np.array(self._off), -FARTHEST, FARTHEST).astype(np.float16),
+            "state": states.astype(np.uint8),
+            "held": np.array([frame.held for frame in self._frames]).astype(np.uint8),
+        }
+        write_container(path, header, arrays)
+        found = Comparison(path.name)
+        stored = read_container(path).arrays["places"]
+        for frame, shown, wanted in zip(self._frames, stored, self._places, strict=True):
+            found.add(frame.frame, shown, wanted)
+        return found.figures()

@@ -10,7 +10,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.geometry_information import InformationOptions, Linearisation, MuscleInformation
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
-from solver.jobs.expressions import known_basis
+from solver.jobs.fits import known_basis
 from solver.kinds.next_scan import NextScan
 from solver.mechanics.linear import fastest
 from solver.progress import Step
@@ -21,8 +21,8 @@ from solver.rig.next_scan import (
     suggestion_figures,
     suggestion_words,
 )
+from solver.rig.report import information_figures
 from solver.rig.report.certificate import scan_information
-from solver.rig.report.report import information_figures
 from solver.rig.rig import Rig
 from solver.storage import write_json
 

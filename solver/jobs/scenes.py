@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from solver.animation.drives import PosedFrame
+from solver.animation import PosedFrame
 from solver.errors import SolveError
 from solver.jobs import Task, hash_files
 from solver.kinds.scene import FatEntry
 from solver.progress import Progress, Step, silent
+from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.frames.animation import (
     Filming,
     MotionRecord,
@@ -30,13 +31,12 @@ from solver.rig.frames.animation import (
     read_motion,
     write_animation,
 )
-from solver.rig.frames.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.rig import Rig
+from solver.scene import Stage
 from solver.scene.document import document_of
 from solver.scene.places import Places
-from solver.scene.stage import Stage
+from solver.simulation import Stepped
 from solver.simulation.forces import Drive, FleshMotion
-from solver.simulation.simulator import Stepped
 from solver.surface import Floats
 
 

@@ -17,8 +17,8 @@ from solver.kinds.fit_markers import FitMarkers
 from solver.kinds.fit_sequence import FitSequence
 from solver.model import SubjectModel
 from solver.progress import Step
+from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter, SequenceFrame
 from solver.rig.frames.animation_gltf import AnimatedSkin
-from solver.rig.frames.frames import FRAMES, ChunkOptions, ChunkWriter, SequenceFrame
 from solver.surface import Floats
 
 DECIMALS = 9  # frames are stored as text: digits beyond say nothing

@@ -12,8 +12,8 @@ from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_per
 from solver.kinds.simulate import Simulate
 from solver.progress import part_of
 from solver.rig.frames.animation import check_video
+from solver.scene import Stage
 from solver.scene.document import drives_of, moving_fibres, performances_of
-from solver.scene.stage import Stage
 
 
 def run(task: Task[Simulate]) -> list[Path]:

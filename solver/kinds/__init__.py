@@ -12,11 +12,9 @@ from inspect import getdoc
 from pkgutil import iter_modules
 
 from solver.kinds.document import Fault
-from solver.kinds.formats import format_number
-from solver.kinds.inputs import FILES, INPUTS, LeftFile, Part
+from solver.kinds.formats import NOT_READABLE, check_directory, format_number, is_plainly_packed
+from solver.kinds.inputs import FILES, INPUTS, ROLES, SCANS, LeftFile, Part, Role
 from solver.kinds.kind import BUILTIN_VERTICES, JobOptions, Kind, OptionsError
-from solver.kinds.packing import NOT_READABLE, check_directory, is_plainly_packed
-from solver.kinds.roles import ROLES, SCANS, Role
 
 __all__ = [
     "BUILTIN_VERTICES",

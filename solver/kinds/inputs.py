@@ -1,8 +1,9 @@
-"""The inputs of jobs and the files that jobs leave for later ones, each declared once.
+"""The inputs of jobs, the files that jobs leave for later ones and the roles of captures.
 
-A contract (:class:`~solver.kinds.kind.Kind`) names them: ``reads`` and ``asks`` those of
-:data:`INPUTS`, ``hands_on`` those of :data:`FILES`. The command line makes its arguments and
-options of the first; the service checks and finds by the second what earlier jobs left.
+Each is declared once. A contract (:class:`~solver.kinds.kind.Kind`) names them: ``reads`` and
+``asks`` those of :data:`INPUTS`, ``hands_on`` those of :data:`FILES`. The command line makes its
+arguments and options of the first; the service checks and finds by the second what earlier jobs
+left.
 """
 
 from __future__ import annotations
@@ -16,15 +17,12 @@ Form = Literal["file", "file or folder", "files", "named files", "role"]
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an input on the command line: an argument if a job needs it, else an option.
-
-    role
-        What the job calls its file (``task.inputs``). None: it is no file, or the job has all of
-        them by their own names (``task.captures``).
-    """
+    """A part of an input on the command line: an argument if a job needs it, else an option."""
 
     parameter: str
     words: str  # of the command line's help
+    # what the job calls its file (task.inputs); None: it is no file, or the job has all of them by
+    # their own names (task.captures)
     role: str | None = None
     form: Form = "file"
     is_needed: bool = False
@@ -32,14 +30,10 @@ class Part:
 
 @dataclass(frozen=True)
 class Input:
-    """An input of jobs.
-
-    of_an_expression
-        The parts that take the place of ``parts`` where a kind reads a ``capture``, too.
-    """
+    """An input of jobs."""
 
     parts: tuple[Part, ...]
-    of_an_expression: tuple[Part, ...] = ()
+    of_an_expression: tuple[Part, ...] = ()  # in their place where a kind reads a capture, too
 
 
 def _given(parameter: str, words: str, form: Form = "file", role: str | None = None) -> Part:
@@ -99,25 +93,13 @@ INPUTS: Mapping[str, Input] = {
 
 @dataclass(frozen=True)
 class LeftFile:
-    """A file that jobs leave for later ones.
+    """A file that jobs leave for later ones."""
 
-    input
-        What it is to those: of kinds that have it in ``reads``.
-    role
-        What the job that reads it calls it.
-    formats
-        The numbers of its format that this release reads, the newest last.
-    of_a_rig
-        Whether it was made of one rig and is of no other. Later jobs of that rig find the newest.
-    is_kept
-        Whether it takes minutes to make, so that the next attempt at a job goes on with it.
-    """
-
-    input: str
-    role: str
-    formats: tuple[int, ...] = (1,)
-    of_a_rig: bool = False
-    is_kept: bool = False
+    input: str  # what it is to those: of kinds that have it in ``reads``
+    role: str  # what the job that reads it calls it
+    formats: tuple[int, ...] = (1,)  # the numbers that this release reads, the newest last
+    of_a_rig: bool = False  # made of one rig and of no other: later jobs of it find the newest
+    is_kept: bool = False  # takes minutes to make: the next attempt at a job goes on with it
 
     @property
     def format(self) -> int:
@@ -136,3 +118,68 @@ FILES: Mapping[str, LeftFile] = {
     ),
     "fibre_muscles.npz": LeftFile("fibre_muscles", "fibre_muscles", of_a_rig=True),
 }
+
+
+# Roles of captures: what a subject's file is to its jobs. The API takes these and shows them to the
+# page; ``scripts/client_roles.py`` writes them down for the client, which is published alone.
+
+MESHES = (".obj", ".ply", ".stl", ".glb")
+CLOUDS = (".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
+
+
+@dataclass(frozen=True)
+class Role:
+    """A role of captures; files have formats by their endings."""
+
+    title: str
+    noun: str  # what such a file is, in errors and descriptions
+    formats: tuple[str, ...]
+    then: str  # what becomes of it, in words that follow a colon
+    registered: tuple[str, ...] = ()  # formats of one in the template's topology
+    own_formats: tuple[str, ...] = ()  # of no other role: it is of this one if nobody says another
+    sets: tuple[str, ...] = ()  # of what lies beside such files for all of a session, one as well
+
+    @property
+    def is_scan(self) -> bool:
+        """Whether it is checked and registered; what is none takes no landmarks, and stays so."""
+        return bool(self.registered)
+
+
+ROLES: Mapping[str, Role] = {
+    "neutral": Role(
+        title="Neutral",
+        noun="the neutral capture",
+        formats=(*MESHES, *CLOUDS),
+        registered=MESHES,
+        then="it is checked and registered, and the model is built from it",
+    ),
+    "expression": Role(
+        title="Expression",
+        noun="an expression",
+        formats=(*MESHES, *CLOUDS),
+        registered=MESHES,
+        then="it is checked, registered and fitted",
+    ),
+    "performance": Role(
+        title="Performance",
+        noun="a performance",
+        formats=(".npy",),
+        own_formats=(".npy",),
+        then="it is fitted with a rig (fit_sequence)",
+    ),
+    "markers": Role(
+        title="Markers",
+        noun="a take of markers",
+        formats=(".c3d", ".trc", ".csv", ".npz"),
+        own_formats=(".c3d", ".trc"),
+        sets=(".json",),
+        then="it is checked (check_markers) and fitted with a rig (fit_markers)",
+    ),
+    "asset": Role(
+        title="File for scenes",
+        noun="an asset",
+        formats=(*MESHES, ".csv", ".npy", ".npz"),
+        then="scenes name it",
+    ),
+}
+SCANS = tuple(name for name, role in ROLES.items() if role.is_scan)

@@ -135,19 +135,14 @@ class Kind:
 
 Axis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
 Distance = Literal["point", "plane"]
+FACTORISATION = "factorisation of the tangent stiffness; null: the fastest that is installed, in"
 LinearSolver = Annotated[
     Literal["rslab", "rslab-single", "cholmod", "superlu", None],
-    Field(
-        description="factorisation of the tangent stiffness; null: the fastest that is installed, "
-        "in single precision"
-    ),
+    Field(description=f"{FACTORISATION} single precision"),
 ]
 DoubleSolver = Annotated[
     Literal["rslab", "cholmod", "superlu", None],
-    Field(
-        description="factorisation of the tangent stiffness; null: the fastest that is installed, "
-        "in double precision"
-    ),
+    Field(description=f"{FACTORISATION} double precision"),
 ]
 
 
@@ -167,7 +162,7 @@ class ExpressionFitOptions(FitOptions):
     controls: Literal["admissible", "free"] | None = Field(
         default=None,
         description="what muscles and jaw may do: admissible, only what they can (fibres up to "
-        "1.05 of their length, any direction from half to one and a half, the volume within 10 %, "
+        "1.02 of their length, any direction from half to one and a half, the volume within 10 %, "
         "the condyles on their tracks); free, any numbers, as published. If not given: admissible; "
         "for a rig, those of its training expressions; free by ipopt, which knows no bounds",
     )

@@ -9,6 +9,7 @@ import numba as nb
 import numpy as np
 import scipy.sparse as sp
 
+from solver.mechanics.linalg3 import Matrix, add, transpose
 from solver.surface import Floats, Ints
 
 # number of a pair of a tet's vertices among those with u <= v: 00 01 02 03 11 12 13 22 23 33
@@ -82,7 +83,7 @@ class BlockSum:
 
     def add(self, blocks: Floats, data: Floats) -> None:
         """Add the sum of ``blocks`` (n, v (v + 1) / 2, 3, 3) to the pattern's ``data``."""
-        flat = np.ascontiguousarray(blocks).reshape(-1, 3, 3)
+        flat = np.ascontiguousarray(blocks).reshape(-1, 9)
         groups = self._first, self._blocks, self._turned
         _add_blocks(flat, *groups, self._slots, self._lengths, data)
 
@@ -139,44 +140,26 @@ def _add_blocks(
 ) -> None:
     """Add every entry's 3x3 sum to its two places in the symmetric CSR ``data``."""
     for entry in nb.prange(len(slots)):
-        b00 = b01 = b02 = b10 = b11 = b12 = b20 = b21 = b22 = 0.0
+        total = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for k in range(first[entry], first[entry + 1]):
-            B = blocks[members[k]]
-            b00 += B[0, 0]
-            b11 += B[1, 1]
-            b22 += B[2, 2]
-            if turned[k]:
-                b01 += B[1, 0]
-                b02 += B[2, 0]
-                b12 += B[2, 1]
-                b10 += B[0, 1]
-                b20 += B[0, 2]
-                b21 += B[1, 2]
-            else:
-                b01 += B[0, 1]
-                b02 += B[0, 2]
-                b12 += B[1, 2]
-                b10 += B[1, 0]
-                b20 += B[2, 0]
-                b21 += B[2, 1]
-        s, length = slots[entry, 0], lengths[entry, 0]
-        b00 += data[s]
-        b01 += data[s + 1]
-        b02 += data[s + 2]
-        b10 += data[s + length]
-        b11 += data[s + length + 1]
-        b12 += data[s + length + 2]
-        b20 += data[s + 2 * length]
-        b21 += data[s + 2 * length + 1]
-        b22 += data[s + 2 * length + 2]
-        data[s], data[s + 1], data[s + 2] = b00, b01, b02
-        s += length
-        data[s], data[s + 1], data[s + 2] = b10, b11, b12
-        s += length
-        data[s], data[s + 1], data[s + 2] = b20, b21, b22
-        s, length = slots[entry, 1], lengths[entry, 1]
-        data[s], data[s + 1], data[s + 2] = b00, b10, b20
-        s += length
-        data[s], data[s + 1], data[s + 2] = b01, b11, b21
-        s += length
-        data[s], data[s + 1], data[s + 2] = b02, b12, b22
+            block = _load(blocks[members[k]], 0, 3)
+            total = add(total, transpose(block) if turned[k] else block)
+        place, length = slots[entry, 0], lengths[entry, 0]
+        total = add(total, _load(data, place, length))
+        _store(total, data, place, length)
+        _store(transpose(total), data, slots[entry, 1], lengths[entry, 1])
+
+
+@nb.njit(cache=True, forceinline=True)
+def _load(data: Floats, place: int, length: int) -> Matrix:
+    """Return the matrix whose rows lie so far apart in ``data``, from ``place`` on."""
+    a, b, c = data[place:], data[place + length :], data[place + 2 * length :]
+    return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
+
+
+@nb.njit(cache=True, forceinline=True)
+def _store(X: Matrix, data: Floats, place: int, length: int) -> None:
+    """Write a matrix where :func:`_load` reads it."""
+    for i in range(3):
+        for j in range(3):
+            data[place + i * length + j] = X[3 * i + j]

@@ -13,9 +13,8 @@ import numba as nb
 import numpy as np
 
 from solver.mechanics import laws
-from solver.mechanics.laws import MODES
 from solver.mechanics.linalg3 import Matrix, Symmetric, determinant, dot, symmetric_determinant
-from solver.mechanics.materials import BARRIER_START, Moduli
+from solver.mechanics.materials import BARRIER_START, MOST_MODES, Modes, Moduli
 from solver.surface import Floats, Ints
 
 CHUNK = 512  # tets that share one scratch space: enough to make its allocation free
@@ -68,6 +67,12 @@ def activation(a: Floats) -> Symmetric:
 def moduli_of(mesh: Elements, e: int) -> Moduli:
     """Return the moduli of one tet."""
     return mesh.mu[e], mesh.lam[e], mesh.kappa[e], mesh.barrier_weight[e]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def empty_modes() -> Modes:
+    """Return room for the modes of one tet."""
+    return Modes(np.empty((MOST_MODES, 9)), np.empty((MOST_MODES, 9)), np.empty((5, 3, 3)))
 
 
 @nb.njit(cache=True, parallel=True, error_model="numpy")
@@ -133,13 +138,13 @@ def hessian_blocks(mesh: Elements, x: Floats, a: Floats, project: float, out: Fl
     """
     n, N = len(mesh.tets), mesh.N
     for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
-        left, right = np.empty((MODES, 9)), np.empty((MODES, 9))
-        p, q = np.empty((MODES, 9)), np.empty((MODES, 9))
-        K, work = np.empty((9, 9)), np.empty((5, 3, 3))
+        modes = empty_modes()
+        left, right = modes.left, modes.right
+        p, q, K = np.empty((MOST_MODES, 9)), np.empty((MOST_MODES, 9)), np.empty((9, 9))
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
             F = deformation_gradient(x, mesh.tets[e], N[e])
             count, B, H = laws.hessian_modes(
-                mesh.law, F, activation(a[e]), moduli_of(mesh, e), project, left, right, work
+                mesh.law, F, activation(a[e]), moduli_of(mesh, e), project, modes
             )
             V = mesh.volume[e]
             for k in range(count):
@@ -223,11 +228,11 @@ def forces_by_activation(mesh: Elements, x: Floats, a: Floats, out: Floats) -> N
     """Fill ``out`` (n, 4, 3, 6): the nodal forces' derivative by the tet's activation a."""
     n, N = len(mesh.tets), mesh.N
     for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
-        left, right, D = np.empty((MODES, 9)), np.empty((MODES, 9)), np.empty((6, 9))
+        modes, D = empty_modes(), np.empty((6, 9))
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
             F = deformation_gradient(x, mesh.tets[e], N[e])
             A, moduli = activation(a[e]), moduli_of(mesh, e)
-            laws.stress_by_activation(mesh.law, F, A, moduli, left, right, D)
+            laws.stress_by_activation(mesh.law, F, A, moduli, modes, D)
             for i in range(3):
                 for q in range(6):
                     total = 0.0

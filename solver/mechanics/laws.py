@@ -14,7 +14,7 @@ import numba as nb
 
 from solver.errors import InputError, quote
 from solver.mechanics.linalg3 import Matrix, Symmetric
-from solver.mechanics.materials import Moduli, corotated, mooney_rivlin, neo_hookean
+from solver.mechanics.materials import Modes, Moduli, corotated, mooney_rivlin, neo_hookean
 from solver.surface import Floats
 
 Law = Literal["corotated", "neo_hookean", "mooney_rivlin"]
@@ -23,8 +23,6 @@ Law = Literal["corotated", "neo_hookean", "mooney_rivlin"]
 COROTATED = get_args(Law).index("corotated")
 NEO_HOOKEAN = get_args(Law).index("neo_hookean")
 MOONEY_RIVLIN = get_args(Law).index("mooney_rivlin")
-
-MODES = 12  # a law's Hessian has no more
 
 
 def number(law: Law) -> int:
@@ -69,41 +67,33 @@ def stress(law: int, F: Matrix, A: Symmetric, moduli: Moduli) -> Matrix:
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def hessian_modes(
-    law: int,
-    F: Matrix,
-    A: Symmetric,
-    moduli: Moduli,
-    project: float,
-    left: Floats,
-    right: Floats,
-    work: Floats,
+    law: int, F: Matrix, A: Symmetric, moduli: Moduli, project: float, modes: Modes
 ) -> tuple[int, Symmetric, Matrix]:
     """Write the modes of d2 psi/dF2 = I (x) B + sum_k left_k right_k^T + d(cof F)/dF [H].
 
-    ``left`` and ``right`` (MODES, 9) are filled; their sum is symmetric. Returned are the number of
-    modes, B, for <dF, dF B>, and H, for the cofactor's derivative with H in the place of F (a law
-    of det F alone has H = g F). ``project`` goes from 0, the Hessian itself, to 1, where each part
-    is projected by itself, the sum is positive semi-definite and H is zero.
-    ``work`` (5, 3, 3) is scratch.
+    ``modes`` are filled; their sum is symmetric. Returned are their number, B, for <dF, dF B>, and
+    H, for the cofactor's derivative with H in the place of F (a law of det F alone has H = g F).
+    ``project`` goes from 0, the Hessian itself, to 1, where each part is projected by itself, the
+    sum is positive semi-definite and H is zero.
     """
     if law == COROTATED:
-        return corotated.hessian_modes(F, A, moduli, project, left, right, work)
+        return corotated.hessian_modes(F, A, moduli, project, modes)
     if law == MOONEY_RIVLIN:
-        return mooney_rivlin.hessian_modes(F, A, moduli, project, left, right, work)
-    return neo_hookean.hessian_modes(F, A, moduli, project, left, right, work)
+        return mooney_rivlin.hessian_modes(F, A, moduli, project, modes)
+    return neo_hookean.hessian_modes(F, A, moduli, project, modes)
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def stress_by_activation(
-    law: int, F: Matrix, A: Symmetric, moduli: Moduli, left: Floats, right: Floats, out: Floats
+    law: int, F: Matrix, A: Symmetric, moduli: Moduli, modes: Modes, out: Floats
 ) -> None:
-    """Write d(stress)/da, shape (6, 9): the stress's change by each entry of a in A = S(a).
+    """Write d(stress)/da, shape (6, 9): the change by each entry of a in A = S(a).
 
-    ``left`` and ``right`` (MODES, 9) are scratch.
+    ``modes`` are scratch.
     """
     if law == COROTATED:
-        corotated.stress_by_activation(F, A, moduli, left, right, out)
+        corotated.stress_by_activation(F, A, moduli, modes, out)
     elif law == MOONEY_RIVLIN:
-        mooney_rivlin.stress_by_activation(F, A, moduli, left, right, out)
+        mooney_rivlin.stress_by_activation(F, A, moduli, modes, out)
     else:
-        neo_hookean.stress_by_activation(F, A, moduli, left, right, out)
+        neo_hookean.stress_by_activation(F, A, moduli, modes, out)

@@ -147,19 +147,7 @@ def symmetric_determinant(A: Symmetric) -> float:
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def times(F: Matrix, A: Symmetric) -> Matrix:
     """Return F A."""
-    a, b, c, d, e, f, g, h, i = F
-    xx, xy, xz, yy, yz, zz = A
-    return (
-        a * xx + b * xy + c * xz,
-        a * xy + b * yy + c * yz,
-        a * xz + b * yz + c * zz,
-        d * xx + e * xy + f * xz,
-        d * xy + e * yy + f * yz,
-        d * xz + e * yz + f * zz,
-        g * xx + h * xy + i * xz,
-        g * xy + h * yy + i * yz,
-        g * xz + h * yz + i * zz,
-    )
+    return product(F, full(A))
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
@@ -207,6 +195,12 @@ def add(X: Matrix, Y: Matrix) -> Matrix:
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
+def transpose(X: Matrix) -> Matrix:
+    """Return X^T."""
+    return X[0], X[3], X[6], X[1], X[4], X[7], X[2], X[5], X[8]
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def subtract(X: Matrix, Y: Matrix) -> Matrix:
     """Return X - Y."""
     return add(X, scale(-1.0, Y))
@@ -225,18 +219,33 @@ def full(A: Symmetric) -> Matrix:
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
+def unit(k: int) -> Matrix:
+    """Return the matrix of zeros but for a one in entry ``k``."""
+    return (
+        1.0 if k == 0 else 0.0,
+        1.0 if k == 1 else 0.0,
+        1.0 if k == 2 else 0.0,
+        1.0 if k == 3 else 0.0,
+        1.0 if k == 4 else 0.0,
+        1.0 if k == 5 else 0.0,
+        1.0 if k == 6 else 0.0,
+        1.0 if k == 7 else 0.0,
+        1.0 if k == 8 else 0.0,
+    )
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def symmetric_unit(number: int) -> Matrix:
     """Return the derivative of A by its ``number``-th entry."""
-    return full(
-        (
-            1.0 if number == 0 else 0.0,
-            1.0 if number == 1 else 0.0,
-            1.0 if number == 2 else 0.0,
-            1.0 if number == 3 else 0.0,
-            1.0 if number == 4 else 0.0,
-            1.0 if number == 5 else 0.0,
-        )
-    )
+    row, column = SYM_ROW[number], SYM_COLUMN[number]
+    entry = unit(3 * row + column)
+    return entry if row == column else add(entry, unit(3 * column + row))
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def symmetric_inverse(A: Symmetric) -> Symmetric:
+    """Return A^-1."""
+    return symmetric_scale(1.0 / symmetric_determinant(A), symmetric_cofactor(A))
 
 
 @nb.njit(cache=True, error_model="numpy")

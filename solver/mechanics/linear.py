@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -14,11 +15,11 @@ import pymetis
 import scipy.sparse as sp
 import scipy.sparse.linalg
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 from typing_extensions import override
 
 from solver.errors import InputError
 from solver.surface import Floats, Ints
-from solver.threads import in_threads
 
 
 class NotPositiveDefiniteError(ArithmeticError):
@@ -306,3 +307,22 @@ def _merge(known: Ints, keys: Ints) -> Ints:
     """Return sorted keys with others put in: nearly all are there, and sorting them is dear."""
     new = np.sort(keys[~_are_among(known, keys)])
     return np.insert(known, np.searchsorted(known, new), new)
+
+
+# Who may use several threads: the kernels, and not the linear algebra beside them.
+
+
+def leave_threads_to_kernels() -> None:
+    """Let BLAS work in one thread, in the whole process.
+
+    Its threads wait busily for their next call and keep the kernels' from running: on two cores a
+    frame of a sequence took four times as long with both.
+    """
+    threadpool_limits(limits=1, user_api="blas")
+
+
+def in_threads(work: Callable[[int], None], items: Iterable[int]) -> None:
+    """Call ``work`` for each item on as many threads as the kernels use; it must let others run."""
+    with ThreadPoolExecutor(nb.get_num_threads()) as threads:
+        for _ in threads.map(work, items):
+            pass

@@ -6,7 +6,7 @@ Hessian from nearby still serves, its chord steps do instead, with Anderson's ac
 costs a fraction of a new factorization.
 
 Equilibria (:mod:`solver.mechanics.equilibrium`) and moments of a simulation
-(:mod:`solver.simulation.simulator`) are found by the same :class:`Search` with other options.
+(:mod:`solver.simulation`) are found by the same :class:`Search` with other options.
 """
 
 from __future__ import annotations

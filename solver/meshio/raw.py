@@ -16,8 +16,7 @@ from solver.meshio.glb import MM_PER_METRE, read_glb
 from solver.meshio.mesh import Mesh, alike, check_suffix, read_content, too_large_error, weld
 from solver.meshio.obj import read_obj
 from solver.meshio.ply import read_ply
-from solver.meshio.stl import FACET, HEADER_BYTES, read_stl
-from solver.meshio.xyz import read_xyz
+from solver.meshio.soup import FACET, HEADER_BYTES, read_stl, read_xyz
 from solver.surface import Floats, Ints, area_normals, directed_edges
 
 READERS: dict[str, Callable[[str, bytes], Mesh]] = {

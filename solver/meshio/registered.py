@@ -17,7 +17,7 @@ from solver.meshio.glb import MM_PER_METRE, read_glb
 from solver.meshio.mesh import Mesh, check_finite, check_suffix, read_content, unsupported_error
 from solver.meshio.obj import read_obj
 from solver.meshio.ply import read_ply, write_ply
-from solver.meshio.stl import read_stl
+from solver.meshio.soup import read_stl
 from solver.model import SIZE_WORDS, SizeFrom
 from solver.similarity import weighted_motion
 from solver.surface import Floats, Ints, Surface
@@ -55,13 +55,10 @@ PLAUSIBLE = PlausibleScan()
 
 @dataclass(frozen=True)
 class RegisteredScan:
-    """``vertices`` (n, 3) in mm and their ``confidence`` (n,) in [0, 1], 0 where nothing was seen.
+    """A registered scan; a file that says nothing about confidence is trusted everywhere."""
 
-    A file that says nothing about confidence is trusted everywhere.
-    """
-
-    vertices: Floats
-    confidence: Floats
+    vertices: Floats  # (n, 3) in mm
+    confidence: Floats  # (n,) in [0, 1], 0 where nothing was seen
     size_from: SizeFrom = "scan"
 
 
@@ -74,12 +71,7 @@ def write_registered(
 
 
 def read_registered(
-    path: Path,
-    faces: Ints,
-    vertex_count: int,
-    *,
-    neutral: Floats | None = None,
-    plausible: PlausibleScan = PLAUSIBLE,
+    path: Path, faces: Ints, vertex_count: int, *, neutral: Floats | None = None
 ) -> RegisteredScan:
     """Return the vertices (vertex_count, 3) of a registered scan, in mm, and their confidence.
 
@@ -99,7 +91,7 @@ def read_registered(
     mesh = READERS[suffix](file, content, strict=True)
     vertices = mesh.vertices
     if suffix == ".stl":
-        vertices = _number_facets(file, vertices, faces, vertex_count, plausible.same_place_mm)
+        vertices = _number_facets(file, vertices, faces, vertex_count, PLAUSIBLE.same_place_mm)
     elif suffix == ".glb":
         with np.errstate(over="ignore"):
             vertices = vertices * MM_PER_METRE
@@ -113,10 +105,10 @@ def read_registered(
         about = {"file": file, "expected": vertex_count, "found": len(vertices)}
         raise InputError("scan.vertex_count", message, **about)
     check_finite(file, vertices)
-    _check_scale(file, vertices, plausible)
-    _check_vertex_order(file, vertices, faces, plausible)
+    _check_scale(file, vertices)
+    _check_vertex_order(file, vertices, faces)
     if neutral is not None:
-        _check_alignment(file, vertices, neutral, plausible)
+        _check_alignment(file, vertices, neutral)
     return RegisteredScan(vertices, confidence, _size_from(content))
 
 
@@ -168,11 +160,11 @@ def _number_facets(
     return vertices
 
 
-def _check_scale(file: str, vertices: Floats, plausible: PlausibleScan) -> None:
+def _check_scale(file: str, vertices: Floats) -> None:
     """Raise ``scan.unit`` unless the vertices (n, 3) are as large as a head in mm."""
     with np.errstate(over="ignore"):
         extent = float(np.nan_to_num(np.ptp(vertices, axis=0).max()))
-    low, high = plausible.head_mm
+    low, high = PLAUSIBLE.head_mm
     if low <= extent <= high:
         return
     guess = next((unit for unit, factor in UNITS.items() if low <= extent * factor <= high), None)
@@ -186,11 +178,11 @@ def _check_scale(file: str, vertices: Floats, plausible: PlausibleScan) -> None:
     raise InputError("scan.unit", message, file=file, expected=[low, high], found=extent)
 
 
-def _check_vertex_order(file: str, vertices: Floats, faces: Ints, plausible: PlausibleScan) -> None:
+def _check_vertex_order(file: str, vertices: Floats, faces: Ints) -> None:
     """Raise ``scan.vertex_order`` if the template's faces (f, 3) join vertices far apart."""
     edges = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2)
     median, extent = float(np.median(edges)), float(np.ptp(vertices, axis=0).max())
-    if median > plausible.edge_ratio * extent:
+    if median > PLAUSIBLE.edge_ratio * extent:
         message = (
             f"{file}: neighbours in the template lie {median:.3g} mm apart; "
             "the vertices are not in the template's order"
@@ -198,9 +190,7 @@ def _check_vertex_order(file: str, vertices: Floats, faces: Ints, plausible: Pla
         raise InputError("scan.vertex_order", message, file=file, found=median)
 
 
-def _check_alignment(
-    file: str, vertices: Floats, neutral: Floats, plausible: PlausibleScan
-) -> None:
+def _check_alignment(file: str, vertices: Floats, neutral: Floats) -> None:
     """Raise ``scan.misaligned`` if the expression (n, 3) is far off the neutral (n, 3).
 
     Scans of one session share the skull's place; the message says by how much this one is moved.
@@ -212,14 +202,14 @@ def _check_alignment(
     left_mirrored = np.sum((flipped(mirrored) - vertices) ** 2)
     # distances too small tell nothing: a flat surface is its own mirror image
     size = len(vertices) * float(np.var(neutral, axis=0).sum() + np.var(vertices, axis=0).sum())
-    if left > 1e-3 * size and left_mirrored < plausible.mirrored * left:
+    if left > 1e-3 * size and left_mirrored < PLAUSIBLE.mirrored * left:
         message = (
             f"{file} is mirrored against the neutral (left and right exchanged, or inside out): "
             "switch off mirroring in the export"
         )
         raise InputError("scan.mirrored", message, file=file)
     median = float(np.median(np.linalg.norm(vertices - neutral, axis=1)))
-    if median <= plausible.median_motion_mm:
+    if median <= PLAUSIBLE.median_motion_mm:
         return
     shift = float(np.linalg.norm(vertices.mean(axis=0) - neutral.mean(axis=0)))
     message = (
@@ -227,5 +217,5 @@ def _check_alignment(
         f"{moved.degrees:.0f} degrees and moved by {shift:.0f} mm; align its skull with the "
         "neutral's"
     )
-    expected = plausible.median_motion_mm
+    expected = PLAUSIBLE.median_motion_mm
     raise InputError("scan.misaligned", message, file=file, expected=expected, found=median)

@@ -38,7 +38,7 @@ class CorrespondenceOptions:
     hugging: float = 0.8  # share near of a loose piece that is skin too: a brow, another shell
 
 
-# Parts of a head: skin, and what moves with a bone.
+CORRESPONDENCE = CorrespondenceOptions()
 
 
 @dataclass(frozen=True)
@@ -52,15 +52,15 @@ class HeadParts:
     lower: Mask  # loose parts of the mouth that move with the lower jaw
 
 
-def head_parts(head: Surface, person: Template, options: CorrespondenceOptions) -> HeadParts:
+def head_parts(head: Surface, person: Template) -> HeadParts:
     """Tell the parts of a head apart by shape, and by the template in its shape, ``person``."""
     count = len(head.vertices)
     piece = connected_components(adjacency(head.faces, count), directed=False)[1]
     kinds = _kinds(head)
     under = person.flesh
     face, shares, distance = barycentric(head.vertices, under)
-    near = _lies_on(head, under, under.faces[face], shares, distance, options)
-    skin = kinds["skin"] | (_mean(near, piece) > options.hugging)
+    near = _lies_on(head, under, under.faces[face], shares, distance)
+    skin = kinds["skin"] | (_mean(near, piece) > CORRESPONDENCE.hugging)
     within = _inner_parts(person)
     bones = {"upper": person.cranium, "lower": person.mandible}
     far = [
@@ -93,9 +93,6 @@ def _inner_parts(person: Template) -> dict[str, Surface]:
 def _mean(values: NDArray, piece: Ints) -> Floats:
     """Return the mean (n,) of values (n,) over each vertex's ``piece`` (n,)."""
     return np.asarray((np.bincount(piece, values) / np.bincount(piece))[piece])
-
-
-# What lies where.
 
 
 @dataclass(frozen=True)
@@ -153,14 +150,12 @@ class Carrier:
         return result
 
 
-def correspond(
-    head: Surface, person: Template, options: CorrespondenceOptions = CorrespondenceOptions()
-) -> Correspondence:
+def correspond(head: Surface, person: Template) -> Correspondence:
     """Find what of a template's skin lies under each vertex of a ``head``.
 
     ``person`` is the template in the head's shape.
     """
-    parts, count = head_parts(head, person, options), len(head.vertices)
+    parts, count = head_parts(head, person), len(head.vertices)
     skin = Surface(head.vertices, head.faces[parts.skin[head.faces].all(axis=1)])
     under, within = person.flesh, _inner_parts(person)
     marks = landmark_vertices(person)
@@ -180,7 +175,7 @@ def correspond(
         other = (own == -side) & own_at_mouth
         lip = under.faces[~other[under.faces].any(axis=1)]
         lay(parts.skin & at_mouth & (sides == side), Surface(under.vertices, lip))
-    near = _lies_on(head, under, corners, shares, distance, options)
+    near = _lies_on(head, under, corners, shares, distance)
     eyes = parts.eyes | parts.lashes
     inner = {"eyes": eyes, "lower": parts.lower, "upper": ~(parts.skin | eyes | parts.lower)}
     for name, part in inner.items():
@@ -191,17 +186,12 @@ def correspond(
 
 
 def _lies_on(
-    head: Surface,
-    under: Surface,
-    corners: Ints,
-    shares: Floats,
-    distance: Floats,
-    options: CorrespondenceOptions,
+    head: Surface, under: Surface, corners: Ints, shares: Floats, distance: Floats
 ) -> Mask:
     """Tell which vertices are near ``under`` and face as it does: an eyeball faces its socket."""
     normals = np.einsum("nkd,nk->nd", vertex_normals(under)[corners], shares)
     facing = np.einsum("nd,nd->n", vertex_normals(head), normals)
-    return np.asarray((distance < options.near_mm) & (facing > options.cosine))
+    return np.asarray((distance < CORRESPONDENCE.near_mm) & (facing > CORRESPONDENCE.cosine))
 
 
 def _lips(flesh: Surface, places: Mapping[str, Floats]) -> Ints:

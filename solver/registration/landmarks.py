@@ -16,51 +16,19 @@ from typing import Any
 
 import numpy as np
 
+from solver.anatomy.data import read_table
 from solver.anatomy.template import Template
 from solver.drawing.render import Camera, DrawnBody, Lit, Pixels, Visible, look, render
 from solver.errors import InputError, file_error, quote, quote_names
 from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface
 
-# Point of the 68-point scheme, from 0 -> name.
-IBUG_68 = {
-    8: "menton",
-    17: "brow_lateral_r",
-    21: "brow_medial_r",
-    22: "brow_medial_l",
-    26: "brow_lateral_l",
-    27: "sellion",
-    30: "nose_tip",
-    31: "alar_curvature_r",
-    33: "subnasale",
-    35: "alar_curvature_l",
-    36: "exocanthion_r",
-    39: "endocanthion_r",
-    42: "endocanthion_l",
-    45: "exocanthion_l",
-    48: "cheilion_r",
-    51: "labrale_superius",
-    54: "cheilion_l",
-    57: "labrale_inferius",
-    62: "stomion_superius",
-    66: "stomion_inferius",
-}
-# Vertex of MediaPipe's face mesh -> name.
-MEDIAPIPE = {
-    4: "nose_tip",
-    2: "subnasale",
-    33: "exocanthion_r",
-    133: "endocanthion_r",
-    362: "endocanthion_l",
-    263: "exocanthion_l",
-    61: "cheilion_r",
-    291: "cheilion_l",
-    0: "labrale_superius",
-    17: "labrale_inferius",
-    13: "stomion_superius",
-    14: "stomion_inferius",
-    168: "sellion",
-}
+_SCHEMES = read_table("landmark_schemes")
+# Point of the 68-point scheme, from 0, and vertex of MediaPipe's face mesh -> name.
+IBUG_68, MEDIAPIPE = (
+    {int(row["point"]): row["landmark"] for row in _SCHEMES if row["scheme"] == name}
+    for name in ("ibug", "mediapipe")
+)
 # Names of one place in different templates.
 SYNONYMS = {"pronasale": "nose_tip", "nasion": "sellion"}
 LABELS_68 = (  # in the scheme's order; the first brow and eye are the subject's right

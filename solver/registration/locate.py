@@ -129,7 +129,9 @@ def locate_face(
     surface = face_surface(template)
     face = face_points(surface)
     if marks is None:
-        pose = _search(face, samples, given, scan.mm_per_unit, _given_axes(frame))
+        axes = {name: np.array(axis) for name, axis in AXES.items()}
+        upright = axes.get(frame["up"]), axes.get(frame["forward"])  # None for auto
+        pose = _search(face, samples, given, scan.mm_per_unit, upright)
     else:
         start = fit_similarity(*marks)
         pose = refine_pose(face, samples, KDTree(samples.points), start, start.scale)
@@ -189,19 +191,13 @@ def fit_likeness(
 
 
 def _judge_likeness(
-    pose: FacePose,
-    samples: Samples,
-    template: Template,
-    face: Surface,
-    look: SecondLook = SECOND,
-    *,
-    certain: bool,
+    pose: FacePose, samples: Samples, template: Template, face: Surface, *, certain: bool
 ) -> tuple[ShapeFit | None, bool]:
     """Return the likeness to what is at a pose, and whether it is a face; it may be ``certain``.
 
     A doubtful pose is a face's if it is one once the template looks like the person.
     """
-    if not (certain or pose.is_face or pose.cost <= look.most_cost):
+    if not (certain or pose.is_face or pose.cost <= SECOND.most_cost):
         return None, False
     near = near_face(samples, pose.motion, face)
     if len(near.points) < REFINEMENT.least_points:  # landmarks may lie off the scan
@@ -210,10 +206,10 @@ def _judge_likeness(
     if certain or pose.is_face:
         return fitted, True
     if template.shapes is None:
-        return fitted, pose.cost < look.shapeless_cost
+        return fitted, pose.cost < SECOND.shapeless_cost
     points = face_points(Surface(fitted.vertices, face.faces))
     again = judge_pose(points, samples, KDTree(samples.points), fitted.motion)
-    return fitted, again.cost < look.likeness_cost
+    return fitted, again.cost < SECOND.likeness_cost
 
 
 @dataclass(frozen=True)
@@ -314,12 +310,6 @@ def _search(
     if known[0] == best.motion.scale:
         more.append(find_pose(face, samples, known, upright))
     return min(best, *more, key=lambda pose: pose.cost)
-
-
-def _given_axes(frame: Mapping[str, Any]) -> Axes:
-    """Return the directions (3,) that ``frame`` gives for ``up`` and ``forward``; None for auto."""
-    known = {name: np.array(axis) for name, axis in AXES.items()}
-    return known.get(frame["up"]), known.get(frame["forward"])
 
 
 def nearest_axis(direction: Floats) -> str:

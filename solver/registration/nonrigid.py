@@ -48,6 +48,9 @@ class FreeFormOptions:
     pin_mm2: float = 20.0  # area of skin that a landmark speaks for
 
 
+FREE_FORM = FreeFormOptions()
+
+
 @dataclass(frozen=True)
 class Round:
     """One round: smoothing ``length`` and ``reach`` of the closest points, in mm.
@@ -82,12 +85,11 @@ FROM_AFAR = (
 class Skin:
     """The deforming part of a template at ``start`` (n, 3), ready to be smoothed."""
 
-    def __init__(self, start: Floats, topology: Topology, options: FreeFormOptions) -> None:
-        self._options = options
+    def __init__(self, start: Floats, topology: Topology) -> None:
         self.vertices, self.faces = own_numbers(topology.flesh)
         self.start = start[self.vertices]
         self.outer = np.searchsorted(self.vertices, topology.outer)
-        self._membrane, self.area = _laplacian(Surface(self.start, self.faces), options)
+        self._membrane, self.area = _laplacian(Surface(self.start, self.faces))
         self._bending = self._membrane @ sp.diags_array(1 / self.area) @ self._membrane
         self._touch, self._closing = self._lips(topology)
         pattern = sp.csr_array(abs(self._bending) + abs(self._membrane) + abs(self._touch))
@@ -101,7 +103,7 @@ class Skin:
         data = weights * self.area
         stiffness = (
             length**4 * self._bending
-            + self._options.membrane * length**2 * self._membrane
+            + FREE_FORM.membrane * length**2 * self._membrane
             + self._touch
         )
         # adding 0 x pattern keeps the entries of all parts
@@ -116,8 +118,8 @@ class Skin:
         rest = topology.template.skin.vertices[self.vertices]
         one, other = np.searchsorted(self.vertices, topology.touching).T
         closing = rest[one] - rest[other] - (self.start[one] - self.start[other])
-        strength = np.exp(-np.sum((closing / self._options.touch_fades_mm) ** 2, axis=1))
-        strength *= self._options.lip_strength * np.minimum(self.area[one], self.area[other])
+        strength = np.exp(-np.sum((closing / FREE_FORM.touch_fades_mm) ** 2, axis=1))
+        strength *= FREE_FORM.lip_strength * np.minimum(self.area[one], self.area[other])
         rows = np.tile(np.arange(len(one)), 2)
         ends = (rows, np.concatenate([one, other]))
         signs = np.repeat([1.0, -1.0], len(one))
@@ -133,14 +135,13 @@ def free_form(
     topology: Topology,
     schedule: tuple[Round, ...],
     pins: Pins | None = None,
-    options: FreeFormOptions = FreeFormOptions(),
 ) -> Floats:
     """Return the vertices (n, 3) of ``start`` (n, 3) moved onto the scan.
 
     ``motion`` takes the scan into the frame of ``start``, ``schedule`` has the rounds, coarse to
     fine. Landmarks (``pins``) guide the rounds that follow compatible points.
     """
-    skin = Skin(start, topology, options)
+    skin = Skin(start, topology)
     moved = np.zeros_like(skin.start)
     for stage in schedule:
         current = skin.start + moved
@@ -158,17 +159,17 @@ def free_form(
         if pins is not None and stage.compatible:
             numbers = np.searchsorted(skin.vertices, pins.vertices)
             goals[numbers] = motion(pins.points) - skin.start[numbers]
-            weights[numbers] = options.pin_mm2 / skin.area[numbers]
+            weights[numbers] = FREE_FORM.pin_mm2 / skin.area[numbers]
         moved = skin.smooth(goals, weights, stage.length)
     result = start.copy()
     result[skin.vertices] += moved
     return result
 
 
-def _laplacian(surface: Surface, options: FreeFormOptions) -> tuple[sp.csr_array, Floats]:
+def _laplacian(surface: Surface) -> tuple[sp.csr_array, Floats]:
     """Return the cotangent Laplacian (positive) with bounded weights, and vertex areas (mm^2)."""
     weights = sp.coo_array(igl.cotmatrix(surface.vertices, surface.faces))
-    weights.data = np.clip(weights.data, *options.cotangent)
+    weights.data = np.clip(weights.data, *FREE_FORM.cotangent)
     weights.data[weights.row == weights.col] = 0.0
     weights.eliminate_zeros()
     area = vertex_areas(surface.vertices, surface.faces)

@@ -69,14 +69,11 @@ STILL = 0.1  # least weight of the vertices on which an expression's head is ali
 
 @dataclass(frozen=True)
 class RegisteredFace:
-    """A scan in the template's topology.
-
-    ``skin`` is in mm: of a neutral in the template's frame, of an expression in its neutral's,
-    without head motion.
-    """
+    """A scan in the template's topology."""
 
     scan: ScanSurface  # in mm
     start: Location  # of its face, before registration
+    # In mm: a neutral in the template's frame, an expression in its neutral's, the head still.
     skin: Surface
     trust: Trust
     motion: Similarity  # takes the scan in mm onto ``skin``
@@ -198,9 +195,6 @@ def _check(file: str, found: Trust, topology: Topology) -> None:
     raise InputError("scan.not_a_face", f"{file} shows no whole face: {reason}", file=file)
 
 
-# Confidence in registered vertices, their distances to the scan, and the head's motion.
-
-
 @dataclass(frozen=True)
 class ConfidenceOptions:
     """Limits of what a scan says of a registered vertex."""
@@ -208,6 +202,9 @@ class ConfidenceOptions:
     covered_mm: float = 10.0  # farther there is no data
     covered_cosine: float = 0.5  # of the normals, at least
     trusted_mm: float = 2.0  # distance at which confidence has fallen to 1/e
+
+
+CONFIDENCE = ConfidenceOptions()
 
 
 @dataclass(frozen=True)
@@ -224,13 +221,7 @@ class Trust:
     distance_mm: Floats
 
 
-def trust(
-    scan: ScanSurface,
-    motion: Similarity,
-    skin: Surface,
-    outer: Ints,
-    options: ConfidenceOptions = ConfidenceOptions(),
-) -> Trust:
+def trust(scan: ScanSurface, motion: Similarity, skin: Surface, outer: Ints) -> Trust:
     """Compare a registered ``skin`` with the scan that ``motion`` takes to it.
 
     Confidence is the product of a term of distance, one of the angle between the normals, and the
@@ -241,12 +232,14 @@ def trust(
     found = scan.closest(motion.inverse()(skin.vertices[outer]))
     distance = found.distance * motion.scale
     cosine = np.einsum("nd,nd->n", normals, motion.turn(found.normals))
-    seen = ~found.at_edge & (distance < options.covered_mm) & (cosine > options.covered_cosine)
+    seen = (
+        ~found.at_edge & (distance < CONFIDENCE.covered_mm) & (cosine > CONFIDENCE.covered_cosine)
+    )
     covered = np.zeros(count, dtype=bool)
     covered[outer] = seen
     near = np.zeros(count)
-    near[outer] = np.exp(-((distance / options.trusted_mm) ** 2))
-    near[outer] *= facing_weights(cosine, options.covered_cosine)
+    near[outer] = np.exp(-((distance / CONFIDENCE.trusted_mm) ** 2))
+    near[outer] *= facing_weights(cosine, CONFIDENCE.covered_cosine)
     apart = np.full(count, np.nan)
     apart[outer[seen]] = distance[seen]
     graph = adjacency(skin.faces, count)

@@ -31,12 +31,10 @@ class ReportLimits:
     unusual_shape: float = 2.0  # times the expected length of the identity weights
 
 
-def report(
-    registered: RegisteredFace,
-    topology: Topology,
-    size_from: SizeFrom,
-    limits: ReportLimits = ReportLimits(),
-) -> dict[str, Any]:
+REPORT_LIMITS = ReportLimits()
+
+
+def report(registered: RegisteredFace, topology: Topology, size_from: SizeFrom) -> dict[str, Any]:
     """Return the figures and findings as plain JSON values; lengths in mm.
 
     Distances are from registered vertices to the scan's surface, over the covered outer face;
@@ -69,7 +67,7 @@ def report(
             finding.to_dict()
             for finding in (
                 *registered.size_findings,
-                *_findings(registered, topology, distance, regions, limits),
+                *_findings(registered, topology, distance, regions),
             )
         ],
     }
@@ -80,12 +78,11 @@ def _findings(
     topology: Topology,
     distance: Floats,
     regions: dict[str, dict[str, Any]],
-    limits: ReportLimits,
 ) -> Iterator[Finding]:
     """Yield what an operator should know, given the face's ``distance`` where it is covered."""
     coverage = len(distance) / len(topology.face)
-    if coverage < limits.much_cover:
-        severity: Severity = "warning" if coverage < limits.little_cover else "info"
+    if coverage < REPORT_LIMITS.much_cover:
+        severity: Severity = "warning" if coverage < REPORT_LIMITS.little_cover else "info"
         message = (
             f"The scan shows {coverage:.0%} of the face; the rest is filled in smoothly and does "
             "not count in the fits."
@@ -93,14 +90,16 @@ def _findings(
         advice = "Fill large holes by another take, if they lie where the face moves."
         yield Finding("registration.holes", severity, message, advice)
     mean, p95 = distance.mean(), np.percentile(distance, 95)
-    if mean > limits.mean_mm or p95 > limits.p95_mm:
+    if mean > REPORT_LIMITS.mean_mm or p95 > REPORT_LIMITS.p95_mm:
         message = (
             f"The registered face lies {mean:.2f} mm off the scan on average, 95 % of it within "
             f"{p95:.2f} mm."
         )
         advice = "Look at distance.png: hair, a beard, glasses or spikes show in dark red."
         yield Finding("registration.far", "warning", message, advice)
-    unseen = sorted(name for name in regions if regions[name]["coverage"] < limits.little_cover)
+    unseen = sorted(
+        name for name in regions if regions[name]["coverage"] < REPORT_LIMITS.little_cover
+    )
     if unseen:
         message = f"Mostly not in the scan: {', '.join(unseen).replace('_', ' ')}."
         advice = "Their shape is the likeliest one, not a measured one."
@@ -108,7 +107,7 @@ def _findings(
     shapes, weights = topology.template.shapes, registered.shape_weights
     if shapes is not None and len(weights) == len(shapes.identity):
         length = float(np.linalg.norm(weights) / np.sqrt(max(len(weights), 1)))
-        if length > limits.unusual_shape:
+        if length > REPORT_LIMITS.unusual_shape:
             message = "The face differs much from those the template knows."
             advice = "Check distance.png; give landmarks if eyes or mouth are in the wrong place."
             yield Finding("registration.unusual_shape", "info", message, advice)
@@ -133,9 +132,6 @@ def _regions(trust: Trust, topology: Topology) -> dict[str, dict[str, Any]]:
 
 def _round(value: float | np.floating) -> float:
     return round(float(value), 4)
-
-
-# ``distance.png``: the raw scan, the registered face and the distance between them.
 
 
 CELL = (500, 440)  # pixels of a view
@@ -180,9 +176,7 @@ def _camera(face: Floats, yaw: float) -> Camera:
 
 
 def _scan_body(scan: ScanSurface, vertices: Floats) -> DrawnBody:
-    surface = Surface(vertices, scan.faces)
-    if not len(scan.faces):
-        surface = _dots(vertices)
+    surface = Surface(vertices, scan.faces) if len(scan.faces) else _dots(vertices)
     return DrawnBody(Lit(surface), np.broadcast_to(GREY, surface.vertices.shape))
 
 

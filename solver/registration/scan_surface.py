@@ -35,6 +35,9 @@ class ScanSurfaceOptions:
     compatible_neighbours: int = 3  # that are averaged
 
 
+SURFACE = ScanSurfaceOptions()
+
+
 @dataclass(frozen=True)
 class Matches:
     """The closest points of a scan."""
@@ -48,10 +51,9 @@ class Matches:
 class ScanSurface(ABC):
     """A scan with outward unit ``normals`` (n, 3) at its ``vertices`` (n, 3)."""
 
-    def __init__(self, surface: Surface, normals: Floats, options: ScanSurfaceOptions) -> None:
+    def __init__(self, surface: Surface, normals: Floats) -> None:
         self.vertices, self.faces, self.normals = surface.vertices, surface.faces, normals
-        self._options = options
-        self._directed_tree = cKDTree(np.hstack([self.vertices, options.turn * normals]))
+        self._directed_tree = cKDTree(np.hstack([self.vertices, SURFACE.turn * normals]))
 
     @abstractmethod
     def closest(self, points: Floats) -> Matches:
@@ -66,8 +68,8 @@ class ScanSurface(ABC):
 
         Places and directions are compared together, as in White et al. (Sci. Rep. 2019).
         """
-        places = np.hstack([points, self._options.turn * normals])
-        apart, near = self._directed_tree.query(places, self._options.compatible_neighbours)
+        places = np.hstack([points, SURFACE.turn * normals])
+        apart, near = self._directed_tree.query(places, SURFACE.compatible_neighbours)
         weights = 1 / (apart + 0.5) ** 2
         place, direction = self._means(weights, near)
         distance = np.linalg.norm(points - place, axis=1)
@@ -80,29 +82,27 @@ class ScanSurface(ABC):
         return place, unit_rows(np.einsum("nk,nkd->nd", weights, self.normals[near]))
 
 
-def scan_surface(
-    scan: RawScan, mm_per_unit: float, options: ScanSurfaceOptions = ScanSurfaceOptions()
-) -> ScanSurface:
+def scan_surface(scan: RawScan, mm_per_unit: float) -> ScanSurface:
     """Return a mended scan in mm ready for registration: thinned, no debris, normals outward.
 
     Raises :class:`InputError` (``scan.empty``) if next to nothing is left.
     """
     vertices = mm_per_unit * scan.vertices
     if len(scan.faces):
-        thin = _thin(Surface(vertices, scan.faces), options.max_vertices)
-        surface = _drop_debris(thin, options.small_piece)
-        check_size(len(surface.vertices), scan.file, options)
-        return MeshScan(turn_outward(surface), options)
-    points = _thin_points(vertices, options.max_vertices)
-    check_size(len(points), scan.file, options)
-    return CloudScan(points, options)
+        thin = _thin(Surface(vertices, scan.faces), SURFACE.max_vertices)
+        surface = _drop_debris(thin, SURFACE.small_piece)
+        check_size(len(surface.vertices), scan.file)
+        return MeshScan(turn_outward(surface))
+    points = _thin_points(vertices, SURFACE.max_vertices)
+    check_size(len(points), scan.file)
+    return CloudScan(points)
 
 
 class MeshScan(ScanSurface):
     """A triangle mesh; its closest points lie on triangles."""
 
-    def __init__(self, surface: Surface, options: ScanSurfaceOptions) -> None:
-        super().__init__(surface, _smooth_normals(surface, options.normal_radius), options)
+    def __init__(self, surface: Surface) -> None:
+        super().__init__(surface, _smooth_normals(surface, SURFACE.normal_radius))
         edges, face, corner = igl.boundary_facets(self.faces)
         self._edge_opposite = np.zeros(self.faces.shape, bool)
         self._edge_opposite[face, corner] = True
@@ -115,7 +115,8 @@ class MeshScan(ScanSurface):
     def closest(self, points: Floats) -> Matches:
         squared, face, near = self._tree.squared_distance(self.vertices, self.faces, points)
         corners = self.faces[face]
-        weights = _barycentric(near, self.vertices[corners])
+        weights = igl.barycentric_coordinates(near, *self.vertices[corners].swapaxes(0, 1))
+        weights = np.clip(np.nan_to_num(weights), 0.0, 1.0)
         normals = unit_rows(np.einsum("nk,nkd->nd", weights, self.normals[corners]))
         on_edge = (self._edge_opposite[face] & (weights < 1e-4)).any(axis=1)
         at_vertex = (self._edge_vertex[corners] & (weights > 1 - 1e-4)).any(axis=1)
@@ -128,17 +129,17 @@ class MeshScan(ScanSurface):
 class CloudScan(ScanSurface):
     """Points without triangles; its closest points lie on planes through neighbours."""
 
-    def __init__(self, points: Floats, options: ScanSurfaceOptions) -> None:
+    def __init__(self, points: Floats) -> None:
         self._tree = cKDTree(points)
-        distance, near = self._tree.query(points, options.cloud_neighbours)
+        distance, near = self._tree.query(points, SURFACE.cloud_neighbours)
         self._spacing = float(np.median(distance[:, -1]))
         samples = orient_outward(Samples(points, estimated_normals(points, points), False))
         normals = unit_rows(samples.normals[near].mean(axis=1))
-        super().__init__(Surface(points, np.zeros((0, 3), np.int64)), normals, options)
+        super().__init__(Surface(points, np.zeros((0, 3), np.int64)), normals)
 
     @override
     def closest(self, points: Floats) -> Matches:
-        distance, near = self._tree.query(points, self._options.cloud_neighbours)
+        distance, near = self._tree.query(points, SURFACE.cloud_neighbours)
         centre, normals = self._means(1 / (distance**2 + (0.3 * self._spacing) ** 2), near)
         height = np.einsum("nd,nd->n", points - centre, normals)
         foot = points - height[:, None] * normals
@@ -151,9 +152,9 @@ class CloudScan(ScanSurface):
         return self.closest(points).at_edge
 
 
-def check_size(count: int, file: str, options: ScanSurfaceOptions = ScanSurfaceOptions()) -> None:
+def check_size(count: int, file: str) -> None:
     """Raise :class:`InputError` (``scan.empty``) for a scan of next to nothing."""
-    if count < options.least_vertices:
+    if count < SURFACE.least_vertices:
         message = f"{file} holds only {count} usable points; a face needs thousands"
         raise InputError("scan.empty", message, file=file, found=count)
 
@@ -228,24 +229,9 @@ def _smooth_normals(surface: Surface, radius: float) -> Floats:
     return unit_rows(sums)
 
 
-def _barycentric(points: Floats, corners: Floats) -> Floats:
-    """Return the weights (n, 3) of points that lie in triangles ``corners`` (n, 3, 3)."""
-    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    w = points - corners[:, 0]
-    uu, uv, vv, wu, wv = (
-        np.einsum("nd,nd->n", *pair) for pair in ((u, u), (u, v), (v, v), (w, u), (w, v))
-    )
-    area = uu * vv - uv * uv + 1e-30
-    b, c = (vv * wu - uv * wv) / area, (uu * wv - uv * wu) / area
-    return np.asarray(np.clip(np.stack([1 - b - c, b, c], axis=1), 0.0, 1.0))
-
-
-# Points spread evenly over a scan, with normals: what poses and fits are found from.
-
-
 @dataclass(frozen=True)
 class Samples:
-    """Points (n, 3) with unit normals (n, 3), whose signs mean nothing unless ``oriented``."""
+    """Points (n, 3) of a scan with unit normals (n, 3), of either sign unless ``oriented``."""
 
     points: Floats
     normals: Floats

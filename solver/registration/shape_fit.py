@@ -180,39 +180,33 @@ class ShapeModel:
         return np.asarray(self.start + np.tensordot(weights, self.displacements, 1))
 
 
-def identity_model(
-    topology: Topology, basis: ShapeBasis, options: ShapeFitOptions = FIT
-) -> ShapeModel:
+def identity_model(topology: Topology, basis: ShapeBasis) -> ShapeModel:
     """Return the identities of a template: independent, of unit variance, the lips closed."""
     skin, (one, other) = topology.template.skin, topology.touching.T
     count = len(basis.identity)
     gaps = (basis.identity[:, one] - basis.identity[:, other]).reshape(count, -1)
-    prior = np.eye(count) + options.independent / options.closed_mm**2 * (gaps @ gaps.T)
+    prior = np.eye(count) + FIT.independent / FIT.closed_mm**2 * (gaps @ gaps.T)
     free = np.zeros(count, bool)
     return ShapeModel(skin.vertices, basis.identity, prior, free, skin.faces, topology.outer)
 
 
-def expression_model(
-    neutral: Floats, topology: Topology, basis: ShapeBasis, options: ShapeFitOptions = FIT
-) -> ShapeModel:
+def expression_model(neutral: Floats, topology: Topology, basis: ShapeBasis) -> ShapeModel:
     """Return the expressions of a person with this ``neutral`` (n, 3)."""
     count, faces = len(basis.expressions), topology.template.skin.faces
-    prior, bounded = options.expression_prior * np.eye(count), np.ones(count, bool)
+    prior, bounded = FIT.expression_prior * np.eye(count), np.ones(count, bool)
     return ShapeModel(neutral, basis.expressions, prior, bounded, faces, topology.outer)
 
 
-def full_model(
-    skin: Floats, face: Surface, basis: ShapeBasis, options: ShapeFitOptions = LIKENESS
-) -> ShapeModel:
+def full_model(skin: Floats, face: Surface, basis: ShapeBasis) -> ShapeModel:
     """Return identities and expressions of a template's ``skin`` (n, 3) together.
 
     ``face`` is the part of it that is fitted, in its numbers.
     """
     names = enumerate(basis.expression_names)
     shown = [number for number, name in names if not name.startswith(IGNORED)]
-    people = basis.identity[: options.identities]
+    people = basis.identity[: LIKENESS.identities]
     bounded = np.arange(len(people) + len(shown)) >= len(people)
-    prior = np.diag(np.where(bounded, options.expression_prior, 1.0))
+    prior = np.diag(np.where(bounded, LIKENESS.expression_prior, 1.0))
     both = np.concatenate([people, basis.expressions[shown]])
     return ShapeModel(skin, both, prior, bounded, face.faces, np.unique(face.faces))
 
@@ -274,9 +268,6 @@ def _solve(normal: Floats, right: Floats, bounded: NDArray[np.bool_], strongest:
     lower, upper = np.full(len(right), -np.inf), np.full(len(right), np.inf)
     lower[: len(bounded)][bounded], upper[: len(bounded)][bounded] = 0.0, strongest
     return np.asarray(lsq_linear(root.T, np.linalg.solve(root, right), (lower, upper)).x)
-
-
-# Rigid motion, and uniform scale where asked for, of a scan onto a model of fixed shape.
 
 
 RIGID_REACHES_MM = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0)  # of the rounds

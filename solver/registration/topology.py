@@ -57,22 +57,13 @@ def carry_hidden(
 # Which skin a scanner can see: not the linings of mouth, nose and lids.
 
 
-@dataclass(frozen=True)
-class ViewOptions:
-    """Views of a head that see all its outer skin."""
-
-    pixels: int = 640  # of a side
-    yaws: tuple[int, ...] = (0, 30, 60, 90, 130, 180, 230, 270, 300, 330)  # degrees
-    pitches: tuple[int, ...] = (-35, 0, 35)  # degrees
-
-
-def outer_skin(template: Template, options: ViewOptions = ViewOptions()) -> NDArray[np.bool_]:
+def outer_skin(template: Template) -> NDArray[np.bool_]:
     """Return which skin vertices (n,) of the template's flesh are seen from outside."""
-    skin, pixels = template.skin, options.pixels
+    skin, pixels = template.skin, TOPOLOGY.pixels
     centre = (skin.vertices.min(axis=0) + skin.vertices.max(axis=0)) / 2
     span = 1.2 * float(np.ptp(skin.vertices, axis=0).max())
     seen = np.zeros(len(skin.faces), dtype=bool)
-    for yaw, pitch in product(np.radians(options.yaws), np.radians(options.pitches)):
+    for yaw, pitch in product(np.radians(TOPOLOGY.yaws), np.radians(TOPOLOGY.pitches)):
         triangle = look(Camera(centre, span, yaw, pitch), skin, pixels, pixels).triangle
         seen[np.unique(triangle[triangle >= 0])] = True
     flesh = template.flesh_faces
@@ -82,13 +73,20 @@ def outer_skin(template: Template, options: ViewOptions = ViewOptions()) -> NDAr
 
 
 @dataclass(frozen=True)
-class StillSkinOptions:
-    """Lips and still skin of a template at rest; lengths in mm."""
+class TopologyOptions:
+    """Lips, still and outer skin of a template at rest; lengths in mm."""
 
     touching: float = 2.1  # between vertices of closed lips
     below_tip: float = 8.0  # of the nose, skin is not still, for all that is known without shapes
     parted_share: float = 0.3  # of the widest parting by which lips come apart
     mobile: float = 0.4  # root mean square move that halves a vertex's stability
+    # Views of a head that see all its outer skin: pixels of a side, and degrees.
+    pixels: int = 640
+    yaws: tuple[int, ...] = (0, 30, 60, 90, 130, 180, 230, 270, 300, 330)
+    pitches: tuple[int, ...] = (-35, 0, 35)
+
+
+TOPOLOGY = TopologyOptions()
 
 
 @dataclass(frozen=True)
@@ -104,26 +102,26 @@ class Topology:
     stable: Floats  # (n,) weights in [0, 1]: 1 where the skin lies still on the skull
 
 
-def topology(template: Template, options: StillSkinOptions = StillSkinOptions()) -> Topology:
+def topology(template: Template) -> Topology:
     """Find outer skin, lips that touch, rigid parts and stable skin of a template."""
     outer = np.flatnonzero(outer_skin(template))
     flesh = template.skin.faces[template.flesh_faces]
     face = np.intersect1d(template.face_vertices, outer)
-    touching = _touching(template, np.unique(flesh), options)
-    stable = _stable(template, outer, face, options)
+    touching = _touching(template, np.unique(flesh))
+    stable = _stable(template, outer, face)
     return Topology(template, flesh, outer, face, touching, rigid_groups(template), stable)
 
 
-def _touching(template: Template, vertices: Ints, options: StillSkinOptions) -> Ints:
+def _touching(template: Template, vertices: Ints) -> Ints:
     """Pair every lip vertex with the closest one that parting takes away from it, each once."""
     rest = template.skin.vertices
-    pairs = vertices[cKDTree(rest[vertices]).query_pairs(options.touching, output_type="ndarray")]
+    pairs = vertices[cKDTree(rest[vertices]).query_pairs(TOPOLOGY.touching, output_type="ndarray")]
     gap, parted = (
         np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
         for points in (rest, rest + template.parting)
     )
     opened = parted - gap
-    apart = np.flatnonzero(opened > options.parted_share * opened.max(initial=0.0))
+    apart = np.flatnonzero(opened > TOPOLOGY.parted_share * opened.max(initial=0.0))
     chosen: list[Ints] = []
     taken: set[int] = set()
     for pair in pairs[apart[np.argsort(gap[apart], kind="stable")]]:
@@ -133,14 +131,14 @@ def _touching(template: Template, vertices: Ints, options: StillSkinOptions) -> 
     return np.array(chosen, dtype=np.int64).reshape(-1, 2)
 
 
-def _stable(template: Template, outer: Ints, face: Ints, options: StillSkinOptions) -> Floats:
+def _stable(template: Template, outer: Ints, face: Ints) -> Floats:
     """Weigh by how little the expressions move a vertex; without shapes the upper face counts."""
     weights = np.zeros(len(template.skin.vertices))
     if template.shapes is not None and len(template.shapes.expressions):
         squares = np.sum(template.shapes.expressions[:, outer].astype(float) ** 2, axis=2)
-        weights[outer] = robust_weights(squares.mean(axis=0) / options.mobile**2)
+        weights[outer] = robust_weights(squares.mean(axis=0) / TOPOLOGY.mobile**2)
     else:
         points = template.skin.vertices[face]
         tip = points[np.argmax(points[:, 2])]
-        weights[face[points[:, 1] > tip[1] - options.below_tip]] = 1.0
+        weights[face[points[:, 1] > tip[1] - TOPOLOGY.below_tip]] = 1.0
     return weights

@@ -128,14 +128,14 @@ class FaceSize:
             "eye_distance_mm": self.eyes_mm and round(self.eyes_mm, 1),
         }
 
-    def is_a_persons(self, options: UnitOptions = UNIT_OPTIONS) -> bool:
+    def is_a_persons(self) -> bool:
         """Tell whether anybody has a face of such a size, a child or a giant."""
-        least, most = options.face_sizes
+        least, most = UNIT_OPTIONS.face_sizes
         return least <= self.share <= most
 
-    def is_unusual(self, options: UnitOptions = UNIT_OPTIONS) -> bool:
+    def is_unusual(self) -> bool:
         """Tell whether few adults have a face of such a size."""
-        return abs(self.share - 1.0) > options.unusual
+        return abs(self.share - 1.0) > UNIT_OPTIONS.unusual
 
 
 def check_frame(frame: Mapping[str, Any]) -> None:
@@ -170,19 +170,19 @@ def given_unit(frame: Mapping[str, Any]) -> float | None:
 
 
 def candidate_scales(
-    extent: float, given: float | None, declared: float | None, options: UnitOptions = UNIT_OPTIONS
+    extent: float, given: float | None, declared: float | None
 ) -> list[list[float]]:
     """Return lists of mm per unit to try for a scan of this ``extent``, the likelier ones first.
 
     ``declared`` is the mm per unit of the file's format. Known units come first, then those that
     are wrong by a decimal slip, then sizes of heads whatever the unit.
     """
-    low, high = options.extent_mm
+    low, high = UNIT_OPTIONS.extent_mm
     first = declared if given is None else given
     known = [first] if first is not None else [UNITS[name] for name in LIKELY]
-    slips = {(first or 1.0) * factor for factor in options.slips}
+    slips = {(first or 1.0) * factor for factor in UNIT_OPTIONS.slips}
     odd = sorted((slips | set(UNITS.values())) - set(known))
-    ladder = [size / extent for size in options.ladder_mm]
+    ladder = [size / extent for size in UNIT_OPTIONS.ladder_mm]
     rounds = [
         [scale for scale in scales if low <= scale * extent <= high]
         for scales in (known, odd, ladder)

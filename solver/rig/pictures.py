@@ -25,9 +25,17 @@ from solver.drawing.head import (
 from solver.drawing.render import GAMMA, Camera, DrawnBody, Lit, render, render_bust
 from solver.drawing.sheet import HEADER, INK, MARGIN, Colour, Column, Sheet, SheetLayout, draw_sheet
 from solver.model import SubjectModel
-from solver.rig.frames.frames import SequenceFrame
+from solver.rig.frames import SequenceFrame
 from solver.rig.rig import ROLES, ExpressionFit
-from solver.surface import Floats, Ints, Surface, join_surfaces, own_numbers, vertex_normals
+from solver.surface import (
+    Floats,
+    Ints,
+    Surface,
+    join_surfaces,
+    own_numbers,
+    unit_rows,
+    vertex_normals,
+)
 
 
 @dataclass(frozen=True)
@@ -69,7 +77,7 @@ def _trace(points: Floats, directions: Floats, options: ThreadOptions) -> Floats
     def follow(step_mm: float) -> list[Floats]:
         line = [points]
         for _ in range(options.steps):
-            ahead = _unit(directions[tree.query(line[-1], k=nearest)[1]].mean(axis=1))
+            ahead = unit_rows(directions[tree.query(line[-1], k=nearest)[1]].mean(axis=1))
             line.append(line[-1] + step_mm * ahead)
         return line[1:]
 
@@ -77,16 +85,12 @@ def _trace(points: Floats, directions: Floats, options: ThreadOptions) -> Floats
     return np.stack([*back[::-1], points, *forth], axis=1)
 
 
-def _unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9))
-
-
 def _tubes(lines: Floats, options: ThreadOptions) -> Surface:
     """Return triangles around polylines (k, s, 3), thinner towards both ends."""
     count, steps, _ = lines.shape
     sides = options.sides
-    along = _unit(np.gradient(lines, axis=1))
-    across = _unit(np.cross(along, np.eye(3)[np.abs(along).argmin(axis=2)]))
+    along = unit_rows(np.gradient(lines, axis=1))
+    across = unit_rows(np.cross(along, np.eye(3)[np.abs(along).argmin(axis=2)]))
     other = np.cross(along, across)
     width = options.radius_mm * np.sin(np.linspace(0.15, np.pi - 0.15, steps)) ** 0.5
     angle = 2 * np.pi * np.arange(sides) / sides

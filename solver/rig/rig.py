@@ -95,7 +95,7 @@ class Rig:
     expressions: tuple[ExpressionFit, ...]
     seconds: dict[str, float] = field(default_factory=dict)  # of each phase of the job
     notices: tuple[Finding, ...] = ()  # what was odd about the model or the job as a whole
-    figures: dict[str, Any] | None = None  # of solver.rig.report.report; None before they are made
+    figures: dict[str, Any] | None = None  # of solver.rig.report; None before they are made
     drive: MuscleDrive = FREE_DRIVE  # that S was fitted with
 
     def face(self, linear: str | None = None, tolerance: float = NewtonOptions.tolerance) -> Face:

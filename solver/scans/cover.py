@@ -54,7 +54,7 @@ def relief(surface: Surface, centre: Floats, size: tuple[float, float], step: fl
 
 @dataclass(frozen=True)
 class CoverOptions:
-    """The part of a face that a scan should show; lengths in mm."""
+    """The part of a face that a scan should show, half a face, and a second one; lengths in mm."""
 
     points: int = 5000  # of the face that are looked for
     border: float = 12.0  # so near the rim of the template's face, scans may end
@@ -67,6 +67,13 @@ class CoverOptions:
     nearby: tuple[float, ...] = (-6.0, -3.0, 3.0, 6.0)  # where a slide may swing between layers
     mouth: float = 32.0  # radius of the mouth
     behind: tuple[float, ...] = (8.0, 14.0, 20.0, 26.0, 32.0)  # depths of teeth and tongue
+    half_share: float = 0.8  # of a half that is covered at least
+    half_cost: float = 1.9  # at most; other persons' cost up to 1.5, balls and skulls 2.2 and more
+    nothing: float = 18.0  # about the other half without a scan
+    other_share: float = 0.08  # of the scan outside the head that may hold another
+
+
+COVER = CoverOptions()
 
 
 @dataclass(frozen=True)
@@ -114,52 +121,44 @@ class Cover:
         return Cover(self.points, covered, kept)
 
 
-def cover(
-    scan: Samples,
-    skin: Floats,
-    template: Template,
-    face: Surface,
-    options: CoverOptions = CoverOptions(),
-) -> Cover:
+def cover(scan: Samples, skin: Floats, template: Template, face: Surface) -> Cover:
     """Return what ``scan``, in the template's frame, covers of the fitted ``skin`` (n, 3).
 
     ``face`` is the part of the template's skin that is fitted, in its numbers.
     """
     fitted = Surface(skin, face.faces)
-    samples = sample(skin, face.faces, None, options.points)
+    samples = sample(skin, face.faces, None, COVER.points)
     loops = [skin[np.asarray(loop)] for loop in igl.boundary_loop_all(face.faces)]
     loops.sort(key=lambda loop: -float(np.ptp(loop, axis=0).sum()))
     rim, *openings = map(KDTree, loops)
-    looked_for = _seen_from_front(fitted, samples.points, options.hidden)
-    looked_for &= rim.query(samples.points)[0] >= options.border
+    looked_for = _seen_from_front(fitted, samples.points, COVER.hidden)
+    looked_for &= rim.query(samples.points)[0] >= COVER.border
     for opening in openings:
-        looked_for &= opening.query(samples.points)[0] >= options.opening
+        looked_for &= opening.query(samples.points)[0] >= COVER.opening
     points, normals = samples.points[looked_for], samples.normals[looked_for]
-    area = float(igl.doublearea(skin, face.faces).sum() / 2) / options.points
+    area = float(igl.doublearea(skin, face.faces).sum() / 2) / COVER.points
     tree = KDTree(scan.points)
     spacing = float(np.median(tree.query(scan.points[::7], k=2)[0][:, 1]))
-    gap = _sideways_gap(points, normals, _at_mouth(points, skin, template, options), tree, options)
-    limit = max(options.least_gap, 4 * spacing)
+    gap = _sideways_gap(points, normals, _at_mouth(points, skin, template), tree)
+    limit = max(COVER.least_gap, 4 * spacing)
     covered = np.asarray(gap < limit)
     missing = np.flatnonzero(~covered)
-    at_rim = rim.query(points[missing])[0] < options.border + options.rim
+    at_rim = rim.query(points[missing])[0] < COVER.border + COVER.rim
     holes = _holes(points[missing], at_rim, (area, limit), skin, template)
     holes = [replace(hole, points=missing[hole.points]) for hole in holes]
     return Cover(points, covered, holes)
 
 
-def _at_mouth(
-    points: Floats, skin: Floats, template: Template, options: CoverOptions
-) -> NDArray[np.bool_]:
+def _at_mouth(points: Floats, skin: Floats, template: Template) -> NDArray[np.bool_]:
     known = stomia(template.landmarks)
     if not known:
         return np.zeros(len(points), bool)
     away = np.linalg.norm(points - skin[known].mean(axis=0), axis=1)
-    return np.asarray(away < options.mouth)
+    return np.asarray(away < COVER.mouth)
 
 
 def _sideways_gap(
-    points: Floats, normals: Floats, mouth: NDArray[np.bool_], tree: KDTree, options: CoverOptions
+    points: Floats, normals: Floats, mouth: NDArray[np.bool_], tree: KDTree
 ) -> Floats:
     """Return how far (n,) the scan is beside each point's normal: in a hole, not where it misfits.
 
@@ -169,14 +168,14 @@ def _sideways_gap(
     """
     height = np.zeros(len(points))
     gap = np.full(len(points), np.inf)
-    for _ in range(options.slides):
+    for _ in range(COVER.slides):
         beside, near = tree.query(points + height[:, None] * normals)
         gap = np.minimum(gap, beside)
         height = ((tree.data[near] - points) * normals).sum(axis=1)
-        height = height.clip(-options.misfit, options.misfit)
-    for depth in options.nearby:  # where a slide swings between two layers, as lashes and brow
+        height = height.clip(-COVER.misfit, COVER.misfit)
+    for depth in COVER.nearby:  # where a slide swings between two layers, as lashes and brow
         gap = np.minimum(gap, tree.query(points - depth * normals)[0])
-    for depth in options.behind:
+    for depth in COVER.behind:
         gap[mouth] = np.minimum(gap[mouth], tree.query((points - depth * normals)[mouth])[0])
     return np.asarray(gap)
 
@@ -242,19 +241,6 @@ HEAD_MM = np.array([[-95.0, -210.0, -220.0], [95.0, 190.0, 120.0]])
 OPPOSITE = {"left": "right", "right": "left", "upper": "lower", "lower": "upper"}
 
 
-@dataclass(frozen=True)
-class PartOptions:
-    """Limits of half a face and of a second one.
-
-    Halves of other persons' faces cost up to 1.5, balls and skulls 2.2 and more where one is.
-    """
-
-    share: float = 0.8  # of a half that is covered at least
-    cost: float = 1.9  # of a half at most, in mm
-    nothing: float = 18.0  # mm about the other half without a scan
-    other_share: float = 0.08  # of the scan outside the head that may hold another
-
-
 def _halves(face: Surface) -> dict[str, FacePoints]:
     """Return the ``left``, ``right``, ``upper`` and ``lower`` halves of a template's face."""
     x, y, _ = face.vertices[face.faces].mean(axis=1).T
@@ -264,29 +250,25 @@ def _halves(face: Surface) -> dict[str, FacePoints]:
     return {name: face_points(part) for name, part in parts.items()}
 
 
-def visible_part(
-    scan: Samples, face: Surface, scales: list[float], options: PartOptions = PartOptions()
-) -> str | None:
+def visible_part(scan: Samples, face: Surface, scales: list[float]) -> str | None:
     """Return which half of a face a scan shows that shows no whole one; else None."""
     parts, scan = _halves(face), orient_outward(scan)
     costs = {}
     for name, part in parts.items():
         pose = find_pose(part, scan, scales)
-        if pose.coverage > options.share and pose.cost < options.cost:
+        if pose.coverage > COVER.half_share and pose.cost < COVER.half_cost:
             gap, _ = KDTree(pose.motion(scan.points)).query(parts[OPPOSITE[name]].points)
-            if (gap > options.nothing).mean() > 0.5:  # most of the other half is not there
+            if (gap > COVER.nothing).mean() > 0.5:  # most of the other half is not there
                 costs[name] = pose.cost
     return min(costs, key=lambda name: costs[name], default=None)
 
 
-def has_second_face(
-    scan: Samples, face: FacePoints, pose: FacePose, options: PartOptions = PartOptions()
-) -> bool:
+def has_second_face(scan: Samples, face: FacePoints, pose: FacePose) -> bool:
     """Return whether there is another face in the scan than the one at ``pose``."""
     scan = orient_outward(scan)
     there = pose.motion(scan.points) - face.points.mean(axis=0)
     outside = ((there < HEAD_MM[0]) | (there > HEAD_MM[1])).any(axis=1)
-    if outside.sum() < options.other_share * len(outside):
+    if outside.sum() < COVER.other_share * len(outside):
         return False
     rest = Samples(scan.points[outside], scan.normals[outside], scan.oriented)
     return find_pose(face, rest, [pose.motion.scale]).is_face

@@ -1,6 +1,6 @@
 """Findings of a scan's check, each with a stable code, a plain sentence and advice.
 
-Every code has one advice, here, in one place; ``docs/guide/scans.md`` lists the same.
+Every code has one advice, in ``advice.csv``; ``docs/guide/scans.md`` lists the same.
 """
 
 from __future__ import annotations
@@ -23,60 +23,14 @@ from solver.registration.scan_surface import Samples
 from solver.registration.search import REFINEMENT, FacePoints
 from solver.registration.units import ADVICE as UNIT_ADVICE
 from solver.registration.units import choose_unit, given_unit
+from solver.scans import read_advice
 from solver.scans.cover import Cover
 from solver.scans.mouth import Eye, MouthGaps
 from solver.similarity import fit_similarity
 from solver.surface import Floats
 
 EXPORT_AGAIN = "Export the scan again from the scanner's software and send the new file."
-ADVICE = {
-    # the file
-    "scan.format": "Export the scan as OBJ, PLY, STL, GLB or XYZ.",
-    "scan.wrong_extension": "Give the file the suffix of what it holds, or export it again.",
-    "scan.too_large": "Reduce the scan to about 200,000 vertices in the scanner's software.",
-    "scan.empty": EXPORT_AGAIN,
-    "scan.unreadable": EXPORT_AGAIN,
-    "scan.truncated": "Copy or upload the file again; it was cut off on the way.",
-    # the mesh
-    "scan.nan": "Nothing to do: these vertices are left out. If they are many, export again.",
-    "scan.duplicate_vertices": "Nothing to do: they are joined.",
-    "scan.zero_area_faces": "Nothing to do: they are left out.",
-    "scan.repeated_faces": "Nothing to do: they are left out.",
-    "scan.unused_vertices": "Check that the file is whole: triangles seem to be missing.",
-    "scan.non_manifold": "Nothing to do, but look at the marked places in the picture.",
-    "scan.inconsistent_normals": "Nothing to do: the triangles are turned the same way round.",
-    "scan.inverted_normals": "Nothing to do: the surface is turned inside out.",
-    "scan.mirrored": "Switch off mirroring in the scanner's export and send the scan again.",
-    "scan.empty_groups": "Nothing to do, if no part of the face is missing in the picture.",
-    "scan.no_normals": "Send a mesh rather than points if you can; it registers more surely.",
-    "scan.dense": "Nothing to do: it is thinned. About 200,000 vertices upload faster.",
-    "scan.coarse": "Export the scan at a higher resolution: a vertex every 1 to 2 mm.",
-    # unit and axes
-    **UNIT_ADVICE,
-    "scan.axes": "Nothing to do: the scan is turned.",
-    "scan.upside_down": "Nothing to do: the scan is turned. Next time, scan the right way up.",
-    # what is in it
-    "scan.not_a_face": "Look at the picture: aim the scanner at the face and scan again.",
-    "scan.half_face": "Scan again from both sides, so that both cheeks and ears are seen.",
-    "scan.two_heads": "Cut the other person out of the scan, or scan one person alone.",
-    "scan.coverage": "Scan again, and cover the side that is missing.",
-    "scan.cut_off": "Scan again if skin is missing; hair before forehead and temples is no harm.",
-    "scan.holes": "Scan again if a hole lies where the face moves: brows, cheeks, lips, chin.",
-    "scan.gaps": "Nothing to do: what is red in the picture is filled in smoothly.",
-    "scan.noise": "Let the person hold still, more light, closer; then scan again.",
-    "scan.spikes": "Nothing to do if they lie in the hair; cut them off if they lie on the face.",
-    "scan.mouth_open": "If this is the neutral, scan again: lips closed, teeth apart, relaxed.",
-    "scan.eyes_closed": "If this is the neutral, scan again with the eyes open.",
-    # landmarks
-    "landmarks.swapped": "Swap the names of the left and right landmarks: left is the subject's.",
-    "landmarks.misplaced": "Set this landmark again, or leave it out.",
-    "landmarks.unknown": "Use the names that the message lists.",
-    "landmarks.unreadable": "Send landmarks as name, x, y, z in JSON or CSV.",
-    "landmarks.format": "Send landmarks as name, x, y, z in JSON or CSV.",
-    "landmarks.off_surface": "Check that the landmarks belong to this scan, in the same unit.",
-}
-
-
+ADVICE = read_advice("scan") | UNIT_ADVICE
 make_finding = partial(advise, ADVICE)
 
 
@@ -94,8 +48,8 @@ def error_finding(error: InputError) -> Finding:
 
 
 @dataclass(frozen=True)
-class FaceLimits:
-    """Beyond these a scan's face has a finding."""
+class ScanLimits:
+    """Beyond these a scan has a finding: its face, and shares of its vertices or triangles."""
 
     hole_mm2: float = 180.0  # area of a hole
     cut_off_mm2: float = 500.0  # area missing at the rim
@@ -106,24 +60,33 @@ class FaceLimits:
     coarse_mm: float = 2.5  # between vertices
     coarse_noise: float = 0.2  # more noise a mm of spacing: the quadratic misses folds
     spikes: int = 4  # vertices
+    not_finite: float = 0.2  # vertices: an error
+    flat: float = 0.0005  # triangles
+    flipped: float = 0.005  # triangles
+    unused: float = 0.2  # vertices
+    touching: float = 0.005  # edges of three triangles where touching parts are joined
+    dense: int = 400_000  # vertices, not a share
 
 
-def cover_findings(cover: Cover, limits: FaceLimits = FaceLimits()) -> list[Finding]:
+LIMITS = ScanLimits()
+
+
+def cover_findings(cover: Cover) -> list[Finding]:
     """Return what is missing of a face: a side, its end, holes, or small gaps."""
     found = []
     worst = min(("left", "right", "upper", "lower"), key=cover.share)
     whole = cover.share()
-    if whole < limits.least_cover or cover.share(worst) < limits.least_side:
+    if whole < LIMITS.least_cover or cover.share(worst) < LIMITS.least_side:
         place = f"in the {worst} half" if worst in ("upper", "lower") else f"on the {worst} side"
         message = f"{1 - whole:.0%} of the face is missing, most of it {place}."
         found.append(make_finding("scan.coverage", "error", message, covered=round(whole, 3)))
-    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > limits.cut_off_mm2]
+    cut = [hole for hole in cover.holes if hole.at_rim and hole.area_mm2 > LIMITS.cut_off_mm2]
     if cut and not found:
         area = sum(hole.area_mm2 for hole in cut)
         regions = ", ".join(dict.fromkeys(hole.region for hole in cut))
         message = f"The scan ends before the face does: {area / 100:.0f} cm2 miss at the {regions}."
         found.append(make_finding("scan.cut_off", "warning", message, area_mm2=round(area)))
-    holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > limits.hole_mm2]
+    holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > LIMITS.hole_mm2]
     if holes:
         number = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
         area, region = holes[0].area_mm2 / 100, holes[0].region
@@ -131,7 +94,7 @@ def cover_findings(cover: Cover, limits: FaceLimits = FaceLimits()) -> list[Find
         places = [{"region": h.region, "area_mm2": round(h.area_mm2)} for h in holes[:10]]
         found.append(make_finding("scan.holes", "warning", message, holes=places))
     small = [hole for hole in cover.holes if not any(hole is told for told in (*cut, *holes))]
-    if small and whole >= limits.least_cover:
+    if small and whole >= LIMITS.least_cover:
         area, region = sum(hole.area_mm2 for hole in small), small[0].region
         number = "a small gap" if len(small) == 1 else f"{len(small)} small gaps"
         message = f"The face has {number}, {area / 100:.1f} cm2, at the {region}: red in check.png."
@@ -139,25 +102,23 @@ def cover_findings(cover: Cover, limits: FaceLimits = FaceLimits()) -> list[Find
     return found
 
 
-def roughness_findings(
-    noise_mm: float, spacing_mm: float, spikes: int, limits: FaceLimits = FaceLimits()
-) -> list[Finding]:
+def roughness_findings(noise_mm: float, spacing_mm: float, spikes: int) -> list[Finding]:
     """Return whether a face is noisy, spiky or coarse."""
     found = []
-    limit = limits.noise_mm + limits.coarse_noise * max(spacing_mm - 3.0, 0.0)
+    limit = LIMITS.noise_mm + LIMITS.coarse_noise * max(spacing_mm - 3.0, 0.0)
     if noise_mm > limit:
-        severity: Severity = "error" if noise_mm > limit + limits.much_noise_mm else "warning"
+        severity: Severity = "error" if noise_mm > limit + LIMITS.much_noise_mm else "warning"
         message = f"The surface is noisy: {noise_mm:.1f} mm; a good scan has below 0.3 mm."
-        figures = {"found": round(noise_mm, 2), "expected": limits.noise_mm}
+        figures = {"found": round(noise_mm, 2), "expected": LIMITS.noise_mm}
         found.append(make_finding("scan.noise", severity, message, **figures))
-    if spacing_mm > limits.coarse_mm:
+    if spacing_mm > LIMITS.coarse_mm:
         message = f"The scan is coarse: a vertex every {spacing_mm:.1f} mm on the face."
-        figures = {"found": round(spacing_mm, 1), "expected": limits.coarse_mm}
+        figures = {"found": round(spacing_mm, 1), "expected": LIMITS.coarse_mm}
         found.append(make_finding("scan.coarse", "warning", message, **figures))
     if spikes:
         many = "spikes stick" if spikes > 1 else "spike sticks"
         message = f"{spikes} {many} out on or around the face: orange in check.png."
-        severity = "warning" if spikes >= limits.spikes else "info"
+        severity = "warning" if spikes >= LIMITS.spikes else "info"
         found.append(make_finding("scan.spikes", severity, message, found=spikes))
     return found
 
@@ -188,18 +149,6 @@ def feature_findings(mouth: MouthGaps, eyes: dict[str, Eye], role: str) -> list[
 # Findings about the file and its mesh, before anything is known of a face.
 
 
-@dataclass(frozen=True)
-class FileLimits:
-    """Shares of vertices or triangles beyond which a fault is worth a look."""
-
-    not_finite: float = 0.2  # vertices: an error
-    flat: float = 0.0005  # triangles
-    flipped: float = 0.005  # triangles
-    unused: float = 0.2  # vertices
-    touching: float = 0.005  # edges of three triangles where touching parts are joined
-    dense: int = 400_000  # vertices, not a share
-
-
 # What is counted in a file: the sentence, and its subject with a verb for one and for many.
 COUNTED = {
     "scan.duplicate_vertices": (
@@ -217,9 +166,7 @@ COUNTED = {
 }
 
 
-def file_findings(
-    raw: RawScan, mending: Mending, limits: FileLimits = FileLimits()
-) -> list[Finding]:
+def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
     """Return what is wrong with a scan as it was stored, given what was mended in it."""
     vertices, triangles = len(raw.vertices), max(len(raw.faces), 1)
     found: list[Finding] = []
@@ -236,7 +183,7 @@ def file_findings(
         add("scan.wrong_extension", "warning", message, expected=expected, found=held)
     lost, first = mending.not_finite, mending.first_not_finite
     if lost:
-        severity: Severity = "error" if lost > limits.not_finite * vertices else "warning"
+        severity: Severity = "error" if lost > LIMITS.not_finite * vertices else "warning"
         message = (
             f"{count_words(lost, 'vertex', 'vertices')} of {vertices} "
             f"{'is' if lost == 1 else 'are'} not a number; the first is vertex {first} "
@@ -246,13 +193,13 @@ def file_findings(
     is_welded = mending.duplicate > WELDED_SHARE * vertices
     seams = held in ("glb", "stl")  # which cannot share vertices across a seam
     touches = held == "stl" or is_welded
-    many_touch = mending.non_manifold >= limits.touching * 1.5 * triangles
-    flat, flipped = limits.flat * triangles, limits.flipped * triangles
+    many_touch = mending.non_manifold >= LIMITS.touching * 1.5 * triangles
+    flat, flipped = LIMITS.flat * triangles, LIMITS.flipped * triangles
     counts = {
         "scan.duplicate_vertices": (mending.duplicate, is_welded and not seams),
         "scan.zero_area_faces": (mending.flat, mending.flat > flat),
         "scan.repeated_faces": (mending.repeated, mending.repeated > flat),
-        "scan.unused_vertices": (mending.unused, mending.unused > limits.unused * vertices),
+        "scan.unused_vertices": (mending.unused, mending.unused > LIMITS.unused * vertices),
         "scan.non_manifold": (mending.non_manifold, many_touch or not touches),
         "scan.inconsistent_normals": (mending.flipped, mending.flipped > flipped),
     }
@@ -268,13 +215,10 @@ def file_findings(
     if not len(raw.faces) and raw.normals is None:
         message = f"{raw.file} is a point cloud without normals; they are found from neighbours."
         add("scan.no_normals", "warning", message)
-    if vertices > limits.dense:
+    if vertices > LIMITS.dense:
         message = f"{vertices:,} vertices are more than a registration can use."
-        add("scan.dense", "warning", message, found=vertices, expected=limits.dense)
+        add("scan.dense", "warning", message, found=vertices, expected=LIMITS.dense)
     return found
-
-
-# Findings about landmarks that came with a scan: whether they belong to it.
 
 
 OFF_SURFACE_MM = 6.0  # farther landmarks are of another scan, or in another unit
@@ -303,9 +247,6 @@ def landmark_findings(
     message = f"{path.name}: {name} lies {found:.0f} mm off the scan."
     figures = {"landmark": name, "found": found, "expected": OFF_SURFACE_MM}
     return [make_finding("landmarks.off_surface", "error", message, **figures)], None
-
-
-# Findings about how a scan lies: its axes and winding.
 
 
 MOST_INWARD, SOME_INWARD = 0.8, 0.1  # shares of a face whose triangles face inwards

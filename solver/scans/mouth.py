@@ -32,20 +32,20 @@ class LipOptions:
     throat: float = 18.0  # fall behind the lips that shows between teeth; these lie 8 to 15 back
 
 
+LIPS = LipOptions()
+
+
 @dataclass(frozen=True)
 class MouthGaps:
-    """Gaps between lips and between teeth, in mm; None where the scan does not show it.
+    """Gaps between lips and between teeth, in mm; None where the scan does not show it."""
 
-    ``lips_mm`` 0 means that the lips are closed; no scan shows that of the teeth.
-    """
-
-    lips_mm: float | None
+    lips_mm: float | None  # 0: they are closed; no scan shows that of the teeth
     teeth_mm: float | None = None
     is_open: bool = False  # the lips are apart
     why_not: str = ""  # nothing is known of the lips
 
 
-def find_mouth(scan: Surface, template: Template, options: LipOptions = LipOptions()) -> MouthGaps:
+def find_mouth(scan: Surface, template: Template) -> MouthGaps:
     """Return how far apart the lips are, and the teeth behind them.
 
     ``scan`` lies in the template's frame. Down the middle of the mouth, a gap is where the profile
@@ -55,35 +55,35 @@ def find_mouth(scan: Surface, template: Template, options: LipOptions = LipOptio
     if len(lips) < 2:
         return MouthGaps(None, why_not="the template does not name the lips")
     centre = template.skin.vertices[lips].mean(axis=0)
-    top, bottom = centre[1] + options.above, centre[1] - options.below
+    top, bottom = centre[1] + LIPS.above, centre[1] - LIPS.below
     middle = np.array([centre[0], (top + bottom) / 2, centre[2]])
-    front = relief(scan, middle, (options.strip, top - bottom), options.step)
+    front = relief(scan, middle, (LIPS.strip, top - bottom), LIPS.step)
     known = np.isfinite(front.height).sum(axis=1) * 2 > len(front.x)
     if known.sum() < len(known) / 2:
         return MouthGaps(None, why_not="too little of the mouth is in the scan")
     profile = np.nanmedian(front.height[known], axis=1)
     profile = np.interp(front.y[::-1], front.y[known][::-1], profile[::-1])[::-1]
-    return _find_gap(front.y - centre[1], profile, options)
+    return _find_gap(front.y - centre[1], profile)
 
 
-def _find_gap(height: Floats, profile: Floats, options: LipOptions) -> MouthGaps:
+def _find_gap(height: Floats, profile: Floats) -> MouthGaps:
     """Return what the gap in a profile (n,) shows, of rows from top to bottom."""
-    rows = round(options.widest / options.step)
+    rows = round(LIPS.widest / LIPS.step)
     depth = grey_closing(profile, rows, mode="nearest") - profile
-    deep = (depth > options.deep) & (np.abs(height) < options.above + options.widest)
-    near = deep & (np.abs(height) < options.near)
+    deep = (depth > LIPS.deep) & (np.abs(height) < LIPS.above + LIPS.widest)
+    near = deep & (np.abs(height) < LIPS.near)
     if not near.any():
         return MouthGaps(0.0)
     runs, _ = label(deep)
     gap = np.flatnonzero(runs == runs[np.argmax(np.where(near, depth, 0))])
     edge = profile[max(gap[0] - 4, 0) : gap[-1] + 5]
     falls = np.abs(edge[2:] - edge[:-2])
-    if falls.max(initial=0) <= options.steep:
+    if falls.max(initial=0) <= LIPS.steep:
         return MouthGaps(0.0)
-    lips = len(gap) * options.step
-    between = options.step * float((depth[gap] > options.throat).sum())
-    teeth = between if between >= options.apart else None
-    return MouthGaps(lips, teeth, is_open=lips >= options.apart)
+    lips = len(gap) * LIPS.step
+    between = LIPS.step * float((depth[gap] > LIPS.throat).sum())
+    teeth = between if between >= LIPS.apart else None
+    return MouthGaps(lips, teeth, is_open=lips >= LIPS.apart)
 
 
 # Closed eyes, by where the lids' edge lies in the scan itself.
@@ -117,6 +117,9 @@ class LidOptions:
     fewest: int = 60  # vertices about an eye that show its lids
 
 
+LIDS = LidOptions()
+
+
 @dataclass(frozen=True)
 class Eye:
     """An eye, surely closed or not; None where the scan does not show it, and why."""
@@ -125,41 +128,39 @@ class Eye:
     why_not: str = ""
 
 
-def find_eyes(
-    scan: Surface, skin: Floats, template: Template, options: LidOptions = LidOptions()
-) -> dict[str, Eye]:
+def find_eyes(scan: Surface, skin: Floats, template: Template) -> dict[str, Eye]:
     """Return ``left`` and ``right`` -> that eye, if the template names its corners.
 
     ``scan`` lies in the frame of ``skin`` (n, 3), the template's skin fitted to it.
     """
     known = eye_corners(landmark_vertices(template))
-    return {side: _find_eye(scan, skin[corners], options) for side, corners in known.items()}
+    return {side: _find_eye(scan, skin[corners]) for side, corners in known.items()}
 
 
-def _find_eye(scan: Surface, corners: Floats, options: LidOptions) -> Eye:
+def _find_eye(scan: Surface, corners: Floats) -> Eye:
     middle, too_little = corners.mean(axis=0), Eye(None, "too little of it is in the scan")
-    near = scan.vertices[np.linalg.norm(scan.vertices - middle, axis=1) < options.near]
-    if len(near) < options.few:
+    near = scan.vertices[np.linalg.norm(scan.vertices - middle, axis=1) < LIDS.near]
+    if len(near) < LIDS.few:
         return too_little
     spacing = float(np.median(KDTree(near).query(near, k=2)[0][:, 1]))
-    if spacing > options.coarse:
+    if spacing > LIDS.coarse:
         return Eye(None, f"a vertex only every {spacing:.1f} mm there does not show the lids")
-    width = options.middle * abs(float(corners[0, 0] - corners[1, 0]))
-    centre = middle + np.array([0.0, (options.above - options.below) / 2, 0.0])
-    front = relief(scan, centre, (width, options.above + options.below), options.step)
-    if len(near) < options.fewest or np.isfinite(front.height).mean() < 0.5:
+    width = LIDS.middle * abs(float(corners[0, 0] - corners[1, 0]))
+    centre = middle + np.array([0.0, (LIDS.above - LIDS.below) / 2, 0.0])
+    front = relief(scan, centre, (width, LIDS.above + LIDS.below), LIDS.step)
+    if len(near) < LIDS.fewest or np.isfinite(front.height).mean() < 0.5:
         return too_little
-    fall, height = _falls(front.height, options), front.y - middle[1]
+    fall, height = _falls(front.height), front.y - middle[1]
     upper, lower = (
-        fall[(height > low) & (height < high)].max() for low, high in (options.upper, options.lower)
+        fall[(height > low) & (height < high)].max() for low, high in (LIDS.upper, LIDS.lower)
     )
-    at_eye = (height > options.lower[0]) & (height < options.upper[1])  # brows are sharp as well
-    sharp = height[at_eye & (fall > options.edge * fall[at_eye].max())]
-    is_lower = lower > max(options.sharp, options.ahead * upper)
-    return Eye(bool(is_lower and np.ptp(sharp) < options.thin))
+    at_eye = (height > LIDS.lower[0]) & (height < LIDS.upper[1])  # brows are sharp as well
+    sharp = height[at_eye & (fall > LIDS.edge * fall[at_eye].max())]
+    is_lower = lower > max(LIDS.sharp, LIDS.ahead * upper)
+    return Eye(bool(is_lower and np.ptp(sharp) < LIDS.thin))
 
 
-def _falls(height: Floats, options: LidOptions) -> Floats:
+def _falls(height: Floats) -> Floats:
     """Return how steeply (rows,) the surface falls downwards, sharper than brow and cheek do."""
     rows = np.arange(len(height))
     filled = np.zeros_like(height)
@@ -167,16 +168,12 @@ def _falls(height: Floats, options: LidOptions) -> Floats:
         known = np.isfinite(values)
         if known.any():
             filled[:, column] = np.interp(rows, rows[known], values[known])
-    smooth = gaussian_filter(filled, options.smooth / options.step)
-    sharp = smooth - gaussian_filter(smooth, (options.wide / options.step, 0.0))
-    fall = -np.gradient(sharp, options.step, axis=0)
-    arched = maximum_filter1d(
-        fall.clip(0, options.steepest), round(options.arch / options.step), axis=0
-    )
+    smooth = gaussian_filter(filled, LIDS.smooth / LIDS.step)
+    sharp = smooth - gaussian_filter(smooth, (LIDS.wide / LIDS.step, 0.0))
+    fall = -np.gradient(sharp, LIDS.step, axis=0)
+    arched = maximum_filter1d(fall.clip(0, LIDS.steepest), round(LIDS.arch / LIDS.step), axis=0)
     return np.asarray(np.median(arched, axis=1))
 
-
-# How rough a scan is: noise against a smooth surface, and spikes.
 
 UNKNOWNS = 6  # of a quadratic height field
 
@@ -193,21 +190,22 @@ class RoughOptions:
     spike_angle: float = np.radians(200.0)  # sum of the angles at its tip
 
 
-def roughness(
-    points: Floats, places: Floats, options: RoughOptions = RoughOptions()
-) -> tuple[float, float]:
+ROUGH = RoughOptions()
+
+
+def roughness(points: Floats, places: Floats) -> tuple[float, float]:
     """Return noise and spacing of the vertices (n, 3) of a scan at ``places`` (k, 3) of a face.
 
     Both are medians over places in mm, the noise NaN in a scan too coarse to tell. At some of
     the places a quadratic height field is fitted to the neighbours in a radius (larger in a
     coarse scan); what it leaves is noise, as skin is smooth at that size.
     """
-    chosen = np.random.default_rng(0).permutation(len(places))[: options.probes]
+    chosen = np.random.default_rng(0).permutation(len(places))[: ROUGH.probes]
     tree = KDTree(points)
     centres = points[tree.query(places[chosen])[1]]
-    distance, near = tree.query(centres, k=min(options.neighbours, len(points)))
+    distance, near = tree.query(centres, k=min(ROUGH.neighbours, len(points)))
     spacing = float(np.median(distance[:, 1]))
-    radius = max(options.radius, 2.5 * spacing)
+    radius = max(ROUGH.radius, 2.5 * spacing)
     inside = distance < radius
     dense = np.flatnonzero(inside.sum(axis=1) >= 2 * UNKNOWNS)
     if len(dense) < len(chosen) / 8:
@@ -226,9 +224,7 @@ def _misfit(points: Floats) -> float:
     return float(np.sqrt(((height - fitted) ** 2).sum() / max(len(u) - UNKNOWNS, 1)))
 
 
-def spikes(
-    vertices: Floats, faces: Ints, options: RoughOptions = RoughOptions()
-) -> NDArray[np.bool_]:
+def spikes(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:
     """Return which vertices (n,) in mm stick out as spikes.
 
     A spike stands far from the middle of its neighbours, also by the scan's edges,
@@ -242,5 +238,5 @@ def spikes(
     degree = np.maximum(np.bincount(corners, minlength=count), 1)
     sums = [np.bincount(corners, side.ravel(), minlength=count) for side in ends.T.swapaxes(1, 2)]
     height = np.linalg.norm(sums, axis=0) / degree
-    limit = max(options.spike_edges * float(np.median(lengths)), options.spike)
-    return np.asarray((height > limit) & (angle < options.spike_angle) & (angle > 0))
+    limit = max(ROUGH.spike_edges * float(np.median(lengths)), ROUGH.spike)
+    return np.asarray((height > limit) & (angle < ROUGH.spike_angle) & (angle > 0))

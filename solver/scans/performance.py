@@ -1,19 +1,21 @@
-"""Reading a performance: one frame of registered skin points after the other, never all at once.
+"""Reading performances: registered skin points, or ARKit's weights by Live Link Face.
 
-A performance is an array in a ``.npy`` file or a folder of registered scans. Its points are in mm,
-in the template's order: all skin vertices, or the face's alone.
+Points come frame by frame, never all at once, from an array in a ``.npy`` file or a folder of
+registered scans. They are in mm, in the template's order: all skin vertices, or the face's alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import csv
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import NoReturn
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from solver.errors import InputError
+from solver.errors import InputError, file_error, quote
 from solver.meshio.registered import REGISTERED_FORMATS as SCAN_FORMATS
 from solver.meshio.registered import RegisteredScan, read_registered
 from solver.storage import map_array
@@ -22,19 +24,6 @@ from solver.surface import Floats, Ints, Surface
 FORMATS = (".npy",)
 FARTHEST_MM = 1e4  # a coordinate beyond it is no place in a studio
 SIZES = (0.5, 2.0)  # of a face beside the neutral; a wrong unit is farther off
-
-
-class Performance(Protocol):
-    """Frames of one person's face."""
-
-    @property
-    def name(self) -> str:
-        """Return the file's or folder's name."""
-
-    def __len__(self) -> int: ...
-
-    def frame(self, number: int) -> RegisteredScan:
-        """Return the face's points (k, 3) in mm and their confidence (k,), 0 where unseen."""
 
 
 def open_performance(path: Path, neutral: Surface, face: Ints) -> Performance:
@@ -108,6 +97,7 @@ class _Array:
         return len(self.points)
 
     def frame(self, number: int) -> RegisteredScan:
+        """Return the face's points (k, 3) in mm and their confidence (k,), 0 where unseen."""
         points = np.asarray(self.points[number][self.columns], np.float64)
         beyond = (np.abs(points) > FARTHEST_MM).any(axis=1)  # NaN is not: unseen
         if beyond.any():
@@ -141,6 +131,7 @@ class _Folder:
         return len(self.paths)
 
     def frame(self, number: int) -> RegisteredScan:
+        """Return the same as :meth:`_Array.frame`."""
         path, vertices = self.paths[number], self.neutral.vertices
         try:
             scan = read_registered(path, self.neutral.faces, len(vertices))
@@ -149,6 +140,9 @@ class _Folder:
             raise
         points = np.where(scan.confidence[:, None] > 0, scan.vertices, np.nan)[self.face]
         return RegisteredScan(points, scan.confidence[self.face])
+
+
+Performance = _Array | _Folder  # frames of one person's face; ``name`` is the file's or folder's
 
 
 def _check_size(file: str, number: int, points: Floats, rest: Floats) -> None:
@@ -160,3 +154,159 @@ def _check_size(file: str, number: int, points: Floats, rest: Floats) -> None:
             "a performance is in mm, in the template's vertex order"
         )
         raise InputError("performance.unit", message, file=file, frame=number, found=size)
+
+
+# A recording of Live Link Face: ARKit's 52 weights, head and eyes of every frame, as CSV.
+#
+# Angles are radians, and nobody says about which axes. An eye looks where its weights (eyeLookIn
+# and so on) of the same frame say if a yaw is positive to the subject's right and a pitch downward;
+# and in a real recording its turn is free of torsion, to 1e-8, if the matrix is
+#
+#     R = R_z(-roll) R_y(-yaw) R_x(pitch)
+#
+# about our axes: x to the subject's left, y up, z forward. The head's angles are taken for the
+# same.
+
+TIMECODE = "timecode"
+SIDED = (
+    *("eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp", "eyeSquint", "eyeWide"),
+    *("mouthSmile", "mouthFrown", "mouthDimple", "mouthStretch", "mouthPress"),
+    *("mouthLowerDown", "mouthUpperUp", "browDown", "browOuterUp", "cheekSquint", "noseSneer"),
+)
+UNSIDED = (
+    *("jawForward", "jawRight", "jawLeft", "jawOpen", "mouthClose", "mouthFunnel", "mouthPucker"),
+    *("mouthRight", "mouthLeft", "mouthRollLower", "mouthRollUpper", "mouthShrugLower"),
+    *("mouthShrugUpper", "browInnerUp", "cheekPuff", "tongueOut"),
+)
+# ARKit's blend shapes; left is the subject's left.
+ARKIT_NAMES = (*(name + side for name in SIDED for side in ("Left", "Right")), *UNSIDED)
+
+# Columns of angles, which older recordings do not have.
+ANGLES = {
+    bone: tuple(f"{bone}{angle}" for angle in ("Yaw", "Pitch", "Roll"))
+    for bone in ("head", "leftEye", "rightEye")
+}
+ANGLE = (-2.0 * np.pi, 2.0 * np.pi)  # beyond them an angle is in degrees, or nothing
+WEIGHTS = (-0.5, 1.5)  # a solver goes a little beyond 0 and 1, percents do not fit in
+TICKS = 60  # a second in the last part of a timecode, whatever the frame rate is
+DAY = 86400.0  # s
+
+
+@dataclass(frozen=True)
+class LiveLinkTake:
+    """A recording of f frames; turns are rotation vectors in radians.
+
+    Their x is to the subject's left, y up, z forward; zero where the file has no columns for them.
+    """
+
+    times: Floats  # (f,) in s after the first frame
+    weights: Floats  # (f, 52), named ARKIT_NAMES
+    head: Floats  # (f, 3)
+    eyes: Floats  # (f, 2, 3) in the head, the subject's left one first
+    timecodes: tuple[str, ...]  # (f,) as the file has them
+
+
+def read_live_link(path: Path) -> LiveLinkTake:
+    """Return a recording; columns may come in any order, others are not read.
+
+    Raises :class:`InputError`: ``live_link.unreadable``, ``live_link.columns`` (one is missing),
+    ``live_link.value`` (a field is missing, no number, no weight or no angle),
+    ``live_link.timecode`` or ``live_link.time_order`` (a frame is not later than the one before),
+    with ``file``, and ``line`` where it is about one.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = csv.reader(file)
+            # as ARKit writes names: Live Link Face begins with a capital
+            header = [name[:1].lower() + name[1:] for name in map(str.strip, next(rows, ()))]
+            _check_columns(path, header)
+            columns = {name: header.index(name) for name in ARKIT_NAMES}
+            turning = {bone: names for bone, names in ANGLES.items() if set(names) <= set(header)}
+            angled = {name: header.index(name) for names in turning.values() for name in names}
+            clock = header.index(TIMECODE)
+            times: list[float] = []
+            timecodes: list[str] = []
+            weights: list[list[float]] = []
+            angles: list[list[float]] = []
+            for row in rows:
+                line = rows.line_num
+                if row:
+                    times.append(_time(path, line, row, clock, times))
+                    timecodes.append(row[clock])
+                    place = path, line, row
+                    weights.append(_numbers(*place, columns, WEIGHTS, "weight from 0 to 1"))
+                    angles.append(_numbers(*place, angled, ANGLE, "angle in radians"))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        message = f"{path.name} is not a recording of Live Link Face, a table of text: {error}"
+        raise InputError("live_link.unreadable", message, file=path.name) from error
+    if not times:
+        raise InputError("live_link.unreadable", f"{path.name} has no frames", file=path.name)
+    by_bone = np.array(angles).reshape(len(times), -1, 3).swapaxes(0, 1)
+    turns = dict(zip(turning, by_bone, strict=True))
+    head, *eyes = (_rotations(turns.get(bone), len(times)) for bone in ANGLES)
+    since = np.array(times) - times[0]
+    turned = np.stack(eyes, axis=1)
+    return LiveLinkTake(since, np.array(weights), head, turned, tuple(timecodes))
+
+
+def _check_columns(path: Path, header: Sequence[str]) -> None:
+    missing = [name for name in (TIMECODE, *ARKIT_NAMES) if name not in header]
+    if missing:
+        message = (
+            f"{path.name} is not a recording of Live Link Face: it has no column "
+            f"{', '.join(missing[:4])}{' ...' if len(missing) > 4 else ''}"
+        )
+        raise InputError("live_link.columns", message, file=path.name, line=1, missing=missing)
+
+
+def _time(path: Path, line: int, row: list[str], column: int, before: Sequence[float]) -> float:
+    """Return a frame's time in s; a day is added to what follows midnight."""
+    text = row[column] if column < len(row) else ""
+    try:
+        hours, minutes, seconds, ticks = text.split(":")
+        time = 3600.0 * int(hours) + 60.0 * int(minutes) + int(seconds) + float(ticks) / TICKS
+    except ValueError:
+        reason = f"'{quote(text)}' is not a timecode hours:minutes:seconds:ticks"
+        _refuse(path, line, "timecode", reason)
+    if not 0.0 <= time < DAY:  # NaN is neither
+        _refuse(path, line, "timecode", f"'{quote(text)}' is not a time of day")
+    if before and time <= before[-1]:
+        if before[-1] - time < DAY / 2:
+            _refuse(path, line, "time_order", f"{quote(text)} is not later than the frame before")
+        time += DAY
+    return time
+
+
+def _numbers(
+    path: Path,
+    line: int,
+    row: list[str],
+    columns: Mapping[str, int],
+    bounds: tuple[float, float],
+    noun: str,
+) -> list[float]:
+    """Return the fields of a frame, all within ``bounds``, where ``noun`` says what they are."""
+    numbers = []
+    for name, column in columns.items():
+        text = row[column] if column < len(row) else ""
+        try:
+            number = float(text)
+        except ValueError:
+            _refuse(path, line, "value", f"{name} is '{quote(text)}', not a number")
+        if not bounds[0] <= number <= bounds[1]:
+            _refuse(path, line, "value", f"{name} is {quote(text)}, which is no {noun}")
+        numbers.append(number)
+    return numbers
+
+
+def _rotations(angles: Floats | None, count: int) -> Floats:
+    """Return rotation vectors (f, 3) of yaw, pitch and roll (f, 3); zero for None."""
+    if angles is None:
+        return np.zeros((count, 3))
+    yaw, pitch, roll = angles.T
+    turns = Rotation.from_euler("ZYX", np.column_stack([-roll, -yaw, pitch]))
+    return np.asarray(turns.as_rotvec())
+
+
+def _refuse(path: Path, line: int, code: str, what: str) -> NoReturn:
+    raise file_error(f"live_link.{code}", path.name, what, line=line)

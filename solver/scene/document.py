@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from pydantic import ValidationError
 
 from solver.anatomy.physiology import JAW_FREEDOM
-from solver.animation.drives import Drives, HeadKey, KeyedDrives, PoseKey
+from solver.animation import Drives, HeadKey, KeyedDrives, PoseKey
 from solver.animation.performance import FittedSequence, MixedPerformances, PlayedPerformance
 from solver.errors import InputError
 from solver.fitting.face import Pose
@@ -21,8 +21,8 @@ from solver.kinds.scene import Jaw, Key, MotionKey, Muscle, SimulateScene
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel, by_muscle, find_muscles
+from solver.scene import check_length
 from solver.scene.places import Places
-from solver.scene.stage import check_length
 from solver.surface import Floats
 
 Scene = TypeVar("Scene", bound=Document)

@@ -166,11 +166,7 @@ class Wind(ExternalForce):
         seed: int = 0,
         gust_hz: tuple[float, float] = (0.4, 3.0),
     ) -> None:
-        model = face.model
-        number = np.full(len(model.skin.vertices), -1)
-        number[model.face] = np.arange(len(model.face))
-        corners = number[model.skin.faces]
-        self._triangles = corners[(corners >= 0).all(axis=1)]
+        self._triangles = face.model.face_triangles
         self._embedding, self._offset = face.face_embedding, face.face_offset
         self._mm_s = 1e3 * np.asarray(m_s, float)
         self._gusts = gusts

@@ -19,8 +19,7 @@ from solver.anatomy.template import Compartments, Muscle
 from solver.anatomy.warp import MIRROR
 from solver.errors import InputError
 from solver.surface import Floats, Surface, join_surfaces, part_of
-from solver.templates.downloads import PublicFile, obj_mesh, public_files
-from solver.templates.tables import file_fault
+from solver.templates.tables import PublicFile, file_fault, obj_mesh, public_files
 
 # The download as DBCLS publishes it: release 3.0, one OBJ an organ, named by its FMA id. Release
 # 4.0 (``FJ1234.obj`` with element lists) has no muscles of the face and another pose.
@@ -65,8 +64,6 @@ def _surface(files: dict[str, PublicFile], fma_id: str, name: str, folder: Path)
         raise file_fault("download.mesh", f"{file} has faces of four corners", file)
     return Surface(to_subject_axes(vertices), polygons[:, :3])
 
-
-# Parts by name, from the download or from an index.
 
 MIDDLE_X = -0.65  # mm, the plane of symmetry
 RINGS = ("orbital", "palpebral")  # parts of orbicularis oculi, the larger first

@@ -25,6 +25,8 @@ from solver.meshio.raw import read_raw
 from solver.registration.units import AXES, UNITS
 from solver.surface import Floats, Surface
 from solver.templates.tables import (
+    DESCRIPTION,
+    FORMAT,
     Row,
     file_fault,
     parse_file,
@@ -33,8 +35,6 @@ from solver.templates.tables import (
     vertex_fault,
 )
 
-FORMAT = 1  # of template.toml
-DESCRIPTION = "template.toml"
 MAX_UNPACKED_BYTES = 2 * 2**30  # of a ZIP: no real template comes near
 MAX_DESCRIPTION_BYTES = 32 * 2**10  # tomllib takes the square of a name's dots
 SUFFIXES = (".ply", ".obj")

@@ -20,12 +20,17 @@ from solver.anatomy.domain import split_quads
 from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake, read_live_link
+from solver.scans.performance import ARKIT_NAMES, LiveLinkTake, read_live_link
 from solver.storage import read_arrays
 from solver.surface import Floats, Ints, Surface
-from solver.templates.downloads import PublicFile, obj_mesh, obj_vertices, public_files
-from solver.templates.export import CaptureSet
-from solver.templates.tables import file_fault
+from solver.templates.tables import (
+    CaptureSet,
+    PublicFile,
+    file_fault,
+    obj_mesh,
+    obj_vertices,
+    public_files,
+)
 
 # The model as USC ICT publishes it: the folder ``FaceXModel`` of OBJ meshes, in cm.
 #
@@ -111,15 +116,11 @@ TEETH_NAMES = tuple(
 
 @dataclass(frozen=True)
 class FaceKit:
-    """The head: ``skin`` with all vertices and how it varies, in mm.
+    """The head and how it varies, in mm."""
 
-    ``deltas`` are the displacements (n, 3) of the expressions; ``identities`` (k, n, 3) those of
-    one standard deviation of each identity component, whose coefficients are independent.
-    """
-
-    skin: Surface
-    deltas: dict[str, Floats]
-    identities: Floats
+    skin: Surface  # with all vertices
+    deltas: dict[str, Floats]  # (n, 3) of the expressions
+    identities: Floats  # (k, n, 3) one standard deviation of each independent component
 
     def part(self, vertices: range) -> Surface:
         """Return the skin with only the faces whose vertices all lie in a range."""
@@ -186,9 +187,6 @@ def shape_basis(kit: FaceKit) -> ShapeBasis:
         expressions=np.stack(list(kit.deltas.values())).astype(np.float32),
         expression_names=tuple(arkit_name(name) for name in kit.deltas),
     )
-
-
-# Captures of the subjects of a capture-sets file.
 
 
 def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None) -> CaptureSet:
@@ -286,16 +284,12 @@ def _faults(sets: dict[str, Any]) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class IctPerformance:
-    """Frames (V, 3) in mm, made when they are asked for.
+    """Frames (V, 3) in mm, made when they are asked for."""
 
-    ``neutral`` is (V, 3), ``shapes`` (e, 3 V) are the displacements of the expressions that are
-    driven, ``weights`` (f, e) drive them, ``times`` (f,) are in s.
-    """
-
-    neutral: Floats
-    shapes: Floats
-    weights: Floats
-    times: Floats
+    neutral: Floats  # (V, 3)
+    shapes: Floats  # (e, 3 V) displacements of the expressions that are driven
+    weights: Floats  # (f, e)
+    times: Floats  # (f,) in s
 
     def __len__(self) -> int:
         return len(self.weights)

@@ -32,17 +32,13 @@ from solver.templates.ict_facekit import EYEBALLS, FaceKit
 
 @dataclass(frozen=True)
 class DepthTable:
-    """Soft-tissue depths at points (k, 3) of the skull, mean and standard deviation in mm.
+    """Soft-tissue depths at points of the skull, in mm."""
 
-    Depths may differ from the mean by ``range_sd`` standard deviations, and are wanted within about
-    ``spread_mm`` of their points.
-    """
-
-    points: Floats
-    mean: Floats
-    deviation: Floats
-    range_sd: float = 2.0
-    spread_mm: float = 18.0
+    points: Floats  # (k, 3)
+    mean: Floats  # (k,)
+    deviation: Floats  # (k,) standard deviation
+    range_sd: float = 2.0  # by so many of these depths may differ from the mean
+    spread_mm: float = 18.0  # depths are wanted within about this of their points
 
     def bounds(self, points: Floats, least_mm: float) -> tuple[Floats, Floats]:
         """Return least and greatest depths (n,); no greatest one far from every landmark."""
@@ -145,7 +141,7 @@ class Anatomy:
     muscles: dict[str, Surface]
 
 
-def carry_anatomy(parts: dict[str, Part], kit: FaceKit, options: CarryOptions = CARRY) -> Anatomy:
+def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
     """Return bone wraps and face muscles inside the head.
 
     A first warp carries bones and muscles by teeth, eyes and soft-tissue depths. A second one
@@ -161,18 +157,18 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit, options: CarryOptions = 
     head, flesh = kit.part(ict_facekit.HEAD), kit.part(ict_facekit.FLESH)
     outer = SkinDepth(head)
     muscles = {name: align(parts[name].surface.vertices) for name in muscle_names(parts)}
-    most = options.muscle_samples
+    most = CARRY.muscle_samples
     sample = np.vstack([v[spread(v, min(most, len(v) // 4))] for v in muscles.values()])
-    sample = sample[(sample[:, 1] > options.lowest_y) & (sample[:, 0] >= 0)]
+    sample = sample[(sample[:, 1] > CARRY.lowest_y) & (sample[:, 0] >= 0)]
     bones = bodyparts3d.merge_parts(parts, "cranium", "mandible")
-    bone_limits = _bone_limits(bones, align, depths, outer, options)
+    bone_limits = _bone_limits(bones, align, depths, outer)
     first = depth_warp(
         _left(
             align(np.vstack([teeth.source, anchors.source])),
             np.vstack([teeth.target, anchors.target]),
-            options.on_middle_mm,
+            CARRY.on_middle_mm,
         ),
-        [bone_limits, DepthLimits(sample, options.muscle_depth_mm, np.inf, outer)],
+        [bone_limits, DepthLimits(sample, CARRY.muscle_depth_mm, np.inf, outer)],
         centres=300,
         stiffness=0.5,
     )
@@ -183,20 +179,20 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit, options: CarryOptions = 
     sample = first(sample)
     wraps = [SkinDepth(cranium), SkinDepth(mandible)]
     bed = first(bone_limits.points)
-    bed = bed[spread(bed, options.bed_samples)]
+    bed = bed[spread(bed, CARRY.bed_samples)]
     # What a wrap has swallowed has to come out: the bone beside it cannot be held there.
     buried = sample[np.any([inside(wrap.closed, sample) for wrap in wraps], axis=0)]
-    bed = bed[cKDTree(buried).query(bed)[0] > options.buried_mm]
+    bed = bed[cKDTree(buried).query(bed)[0] > CARRY.buried_mm]
     second = depth_warp(
         _left(
             np.vstack([bed, first(align(muscle_anchors.source))]),
             np.vstack([bed, muscle_anchors.target]),
-            options.on_middle_mm,
+            CARRY.on_middle_mm,
         ),
         [
-            DepthLimits(sample, options.muscle_depth_mm, np.inf, outer),
-            DepthLimits(sample, options.lining_depth_mm, np.inf, SkinDepth(flesh)),
-            *[DepthLimits(sample, -np.inf, -options.bone_gap_mm, wrap) for wrap in wraps],
+            DepthLimits(sample, CARRY.muscle_depth_mm, np.inf, outer),
+            DepthLimits(sample, CARRY.lining_depth_mm, np.inf, SkinDepth(flesh)),
+            *[DepthLimits(sample, -np.inf, -CARRY.bone_gap_mm, wrap) for wrap in wraps],
         ],
         centres=400,
         stiffness=0.1,
@@ -211,14 +207,14 @@ def _left(source: Floats, target: Floats, on_middle_mm: float) -> PointPairs:
 
 
 def _bone_limits(
-    bones: Surface, align: Similarity, table: DepthTable, depth: SkinDepth, options: CarryOptions
+    bones: Surface, align: Similarity, table: DepthTable, depth: SkinDepth
 ) -> DepthLimits:
     aligned = align(bones.vertices)
     near = np.flatnonzero(
-        (aligned[:, 1] > options.lowest_y) & (bones.vertices[:, 0] > bodyparts3d.MIDDLE_X)
+        (aligned[:, 1] > CARRY.lowest_y) & (bones.vertices[:, 0] > bodyparts3d.MIDDLE_X)
     )
-    chosen = near[spread(aligned[near], options.bone_samples)]
-    least, greatest = table.bounds(bones.vertices[chosen], options.muscle_depth_mm)
+    chosen = near[spread(aligned[near], CARRY.bone_samples)]
+    least, greatest = table.bounds(bones.vertices[chosen], CARRY.muscle_depth_mm)
     points = aligned[chosen]
     _, deeper = depth(points)
     rays = trimesh.Trimesh(aligned, bones.faces, process=False).ray
@@ -260,9 +256,6 @@ def depth_table(skin: Floats) -> tuple[dict[str, int], tuple[Depth, ...]]:
     return both_sides(landmarks, skin), tuple(depths)
 
 
-# Regions of the ICT-FaceKit face.
-
-
 def named_regions(skin: Floats, sides: Ints) -> dict[str, Ints]:
     """Return region -> narrow-face vertices; the regions do not overlap and leave none out.
 
@@ -292,8 +285,6 @@ def named_regions(skin: Floats, sides: Ints) -> dict[str, Ints]:
     }
     return first_match(face, tests)
 
-
-# The template.
 
 BACK_Z, BOTTOM_Y = 24.0, -95.5  # cut planes, mm
 PARTING = 0.4  # weight of each expression that parts the lips

@@ -19,9 +19,8 @@ from solver.anatomy.build import carry_anatomy
 from solver.anatomy.contact_regions import contact_regions, eye_corners, stomia
 from solver.anatomy.domain import MeshedFlesh
 from solver.anatomy.meshing import bind_skin, find_or_make_mesh
-from solver.anatomy.relaxation import relax
 from solver.anatomy.template import ShapeBasis, Template
-from solver.anatomy.transfer import carry_muscle, guidance
+from solver.anatomy.transfer import carry_muscle, guidance, relax
 from solver.errors import Finding, InputError
 from solver.meshio.mesh import check_finite, too_large_error, weld
 from solver.meshio.raw import RawScan, mend, read_raw
@@ -52,6 +51,9 @@ class RebaseOptions:
     mouth_mm: float = 6.0  # about the middle of the mouth lips may not hang together
 
 
+REBASE = RebaseOptions()
+
+
 @dataclass(frozen=True)
 class Rebased:
     """A template on a head's vertices, and how it came there."""
@@ -70,7 +72,6 @@ def rebase(
     frame: Mapping[str, Any] = FRAME,
     landmarks: Path | None = None,
     progress: Progress = silent,
-    options: RebaseOptions = RebaseOptions(),
 ) -> Rebased:
     """Return the template with the vertices of the head ``skin``, in their order.
 
@@ -82,11 +83,11 @@ def rebase(
     :func:`register`; :class:`SolveError` where no tets can be made.
     """
     raw = read_raw(skin)
-    _check(raw, options)
+    _check(raw)
     mesh = template.mesh or find_or_make_mesh(template, progress=progress).mesh
     template, known = replace(template, mesh=mesh), topology(template)
     face, findings = _register(raw, known, frame, landmarks, progress)
-    head, own_axes = _place(raw, face, known, options)
+    head, own_axes = _place(raw, face, known)
     turn = own_axes or IDENTITY
     progress(Step("anatomy", 0.7))
     person, made_by = _into_shape(template, turn(face.skin.vertices))
@@ -104,7 +105,7 @@ def rebase(
         findings.append(Finding("rebase.turned", "info", message))
     if made_by != "transport":
         findings.append(Finding("rebase.meshed", "info", f"The tetrahedra are new: {made_by}."))
-    findings += _remarks(rebased, person, found, options)
+    findings += _remarks(rebased, person, found)
     registration = report(face, known, face.start.size.taken_from)
     told = [finding.to_dict() for finding in findings] + registration["findings"]
     # advice is for who can scan again
@@ -113,16 +114,16 @@ def rebase(
     return Rebased(rebased, registration, carry, turn)
 
 
-def _check(raw: RawScan, options: RebaseOptions) -> None:
+def _check(raw: RawScan) -> None:
     """Raise what makes a mesh no skin of a template."""
     file, count = raw.file, len(raw.vertices)
-    if count > options.most_vertices:
-        raise too_large_error(file, "vertices", count, "a base mesh", options.most_vertices)
+    if count > REBASE.most_vertices:
+        raise too_large_error(file, "vertices", count, "a base mesh", REBASE.most_vertices)
     if not len(raw.faces):
         raise InputError("rebase.faces", f"{file} is a cloud of points, not a mesh", file=file)
     check_finite(file, raw.vertices)
     doubled = count - len(weld(raw.vertices)[0])
-    if doubled > options.most_doubled * count:
+    if doubled > REBASE.most_doubled * count:
         reason = "its triangles do not share vertices; export it as OBJ"
         message = (
             f"{doubled} of the {count} vertices of {file} lie in the place of another: {reason}"
@@ -152,7 +153,7 @@ def _register(
 
 
 def _place(
-    raw: RawScan, face: RegisteredFace, known: Topology, options: RebaseOptions
+    raw: RawScan, face: RegisteredFace, known: Topology
 ) -> tuple[Surface, Similarity | None]:
     """Return the head in mm, and the motion of the registered face to it.
 
@@ -166,7 +167,7 @@ def _place(
         turned = axes @ motion.rotation.T
         back = Similarity(1.0, turned, -turned @ motion.shift)
         middle = float(back(face.skin.vertices[known.face])[:, 0].mean())
-        if back.degrees < options.straight_deg and abs(middle) < options.centred_mm:
+        if back.degrees < REBASE.straight_deg and abs(middle) < REBASE.centred_mm:
             return surface.moved(motion.scale * surface.vertices @ axes.T), back
     return surface.moved(motion(surface.vertices)), None
 
@@ -267,12 +268,7 @@ def _bind(template: Template, person: Template) -> Template:
     return replace(template, face_vertices=face, mesh=bound)
 
 
-# What is worth a look.
-
-
-def _remarks(
-    based: Template, person: Template, found: Correspondence, options: RebaseOptions
-) -> Iterator[Finding]:
+def _remarks(based: Template, person: Template, found: Correspondence) -> Iterator[Finding]:
     """Yield what the head lacks: eyes, teeth, a mouth that opens."""
     parts = found.parts
     lacking = [name for name in ("eyes", "teeth") if not getattr(parts, name).any()]
@@ -286,7 +282,7 @@ def _remarks(
     if middle and len(across):
         mouth = person.skin.vertices[middle].mean(axis=0)
         off = np.linalg.norm(skin[across].mean(axis=1) - mouth, axis=1)
-        if (off < options.mouth_mm).any():
+        if (off < REBASE.mouth_mm).any():
             one, other = across[off.argmin()].tolist()
             message = (
                 f"The lips hang together, as at vertices {one} and {other}: the skin between them "

@@ -90,9 +90,9 @@ class TemplateReport:
         return {"good": self.good, "findings": findings, "figures": self.figures}
 
 
-def report_template(template: Template, bounds: AnatomyBounds = BOUNDS) -> TemplateReport:
+def report_template(template: Template) -> TemplateReport:
     """Return what is wrong with, or worth a look at, a template whose arrays fit together."""
-    checks = _Checks(template, bounds)
+    checks = _Checks(template)
     findings = [
         *checks.description(),
         *checks.skin(),
@@ -152,8 +152,8 @@ def template_figures(template: Template) -> dict[str, Any]:
 class _Checks:
     """The checks of one template, each of which yields what it finds."""
 
-    def __init__(self, template: Template, bounds: AnatomyBounds) -> None:
-        self.template, self.bounds, self.flesh = template, bounds, template.flesh
+    def __init__(self, template: Template) -> None:
+        self.template, self.flesh = template, template.flesh
         self.solid = {"cranium": template.cranium, "mandible": template.mandible}
 
     @cached_property
@@ -173,7 +173,7 @@ class _Checks:
         template, skin = self.template, self.template.skin
         face = skin.vertices[template.face_vertices]
         height = float(np.ptp(face[:, 1]))
-        if not self.bounds.face_mm[0] <= height <= self.bounds.face_mm[1]:
+        if not BOUNDS.face_mm[0] <= height <= BOUNDS.face_mm[1]:
             yield _find("skin.size", "skin", height)
         if crowded := _edges_of_many_faces(skin):
             yield _find("skin.edges", "skin", crowded)
@@ -190,12 +190,12 @@ class _Checks:
         behind = (face[:, 1] <= template.bottom_y) | (face[:, 2] <= template.back_z)
         if behind.any():
             yield _find("planes", "face", int(behind.sum()))
-        if np.linalg.norm(template.parting, axis=1).max() < self.bounds.part_mm:
+        if np.linalg.norm(template.parting, axis=1).max() < BOUNDS.part_mm:
             yield _find("parting", "skin")
 
     def bones(self) -> Iterator[Finding]:
         """Check that the bones are solid, under the skin, and apart; and the condyles."""
-        template, bounds = self.template, self.bounds
+        template = self.template
         for name, bone in self.solid.items():
             if len(boundary_edges(bone.faces)[0]) or _edges_of_many_faces(bone):
                 yield _find("bone.open", name)
@@ -208,14 +208,14 @@ class _Checks:
         shared = jaw[contains(template.cranium, jaw)]
         if len(shared):
             deep = barycentric(shared, template.cranium)[2].max()
-            if deep > bounds.touching_mm:
+            if deep > BOUNDS.touching_mm:
                 yield _find("bone.overlap", "mandible", deep)
         gap = barycentric(template.condyles, template.mandible)[2]
         outward = template.condyles[:, 0] * [1, -1]
         for side, out, far in zip(("left", "right"), outward, gap, strict=True):
             if out <= 0:
                 yield _find("condyle.side", f"{side} condyle")
-            if far > bounds.condyle_mm:
+            if far > BOUNDS.condyle_mm:
                 yield _find("condyle.place", f"{side} condyle", far)
 
     def _through_face(self, bone: Surface) -> Floats:
@@ -226,7 +226,7 @@ class _Checks:
         out = -self.depth(ahead)[0]
         nearest, is_edge = self._nearest(ahead)
         by_face = np.isin(nearest, self.template.face_vertices).all(axis=1) & ~is_edge
-        return np.asarray(out[by_face & (out > self.bounds.touching_mm)])
+        return np.asarray(out[by_face & (out > BOUNDS.touching_mm)])
 
     def _nearest(self, points: Floats) -> tuple[Ints, np.ndarray]:
         """Return the nearest triangles (k, 3) of the flesh, and which (k,) are at its edge.
@@ -261,7 +261,7 @@ class _Checks:
 
     def depths(self) -> Iterator[Finding]:
         """Check the table of soft-tissue depths, and the bones by it."""
-        template, bounds, flesh = self.template, self.bounds, self.flesh
+        template, flesh = self.template, self.flesh
         if not template.depths:
             yield _find("depths.missing", "depths")
         normals = np.nan_to_num(igl.per_vertex_normals(flesh.vertices, flesh.faces))
@@ -269,13 +269,13 @@ class _Checks:
             if row.landmark not in template.landmarks:
                 yield _find("depths.landmark", row.landmark)
                 continue
-            if not bounds.depth_mm[0] <= row.mean <= bounds.depth_mm[1]:
+            if not BOUNDS.depth_mm[0] <= row.mean <= BOUNDS.depth_mm[1]:
                 yield _find("depths.range mean", row.landmark, row.mean)
             if row.deviation is not None and not 0 < row.deviation < row.mean:
                 yield _find("depths.range deviation", row.landmark, row.deviation)
             vertex, bone = template.landmarks[row.landmark], self.solid[row.bone]
             near, across = _depths_of(bone, flesh.vertices[vertex], normals[vertex])
-            allowed = max(bounds.depth_slack_mm, bounds.depth_sd * (row.deviation or 0.0))
+            allowed = max(BOUNDS.depth_slack_mm, BOUNDS.depth_sd * (row.deviation or 0.0))
             if not near - allowed <= row.mean <= across + allowed:
                 found = near if row.mean < near else across
                 yield _find("depths.bone", row.landmark, row.bone, found, row.mean)
@@ -289,7 +289,7 @@ class _Checks:
         if inverted := int(np.sum(volumes(mesh.vertices, mesh.tets) <= 0)):
             yield _find("mesh.inverted", "mesh", inverted)
         angle = float(dihedral_angles(mesh.vertices, mesh.tets).min())
-        if angle < self.bounds.dihedral_deg:
+        if angle < BOUNDS.dihedral_deg:
             yield _find("mesh.flat", "mesh", angle)
         lost = np.setdiff1d(template.face_vertices, mesh.embedded)
         if len(lost):
@@ -300,7 +300,7 @@ class _Checks:
             kept = volume / max(enclosed_volume(muscle.surface), 1e-9)
             if not count:
                 yield _find("mesh.candidates", muscle.name)
-            elif kept < self.bounds.volume_kept and self._ahead(muscle).all():
+            elif kept < BOUNDS.volume_kept and self._ahead(muscle).all():
                 yield _find("mesh.volume", muscle.name, kept)
 
     def _ahead(self, muscle: Muscle) -> np.ndarray:
@@ -323,10 +323,10 @@ class _Checks:
 
     def _shape(self, muscle: Muscle) -> Iterator[Finding]:
         volume = enclosed_volume(muscle.surface)
-        if volume < self.bounds.muscle_mm3:
+        if volume < BOUNDS.muscle_mm3:
             yield _find("muscle.volume", muscle.name, volume)
         open_edges = len(boundary_edges(muscle.surface.faces)[0])
-        if open_edges > self.bounds.open_edges:
+        if open_edges > BOUNDS.open_edges:
             yield _find("muscle.open", muscle.name, open_edges)
         if not np.isclose(np.linalg.norm(muscle.fibre), 1.0, atol=1e-3):
             yield _find("muscle.fibre length", muscle.name)
@@ -344,19 +344,19 @@ class _Checks:
 
     def _part(self, muscle: Muscle, code: str, out: Floats, *place: str) -> Iterator[Finding]:
         """Judge a muscle by how much of it is ``out`` (k,) mm of its place."""
-        part = float(np.mean(out > self.bounds.out_mm))
-        if part > self.bounds.few:
-            severity = "error" if part > self.bounds.most else "warning"
+        part = float(np.mean(out > BOUNDS.out_mm))
+        if part > BOUNDS.few:
+            severity = "error" if part > BOUNDS.most else "warning"
             yield _find(code, muscle.name, part, *place, out.max(), severity=severity)
 
     def _attachments(self, muscle: Muscle) -> Iterator[Finding]:
         origin, insertion = muscle.origin[None], muscle.insertion[None]
         far = min(barycentric(origin, bone)[2][0] for bone in self.solid.values())
-        if far > self.bounds.origin_mm and in_front(self.template, origin).all():
+        if far > BOUNDS.origin_mm and in_front(self.template, origin).all():
             yield _find("muscle.origin", muscle.name, far)
         ends = (self.flesh, *self.solid.values())
         far = min(barycentric(insertion, end)[2][0] for end in ends)
-        if far > self.bounds.insertion_mm:
+        if far > BOUNDS.insertion_mm:
             yield _find("muscle.insertion", muscle.name, far)
         if (muscle.insertion - muscle.origin) @ muscle.fibre < 0:
             yield _find("muscle.fibre way", muscle.name)
@@ -378,10 +378,10 @@ class _Checks:
             yield _find("muscle.side", name)
             return
         apart = float(np.linalg.norm(middles[0] * [-1, 1, 1] - middles[1]))
-        if apart > self.bounds.partner_mm:
+        if apart > BOUNDS.partner_mm:
             yield _find("muscle.pair place", name, apart)
         ratio = enclosed_volume(left) / max(enclosed_volume(right), 1e-9)
-        if not 1 / self.bounds.partner_volume < ratio < self.bounds.partner_volume:
+        if not 1 / BOUNDS.partner_volume < ratio < BOUNDS.partner_volume:
             yield _find("muscle.pair volume", name, ratio)
 
 

@@ -1,19 +1,30 @@
-"""Tables and lists of a template folder, read so that every fault names its file and line."""
+"""Files of templates and captures: written, and read so that a fault names its file and line."""
 
 from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from collections.abc import Callable, Iterable
-from pathlib import Path
+from dataclasses import astuple, dataclass
+from functools import partial
+from itertools import islice
+from pathlib import Path, PurePosixPath
 from typing import Any
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
+from solver.anatomy.template import Muscle, Template
 from solver.errors import InputError, file_error
-from solver.surface import Floats, Ints
+from solver.kinds import NOT_READABLE
+from solver.meshio.obj import write_obj
+from solver.meshio.ply import write_ply
+from solver.surface import Floats, Ints, Surface
 
+FORMAT = 1  # of template.toml
+DESCRIPTION = "template.toml"
 _RANGE = re.compile(r"(\d+)-(\d+)")
 
 
@@ -150,3 +161,237 @@ def _read_text(path: Path) -> str:
         raise file_fault("template.missing", reason, path.name) from None
     except (OSError, UnicodeDecodeError) as error:
         raise file_fault("template.unreadable", f"{path.name}: {error}", path.name) from error
+
+
+# Files of a public download, as it arrives: in a folder, in its subfolders, or in its ZIPs.
+
+
+_broken_mesh = partial(file_error, "download.mesh")
+
+
+@dataclass(frozen=True)
+class PublicFile:
+    """A file at ``path``, or the ``member`` of the ZIP archive there."""
+
+    path: Path
+    member: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The file's name without folders."""
+        return self.path.name if self.member is None else PurePosixPath(self.member).name
+
+    @property
+    def folder(self) -> tuple[Path, PurePosixPath]:
+        """The place of the file: equal for files of one folder."""
+        if self.member is None:
+            return self.path.parent, PurePosixPath()
+        return self.path, PurePosixPath(self.member).parent
+
+    def read(self) -> bytes:
+        """Return the content; raises ``download.unreadable`` if file or archive is damaged."""
+        try:
+            if self.member is None:
+                return self.path.read_bytes()
+            with ZipFile(self.path) as archive:
+                return archive.read(self.member)
+        except NOT_READABLE as error:
+            reason = f"{self} cannot be read: {error}"
+            raise file_fault("download.unreadable", reason, self) from error
+
+    def __str__(self) -> str:
+        return str(self.path) if self.member is None else f"{self.path}: {self.member}"
+
+
+def public_files(folder: Path, suffix: str) -> list[PublicFile]:
+    """Return all files below ``folder`` with a ``suffix``: those in ZIP archives, then the others.
+
+    Raises :class:`InputError` (``download.unreadable``) for an archive that is none.
+    """
+    packed = [
+        PublicFile(archive, member)
+        for archive in sorted(folder.rglob("*.zip"))
+        for member in _members(archive)
+        if member.endswith(suffix)
+    ]
+    loose = [PublicFile(path) for path in sorted(folder.rglob(f"*{suffix}"))]
+    # macOS adds a file "._name" of its own to each in an archive.
+    return [file for file in packed + loose if not file.name.startswith(".")]
+
+
+def _members(archive: Path) -> list[str]:
+    try:
+        with ZipFile(archive) as opened:
+            return opened.namelist()
+    except (OSError, BadZipFile) as error:
+        reason = f"{archive} is no ZIP archive: {error}"
+        raise file_fault("download.unreadable", reason, archive) from error
+
+
+def obj_mesh(file: PublicFile) -> tuple[Floats, Ints]:
+    """Return vertices (n, 3) and polygons (f, 4) of a Wavefront OBJ of triangles and quads.
+
+    The fourth column of a triangle is -1. Raises as :func:`obj_vertices`.
+    """
+    rows = file.read().splitlines()
+    vertices = obj_vertices(file, rows)
+    faces = [(line, row) for line, row in enumerate(rows, start=1) if row.startswith(b"f ")]
+    polygons = [_corners(file, line, row, len(vertices)) for line, row in faces]
+    return vertices, np.array(polygons, dtype=np.int64).reshape(-1, 4)
+
+
+def obj_vertices(file: PublicFile, rows: list[bytes] | None = None) -> Floats:
+    """Return the vertices (n, 3) of a Wavefront OBJ, in its own unit and order.
+
+    Raises :class:`InputError` (``download.mesh``) with ``file`` and ``line``.
+    """
+    rows = file.read().splitlines() if rows is None else rows
+    vertices: list[tuple[float, float, float]] = []
+    for line, row in enumerate(rows, start=1):
+        if row.startswith(b"v "):
+            try:
+                x, y, z = map(float, row.split()[1:4])
+            except ValueError:
+                raise _broken_mesh(file, "not three numbers", line=line) from None
+            if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+                raise _broken_mesh(file, f"vertex {len(vertices)} is not finite", line=line)
+            vertices.append((x, y, z))
+    if not vertices:
+        raise _broken_mesh(file, "the file has no vertices", line=len(rows))
+    return np.array(vertices)
+
+
+def _corners(file: PublicFile, line: int, row: bytes, vertices: int) -> list[int]:
+    try:
+        corners = [int(word.partition(b"/")[0]) - 1 for word in row.split()[1:]]
+    except ValueError:
+        raise _broken_mesh(file, "a face holds what is not a vertex number", line=line) from None
+    if len(corners) not in (3, 4):
+        raise _broken_mesh(file, f"a face has {len(corners)} corners, not 3 or 4", line=line)
+    if min(corners) < 0 or max(corners) >= vertices:
+        raise _broken_mesh(file, f"a face uses a vertex that is none of the {vertices}", line=line)
+    return corners if len(corners) == 4 else [*corners, -1]
+
+
+@dataclass(frozen=True)
+class CaptureSet:
+    """Registered scans of one subject by name, in mm, all with the faces of ``neutral``."""
+
+    neutral: Surface
+    train: dict[str, Surface]  # expressions that the muscle geometry is fitted to
+    test: dict[str, Surface]  # those that are solved for activations only
+
+    def first(self, train: int, test: int) -> CaptureSet:
+        """Return the neutral with the first expressions only."""
+        first, others = islice(self.train.items(), train), islice(self.test.items(), test)
+        return CaptureSet(self.neutral, dict(first), dict(others))
+
+    def write(self, folder: Path) -> dict[str, Path]:
+        """Write every scan as OBJ into ``folder`` and return name -> path (``neutral`` first)."""
+        folder.mkdir(parents=True, exist_ok=True)
+        scans = {"neutral": self.neutral, **self.train, **self.test}
+        paths = {name: folder / f"{name}.obj" for name in scans}
+        for name, scan in scans.items():
+            write_obj(paths[name], scan)
+        return paths
+
+
+def write_template(template: Template, folder: Path) -> None:
+    """Write a template, without its tetrahedra, into a new or empty folder, in mm.
+
+    Raises :class:`InputError`: ``template.folder`` if there is something in it, ``template.value``
+    for a shape whose name would lead out of it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(folder.iterdir()):
+        raise file_fault("template.folder", f"{folder} is not empty", str(folder))
+    (folder / DESCRIPTION).write_text(_description(template), encoding="utf-8")
+    meshes = {name: getattr(template, name) for name in ("skin", "cranium", "mandible")}
+    for name, surface in (meshes | {"parted": template.parted_skin}).items():
+        write_ply(folder / f"{name}.ply", surface)
+    _write_muscles(template.muscles, folder)
+    _write_table(folder / "landmarks.csv", ("name", "vertex"), template.landmarks.items())
+    if template.depths:
+        columns = ("landmark", "bone", "depth_mm", "sd_mm", "source")
+        _write_table(folder / "depths.csv", columns, map(astuple, template.depths))
+    parts = {
+        "flesh": template.skin.faces[template.flesh_faces],
+        "face": template.face_vertices,
+        "with_cranium": template.attached_cranium,
+        "with_mandible": template.attached_mandible,
+    }
+    _write_sets(folder / "parts.json", parts)
+    _write_sets(folder / "regions.json", template.regions)
+    if (shapes := template.shapes) is not None:
+        numbers = [f"{number:03d}" for number in range(len(shapes.identity))]
+        _write_shapes(template, folder / "identities", numbers, shapes.identity)
+        _write_shapes(template, folder / "expressions", shapes.expression_names, shapes.expressions)
+
+
+def _description(template: Template) -> str:
+    left, right = template.condyles.astype(float).tolist()
+    return f"""\
+format = {FORMAT}
+name = {_quote(template.name)}
+version = {_quote(template.version)}
+source = {_quote(template.source)}
+licence = {_quote(template.licence or "unknown")}
+
+[frame]  # unit and axes of meshes and of points in tables; x is to the subject's left
+unit = "mm"
+up = "y"
+forward = "z"
+
+[planes]  # there is no flesh behind and below
+back = {template.back_z!r}
+bottom = {template.bottom_y!r}
+
+[condyles]  # centres of the mandible's
+left = {left}
+right = {right}
+"""
+
+
+def _quote(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)  # TOML knows no surrogate pairs
+
+
+def _write_muscles(muscles: Iterable[Muscle], folder: Path) -> None:
+    (folder / "muscles").mkdir()
+    points = [f"{point}_{axis}" for point in ("origin", "insertion", "fibre") for axis in "xyz"]
+    rows = []
+    for muscle in muscles:
+        file = f"muscles/{re.sub(r'[^A-Za-z0-9]+', '_', muscle.name)}.ply"
+        write_ply(folder / file, muscle.surface)
+        values, parts = muscle.axis[[1, 2, 0]].ravel().tolist(), muscle.compartments
+        cut = (parts.cut, "; ".join(parts.names)) if parts else ("", "")
+        rows.append((muscle.name, file, "yes" if muscle.ring else "no", *values, *cut))
+    columns = ("name", "file", "ring", *points, "cut", "compartments")
+    _write_table(folder / "muscles.csv", columns, rows)
+
+
+def _write_shapes(
+    template: Template, folder: Path, names: Iterable[str], deltas: np.ndarray
+) -> None:
+    folder.mkdir()
+    for name, delta in zip(names, deltas, strict=True):
+        if name != Path(name).name:
+            raise file_fault(
+                "template.value", f"the shape {name!r} has no name for a file", str(folder)
+            )
+        write_ply(folder / f"{name}.ply", template.skin.moved(template.skin.vertices + delta))
+
+
+def _write_table(path: Path, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(columns)
+        writer.writerows(rows)
+
+
+def _write_sets(path: Path, sets: dict[str, Ints]) -> None:
+    lines = [
+        f"  {json.dumps(name)}: {json.dumps(vertex_ranges(np.unique(vertices)))}"
+        for name, vertices in sets.items()
+    ]
+    path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")

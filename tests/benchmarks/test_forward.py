@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.speed import forward
 from solver.fitting.face import Face, Pose
-from solver.templates.export import CaptureSet
+from solver.templates.tables import CaptureSet
 from tests.solver.block import block_model, poses
 
 

@@ -19,12 +19,12 @@ from service.queue import table
 from service.settings import Settings
 from service.store.database import Store
 from service.store.models import DEFAULT_TENANT, Artifact, Job, Rig, Subject
-from solver.rig.container import write_container
+from solver.jobs.marker_frames import MarkerView
+from solver.rig.frames import MarkerFrame, SequenceFrame
 from solver.rig.frames.animation_gltf import AnimatedSkin
-from solver.rig.frames.frames import MarkerFrame, SequenceFrame
-from solver.rig.frames.marker_view import MarkerView
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.similarity import IDENTITY
+from solver.storage import write_container
 from solver.surface import Floats
 from tests.browser.sample_rig import Sample, write_sample
 from tests.browser.stage import CHROMIUM

@@ -20,11 +20,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from solver.anatomy.template import Muscle
-from solver.rig.container import write_container
+from solver.storage import write_container
 from solver.surface import Floats, Ints, Surface, adjacency, part_of, vertex_normals
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
-from solver.templates.export import CaptureSet
 from solver.templates.ict_facekit import ict_capture_set
+from solver.templates.tables import CaptureSet
 
 ICT_FACE = 9409  # ICT-FaceKit: the vertices below are face, ears and neck without eyes and mouth
 CELL_MM = 8.0

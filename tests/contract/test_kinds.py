@@ -23,7 +23,7 @@ from solver.kinds.marker_set import MarkerSetDocument
 from solver.mechanics.linear import DOUBLE, SOLVERS
 from solver.meshio import raw, registered
 from solver.registration import units
-from solver.rig.frames import frames
+from solver.rig import frames
 from solver.scans import performance
 from worker import attempt
 

@@ -19,10 +19,14 @@ from scipy.spatial.transform import Rotation
 
 from solver.mechanics.boundary import move_jaw
 from solver.rig.exporters import glb
-from solver.rig.frames.animation_gltf import AnimatedSkin, AnimationOptions, write_animation_glb
-from solver.rig.frames.frames import SequenceFrame
+from solver.rig.frames import SequenceFrame
+from solver.rig.frames.animation_gltf import (
+    SEQUENCE_BASIS,
+    AnimatedSkin,
+    AnimationOptions,
+    write_animation_glb,
+)
 from solver.rig.frames.gltf import Solid
-from solver.rig.frames.skin_basis import SEQUENCE_BASIS
 from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression

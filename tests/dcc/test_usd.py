@@ -12,8 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.mechanics.boundary import move_jaw
+from solver.rig.frames import MarkerFrame
 from solver.rig.frames.animation_gltf import AnimatedSkin
-from solver.rig.frames.frames import MarkerFrame
 from solver.rig.rig import ExpressionFit, Rig
 from solver.similarity import small_motion
 from solver.surface import Surface, vertex_normals

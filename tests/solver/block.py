@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from solver.anatomy.compartments import divide_muscles, number_compartments
+from solver.anatomy.build import divide_muscles, number_compartments
 from solver.anatomy.template import Compartments, Muscle
 from solver.fitting.face import Pose
 from solver.model import JawFrame, SubjectModel

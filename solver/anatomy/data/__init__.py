@@ -19,9 +19,9 @@ import numpy as np
 from solver.surface import Floats
 
 
-def read_table(name: str) -> list[dict[str, str]]:
-    """Return the rows of one of the folder's CSV tables, cells by column."""
-    with resources.files(__name__).joinpath(f"{name}.csv").open() as stream:
+def read_table(name: str, package: str = __name__) -> list[dict[str, str]]:
+    """Return the rows of one of a package's CSV tables, this folder's by default, by column."""
+    with resources.files(package).joinpath(f"{name}.csv").open() as stream:
         return list(csv.DictReader(stream))
 
 
@@ -33,9 +33,6 @@ def split_cell(cell: str) -> tuple[str, ...]:
 def read_json(name: str) -> Any:
     """Return one of the folder's JSON files."""
     return json.loads(resources.files(__name__).joinpath(f"{name}.json").read_text())
-
-
-# Paths on a face by its landmarks: the notation of tables that place anatomy on every template.
 
 
 SIDES = ("_l", "_r")

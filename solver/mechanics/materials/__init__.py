@@ -6,10 +6,24 @@ A law has four functions, those of :mod:`solver.mechanics.laws`.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba as nb
 
+from solver.surface import Floats
+
 Moduli = tuple[float, float, float, float]  # mu, lambda, kappa and the barrier's weight: stresses
+
+MOST_MODES = 12  # a law's Hessian has no more
+
+
+class Modes(NamedTuple):
+    """Modes of a Hessian, sum_k left_k right_k^T, and room to find them in."""
+
+    left: Floats  # (MOST_MODES, 9)
+    right: Floats
+    work: Floats  # (5, 3, 3)
+
 
 BARRIER_START = 0.35  # det F below which the barrier acts: no expression compresses more
 

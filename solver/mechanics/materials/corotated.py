@@ -43,7 +43,7 @@ from solver.mechanics.linalg3 import (
     symmetric_scale,
     times,
 )
-from solver.mechanics.materials import Moduli, volumetric
+from solver.mechanics.materials import Modes, Moduli, volumetric
 from solver.surface import Floats
 
 
@@ -76,13 +76,7 @@ def stress(F: Matrix, A: Symmetric, moduli: Moduli) -> Matrix:
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def hessian_modes(
-    F: Matrix,
-    A: Symmetric,
-    moduli: Moduli,
-    project: float,
-    left: Floats,
-    right: Floats,
-    work: Floats,
+    F: Matrix, A: Symmetric, moduli: Moduli, project: float, modes: Modes
 ) -> tuple[int, Symmetric, Matrix]:
     """Write the modes of d2 psi/dF2: see :func:`solver.mechanics.laws.hessian_modes`.
 
@@ -93,44 +87,42 @@ def hessian_modes(
     _, R, Y = polar(times(F, A))
     if project > 0.0:
         a, b, c, d, e, f = symmetric_scale(keep, Y)
-        g, h, i, j, k, m = symmetric_scale(project, _clamp(Y, A, work))
+        g, h, i, j, k, m = symmetric_scale(project, _clamp(Y, A, modes.work))
         Y = (a + g, b + h, c + i, d + j, e + k, f + m)
-    _twists(R, A, Y, -2.0 * mu, left, right, 0)
+    _twists(R, A, Y, -2.0 * mu, modes, 0)
     count = 3
     t, Q, Y = polar(F)
     trace = lam * (t - 3.0)
     if trace < 0.0:
         trace *= keep
     if trace != 0.0:
-        _twists(Q, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0), Y, trace, left, right, count)
+        _twists(Q, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0), Y, trace, modes, count)
         count += 3
     if lam > 0.0:
-        _single(Q, lam, left, right, count)
+        _single(Q, lam, modes, count)
         count += 1
     _, first, second = volumetric(determinant(F), symmetric_determinant(A), kappa, barrier)
     if second != 0.0:
-        _single(cofactor(F), second, left, right, count)
+        _single(cofactor(F), second, modes, count)
         count += 1
     g, metric = keep * first, (2.0 * mu, 0.0, 0.0, 2.0 * mu, 0.0, 2.0 * mu)
     return count, metric, scale(g, F)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _single(W: Matrix, scale: float, left: Floats, right: Floats, k: int) -> None:
+def _single(W: Matrix, scale: float, modes: Modes, k: int) -> None:
     for entry in range(9):
-        right[k, entry] = W[entry]
-        left[k, entry] = scale * W[entry]
+        modes.right[k, entry] = W[entry]
+        modes.left[k, entry] = scale * W[entry]
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _twists(
-    R: Matrix, A: Symmetric, Y: Symmetric, scale: float, left: Floats, right: Floats, k: int
-) -> None:
+def _twists(R: Matrix, A: Symmetric, Y: Symmetric, scale: float, modes: Modes, k: int) -> None:
     """Write the three modes of the rotation: scale times the second derivative of t(F A) by F.
 
     That is sum_ij Y^-1_ij W_i W_j^T with W_i = R [e_i]x A, from dR = R [w]x.
     """
-    xx, xy, xz, yy, yz, zz = A
+    left, right, (xx, xy, xz, yy, yz, zz) = modes.left, modes.right, A
     for row in range(3):
         r0, r1, r2 = R[3 * row], R[3 * row + 1], R[3 * row + 2]
         right[k, 3 * row] = r2 * xy - r1 * xz
@@ -194,17 +186,17 @@ def _clamp(Y: Symmetric, A: Symmetric, work: Floats) -> Symmetric:
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def stress_by_activation(
-    F: Matrix, A: Symmetric, moduli: Moduli, left: Floats, right: Floats, out: Floats
+    F: Matrix, A: Symmetric, moduli: Moduli, modes: Modes, out: Floats
 ) -> None:
     """Write d(stress)/da, shape (6, 9): the stress's change by each entry of a in S(a).
 
     The stress 2 mu (F - R A) + 2 kappa (det F - det A) cof F + ... changes by
     d(R A) = R dA + R [w]x A, Y w = axl(D dA - dA D^T), D = R^T F, and by d(det A) = <cof A, dA>.
-    ``left`` and ``right`` are scratch.
+    ``modes`` are scratch.
     """
     mu, kappa = moduli[0], moduli[2]
     _, R, Y = polar(times(F, A))
-    _twists(R, A, Y, 1.0, left, right, 0)
+    _twists(R, A, Y, 1.0, modes, 0)
     c0 = _rotated_back(R, F[0], F[3], F[6])
     c1 = _rotated_back(R, F[1], F[4], F[7])
     c2 = _rotated_back(R, F[2], F[5], F[8])
@@ -222,7 +214,7 @@ def stress_by_activation(
         r, q = SYM_ROW[column], SYM_COLUMN[column]
         volume = 2.0 * kappa * B[column] * (1.0 if r == q else 2.0)
         for k in range(9):
-            turn = z0 * left[0, k] + z1 * left[1, k] + z2 * left[2, k]
+            turn = z0 * modes.left[0, k] + z1 * modes.left[1, k] + z2 * modes.left[2, k]
             out[column, k] = -2.0 * mu * turn - volume * C[k]
         for i in range(3):
             out[column, 3 * i + q] -= 2.0 * mu * R[3 * i + r]

@@ -36,12 +36,14 @@ from solver.mechanics.linalg3 import (
     subtract,
     symmetric_cofactor,
     symmetric_determinant,
+    symmetric_inverse,
     symmetric_product,
     symmetric_scale,
     symmetric_unit,
     times,
+    unit,
 )
-from solver.mechanics.materials import Moduli, volumetric
+from solver.mechanics.materials import Modes, Moduli, volumetric
 from solver.surface import Floats
 
 SECOND = 0.5  # mu01 / (mu10 + mu01): what the second invariant has of the shear modulus
@@ -72,7 +74,7 @@ def density(F: Matrix, A: Symmetric, moduli: Moduli) -> float:
     volume = symmetric_determinant(A)
     if volume <= 0.0:
         return math.inf
-    G = times(F, _inverse(A, volume))
+    G = times(F, symmetric_inverse(A))
     J = determinant(G)
     if J <= 0.0:
         return math.inf
@@ -87,31 +89,25 @@ def density(F: Matrix, A: Symmetric, moduli: Moduli) -> float:
 @nb.njit(cache=True, error_model="numpy")
 def stress(F: Matrix, A: Symmetric, moduli: Moduli) -> Matrix:
     """Return d psi/dF = w'(G) cof A."""
-    at = _shape(times(F, _inverse(A, symmetric_determinant(A))), moduli)
+    at = _shape(times(F, symmetric_inverse(A)), moduli)
     return times(_elastic_stress(at), symmetric_cofactor(A))
 
 
 @nb.njit(cache=True, error_model="numpy")
 def hessian_modes(
-    F: Matrix,
-    A: Symmetric,
-    moduli: Moduli,
-    project: float,
-    left: Floats,
-    right: Floats,
-    work: Floats,  # noqa: ARG001 - of laws that decompose
+    F: Matrix, A: Symmetric, moduli: Moduli, project: float, modes: Modes
 ) -> tuple[int, Symmetric, Matrix]:
     """Write the modes of d2 psi/dF2: see :func:`solver.mechanics.laws.hessian_modes`.
 
     Nine are of the cofactor's change, two of c^2 and of its products.
     """
-    volume = symmetric_determinant(A)
-    inverse = _inverse(A, volume)
+    volume, inverse = symmetric_determinant(A), symmetric_inverse(A)
+    left, right = modes.left, modes.right
     at = _shape(times(F, inverse), moduli)
     p, q = -2.0 / (3.0 * at.J), -4.0 / (3.0 * at.J)
     for mode in range(9):
         # the cross product is symmetric: <E, G x dG> = <G x E, dG>
-        W = times(_cross(at.G, _unit(mode)), inverse)
+        W = times(_cross(at.G, unit(mode)), inverse)
         for entry in range(9):
             right[mode, entry] = W[entry]
             left[mode, entry] = volume * at.second * W[entry]
@@ -135,8 +131,7 @@ def stress_by_activation(
     F: Matrix,
     A: Symmetric,
     moduli: Moduli,
-    left: Floats,  # noqa: ARG001 - of laws that need room
-    right: Floats,  # noqa: ARG001
+    modes: Modes,  # noqa: ARG001 - of laws that need room
     out: Floats,
 ) -> None:
     """Write d(stress)/da, shape (6, 9).
@@ -144,8 +139,7 @@ def stress_by_activation(
     The stress P cof A, P = w'(G), changes by dP[dG] cof A + P d(cof A), where dG = -G dA A^-1 and
     d(cof A) = <cof A, dA> A^-1 - cof A dA A^-1.
     """
-    volume = symmetric_determinant(A)
-    inverse, cof = _inverse(A, volume), symmetric_cofactor(A)
+    inverse, cof = symmetric_inverse(A), symmetric_cofactor(A)
     at = _shape(times(F, inverse), moduli)
     P = _elastic_stress(at)
     for column in range(6):
@@ -195,25 +189,3 @@ def _stress_change(at: _Shape, D: Matrix) -> Matrix:
 def _cross(X: Matrix, Y: Matrix) -> Matrix:
     """Return X x Y, the cofactor's derivative at X along Y: bilinear and symmetric."""
     return subtract(subtract(cofactor(add(X, Y)), cofactor(X)), cofactor(Y))
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _unit(k: int) -> Matrix:
-    """Return the matrix of zeros but for a one in entry k."""
-    return (
-        1.0 if k == 0 else 0.0,
-        1.0 if k == 1 else 0.0,
-        1.0 if k == 2 else 0.0,
-        1.0 if k == 3 else 0.0,
-        1.0 if k == 4 else 0.0,
-        1.0 if k == 5 else 0.0,
-        1.0 if k == 6 else 0.0,
-        1.0 if k == 7 else 0.0,
-        1.0 if k == 8 else 0.0,
-    )
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _inverse(A: Symmetric, volume: float) -> Symmetric:
-    """Return A^-1; ``volume`` is det A."""
-    return symmetric_scale(1.0 / volume, symmetric_cofactor(A))

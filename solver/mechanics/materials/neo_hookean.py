@@ -29,12 +29,13 @@ from solver.mechanics.linalg3 import (
     subtract,
     symmetric_cofactor,
     symmetric_determinant,
+    symmetric_inverse,
     symmetric_product,
     symmetric_scale,
     symmetric_unit,
     times,
 )
-from solver.mechanics.materials import Moduli, volumetric
+from solver.mechanics.materials import Modes, Moduli, volumetric
 from solver.surface import Floats
 
 
@@ -50,7 +51,7 @@ def density(F: Matrix, A: Symmetric, moduli: Moduli) -> float:
     volume = symmetric_determinant(A)
     if volume <= 0.0:
         return math.inf
-    G = _elastic(F, A, volume)
+    G = times(F, symmetric_inverse(A))
     J = determinant(G)
     if J <= 0.0:
         return math.inf
@@ -64,36 +65,29 @@ def density(F: Matrix, A: Symmetric, moduli: Moduli) -> float:
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def stress(F: Matrix, A: Symmetric, moduli: Moduli) -> Matrix:
     """Return d psi/dF = w'(G) cof A."""
-    P, _, _ = _elastic_stress(_elastic(F, A, symmetric_determinant(A)), moduli)
+    P, _, _ = _elastic_stress(times(F, symmetric_inverse(A)), moduli)
     return times(P, symmetric_cofactor(A))
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def hessian_modes(
-    F: Matrix,
-    A: Symmetric,
-    moduli: Moduli,
-    project: float,
-    left: Floats,
-    right: Floats,
-    work: Floats,  # noqa: ARG001 - of laws that decompose
+    F: Matrix, A: Symmetric, moduli: Moduli, project: float, modes: Modes
 ) -> tuple[int, Symmetric, Matrix]:
     """Write the modes of d2 psi/dF2: see :func:`solver.mechanics.laws.hessian_modes`.
 
     All but the determinant's curvature is positive semi-definite, so that ``project`` takes that.
     """
     mu = moduli[0]
-    volume = symmetric_determinant(A)
-    G = _elastic(F, A, volume)
+    volume, inverse = symmetric_determinant(A), symmetric_inverse(A)
+    G = times(F, inverse)
     _, first, second = _elastic_stress(G, moduli)
-    inverse = _inverse(A, volume)
     shrunk = 1.0 / (dot(G, G) + 1.0)
     W, C = times(G, inverse), times(cofactor(G), inverse)
     for entry in range(9):
-        right[0, entry] = W[entry]
-        left[0, entry] = volume * 2.0 * mu * shrunk * shrunk * W[entry]
-        right[1, entry] = C[entry]
-        left[1, entry] = volume * second * C[entry]
+        modes.right[0, entry] = W[entry]
+        modes.left[0, entry] = volume * 2.0 * mu * shrunk * shrunk * W[entry]
+        modes.right[1, entry] = C[entry]
+        modes.left[1, entry] = volume * second * C[entry]
     m, g = volume * mu * (1.0 - shrunk), (1.0 - project) * first
     metric = symmetric_scale(m, symmetric_product(full(inverse), full(inverse)))
     return 2, metric, scale(g, F)
@@ -104,8 +98,7 @@ def stress_by_activation(
     F: Matrix,
     A: Symmetric,
     moduli: Moduli,
-    left: Floats,  # noqa: ARG001 - of laws that need more room
-    right: Floats,  # noqa: ARG001
+    modes: Modes,  # noqa: ARG001 - of laws that need room
     out: Floats,
 ) -> None:
     """Write d(stress)/da, shape (6, 9).
@@ -116,9 +109,8 @@ def stress_by_activation(
         dP[D] = m D + 2 mu <G, D> / (I_C + 1)^2 G + w_JJ <cof G, D> cof G + w_J d(cof G)[D].
     """
     mu = moduli[0]
-    volume = symmetric_determinant(A)
-    inverse, C = _inverse(A, volume), symmetric_cofactor(A)
-    G = _elastic(F, A, volume)
+    inverse, C = symmetric_inverse(A), symmetric_cofactor(A)
+    G = times(F, inverse)
     P, first, second = _elastic_stress(G, moduli)
     K = cofactor(G)
     shrunk = 1.0 / (dot(G, G) + 1.0)
@@ -148,15 +140,3 @@ def _elastic_stress(G: Matrix, moduli: Moduli) -> tuple[Matrix, float, float]:
     C = cofactor(G)
     m = mu * (1.0 - 1.0 / (dot(G, G) + 1.0))
     return add(scale(m, G), scale(first, C)), first, second + lam
-
-
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _elastic(F: Matrix, A: Symmetric, volume: float) -> Matrix:
-    """Return G = F A^-1."""
-    return times(F, _inverse(A, volume))
-
-
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _inverse(A: Symmetric, volume: float) -> Symmetric:
-    """Return A^-1; ``volume`` is det A."""
-    return symmetric_scale(1.0 / volume, symmetric_cofactor(A))

@@ -17,8 +17,8 @@ from pydantic import TypeAdapter, ValidationError
 from solver.errors import InputError, quote
 from solver.kinds.export_rig import FORMATS
 from solver.rig.pictures import fit_picture
+from solver.rig.report import report
 from solver.rig.report.certificate import Certificate
-from solver.rig.report.report import report
 from solver.rig.report.web_page import write_page
 from solver.rig.rig import Rig
 from solver.storage import write_json

@@ -13,15 +13,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.anatomy.embedding import tet_binder
-from solver.mechanics.boundary import jaw_rotation, move_jaw
-from solver.model import JawFrame, SubjectModel
-from solver.rig.container import read_container, write_container
+from solver.mechanics.boundary import FreeJaw
+from solver.model import SubjectModel
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
 from solver.rig.frames.read_back import NEUTRAL, compare_expressions
 from solver.rig.rig import Rig
-from solver.storage import Arrays
-from solver.surface import Floats, Surface
+from solver.storage import Arrays, read_container, write_container
+from solver.surface import Surface
 
 FILE = "inside.bin"
 MEDIA_TYPE = "application/octet-stream"
@@ -50,7 +49,8 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
         "rest": model.rest.astype(np.float32),
         "tets": model.tets.astype(np.uint32),
         "main_muscle": _main_muscles(rig.weights),
-        "jaw": np.array([_rigid(model.jaw, fit.jaw) for fit in rig.expressions], np.float32),
+        # the mandible's motions (4, 4), matrices of columns (x, y, z, 1) in mm
+        "jaw": np.array([FreeJaw(model.jaw).matrix(fit.jaw) for fit in rig.expressions], "<f4"),
     }
     for k, fit in enumerate(rig.expressions):
         if fit.x is not None:
@@ -101,11 +101,3 @@ def _main_muscles(S: sp.csr_array) -> np.ndarray:
     passive = np.asarray(S[:, [0]].todense()).ravel()
     # none where passive flesh is the greater part, and beyond what a byte counts
     return np.where((passive < 0.5) & (main < NO_MUSCLE), main, NO_MUSCLE).astype(np.uint8)
-
-
-def _rigid(frame: JawFrame, b: Floats) -> Floats:
-    """Return the mandible's motion (4, 4) for b (5,), as a matrix of columns (x, y, z, 1) in mm."""
-    motion = np.eye(4)
-    motion[:3, :3] = jaw_rotation(frame, b)
-    motion[:3, 3] = move_jaw(frame, np.zeros((1, 3)), b)[0]
-    return motion

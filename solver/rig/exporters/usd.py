@@ -30,8 +30,8 @@ from solver.drawing.head import skin_parts
 from solver.errors import InputError
 from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
 from solver.model import SubjectModel
+from solver.rig.frames import MarkerFrame
 from solver.rig.frames.animation_gltf import SEQUENCE_SHAPES, AnimatedSkin
-from solver.rig.frames.frames import MarkerFrame
 from solver.rig.frames.gltf import DEFAULTS, MATERIALS, worst_error
 from solver.rig.frames.gltf import ShapeOptions as Options
 from solver.rig.frames.read_back import MorphedSkin, compare_expressions

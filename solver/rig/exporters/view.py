@@ -17,11 +17,11 @@ import numpy as np
 
 from solver.anatomy.muscle_weights import muscle_volumes
 from solver.fitting.contraction import STILL
-from solver.rig.container import read_container, write_container
 from solver.rig.exporters import NO_OPTIONS
 from solver.rig.exporters import NoOptions as Options
 from solver.rig.frames.read_back import NEUTRAL, compare_expressions
 from solver.rig.rig import Rig
+from solver.storage import read_container, write_container
 
 FILE = "view.bin"
 MEDIA_TYPE = "application/octet-stream"

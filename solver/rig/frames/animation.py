@@ -21,13 +21,13 @@ from solver.drawing.render import DrawnBody, Lit, Pixels, render_bust
 from solver.drawing.sheet import MARGIN, Column, SheetLayout, draw_sheet
 from solver.errors import InputError
 from solver.model import SubjectModel
+from solver.rig.frames import FORMAT as FRAMES_FORMAT
+from solver.rig.frames import FrameRecord, pack, read_chunks, unpack
 from solver.rig.frames.animation_gltf import write_animation_glb
-from solver.rig.frames.frames import FORMAT as FRAMES_FORMAT
-from solver.rig.frames.frames import FrameRecord, pack, read_chunks, unpack
 from solver.rig.frames.gltf import Solid
 from solver.rig.frames.read_back import Comparison
 from solver.rig.frames.skin_basis import Singles
-from solver.scene.objects import SceneObject
+from solver.scene.places import SceneObject
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.simulation.forces import FleshMotion
 from solver.storage import write_json

@@ -21,7 +21,7 @@ import pygltflib as gl
 from scipy.spatial.transform import Rotation, Slerp
 
 from solver.errors import SolveError
-from solver.rig.frames.frames import SequenceFrame
+from solver.rig.frames import SequenceFrame
 from solver.rig.frames.gltf import (
     METRES,
     Buffer,
@@ -34,16 +34,7 @@ from solver.rig.frames.gltf import (
     write_morphed,
 )
 from solver.rig.frames.read_back import MorphedSkin, between, compare_motion, read_glb
-from solver.rig.frames.skin_basis import (
-    SEQUENCE_BASIS,
-    Basis,
-    GrowingBasis,
-    GrowingOptions,
-    Singles,
-    SkinBasisOptions,
-    normal_shapes,
-    span_skins,
-)
+from solver.rig.frames.skin_basis import Basis, Singles, SkinBasisOptions, normal_shapes, span_skins
 from solver.similarity import small_motion
 from solver.surface import Floats, Ints, Surface
 
@@ -176,7 +167,7 @@ def _write_animation(
         others = [rigid(buffer, each.shape, each.places) for each in solids]
         return animation("animation", {gl.WEIGHTS: (at_keys, weights), **head}, *others)
 
-    names = ["start", *(f"shape_{number}" for number in range(1, len(basis.shapes)))]
+    names = [_shape_name(number) for number in range(len(basis.shapes))]
     write_morphed(path, neutral, names, targets, animate, extensions=[QUANTISATION], solids=solids)
     return len(names), len(keys)
 
@@ -224,6 +215,11 @@ def _greatest(vectors: Singles) -> Floats:
 
 # a frame has many shapes at once: what each leaves out for a still vertex adds up
 SEQUENCE_SHAPES = ShapeOptions(still_mm=1e-4)
+# a file's numbers have the rest of the 0.2 mm that it may be off; frames of takes are noisy, and
+# ask for more shapes and samples than those of simulations
+SEQUENCE_BASIS = SkinBasisOptions(
+    within_mm=0.15, most_shapes=512, more_shapes=2.0, more_samples=200, samplings=32
+)
 
 
 class AnimatedSkin:
@@ -234,8 +230,8 @@ class AnimatedSkin:
     without a name until what is written has been compared with them.
     """
 
-    def __init__(self, neutral: Surface, options: GrowingOptions = SEQUENCE_BASIS) -> None:
-        self.neutral, self._basis = neutral, GrowingBasis(neutral, options)
+    def __init__(self, neutral: Surface, options: SkinBasisOptions = SEQUENCE_BASIS) -> None:
+        self.neutral, self._options = neutral, options
         self.frames: list[SequenceFrame] = []
         self.extent = np.array([[np.inf] * 3, [-np.inf] * 3])
         self._morphs: tuple[dict[str, Floats], Floats] | None = None
@@ -244,7 +240,6 @@ class AnimatedSkin:
 
     def add(self, frame: SequenceFrame, skin: Floats) -> None:
         """Take a frame, fitted or not."""
-        self._basis.add(skin)
         self._skins.write(skin.astype(np.float32).tobytes())
         self._morphs = None
         self.frames.append(frame)
@@ -279,11 +274,8 @@ class AnimatedSkin:
 
         The frames are in it at ``times`` (f,).
         """
-        self._skins.flush()
-        shape = (len(self.frames), *self.neutral.vertices.shape)
-        skins = np.memmap(self._skins, np.float32, "r", shape=shape)
         numbers = [frame.frame for frame in self.frames]
-        found = compare_motion(path, shown, numbers, times, skins, self.heads)
+        found = compare_motion(path, shown, numbers, times, self._stored(), self.heads)
         return {"shapes": len(shown.names), **found}
 
     @property
@@ -292,19 +284,28 @@ class AnimatedSkin:
         return np.array([frame.head for frame in self.frames])
 
     def morphs(self) -> tuple[dict[str, Floats], Floats]:
-        """Return shapes (v, 3), mm, by name, and their weights (f, s) in every frame.
+        """Return shapes (v, 3), mm, by name, and their weights (f, s) from 0 to 1 in every frame.
 
-        A shape that is needed both ways is two: animation tools hold weights between 0 and 1.
+        They are those of :func:`.span_skins`, none where the face is as the neutral throughout.
         """
         if self._morphs is None:
-            turned, weights = self._basis.orthonormal()
-            shapes, tracks = {}, [np.zeros((len(weights), 0))]
-            for number, (track, shape) in enumerate(zip(weights.T, turned, strict=True)):
-                for name, way in ((f"shape_{number}", 1.0), (f"shape_{number}_back", -1.0)):
-                    one_way = np.maximum(way * track, 0.0)
-                    if (most := one_way.max()) > 0.0:
-                        change = (way * most * shape).reshape(-1, 3)
-                        shapes[name] = self.neutral.vertices + change
-                        tracks.append(one_way[:, None] / most)
-            self._morphs = shapes, np.hstack(tracks)
+            basis = span_skins(self.neutral, self._stored(), self._options)
+            moves = np.abs(basis.shapes).max(axis=(1, 2)) > self._options.still_mm
+            shapes = {}
+            for number in np.flatnonzero(moves).tolist():
+                whole = self.neutral.vertices.copy()
+                whole[basis.moving] += basis.shapes[number]
+                shapes[_shape_name(number)] = whole
+            self._morphs = shapes, basis.weights[:, moves]
         return self._morphs
+
+    def _stored(self) -> Singles:
+        """Return the skins (f, v, 3), mapped."""
+        self._skins.flush()
+        shape = (len(self.frames), *self.neutral.vertices.shape)
+        return np.memmap(self._skins, np.float32, "r", shape=shape)
+
+
+def _shape_name(number: int) -> str:
+    """Return the name of a basis' shape: the first is what the others count from."""
+    return f"shape_{number}" if number else "start"

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from solver.errors import SolveError
+from solver.meshio.glb import COMPONENTS, WIDTHS
 from solver.rig.frames.skin_basis import Singles
 from solver.surface import Floats
 
@@ -212,12 +213,6 @@ def between(keys: Floats, table: np.ndarray, times: Floats) -> Floats:
 
 
 # Reading of GLB files, and structural checks for places without the Khronos validator.
-
-
-# glTF component type -> dtype
-COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-# glTF type -> numbers an element
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 def validate_glb(path: Path, names: list[str]) -> list[str]:

@@ -16,7 +16,6 @@ from solver.errors import InputError, SolveError
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
 from solver.model import SubjectModel
-from solver.rig.container import read_container, write_container
 from solver.rig.frames.read_back import Comparison
 from solver.rig.frames.skin_basis import (
     ReducedSkin,
@@ -29,16 +28,14 @@ from solver.rig.preview.poses import (
     Responses,
     Sample,
     SampleOptions,
+    SamplePlan,
     ShapeSampleOptions,
     Slid,
     SliderSolver,
-    poses_to_learn,
-    poses_to_measure,
-    shape_poses_to_learn,
-    shape_poses_to_measure,
 )
 from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of, controls_of_basis
 from solver.rig.rig import ExpressionFit
+from solver.storage import read_container, write_container
 from solver.surface import Floats, Ints
 
 
@@ -145,16 +142,8 @@ def make_preview(
         raise InputError("preview.nothing", "the rig has no fitted expression to make sliders from")
     listen("controls", 0.0)
     controls = controls_of(face, fits, options.sliders)
-    return _make(
-        face,
-        controls,
-        poses_to_learn(controls, seed, options.samples),
-        poses_to_measure(controls, seed, options.samples),
-        {fit.name: fit.x for fit in fits if fit.x is not None},
-        seconds,
-        listen,
-        options,
-    )
+    known = {fit.name: fit.x for fit in fits if fit.x is not None}
+    return _make(face, controls, options.samples, known, seed, seconds, listen, options)
 
 
 def make_live_preview(
@@ -175,30 +164,22 @@ def make_live_preview(
     """
     listen("controls", 0.0)
     controls = controls_of_basis(face, names, basis)
-    return _make(
-        face,
-        controls,
-        shape_poses_to_learn(controls, seed, options.shape_samples),
-        shape_poses_to_measure(controls, seed, options.shape_samples),
-        {},
-        seconds,
-        listen,
-        options,
-    )
+    return _make(face, controls, options.shape_samples, {}, seed, seconds, listen, options)
 
 
 def _make(
     face: Face,
     controls: Sliders,
-    learning: Sequence[Slid],
-    measuring: Sequence[Slid],
+    plan: SamplePlan,
     known: Mapping[str, Floats],
+    seed: int,
     seconds: float,
     listen: Listener,
     options: PreviewOptions,
 ) -> Preview:
     """Return the preview of ``controls``; ``known`` are equilibria of presets."""
     begin = time.monotonic()
+    learning, measuring = plan.to_learn(controls, seed), plan.to_measure(controls, seed)
     simulator = SliderSolver(face, controls, face.rest, known)
 
     def simulate(phase: str, poses: Sequence[Slid], start: float, end: float) -> list[Sample]:

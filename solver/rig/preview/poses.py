@@ -10,8 +10,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+from typing_extensions import override
 
 from solver.anatomy.template import split_side
 from solver.drawing.head import both_sides
@@ -35,8 +37,27 @@ class PoseCounts:
 
 
 @dataclass(frozen=True)
-class SampleOptions:
-    """Poses to learn from, and those to measure the error with, beside every control alone."""
+class Slid:
+    """Slider ``values`` (k,); ``about`` is the control or the expression that a pose is made of."""
+
+    sort: str
+    values: Floats
+    about: str | None = None
+
+
+class SamplePlan(Protocol):
+    """Poses of sliders that a skin is made from, and others that its error is measured on."""
+
+    def to_learn(self, controls: Sliders, seed: int) -> list[Slid]:
+        """Return the poses to learn from, the most important first."""
+
+    def to_measure(self, controls: Sliders, seed: int) -> list[Slid]:
+        """Return other poses."""
+
+
+@dataclass(frozen=True)
+class SampleOptions(SamplePlan):
+    """Poses of every control alone, and mixed ones of all sorts."""
 
     levels: tuple[float, float] = (0.5, 1.0)  # of a control alone, and of a fitted expression
     learn: PoseCounts = PoseCounts(plausible=48, pairs=24, variations=24, blends=12)
@@ -47,35 +68,19 @@ class SampleOptions:
     asymmetry: float = 0.1  # difference of the other side's, at most
     opening: float = 0.6  # of the jaw, at most
 
+    @override
+    def to_learn(self, controls: Sliders, seed: int) -> list[Slid]:
+        numbers = range(len(controls))
+        alone = [_alone(controls, number, level) for number in numbers for level in self.levels]
+        mixed = _mix(controls, np.random.default_rng([seed, 0]), self.learn, self)
+        return [*_presets(controls, self.levels), *alone, *mixed]
 
-@dataclass(frozen=True)
-class Slid:
-    """Slider ``values`` (k,); ``about`` is the control or the expression that a pose is made of."""
-
-    sort: str
-    values: Floats
-    about: str | None = None
-
-
-def poses_to_learn(
-    controls: Sliders, seed: int, options: SampleOptions = SampleOptions()
-) -> list[Slid]:
-    """Return the poses that the preview is made from, the most important first."""
-    rng = np.random.default_rng([seed, 0])
-    numbers = range(len(controls))
-    alone = [_alone(controls, number, level) for number in numbers for level in options.levels]
-    mixed = _mix(controls, rng, options.learn, options)
-    return [*_presets(controls, options.levels), *alone, *mixed]
-
-
-def poses_to_measure(
-    controls: Sliders, seed: int, options: SampleOptions = SampleOptions()
-) -> list[Slid]:
-    """Return other poses: every control alone, and mixed ones of all sorts."""
-    rng = np.random.default_rng([seed, 1])
-    levels = rng.uniform(min(options.levels) / 2, max(options.levels), len(controls))
-    alone = [_alone(controls, number, level) for number, level in enumerate(levels)]
-    return [*_mix(controls, rng, options.measure, options), *alone]
+    @override
+    def to_measure(self, controls: Sliders, seed: int) -> list[Slid]:
+        rng = np.random.default_rng([seed, 1])
+        levels = rng.uniform(min(self.levels) / 2, max(self.levels), len(controls))
+        alone = [_alone(controls, number, level) for number, level in enumerate(levels)]
+        return [*_mix(controls, rng, self.measure, self), *alone]
 
 
 def _presets(controls: Sliders, levels: Sequence[float]) -> list[Slid]:
@@ -157,8 +162,8 @@ def _alike(
 
 
 @dataclass(frozen=True)
-class ShapeSampleOptions:
-    """Poses of a template's expressions: each alone, and mixtures to learn from and to measure."""
+class ShapeSampleOptions(SamplePlan):
+    """Poses of a template's expressions: each alone, and mixtures of them."""
 
     levels: tuple[float, float] = (0.5, 1.0)  # of an expression alone
     learn: int = 150
@@ -167,40 +172,23 @@ class ShapeSampleOptions:
     amount: tuple[float, float] = (0.05, 0.8)
     asymmetry: float = 0.15  # difference of a side's amount, at most
 
+    @override
+    def to_learn(self, controls: Sliders, seed: int) -> list[Slid]:
+        mixed = self._mix(controls, np.random.default_rng([seed, 0]), self.learn)
+        return [*_presets(controls, self.levels), *mixed]
 
-def shape_poses_to_learn(
-    controls: Sliders, seed: int, options: ShapeSampleOptions = ShapeSampleOptions()
-) -> list[Slid]:
-    """Return the poses that a live skin is made from: expressions, then mixtures of them."""
-    mixed = _mixtures(controls, np.random.default_rng([seed, 0]), options.learn, options)
-    return [*_presets(controls, options.levels), *mixed]
+    @override
+    def to_measure(self, controls: Sliders, seed: int) -> list[Slid]:
+        return self._mix(controls, np.random.default_rng([seed, 1]), self.measure)
 
-
-def shape_poses_to_measure(
-    controls: Sliders, seed: int, options: ShapeSampleOptions = ShapeSampleOptions()
-) -> list[Slid]:
-    """Return other mixtures."""
-    return _mixtures(controls, np.random.default_rng([seed, 1]), options.measure, options)
-
-
-def _mixtures(
-    controls: Sliders, rng: np.random.Generator, count: int, options: ShapeSampleOptions
-) -> list[Slid]:
-    least, most = options.shapes
-    return [
-        Slid(
-            "mixture",
-            _alike(
-                controls,
-                "expression",
-                rng,
-                int(rng.integers(least, most + 1)),
-                options.amount,
-                options.asymmetry,
-            ),
-        )
-        for _ in range(count)
-    ]
+    def _mix(self, controls: Sliders, rng: np.random.Generator, count: int) -> list[Slid]:
+        least, most = self.shapes
+        found = []
+        for _ in range(count):
+            shapes = int(rng.integers(least, most + 1))
+            ends = self.amount, self.asymmetry
+            found.append(Slid("mixture", _alike(controls, "expression", rng, shapes, *ends)))
+        return found
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.tetrahedra import ML, volume_ml, volumes
-from solver.contact.potentials import Gauge
+from solver.contact import Gauge
 from solver.drawing.head import SIDE, THREE_QUARTER, DrawnHead, face_camera
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
-from solver.edits.edit import Edited, Replayed
+from solver.edits import Edited, Replayed
 from solver.model import SubjectModel
 from solver.rig.frames.gltf import in_turn, write_face
 from solver.rig.frames.read_back import NEUTRAL, compare_expressions, read_glb

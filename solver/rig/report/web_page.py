@@ -18,8 +18,8 @@ from PIL import Image
 from solver.anatomy.physiology import JAW_RANGES, JAW_SOURCE, MUSCLE_SOURCE
 from solver.drawing.head import both_sides
 from solver.fitting.contraction import STILL
+from solver.rig.report import CONTACTS
 from solver.rig.report.checks import overall
-from solver.rig.report.report import CONTACTS
 from solver.rig.rig import ROLES
 
 FILES = {

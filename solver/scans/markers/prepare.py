@@ -13,7 +13,7 @@ import numpy as np
 
 from solver.errors import Finding, InputError, make_warning
 from solver.model import SubjectModel
-from solver.scans.markers.checks.findings import (
+from solver.scans.markers.findings import (
     LIMITS,
     MarkerCheck,
     report_mouth,
@@ -22,10 +22,9 @@ from solver.scans.markers.checks.findings import (
 )
 from solver.scans.markers.places.actor import carry, off_places
 from solver.scans.markers.places.bind import (
-    BIND,
-    BindOptions,
     Expression,
     Reference,
+    onto_places,
     place_on,
     place_take,
     places_of,
@@ -34,7 +33,6 @@ from solver.scans.markers.places.bind import (
 from solver.scans.markers.places.face_take import (
     FACE,
     USUAL_RATE,
-    FaceOptions,
     FaceTake,
     LocatedTake,
     choose_face,
@@ -52,7 +50,7 @@ from solver.scans.markers.signal.motion import (
     refuse_flat,
     still_seconds,
 )
-from solver.similarity import robust_motion_of_seen
+from solver.scans.markers.signal.rest import REST
 from solver.surface import Floats, Surface
 
 
@@ -64,7 +62,6 @@ class PrepareOptions:
     neutral: tuple[int, int] | None = None  # first and last row at which the face is at rest
     rate: float = 0.0  # frames a second; 0 is what the take says, or the usual
     least: int = 4  # markers of the set that a frame has to have
-    bind: BindOptions = BIND
 
 
 @dataclass(frozen=True)
@@ -97,14 +94,14 @@ class PreparedTake:
     @cached_property
     def face(self) -> FaceTake:
         """The labels that are on one face; raises as :func:`choose_face`."""
-        return choose_face(self.take, self.options.bind.face)
+        return choose_face(self.take)
 
     @cached_property
     def located(self) -> LocatedTake:
         """Where that face lies on the person at rest, and what is wrong with its markers."""
         options, compared = self.options, bool(self.person.model_sha256) and not self.options.actor
         skin, neutral = self.person.face, options.neutral
-        return locate_take(self.face, skin, neutral, options.bind.face, compared=compared)
+        return locate_take(self.face, skin, neutral, compared=compared)
 
     @cached_property
     def placed(self) -> MarkerSet:
@@ -112,7 +109,7 @@ class PreparedTake:
         pose = self.located.pose
         assert pose is not None, "asked for once the face is located"
         options = self.options
-        markers = place_take(self.located, pose, self.person, options.bind, actor=options.actor)
+        markers = place_take(self.located, pose, self.person, actor=options.actor)
         return self.person.bind(markers, pose.session)
 
     @cached_property
@@ -123,12 +120,12 @@ class PreparedTake:
         ``markers.flat`` or ``markers.too_large``.
         """
         file, options, check = self.take.file, self.options, MarkerCheck()
-        if len(self.face.numbers) < options.bind.face.least:
-            raise _few_error(file, len(self.face.numbers), "on the face", options.bind.face)
+        if len(self.face.numbers) < FACE.least:
+            raise _few_error(file, len(self.face.numbers), "on the face")
         located = self.located
         if located.pose is None:
             seen = int(np.isfinite(located.points[:, 0]).sum())
-            raise _few_error(file, seen, "seen at rest", options.bind.face)
+            raise _few_error(file, seen, "seen at rest")
         refuse_flat(file, located.points)
         report_rest(check, located, is_given=options.neutral is not None)
         report_off_skin(check, located, self.placed)
@@ -190,8 +187,8 @@ def bind(
     return PreparedTake(take, person, PrepareOptions(actor, neutral)).binding
 
 
-def _few_error(file: str, found: int, where: str, options: FaceOptions) -> InputError:
-    message = f"{file}: {found} markers are {where}, {options.least} are needed"
+def _few_error(file: str, found: int, where: str) -> InputError:
+    message = f"{file}: {found} markers are {where}, {FACE.least} are needed"
     return InputError("markers.few", message, file=file, found=found)
 
 
@@ -205,9 +202,7 @@ def _other_person(
 ) -> list[Finding]:
     """Return the warning that a take is another person's, if its markers are so far off at rest."""
     # people are still in expressions, too
-    spans = (
-        [rest] if rest else [each.rows for each in still_seconds(motion, rate, FACE.rest.seconds)]
-    )
+    spans = [rest] if rest else [each.rows for each in still_seconds(motion, rate, REST.seconds)]
     off_mm, rows = min((off_places(take, markers, motion, skin, each), each) for each in spans)
     if off_mm <= LIMITS.person:
         return []
@@ -225,21 +220,8 @@ def _other_person(
 # residuals (``signal/motion.py``) differ by before and after.
 
 
-@dataclass(frozen=True)
-class SplitOptions:
-    """Settings of the motion of a take's middle face onto a set's places."""
-
-    least: int = 4  # markers that give it
-    slack_mm: float = 3.0  # off by more: little weight
-    steps: int = 12
-
-
 def split_moved(
-    take: Take,
-    markers: MarkerSet,
-    faults: Faults,
-    skin: Surface,
-    options: SplitOptions = SplitOptions(),
+    take: Take, markers: MarkerSet, faults: Faults, skin: Surface
 ) -> tuple[Take, MarkerSet]:
     """Give each marker that moved a label and a place of its own from then on, as ``LBRO1@312``.
 
@@ -250,7 +232,7 @@ def split_moved(
     if not faults.moved:
         return take, markers
     goal = places_of(take.labels, markers, rest_places(markers, skin))
-    in_person = _in_person(faults.motion, markers, goal, options)
+    in_person = _in_person(faults.motion, markers, goal)
     labels, columns, now = list(take.labels), list(range(len(take.labels))), list(markers.markers)
     positions = take.positions.copy()
     for column, span in faults.moved.items():
@@ -274,17 +256,13 @@ def split_moved(
     return split, replace(markers, markers=tuple(now))
 
 
-def _in_person(
-    motion: Motion, markers: MarkerSet, goal: Floats, options: SplitOptions
-) -> tuple[Floats, Floats] | None:
+def _in_person(motion: Motion, markers: MarkerSet, goal: Floats) -> tuple[Floats, Floats] | None:
     """Return places and residuals (f, k, 3) along the person's axes, by its places (k, 3) at rest.
 
     None if too few markers have a place.
     """
     turn = markers.session.rotation.T  # it mirrors if the take's axes are left-handed
-    middle = motion.middle @ turn
-    least, slack = options.least, options.slack_mm
-    to_person = robust_motion_of_seen(middle, goal, slack, options.steps, least)
+    to_person = onto_places(motion.middle @ turn, goal)
     if to_person is None:
         return None
     return to_person(motion.places @ turn), to_person.turn(motion.residuals @ turn)

@@ -49,14 +49,14 @@ class OuterSkin:
     cavity counts as inside.
     """
 
-    def __init__(self, head: Head, options: VisibilityOptions = VISIBILITY) -> None:
+    def __init__(self, head: Head) -> None:
         self.vertices = head.neutral
         skin = head.faces[head.part_faces["skin"]]
         self.normals: Floats = np.nan_to_num(igl.per_vertex_normals(self.vertices, skin))
-        hidden = _hidden_part(head, self.normals, options)
+        hidden = _hidden_part(head, self.normals)
         hidden = np.minimum(hidden, hidden[head.mirror])
         self.visible_vertices: Ints = np.intersect1d(
-            np.flatnonzero(hidden < options.hidden), head.part_vertices["skin"]
+            np.flatnonzero(hidden < VISIBILITY.hidden), head.part_vertices["skin"]
         )
         self.faces: Ints = skin[np.isin(skin, self.visible_vertices).all(axis=1)]
 
@@ -92,19 +92,19 @@ class OuterSkin:
         return np.where(within, distance, -distance), face, closest
 
 
-def _hidden_part(head: Head, normals: Floats, options: VisibilityOptions) -> Floats:
+def _hidden_part(head: Head, normals: Floats) -> Floats:
     """Return for each vertex the part (n,) of directions above the skin that meet the head.
 
     Eyes, teeth and tongue hide the linings behind them.
     """
-    number = np.arange(options.directions)
-    height = 1 - (2 * number + 1) / options.directions
+    number = np.arange(VISIBILITY.directions)
+    height = 1 - (2 * number + 1) / VISIBILITY.directions
     turn = np.pi * (3 - np.sqrt(5)) * number
     around = np.sqrt(1 - height**2)
     sphere = np.stack([around * np.cos(turn), height, around * np.sin(turn)], -1)
     vertex, direction = np.nonzero(normals @ sphere.T > 0)
     rays = trimesh.Trimesh(head.neutral, head.faces, process=False).ray
-    origins = head.neutral[vertex] + options.off_skin_mm * normals[vertex]
+    origins = head.neutral[vertex] + VISIBILITY.off_skin_mm * normals[vertex]
     meets = rays.intersects_any(origins, sphere[direction])  # type: ignore[no-untyped-call]
     counts = np.bincount(vertex, minlength=len(normals)).clip(1)
     return np.asarray(np.bincount(vertex, meets, minlength=len(normals)) / counts)
@@ -186,16 +186,16 @@ class Skull:
     condyles: Floats
 
 
-def build_skull(head: Head, skin: OuterSkin, options: SkullOptions = SKULL) -> Skull:
+def build_skull(head: Head, skin: OuterSkin) -> Skull:
     """Build cranium and mandible for the head at rest."""
     shape = read_json("skull")
-    grid = _HalfGrid(options)
+    grid = _HalfGrid()
     # The bone behind the ear does not follow its relief.
     smooth = skin.stretched_over(head.ears)
     depth, face, _ = smooth.depth(grid.points)
     under = {}
     for bone, field in depth_fields(head).items():
-        least = field(smooth.vertices).clip(options.clearance_mm)
+        least = field(smooth.vertices).clip(SKULL.clearance_mm)
         under[bone] = depth - least[skin.faces[face]].mean(axis=1)
     depth = np.minimum(depth, skin.depth(grid.points)[0])
     bones = {
@@ -204,13 +204,13 @@ def build_skull(head: Head, skin: OuterSkin, options: SkullOptions = SKULL) -> S
     }
     for bone, jaw in (("mandible", "lower"), ("cranium", "upper")):
         with_teeth = np.maximum(bones[bone], _teeth(grid.points, shape, jaw))
-        bones[bone] = np.minimum(with_teeth, depth - options.clearance_mm)
+        bones[bone] = np.minimum(with_teeth, depth - SKULL.clearance_mm)
     mandible = bones["mandible"]
     cranium = np.minimum(bones["cranium"], -shape["joint_gap_mm"] - mandible)
     centre = np.array(shape["mandible"]["condyle"]["centre"])
     return Skull(
-        cranium=grid.surface(cranium, options.cranium_faces),
-        mandible=grid.surface(mandible, options.mandible_faces),
+        cranium=grid.surface(cranium, SKULL.cranium_faces),
+        mandible=grid.surface(mandible, SKULL.mandible_faces),
         condyles=np.stack([centre, centre * [-1, 1, 1]]),
     )
 
@@ -218,8 +218,8 @@ def build_skull(head: Head, skin: OuterSkin, options: SkullOptions = SKULL) -> S
 class _HalfGrid:
     """Grid points of the left half (x >= 0), and surfaces of fields over both halves."""
 
-    def __init__(self, options: SkullOptions) -> None:
-        self._options, side = options, options.grid_mm
+    def __init__(self) -> None:
+        side = SKULL.grid_mm
         self.axes = [
             np.arange(low, high + side / 2, side) for low, high in zip(LOWEST, HIGHEST, strict=True)
         ]
@@ -229,14 +229,14 @@ class _HalfGrid:
 
     def surface(self, field: Floats, faces: int) -> Surface:
         """Return the zero surface of the mirrored field's largest solid, decimated."""
-        side = self._options.grid_mm
+        side = SKULL.grid_mm
         half = field.reshape(self.shape)
         whole = np.concatenate([half[:0:-1], half]).clip(-4 * side, 4 * side)
-        whole = gaussian_filter(whole, self._options.smoothing_voxels)
+        whole = gaussian_filter(whole, SKULL.smoothing_voxels)
         whole = np.pad(whole[1:-1, 1:-1, 1:-1], 1, constant_values=-side)
         whole[(whole > 0) & ~largest_piece(whole > 0)] = -side / 2
         vertices, triangles = level_set(whole, self.axes, 0.0)
-        return _decimate(vertices, triangles[:, ::-1], faces, self._options.relaxations)
+        return _decimate(vertices, triangles[:, ::-1], faces, SKULL.relaxations)
 
 
 def _decimate(vertices: Floats, triangles: Ints, faces: int, relaxations: int) -> Surface:

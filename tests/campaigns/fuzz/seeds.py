@@ -17,9 +17,9 @@ import trimesh
 from solver.animation.performance import FORMATS
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.model import SubjectModel
-from solver.scans.live_link import ARKIT_NAMES
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.scans.markers.readers.take import Take
+from solver.scans.performance import ARKIT_NAMES
 from solver.similarity import IDENTITY
 from tests import take_files
 from tests.ball_head import ball_head

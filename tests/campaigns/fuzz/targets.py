@@ -18,14 +18,13 @@ from solver.errors import InputError
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
 from solver.registration.landmarks import read_landmarks
-from solver.scans.live_link import read_live_link
-from solver.scans.markers.checks.check import check_take
+from solver.scans.markers.check import check_take
 from solver.scans.markers.places.bind import Reference
 from solver.scans.markers.places.face_take import USUAL_RATE, living_labels
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.scans.markers.readers.take import read_take
 from solver.scans.markers.signal.faults import find_faults
-from solver.scans.performance import open_performance
+from solver.scans.performance import open_performance, read_live_link
 from solver.storage import Archive
 from solver.surface import Surface
 from solver.templates.folder import read_template

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from solver.anatomy.compartments import divide_muscles, number_compartments
+from solver.anatomy.build import divide_muscles, number_compartments
 from solver.anatomy.meshing import find_or_make_mesh
 from solver.anatomy.muscle_weights import fibre_directions, muscle_volumes
 from solver.anatomy.template import Compartments, Muscle

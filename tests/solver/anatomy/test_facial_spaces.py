@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from solver.anatomy.bones import facial_spaces, gliding
 from solver.anatomy.data import missing_landmarks, read_table
-from solver.anatomy.facial_spaces import facial_spaces, gliding
 from solver.anatomy.template import TemplateMesh
 from solver.model import name_words
 from solver.templates.builtin.build import builtin_template

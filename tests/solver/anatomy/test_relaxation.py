@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from solver.anatomy.relaxation import Guides, _shape_energy, relax
 from solver.anatomy.tetrahedra import background_grid, dihedral_angles, volumes
+from solver.anatomy.transfer import Guides, _shape_energy, relax
 
 
 @pytest.fixture(scope="module")

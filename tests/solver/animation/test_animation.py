@@ -13,6 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.anatomy.template import ShapeBasis
+from solver.animation import Gaze, HeadKey, KeyedDrives, PoseKey, RecordedDrives, neck
 from solver.animation.blendshapes import (
     FORMAT,
     Blend,
@@ -22,7 +23,6 @@ from solver.animation.blendshapes import (
     solve_blendshapes,
     unfold,
 )
-from solver.animation.drives import Gaze, HeadKey, KeyedDrives, PoseKey, RecordedDrives, neck
 from solver.errors import InputError
 from solver.fitting import activation
 from solver.fitting.drives.admissible import (
@@ -35,7 +35,7 @@ from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import matrices
 from solver.mechanics.flesh import IDENTITY
-from solver.scans.live_link import ARKIT_NAMES, LiveLinkTake
+from solver.scans.performance import ARKIT_NAMES, LiveLinkTake
 from solver.storage import Archive
 from solver.surface import Floats
 from tests.solver.block import block_model, divided_block, head_block

@@ -12,14 +12,14 @@ import pytest
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from solver.animation.drives import neck
+from solver.animation import neck
 from solver.animation.performance import FittedSequence
 from solver.errors import InputError
 from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.stretches import COLUMN, ROW, matrices
 from solver.kinds.scene import SimulateScene
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.frames.frames import SequenceFrame, write_sequence
+from solver.rig.frames import SequenceFrame, write_sequence
 from solver.scene.document import drives_of, performances_of, read_scene
 from solver.scene.places import Places
 from solver.similarity import small_motion

@@ -22,7 +22,7 @@ from solver.contact.crossing import crossing
 from solver.contact.mouth import LIPS, Mouth, area_weighted_normals
 from solver.errors import InputError
 from solver.mechanics.boundary import Boundary, BoundaryRates
-from solver.scene.objects import check_objects
+from solver.scene.places import check_objects
 from solver.surface import Surface, own_numbers
 from tests.fixtures import small_model
 from tests.solver.ball import ball

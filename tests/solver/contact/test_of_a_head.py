@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from solver.contact import Gauge, arches, contact_potentials, eyeballs
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.contact.obstacles import Arch
-from solver.contact.potentials import Gauge, arches, contact_potentials, eyeballs
+from solver.edits import apply
 from solver.edits.changes import Bone
-from solver.edits.edit import apply
 from solver.mechanics.boundary import Boundary, move_jaw
 from tests.solver.builtin_head import builtin_head
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.contact.potentials import Gauge, contact_potentials
+from solver.contact import Gauge, contact_potentials
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY
+from solver.simulation import Simulator
 from solver.simulation.forces import Drive
-from solver.simulation.simulator import Simulator
 from tests.fixtures import small_model
 from tests.solver.ball import ball
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from solver.edits import DENSITY, apply
 from solver.edits.changes import (
     Bone,
     Fat,
@@ -15,7 +16,6 @@ from solver.edits.changes import (
     spots,
     under_skin,
 )
-from solver.edits.edit import DENSITY, apply
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.mechanics.flesh import shape_gradients

@@ -24,9 +24,9 @@ from solver.jobs import run_job
 from solver.mechanics.equilibrium import CorrectorOptions
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step
-from solver.rig.frames.frames import ChunkOptions, read_frames
+from solver.rig.frames import ChunkOptions, read_frames
+from solver.rig.frames.animation_gltf import SEQUENCE_BASIS
 from solver.rig.frames.read_back import LIMIT_MM
-from solver.rig.frames.skin_basis import SEQUENCE_BASIS
 from solver.rig.rig import Rig
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from solver.mechanics import laws
+from solver.mechanics.elements import empty_modes
 from solver.mechanics.linalg3 import cofactor, polar, signed_svd, stretch
 
 MU, LAM, KAPPA, BARRIER = 1.3, 0.7, 1.7, 5.0
@@ -30,15 +31,14 @@ def stress(F, a, law):
 
 
 def hessian(F, a, law, *, project=0.0, kappa=KAPPA):
-    left, right = np.zeros((laws.MODES, 9)), np.zeros((laws.MODES, 9))
-    work, moduli = np.empty((5, 3, 3)), (MU, LAM, kappa, BARRIER)
+    modes, moduli = empty_modes(), (MU, LAM, kappa, BARRIER)
     count, B, H = laws.hessian_modes.py_func(
-        law, tuple(F.ravel()), tuple(a), moduli, project, left, right, work
+        law, tuple(F.ravel()), tuple(a), moduli, project, modes
     )
     metric = np.kron(np.eye(3), activation_matrix(np.array(B)))
     # cof is quadratic: its derivative is linear in where it is taken
     bending = central(lambda G: np.array(cofactor(tuple(G.ravel()))), np.reshape(H, (3, 3)))
-    return metric + left[:count].T @ right[:count] + bending
+    return metric + modes.left[:count].T @ modes.right[:count] + bending
 
 
 def central(function, F):
@@ -86,9 +86,9 @@ def test_derivatives_match_finite_differences(F, a, law):
     assert np.abs(by_FF).max() > 1.0
     np.testing.assert_allclose(hessian(F, a, law), by_FF, rtol=0, atol=1e-6 * np.abs(by_FF).max())
 
-    exact, scratch = np.empty((6, 9)), np.empty((2, laws.MODES, 9))
+    exact, modes = np.empty((6, 9)), empty_modes()
     moduli = (MU, LAM, KAPPA, BARRIER)
-    laws.stress_by_activation.py_func(law, tuple(F.ravel()), tuple(a), moduli, *scratch, exact)
+    laws.stress_by_activation.py_func(law, tuple(F.ravel()), tuple(a), moduli, modes, exact)
     numeric = np.empty_like(exact)
     for entry in range(6):
         step = np.zeros(6)

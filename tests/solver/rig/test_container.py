@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
-from solver.rig.container import read_container, write_container
+from solver.storage import read_container, write_container
 
 
 def _arrays(count: int = 3) -> dict[str, np.ndarray]:

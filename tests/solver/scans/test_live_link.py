@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError
-from solver.scans.live_link import ARKIT_NAMES, read_live_link
+from solver.scans.performance import ARKIT_NAMES, read_live_link
 from tests.fixtures import data_folder
 
 HEADER = ["Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT_NAMES)]

@@ -11,9 +11,9 @@ from solver.edits.fat_compartments import FAT_MAP
 from solver.errors import InputError
 from solver.kinds.document import json_schema
 from solver.kinds.scene import Edit, EditScene
+from solver.scene import edit_of
 from solver.scene.document import read_scene
 from solver.scene.places import Places
-from solver.scene.stage import edit_of
 from tests.fixtures import small_model
 from tests.solver.block import head_block
 

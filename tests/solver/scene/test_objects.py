@@ -5,8 +5,7 @@ import pytest
 import trimesh
 
 from solver.kinds.scene import Object
-from solver.scene.objects import objects_of
-from solver.scene.places import Places
+from solver.scene.places import Places, objects_of
 from tests.solver.block import head_block
 
 PATH = [

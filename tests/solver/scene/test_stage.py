@@ -11,9 +11,9 @@ import pytest
 from solver.errors import InputError
 from solver.kinds.scene import SimulateScene
 from solver.model import SubjectModel
+from solver.scene import Stage
 from solver.scene.document import drives_of, read_scene
 from solver.scene.places import Places
-from solver.scene.stage import Stage
 from solver.surface import Floats
 from tests.solver.block import head_block
 

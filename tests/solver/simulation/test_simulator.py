@@ -10,8 +10,8 @@ from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.similarity import IDENTITY, Similarity, small_motion
+from solver.simulation import Simulator
 from solver.simulation.forces import Drive, FleshMotion, Gravity, Inertia, lumped_masses
-from solver.simulation.simulator import Simulator
 from tests.solver.block import block_model, poses
 
 PASCAL = 3000.0

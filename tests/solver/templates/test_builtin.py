@@ -12,7 +12,7 @@ from solver.anatomy.template import Template
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import InputError
 from solver.templates.builtin import build
-from solver.templates.builtin.muscles import read_muscles
+from solver.templates.builtin.build import read_muscles
 from solver.templates.builtin.skull import OuterSkin
 
 

@@ -15,8 +15,8 @@ from solver.anatomy.template import Compartments, Depth, Muscle, ShapeBasis, Tem
 from solver.errors import InputError
 from solver.meshio.obj import write_obj
 from solver.surface import Floats, Surface
-from solver.templates.export import write_template
 from solver.templates.folder import read_template
+from solver.templates.tables import write_template
 
 
 def sphere(centre: tuple[float, float, float], radius: float) -> Surface:

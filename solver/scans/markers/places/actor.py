@@ -24,7 +24,7 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 
 from solver.errors import Finding, InputError, make_warning, quote_names
-from solver.scans.markers.places.bind import places_of, rest_places
+from solver.scans.markers.places.bind import onto_places, places_of, rest_places
 from solver.scans.markers.places.face_take import living_labels
 from solver.scans.markers.places.locate import FLIP, fit_most
 from solver.scans.markers.places.marker_set import BONY, MarkerSet
@@ -39,7 +39,7 @@ from solver.scans.markers.signal.motion import (
     rms_of_seen,
 )
 from solver.scans.markers.signal.rest import compare_rests, likely_rests, rivals
-from solver.similarity import IDENTITY, Similarity, robust_motion_of_seen
+from solver.similarity import IDENTITY, Similarity
 from solver.surface import Floats, Surface
 
 
@@ -57,8 +57,6 @@ class ActorOptions:
     extreme: float = 0.3  # of the skin's markers beyond them: it is no such face
     far: float = 60.0  # from its place no marker goes, with the mouth wide open either ...
     seldom: float = 0.02  # ... but thrown off, in so much of its time
-    slack: float = 3.0  # of a rigid motion onto places: off by more, little weight
-    steps: int = 12
 
 
 ACTOR = ActorOptions()
@@ -85,15 +83,12 @@ class ActorWarp:
 
 @dataclass(frozen=True)
 class CarriedTake:
-    """A take as if the person had played it, in the model's axes, with ``markers`` as read there.
-
-    ``report`` has what was carried, as JSON values, and ``notices`` what was not.
-    """
+    """A take as if the person had played it, in the model's axes."""
 
     take: Take
-    markers: MarkerSet
-    report: dict[str, Any]
-    notices: tuple[Finding, ...]
+    markers: MarkerSet  # as read there
+    report: dict[str, Any]  # what was carried, as JSON values
+    notices: tuple[Finding, ...]  # what was not
 
 
 def carry(
@@ -116,7 +111,7 @@ def carry(
     on_bone = np.array([used[label].part in BONY for label in take.labels], bool)
     scale = markers.session.scale
     if np.sum(~on_bone) < options.least:
-        raise _few_error(take.file, int(np.sum(~on_bone)), options)
+        raise _few_error(take.file, int(np.sum(~on_bone)))
     faults = find_faults(scale * take.positions, rate)
     motion = faults.motion
     rows, unclear = (neutral, []) if neutral else _find_rest(take, faults, rate)
@@ -139,28 +134,20 @@ def carry(
     report = _report(take.labels, warp, often)
     report["neutral"] = [take.numbers[row] for row in rows]
     read = replace(markers, session=IDENTITY)
-    notices = (*unclear, *_notices(take.labels, warp, often, options))
+    notices = (*unclear, *_notices(take.labels, warp, often))
     return CarriedTake(carried, read, report, notices)
 
 
 def off_places(
-    take: Take,
-    markers: MarkerSet,
-    motion: Motion,
-    skin: Surface,
-    rows: tuple[int, int],
-    options: ActorOptions = ACTOR,
+    take: Take, markers: MarkerSet, motion: Motion, skin: Surface, rows: tuple[int, int]
 ) -> float:
     """Return how far a take's markers at rest are off a set's places, mm rms; 0 for too few."""
     rest = _at_rest(motion, rows) @ markers.session.rotation.T
     goal = places_of(take.labels, markers, rest_places(markers, skin))
-    to_places = robust_motion_of_seen(rest, goal, options.slack, options.steps, options.least)
+    to_places = onto_places(rest, goal, ACTOR.least)
     if to_places is None:
         return 0.0
     return rms_of_seen(np.linalg.norm(to_places(rest) - goal, axis=1))
-
-
-# Rest, and the warp from one face to the other.
 
 
 def _find_rest(take: Take, faults: Faults, rate: float) -> tuple[tuple[int, int], list[Finding]]:
@@ -196,11 +183,11 @@ def fit_warp(
     """
     known = np.isfinite(rest[:, 0]) & np.isfinite(goal[:, 0]) & ~on_bone
     if known.sum() < options.least:
-        raise _few_error(file, int(known.sum()), options)
+        raise _few_error(file, int(known.sum()))
     refuse_flat(file, rest[known])
     turned = rest @ turn.T
     similar, misfit = fit_most(turned[known], goal[known])
-    _check_similar(file, similar, misfit, fit_most(turned[known] @ FLIP, goal[known])[1], options)
+    _check_similar(file, similar, misfit, fit_most(turned[known] @ FLIP, goal[known])[1])
     placed = similar(turned)
     further = RBFInterpolator(
         placed[known],
@@ -217,7 +204,7 @@ def fit_warp(
     extreme = (stretches[:, 0] < options.stretches[0]) | (stretches[:, 1] > options.stretches[1])
     extreme |= np.linalg.det(gradients) <= 0.0
     if extreme.sum() > options.extreme * known.sum():
-        raise _unlike_error(file, similar.scale, misfit, options)
+        raise _unlike_error(file, similar.scale, misfit)
     gradients[extreme] = np.eye(3)
     off = np.where(known[:, None], goal - placed, np.nan)
     left = np.full(len(rest), np.nan)
@@ -228,39 +215,34 @@ def fit_warp(
     return ActorWarp(rest, goal, whole, jacobians, stretches, extreme, missed, left)
 
 
-def _check_similar(
-    file: str, similar: Similarity, misfit: float, flipped: float, options: ActorOptions
-) -> None:
+def _check_similar(file: str, similar: Similarity, misfit: float, flipped: float) -> None:
     """Refuse markers that lie like the places only if mirrored, or not at all."""
-    if flipped < options.mirrored * misfit:
+    if flipped < ACTOR.mirrored * misfit:
         message = (
             f"{file} is mirrored: its axes are not of the marker set's handedness, or its labels "
             "of left and right are exchanged"
         )
         raise InputError("markers.mirrored", message, file=file)
-    low, high = options.sizes
-    if misfit > options.misfit or not low <= similar.scale <= high:
-        raise _unlike_error(file, similar.scale, misfit, options)
+    low, high = ACTOR.sizes
+    if misfit > ACTOR.misfit or not low <= similar.scale <= high:
+        raise _unlike_error(file, similar.scale, misfit)
 
 
-def _few_error(file: str, found: int, options: ActorOptions) -> InputError:
+def _few_error(file: str, found: int) -> InputError:
     message = (
         f"{file} has {found} markers of the set on the skin while the face is at rest: to carry "
-        f"an actor's motion {options.least} are needed"
+        f"an actor's motion {ACTOR.least} are needed"
     )
-    return InputError("markers.few", message, file=file, found=found, expected=options.least)
+    return InputError("markers.few", message, file=file, found=found, expected=ACTOR.least)
 
 
-def _unlike_error(file: str, scale: float, misfit: float, options: ActorOptions) -> InputError:
+def _unlike_error(file: str, scale: float, misfit: float) -> InputError:
     message = (
         f"the markers of {file} at rest do not lie like the marker set's places on any person: "
         f"most are {misfit:.0f} mm off, at {scale:.3g} times their size"
     )
-    figures = {"found": round(misfit, 1), "expected": options.misfit, "scale": round(scale, 3)}
+    figures = {"found": round(misfit, 1), "expected": ACTOR.misfit, "scale": round(scale, 3)}
     return InputError("markers.other_person", message, file=file, **figures)
-
-
-# What is carried.
 
 
 def _head_motions(motion: Motion, similar: Similarity, row: int) -> tuple[Floats, Floats]:
@@ -309,9 +291,6 @@ def _carry_sigma(sigma: Floats, motion: Motion, warp: ActorWarp, turns: Floats) 
     return carried
 
 
-# Report and notices.
-
-
 def _report(labels: Sequence[str], warp: ActorWarp, often: Mask) -> dict[str, Any]:
     """Return what was carried, as JSON values; null for what rides on bone."""
     rows = {}
@@ -332,9 +311,7 @@ def _report(labels: Sequence[str], warp: ActorWarp, often: Mask) -> dict[str, An
     }
 
 
-def _notices(
-    labels: Sequence[str], warp: ActorWarp, often: Mask, options: ActorOptions
-) -> tuple[Finding, ...]:
+def _notices(labels: Sequence[str], warp: ActorWarp, often: Mask) -> tuple[Finding, ...]:
     """Return which markers the warp does not carry, and which left the face."""
     found = []
     if warp.extreme.any():
@@ -343,6 +320,6 @@ def _notices(
         found.append(make_warning("markers.carried", message, {"labels": names}))
     if often.any():
         names = quote_names([labels[each] for each in np.flatnonzero(often).tolist()])
-        message = f"carried more than {options.far:g} mm off their places: {', '.join(names)}"
+        message = f"carried more than {ACTOR.far:g} mm off their places: {', '.join(names)}"
         found.append(make_warning("markers.off_face", message, {"labels": names}))
     return tuple(found)

@@ -17,11 +17,11 @@ from solver.anatomy.embedding import barycentric
 from solver.mechanics.boundary import move_jaw, move_jaw_back
 from solver.model import JawFrame, SubjectModel
 from solver.registration.search import nose_tip
-from solver.scans.markers.places.face_take import FACE, FaceOptions, FaceTake, LocatedTake
-from solver.scans.markers.places.locate import Located, LocateOptions, heights_over
+from solver.scans.markers.places.face_take import FACE, FaceTake, LocatedTake
+from solver.scans.markers.places.locate import LOCATE, Located, heights_over
 from solver.scans.markers.places.marker_set import Marker, MarkerSet, Triple, places_over
 from solver.scans.markers.readers.names import PLACES, Named
-from solver.similarity import Similarity
+from solver.similarity import Similarity, robust_motion_of_seen
 from solver.surface import Floats, Ints, Surface, area_normals, unit_rows
 
 
@@ -29,14 +29,15 @@ from solver.surface import Floats, Ints, Surface, area_normals, unit_rows
 class BindOptions:
     """Limits of what a marker is bound to; lengths in mm."""
 
-    off_skin: float = LocateOptions.off_skin  # farther from the skin it is of no face ...
-    above: float = 45.0  # ... but of the head, if it is so far above the nose's tip ...
+    # A marker too far from the skin for a face is of the head if it is so far above the nose's tip
+    above: float = 45.0
     of_head: float = 260.0  # ... and no farther from it than this
     usual_height: float = 2.0  # of markers over the skin
     farthest: float = 10_000.0  # beyond it nothing is a marker; a set has no room for such places
     sigma: float = 1.0  # of a place by the nearest point of the skin
     bony_sigma: float = 0.5
-    face: FaceOptions = FACE
+    slack: float = 3.0  # of a rigid motion onto places: off by more, little weight
+    steps: int = 12
 
 
 BIND = BindOptions()
@@ -114,12 +115,7 @@ def model_face(model: SubjectModel) -> Surface:
 
 
 def place_take(
-    located: LocatedTake,
-    pose: Located,
-    reference: Reference,
-    options: BindOptions = BIND,
-    *,
-    actor: bool = False,
+    located: LocatedTake, pose: Located, reference: Reference, *, actor: bool = False
 ) -> tuple[Marker, ...]:
     """Return a marker for every label of a take whose face has a ``pose``.
 
@@ -129,40 +125,36 @@ def place_take(
     """
     session, height = pose.session, None
     if actor:
-        session, height = pose.similar or session, options.usual_height
+        session, height = pose.similar or session, BIND.usual_height
     placed = session(located.points)
     if actor:
         placed = clear_lids(placed, located.face.names, reference.rims)
-    return place_markers(located.face, placed, reference.face, options, height)
+    return place_markers(located.face, placed, reference.face, height)
 
 
 def place_markers(
-    face: FaceTake,
-    placed: Floats,
-    skin: Surface,
-    options: BindOptions = BIND,
-    height_mm: float | None = None,
+    face: FaceTake, placed: Floats, skin: Surface, height_mm: float | None = None
 ) -> tuple[Marker, ...]:
     """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored.
 
     Those of the skin get one ``height_mm``; without it each has its own.
     """
-    seen = np.flatnonzero((np.abs(placed) < options.farthest).all(axis=1))
+    seen = np.flatnonzero((np.abs(placed) < BIND.farthest).all(axis=1))
     heights, tip = heights_over(placed[seen], skin), nose_tip(skin)
     found = []
     for row, number in enumerate(seen.tolist()):
         name, at, label = face.names[number], placed[number], face.labels[number]
         part = "face" if name is None else name.part
-        if part == "face" and abs(heights[row]) > options.off_skin:
-            near = np.linalg.norm(at - tip) < options.of_head and at[1] - tip[1] > options.above
+        if part == "face" and abs(heights[row]) > LOCATE.off_skin:
+            near = np.linalg.norm(at - tip) < BIND.of_head and at[1] - tip[1] > BIND.above
             part = "head" if near else "ignore"
         if part == "face":
-            marker = place_on(Marker(label, sigma_mm=options.sigma), at, skin)
+            marker = place_on(Marker(label, sigma_mm=BIND.sigma), at, skin)
             height = marker.height_mm if height_mm is None else height_mm
             found.append(replace(marker, height_mm=height))
         else:
             at_bone: Triple = (float(at[0]), float(at[1]), float(at[2]))
-            sigma = options.bony_sigma
+            sigma = BIND.bony_sigma
             found.append(Marker(label, part=part, sigma_mm=sigma, place_mm=at_bone))
     return tuple(found)
 
@@ -201,6 +193,11 @@ def rest_places(markers: MarkerSet, skin: Surface) -> Floats:
     on_skin = places_over(skin.vertices[markers.vertices], markers.weights, markers.heights)
     is_face = np.array([each.part == "face" for each in markers.markers], bool)
     return np.where(is_face[:, None], on_skin, markers.places)
+
+
+def onto_places(points: Floats, goal: Floats, least: int = FACE.least) -> Similarity | None:
+    """Return the rigid motion of markers (k, 3) onto their places; None of fewer than ``least``."""
+    return robust_motion_of_seen(points, goal, BIND.slack, BIND.steps, least)
 
 
 def places_of(labels: Sequence[str], markers: MarkerSet, places: Floats) -> Floats:

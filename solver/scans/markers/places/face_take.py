@@ -14,12 +14,12 @@ from scipy.sparse.csgraph import connected_components
 
 from solver.errors import InputError
 from solver.registration.units import choose_unit, likely_unit
-from solver.scans.markers.places.locate import NAMES_UNIT, Located, LocateOptions, locate
+from solver.scans.markers.places.locate import LOCATE, NAMES_UNIT, Located, locate
 from solver.scans.markers.readers.names import Named, read_names
 from solver.scans.markers.readers.take import Take
 from solver.scans.markers.signal.faults import Faults, find_faults
 from solver.scans.markers.signal.motion import Mask, Motion, median_of_seen
-from solver.scans.markers.signal.rest import REST, Rest, RestOptions, likely_rests, rivals
+from solver.scans.markers.signal.rest import Rest, likely_rests, rivals
 from solver.surface import Floats, Ints, Surface
 
 USUAL_RATE = 60.0  # frames a second, where a take has none
@@ -35,10 +35,8 @@ class FaceOptions:
     linked: float = 100.0  # markers of one head lie no farther apart, one to the next
     second: float = 0.4  # of the first face's markers make another face ...
     least_second: int = 6  # ... if they are so many
-    off_skin: float = LocateOptions.off_skin  # a marker counts for no more, of likeness to a person
     least_on: float = 0.5  # of a face's markers are on the skin, or it is none
     resembles: float = 0.5  # of it: a pose that is so much more like the person is the rest
-    rest: RestOptions = REST
 
 
 FACE = FaceOptions()
@@ -86,22 +84,22 @@ class LocatedTake:
         return None if self.pose is None else self.pose.session(self.points)
 
 
-def choose_face(take: Take, options: FaceOptions = FACE) -> FaceTake:
+def choose_face(take: Take) -> FaceTake:
     """Return a take with the labels that are on the face with the most of them.
 
     Raises :class:`InputError` ``markers.too_large`` for more markers than a face has.
     """
-    take = count_tracks(take, options)
+    take = count_tracks(take)
     named = read_names(take.labels)
     alive = np.zeros(len(take.labels), bool)
-    alive[living_labels(take, options)] = True
-    mm = _neighbours_unit(take.positions[:, alive], options)
+    alive[living_labels(take)] = True
+    mm = _neighbours_unit(take.positions[:, alive])
     is_body = np.array([each is not None and each.part == "ignore" for each in named], bool)
-    on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
-    by_names = _unit_by_names(take, on_face, named, options)
+    on_face, another = _largest_face(mm * take.positions, alive & ~is_body)
+    by_names = _unit_by_names(take, on_face, named)
     if by_names not in (None, mm):
         mm = by_names
-        on_face, another = _largest_face(mm * take.positions, alive & ~is_body, options)
+        on_face, another = _largest_face(mm * take.positions, alive & ~is_body)
     numbers = np.flatnonzero(on_face)
     return FaceTake(
         take,
@@ -115,65 +113,63 @@ def choose_face(take: Take, options: FaceOptions = FACE) -> FaceTake:
     )
 
 
-def living_labels(take: Take, options: FaceOptions = FACE) -> Ints:
+def living_labels(take: Take) -> Ints:
     """Return the numbers of the labels that are ever seen.
 
     Raises :class:`InputError` ``markers.too_large`` for more of them than a face has: what takes a
     take apart compares all of them with each other.
     """
     alive = np.flatnonzero(np.isfinite(take.positions[..., 0]).any(axis=0))
-    if len(alive) > options.most:
-        message = f"{take.file} has {len(alive)} markers, {options.most} can be bound"
-        figures = {"found": len(alive), "expected": options.most}
+    if len(alive) > FACE.most:
+        message = f"{take.file} has {len(alive)} markers, {FACE.most} can be bound"
+        figures = {"found": len(alive), "expected": FACE.most}
         raise InputError("markers.too_large", message, file=take.file, **figures)
     return alive
 
 
-def count_tracks(take: Take, options: FaceOptions = FACE) -> Take:
+def count_tracks(take: Take) -> Take:
     """Return a take without labels with its tracks as such; others as they are."""
-    if len(take.labels) >= options.least or not take.unlabelled_names:
+    if len(take.labels) >= FACE.least or not take.unlabelled_names:
         return take
     positions = np.concatenate([take.positions, take.unlabelled], axis=1)
     labels = (*take.labels, *take.unlabelled_names)
     return replace(take, positions=positions, labels=labels, unlabelled_names=())
 
 
-def _largest_face(positions: Floats, chosen: Mask, options: FaceOptions) -> tuple[Mask, Ints]:
+def _largest_face(positions: Floats, chosen: Mask) -> tuple[Mask, Ints]:
     """Return which of the ``chosen`` markers (f, k, 3) are on one face, and those of a second."""
     numbers = np.flatnonzero(chosen)
-    if len(numbers) < options.least:
+    if len(numbers) < FACE.least:
         return chosen, numbers[:0]
     apart = np.nan_to_num(_usual_distances(positions[:, numbers]), nan=np.inf)
-    _, group = connected_components(apart < options.linked)
+    _, group = connected_components(apart < FACE.linked)
     sizes = np.bincount(group)
     order = np.argsort(-sizes, kind="stable")
     on_face = np.zeros(len(chosen), bool)
     on_face[numbers[group == order[0]]] = True
-    least = max(options.second * sizes[order[0]], options.least_second)
+    least = max(FACE.second * sizes[order[0]], FACE.least_second)
     is_another = len(order) > 1 and sizes[order[1]] >= least
     return on_face, numbers[group == order[1]] if is_another else numbers[:0]
 
 
-def _neighbours_unit(positions: Floats, options: FaceOptions) -> float:
+def _neighbours_unit(positions: Floats) -> float:
     """Return the mm a unit that puts neighbours as far apart as on a face; 1 if that does."""
-    if positions.shape[1] < options.least:
+    if positions.shape[1] < FACE.least:
         return 1.0
     apart = np.nan_to_num(_usual_distances(positions), nan=np.inf)
     np.fill_diagonal(apart, np.inf)
     spacing = float(np.median(np.sort(apart, axis=1)[:, 1]))  # the second: labels may be double
-    return likely_unit(spacing, options.spacing, (1.0, 1000.0, 10.0, 0.1, 0.001)) or 1.0
+    return likely_unit(spacing, FACE.spacing, (1.0, 1000.0, 10.0, 0.1, 0.001)) or 1.0
 
 
-def _unit_by_names(
-    take: Take, on_face: Mask, named: Sequence[Named | None], options: FaceOptions
-) -> float | None:
+def _unit_by_names(take: Take, on_face: Mask, named: Sequence[Named | None]) -> float | None:
     """Return the mm a unit that puts a face's markers as far apart as their names; None if none."""
     places = {
         number: each.place
         for number, each in enumerate(named)
         if each is not None and each.part == "face" and on_face[number]
     }
-    if len(places) < options.least:
+    if len(places) < FACE.least:
         return None
     apart = _usual_distances(take.positions[:, list(places)])
     at = np.array(list(places.values()))
@@ -194,16 +190,8 @@ def _usual_distances(positions: Floats, frames: int = 40) -> Floats:
     )
 
 
-# The face at rest.
-
-
 def locate_take(
-    face: FaceTake,
-    skin: Surface,
-    neutral: tuple[int, int] | None = None,
-    options: FaceOptions = FACE,
-    *,
-    compared: bool = True,
+    face: FaceTake, skin: Surface, neutral: tuple[int, int] | None = None, *, compared: bool = True
 ) -> LocatedTake:
     """Return where a face's markers lie on a ``skin``, at rest in the ``neutral`` rows.
 
@@ -212,47 +200,45 @@ def locate_take(
     """
     faults = find_faults(face.mm * face.take.positions[:, face.numbers], face.rate)
     if neutral:
-        return _locate_at(face, skin, faults, neutral, options)
-    rests = likely_rests(faults, face.names, face.rate, options.rest)
-    found = [_locate_at(face, skin, faults, rests[0].rows, options)]
+        return _locate_at(face, skin, faults, neutral)
+    rests = likely_rests(faults, face.names, face.rate)
+    found = [_locate_at(face, skin, faults, rests[0].rows)]
     # markers that are no face at rest are none in other poses either: they take long to look for
-    if compared and not _lies_elsewhere(found[0].pose, options):
-        found += [_locate_at(face, skin, faults, each.rows, options) for each in rests[1:]]
+    if compared and not _lies_elsewhere(found[0].pose):
+        found += [_locate_at(face, skin, faults, each.rows) for each in rests[1:]]
     tried = rests[: len(found)]
-    unlike = [_unlikeness(each.pose, options) for each in found]
+    unlike = [_unlikeness(each.pose) for each in found]
     costs = [each.second.unrest + miss for each, miss in zip(tried, unlike, strict=True)]
     best = int(np.argmin(costs))
-    others = rivals(rests[best], rests, options.rest)
+    others = rivals(rests[best], rests)
     if len(found) == len(rests):
-        much = unlike[best] + options.resembles
+        much = unlike[best] + FACE.resembles
         others = [each for each in others if unlike[rests.index(each)] < much]
     return replace(found[best], rest=rests[best], rival=others[0] if others else None)
 
 
-def _locate_at(
-    face: FaceTake, skin: Surface, faults: Faults, rows: tuple[int, int], options: FaceOptions
-) -> LocatedTake:
+def _locate_at(face: FaceTake, skin: Surface, faults: Faults, rows: tuple[int, int]) -> LocatedTake:
     """Return where a face's markers lie on a ``skin``, at rest in some rows."""
     points = _rest_points(faults.motion, rows) / face.mm
     here = LocatedTake(face, faults, rows, points, None)
-    if here.distinct < options.least:
+    if here.distinct < FACE.least:
         return here
     return replace(here, pose=locate(points, face.names, skin, read_mm=face.take.unit_mm))
 
 
-def _unlikeness(pose: Located | None, options: FaceOptions) -> float:
+def _unlikeness(pose: Located | None) -> float:
     """Return how far markers miss the skin at their usual height, mm, infinite without a pose."""
     if pose is None or not np.isfinite(pose.off_skin).any():
         return np.inf
-    return float(np.nanmean(np.minimum(np.abs(pose.off_skin), options.off_skin)))
+    return float(np.nanmean(np.minimum(np.abs(pose.off_skin), LOCATE.off_skin)))
 
 
-def _lies_elsewhere(pose: Located | None, options: FaceOptions) -> bool:
+def _lies_elsewhere(pose: Located | None) -> bool:
     """Return whether so few of the markers that are seen are on the skin that they are no face."""
     if pose is None:
         return False
     off = pose.off_skin[np.isfinite(pose.off_skin)]
-    return bool((np.abs(off) <= options.off_skin).sum() < options.least_on * len(off))
+    return bool((np.abs(off) <= LOCATE.off_skin).sum() < FACE.least_on * len(off))
 
 
 def frames_about(

@@ -58,6 +58,9 @@ class LocateOptions:
     on_skin: float = 0.75  # ... and with fewer of all on it no other height is tried
 
 
+LOCATE = LocateOptions()
+
+
 @dataclass(frozen=True)
 class Located:
     """The face under markers, in their own axes and unit."""
@@ -79,12 +82,7 @@ class Located:
 
 
 def locate(
-    points: Floats,
-    named: Sequence[Named | None],
-    face: Surface,
-    options: LocateOptions = LocateOptions(),
-    *,
-    read_mm: float = 1.0,
+    points: Floats, named: Sequence[Named | None], face: Surface, *, read_mm: float = 1.0
 ) -> Located | None:
     """Return where ``face`` lies under markers (k, 3), NaN where not seen; None if they are few.
 
@@ -93,21 +91,21 @@ def locate(
     seen = np.isfinite(points[:, 0])
     may_be = np.array([each is None or each.part == "face" for each in named], bool)
     used = np.flatnonzero(seen & may_be)
-    if len(used) < options.least:
+    if len(used) < LOCATE.least:
         return None
-    few = used[np.sort(spread(points[used], options.most))]
-    skin = sample(face.vertices, face.faces, None, options.samples)
-    by_names = _by_names(points, named, face, options)
+    few = used[np.sort(spread(points[used], LOCATE.most))]
+    skin = sample(face.vertices, face.faces, None, LOCATE.samples)
+    by_names = _by_names(points, named, face)
     if by_names is not None:
         starts, turned = by_names
         unit = choose_unit(starts[0].scale, None, None, NAMES_UNIT, read_mm=read_mm)
     else:
-        unit, turned = _unit_of(points[used], options), False
+        unit, turned = _unit_of(points[used]), False
         starts = _by_shape(points[few], skin, unit.mm_per_unit)
-    found = [_slide(start, unit, points, (few, used), face, skin, options) for start in starts]
+    found = [_slide(start, unit, points, (few, used), face, skin) for start in starts]
     best = 0
     if len(found) > 1:  # a mirrored face, or sides exchanged: the first, unless it fits worse
-        best = int(found[1].miss() < options.clearly * found[0].miss())
+        best = int(found[1].miss() < LOCATE.clearly * found[0].miss())
     chosen = found[best]
     chosen = replace(chosen, sides_exchanged=turned and not chosen.mirrored)
     if by_names is None:
@@ -115,11 +113,11 @@ def locate(
     chosen = replace(chosen, by_names=True, similar=starts[best])
     if turned:
         return chosen
-    return replace(chosen, exchanged=_find_exchanges(chosen, points, named, face, options))
+    return replace(chosen, exchanged=_find_exchanges(chosen, points, named, face))
 
 
 def _by_names(
-    points: Floats, named: Sequence[Named | None], face: Surface, options: LocateOptions
+    points: Floats, named: Sequence[Named | None], face: Surface
 ) -> tuple[list[Similarity], bool] | None:
     """Return motions onto the face by names, and whether sides are the wrong way round.
 
@@ -127,18 +125,18 @@ def _by_names(
     motions of both come back.
     """
     known, goal = _goals(points, named, face)
-    if len(known) < options.least or len(np.unique(goal, axis=0)) < options.least:
+    if len(known) < LOCATE.least or len(np.unique(goal, axis=0)) < LOCATE.least:
         return None
-    plain, misfit = fit_most(points[known], goal, options)
-    other, other_misfit = fit_most(points[known] @ FLIP, goal, options)
-    turned = other_misfit < options.mirrored * misfit
-    if min(misfit, other_misfit) > options.name_misfit:
+    plain, misfit = fit_most(points[known], goal)
+    other, other_misfit = fit_most(points[known] @ FLIP, goal)
+    turned = other_misfit < LOCATE.mirrored * misfit
+    if min(misfit, other_misfit) > LOCATE.name_misfit:
         return None
     if not turned:
         return [plain], False
     across = (goal - nose_tip(face)) @ FLIP + nose_tip(face)
     mirrored = replace(other, rotation=other.rotation @ FLIP)  # of the points, not of their images
-    return [mirrored, fit_most(points[known], across, options)[0]], True
+    return [mirrored, fit_most(points[known], across)[0]], True
 
 
 def _goals(
@@ -151,28 +149,26 @@ def _goals(
     return known, goal + nose_tip(face)
 
 
-def fit_most(
-    points: Floats, goal: Floats, options: LocateOptions = LocateOptions()
-) -> tuple[Similarity, float]:
+def fit_most(points: Floats, goal: Floats) -> tuple[Similarity, float]:
     """Return the motion that most points agree with, and the median misfit in mm."""
     kept = np.ones(len(points), bool)
     motion, off = fit_similarity(points, goal), np.zeros(len(points))
-    for _ in range(options.trims):
+    for _ in range(LOCATE.trims):
         off = np.linalg.norm(motion(points) - goal, axis=1)
-        closer = off <= max(options.kept * float(np.median(off)), 1.0)
-        if closer.sum() < options.least or (closer == kept).all():
+        closer = off <= max(LOCATE.kept * float(np.median(off)), 1.0)
+        if closer.sum() < LOCATE.least or (closer == kept).all():
             break
         kept = closer
         motion = fit_similarity(points[kept], goal[kept])
     return motion, float(np.median(off))
 
 
-def _unit_of(points: Floats, options: LocateOptions) -> ScanUnit:
+def _unit_of(points: Floats) -> ScanUnit:
     """Return the unit that makes markers as large as those of a head; mm if it does."""
     extent = float(np.ptp(points, axis=0).max())
-    mm = likely_unit(extent, options.extents)
+    mm = likely_unit(extent, LOCATE.extents)
     if mm is None:
-        return ScanUnit(options.usual_extent / max(extent, 1e-9), "template")
+        return ScanUnit(LOCATE.usual_extent / max(extent, 1e-9), "template")
     return ScanUnit(mm, "assumed" if mm == 1.0 else "found")
 
 
@@ -198,7 +194,6 @@ def _slide(
     chosen: tuple[Ints, Ints],
     face: Surface,
     skin: Samples,
-    options: LocateOptions,
 ) -> Located:
     """Return ``start`` after its markers slid onto the skin, all at one height over it.
 
@@ -210,18 +205,18 @@ def _slide(
     begin = robust_motion(points[few] * size @ _hand(start), rough, np.ones(len(few)), 10.0, 3)
     begin = Similarity(size, begin.rotation @ _hand(start), begin.shift)
     tries = []
-    for height in sorted(options.heights, key=lambda each: abs(each - options.usual_height)):
+    for height in sorted(LOCATE.heights, key=lambda each: abs(each - LOCATE.usual_height)):
         raised = Samples(skin.points + height * skin.normals, skin.normals, True)
-        session = _onto(begin, points[few], raised, options)
+        session = _onto(begin, points[few], raised)
         over = heights_over(session(points[few]), face) - height
-        near = over[np.abs(over) <= options.off_skin]
+        near = over[np.abs(over) <= LOCATE.off_skin]
         miss = float(np.sqrt(np.median(near**2))) if len(near) else np.inf
         tries.append((miss, height, session))
-        if len(near) < options.on_skin * len(over):
+        if len(near) < LOCATE.on_skin * len(over):
             break
     least = min(miss for miss, _, _ in tries)
-    alike = [each for each in tries if each[0] <= least + options.flat]
-    _, height, session = min(alike, key=lambda each: abs(each[1] - options.usual_height))
+    alike = [each for each in tries if each[0] <= least + LOCATE.flat]
+    _, height, session = min(alike, key=lambda each: abs(each[1] - LOCATE.usual_height))
     off = np.full(len(points), np.nan)
     off[used] = heights_over(session(points[used]), face) - height
     mirrored = bool(np.linalg.det(session.rotation) < 0)
@@ -232,13 +227,13 @@ def _hand(motion: Similarity) -> Floats:
     return FLIP if np.linalg.det(motion.rotation) < 0 else np.eye(3)
 
 
-def _onto(start: Similarity, points: Floats, skin: Samples, options: LocateOptions) -> Similarity:
+def _onto(start: Similarity, points: Floats, skin: Samples) -> Similarity:
     """Return the motion after the markers slid onto the skin; the size stays."""
     tree, session = KDTree(skin.points), start
     stiff = RefinementOptions(
-        kept=0.85, sizes=(1.0, 1.0), least_points=options.least, close=options.off_skin, still=0.01
+        kept=0.85, sizes=(1.0, 1.0), least_points=LOCATE.least, close=LOCATE.off_skin, still=0.01
     )
-    for _ in range(options.rounds):
+    for _ in range(LOCATE.rounds):
         placed = session(points)
         normals = skin.normals[tree.query(placed)[1]]
         cloud = FacePoints(placed, normals, placed[0], normals[0])
@@ -258,11 +253,7 @@ def heights_over(placed: Floats, face: Surface) -> Floats:
 
 
 def _find_exchanges(
-    located: Located,
-    points: Floats,
-    named: Sequence[Named | None],
-    face: Surface,
-    options: LocateOptions,
+    located: Located, points: Floats, named: Sequence[Named | None], face: Surface
 ) -> tuple[tuple[int, int], ...]:
     """Return pairs of markers that lie where the other should by its name."""
     known, goal = _goals(points, named, face)
@@ -273,6 +264,6 @@ def _find_exchanges(
     for row, column in enumerate(chosen.tolist()):
         if row < column and chosen[column] == row:
             gain = cost[row, row] + cost[column, column] - cost[row, column] - cost[column, row]
-            if gain > options.exchanged:
+            if gain > LOCATE.exchanged:
                 pairs.append((known[row], known[column]))
     return tuple(pairs)

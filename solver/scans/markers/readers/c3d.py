@@ -153,9 +153,6 @@ def _up(parameters: Parameters) -> str | None:
     return axis if axis.removeprefix("-") in ("x", "y", "z") else None
 
 
-# Where the data are.
-
-
 def _find_layout(
     file: str, header: bytes, parameters: Parameters, numbers: Numbers, size: int
 ) -> tuple[_Layout, list[Finding]]:
@@ -254,9 +251,6 @@ def _frame_counts(header: bytes, parameters: Parameters, numbers: Numbers) -> li
         numbers.word(header, LAST) - numbers.word(header, FIRST) + 1,
     )
     return [count for count in counts if count >= 0]
-
-
-# Frames and events.
 
 
 def _read_points(

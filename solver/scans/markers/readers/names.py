@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from solver.anatomy.data import read_json
 from solver.kinds.marker_set import Part
 from solver.surface import Floats
 
@@ -21,29 +22,9 @@ Place = tuple[float, float, float]
 
 LOWER = frozenset({"chin", "jaw", "lower_lip", "lower_teeth"})  # regions that the jaw moves
 
+TABLES = read_json("marker_names")
 # Words for a region, the longer ones first, as ``eye`` is in ``eyebrow``.
-REGIONS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("forehead", ("forehead", "frhd", "front", "fore")),
-    ("glabella", ("glabella", "eyebrowcenter", "browcenter", "glab")),
-    ("brow", ("eyebrow", "brow", "bro", "brw")),
-    ("lid", ("eyelid", "lid")),
-    ("orbit", ("orbit", "orb")),
-    ("eye", ("eye",)),
-    ("nostril", ("nostril", "nstr", "alare", "alar", "nsl")),
-    ("nose", ("nose", "nasal", "nas", "nse")),
-    ("cheek", ("cheek", "malar", "zygoma", "puff", "chek", "chk")),
-    ("lower_teeth", ("lowerteeth", "lowertooth", "lowerdent", "lowersplint", "lowinc", "mandible")),
-    ("upper_teeth", ("upperteeth", "uppertooth", "upperdent", "uppersplint", "upinc", "maxilla")),
-    ("upper_lip", ("upperlip", "uplip", "ulip", "lipup", "mouthup", "uppermouth")),
-    ("lower_lip", ("lowerlip", "lowlip", "llip", "lipdown", "liplow", "mouthdown", "mouthlow")),
-    ("mouth", ("mouth", "mth", "lip")),
-    ("chin", ("chin", "chn")),
-    ("jaw", ("jawline", "jaw")),
-    ("temple", ("temple", "tmpl", "tmp")),
-    ("ear", ("tragus", "ear")),
-    ("back_of_head", ("bhd", "headback", "backhead")),
-    ("head", ("headband", "head", "fhd", "cap", "hat", "brim", "helmet")),
-)
+REGIONS: dict[str, list[str]] = TABLES["regions"]
 # A region whose part has a region of its own.
 HALVES = {("mouth", "upper"): "upper_lip", ("mouth", "lower"): "lower_lip"}
 # The part of a region in which a side's second marker and the further ones are.
@@ -53,74 +34,18 @@ BODY = re.compile(
     r"|kne|knee|tib|ank|hee|heel|toe|upa|frm|neck|hip|pelvis|spine|chest|arm|leg|foot|finger)\w{0,3}$"
 )
 # Where the left one of a region lies, or the one in the middle of the face, and its parts.
-PLACES: dict[str, dict[str, Place]] = {
-    "forehead": {"": (36, 86, -33), "middle": (0, 92, -28)},
-    "glabella": {"": (0, 50, -18), "middle": (0, 50, -18)},
-    "brow": {"": (30, 54, -22), "inner": (13, 51, -19), "outer": (53, 54, -40)},
-    "lid": {"": (31, 41, -25), "upper": (31, 42, -25), "lower": (31, 30, -28)},
-    "eye": {
-        "": (31, 30, -28),
-        "upper": (31, 43, -26),
-        "lower": (31, 20, -31),
-        "inner": (15, 33, -29),
-        "outer": (52, 33, -40),
-    },
-    "orbit": {
-        "": (31, 20, -31),
-        "upper": (31, 51, -23),
-        "lower": (31, 20, -31),
-        "inner": (13, 36, -26),
-        "outer": (54, 35, -42),
-    },
-    "nostril": {"": (18, -5, -21)},
-    "nose": {"": (18, -5, -21), "middle": (0, 14, -9), "upper": (0, 32, -18), "tip": (0, 0, 0)},
-    "cheek": {
-        "": (48, -10, -36),
-        "upper": (46, 9, -33),
-        "lower": (45, -30, -42),
-        "inner": (33, -2, -27),
-        "outer": (64, -8, -62),
-    },
-    "upper_teeth": {"": (20, -30, -20), "middle": (0, -30, -12)},
-    "lower_teeth": {"": (20, -37, -20), "middle": (0, -37, -14)},
-    "upper_lip": {"": (15, -25, -13), "middle": (0, -22, -7), "outer": (26, -33, -22)},
-    "lower_lip": {"": (15, -43, -16), "middle": (0, -43, -11), "outer": (26, -33, -22)},
-    "mouth": {"": (28, -33, -23), "middle": (0, -33, -12)},
-    "chin": {"": (24, -66, -32), "middle": (0, -66, -20), "outer": (42, -58, -58)},
-    "jaw": {"": (50, -50, -75), "middle": (0, -74, -27)},
-    "temple": {"": (64, 56, -64)},
-    "ear": {"": (72, 17, -104)},
-    "head": {"": (70, 110, -70), "middle": (0, 125, -45), "back": (60, 100, -210)},
-    "back_of_head": {"": (60, 100, -210), "middle": (0, 100, -210)},
-}
+PLACES: dict[str, dict[str, Place]] = TABLES["places"]
 PARTS: dict[str, Part] = {
     "head": "head",
     "back_of_head": "head",
     "upper_teeth": "upper_teeth",
     "lower_teeth": "lower_teeth",
 }
-WORDS: dict[str, tuple[str, ...]] = {
-    "inner": ("inside", "inner", "medial", "in"),
-    "outer": ("outside", "outer", "lateral", "corner", "crn", "end", "out"),
-    "upper": ("upper", "top", "up", "high", "bridge", "supra", "u"),
-    "lower": ("lower", "bottom", "down", "low", "infra", "dn", "d"),
-    "middle": ("middle", "center", "centre", "mid", "cen"),
-    "tip": ("tip", "head"),
-    "back": ("back",),
-}
+WORDS: dict[str, list[str]] = TABLES["words"]  # for parts
 # The 68 points: corners of chains, between which the others lie.
-CHAINS: tuple[dict[int, Place], ...] = (
-    {0: (-71, 20, -95), 4: (-55, -43, -92), 6: (-34, -64, -56), 8: (0, -76, -32)},
-    {17: (-50, 56, -32), 19: (-27, 53, -20), 21: (-11, 50, -18)},
-    {27: (0, 38, -19), 30: (0, 0, 0)},
-    {31: (-17, -8, -21), 33: (0, -13, -11)},
-    {36: (-45, 37, -34), 37: (-36, 42, -27), 38: (-26, 42, -26), 39: (-17, 36, -29)},
-    {39: (-17, 36, -29), 40: (-26, 31, -28), 41: (-36, 31, -29)},
-    {48: (-25, -33, -22), 50: (-5, -22, -7), 51: (0, -23, -7)},
-    {57: (0, -42, -11), 58: (-7, -42, -12), 59: (-16, -40, -15)},
-    {60: (-22, -33, -21), 61: (-8, -32, -14), 62: (0, -32, -13)},
-    {66: (0, -34, -12), 67: (-8, -34, -13)},
-)
+CHAINS: list[dict[int, Place]] = [
+    {int(number): place for number, place in chain.items()} for chain in TABLES["chains"]
+]
 # Each point's twin on the other side.
 TWINS_68 = {
     **{n: 16 - n for n in range(17)},
@@ -157,12 +82,14 @@ def read_names(labels: Sequence[str]) -> list[Named | None]:
 
 def read_name(label: str) -> Named | None:
     """Return the place by one label; what is named after the body has the part ``ignore``."""
-    parts = _split(label)
+    # the words in lower case: ``Mouth_UpL1`` is mouth, up, l, 1
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])", " ", label)
+    parts = re.findall(r"[a-z]+|\d+", spaced.lower())
     joined = "".join(parts)
     if BODY.match(joined):
         return Named("body", (0.0, 0.0, 0.0), "ignore")
     found = next(
-        ((name, word) for name, words in REGIONS for word in words if word in joined), None
+        ((name, word) for name, words in REGIONS.items() for word in words if word in joined), None
     )
     if found is None:
         return None
@@ -182,12 +109,6 @@ def read_name(label: str) -> Named | None:
     if x and side in (None, 0):
         return None if part == "face" else Named(region, (0, y, z), part)
     return Named(region, (x * (side or 1), y, z), part, (side or 0) if x else 0)
-
-
-def _split(label: str) -> list[str]:
-    """Return a label's words in lower case: ``Mouth_UpL1`` is mouth, up, l, 1."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])", " ", label)
-    return re.findall(r"[a-z]+|\d+", spaced.lower())
 
 
 def _rest(parts: list[str], start: int, length: int) -> list[str]:

@@ -227,9 +227,6 @@ def _is_number(text: str) -> bool:
     return True
 
 
-# TRC, the tables of Cortex and OpenSim.
-
-
 HEADING = 5  # lines: type, names of values, values, labels, coordinates
 
 
@@ -288,9 +285,6 @@ def _label_names(file: str, line: Line, separator: str | None, count: int) -> Se
     return labels
 
 
-# CSV as Motive exports it.
-
-
 MOST_HEADING = 20  # lines
 SEEN = "marker"  # the type of a marker's columns
 
@@ -305,11 +299,7 @@ class _Track:
 
 
 def read_motive(path: Path, options: TakeOptions) -> RawTake:
-    """Return the markers of a CSV of Motive.
-
-    Raises :class:`InputError`: ``markers.unreadable`` with ``line``, ``markers.truncated`` (also
-    with fewer frames than the heading has), ``markers.none`` or ``markers.too_large``.
-    """
+    """Return the markers of a CSV of Motive; raises as :func:`read_trc`."""
     file = path.name
     with path.open("rb") as stream:
         lines = read_lines(file, stream, options)

@@ -14,13 +14,6 @@ import numpy as np
 from solver.errors import Finding, InputError, Severity, quote
 from solver.registration.units import AXES
 from solver.scans.markers.readers.c3d import KEY, MOST_EVENTS, read_c3d
-from solver.scans.markers.readers.cleaning import (
-    check_seen,
-    drop_far,
-    read_labels,
-    settle_unit,
-    tidy_label,
-)
 from solver.scans.markers.readers.raw_take import (
     ADVICE,
     MOST_FRAME,
@@ -29,7 +22,12 @@ from solver.scans.markers.readers.raw_take import (
     RawTake,
     TakeOptions,
     check_room,
+    check_seen,
     choose_rate,
+    drop_far,
+    read_labels,
+    settle_unit,
+    tidy_label,
     unreadable_error,
 )
 from solver.scans.markers.readers.table import read_motive, read_trc

@@ -2,7 +2,7 @@
 
 A marker is wrong where it is far from where most others put it (``motion.py``) and came or went
 there at once, as no skin does; two are swapped where each lies where the other is expected, or from
-the frame in which they cross on, until they cross back (``crossings.py``).
+the frame in which they cross on, until they cross back (:func:`.find_swaps`).
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from solver.scans.markers.signal.crossings import Swap, exchange, find_swaps
 from solver.scans.markers.signal.motion import (
-    MOTION,
     Mask,
     Motion,
-    MotionOptions,
+    Swap,
+    exchange,
+    find_swaps,
     median_of_seen,
     take_apart,
 )
@@ -57,6 +57,9 @@ class FaultOptions:
     def jump(self, rate: float) -> float:
         """Return how far no marker of skin goes off what is expected in one frame."""
         return max(self.least_jump, self.speed / rate)
+
+
+FAULT = FaultOptions()
 
 
 @dataclass(frozen=True)
@@ -130,35 +133,30 @@ class Faults:
         return [run for run in runs(~seen) if run[1] - run[0] + 1 >= least]
 
 
-def find_faults(
-    positions: Floats,
-    rate: float,
-    options: FaultOptions = FaultOptions(),
-    motion_options: MotionOptions = MOTION,
-) -> Faults:
+def find_faults(positions: Floats, rate: float) -> Faults:
     """Find what is wrong with markers (f, k, 3) in mm, NaN where missing."""
     seen = np.isfinite(positions[..., 0])
     spans: list[Span] = []
-    frozen, halted = _find_frozen(positions, rate, options, spans)
+    frozen, halted = _find_frozen(positions, rate, spans)
     measured = np.where(frozen[..., None], np.nan, positions)
-    _find_filled(measured, rate, options, spans)
-    motion = take_apart(measured, rate, motion_options)
-    pairs, leap = list(_neighbours(motion.middle, options)), options.jump(rate)
+    _find_filled(measured, rate, spans)
+    motion = take_apart(measured, rate)
+    pairs, leap = list(_neighbours(motion.middle)), FAULT.jump(rate)
     swaps = find_swaps(motion.places, motion.expected, pairs, leap, rate)
     if swaps:  # they bend what is expected of all markers
-        motion = take_apart(exchange(measured, swaps), rate, motion_options)
+        motion = take_apart(exchange(measured, swaps), rate)
         motion = replace(motion, places=exchange(motion.places, swaps))
     residuals = motion.residuals
-    taken = _find_exchanged(motion, residuals, rate, options, swaps, spans)
+    taken = _find_exchanged(motion, residuals, rate, swaps, spans)
     residuals = np.where(taken[..., None], np.nan, residuals)
-    moved = _find_moved(residuals, rate, options)
+    moved = _find_moved(residuals, rate)
     spans += moved.values()
-    thrown = _find_thrown(residuals, rate, options, spans)
+    thrown = _find_thrown(residuals, rate, spans)
     for marker in np.flatnonzero(seen.any(axis=0)):
         spans += (Span("missing", int(marker), *run) for run in runs(~seen[:, marker]))
     usable = seen & ~frozen & ~taken & ~thrown
     dead = np.flatnonzero(~seen.any(axis=0))
-    doubles = _find_doubles(positions, options)
+    doubles = _find_doubles(positions)
     spans.sort(key=lambda span: (span.marker, span.first))
     return Faults(spans, motion, usable, dead, doubles, halted, moved)
 
@@ -172,30 +170,28 @@ def runs(mask: Mask, bridged: int = 0) -> Iterator[tuple[int, int]]:
         yield from zip(starts.tolist(), ends.tolist(), strict=True)
 
 
-def _find_frozen(
-    positions: Floats, rate: float, options: FaultOptions, spans: list[Span]
-) -> tuple[Mask, float]:
+def _find_frozen(positions: Floats, rate: float, spans: list[Span]) -> tuple[Mask, float]:
     """Return which points (f, k) repeat the marker's last value, and how many frames halt."""
     seen = np.isfinite(positions[..., 0])
     same = np.zeros(seen.shape, bool)
     same[1:] = (positions[1:] == positions[:-1]).all(axis=2)
-    halts = same.sum(axis=1) >= options.halted * np.maximum(seen.sum(axis=1), 1)
+    halts = same.sum(axis=1) >= FAULT.halted * np.maximum(seen.sum(axis=1), 1)
     frozen = np.zeros(seen.shape, bool)
-    least = max(options.least_frozen, round(options.frozen * rate))
+    least = max(FAULT.least_frozen, round(FAULT.frozen * rate))
     changes = same & ~halts[:, None]
     for marker in np.flatnonzero(changes.sum(axis=0) >= least):
         for first, last in runs(same[:, marker]):
             way = np.linalg.norm(positions[last] - positions[first - 1], axis=1)
-            stirred = np.median(way[np.isfinite(way)]) > options.stirred
+            stirred = np.median(way[np.isfinite(way)]) > FAULT.stirred
             if changes[first : last + 1, marker].sum() >= least and stirred:
                 frozen[first : last + 1, marker] = True
                 spans.append(Span("frozen", int(marker), first, last))
     return frozen, float(halts.mean())
 
 
-def _find_filled(positions: Floats, rate: float, options: FaultOptions, spans: list[Span]) -> None:
+def _find_filled(positions: Floats, rate: float, spans: list[Span]) -> None:
     """Find where markers run along a cubic, without the noise of the others in those frames."""
-    least = max(options.least_filled, round(options.filled * rate))
+    least = max(FAULT.least_filled, round(FAULT.filled * rate))
     if len(positions) < 2 * least + 4 or positions.shape[1] < 4:
         return
     bend = np.abs(np.diff(positions, n=4, axis=0)).max(axis=2)
@@ -203,7 +199,7 @@ def _find_filled(positions: Floats, rate: float, options: FaultOptions, spans: l
     floor = 10 * _resolution(positions)  # 16 halves of a step, which rarely meet
     ratio = np.where((usual > 2 * floor)[:, None], bend / (usual[:, None] + 1e-12), np.nan)
     by_marker = median_of_seen(ratio)
-    limit = options.cubic * usual[:, None] * np.nan_to_num(by_marker, nan=1.0) + floor
+    limit = FAULT.cubic * usual[:, None] * np.nan_to_num(by_marker, nan=1.0) + floor
     smooth = (bend < limit) & (usual > 4 * floor)[:, None]
     for marker in np.flatnonzero(smooth.sum(axis=0) >= least):
         for first, last in runs(smooth[:, marker]):
@@ -222,12 +218,7 @@ def _resolution(positions: Floats) -> float:
 
 
 def _find_exchanged(
-    motion: Motion,
-    residuals: Floats,
-    rate: float,
-    options: FaultOptions,
-    crossed: Sequence[Swap],
-    spans: list[Span],
+    motion: Motion, residuals: Floats, rate: float, crossed: Sequence[Swap], spans: list[Span]
 ) -> Mask:
     """Return which points (f, k) lie where another marker is expected that does not lie there.
 
@@ -235,7 +226,7 @@ def _find_exchanged(
     """
     off = np.linalg.norm(residuals, axis=2)
     missing = np.isnan(off)
-    bad = np.nan_to_num(off) > options.wrong
+    bad = np.nan_to_num(off) > FAULT.wrong
     taken = np.zeros(bad.shape, bool)
     found: dict[tuple[int, int, str], list[Ints]] = {}
 
@@ -245,7 +236,7 @@ def _find_exchanged(
         found.setdefault((b, a, "swapped"), []).append(rows)
 
     def add_swaps(where: Mask, lies_at: Ints | None = None) -> None:
-        for a, b, rows in _swaps(motion, off, where, options, lies_at):
+        for a, b, rows in _swaps(motion, off, where, lies_at):
             add_swap(a, b, rows)
 
     for each in crossed:
@@ -254,7 +245,7 @@ def _find_exchanged(
     frames, markers = np.nonzero(bad & ~taken)
     free = (missing | bad) & ~taken
     others, near = _nearest_expected(motion, frames, markers, free)
-    there = near < np.minimum(options.near * off[frames, markers], options.reach)
+    there = near < np.minimum(FAULT.near * off[frames, markers], FAULT.reach)
     lies_at = np.full(bad.shape, -1)
     lies_at[frames[there], markers[there]] = others[there]
     add_swaps(bad & ~taken, lies_at)
@@ -265,11 +256,9 @@ def _find_exchanged(
     for (a, b, fault), lists in found.items():
         mask = np.zeros(len(off), bool)
         mask[np.concatenate(lists)] = True
-        for first, last in runs(mask, options.bridged):
+        for first, last in runs(mask, FAULT.bridged):
             came, went = _jumps(residuals[:, a], first, last)
-            is_sudden = (
-                bool(np.fmax(came, went) > options.jump(rate)) or np.isnan([came, went]).all()
-            )
+            is_sudden = bool(np.fmax(came, went) > FAULT.jump(rate)) or np.isnan([came, went]).all()
             if fault == "relabelled" and not is_sudden:
                 taken[first : last + 1, a] = False
                 continue
@@ -279,7 +268,7 @@ def _find_exchanged(
 
 
 def _swaps(
-    motion: Motion, off: Floats, bad: Mask, options: FaultOptions, lies_at: Ints | None
+    motion: Motion, off: Floats, bad: Mask, lies_at: Ints | None
 ) -> Iterator[tuple[int, int, Ints]]:
     """Yield pairs of markers with the frames in which each lies where the other is expected.
 
@@ -287,7 +276,7 @@ def _swaps(
     exchanging them gains what it does of exact places and neither lies at a third one's: of three
     in a circle two look swapped as well.
     """
-    for a, b in _neighbours(motion.middle, options):
+    for a, b in _neighbours(motion.middle):
         frames = np.flatnonzero(bad[:, a] & bad[:, b])
         expected, places = motion.expected[frames], motion.places[frames]
         crossed = [
@@ -297,25 +286,25 @@ def _swaps(
         apart = np.linalg.norm(expected[:, a] - expected[:, b], axis=1)
         gain = off[frames, a] ** 2 + off[frames, b] ** 2 - crossed[0] ** 2 - crossed[1] ** 2
         worse = np.maximum(*crossed)
-        close = worse < np.maximum(options.near * apart, options.wrong)
+        close = worse < np.maximum(FAULT.near * apart, FAULT.wrong)
         if lies_at is not None:
-            close = (worse < options.less_near * apart) & (gain > 2.0 * apart**2)
+            close = (worse < FAULT.less_near * apart) & (gain > 2.0 * apart**2)
             for here, there in ((a, b), (b, a)):
                 close &= np.isin(lies_at[frames, here], (-1, there))
-        yield a, b, frames[(gain > apart**2) & close & (apart > options.apart[0])]
+        yield a, b, frames[(gain > apart**2) & close & (apart > FAULT.apart[0])]
 
 
-def _neighbours(middle: Floats, options: FaultOptions) -> Iterator[tuple[int, int]]:
+def _neighbours(middle: Floats) -> Iterator[tuple[int, int]]:
     """Yield pairs of markers that lie next to each other."""
     apart = np.linalg.norm(middle[:, None] - middle[None], axis=2)
     np.fill_diagonal(apart, np.inf)
-    apart = np.where(np.isnan(apart) | (apart < options.apart[0]), np.inf, apart)
-    near = np.argsort(apart, axis=1)[:, : options.neighbours]
+    apart = np.where(np.isnan(apart) | (apart < FAULT.apart[0]), np.inf, apart)
+    near = np.argsort(apart, axis=1)[:, : FAULT.neighbours]
     pairs = {
         (min(a, b), max(a, b))
         for a, row in enumerate(near.tolist())
         for b in row
-        if apart[a, b] < options.apart[1]
+        if apart[a, b] < FAULT.apart[1]
     }
     yield from sorted(pairs)
 
@@ -337,11 +326,11 @@ def _nearest_expected(
     return others, near
 
 
-def _find_moved(residuals: Floats, rate: float, options: FaultOptions) -> dict[int, Span]:
+def _find_moved(residuals: Floats, rate: float) -> dict[int, Span]:
     """Find markers that stay elsewhere from a frame on; takes it out of ``residuals``."""
-    size = max(1, round(options.block * rate))
+    size = max(1, round(FAULT.block * rate))
     blocks = len(residuals) // size
-    least = max(2, round(options.settled / options.block))
+    least = max(2, round(FAULT.settled / FAULT.block))
     found: dict[int, Span] = {}
     if blocks < 2 * least:
         return found
@@ -361,8 +350,8 @@ def _find_moved(residuals: Floats, rate: float, options: FaultOptions) -> dict[i
         at_once = np.median(right, axis=0) - np.median(left, axis=0)
         levels = np.where(np.arange(len(way))[:, None] < split, before, after)
         else_ = float(np.quantile(np.linalg.norm(way - levels, axis=1), 0.8))
-        is_sharp = at_once @ step > options.sharp * length**2
-        if length < options.moved or not is_sharp or else_ > options.steady * length:
+        is_sharp = at_once @ step > FAULT.sharp * length**2
+        if length < FAULT.moved or not is_sharp or else_ > FAULT.steady * length:
             continue
         low, high = int(there[split - 1]) * size, int((there[split] + 1) * size)
         first = low + _largest_jump(residuals[low:high, marker])
@@ -389,19 +378,19 @@ def _largest_jump(way: Floats) -> int:
     return int(seen[int(np.argmax(jumps)) + 1]) if len(jumps) else 0
 
 
-def _find_thrown(residuals: Floats, rate: float, options: FaultOptions, spans: list[Span]) -> Mask:
+def _find_thrown(residuals: Floats, rate: float, spans: list[Span]) -> Mask:
     """Return which points (f, k) are far off and came or went there at once, or between gaps."""
     off = np.linalg.norm(residuals, axis=2)
     thrown = np.zeros(off.shape, bool)
-    for marker in np.flatnonzero((np.nan_to_num(off) > options.wrong).any(axis=0)):
+    for marker in np.flatnonzero((np.nan_to_num(off) > FAULT.wrong).any(axis=0)):
         here = off[:, marker]
         usual = float(np.nanmedian(here))
-        bad = np.nan_to_num(here) > max(options.wrong, options.spread * usual)
-        for first, last in runs(bad, options.bridged):
+        bad = np.nan_to_num(here) > max(FAULT.wrong, FAULT.spread * usual)
+        for first, last in runs(bad, FAULT.bridged):
             came, went = _jumps(residuals[:, marker], first, last)
             most = float(np.nanmax(here[first : last + 1]))
-            is_outlier = bool(np.fmax(came, went) > options.jump(rate))
-            is_ghost = np.isnan([came, went]).all() and most > options.ghost
+            is_outlier = bool(np.fmax(came, went) > FAULT.jump(rate))
+            is_ghost = np.isnan([came, went]).all() and most > FAULT.ghost
             if is_outlier or is_ghost:
                 thrown[first : last + 1, marker] = np.isfinite(here[first : last + 1])
                 fault = "outlier" if is_outlier else "ghost"
@@ -420,12 +409,12 @@ def _jumps(way: Floats, first: int, last: int) -> tuple[float, float]:
     return float(came), float(went)
 
 
-def _find_doubles(positions: Floats, options: FaultOptions) -> list[list[int]]:
+def _find_doubles(positions: Floats) -> list[list[int]]:
     """Return groups of labels that lie in one place all the time."""
     some = positions[:: max(1, len(positions) // 50)]
     apart = np.array([np.linalg.norm(each[:, None] - each[None], axis=2) for each in some])
     known = np.isfinite(apart)
-    near = (known & (apart < options.double)).sum(axis=0)
+    near = (known & (apart < FAULT.double)).sum(axis=0)
     is_double = (near > 0.9 * known.sum(axis=0)) & (known.sum(axis=0) > 0)
     count, group = connected_components(is_double)
     groups = [np.flatnonzero(group == each).tolist() for each in range(count)]

@@ -8,6 +8,7 @@ McClure 1987), and what is left over of each is its residual.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from solver.errors import InputError
 from solver.similarity import robust_weights, weighted_motions
-from solver.surface import Floats
+from solver.surface import Floats, Ints
 
 Mask = NDArray[np.bool_]
 
@@ -57,16 +58,16 @@ class Motion:
         return np.asarray(self.places - self.expected)
 
 
-def take_apart(positions: Floats, rate: float, options: MotionOptions = MOTION) -> Motion:
+def take_apart(positions: Floats, rate: float) -> Motion:
     """Return the motion of markers (f, k, 3), NaN where missing, at ``rate`` frames a second.
 
     The head's frame is that of the frame with the most markers.
     """
-    rotations, shifts, middle = _hold_head(positions, options)
+    rotations, shifts, middle = _hold_head(positions)
     places = np.einsum("fij,fkj->fki", rotations, positions, optimize=True) + shifts[:, None]
     changes = places - middle
-    shapes, spread = _learn_shapes(changes, rate, options)
-    expected = middle + _explain(changes, shapes, spread, options)
+    shapes, spread = _learn_shapes(changes, rate)
+    expected = middle + _explain(changes, shapes, spread)
     return Motion(rotations, shifts, middle, places, expected)
 
 
@@ -85,22 +86,22 @@ def rms_of_seen(distances: Floats) -> float:
     return float(np.sqrt((seen**2).mean())) if len(seen) else 0.0
 
 
-def _hold_head(positions: Floats, options: MotionOptions) -> tuple[Floats, Floats, Floats]:
+def _hold_head(positions: Floats) -> tuple[Floats, Floats, Floats]:
     """Return rotations and shifts into the head's frame, and the median face there."""
     seen = np.isfinite(positions[..., 0])
     points = np.nan_to_num(positions)
     middle = positions[int(np.argmax(seen.sum(axis=1)))].copy()
     weights = seen.astype(float)
-    for _ in range(options.head_rounds):
+    for _ in range(MOTION.head_rounds):
         known = np.isfinite(middle[:, 0])
         rotations, shifts = weighted_motions(points, np.nan_to_num(middle), weights * known)
-        _go_on(rotations, shifts, (seen & known).sum(axis=1) >= options.least_markers)
+        _go_on(rotations, shifts, (seen & known).sum(axis=1) >= MOTION.least_markers)
         placed = np.einsum("fij,fkj->fki", rotations, positions, optimize=True) + shifts[:, None]
         middle = median_of_seen(placed)
         off = np.nan_to_num(np.linalg.norm(placed - middle, axis=2))
         usual = np.sqrt((off**2 * weights).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-12))
-        weights = robust_weights((off / options.head_slack) ** 2)
-        weights *= seen / (1 + (usual / options.head_slack) ** 2)
+        weights = robust_weights((off / MOTION.head_slack) ** 2)
+        weights *= seen / (1 + (usual / MOTION.head_slack) ** 2)
     return rotations, shifts, middle
 
 
@@ -112,50 +113,48 @@ def _go_on(rotations: Floats, shifts: Floats, known: Mask) -> None:
         rotations[:], shifts[:] = rotations[last], shifts[last]
 
 
-def _learn_shapes(changes: Floats, rate: float, options: MotionOptions) -> tuple[Floats, Floats]:
+def _learn_shapes(changes: Floats, rate: float) -> tuple[Floats, Floats]:
     """Return shapes (r, k, 3) in which markers move together, and their usual squares (r,)."""
     frames, count = changes.shape[:2]
     total, pairs = np.zeros((3 * count, 3 * count)), np.full((count, count), 1e-9)
-    for lag in options.lags:
+    for lag in MOTION.lags:
         step = max(1, round(lag * rate))
-        starts = np.arange(0, frames - step, max(1, (frames - step) // options.pairs))
+        starts = np.arange(0, frames - step, max(1, (frames - step) // MOTION.pairs))
         if not len(starts):
             continue
         change = changes[starts + step] - changes[starts]
         seen = np.isfinite(change[..., 0])
         length = np.linalg.norm(np.nan_to_num(change), axis=2)
-        factor, more = options.jump
+        factor, more = MOTION.jump
         known = seen.any(axis=0)
         most = np.zeros(count)
-        most[known] = np.nanquantile(
-            np.where(seen, length, np.nan)[:, known], options.usual, axis=0
-        )
+        most[known] = np.nanquantile(np.where(seen, length, np.nan)[:, known], MOTION.usual, axis=0)
         most = factor * most + more
         change = np.nan_to_num(change) * np.minimum(1.0, most / (length + 1e-9))[..., None]
         flat = change.reshape(len(change), -1)
         total += flat.T @ flat
         pairs += seen.astype(float).T @ seen
     squares, vectors = np.linalg.eigh(total / np.repeat(np.repeat(pairs, 3, 0), 3, 1))
-    number = int(min(options.most_shapes, count // options.markers_a_shape, frames // 4))
+    number = int(min(MOTION.most_shapes, count // MOTION.markers_a_shape, frames // 4))
     shapes = vectors.T.reshape(-1, count, 3)
     share = (shapes**2).sum(axis=2)
-    kept = np.flatnonzero((squares > 1e-9) & ((share**2).sum(axis=1) * options.together < 1.0))
+    kept = np.flatnonzero((squares > 1e-9) & ((share**2).sum(axis=1) * MOTION.together < 1.0))
     kept = kept[np.argsort(-squares[kept])][:number]
     return np.ascontiguousarray(shapes[kept]), squares[kept]
 
 
-def _explain(changes: Floats, shapes: Floats, spread: Floats, options: MotionOptions) -> Floats:
+def _explain(changes: Floats, shapes: Floats, spread: Floats) -> Floats:
     """Return the motion (f, k, 3) by the shapes that most markers of each frame agree with."""
     if not len(shapes):
         return np.zeros_like(changes)
     seen = np.isfinite(changes[..., 0])
     goal = np.nan_to_num(changes)
     products = np.einsum("rki,ski->krs", shapes, shapes).reshape(shapes.shape[1], -1)
-    keep = np.diag(options.noise**2 / (4 * spread))
+    keep = np.diag(MOTION.noise**2 / (4 * spread))
     weights = seen.astype(float)
     found = np.zeros_like(goal)
     flat = shapes.reshape(len(shapes), -1)
-    for slack in options.slacks:
+    for slack in MOTION.slacks:
         left = (weights @ products).reshape(-1, len(shapes), len(shapes)) + keep
         right = (goal * weights[..., None]).reshape(len(goal), -1) @ flat.T
         shares = np.linalg.solve(left, right[..., None])[..., 0]
@@ -163,9 +162,6 @@ def _explain(changes: Floats, shapes: Floats, spread: Floats, options: MotionOpt
         off = ((goal - found) ** 2).sum(axis=2)
         weights = seen * robust_weights(off / slack**2)
     return found
-
-
-# The face at rest.
 
 
 @dataclass(frozen=True)
@@ -177,6 +173,9 @@ class NeutralOptions:
     seen: float = 0.8  # of the most markers must be seen
 
 
+NEUTRAL = NeutralOptions()
+
+
 @dataclass(frozen=True)
 class Second:
     """First and last row of a second, and how much the face stirs in it, mm."""
@@ -185,26 +184,22 @@ class Second:
     unrest: float = 0.0
 
 
-def find_neutral(
-    motion: Motion, rate: float, options: NeutralOptions = NeutralOptions()
-) -> tuple[int, int]:
+def find_neutral(motion: Motion, rate: float) -> tuple[int, int]:
     """Return first and last row of the second in which the face is stillest.
 
     Of two that are equally still it is the one nearer to the median face.
     """
-    (stillest,) = still_seconds(motion, rate, 1, options)
+    (stillest,) = still_seconds(motion, rate, 1)
     return stillest.rows
 
 
-def still_seconds(
-    motion: Motion, rate: float, count: int, options: NeutralOptions = NeutralOptions()
-) -> list[Second]:
+def still_seconds(motion: Motion, rate: float, count: int) -> list[Second]:
     """Return up to ``count`` seconds in which the face is still, the stillest first, one at least.
 
     None overlaps another. The unrest counts how far the face is from the median one, too.
     """
     frames = len(motion.places)
-    window = int(np.clip(round(options.seconds * rate) if rate > 0 else 1, 1, frames))
+    window = int(np.clip(round(NEUTRAL.seconds * rate) if rate > 0 else 1, 1, frames))
     seen = np.isfinite(motion.places[..., 0])
     change = np.nan_to_num(motion.places - motion.middle)
     times = _sums(seen.astype(float), window)
@@ -214,8 +209,8 @@ def still_seconds(
     away = np.linalg.norm(mean, axis=2)
     known = np.maximum(usual.sum(axis=1), 1)
     cost = np.sqrt((np.maximum(stirring, 0.0) * usual).sum(axis=1) / known)
-    cost += options.away * (away * usual).sum(axis=1) / known
-    cost[known < options.seen * known.max()] = np.inf
+    cost += NEUTRAL.away * (away * usual).sum(axis=1) / known
+    cost[known < NEUTRAL.seen * known.max()] = np.inf
     found: list[Second] = []
     for first in np.argsort(cost, kind="stable").tolist():
         if found and not np.isfinite(cost[first]):
@@ -251,28 +246,143 @@ class ExtentOptions:
 SHAPE = ExtentOptions()
 
 
-def refuse_flat(file: str, points: Floats, options: ExtentOptions = SHAPE) -> None:
+def refuse_flat(file: str, points: Floats) -> None:
     """Raise :class:`InputError` ``markers.flat`` for markers (k, 3) on a line or in a plane."""
     seen = points[np.isfinite(points[:, 0])]
     if not len(seen):
         return
     away = np.linalg.norm(seen - np.median(seen, axis=0), axis=1)
-    seen = seen[away <= options.far * np.median(away)]  # a thrown one makes a line of any
+    seen = seen[away <= SHAPE.far * np.median(away)]  # a thrown one makes a line of any
     if len(seen) < 3:
         return
     extents = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
     longest = max(float(extents[0]), 1e-12)
-    is_line = extents[1] < options.line * longest
-    if is_line or (len(seen) >= options.least and extents[2] < options.plane * longest):
+    is_line = extents[1] < SHAPE.line * longest
+    if is_line or (len(seen) >= SHAPE.least and extents[2] < SHAPE.plane * longest):
         where = "on a line" if is_line else "in a plane"
         message = f"the {len(seen)} markers of {file} lie {where}: they are of no face in space"
         raise InputError("markers.flat", message, file=file, found=len(seen))
 
 
-def is_motionless(motion: Motion, options: ExtentOptions = SHAPE) -> bool:
+def is_motionless(motion: Motion) -> bool:
     """Tell whether no marker moves against the others, in more than a frame."""
     off = np.linalg.norm(motion.places - motion.middle, axis=2)
     off = off[:, np.isfinite(off).any(axis=0)]
     if len(off) < 2 or not off.shape[1]:
         return False
-    return bool((np.nanquantile(off, options.usual, axis=0) <= options.still_mm).all())
+    return bool((np.nanquantile(off, SHAPE.usual, axis=0) <= SHAPE.still_mm).all())
+
+
+# Swaps of two labels, from the frame in which they cross to the one in which they cross back. In a
+# frame in which two labels are exchanged each marker leaps to where the other was, which no skin
+# does. So a swap is found whatever the face does meanwhile, and however long it lasts.
+
+
+@dataclass(frozen=True)
+class CrossingOptions:
+    """Limits of crossings; lengths by how far the two markers lie apart, times in s."""
+
+    least_mm: float = 4.0  # apart: nearer ones cross in lips, too
+    near: float = 0.4  # of where the other was a leap ends
+    hidden: float = 0.25  # at most before it: markers move meanwhile
+    confirmed: float = 0.5  # s after a crossing without return that have to look exchanged
+
+
+CROSSING = CrossingOptions()
+
+
+@dataclass(frozen=True)
+class Swap:
+    """Frames ``rows`` in which two labels have each other's marker."""
+
+    a: int
+    b: int
+    rows: Ints
+
+
+def find_swaps(
+    places: Floats, expected: Floats, pairs: Iterable[tuple[int, int]], leap_mm: float, rate: float
+) -> list[Swap]:
+    """Return the swaps of ``pairs`` of markers at ``places`` (f, k, 3), in the head's frame.
+
+    A marker that goes farther than ``leap_mm`` in a frame has leapt. Labels are right in most
+    frames; those of a swap that does not end are compared with where they are ``expected``
+    (f, k, 3).
+    """
+    before, since = _places_before(places)
+    with np.errstate(invalid="ignore"):
+        way = np.linalg.norm(places - before, axis=2)
+        leaps = (way > leap_mm) & (since <= max(1, round(CROSSING.hidden * rate)))
+    found, taken = [], np.zeros(leaps.shape, bool)
+    for a, b in pairs:
+        at = np.flatnonzero(leaps[:, a] & leaps[:, b])
+        at = at[_is_crossing(places[at][:, [a, b]], before[at][:, [a, b]])]
+        for rows in _find_swaps(places, expected, (a, b), at, rate):
+            free = rows[~(taken[rows, a] | taken[rows, b])]
+            if len(free):
+                taken[free, a] = taken[free, b] = True
+                found.append(Swap(a, b, free))
+    return found
+
+
+def exchange(points: Floats, swaps: Iterable[Swap]) -> Floats:
+    """Return ``points`` (f, k, 3) with the markers of swapped labels exchanged."""
+    right = points.copy()
+    for swap in swaps:
+        right[swap.rows, swap.a] = points[swap.rows, swap.b]
+        right[swap.rows, swap.b] = points[swap.rows, swap.a]
+    return right
+
+
+def _places_before(places: Floats) -> tuple[Floats, Ints]:
+    """Return where markers (f, k, 3) were seen last before each frame, and how many frames ago."""
+    seen = np.isfinite(places[..., 0])
+    numbers = np.arange(len(places))[:, None]
+    last = np.maximum.accumulate(np.where(seen, numbers, -1), axis=0)
+    last = np.concatenate([np.full((1, seen.shape[1]), -1), last[:-1]])
+    before = places[np.maximum(last, 0), np.arange(seen.shape[1])]
+    before[last < 0] = np.nan
+    return before, numbers - last
+
+
+def _is_crossing(now: Floats, before: Floats) -> Mask:
+    """Return at which of n leaps two markers (n, 2, 3) came to where the other was ``before``."""
+    apart = np.linalg.norm(before[:, 0] - before[:, 1], axis=1)
+    off = np.linalg.norm(now - before[:, ::-1], axis=2).max(axis=1, initial=0.0)
+    return np.asarray((apart > CROSSING.least_mm) & (off < CROSSING.near * apart))
+
+
+def _find_swaps(
+    places: Floats, expected: Floats, pair: tuple[int, int], crossings: Ints, rate: float
+) -> Iterator[Ints]:
+    """Yield the rows of each swap of a ``pair``, between a crossing and the next."""
+    if not len(crossings):
+        return
+    a, b = pair
+    seen = np.asarray(np.isfinite(places[:, [a, b], 0]).any(axis=1))
+    phase = np.zeros(len(places), int)
+    phase[crossings] = 1
+    phase = np.cumsum(phase)
+    swapped = np.bincount(phase[seen] % 2, minlength=2)
+    if swapped[1] > swapped[0]:  # labels are right for longer than not
+        phase += 1
+    for number in np.unique(phase[phase % 2 == 1]).tolist():
+        rows = np.flatnonzero(phase == number)
+        # a swap that ends has crossed twice; one crossing alone may be something else
+        is_closed = rows[0] > 0 and rows[-1] + 1 < len(places)
+        if is_closed or _look_exchanged(places, expected, pair, rows, rate):
+            yield rows[seen[rows]]
+
+
+def _look_exchanged(
+    places: Floats, expected: Floats, pair: tuple[int, int], rows: Ints, rate: float
+) -> bool:
+    """Tell whether two markers lie where the other is expected, beside where they crossed."""
+    count = max(1, round(CROSSING.confirmed * rate))
+    near = rows[:count] if rows[0] > 0 else rows[-count:]
+    here, there = list(pair), list(pair[::-1])
+    own = np.linalg.norm(places[near][:, here] - expected[near][:, here], axis=2)
+    crossed = np.linalg.norm(places[near][:, here] - expected[near][:, there], axis=2)
+    gain = own - crossed
+    gain = gain[np.isfinite(gain)]
+    return bool(len(gain) and np.median(gain) > 0.0)

@@ -69,9 +69,7 @@ class Rest:
         return np.asarray(np.linalg.norm(self.places - other.places, axis=1))
 
 
-def likely_rests(
-    faults: Faults, names: Sequence[Named | None], rate: float, options: RestOptions = REST
-) -> list[Rest]:
+def likely_rests(faults: Faults, names: Sequence[Named | None], rate: float) -> list[Rest]:
     """Return different poses in which the face may be at rest, the likeliest first, one at least.
 
     ``names`` are those of the markers. :func:`rivals` tells which of the others may be rest as
@@ -79,37 +77,37 @@ def likely_rests(
     """
     motion = faults.motion
     places = np.where(_mark_telling(faults, names)[..., None], motion.places, np.nan)
-    blocks = _blocks(places, rate, options)
-    is_still = _still(blocks, options)
+    blocks = _blocks(places, rate)
+    is_still = _still(blocks)
     found: list[Rest] = []
-    for second in still_seconds(motion, rate, options.seconds):
+    for second in still_seconds(motion, rate, REST.seconds):
         first, last = second.rows
         own = places[first : last + 1]
         spread = np.nanvar(own[:, np.isfinite(own[..., 0]).any(axis=0)], axis=0).sum(axis=1)
-        if found and np.sqrt(spread.mean()) > options.unrest:
+        if found and np.sqrt(spread.mean()) > REST.unrest:
             continue
         at = median_of_seen(own)
-        near = _is_alike(blocks, at, options)
-        visits = sum(b - a + 1 >= options.visit for a, b in runs(near, 1))
+        near = _is_alike(blocks, at)
+        visits = sum(b - a + 1 >= REST.visit for a, b in runs(near, 1))
         share = float((near & is_still).sum() / max(is_still.sum(), 1))
         found.append(Rest(second, at, visits, share, _opening(at, names)))
     found.sort(key=lambda each: (-each.visits, each.second.unrest))
     different: list[Rest] = []
     for each in found:
         apart = [np.nan_to_num(each.apart(other)) for other in different]
-        if all((mm > options.apart).any() for mm in apart):
+        if all((mm > REST.apart).any() for mm in apart):
             different.append(each)
     best = different[0]
-    for each in rivals(best, different, options):
-        if each.opening < best.opening - options.closed:
+    for each in rivals(best, different):
+        if each.opening < best.opening - REST.closed:
             best = each
     others = sorted((each for each in different if each is not best), key=lambda each: -each.share)
-    return [best, *others][: options.poses]
+    return [best, *others][: REST.poses]
 
 
-def rivals(chosen: Rest, rests: Sequence[Rest], options: RestOptions = REST) -> list[Rest]:
+def rivals(chosen: Rest, rests: Sequence[Rest]) -> list[Rest]:
     """Return the other poses that are held about as long as the chosen one, the longest first."""
-    least = options.rival * chosen.share
+    least = REST.rival * chosen.share
     held = [each for each in rests if each is not chosen and each.share >= max(least, 1e-9)]
     return sorted(held, key=lambda each: -each.share)
 
@@ -147,28 +145,28 @@ def _mark_telling(faults: Faults, names: Sequence[Named | None]) -> Mask:
     return usable
 
 
-def _blocks(places: Floats, rate: float, options: RestOptions) -> Floats:
+def _blocks(places: Floats, rate: float) -> Floats:
     """Return median places (b, k, 3) in each part of the take."""
-    size = max(1, min(round(options.block * rate), len(places)))
+    size = max(1, min(round(REST.block * rate), len(places)))
     count = len(places) // size
     return median_of_seen(
         places[: count * size].reshape(count, size, *places.shape[1:]).swapaxes(0, 1)
     )
 
 
-def _still(blocks: Floats, options: RestOptions) -> Mask:
+def _still(blocks: Floats) -> Mask:
     """Return in which blocks (b,) the face hardly moves from the one before to the one after."""
     numbers = np.arange(len(blocks))
     before, after = np.maximum(numbers - 1, 0), np.minimum(numbers + 1, len(blocks) - 1)
     way = np.linalg.norm(blocks[after] - blocks[before], axis=2)
-    return np.array([rms_of_seen(each) <= options.unrest for each in way], bool)
+    return np.array([rms_of_seen(each) <= REST.unrest for each in way], bool)
 
 
-def _is_alike(blocks: Floats, at: Floats, options: RestOptions) -> Mask:
+def _is_alike(blocks: Floats, at: Floats) -> Mask:
     """Return in which blocks (b,) no marker is far from where it is ``at`` (k, 3)."""
     off = np.linalg.norm(blocks - at, axis=2)
-    enough = np.isfinite(off).sum(axis=1) >= options.least
-    return np.asarray(enough & ~(np.nan_to_num(off) > options.alike).any(axis=1))
+    enough = np.isfinite(off).sum(axis=1) >= REST.least
+    return np.asarray(enough & ~(np.nan_to_num(off) > REST.alike).any(axis=1))
 
 
 def _opening(places: Floats, names: Sequence[Named | None]) -> float:

@@ -12,12 +12,12 @@ import trimesh
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from solver.animation.drives import track
+from solver.animation import track
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.rig.frames import animation
 from solver.rig.frames.animation import MotionRecord, write_animation
-from solver.scene.objects import SceneObject
+from solver.scene.places import SceneObject
 from solver.storage import read_arrays
 from solver.surface import Floats, Surface
 from solver.templates.builtin.build import builtin_expression

@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError
+from solver.rig.frames import ChunkOptions, ChunkWriter, FrameRecord, read_chunks, read_frames
 from solver.rig.frames.animation import MotionRecord, read_motion
-from solver.rig.frames.frames import (
-    ChunkOptions,
-    ChunkWriter,
-    FrameRecord,
-    read_chunks,
-    read_frames,
-)
 
 BEFORE = Path(__file__).parent / "frames_of_0_1"
 

@@ -7,8 +7,8 @@ import pytest
 
 from solver.errors import InputError
 from solver.mechanics.flesh import IDENTITY
+from solver.rig.frames import write_chunk
 from solver.rig.frames.animation import MotionRecord, motion_values, read_motion
-from solver.rig.frames.frames import write_chunk
 from solver.simulation.forces import FleshMotion
 from tests.solver.block import block_model
 

@@ -15,8 +15,8 @@ from solver.rig.frames.animation_gltf import AnimatedSkin, write_animation_glb
 from solver.rig.frames.read_back import Comparison, MorphedSkin, read_glb
 from solver.surface import Floats
 from tests.solver.glb import shown_skins
-from tests.solver.rig.frames.test_growing_basis import FRAMES, NEUTRAL, drifting_skins
 from tests.solver.rig.frames.test_sequence_gltf import frame
+from tests.solver.rig.frames.test_skin_basis import FRAMES, NEUTRAL, drifting_skins
 
 
 def animated(skins: Floats) -> AnimatedSkin:

@@ -10,7 +10,7 @@ import pytest
 from solver.fitting.face import Face, Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.frames.skin_basis import feature_slopes, features
-from solver.rig.preview.poses import Responses, SliderSolver, poses_to_learn, poses_to_measure
+from solver.rig.preview.poses import Responses, SampleOptions, SliderSolver
 from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of
 from solver.rig.report.certificate import certify
 from solver.rig.rig import ExpressionFit, Rig
@@ -108,7 +108,7 @@ def test_slopes_of_the_skin_are_its_differences(face: Face, controls: Sliders) -
     rng = np.random.default_rng(2)
     modes = rng.normal(size=(3, *MODEL.skin.vertices.shape))
     simulator = SliderSolver(face, controls, face.rest, {})
-    slid = next(pose for pose in poses_to_learn(controls, 0) if pose.sort == "plausible")
+    slid = next(pose for pose in SampleOptions().to_learn(controls, 0) if pose.sort == "plausible")
     (sample,) = simulator.solve([slid], np.inf, lambda _: None)
     slopes = Responses(face, controls, modes).at(sample)
     assert slopes is not None
@@ -133,8 +133,8 @@ def test_slopes_of_the_features_are_their_differences() -> None:
 
 
 def test_nothing_is_measured_on_what_was_learned_from(controls: Sliders) -> None:
-    learned = {pose.values.tobytes() for pose in poses_to_learn(controls, 3)}
-    measured = poses_to_measure(controls, 3)
+    learned = {pose.values.tobytes() for pose in SampleOptions().to_learn(controls, 3)}
+    measured = SampleOptions().to_measure(controls, 3)
     assert learned.isdisjoint(pose.values.tobytes() for pose in measured)
     assert {pose.about for pose in measured if pose.sort == "alone"} == {
         control.name for control in controls.each

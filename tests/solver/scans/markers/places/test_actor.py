@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from solver.errors import InputError, judge_findings
-from solver.scans.markers.checks.check import check_take
+from solver.scans.markers.check import check_take
 from solver.scans.markers.places.actor import ACTOR, CarriedTake, carry
 from solver.scans.markers.places.bind import Reference, model_face, place_on, rest_places
 from solver.scans.markers.places.marker_set import Marker, MarkerSet

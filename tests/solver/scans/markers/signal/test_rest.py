@@ -12,8 +12,8 @@ import pytest
 from myoface.cli.markers import markers as markers_group
 from solver.errors import Finding, judge_findings
 from solver.registration.locate import face_surface
-from solver.scans.markers.checks.check import check_take
-from solver.scans.markers.checks.findings import MarkerCheck
+from solver.scans.markers.check import check_take
+from solver.scans.markers.findings import MarkerCheck
 from solver.scans.markers.places.bind import Reference, model_face
 from solver.scans.markers.readers.take import Take, read_take
 from solver.templates.builtin.build import builtin_template

@@ -16,8 +16,8 @@ from solver.errors import Finding, InputError, judge_findings
 from solver.fitting.markers.term import MarkerPlaces
 from solver.mechanics.boundary import move_jaw
 from solver.registration.search import FacePoints, FacePose
-from solver.scans.markers.checks.check import check_take
-from solver.scans.markers.checks.findings import ADVICE, MarkerCheck
+from solver.scans.markers.check import check_take
+from solver.scans.markers.findings import ADVICE, MarkerCheck
 from solver.scans.markers.places import locate as locate_module
 from solver.scans.markers.places.bind import Reference, model_face, rest_places
 from solver.scans.markers.places.face_take import choose_face, locate_take

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
 
 from solver.drawing.render import Camera, DrawnBody, Lit, render
 from solver.drawing.sheet import HEADER, MARGIN, Colour, Sheet
 from solver.errors import Finding, InputError, Severity, count_words, quote, quote_names
 from solver.registration.search import nose_tip
-from solver.scans.markers.checks.findings import (
+from solver.scans.markers.findings import (
     ACTOR_ADVICE,
     ADVICE,
     LIMITS,
-    CheckLimits,
     MarkerCheck,
     add,
     label_rows,
@@ -33,7 +33,7 @@ from solver.scans.markers.checks.findings import (
     report_unlabelled,
 )
 from solver.scans.markers.places.actor import ActorWarp, fit_warp
-from solver.scans.markers.places.bind import Reference, place_take, places_of
+from solver.scans.markers.places.bind import BIND, Reference, place_take, places_of
 from solver.scans.markers.places.face_take import FACE, USUAL_RATE, FaceTake, LocatedTake
 from solver.scans.markers.places.marker_set import BONY, MarkerSet
 from solver.scans.markers.prepare import PreparedTake, PrepareOptions
@@ -46,17 +46,12 @@ from solver.surface import Floats, Ints, Surface, vertex_normals
 
 
 def check_take(
-    take: Take,
-    reference: Reference,
-    neutral: tuple[int, int] | None = None,
-    *,
-    actor: bool = False,
-    limits: CheckLimits = LIMITS,
+    take: Take, reference: Reference, neutral: tuple[int, int] | None = None, *, actor: bool = False
 ) -> MarkerCheck:
     """Check a take, at rest in the ``neutral`` rows; an ``actor`` is meant to be another person."""
     prepared = PreparedTake(take, reference, PrepareOptions(actor, neutral))
     check = MarkerCheck([each for each in take.findings if each.code != "markers.two_faces"])
-    _check_rate(check, take, limits)
+    _check_rate(check, take)
     try:
         face = prepared.face
     except InputError as error:
@@ -77,11 +72,11 @@ def check_take(
     located = check.located = prepared.located
     if located.distinct < len(face.numbers) and _are_few(check, take, located.distinct):
         return check
-    report_faults(check, located, limits)
-    report_unlabelled(check, located, limits)
+    report_faults(check, located)
+    report_unlabelled(check, located)
     first, last = located.neutral
     check.figures["neutral"] = [take.numbers[first], take.numbers[last]]
-    report_rest(check, located, is_given=neutral is not None, limits=limits)
+    report_rest(check, located, is_given=neutral is not None)
     check.labels = label_rows(located)
     if located.pose is None:
         message = f"Frames {take.numbers[first]} to {take.numbers[last]} show too few markers."
@@ -98,19 +93,16 @@ def check_take(
     report_location(check, located, located.pose)
     if reference.model_sha256:
         check.bound = prepared.placed
-        _check_person(check, located, reference, actor=actor, limits=limits)
+        _check_person(check, located, reference, actor=actor)
         if not any(each.code == "markers.other_person" for each in check.findings):
             report_off_skin(check, located, check.bound)
-    _check_mouth(check, located, reference, limits)
+    _check_mouth(check, located, reference)
     return check
 
 
-# The file: rate, unit, whose markers these are.
-
-
-def _check_rate(check: MarkerCheck, take: Take, limits: CheckLimits) -> None:
+def _check_rate(check: MarkerCheck, take: Take) -> None:
     if take.rate > 0:
-        if take.rate < limits.slow:
+        if take.rate < LIMITS.slow:
             message = f"{take.rate:g} frames a second are few: what is sudden cannot be seen."
             add(check, "markers.rate", "warning", message, found=take.rate)
     elif not any(found.code == "markers.rate" for found in take.findings):
@@ -153,16 +145,8 @@ def _are_few(check: MarkerCheck, take: Take, count: int) -> bool:
     return any(each.code in stops and each.severity == "error" for each in check.findings)
 
 
-# Where the face is, and whose.
-
-
 def _check_person(
-    check: MarkerCheck,
-    located: LocatedTake,
-    reference: Reference,
-    *,
-    actor: bool,
-    limits: CheckLimits,
+    check: MarkerCheck, located: LocatedTake, reference: Reference, *, actor: bool
 ) -> None:
     """Check that the markers at rest fit the person: the skin, or the places of a marker set."""
     assert located.pose is not None
@@ -170,25 +154,25 @@ def _check_person(
     is_lower = np.array([each is not None and each.region in LOWER for each in names], bool)
     off = located.pose.off_skin
     if reference.markers is not None:
-        off = _off_places(check, located, reference, reference.markers, limits, actor=actor)
+        off = _off_places(check, located, reference, reference.markers, actor=actor)
     others, jaw, all_ = rms_of_seen(off[~is_lower]), rms_of_seen(off[is_lower]), rms_of_seen(off)
     check.figures["off_person_mm"] = round(all_, 2)
-    if others <= limits.person and jaw > limits.open_mouth:
+    if others <= LIMITS.person and jaw > LIMITS.open_mouth:
         first, last = check.figures["neutral"]
         message = (
             f"In frames {first} to {last}, taken for rest, the mouth is open: markers of the jaw "
             f"are {jaw:.1f} mm off, the others {others:.1f} mm."
         )
-        severity: Severity = "error" if jaw > limits.wide_open else "warning"
+        severity: Severity = "error" if jaw > LIMITS.wide_open else "warning"
         add(check, "markers.neutral", severity, message, found=round(jaw, 1))
     elif actor:
         _check_actor(check, located, reference)
-    elif max(others, all_) > limits.person:
+    elif max(others, all_) > LIMITS.person:
         message = (
             f"At rest the markers of {located.face.take.file} are {all_:.1f} mm off this person."
         )
         severity = "warning" if _may_be_actor(located, reference) else "error"
-        figures = {"found": round(all_, 2), "expected": limits.person}
+        figures = {"found": round(all_, 2), "expected": LIMITS.person}
         add(check, "markers.other_person", severity, message, **figures)
 
 
@@ -237,18 +221,16 @@ def _warp_to(located: LocatedTake, reference: Reference, markers: MarkerSet) -> 
     return fit_warp(face.take.file, rest, goal, on_bone, session.rotation)
 
 
-def _check_mouth(
-    check: MarkerCheck, located: LocatedTake, reference: Reference, limits: CheckLimits
-) -> None:
+def _check_mouth(check: MarkerCheck, located: LocatedTake, reference: Reference) -> None:
     """Check that the mouth is closed at rest, if nothing was found odd with that yet."""
     if any(each.code == "markers.neutral" for each in check.findings):
         return
     if reference.markers is not None:
         labels = located.face.labels
         known = reference.markers
-        report_mouth(check, located, places_of(labels, known, reference.places(known)), limits)
+        report_mouth(check, located, places_of(labels, known, reference.places(known)))
     elif reference.jaw is None:  # names tell of closed lips
-        report_mouth(check, located, None, limits)
+        report_mouth(check, located, None)
 
 
 def _off_places(
@@ -256,7 +238,6 @@ def _off_places(
     located: LocatedTake,
     reference: Reference,
     markers: MarkerSet,
-    limits: CheckLimits,
     *,
     actor: bool,
 ) -> Floats:
@@ -269,21 +250,21 @@ def _off_places(
     goal = places_of(labels, markers, reference.places(markers))
     known = np.flatnonzero(np.isfinite(goal[:, 0]) & np.isfinite(placed[:, 0]))
     off = np.full(len(labels), np.nan)
-    _check_labels(check, markers, labels, len(known), limits)
+    _check_labels(check, markers, labels, len(known))
     if len(known) < FACE.least:
         return off
     there = goal[known]
-    motion = robust_motion(placed[known], there, np.ones(len(known)), 3.0, 12)
+    motion = robust_motion(placed[known], there, np.ones(len(known)), BIND.slack, BIND.steps)
     apart = np.linalg.norm(motion(placed[known])[:, None] - there[None], axis=2)
     _, chosen = linear_sum_assignment(apart**2)
     off[known] = np.diag(apart)
-    if actor or np.median(off[known]) > limits.person:
+    if actor or np.median(off[known]) > LIMITS.person:
         return off
     for row, column in enumerate(chosen.tolist()):
         if chosen[column] == row and row < column:
             report_exchanged(check, labels[int(known[row])], labels[int(known[column])])
             off[known[[row, column]]] = np.nan
-    for row in np.flatnonzero(off[known] > limits.misplaced).tolist():
+    for row in np.flatnonzero(off[known] > LIMITS.misplaced).tolist():
         label, found = labels[int(known[row])], float(off[known[row]])
         message = f"{quote(label)} sits {found:.1f} mm from its place in the marker set."
         figures = {"label": label, "frame": check.figures["neutral"][0], "found": round(found, 1)}
@@ -293,7 +274,7 @@ def _off_places(
 
 
 def _check_labels(
-    check: MarkerCheck, markers: MarkerSet, labels: Sequence[str], known: int, limits: CheckLimits
+    check: MarkerCheck, markers: MarkerSet, labels: Sequence[str], known: int
 ) -> None:
     """Report labels that only the take has, or only the marker set."""
     used = [each.label for each in markers.for_take(labels).markers if each.part != "ignore"]
@@ -301,10 +282,10 @@ def _check_labels(
     missing = [label for label in used if label not in labels]
     words = []
     if new:
-        names = ", ".join(quote_names(new[: limits.named]))
+        names = ", ".join(quote_names(new[: LIMITS.named]))
         words.append(f"{count_words(len(new), 'label is', 'labels are')} not in the set: {names}")
     if missing:
-        names = ", ".join(quote_names(missing[: limits.named]))
+        names = ", ".join(quote_names(missing[: LIMITS.named]))
         words.append(f"{count_words(len(missing), 'label', 'labels')} of it not here: {names}")
     few = known < FACE.least
     if few:
@@ -394,7 +375,7 @@ def _draw_face(
     body = DrawnBody(lit, np.tile(SKIN, (len(light), 1)))
     page.panel((left, HEADER), render([body], camera, WIDTH, HEIGHT))
     pixels = camera.project(np.nan_to_num(placed), WIDTH, HEIGHT)
-    backward = vertex_normals(face)[np.argmin(_squares(placed, face.vertices), axis=1)]
+    backward = vertex_normals(face)[KDTree(face.vertices).query(np.nan_to_num(placed))[1]]
     written: list[tuple[int, int]] = []
     is_good = np.array([colour == SEEN for colour in colours])
     for number in np.lexsort((pixels[:, 2], is_good)).tolist():  # names of the odd ones first
@@ -409,14 +390,6 @@ def _draw_face(
         if all(abs(x - a) > NAME[0] or abs(y - b) > NAME[1] for a, b in written):
             page.text((x + 7, y - 6), quote(names[number])[:14], 10)
             written.append((x, y))
-
-
-def _squares(points: Floats, vertices: Floats) -> Floats:
-    """Return squared distances (k, n), 0 for what is not seen."""
-    known = np.nan_to_num(points)
-    return np.asarray(
-        (known**2).sum(axis=1)[:, None] - 2 * known @ vertices.T + (vertices**2).sum(axis=1)
-    )
 
 
 def _draw_lanes(page: Sheet, located: LocatedTake, left: int) -> None:

@@ -1,6 +1,6 @@
 """Findings about a take of markers, each with a stable code, a plain sentence and advice.
 
-Every code has one advice, here; frames are named as the file counts them.
+Every code has one advice, in ``scans/advice.csv``; frames are named as the file counts them.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from solver.errors import MOST_NAMES, Finding, Severity, advise, count_words, quote, quote_names
 from solver.registration.locate import nearest_axis
 from solver.registration.units import ScanUnit
+from solver.scans import read_advice
 from solver.scans.markers.places.face_take import LocatedTake
 from solver.scans.markers.places.locate import Located, LocateOptions, fit_most
 from solver.scans.markers.places.marker_set import MarkerSet
@@ -24,42 +25,7 @@ from solver.scans.markers.signal.motion import find_neutral
 from solver.scans.markers.signal.rest import RestOptions, compare_rests
 from solver.surface import Floats
 
-WHERE = "on the brows, the cheeks, the lips' rims, the chin, and four on a headband"
-ADVICE = {
-    **READING,
-    # the file
-    "markers.axes": "Nothing to do: the take is turned.",
-    "markers.repeated": "Export at the rate of the recording: repeated frames hold nothing new.",
-    "markers.mirrored": "Export with right-handed axes; until then the take is mirrored back.",
-    "markers.sides": "Left is the person's own left: exchange the sides of the labels.",
-    "markers.outside": "Nothing to do: these labels are left out.",
-    "markers.unlabelled": "Label these tracks as the message says, or go on: they are candidates.",
-    "markers.reach": "Put the next marker there, if there is one to spare.",
-    "markers.few": f"Put more markers on the face: {WHERE}.",
-    # single labels
-    "markers.dead": "Nothing to do: the label is left out.",
-    "markers.double": "Leave one of these labels, and take the others out.",
-    "markers.unlike_set": "Bind the take a second time if markers were added or renamed.",
-    "markers.frozen": "Nothing to do: these frames count as missing.",
-    "markers.filled": "Nothing to do, but gaps left open are filled better by the fit.",
-    "markers.missing": "Nothing to do if they are short; else look for what hid the marker.",
-    "markers.gone": "Nothing to do: these frames are predicted, and marked so.",
-    "markers.swapped": "Exchange the two labels in these frames, or go on: the fit does.",
-    "markers.relabelled": "Give the track the other label in these frames, or go on: the fit does.",
-    "markers.exchanged": "Exchange the two labels in the whole take.",
-    "markers.moved": "Nothing to do: the fit places it anew from then on. Bind later takes again.",
-    "markers.outlier": "Nothing to do: the fit leaves these frames of the label out.",
-    "markers.ghost": "Nothing to do: a reflection took the label, and is left out.",
-    "markers.wrong": "Clean the take, or take it again: too much of it is wrong.",
-    # the person
-    "markers.neutral": "Name frames with a relaxed face, lips closed, or the expression they show.",
-    "markers.unclear_rest": "Look at both, and name a frame with the face at rest: --neutral.",
-    "markers.off_skin": "Name other frames at rest if the mouth is open in these; else do nothing.",
-    "markers.flat": "Export points in space, of markers all over the face.",
-    "markers.motionless": "Nothing to do, if it is to be a take of the face at rest.",
-    "markers.actor": "Nothing to do: the take is fitted as another actor's.",
-    "markers.other_person": "Take this person's own rig, or fit it as another actor's: --actor.",
-}
+ADVICE = READING | read_advice("markers")
 # Of what an actor's take is refused for: that it is an actor's is known.
 ACTOR_ADVICE = {
     "markers.other_person": "Bind the take again with --actor, or name a frame at rest: --neutral."
@@ -124,46 +90,42 @@ FAULT_WORDS = {
 }
 
 
-def report_faults(check: MarkerCheck, located: LocatedTake, limits: CheckLimits) -> None:
+def report_faults(check: MarkerCheck, located: LocatedTake) -> None:
     """Add a finding for every label and fault, and what holds for all."""
     faults, labels = located.faults, located.face.labels
     take, rate = located.face.take, located.face.rate
-    if faults.halted > limits.repeated:
+    if faults.halted > LIMITS.repeated:
         message = f"{faults.halted:.0%} of the frames repeat the one before."
         add(check, "markers.repeated", "warning", message, found=round(faults.halted, 3))
     for group in faults.doubles:
         names = quote_names([labels[each] for each in group])
-        *others, last = names if len(group) <= limits.named else [*names[: limits.named], "others"]
+        *others, last = names if len(group) <= LIMITS.named else [*names[: LIMITS.named], "others"]
         message = f"{', '.join(others)} and {last} are one marker."
         add(check, "markers.double", "warning", message, label=labels[group[0]], labels=names)
-    gone = faults.blanks(round(limits.gone * rate))
+    gone = faults.blanks(round(LIMITS.gone * rate))
     if gone:
         spans = [[take.numbers[first], take.numbers[last]] for first, last in gone]
         longest = max(last - first + 1 for first, last in gone) / rate
         number = count_words(len(gone), "span", "spans")
         message = f"No marker is seen in {number}, up to {longest:.1f} s."
-        add(check, "markers.gone", "warning", message, frames=spans[: limits.spans])
+        add(check, "markers.gone", "warning", message, frames=spans[: LIMITS.spans])
     for marker, span in sorted(faults.moved.items()):
         frame = take.numbers[span.first]
         message = f"{quote(labels[marker])} sits {span.mm:.1f} mm elsewhere from frame {frame} on."
         figures = {"label": labels[marker], "frame": frame, "found": round(span.mm, 1)}
         add(check, "markers.moved", "warning", message, **figures)
     for fault in FAULT_WORDS:
-        _report_fault(check, located, fault, gone, limits)
+        _report_fault(check, located, fault, gone)
     frames = len(take)
     wrong, missing = faults.share(*WRONG), faults.share("missing")
     check.figures |= {"wrong": round(wrong, 4), "missing": round(missing, 4)}
-    if wrong > limits.wrong:
+    if wrong > LIMITS.wrong:
         message = f"{wrong:.0%} of the markers' time in {frames} frames is wrong."
-        add(check, "markers.wrong", "error", message, found=round(wrong, 3), expected=limits.wrong)
+        add(check, "markers.wrong", "error", message, found=round(wrong, 3), expected=LIMITS.wrong)
 
 
 def _report_fault(
-    check: MarkerCheck,
-    located: LocatedTake,
-    fault: str,
-    gone: Sequence[tuple[int, int]],
-    limits: CheckLimits,
+    check: MarkerCheck, located: LocatedTake, fault: str, gone: Sequence[tuple[int, int]]
 ) -> None:
     """Add a finding for each label with a fault, the worst first; the last counts the others."""
     found, labels, frames = [], located.face.labels, len(located.face.take)
@@ -174,10 +136,10 @@ def _report_fault(
             if own and not twice:
                 found.append((sum(span.frames for span in own) / frames, marker, other, own))
     found.sort(key=lambda each: -each[0])
-    least = limits.long_missing if fault == "missing" else 0.0
-    shown = [each for each in found[: limits.labels] if each[0] >= least]
+    least = LIMITS.long_missing if fault == "missing" else 0.0
+    shown = [each for each in found[: LIMITS.labels] if each[0] >= least]
     for share, marker, other, spans in shown:
-        _report_spans(check, located, fault, (marker, other), spans, share, limits)
+        _report_spans(check, located, fault, (marker, other), spans, share)
     rest = found[len(shown) :]
     if rest:
         names = quote_names([labels[each[1]] for each in rest])
@@ -197,13 +159,12 @@ def _report_spans(
     pair: tuple[int, int | None],
     spans: list[Span],
     share: float,
-    limits: CheckLimits,
 ) -> None:
     """Add the finding of one label, and of the ``pair``'s other where it takes that one's place."""
     (marker, other), labels, numbers = pair, located.face.labels, located.face.take.numbers
     count = sum(span.frames for span in spans)
     severity: Severity = "info" if fault == "filled" else "warning"
-    if fault in ("outlier", "ghost", "frozen") and share < limits.seldom:
+    if fault in ("outlier", "ghost", "frozen") and share < LIMITS.seldom:
         severity = "info"
     listed = [[numbers[span.first], numbers[span.last]] for span in spans]
     what = FAULT_WORDS[fault] if other is None else f"{FAULT_WORDS[fault]} {quote(labels[other])}"
@@ -212,7 +173,7 @@ def _report_spans(
         where = f"{len(spans)} spans, {count} frames, the first {listed[0][0]} to {listed[0][1]}"
     most = max(span.mm for span in spans)
     off = f" by up to {most:.0f} mm" if fault in ("outlier", "ghost") else ""
-    figures: dict[str, Any] = {"label": labels[marker], "frames": listed[: limits.spans]}
+    figures: dict[str, Any] = {"label": labels[marker], "frames": listed[: LIMITS.spans]}
     if other is not None:
         figures["other"] = labels[other]
     message = f"{quote(labels[marker])} {what}{off}: {where}."
@@ -232,7 +193,7 @@ def label_rows(located: LocatedTake) -> list[dict[str, Any]]:
     return rows
 
 
-def report_unlabelled(check: MarkerCheck, located: LocatedTake, limits: CheckLimits) -> None:
+def report_unlabelled(check: MarkerCheck, located: LocatedTake) -> None:
     """Add which unlabelled tracks lie where a missing marker is expected."""
     faults, take = located.faults, located.face.take
     if not take.unlabelled_names:
@@ -246,9 +207,9 @@ def report_unlabelled(check: MarkerCheck, located: LocatedTake, limits: CheckLim
         points = located.face.mm * take.unlabelled[frames, track]
         placed = np.einsum("fij,fj->fi", motion.rotations[frames], points) + motion.shifts[frames]
         away = np.linalg.norm(motion.expected[frames] - placed[:, None], axis=2)
-        near = (missing[frames] & (away < limits.fills)).mean(axis=0)
+        near = (missing[frames] & (away < LIMITS.fills)).mean(axis=0)
         best = int(np.argmax(near))
-        if near[best] > limits.share_filled:
+        if near[best] > LIMITS.share_filled:
             label = located.face.labels[best]
             spans = [[take.numbers[frames[0]], take.numbers[frames[-1]]]]
             fits.append({"track": quote(name), "label": quote(label), "frames": spans})
@@ -257,9 +218,6 @@ def report_unlabelled(check: MarkerCheck, located: LocatedTake, limits: CheckLim
         shown = ", ".join(f"{each['track']} is {each['label']}" for each in fits[:3])
         message += f"; {count_words(len(fits), 'fills', 'fill')} gaps of a marker: {shown}"
     add(check, "markers.unlabelled", "info", f"{message}.", tracks=fits[:MOST_NAMES])
-
-
-# Where the face is.
 
 
 def report_location(check: MarkerCheck, located: LocatedTake, pose: Located) -> None:
@@ -307,12 +265,7 @@ def report_exchanged(check: MarkerCheck, first: str, second: str) -> None:
     add(check, "markers.exchanged", "warning", message, label=first, other=second)
 
 
-# The seconds that are taken for rest, in which markers are bound.
-
-
-def report_rest(
-    check: MarkerCheck, located: LocatedTake, *, is_given: bool, limits: CheckLimits = LIMITS
-) -> None:
+def report_rest(check: MarkerCheck, located: LocatedTake, *, is_given: bool) -> None:
     """Add whether frames at rest show too few markers, move, or are one choice of several."""
     motion, (first, last) = located.faults.motion, located.neutral
     numbers = located.face.take.numbers
@@ -329,22 +282,20 @@ def report_rest(
     elif located.rest is not None and located.rival is not None:
         compared = compare_rests(located.rest, located.rival, located.face.labels, numbers)
         add(check, "markers.unclear_rest", "warning", **compared)
-    if len(hidden) > (1.0 - limits.at_rest) * seen.shape[1]:
+    if len(hidden) > (1.0 - LIMITS.at_rest) * seen.shape[1]:
         names = quote_names([located.face.labels[each] for each in hidden.tolist()])
         message = f"{len(hidden)} of {seen.shape[1]} markers are not seen in {frames}.{stillest}"
         add(check, "markers.neutral", "warning", message, labels=names, **figures)
         return
     spread = np.sqrt(np.nanvar(places[:, seen.any(axis=0)], axis=0).sum(axis=1))
     unrest = float(np.median(spread))
-    if unrest > limits.unrest:
+    if unrest > LIMITS.unrest:
         which = "these" if is_given else "taken for rest"
         message = f"The face moves in {frames}, {which}, by {unrest:.1f} mm.{stillest}"
         add(check, "markers.neutral", "warning", message, found=round(unrest, 2), **figures)
 
 
-def report_mouth(
-    check: MarkerCheck, located: LocatedTake, places: Floats | None, limits: CheckLimits = LIMITS
-) -> None:
+def report_mouth(check: MarkerCheck, located: LocatedTake, places: Floats | None) -> None:
     """Add that the mouth is open at rest: by ``places`` (n, 3) of the markers with the lips closed.
 
     Without them by those that the labels name, which are less sure.
@@ -352,7 +303,7 @@ def report_mouth(
     pose, names = located.pose, located.face.names
     if pose is None or (places is None and (not pose.by_names or pose.sides_exchanged)):
         return
-    limit = limits.lips_apart if places is not None else limits.named_lips_apart
+    limit = LIMITS.lips_apart if places is not None else LIMITS.named_lips_apart
     goal = named_places(names) if places is None else places
     apart = lips_apart(pose.session(located.points), names, goal)
     if apart > limit:
@@ -363,7 +314,7 @@ def report_mouth(
             f"{apart:.0f} mm farther apart than closed ones."
         )
         figures = {"frames": [first, last], "found": round(apart, 1), "expected": limit}
-        severity: Severity = "error" if apart > limits.wide_open else "warning"
+        severity: Severity = "error" if apart > LIMITS.wide_open else "warning"
         add(check, "markers.neutral", severity, message, **figures)
 
 

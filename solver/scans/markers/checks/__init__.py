@@ -1,1 +1,0 @@
-"""The check of a take of markers, its findings and its picture."""
