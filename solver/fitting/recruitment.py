@@ -6,7 +6,7 @@ al., Scientific Reports 7, 2017). What skin does not tell anatomy does: the temp
 carry action units of FACS, and each unit names muscles (:mod:`solver.anatomy.action_units`). A scan
 is about a sum of them,
 
-    t ~ rest + sum_e u_e motion_e,    0 <= u_e <= 1,
+    t ~ rest + sum_e u_e motion_e,    u_e >= 0,
 
 and calls for muscle j by c_j, the greatest u_e / ``called`` of those that name it, 1 at most; d_j
 is the same of those whose units it works against. In its fit
@@ -15,19 +15,20 @@ is the same of those whose units it works against. In its fit
 
 takes the place of w_a/2 |a_j - I|^2: m_j is the shape of a muscle whose fibres have shortened by
 the part ``contraction`` u_j of their length, its volume kept, u_j being the greatest u_e of those
-that name it. r is the part of the scan's motion that the sum explains: what nobody's expression is,
-anybody may make.
+that name it, 1 at most. r is the part of the scan's motion that the sum explains: what nobody's
+expression is, anybody may make.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
+from scipy.optimize import nnls
 
 from solver.anatomy.action_units import ActionUnit, actions_of, template_names
 from solver.drawing.head import both_sides, muscle_side
@@ -35,7 +36,6 @@ from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, Target
 from solver.fitting.stretches import fibre_tensors, shorten
 from solver.mechanics.flesh import IDENTITY
-from solver.model import SubjectModel
 from solver.surface import Floats
 
 
@@ -77,9 +77,9 @@ class Recruitment:
         model, shapes = face.model, face.model.expressions
         if shapes is None or face.layout.drive.penalty is None:
             return None
-        named, opposed = np.array([find_called(model, name) for name in shapes.names]).swapaxes(
-            0, 1
-        )
+        named, opposed = np.array(
+            [find_called(model.muscle_groups, name) for name in shapes.names]
+        ).swapaxes(0, 1)
         if not named.any():
             return None
         tensors = fibre_tensors(model, face.flesh.volumes, face.S)
@@ -92,7 +92,8 @@ class Recruitment:
         shares = np.minimum(amounts / options.called, 1.0)[:, None]
         called, against = ((shares * each).max(axis=0) for each in (self.named, self.opposed))
         price = options.price * options.opposed ** (against * (1.0 - called))
-        contraction = options.contraction * (amounts[:, None] * self.named).max(axis=0)
+        strengths = np.minimum(amounts, 1.0)[:, None]
+        contraction = options.contraction * (strengths * self.named).max(axis=0)
         mean = np.tile(IDENTITY, (len(price), 1))
         for muscle in np.flatnonzero((contraction > 0.0) & np.isfinite(self.tensors[:, 0, 0])):
             mean[muscle] = shorten(self.tensors[muscle], 1.0 - contraction[muscle])
@@ -119,7 +120,7 @@ class Recruitment:
         # expressions that are sums of others, or are not seen, are left where they are
         root = np.linalg.cholesky(square + 1e-9 * np.trace(square) * np.eye(len(rows)))
         goal = scipy.linalg.solve_triangular(root, rows @ motion, lower=True)
-        amounts = np.asarray(lsq_linear(root.T, goal, (0.0, 1.0), method="bvls").x)
+        amounts, _ = nnls(root.T, goal)
         left = motion - amounts @ rows
         return amounts, max(1.0 - float(left @ left) / whole, 0.0)
 
@@ -137,23 +138,23 @@ class Recruited:
         return replace(plain, w_a=plain.w_a * self.price, prior=prior)
 
 
-def find_called(model: SubjectModel, expression: str) -> tuple[list[bool], list[bool]]:
-    """Tell of every muscle whether a unit of an expression names it, or as an antagonist.
+@cache
+def find_called(muscles: tuple[str, ...], expression: str) -> tuple[list[bool], list[bool]]:
+    """Tell of whole ``muscles`` whether a unit of an expression names them, or as antagonists.
 
     A unit is made on its side, by muscles of that side and of the middle.
     """
 
-    def are_of(muscles: Callable[[ActionUnit], tuple[str, ...]]) -> list[bool]:
+    def are_of(chosen: Callable[[ActionUnit], tuple[str, ...]]) -> list[bool]:
         names = {
             (name, side)
             for unit, of in actions_of(expression)
-            for muscle in muscles(unit)
+            for muscle in chosen(unit)
             for name in template_names(muscle)
             for side in (of, "")
         }
-        return [(both_sides(each).lower(), muscle_side(each)) in names for each in groups]
+        return [(both_sides(each).lower(), muscle_side(each)) in names for each in muscles]
 
-    groups = model.muscle_groups
     return are_of(lambda unit: unit.muscles), are_of(lambda unit: unit.antagonists)
 
 
