@@ -45,6 +45,9 @@ class JointOptions:
 
     largest_change: float = 0.3  # of an entry of S in a step
     halvings: int = 3
+    # parts of its own step that an expression is left with which loses by the whole of it, as where
+    # lips meet: the others and S do not wait for it
+    pose_parts: tuple[float, ...] = (0.5, 0.25, 0.0)
     damping: DampingOptions = field(default_factory=lambda: DampingOptions(1e-5, least=1e-7))
     pose_damping: DampingOptions = field(default_factory=lambda: DampingOptions(1e-2, least=1e-6))
 
@@ -196,9 +199,15 @@ def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOp
         part = fraction * change
         values = now.values + part
         shaped = shape.face(values)
-        trials = {name: model.trial(shaped, part, fraction) for name, model in models.items()}
-        for name, trial in trials.items():
+        trials = {}
+        for name, model in models.items():
+            trials[name] = trial = model.trial(shaped, part, fraction)
             damping[name] = pose_rule.adapt(damping[name], trial.ratio)
+            for shorter in options.pose_parts:
+                if trials[name].gain >= 0.0:
+                    break
+                trial = model.trial(shaped, part, fraction, shorter)
+                trials[name] = max(trials[name], trial, key=lambda each: each.gain)
         # the priors are quadratic: what they gain is what their model says
         nearer = before - problem.prior_value(values)
         gain = sum(trial.gain for trial in trials.values()) + nearer
@@ -293,13 +302,16 @@ class _Linearised:
         by_x[self._touched] -= self._coupling @ self._steps.follow(by_pose)
         return self._response.free_adjoint(self._weights, by_x)
 
-    def trial(self, face: Face, change: Floats, fraction: float) -> _Trial:
-        """Go to a face of new values and ``fraction`` of the way to the pose that goes with it."""
+    def trial(self, face: Face, change: Floats, fraction: float, own: float = 1.0) -> _Trial:
+        """Go to a face of new values and ``fraction`` of the way to the pose that goes with it.
+
+        The pose goes only the part ``own`` of that.
+        """
         problem, state = self._problem, self._state
         flesh = self._response.free_motion(self._weights, change)
         coupled = self._couple(flesh)
         by_pose = self._steps.best(self._by_pose + coupled)
-        by_pose *= fraction / max(self._layout.reach(by_pose), 1.0)
+        by_pose *= own * fraction / max(self._layout.reach(by_pose), 1.0)
         if not self._layout.bounds.is_free:
             by_pose = self._layout.bounds.clip(self._q + by_pose) - self._q
         # the undamped model's gain
