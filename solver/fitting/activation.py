@@ -63,7 +63,7 @@ def unseen_regulariser(face: Face, target: Target | None = None) -> Regulariser:
     (:mod:`solver.fitting.recruitment`).
     """
     plain = Regulariser(**UNSEEN, prior=face.rest_pose())
-    recruitment = Recruitment.of_face(face)
+    recruitment = None if target is None else Recruitment.of_face(face)
     if target is None or recruitment is None:
         return plain
     return recruitment.of_target(target).regularise(plain)

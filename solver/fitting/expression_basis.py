@@ -182,7 +182,7 @@ def _linear_changes(face: Face, shapes: NDArray[np.floating]) -> Floats:
     if follows_teeth(face):
         teeth = face.model.lower_teeth
         rows, part = _teeth_by_controls(face), 2.0 / len(teeth)
-        hessian += part * (rows.T @ rows)
+        hessian = hessian + part * (rows.T @ rows)  # not in place: it is kept for the face
         pulls += part * (shapes[:, teeth].reshape(len(shapes), -1) @ rows)
     rest, pose = face.model.skin.vertices[face.model.face], face.rest.pose
     priors = (

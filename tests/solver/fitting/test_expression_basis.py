@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from solver.errors import InputError
+from solver.fitting.activation import rest_curvature
 from solver.fitting.drives.admissible import Admissible, AdmissibleLimits
-from solver.fitting.expression_basis import ExpressionBasis, begin_at
+from solver.fitting.expression_basis import LINEAR, ExpressionBasis, begin_at, follows_teeth
 from solver.fitting.face import Face, PosedFace
+from solver.model import CondyleTracks
 from tests.fixtures import small_capture, small_model
 
 
@@ -30,6 +33,16 @@ def shapes() -> np.ndarray:
 @pytest.fixture(scope="module")
 def basis(face: Face, shapes: np.ndarray) -> ExpressionBasis:
     return ExpressionBasis.solve(face, shapes)
+
+
+def test_a_basis_leaves_what_is_kept_for_the_face(shapes: np.ndarray) -> None:
+    tracks = CondyleTracks(slope=0.6, apart=100.0, length=20.0, opening=0.7)
+    model = small_model()
+    face = Face(replace(model, jaw=replace(model.jaw, tracks=tracks))).with_jaw_on_tracks()
+    assert follows_teeth(face)
+    before = rest_curvature(face).copy()
+    ExpressionBasis.solve(face, shapes, LINEAR)
+    np.testing.assert_array_equal(rest_curvature(face), before)
 
 
 @pytest.mark.long
