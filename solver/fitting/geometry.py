@@ -32,7 +32,7 @@ from solver.fitting.reference import NotConvergedError
 from solver.fitting.simplex import mix_by_stiffness, replace_values
 
 WHOLE_ROUNDS = 5  # at the end, which see all terms
-NOBODY: Mapping[str, Recruited] = {}
+NOBODY: Mapping[str, Recruited] = {}  # nothing is known of who makes any expression
 LAST = ActivationOptions(20, tolerance=1e-3)  # of the activations, once S is found
 
 

@@ -201,12 +201,13 @@ def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOp
         shaped = shape.face(values)
         trials = {}
         for name, model in models.items():
-            trials[name] = trial = model.trial(shaped, part, fraction)
+            follower = model.follow(part)
+            trials[name] = trial = model.trial(shaped, follower, fraction)
             damping[name] = pose_rule.adapt(damping[name], trial.ratio)
-            for shorter in options.pose_parts:
+            for own in options.pose_parts:
                 if trials[name].gain >= 0.0:
                     break
-                trial = model.trial(shaped, part, fraction, shorter)
+                trial = model.trial(shaped, follower, own * fraction)
                 trials[name] = max(trials[name], trial, key=lambda each: each.gain)
         # the priors are quadratic: what they gain is what their model says
         nearer = before - problem.prior_value(values)
@@ -251,6 +252,15 @@ class _Trial:
     @property
     def ratio(self) -> float:
         return self.gain / self.predicted if self.predicted > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class _Follower:
+    """What follows a change of S: the flesh, its pull on the pose, and the step of that."""
+
+    flesh: Floats
+    coupled: Floats
+    by_pose: Floats
 
 
 class _Linearised:
@@ -302,16 +312,17 @@ class _Linearised:
         by_x[self._touched] -= self._coupling @ self._steps.follow(by_pose)
         return self._response.free_adjoint(self._weights, by_x)
 
-    def trial(self, face: Face, change: Floats, fraction: float, own: float = 1.0) -> _Trial:
-        """Go to a face of new values and ``fraction`` of the way to the pose that goes with it.
-
-        The pose goes only the part ``own`` of that.
-        """
-        problem, state = self._problem, self._state
+    def follow(self, change: Floats) -> _Follower:
+        """Return what follows a ``change`` (nnz,) of S."""
         flesh = self._response.free_motion(self._weights, change)
         coupled = self._couple(flesh)
-        by_pose = self._steps.best(self._by_pose + coupled)
-        by_pose *= own * fraction / max(self._layout.reach(by_pose), 1.0)
+        return _Follower(flesh, coupled, self._steps.best(self._by_pose + coupled))
+
+    def trial(self, face: Face, follower: _Follower, fraction: float) -> _Trial:
+        """Go to a face of new values and ``fraction`` of the way to the pose that goes with it."""
+        problem, state = self._problem, self._state
+        flesh, coupled = follower.flesh, follower.coupled
+        by_pose = fraction / max(self._layout.reach(follower.by_pose), 1.0) * follower.by_pose
         if not self._layout.bounds.is_free:
             by_pose = self._layout.bounds.clip(self._q + by_pose) - self._q
         # the undamped model's gain
