@@ -8,6 +8,7 @@ those that rigs keep.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import scipy.sparse as sp
@@ -19,6 +20,17 @@ from solver.fitting.tet_forces import MuscleRates, TetForces
 from solver.mechanics.flesh import Flesh
 from solver.model import SubjectModel
 from solver.surface import Floats
+
+
+@dataclass(frozen=True)
+class Shortening:
+    """Contractions of m muscles by their values: c_j = rates_j . (a_j - rest_j), 0 at rest.
+
+    Contraction is the part of their length that fibres lose, of fibre muscles the activation.
+    """
+
+    rates: Floats  # (m, k) of the k values of each muscle; NaN without fibres
+    volumes: Floats  # (m,) mm^3, by which compartments count in a whole muscle
 
 
 class MuscleDrive(Protocol):
@@ -43,6 +55,18 @@ class MuscleDrive(Protocol):
         S: sp.csr_array,  # noqa: ARG002
     ) -> FeasibleSet | None:
         """Return the set that the values stay in, None if there is none but the block's box.
+
+        ``volumes`` (n,) are the tets' at rest.
+        """
+        return None
+
+    def shortening(
+        self,
+        model: SubjectModel,  # noqa: ARG002
+        volumes: Floats,  # noqa: ARG002
+        S: sp.csr_array,  # noqa: ARG002
+    ) -> Shortening | None:
+        """Return the muscles' contractions by their values; None where these do not tell them.
 
         ``volumes`` (n,) are the tets' at rest.
         """

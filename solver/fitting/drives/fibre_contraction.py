@@ -21,10 +21,10 @@ from solver.errors import InputError
 from solver.fitting import activation
 from solver.fitting.activation import UNSEEN_STOP, ActivationFit
 from solver.fitting.controls import Block
-from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives import MuscleDrive, Shortening
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
-from solver.fitting.stretches import FROBENIUS, entries
+from solver.fitting.stretches import FROBENIUS, entries, muscle_volumes
 from solver.fitting.tet_forces import MatrixRates, MuscleRates, TetForces
 from solver.mechanics.flesh import IDENTITY, Flesh
 from solver.model import SubjectModel
@@ -116,6 +116,10 @@ class FibreContraction(MuscleDrive):
         by_activation = forces.flesh.forces_by_control(forces.x, forces.controls)
         rates = activation_rates(self.model, forces.S, forces.a)
         return MatrixRates(sp.csr_array(by_activation @ rates))
+
+    @override
+    def shortening(self, model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Shortening:
+        return Shortening(np.full((S.shape[1] - 1, 1), -1.0), muscle_volumes(volumes, S))
 
 
 def fit_contractions(

@@ -17,14 +17,18 @@ import scipy.sparse as sp
 from typing_extensions import override
 
 from solver.fitting.controls import Block, ShapePenalty, Spread
-from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives import MuscleDrive, Shortening
 from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.stretches import (
+    COLUMN,
     FROBENIUS,
+    ROW,
     determinant_gradients,
     determinants,
     entries,
+    fibre_tensors,
     matrices,
+    muscle_volumes,
 )
 from solver.fitting.tet_forces import BlendedRates, MuscleRates, TetForces
 from solver.mechanics.flesh import IDENTITY, Flesh
@@ -55,6 +59,15 @@ class SixNumbers(MuscleDrive):
     @override
     def rates(self, forces: TetForces) -> MuscleRates:
         return BlendedRates(forces)
+
+    @override
+    def shortening(
+        self, model: SubjectModel, volumes: Floats, S: sp.csr_array
+    ) -> Shortening | None:
+        if S.shape[1] != model.muscle_count + 1:  # tets by themselves, which are no muscles
+            return None
+        tensors = fibre_tensors(model, volumes, S)
+        return Shortening(-FROBENIUS * tensors[:, ROW, COLUMN], muscle_volumes(volumes, S))
 
 
 def activation_block(muscles: int, feasible: FeasibleSet | None = None) -> Block:

@@ -21,7 +21,7 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry_information import Linearisation, MuscleInformation
-from solver.fitting.stretches import determinants, matrices
+from solver.fitting.stretches import determinants, matrices, muscle_volumes
 from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization
@@ -105,9 +105,7 @@ def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) ->
     tensors = matrices(a)
     shortest, _, longest = np.asarray(np.linalg.eigvalsh(tensors), np.float64).T
     fibres = 1.0 - Contraction.of(model, volumes, S)(a)
-    of_entries = S.data * np.repeat(volumes, np.diff(S.indptr))
-    flesh = np.asarray(np.bincount(S.indices, of_entries, len(a) + 1)[1:], np.float64)
-    return Muscles(shortest, longest, determinants(a), fibres, flesh)
+    return Muscles(shortest, longest, determinants(a), fibres, muscle_volumes(volumes, S))
 
 
 JAW_WORDS = {
