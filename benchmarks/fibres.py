@@ -47,11 +47,10 @@ from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Target, distances
 from solver.fitting.strips import strip_names
 from solver.fitting.tracking import Tracker
-from solver.fitting.tracking.dense import DensePoints
+from solver.fitting.tracking.dense import DensePoints, SeenPoints
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
-from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.rig.rig import Rig
 from solver.scans.performance import read_live_link
@@ -339,7 +338,7 @@ def _large() -> Figures:
     for number in range(LARGE_FRAMES):
         points = rest + 0.05 * (number + 1) * away
         with Stopwatch() as clock:
-            tracker.step(RegisteredScan(points, np.ones(len(points))))
+            tracker.step(SeenPoints(points, np.ones(len(points))))
         seconds.append(clock.seconds)
         off = Target.from_points(points).distances(face.face_points(tracker.state.x))
         errors.append(float(off.mean()))

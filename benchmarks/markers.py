@@ -41,10 +41,9 @@ from solver.fitting.markers.places import refine_by_take
 from solver.fitting.markers.term import MarkerPlaces
 from solver.fitting.prior import GaussianPrior
 from solver.fitting.tracking import Tracker
-from solver.fitting.tracking.dense import DensePoints
+from solver.fitting.tracking.dense import DensePoints, SeenPoints
 from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
-from solver.meshio.registered import RegisteredScan
 from solver.rig.preview import make_live_preview
 from solver.rig.preview.live import LiveTracker
 from solver.rig.rig import Rig
@@ -305,7 +304,7 @@ def _dense(face: Face, truth: Truth) -> Figures:
     for row in range(len(truth.numbers)):
         points = truth.skin(row)[face.model.face]
         with Stopwatch() as clock:
-            found = tracker.step(RegisteredScan(points, np.ones(len(points))))
+            found = tracker.step(SeenPoints(points, np.ones(len(points))))
         if found.status == "kept":
             log.info("dense frame %d does not settle", row)
         milliseconds.append(1e3 * clock.seconds)

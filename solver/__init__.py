@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from solver.fitting.sensitivity import Sensitivity as Sensitivity
     from solver.fitting.tracking import Tracker as Tracker
     from solver.fitting.tracking.dense import DensePoints as DensePoints
+    from solver.fitting.tracking.dense import SeenPoints as SeenPoints
     from solver.jobs import run_job as run_job
     from solver.mechanics.flesh import Material as Material
     from solver.mechanics.terms import PassiveTerm as PassiveTerm
@@ -60,6 +61,7 @@ _PLACES = {
     "Pose": "solver.fitting.face:Pose",
     "RegisteredScan": "solver.meshio.registered:RegisteredScan",
     "Rig": "solver.rig.rig:Rig",
+    "SeenPoints": "solver.fitting.tracking.dense:SeenPoints",
     "Sensitivity": "solver.fitting.sensitivity:Sensitivity",
     "Simulator": "solver.simulation:Simulator",
     "SubjectModel": "solver.model:SubjectModel",

@@ -12,8 +12,7 @@ from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
 from solver.fitting.objective import SkinDistance, Target
 from solver.fitting.tracking import Tracker
-from solver.fitting.tracking.dense import DensePoints
-from solver.meshio.registered import RegisteredScan
+from solver.fitting.tracking.dense import DensePoints, SeenPoints
 from solver.templates.ict_facekit import IctPerformance
 
 COLD = ActivationOptions(max_iterations=60, tolerance=1e-4)
@@ -38,7 +37,7 @@ def frames(face: Face, performance: IctPerformance, numbers: range, compared: in
         points = performance.frame(number)[face.model.face]
         target = Target.from_points(points)
         with Stopwatch() as watch:
-            found = tracker.step(RegisteredScan(points, np.ones(len(points))))
+            found = tracker.step(SeenPoints(points, np.ones(len(points))))
         if found.status != "fitted":
             failed.append(number)
         milliseconds.append(1e3 * watch.seconds)

@@ -118,7 +118,7 @@ def add(
         raise UsageError("--registered and --raw exclude one another")
     scans = name_scans(files, names=[name] * len(files), roles=[role] * len(files))
     if check and any(each.role in NO_SCANS for each in scans):
-        raise UsageError("--check is for scans, not for performances, markers and assets")
+        raise UsageError("--check is for scans, not for what is none: performances, markers ...")
     options = scan_frame(unit, eye_distance, up, forward)
     if not check and options != scan_frame("auto", None, "auto", "auto"):
         raise UsageError(

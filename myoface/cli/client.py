@@ -215,15 +215,16 @@ def submit_job(
     wait: Annotated[bool, Option(help="follow the job until it ends")] = True,
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Submit a job; without --capture a fit takes all the subject's expressions."""
+    """Submit a job; without --capture of a scan a fit takes all the subject's expressions."""
     with Client(url) as client:
         whose = find_subject(client, subject)
-        chosen = []
-        if capture:
-            chosen = choose(client.captures(whose), capture)
-        elif any(each.kind == kind and "captures" in each.reads for each in client.kinds()):
+        chosen = choose(client.captures(whose), capture) if capture else []
+        is_unnamed = all(each.role == "activations" for each in chosen)
+        if is_unnamed and any(
+            each.kind == kind and "captures" in each.reads for each in client.kinds()
+        ):
             listed = reversed(client.captures(whose))  # a rig has them in their scans' order
-            chosen = [each for each in listed if each.role == "expression"]
+            chosen += [each for each in listed if each.role == "expression"]
         given = {} if scene is None else {"scene": read_scene(scene)}
         left = [_read_artifact(client, each) for each in artifact or []]
         job = client.submit(

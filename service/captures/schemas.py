@@ -56,7 +56,8 @@ class NewCapture(RequestBody):
     role: Role = Field(
         description="what the file is; `GET /v1/limits` has the endings of each role's files. "
         "A `performance` is frames of registered skin points, `markers` a take of them or their "
-        "set, an `asset` what scenes name: a recording, a fitted sequence, a mesh, a map"
+        "set, `activations` a table of what is known of single muscles, as by EMG, an `asset` what "
+        "scenes name: a recording, a fitted sequence, a mesh, a map"
     )
     upload_id: Id
     registered: bool = Field(
@@ -82,7 +83,7 @@ class CaptureChange(Change):
     name: Name | None = None
     title: Title | None = None
     role: ScanRole | None = Field(
-        default=None, description="of a scan; performances, markers and assets stay what they are"
+        default=None, description="of a scan; what is none, as a take of markers, stays what it is"
     )
     labels: LabelChanges | None = None
 

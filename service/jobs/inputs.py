@@ -44,8 +44,9 @@ def resolve(session: Session, kind: Kind, new: NewJob) -> Inputs:
     subjects.get(session, new.subject_id)
     _refuse_unread(kind, new)
     handed = handed_on(session, kind, new)
-    found = _found(session, kind, new)
-    files = join(found.files, handed)
+    tables, others = _known_activations(session, kind, new)
+    found = _found(session, kind, others)
+    files = join([*found.files, *tables], handed)
     if "assets" in kind.reads:
         _refuse_unnamed(new, files)
     return replace(found, files=files)
@@ -223,6 +224,26 @@ def _markers(session: Session, new: NewJob) -> list[InputFile]:
     if "markers" not in found:
         raise Problem(422, "job.missing", f"{new.kind} needs a take of markers", member="captures")
     return [*found.values()]
+
+
+def _known_activations(session: Session, kind: Kind, new: NewJob) -> tuple[list[InputFile], NewJob]:
+    """Return the table of known activations, if one is named, and the job without it."""
+    if "activations" not in kind.reads or not new.captures:
+        return [], new
+    tables = session.scalars(
+        select(Capture).where(
+            Capture.subject_id == new.subject_id,
+            Capture.id.in_(set(new.captures)),
+            Capture.role == "activations",
+        )
+    ).all()
+    if len(tables) > 1:
+        detail = f"{new.kind} reads one table of known activations, not {len(tables)}"
+        raise Problem(422, "job.one_table", detail, member="captures")
+    ids = {each.id for each in tables}
+    others = [each for each in new.captures if each not in ids]
+    files = [_capture_file("activations", each) for each in tables]
+    return files, new.model_copy(update={"captures": others})
 
 
 def _assets(session: Session, new: NewJob) -> list[InputFile]:

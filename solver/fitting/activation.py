@@ -26,6 +26,7 @@ import numpy as np
 from solver.errors import SolveError
 from solver.fitting.controls import Layout
 from solver.fitting.face import Face, Pose, PosedFace
+from solver.fitting.known import FaceMuscles
 from solver.fitting.least_squares import (
     DampingOptions,
     LeastSquaresStep,
@@ -40,6 +41,7 @@ from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, T
 from solver.fitting.recruitment import Recruitment
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.steps import StepOptions, solve_positive
+from solver.scans.known_activations import NOTHING, KnownMuscles
 from solver.surface import Floats
 
 
@@ -56,17 +58,21 @@ UNSEEN = {"w_a": 1e-3, "w_v": 1e-2, "w_b": 1e-6}
 UNSEEN_STOP = ActivationOptions(max_iterations=25, tolerance=1e-3)
 
 
-def unseen_regulariser(face: Face, target: Target | None = None) -> Regulariser:
+def unseen_regulariser(
+    face: Face, target: Target | None = None, known: KnownMuscles = NOTHING
+) -> Regulariser:
     """Return the regulariser of an expression that S was not fitted to, around the resting face.
 
     Of muscles that S blends what a ``target`` calls for is expected
-    (:mod:`solver.fitting.recruitment`).
+    (:mod:`solver.fitting.recruitment`), but of those that are ``known`` (:mod:`.known`).
     """
-    plain = Regulariser(**UNSEEN, prior=face.rest_pose())
+    weights = UNSEEN["w_a"], UNSEEN["w_v"], UNSEEN["w_b"]
+    plain = Regulariser(*weights, face.rest_pose())
     recruitment = None if target is None else Recruitment.of_face(face)
-    if target is None or recruitment is None:
-        return plain
-    return recruitment.of_target(target).regularise(plain)
+    expected = plain
+    if target is not None and recruitment is not None:
+        expected = recruitment.of_target(target).regularise(plain)
+    return FaceMuscles.of(face).regularise(known, expected, plain)
 
 
 @dataclass(frozen=True)

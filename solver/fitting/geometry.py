@@ -25,11 +25,13 @@ from solver.fitting.drives import MuscleDrive
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate, Listener
+from solver.fitting.known import NOTHING_KNOWN, FaceMuscles
 from solver.fitting.least_squares import Listener as StepListener
 from solver.fitting.objective import Regulariser, Target, Term
 from solver.fitting.recruitment import Recruited
 from solver.fitting.reference import NotConvergedError
 from solver.fitting.simplex import mix_by_stiffness, replace_values
+from solver.scans.known_activations import NOTHING, KnownMuscles
 
 WHOLE_ROUNDS = 5  # at the end, which see all terms
 NOBODY: Mapping[str, Recruited] = {}  # nothing is known of who makes any expression
@@ -112,6 +114,7 @@ def fit(
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,
     recruited: Mapping[str, Recruited] = NOBODY,
+    known: Mapping[str, KnownMuscles] = NOTHING_KNOWN,
     listen: Listener | None = None,
 ) -> GeometryFit:
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
@@ -123,16 +126,17 @@ def fit(
     the model's geometric S; if not given it is that, its muscles as stiff as the options say
     (:func:`~solver.fitting.simplex.mix_by_stiffness`). ``structure`` L (k, nnz) adds
     1/2 |L (S - start)|^2 (:mod:`solver.fitting.joint`). ``recruited`` is what single expressions
-    call for (:mod:`solver.fitting.recruitment`). An expression that cannot be settled at the end is
+    call for (:mod:`solver.fitting.recruitment`), ``known`` what tables know of muscles in them
+    (:mod:`solver.fitting.known`). An expression that cannot be settled at the end is
     the best that was found of it, and its ending says so.
     """
     first_terms = data if first_terms is None else first_terms
     face = face.with_weights(_start(face, options) if start is None else start)
-    first, known = ActivationOptions(options.first_iterations), rest_curvature(face)
-    begin = _problem(face, first_terms, options, 0, structure, recruited).regularisers
+    first, at_rest = ActivationOptions(options.first_iterations), rest_curvature(face)
+    begin = _problem(face, first_terms, options, 0, structure, recruited, known).regularisers
     states = {
         name: activation.descend(
-            face, term, begin[name], face.rest, first, go=Face.newton_predict, matrix=known
+            face, term, begin[name], face.rest, first, go=Face.newton_predict, matrix=at_rest
         ).state
         for name, term in first_terms.items()
     }
@@ -143,17 +147,17 @@ def fit(
     for terms, rounds in ((first_terms, range(whole)), (data, range(whole, options.rounds))):
 
         def problem_of(number: int, terms: Mapping[str, Term] = terms) -> GeometryProblem:
-            return _problem(face, terms, options, number, structure, recruited)
+            return _problem(face, terms, options, number, structure, recruited, known)
 
         now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen)
         steps += taken
     if options.within is not None:
         face = face.driven_by(options.within)
-        problem = _problem(face, data, options, options.rounds - 1, structure, recruited)
+        problem = _problem(face, data, options, options.rounds - 1, structure, recruited, known)
         now, taken = _tighten(problem, now, options, listen)
         steps += taken
     found = face.with_weights(replace_values(face.S, now.values))
-    last = _regularisers(found, data, options, options.w_a[1], recruited)
+    last = _regularisers(found, data, options, options.w_a[1], recruited, known)
     return _finish(found, data, last, now.states, steps)
 
 
@@ -197,11 +201,12 @@ def _problem(
     number: int,
     structure: sp.csr_array | None,
     recruited: Mapping[str, Recruited] = NOBODY,
+    known: Mapping[str, KnownMuscles] = NOTHING_KNOWN,
 ) -> GeometryProblem:
     """Return the problem of round ``number`` (from 0); S of ``face`` is its prior."""
     t = number / max(options.rounds - 1, 1)
     w_a, w_s = (first * (last / first) ** t for first, last in (options.w_a, options.w_s))
-    regularisers = _regularisers(face, data, options, w_a, recruited)
+    regularisers = _regularisers(face, data, options, w_a, recruited, known)
     structure = sp.csr_array((0, face.S.nnz)) if structure is None else structure
     return GeometryProblem(face, data, regularisers, w_s, face.S.data, structure)
 
@@ -212,11 +217,14 @@ def _regularisers(
     options: GeometryOptions,
     w_a: float,
     recruited: Mapping[str, Recruited],
+    known: Mapping[str, KnownMuscles],
 ) -> dict[str, Regulariser]:
     plain = Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
-    return {
-        name: recruited[name].regularise(plain) if name in recruited else plain for name in names
-    }
+    muscles, found = FaceMuscles.of(face), {}
+    for name in names:
+        expected = recruited[name].regularise(plain) if name in recruited else plain
+        found[name] = muscles.regularise(known.get(name, NOTHING), expected, plain)
+    return found
 
 
 def _finish(
@@ -272,6 +280,7 @@ def fit_by_ipopt(
     start: sp.csr_array | None = None,
     structure: sp.csr_array | None = None,
     recruited: Mapping[str, Recruited] = NOBODY,
+    known: Mapping[str, KnownMuscles] = NOTHING_KNOWN,
 ) -> tuple[GeometryFit, tuple[Finding, ...]]:
     """Do as :func:`fit` with the last round's weights.
 
@@ -281,7 +290,7 @@ def fit_by_ipopt(
     check_size(face, len(data))
     fallback.refuse_limits(face)
     face = face.with_weights(_start(face, options) if start is None else start)
-    problem = _problem(face, data, options, options.rounds - 1, structure, recruited)
+    problem = _problem(face, data, options, options.rounds - 1, structure, recruited, known)
     rest, most = dict.fromkeys(data, face.rest), most_iterations(options)
     notices: tuple[Finding, ...] = ()
     try:

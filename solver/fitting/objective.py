@@ -4,7 +4,8 @@
               + w_v/2 sum_j (det S(a_j) - 1)^2
               + w_b/2 |D (b - b_prior)|^2 + w_e/2 sum_jk max(0, e - lambda_k(S(a_j)))^2
 
-w_a being one for all muscles or each one's own (:mod:`solver.fitting.recruitment`). Of the others
+w_a being one for all muscles or each one's own (:mod:`solver.fitting.recruitment`); what a table
+knows of muscles is one more term (:mod:`solver.fitting.known`). Of the others
 muscles that are no shapes S(a_j) have no volume and no stretches
 (:class:`~solver.fitting.controls.ShapePenalty`).
 
@@ -112,6 +113,7 @@ class Regulariser(Prior):
     w_b: float
     prior: Pose
     w_e: float = 0.1  # of least eigenvalues
+    known: Prior | None = None  # the term of what a table knows of muscles
 
     def with_proximal_term(self, pose: Pose, weight: float) -> Regulariser:
         """Return, but for a constant, the sum with ``weight``/2 |a - a_pose|^2, the jaw's alike."""
@@ -135,7 +137,8 @@ class Regulariser(Prior):
         away = 0.5 * np.sum(self.w_a * (pose.a - self.prior.a) ** 2)
         penalty = pose.layout.drive.penalty
         shapes = penalty.value(pose.a, self.w_v, self.w_e) if penalty else 0.0
-        return float(away + shapes + 0.5 * self.w_b * joints @ joints)
+        known = self.known.value(pose) if self.known else 0.0
+        return float(away + shapes + known + 0.5 * self.w_b * joints @ joints)
 
     def gradient(self, pose: Pose) -> Floats:
         """Return the derivative by (a, b), (size,)."""
@@ -143,10 +146,22 @@ class Regulariser(Prior):
         if penalty := pose.layout.drive.penalty:
             by_a += penalty.gradient(pose.a, self.w_v, self.w_e)
         by_b = self.w_b * pose.layout.joint_units**2 * (pose.b - self.prior.b)
-        return pose.layout.join([by_a, by_b])
+        out = pose.layout.join([by_a, by_b])
+        return out + self.known.gradient(pose) if self.known else out
 
     def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
-        """Return the Gauss-Newton Hessian: a block of each a_j, (m, k, k), and b's diagonal."""
+        """Return the Gauss-Newton Hessian: a block of each a_j, (m, k, k), and b's diagonal.
+
+        What is known of whole muscles joins the blocks of compartments, which is left out here.
+        """
+        blocks, diagonal = self._curvature(pose)
+        if self.known:
+            muscles, whole = pose.layout.muscles, self.known.gauss_newton(pose)
+            blocks += whole[muscles[:, :, None], muscles[:, None, :]]
+        return blocks, diagonal
+
+    def _curvature(self, pose: Pose) -> tuple[Floats, Floats]:
+        """Return the same without what is known."""
         muscles = pose.layout.muscles
         each = np.arange(muscles.shape[1])
         blocks = np.zeros((*muscles.shape, muscles.shape[1]))
@@ -156,14 +171,14 @@ class Regulariser(Prior):
         return blocks, self.w_b * pose.layout.joint_units**2
 
     def gauss_newton(self, pose: Pose) -> Floats:
-        """Return :meth:`curvature` as one matrix (size, size)."""
+        """Return the Gauss-Newton Hessian as one matrix (size, size)."""
         layout = pose.layout
-        blocks, diagonal = self.curvature(pose)
+        blocks, diagonal = self._curvature(pose)
         out = np.zeros((layout.size, layout.size))
         out[layout.muscles[:, :, None], layout.muscles[:, None, :]] = blocks
         joints = layout.joint_places
         out[joints, joints] = diagonal
-        return out
+        return out + self.known.gauss_newton(pose) if self.known else out
 
 
 @dataclass(frozen=True)

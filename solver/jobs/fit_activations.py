@@ -16,6 +16,7 @@ from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
 from solver.rig.report import known_information
 from solver.rig.rig import Rig
+from solver.scans.known_activations import NOTHING
 
 
 def run(task: Task[FitActivations]) -> list[Path]:
@@ -34,6 +35,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     parent = replace(parent, drive=drive)
     face = parent.face(given.linear_solver or fastest())
     check_held(face)
+    knowledge = fits.read_known_scans(task, face, scans)
     log = fits.WarningLog(subject, progress)
     oddities = fits.find_oddities(face, scans, drive)
     for fit in carried:
@@ -57,10 +59,12 @@ def run(task: Task[FitActivations]) -> list[Path]:
             progress(Step("activations", 0.02 + 0.48 * part, iteration, value, message=name))
 
         start = time.perf_counter()
-        prior = unseen_regulariser(face, targets[name])
+        known = knowledge.get(name, NOTHING)
+        prior = unseen_regulariser(face, targets[name], known)
         found = fallback.fit(face, data[name], prior, stop, given.solver, listen)
         spent = time.perf_counter() - start
-        expression = fits.describe_fit(face, name, "test", scan, targets[name], found, spent)
+        about = (face, name, "test", scan, targets[name])
+        expression = fits.describe_fit(*about, found, spent, known)
         done = 0.02 + 0.48 * (number + 1) / len(scans)
         fitted.append(log.about(expression, done, found.notices))
     fits.refuse_failures(fitted)

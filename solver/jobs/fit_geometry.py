@@ -25,6 +25,7 @@ from solver.model import SubjectModel
 from solver.progress import Progress, Step, part_of
 from solver.rig.report.measures import check_neutral
 from solver.rig.rig import Rig
+from solver.scans.known_activations import NOTHING
 
 # of rounds whose mean grows
 CLOSING = "muscles are brought within what muscles can do: the mean rises meanwhile"
@@ -49,7 +50,8 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if given.solver == "ipopt":
         geometry.check_size(face, len(scans))
     targets = fits.Targets(subject, given.distance).of_scans(scans)
-    priors: dict[str, Any] = {"recruited": recruit(face, targets)}
+    known = fits.read_known_scans(task, face, scans)
+    priors: dict[str, Any] = {"recruited": recruit(face, targets), "known": known}
     if "start" in task.inputs:
         start = Rig.load(task.inputs["start"])
         priors["start"] = transfer(start.weights, start.model, subject)
@@ -75,8 +77,9 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     seconds = time.perf_counter() - begin
     expressions = []
     for name, ending in fitted.endings.items():
-        each, scan = seconds / len(targets), scans[name]
-        expression = fits.describe_fit(face, name, "train", scan, targets[name], ending, each)
+        about = (fitted.face, name, "train", scans[name], targets[name])
+        each = seconds / len(targets)
+        expression = fits.describe_fit(*about, ending, each, known.get(name, NOTHING))
         expressions.append(log.about(expression, 0.8, ending.notices))
     fits.refuse_failures(expressions)
     log.warn(0.8, check_neutral(face.with_weights(fitted.S), expressions))

@@ -17,6 +17,7 @@ from solver.fitting.controls import jaw_on_tracks
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
+from solver.fitting.known import FaceMuscles
 from solver.fitting.markers.filter import FilterOptions
 from solver.fitting.markers.observation import MarkerOptions, Markers
 from solver.fitting.markers.places import RefineOptions, refine_by_take
@@ -35,7 +36,13 @@ from solver.jobs.marker_frames import (
     marker_report,
     smooth_frames,
 )
-from solver.jobs.sequences import fit_frames, frame_numbers, refuse_unfitted, write_animated
+from solver.jobs.sequences import (
+    KnownFrames,
+    fit_frames,
+    frame_numbers,
+    refuse_unfitted,
+    write_animated,
+)
 from solver.kinds.fit_markers import FitMarkers
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.jaw_tracks import JawTracks
@@ -80,17 +87,20 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     source, notices = mended.source, mended.notices
     face, muscles = _face(task, rig, notices)
     check_held(face)
+    known = KnownFrames(task, FaceMuscles(face, muscles), take.numbers, rate)
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(take)}"))
     markers = _markers(task, source, _prior(task, rig, face), face, rate)
     drawing = TakeDrawing(markers, source, muscles)
-    done = fit_frames(task, numbers, _fitter(task, markers, source, drawing))
+    done = fit_frames(task, numbers, _fitter(task, markers, source, drawing, known))
     refuse_unfitted(done, take.file)
     if given.smooth:
         progress(Step("smooth", 0.93))
         drawing = TakeDrawing(markers, source, muscles)
-        done = smooth_frames(markers, done, source, drawing.add)
+        done = smooth_frames(markers, done, source, known, drawing.add)
     progress(Step("export", 0.96))
-    report = sequence_report(done, rate, take.file)
+    figures, disagreements = known.report(done)
+    notices += disagreements
+    report = sequence_report(done, rate, take.file) | figures
     report |= marker_report(done, source.labels, notices)
     report |= mended.carried | {"notices": [notice.as_dict() for notice in notices]}
     animated, report["files"] = write_animated(out, drawing.skin, rig.model, rate, take.first)
@@ -161,14 +171,18 @@ def _markers(
 
 
 def _fitter(
-    task: Task[FitMarkers], markers: Markers, source: BoundTake, drawing: TakeDrawing
+    task: Task[FitMarkers],
+    markers: Markers,
+    source: BoundTake,
+    drawing: TakeDrawing,
+    known: KnownFrames,
 ) -> TakeFitter:
     about = {
         "options": task.options.model_dump(mode="json", exclude={"end"}),
         "files": hash_files(task.inputs),
     }
     frames = int(np.clip(OPTIONS.tets // len(markers.face.model.tets), 1, OPTIONS.frames))
-    return TakeFitter(Tracker(markers), source, drawing, about, frames)
+    return TakeFitter(Tracker(markers), source, drawing, about, frames, known)
 
 
 def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:

@@ -14,10 +14,11 @@ from solver.errors import InputError, SolveError
 from solver.fitting.activation import unseen_regulariser
 from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face
+from solver.fitting.known import FaceMuscles
 from solver.fitting.objective import Target
 from solver.fitting.target_checks import check_held
 from solver.fitting.tracking import Tracker
-from solver.fitting.tracking.dense import DenseFit, DenseOptions, DensePoints, stillness
+from solver.fitting.tracking.dense import DenseFit, DenseOptions, DensePoints, SeenPoints, stillness
 from solver.fitting.tracking.frame_solver import TrackingOptions
 from solver.jobs import Task
 from solver.jobs.fits import Targets
@@ -25,6 +26,7 @@ from solver.jobs.sequences import (
     DECIMALS,
     UNLIKE_MM,
     FrameFitter,
+    KnownFrames,
     distance_figures,
     fit_frames,
     frame_numbers,
@@ -57,9 +59,12 @@ MOST_SHOTS = 6  # frames in the picture
 class PerformanceFitter(FrameFitter[SequenceFrame]):
     """Fits and draws frames ``numbers``: all as a skin, a few as a shot."""
 
-    def __init__(self, source: Performance, points: DensePoints, numbers: range) -> None:
+    def __init__(
+        self, source: Performance, points: DensePoints, numbers: range, known: KnownFrames
+    ) -> None:
         self.chunks = CHUNKS
         self._source, self._points, self._numbers = source, points, numbers
+        self._known = known
         self._tracker, self._face = Tracker(points), points.face
         self.skin = AnimatedSkin(self._face.model.skin)
         last = len(numbers) - 1
@@ -86,7 +91,9 @@ class PerformanceFitter(FrameFitter[SequenceFrame]):
     def fit(self, number: int) -> SequenceFrame:
         """Fit a frame; raises ``performance.unlike`` at the first."""
         start = time.perf_counter()
-        found = self._tracker.step(self._source.frame(number))
+        scan = self._source.frame(number)
+        seen = SeenPoints(scan.vertices, scan.confidence, self._known.at(number))
+        found = self._tracker.step(seen)
         self._target = found.target
         frame = _frame(number, found, self._face, time.perf_counter() - start)
         if number == self._numbers[0]:
@@ -151,11 +158,16 @@ def run(task: Task[FitSequence]) -> list[Path]:
     face = rig.face(given.linear_solver or fastest())
     check_held(face)
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
-    fitter = PerformanceFitter(source, _points(face, given), numbers)
+    known = KnownFrames(task, FaceMuscles.of(face), range(len(source)), given.fps)
+    fitter = PerformanceFitter(source, _points(face, given), numbers, known)
     done = fit_frames(task, numbers, fitter)
     refuse_unfitted(done, source.name)
     progress(Step("export", 0.96))
+    figures, notices = known.report(done)
+    for notice in notices:
+        progress(Step("warning", 0.96, message=notice.message))
     report = sequence_report(done, given.fps, source.name)
+    report |= figures | {"notices": [notice.as_dict() for notice in notices]}
     animated, report["files"] = write_animated(out, fitter.skin, subject, given.fps)
     contraction = Contraction.of_face(face)
     files = write_sequence(out, done, subject.muscle_names, given.fps, report, contraction)

@@ -21,6 +21,7 @@ from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.geometry_information import MuscleInformation
+from solver.fitting.known import FaceMuscles, find_disagreements
 from solver.fitting.objective import Target
 from solver.fitting.target_checks import after_fit, before_fit, find_inflated, idle_muscles
 from solver.jobs import Task
@@ -32,6 +33,7 @@ from solver.progress import Progress, Step
 from solver.rig.exporters import write_rig
 from solver.rig.report.certificate import certify, with_round_trips
 from solver.rig.rig import ExpressionFit, Rig
+from solver.scans.known_activations import NOTHING, KnownMuscles, read_known
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
 
@@ -78,6 +80,18 @@ def read_scans(subject: SubjectModel, captures: Mapping[str, Path]) -> dict[str,
     return scans
 
 
+def read_known_scans(
+    task: Task[Any], face: Face, scans: Mapping[str, RegisteredScan]
+) -> dict[str, KnownMuscles]:
+    """Return scan -> what the job's table knows of muscles in it; {} without a table."""
+    if "activations" not in task.inputs:
+        return {}
+    muscles = FaceMuscles.of(face)
+    table = read_known(task.inputs["activations"], muscles.names)
+    muscles.check(table.names)
+    return table.of_expressions([*scans])
+
+
 def find_oddities(
     face: Face, scans: Mapping[str, RegisteredScan], drive: MuscleDrive
 ) -> list[Finding]:
@@ -105,8 +119,12 @@ def describe_fit(
     target: Target,
     found: FallbackFit,
     seconds: float,
+    known: KnownMuscles = NOTHING,
 ) -> ExpressionFit:
-    """Return a fit with its distances; raises ``solve.not_finite`` rather than write NaN."""
+    """Return a fit with its distances and what is ``known`` of muscles, beside what they do.
+
+    Raises ``solve.not_finite`` rather than write NaN.
+    """
     state = found.state
     points = face.face_points(state.x)
     if not (np.isfinite(state.x).all() and np.isfinite(state.pose.a).all()):
@@ -129,6 +147,7 @@ def describe_fit(
         solver=found.solver,
         status=found.status,
         confidence=scan.confidence,
+        known=FaceMuscles.of(face).compare(known, state.pose.a) if len(known) else (),
     )
 
 
@@ -218,6 +237,7 @@ class WarningLog:
         """Return a fit with the notices of it, of its ``solve`` and of what it leaves."""
         own = {"expression": fit.name}
         self.warn(fraction, [replace(each, context={**own, **each.context}) for each in solve])
+        self.warn(fraction, find_disagreements(fit.name, fit.known))
         inflated = find_inflated(self._model, fit.name, fit.target, fit.skin)
         self.warn(fraction, inflated or after_fit(self._model, fit.name, fit.error_mm))
         mine = [each for each in self._notices if each.context.get("expression") == fit.name]

@@ -28,7 +28,7 @@ from solver.fitting.markers.smooth import SmoothFrame, TracedFrame, smooth
 from solver.fitting.markers.term import HeadPrior
 from solver.fitting.tracking import Tracker
 from solver.jobs.marker_verdict import judge_fit
-from solver.jobs.sequences import DECIMALS, FrameFitter, distance_figures
+from solver.jobs.sequences import DECIMALS, FrameFitter, KnownFrames, distance_figures
 from solver.rig.frames import ChunkOptions, MarkerFrame, Status, pack, read_chunks, unpack
 from solver.rig.frames.animation_gltf import AnimatedSkin
 from solver.rig.frames.read_back import Comparison
@@ -70,9 +70,11 @@ class TakeFitter(FrameFitter[MarkerFrame]):
         drawing: TakeDrawing,
         about: Mapping[str, Any],
         frames: int,
+        known: KnownFrames,
     ) -> None:
         self.chunks = ChunkOptions(frames, np.inf)
         self._tracker, self._source, self._drawing = tracker, source, drawing
+        self._known = known
         text = json.dumps(about, sort_keys=True)
         self._about = hashlib.sha256(text.encode()).hexdigest()
         self._stored: Mapping[str, str] = {}
@@ -105,7 +107,8 @@ class TakeFitter(FrameFitter[MarkerFrame]):
     def fit(self, number: int) -> MarkerFrame:
         start, source = time.perf_counter(), self._source
         points, free = source.points(number), source.unlabelled(number)
-        fit = self._tracker.step(SeenMarkers(points, free, source.sigma(number)))
+        known = self._known.markers_term(number)
+        fit = self._tracker.step(SeenMarkers(points, free, source.sigma(number), known))
         status: Status = "kept" if fit.kept else "predicted" if fit.predicted else "fitted"
         frame = _frame(number, status, fit, self._tracker.face, time.perf_counter() - start)
         states = np.array(frame.marker_state)
@@ -197,6 +200,7 @@ def smooth_frames(
     markers: Markers,
     frames: Sequence[MarkerFrame],
     source: BoundTake,
+    known: KnownFrames,
     show: Callable[[MarkerFrame, Floats], None],
 ) -> list[MarkerFrame]:
     """Return the frames after a sweep back; ``show`` gets each with its flesh."""
@@ -207,6 +211,7 @@ def smooth_frames(
             small_motion(each.head),
             each.marker_weight,
             source.sigma(each.frame),
+            known.markers_term(each.frame),
         )
         for each in frames
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,7 +11,8 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from solver.errors import InputError
+from solver.errors import Finding, InputError
+from solver.fitting.known import MARKERS_WORTH, FaceMuscles, KnownTerm, compare_frames
 from solver.jobs import Task
 from solver.kinds.fit_markers import FitMarkers
 from solver.kinds.fit_sequence import FitSequence
@@ -19,6 +20,7 @@ from solver.model import SubjectModel
 from solver.progress import Step
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter, SequenceFrame
 from solver.rig.frames.animation_gltf import AnimatedSkin
+from solver.scans.known_activations import NOTHING, KnownCourse, KnownMuscles, read_known
 from solver.surface import Floats
 
 DECIMALS = 9  # frames are stored as text: digits beyond say nothing
@@ -91,6 +93,43 @@ def fit_frames(task: Task[Any], numbers: range, fitter: FrameFitter[Fitted]) -> 
         if not fitter.whole_files or len(done) == len(numbers):
             writer.flush()
     return done
+
+
+class KnownFrames:
+    """What a job's table knows of muscles in a take's frames, and what was fitted of it.
+
+    Without a table that is nothing. ``frames`` are the take's, as its file counts them.
+    """
+
+    def __init__(self, task: Task[Any], muscles: FaceMuscles, frames: range, rate: float) -> None:
+        self._muscles, self._first, self._rate = muscles, frames.start, rate
+        self._course: KnownCourse | None = None
+        if "activations" in task.inputs:
+            table = read_known(task.inputs["activations"], muscles.names)
+            muscles.check(table.names)
+            self._course = table.of_take(len(frames), rate)
+
+    def at(self, number: int) -> KnownMuscles:
+        """Return what is known in a frame; the first is at 0 s."""
+        if self._course is None:
+            return NOTHING
+        return self._course.at((number - self._first) / self._rate)
+
+    def markers_term(self, number: int) -> KnownTerm | None:
+        """Return the term of a frame of markers; None where nothing is known."""
+        known = self.at(number)
+        return self._muscles.term(known, MARKERS_WORTH) if len(known) else None
+
+    def report(self, frames: Iterable[SequenceFrame]) -> tuple[dict[str, Any], list[Finding]]:
+        """Return how far fitted frames and table are apart, as figures; and what is odd of it."""
+        if self._course is None:
+            return {}, []
+        figures, findings = compare_frames(
+            (frame.frame, self._muscles.compare(self.at(frame.frame), frame.activations))
+            for frame in frames
+            if frame.status in ("fitted", "smoothed")
+        )
+        return {"known": figures}, findings
 
 
 def frame_numbers(name: str, frames: range, given: FitMarkers | FitSequence) -> range:

@@ -25,7 +25,7 @@ class FitActivations(ExpressionFitOptions):
 
 KIND = Kind(
     queue="short",
-    reads=("rig", "captures"),
+    reads=("rig", "captures", "activations"),
     leaves="rig",
     report="report.json",
     result="rig.glb",

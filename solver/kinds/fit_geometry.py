@@ -38,7 +38,7 @@ class FitGeometry(ExpressionFitOptions):
 
 KIND = Kind(
     queue="long",
-    reads=("model", "captures"),
+    reads=("model", "captures", "activations"),
     asks=("start",),
     leaves="rig",
     report="report.json",

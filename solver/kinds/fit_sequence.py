@@ -41,7 +41,7 @@ class FitSequence(FitOptions):
 
 KIND = Kind(
     queue="long",
-    reads=("rig", "performance"),
+    reads=("rig", "performance", "activations"),
     leaves="sequence",
     result="sequence.npz",
     hands_on=("sequence.npz",),

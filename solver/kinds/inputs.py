@@ -69,6 +69,9 @@ INPUTS: Mapping[str, Input] = {
             _option("set", "the session's marker set, JSON", role="marker_set"),
         )
     ),
+    "activations": Input(
+        (_option("activations", "what is known of single muscles, as of EMG: CSV"),)
+    ),
     "model": Input((_given("model", "model.npz"),)),
     "rig": Input((_given("rig", RIG, "file or folder"),)),
     "any_rig": Input((_option("rig", RIG, form="file or folder"),)),
@@ -174,6 +177,12 @@ ROLES: Mapping[str, Role] = {
         own_formats=(".c3d", ".trc"),
         sets=(".json",),
         then="it is checked (check_markers) and fitted with a rig (fit_markers)",
+    ),
+    "activations": Role(
+        title="Known activations",
+        noun="a table of known activations",
+        formats=(".csv",),
+        then="it lies beside scans, a performance or a take in a fit",
     ),
     "asset": Role(
         title="File for scenes",

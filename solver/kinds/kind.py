@@ -46,7 +46,8 @@ class Kind:
         Its inputs. A service looks them up at submission: ``capture`` is one scan as it was
         uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the
         subject's neutral and chosen expressions; ``performance`` is one capture of that role,
-        ``markers`` a take of them with the session's marker set, if there is one, ``assets`` any
+        ``markers`` a take of them with the session's marker set, if there is one, ``activations``
+        a table of what is known of single muscles beside them, if there is one, ``assets`` any
         number of theirs, ``sequences`` those that fits left, named as assets are; ``template`` is
         the subject's, ``model`` its newest, ``rig`` a fitted person, ``any_rig`` one that may be
         left out, ``blendshapes``, ``expression_basis`` and calibrated ``fibre_muscles`` are those

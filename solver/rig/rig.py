@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass, field, fields, replace
+from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -26,6 +26,7 @@ from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.drives.stored import restore, store
 from solver.fitting.face import Face
 from solver.fitting.interior_point import FeasibleSet
+from solver.fitting.known import KnownFit
 from solver.kinds import FILES
 from solver.mechanics.newton import NewtonOptions
 from solver.model import SIZE_WORDS, SubjectModel
@@ -74,6 +75,7 @@ class ExpressionFit:
     status: str = "converged"
     notices: tuple[Finding, ...] = ()  # what was odd about the scan or the solve
     confidence: Floats | None = None  # (v,) of the scan in [0, 1]; None in older rigs
+    known: tuple[KnownFit, ...] = ()  # what a table knew of muscles, and what was fitted
 
     def seen(self, vertices: Ints) -> Floats:
         """Return the scan's confidence (k,) at ``vertices``; in older rigs 1 where it has any."""
@@ -317,6 +319,7 @@ def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectMod
             json.dumps([each.as_dict() for each in fit.notices], allow_nan=False)
             for fit in expressions
         ),
+        "known": texts(json.dumps([asdict(each) for each in fit.known]) for fit in expressions),
     }
 
 
@@ -350,6 +353,8 @@ def _expression_from(data: Arrays, k: int) -> ExpressionFit:
         notices = json.loads(str(data["notices"][k]))
         values |= {name: str(data[name][k]) for name in ("solver", "status")}
         values["notices"] = tuple(Finding.from_dict(each) for each in notices)
+    if "known" in data:
+        values["known"] = tuple(KnownFit(**each) for each in json.loads(str(data["known"][k])))
     return ExpressionFit(str(data["names"][k]), str(data["roles"][k]), **values)
 
 

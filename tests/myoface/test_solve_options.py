@@ -33,6 +33,7 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "any_rig": [(["--rig", "rig.npz"], {"rig": "rig.npz"})],
     "template": [(["--template", "template.npz"], {"template": "template.npz"})],
     "markers": [(["--set", "set.json"], {"marker_set": "set.json"})],
+    "activations": [(["--activations", "emg.csv"], {"activations": "emg.csv"})],
     "blendshapes": [(["--blendshapes", "shapes.npz"], {"blendshapes": "shapes.npz"})],
     "expression_basis": [(["--basis", "basis.npz"], {"expression_basis": "basis.npz"})],
     "fibre_muscles": [(["--fibres", "fibres.npz"], {"fibre_muscles": "fibres.npz"})],

@@ -264,6 +264,26 @@ def test_a_take_has_one_marker_set(session: Session) -> None:
     assert (answer.status_code, answer.json()["code"]) == (422, "job.twice")
 
 
+def test_known_activations_lie_beside_what_is_fitted(session: Session) -> None:
+    emg, other = (
+        session.studio._add(session.subject, name, "activations", {}) for name in ("emg", "other")
+    )
+    smile = session.studio.capture(session.subject, "smile-known", registered=True)
+    for kind, captures, fitted in (
+        ("fit_activations", [emg, smile], {"capture": smile}),
+        ("fit_markers", [session.take, emg], {"markers": session.take}),
+    ):
+        job = session.ask(kind, captures=captures).json()
+        assert job["captures"] == captures
+        assert session.sources(job["id"]).items() >= {"activations": emg, **fitted}.items()
+        twice = session.ask(kind, captures=[*captures, other])
+        assert (twice.status_code, twice.json()["code"]) == (422, "job.one_table")
+        alone = session.ask(kind, captures=[emg])
+        assert (alone.status_code, alone.json()["code"]) == (422, "job.missing")
+    checked = session.ask("check_scan", captures=[emg], rig_id=None)
+    assert (checked.status_code, checked.json()["code"]) == (422, "capture.is_activations")
+
+
 def test_every_file_that_is_handed_on_is_an_input_of_some_kind() -> None:
     read = {each for kind in KINDS.values() for each in kind.reads}
     left = {name for kind in KINDS.values() for name in kind.hands_on}

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver.fitting.information import Posterior, inverse_of_positive
+from solver.fitting.known import KnownTerm
 from solver.fitting.prior import GaussianPrior, kept_part
 from solver.surface import Floats
 
@@ -31,10 +32,15 @@ class FilterOptions:
 
 @dataclass(frozen=True)
 class Evidence:
-    """The normal matrix (q, q) of a frame's markers, and the posterior by them alone."""
+    """The normal matrix (q, q) of a frame's markers and table, and the posterior by them alone.
+
+    ``table`` is the term of what is known of muscles, ``usual`` the prior of any such frame.
+    """
 
     normal: Floats
     alone: Posterior
+    usual: GaussianPrior
+    table: KnownTerm | None = None
 
 
 @dataclass(frozen=True)
@@ -73,20 +79,29 @@ class ControlFilter:
         self._last: _Frame | None = None
         self._is_steady = False
 
-    def evidence(self, normal: Floats) -> Evidence:
-        """Return what markers of a ``normal`` matrix (q, q) tell by themselves."""
-        covariance = inverse_of_positive(self.usual.precision + normal)
-        return Evidence(normal, Posterior(covariance, self.usual.variance))
+    def evidence(self, normal: Floats, table: KnownTerm | None = None) -> Evidence:
+        """Return what markers of a ``normal`` matrix (q, q) and a table tell by themselves."""
+        usual = with_room(self.usual, table)
+        whole = normal if table is None else normal + table.curvature
+        covariance = inverse_of_positive(usual.precision + whole)
+        return Evidence(whole, Posterior(covariance, self.usual.variance), usual, table)
 
-    def later(self, mean: Floats, covariance: Floats) -> GaussianPrior:
-        """Return what is probable of a frame after one with this posterior."""
-        return self.usual.after(mean, covariance, self._seconds, self._options.forgetting)
+    def later(
+        self, mean: Floats, covariance: Floats, table: KnownTerm | None = None
+    ) -> GaussianPrior:
+        """Return what is probable of a frame with a ``table`` after one with this posterior."""
+        found = self.usual.after(mean, covariance, self._seconds, self._options.forgetting)
+        return with_room(found, table)
 
-    def before(self, mean: Floats, known: KnownControls) -> GaussianPrior:
+    def before(
+        self, mean: Floats, known: KnownControls, table: KnownTerm | None = None
+    ) -> GaussianPrior:
         """Return the prior of the frame after one with this mean (q,), a steady one again."""
-        if self._is_steady and self._last is not None and known is self._last.known:
-            return self._last.prior.about(self.usual.faded(mean, self._kept))
-        return self.later(mean, known.covariance)
+        last = self._last
+        is_same = last is not None and is_of_same(table, last.evidence.table)
+        if self._is_steady and last is not None and known is last.known and is_same:
+            return last.prior.about(self.usual.faded(mean, self._kept))
+        return self.later(mean, known.covariance, table)
 
     def after(
         self, prior: GaussianPrior, known: KnownControls | None, evidence: Evidence
@@ -100,7 +115,9 @@ class ControlFilter:
             self._is_steady = False
         elif self._is_steady:
             return known
-        sure = prior if known is None else self.later(prior.mean, known.spread)
+        sure = prior
+        if known is not None:
+            sure = self.later(prior.mean, known.spread, evidence.table)
         found = KnownControls(
             inverse_of_positive(prior.precision + evidence.normal), self.spread(sure, evidence)
         )
@@ -118,7 +135,7 @@ class ControlFilter:
         goes on from its own, smaller covariance: it follows a bias as closely, and is less stirred
         by noise.
         """
-        usual, unseen = self.usual.precision, 1.0 - evidence.alone.information
+        usual, unseen = evidence.usual.precision, 1.0 - evidence.alone.information
         before = unseen[:, None] * (prior.precision - usual) * unseen
         return inverse_of_positive(usual + before + evidence.normal)
 
@@ -127,3 +144,17 @@ class ControlFilter:
         """Return the greatest relative change of a variance."""
         pairs = ((known.covariance, found.covariance), (known.spread, found.spread))
         return max(float(np.abs(np.diag(b) / np.diag(a) - 1.0).max()) for a, b in pairs)
+
+
+def with_room(prior: GaussianPrior, table: KnownTerm | None) -> GaussianPrior:
+    """Return a prior with room for what the muscles of a table do by themselves."""
+    if table is None:
+        return prior
+    return GaussianPrior(prior.mean, prior.covariance + table.freedom, prior.shapes)
+
+
+def is_of_same(table: KnownTerm | None, other: KnownTerm | None) -> bool:
+    """Tell whether tables know of the same muscles."""
+    if table is None or other is None:
+        return table is other
+    return np.array_equal(table.rates, other.rates)

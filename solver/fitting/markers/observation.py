@@ -23,8 +23,16 @@ from solver.fitting.contact import NearContact
 from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.information import Posterior
+from solver.fitting.known import KnownTerm
 from solver.fitting.least_squares import StopOptions
-from solver.fitting.markers.filter import ControlFilter, Evidence, FilterOptions, KnownControls
+from solver.fitting.markers.filter import (
+    ControlFilter,
+    Evidence,
+    FilterOptions,
+    KnownControls,
+    is_of_same,
+    with_room,
+)
 from solver.fitting.markers.robust import Judge, JudgedFrame, RobustOptions
 from solver.fitting.markers.shape_regression import RegressionOptions, ShapeRegression
 from solver.fitting.markers.term import (
@@ -87,12 +95,14 @@ class SeenMarkers:
     """Points (k, 3) of a take's frame in its axes, mm, NaN where missing.
 
     ``unlabelled`` (u, 3) are points that may be any marker's; ``sigma`` (k, 3) the system's own
-    standard deviations, as in the options where they are not finite.
+    standard deviations, as in the options where they are not finite; ``known`` is the term of what
+    a table knows of muscles, of the weight of markers.
     """
 
     points: Floats
     unlabelled: Floats | None = None
     sigma: Floats | None = None
+    known: KnownTerm | None = None
 
 
 @dataclass(frozen=True)
@@ -206,7 +216,7 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
     def fit(
         self, seen: SeenMarkers, solver: FrameSolver, memory: MarkerMemory | None
     ) -> tuple[MarkerFit, MarkerMemory]:
-        prior, head = self._before(seen.points, solver.state, memory)
+        prior, head = self._before(seen, solver.state, memory)
         fit, left = self._fit(seen, solver, memory, prior, prior, head)
         if memory is not None:
             return fit, left
@@ -214,7 +224,7 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         for _ in range(self.options.looks):
             if fit.kept or not fit.rejected:
                 break
-            expected, head = self.prior.about(left.mean), self._before(seen.points, fit.state)[1]
+            expected, head = self.prior.about(left.mean), self._before(seen, fit.state)[1]
             before = fit
             fit, left = self._fit(seen, solver, None, prior, expected, head)
             fit = replace(fit, steps=before.steps + fit.steps)
@@ -240,21 +250,23 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
             state = solver.state
             with suppress(SolveError):  # out of reach: it stays where it is
                 solver.go_to(state.pose.add(prior.mean - state.pose.vector()))
-            return self._leave(solver, term, judged, prior, memory, "predicted")
+            return self._leave(solver, term, judged, prior, memory, "predicted", known=seen.known)
         priors: list[Prior] = [prior, self._penalties]
+        priors += [] if seen.known is None else [seen.known]
         try:
             if self._regression is not None:
                 found = self._regression.regress(term, solver.state)
                 term = replace(term, head=found.head)
                 priors += [] if found.jaw is None else [found.jaw]
-            held = self._held(self._evidence(solver, term).alone)
+            held = self._held(self._evidence(solver, term, seen.known).alone, seen.known)
             if held.any():
                 priors.append(self._hold(held, prior.mean))
-            known, first = PriorSum(tuple(priors)), memory is None
-            steps = solver.fit(term, term.precision, known, contact=self._contact, whole=first)
+            probable, first = PriorSum(tuple(priors)), memory is None
+            steps = solver.fit(term, term.precision, probable, contact=self._contact, whole=first)
         except (SolveError, np.linalg.LinAlgError):
-            return self._leave(solver, term, judged, prior, memory, "kept")
-        return self._leave(solver, term, judged, prior, memory, "fitted", steps)
+            return self._leave(solver, term, judged, prior, memory, "kept", known=seen.known)
+        more = (steps, seen.known)
+        return self._leave(solver, term, judged, prior, memory, "fitted", *more)
 
     def place(
         self,
@@ -302,15 +314,15 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         return np.asarray(1.0 / (self._sigma[:, None] ** 2 + noise**2))
 
     def _before(
-        self, seen: Floats, state: PosedFace, memory: MarkerMemory | None = None
+        self, seen: SeenMarkers, state: PosedFace, memory: MarkerMemory | None = None
     ) -> tuple[GaussianPrior, HeadPrior]:
-        """Return what is probable of controls and head before a frame is looked at."""
+        """Return what is probable of controls and head before a frame's points are looked at."""
         at, weights = self.places.at(state.x), self._sigma**-2.0
-        known = None if memory is None else memory.head
-        head = HeadPrior.before_frame(known, self.seconds, at, seen, weights, self.options.head)
+        known, points = None if memory is None else memory.head, seen.points
+        head = HeadPrior.before_frame(known, self.seconds, at, points, weights, self.options.head)
         if memory is None:
-            return self.prior, head
-        return self.filter.before(memory.mean, memory.known), head
+            return with_room(self.prior, seen.known), head
+        return self.filter.before(memory.mean, memory.known, seen.known), head
 
     def _response(self, solver: FrameSolver) -> _Response:
         jacobian, last = solver.jacobian, self._last_response
@@ -325,24 +337,29 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         placed = term.place(self.places.at(state.x))
         return term.normal(placed, self._response(solver).by_controls(state))
 
-    def _evidence(self, solver: FrameSolver, term: MarkerTerm) -> Evidence:
-        """Return what a frame's markers tell: as one before while they count about alike."""
+    def _evidence(self, solver: FrameSolver, term: MarkerTerm, known: KnownTerm | None) -> Evidence:
+        """Return what a frame's markers and table tell: as one before while they count alike."""
         response, turn = self._response(solver), term.head.motion.rotation
         # that of one axis is not that of another once the head has turned
         precision = np.einsum("ji,kj,jm->kim", turn, term.precision, turn)
         if response.evidence is not None:
             before, evidence = response.evidence
             size = np.maximum(precision, before).max(axis=(1, 2), keepdims=True)
-            if np.all(np.abs(precision - before) <= self.options.alike * size):
+            alike = self.options.alike
+            is_seen_alike = np.all(np.abs(precision - before) <= alike * size)
+            if is_seen_alike and _is_alike(known, evidence.table, alike):
                 return evidence
-        evidence = self.filter.evidence(self._normal(solver, term))
+        evidence = self.filter.evidence(self._normal(solver, term), known)
         response.evidence = precision, evidence
         return evidence
 
-    def _held(self, alone: Posterior) -> np.ndarray:
-        """Return which muscles (m,) a frame does not determine."""
-        known = alone.information_of(self.face.layout.muscles)
-        return np.asarray(known < self.options.hold_below)
+    def _held(self, alone: Posterior, known: KnownTerm | None) -> np.ndarray:
+        """Return which muscles (m,) a frame does not determine, nor a table knows."""
+        muscles = self.face.layout.muscles
+        held = np.asarray(alone.information_of(muscles) < self.options.hold_below)
+        if known is not None:
+            held &= ~known.rates[:, muscles].any(axis=(0, 2))
+        return held
 
     def _hold(self, held: np.ndarray, mean: Floats) -> PartPrior:
         """Return what keeps muscles at the ``mean`` (q,) that is probable before a frame."""
@@ -366,6 +383,7 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         memory: MarkerMemory | None,
         ending: Literal["fitted", "predicted", "kept"],
         steps: int = 0,
+        known: KnownTerm | None = None,
     ) -> tuple[MarkerFit, MarkerMemory]:
         """Return the frame, and its posterior to be remembered."""
         state = solver.state
@@ -373,23 +391,33 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         if ending == "kept":  # its markers determine none of the controls of another frame
             evidence = self.filter.evidence(np.zeros_like(prior.covariance))
         else:
-            evidence = self._evidence(solver, term)
+            evidence = self._evidence(solver, term, known)
         alone, before = evidence.alone, None if memory is None else memory.known
-        known = self.filter.after(prior, before, evidence)
+        after = self.filter.after(prior, before, evidence)
         head = HeadPrior(placed.head, placed.precision)
         fit = MarkerFit(
             state,
             placed,
             judged,
-            sd=np.sqrt(np.diag(known.spread)),
+            sd=np.sqrt(np.diag(after.spread)),
             information=alone.information,
-            contraction_sd=self.contraction_sd(known.spread),
-            held=self._held(alone),
+            contraction_sd=self.contraction_sd(after.spread),
+            held=self._held(alone, known),
             predicted=ending == "predicted",
             kept=ending == "kept",
             steps=steps,
         )
-        return fit, MarkerMemory(state.pose.vector(), known, head)
+        return fit, MarkerMemory(state.pose.vector(), after, head)
+
+
+def _is_alike(known: KnownTerm | None, before: KnownTerm | None, alike: float) -> bool:
+    """Tell whether as much is known of the same muscles, but for a part of it."""
+    if not is_of_same(known, before):
+        return False
+    if known is None or before is None:
+        return True
+    weight, other = known.sd**-2.0, before.sd**-2.0
+    return bool(np.all(np.abs(weight - other) <= alike * np.maximum(weight, other)))
 
 
 MarkerTracker: TypeAlias = Tracker[SeenMarkers, MarkerMemory, MarkerFit]

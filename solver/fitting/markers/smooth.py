@@ -21,6 +21,8 @@ import numpy as np
 import scipy.linalg
 
 from solver.fitting.face import Pose
+from solver.fitting.known import KnownTerm
+from solver.fitting.markers.filter import with_room
 from solver.fitting.markers.observation import Markers
 from solver.fitting.prior import GaussianPrior, kept_part
 from solver.fitting.tracking import Tracker
@@ -34,13 +36,15 @@ SHORTEST_BLOCK = 240  # frames: takes of so many are gone over once
 class TracedFrame:
     """A fitted frame: its pose, head, and each marker's robust weight (k,).
 
-    ``sigma`` (k, 3) are the take's own standard deviations, where it has them.
+    ``sigma`` (k, 3) are the take's own standard deviations, where it has them; ``known`` is the
+    term of what a table knows of muscles.
     """
 
     pose: Pose
     head: Similarity
     weights: Floats
     sigma: Floats | None = None
+    known: KnownTerm | None = None
 
 
 @dataclass(frozen=True)
@@ -64,20 +68,21 @@ def smooth(
         covariances = _covariances(markers, block, begins[-1])
         begins.append(_spread(markers, covariances[-1]))
     found: list[SmoothFrame] = []
-    mean, after = prior.mean, prior.covariance
+    mean, after, table = prior.mean, prior.covariance, None
     for number, block in reversed(list(enumerate(blocks))):
         if number < len(blocks) - 1:
             covariances = _covariances(markers, block, begins[number])
         for frame, here in zip(reversed(block), reversed(covariances), strict=True):
             own = frame.pose.vector()
             if found:
-                spread = _spread(markers, here)
+                spread = _spread(markers, here, table)
                 gain = kept * scipy.linalg.solve(spread, here, assume_a="pos").T
                 mean = own + gain @ (mean - prior.mean - kept * (own - prior.mean))
                 mean = markers.face.layout.bounds.clip(mean)
                 after = here + gain @ (after - spread) @ gain.T
             else:
                 mean, after = own, here
+            table = frame.known
             sd = np.sqrt(np.maximum(np.diag(after), 0.0))
             found.append(SmoothFrame(mean, sd, markers.contraction_sd(after)))
     return found[::-1]
@@ -90,11 +95,11 @@ def _covariances(markers: Markers, frames: Sequence[TracedFrame], spread: Floats
     for number, frame in enumerate(frames):
         before = _spread(markers, found[-1]) if found else spread
         normal = markers.normal(solver, frame.pose, frame.head, frame.weights, number, frame.sigma)
-        prior = GaussianPrior(markers.prior.mean, before)
-        found.append(markers.filter.spread(prior, markers.filter.evidence(normal)))
+        prior = with_room(GaussianPrior(markers.prior.mean, before), frame.known)
+        found.append(markers.filter.spread(prior, markers.filter.evidence(normal, frame.known)))
     return found
 
 
-def _spread(markers: Markers, covariance: Floats) -> Floats:
-    """Return the covariance before the frame that follows on one with this."""
-    return markers.filter.later(markers.prior.mean, covariance).covariance
+def _spread(markers: Markers, covariance: Floats, table: KnownTerm | None = None) -> Floats:
+    """Return the covariance before a frame with a ``table``, after one with this covariance."""
+    return markers.filter.later(markers.prior.mean, covariance, table).covariance

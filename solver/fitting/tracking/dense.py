@@ -15,13 +15,14 @@ from typing_extensions import override
 
 from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose, PosedFace
+from solver.fitting.known import FaceMuscles
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.recruitment import Recruitment
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.tracking import Observation
 from solver.fitting.tracking.frame_solver import FrameSolver, TrackingOptions
-from solver.meshio.registered import RegisteredScan
 from solver.registration.register import head_motion
+from solver.scans.known_activations import NOTHING, KnownMuscles
 from solver.similarity import IDENTITY, Similarity, robust_weights, weighted_motion
 from solver.surface import Floats
 
@@ -56,14 +57,26 @@ class DenseFit:
     target: Target | None = None  # of a frame that was fitted
 
 
-class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
+@dataclass(frozen=True)
+class SeenPoints:
+    """A frame: the face's points (k, 3), mm, with their confidence (k,), 0 where unseen.
+
+    ``known`` is what a table knows of muscles in it.
+    """
+
+    vertices: Floats
+    confidence: Floats
+    known: KnownMuscles = NOTHING
+
+
+class DensePoints(Observation[SeenPoints, Similarity, DenseFit]):
     """Points of a performance: an :class:`~.tracker.Observation`, whose memory is the head.
 
-    What is seen are the face's points (k, 3) with their confidence (k,), 0 where unseen; ``target``
-    makes what is fitted of both. ``still`` (k,) says how still each point lies on the skull
-    (:func:`stillness`) and asks for the head's rigid motion. ``regulariser`` is the one of
-    muscles of which nothing is known (:mod:`solver.fitting.recruitment`). Raises
-    :class:`InputError` (``sequence.no_still_points``) if nothing of the face lies still.
+    What is seen are the face's points with their confidence; ``target`` makes what is fitted of
+    both. ``still`` (k,) says how still each point lies on the skull (:func:`stillness`) and asks
+    for the head's rigid motion. ``regulariser`` is the one of muscles of which nothing is expected
+    (:mod:`solver.fitting.recruitment`). Raises :class:`InputError` (``sequence.no_still_points``)
+    if nothing of the face lies still.
     """
 
     def __init__(
@@ -76,7 +89,7 @@ class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
     ) -> None:
         self.face, self.tracking, self.target = face, options.tracking, target
         self._regulariser, self._still, self._options = regulariser, still, options
-        self._recruitment = Recruitment.of_face(face)
+        self._recruitment, self._muscles = Recruitment.of_face(face), FaceMuscles.of(face)
         if still is not None and np.sum(still > options.still) < options.still_points:
             message = (
                 "the head's motion cannot be told from the face's: muscles or the jaw move every "
@@ -90,7 +103,7 @@ class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
 
     @override
     def fit(
-        self, seen: RegisteredScan, solver: FrameSolver, memory: Similarity | None
+        self, seen: SeenPoints, solver: FrameSolver, memory: Similarity | None
     ) -> tuple[DenseFit, Similarity]:
         before, head = solver.state, memory or IDENTITY
         coverage = float(np.mean(seen.confidence > 0))
@@ -99,7 +112,7 @@ class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
         try:
             if self._still is None:
                 target, placed = self.target(seen.vertices, seen.confidence), head
-                steps = self._fit(target, solver, before.pose)
+                steps = self._fit(target, solver, before.pose, seen.known)
             else:
                 target, placed, steps = self._fit_in_turns(seen, self._still, solver)
         except SolveError:
@@ -107,30 +120,30 @@ class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
             return DenseFit(before, head, "kept", coverage), head
         return DenseFit(solver.state, placed, "fitted", coverage, steps, target), placed
 
-    def _sees_the_head(self, seen: RegisteredScan) -> bool:
+    def _sees_the_head(self, seen: SeenPoints) -> bool:
         if self._still is None:
             return True
         visible = np.sum(self._still * seen.confidence > self._options.still)
         return bool(visible >= self._options.still_points)
 
     def _fit_in_turns(
-        self, seen: RegisteredScan, still: Floats, solver: FrameSolver
+        self, seen: SeenPoints, still: Floats, solver: FrameSolver
     ) -> tuple[Target, Similarity, int]:
         """Fit the face with the head where it is; again if that moves the head."""
         pose, head = solver.state.pose, self._place_head(seen, still, solver.state)
         points = head.inverse()(seen.vertices)
         target = self.target(points, seen.confidence)
-        steps = self._fit(target, solver, pose)
+        steps = self._fit(target, solver, pose, seen.known)
         for _ in range(self._options.placings - 1):
             head = self._place_head(seen, still, solver.state)
             moved = head.inverse()(seen.vertices)
             if np.nanmax(np.abs(moved - points)) < self._options.restless_mm:
                 break
             points, target = moved, self.target(moved, seen.confidence)
-            steps += self._fit(target, solver, pose)
+            steps += self._fit(target, solver, pose, seen.known)
         return target, head, steps
 
-    def _place_head(self, seen: RegisteredScan, still: Floats, state: PosedFace) -> Similarity:
+    def _place_head(self, seen: SeenPoints, still: Floats, state: PosedFace) -> Similarity:
         """Return the motion of the fitted face's still points to where they were seen."""
         weights = still * seen.confidence
         used = weights > self._options.still
@@ -139,10 +152,11 @@ class DensePoints(Observation[RegisteredScan, Similarity, DenseFit]):
         roughly = weighted_motion(fitted, there, weights)
         return roughly.then(head_motion(roughly(fitted), there, weights))
 
-    def _fit(self, target: Target, solver: FrameSolver, before: Pose) -> int:
-        prior = self._regulariser
+    def _fit(self, target: Target, solver: FrameSolver, before: Pose, known: KnownMuscles) -> int:
+        prior = plain = self._regulariser
         if self._recruitment is not None:
-            prior = self._recruitment.of_target(target).regularise(prior)
+            prior = self._recruitment.of_target(target).regularise(plain)
+        prior = self._muscles.regularise(known, prior, plain)
         prior = prior.with_proximal_term(before, self._options.temporal)
         return solver.fit(SkinDistance(self.face, target), target.weights, prior)
 

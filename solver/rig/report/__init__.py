@@ -138,6 +138,7 @@ def _expression(
         "jaw_motion": {**_plain_fields(check.jaw), "faults": check.jaw.faults()},
         "muscles": _muscles(model, check.muscles),
         "movers": _movers(check),
+        "known": [each.as_dict() for each in fit.known],
         "asymmetry_mm": None if check.asymmetry_mm is None else _round(check.asymmetry_mm),
         "round_trip": trip and {"reached": trip.is_reached, **_plain_fields(trip)},
     }

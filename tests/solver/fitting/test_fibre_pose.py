@@ -12,9 +12,8 @@ from solver.fitting.least_squares import bounded_step
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.tracking import Tracker
-from solver.fitting.tracking.dense import DensePoints
+from solver.fitting.tracking.dense import DensePoints, SeenPoints
 from solver.mechanics.flesh import MOONEY_RIVLIN
-from solver.meshio.registered import RegisteredScan
 from tests.solver.simulation.test_fibres import fibred_block
 
 JAW = np.array([0.08, 0.02, 0.3, -0.3, 0.2])
@@ -107,7 +106,7 @@ def test_frames_are_followed(face):
         part = 0.2 * number
         truth = face.continuation(face.rest, pose(face, part, 0.5 * part, part=part))
         points = face.face_points(truth.x)
-        tracker.step(RegisteredScan(points, np.ones(len(points))))
+        tracker.step(SeenPoints(points, np.ones(len(points))))
         assert (tracker.state.pose.a >= 0.0).all()
         np.testing.assert_allclose(tracker.state.pose.a, truth.pose.a, atol=0.1)
         moved = np.linalg.norm(face.face_points(truth.x) - face.face_points(face.rest.x), axis=1)

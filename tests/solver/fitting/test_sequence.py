@@ -8,8 +8,7 @@ from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.tracking import Tracker
-from solver.fitting.tracking.dense import DenseOptions, DensePoints
-from solver.meshio.registered import RegisteredScan
+from solver.fitting.tracking.dense import DenseOptions, DensePoints, SeenPoints
 from tests.solver.block import block_model
 
 FRAMES = 40
@@ -45,7 +44,7 @@ def targets(face, poses):
 
 
 def seen(target):
-    return RegisteredScan(target.points, np.ones(len(target.points)))
+    return SeenPoints(target.points, np.ones(len(target.points)))
 
 
 def regulariser(face):

@@ -281,6 +281,29 @@ def test_a_template_s_expressions_are_solved_once_for_a_rig(
     assert (tmp_path / "again" / "expression_basis.npz").read_bytes() == kept.read_bytes()
 
 
+def test_known_activations_are_kept_to_and_their_muscles_are_not_held(
+    whole: tuple[Path, dict], files: Path, tmp_path: Path
+) -> None:
+    """What is said of one muscle in the last five frames, of which 30 markers tell little."""
+    model = small_model()
+    muscle, column = "corrugator_l", model.muscle_names.index("corrugator_l")
+    times = [frame / 60.0 for frame in (5, 9)]
+    table = tmp_path / "emg.csv"
+    rows = [f"corrugator,left,{time},0.2,0.03" for time in times]
+    table.write_text("\n".join(["muscle,side,time,value,sd", *rows]))
+    found = fit(files, tmp_path / "out", activations=table)
+    report = json.loads((tmp_path / "out" / "sequence.json").read_text())
+    figures = report["known"][muscle]
+    assert figures["frames"] == 4  # the first of the five was not seen
+    contraction, before = found["contraction"][:, column], whole[1]["contraction"][:, column]
+    np.testing.assert_allclose(contraction[6:], 0.2, atol=0.03)
+    assert np.abs(before[6:] - 0.2).max() > 0.1
+    np.testing.assert_allclose(contraction[:4], before[:4], atol=1e-4)
+    assert (found["held"][6:, column] == 0).all()
+    sd = found["contraction_sd"][6:, column]
+    assert sd.max() < 0.03 < whole[1]["contraction_sd"][6:, column].min()
+
+
 def test_every_second_frame_keeps_its_time(files: Path, tmp_path: Path) -> None:
     found = fit(files, tmp_path, options={"step": 2})
     assert found["fps"] == 60.0

@@ -132,6 +132,40 @@ def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_p
     assert volumes == sorted(volumes)
 
 
+@pytest.mark.parametrize("kind", ["fit_activations", "fit_geometry"])
+def test_known_activations_are_kept_to_and_disagreement_is_told(
+    kind: str, files: Path, tmp_path: Path
+) -> None:
+    """The right muscle of ``narrow`` contracts by 0.2, of ``wide`` by 0.05: that is known wrong."""
+    fibres = np.where(MODEL.weights.indices[:, None] > 0, [1.0, 0.0, 0.0], 0.0)
+    model = replace(MODEL, fibres=fibres)
+    Rig(model, model.weights, ()).save(tmp_path / "rig.npz")
+    model.save(tmp_path / "model.npz")
+    table = tmp_path / "emg.csv"
+    table.write_text("muscle,expression,value,sd\nright,narrow,0.2,0.05\nright,wide,0.4,0.02\n")
+    read = "rig" if kind == "fit_activations" else "model"
+    given = {read: tmp_path / f"{read}.npz", "activations": table}
+    scans = {name: files / f"{name}.obj" for name in ("wide", "narrow")}
+    options = {"controls": "free"} | ({"rounds": 2} if read == "model" else {})
+    run_job(kind, tmp_path / "out", captures=scans, options=options, **given)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())["expressions"]
+    (agreed,), (wrong,) = (report[name]["known"] for name in ("narrow", "wide"))
+    assert (agreed["muscle"], agreed["known"], agreed["sd"]) == ("right", 0.2, 0.05)
+    assert abs(agreed["off_sd"]) < 1.0
+    # a table that is sure of what the skin denies
+    assert wrong["off_sd"] < -2.0
+    (told,) = (each for each in report["wide"]["warnings"] if "disagree" in each["code"])
+    assert told["code"] == "activations.disagree"
+    assert told["muscle"] == "right"
+    assert not any("disagree" in each["code"] for each in report["narrow"]["warnings"])
+    rig = Rig.load(tmp_path / "out" / "rig.npz")
+    assert rig.expression("wide").known[0].as_dict() == wrong
+    table.write_text("muscle,expression,value,sd\nright,grin,0.2,0.05\n")
+    with pytest.raises(InputError, match="no expression grin") as refused:
+        run_job(kind, tmp_path / "out", captures=scans, options=options, **given)
+    assert refused.value.code == "activations.expression"
+
+
 def fail(*_args: object, **_more: object) -> None:
     raise SolveError("solve.no_convergence", "the fitted face does not come to rest")
 

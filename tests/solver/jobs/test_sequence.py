@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,10 @@ from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser
 from solver.fitting.tracking import Tracker
-from solver.fitting.tracking.dense import DensePoints, stillness
+from solver.fitting.tracking.dense import DensePoints, SeenPoints, stillness
 from solver.fitting.tracking.frame_solver import FrameSolver
 from solver.jobs import run_job
 from solver.mechanics.equilibrium import CorrectorOptions
-from solver.meshio.registered import RegisteredScan
 from solver.progress import Step
 from solver.rig.frames import ChunkOptions, read_frames
 from solver.rig.frames.animation_gltf import SEQUENCE_BASIS
@@ -173,6 +173,36 @@ def test_what_can_not_be_fitted_keeps_the_pose_and_warns(
     assert "frame 2 keeps the pose" in warning
 
 
+def test_known_activations_are_kept_to_and_disagreement_is_told(
+    files: Path, tmp_path: Path
+) -> None:
+    """The left muscle contracts by 0.24 at most; the right one is said to in frames 2 to 4."""
+    fibres = np.where(MODEL.weights.indices[:, None] > 0, [1.0, 0.0, 0.0], 0.0)
+    Rig(replace(MODEL, fibres=fibres), MODEL.weights, ()).save(tmp_path / "rig.npz")
+    true = 0.25 * np.sin(0.4 * np.arange(FRAMES))
+    rows = [f"left,{number / 10.0},{value},0.02" for number, value in enumerate(true)]
+    rows += [f"right,{number / 10.0},0.5,0.01" for number in (2, 4)]
+    table = tmp_path / "emg.csv"
+    table.write_text("\n".join(["muscle,time,value,sd", *rows]))
+    inputs = {**inputs_of(files), "rig": tmp_path / "rig.npz", "activations": table}
+    steps: list[Step] = []
+    options = {"fps": 10.0}
+    run_job("fit_sequence", tmp_path / "out", options=options, progress=steps.append, **inputs)
+    report = json.loads((tmp_path / "out" / "sequence.json").read_text())
+    known = report["known"]
+    assert [known[name]["frames"] for name in ("left", "right")] == [FRAMES, 3]
+    assert known["left"]["rms"] < 0.02
+    assert known["right"]["beyond"] == 1.0
+    assert known["right"]["worst"]["frame"] in {2, 3, 4}
+    (notice,) = report["notices"]
+    assert (notice["code"], notice["muscle"]) == ("activations.disagree", "right")
+    assert notice["message"] in [step.message for step in steps if step.phase == "warning"]
+    table.write_text("muscle,time,value,sd\nleft,3,0.1,0.1")
+    with pytest.raises(InputError, match=r"lasts 0\.8 s") as refused:
+        run_job("fit_sequence", tmp_path / "out", options=options, **inputs)
+    assert refused.value.code == "activations.time"
+
+
 def test_another_face_is_refused_with_its_distance(files: Path, tmp_path: Path) -> None:
     frames = np.load(files / "take.npy")
     frames += np.random.default_rng(1).normal(0.0, 8.0, frames.shape[1:]).astype(frames.dtype)
@@ -252,7 +282,7 @@ def test_the_head_s_motion_is_told_from_the_face_s() -> None:
         turn = Rotation.from_rotvec([0.2 * number, -0.3, 0.1])
         shift = np.array([30.0 * number, 100.0, -20.0])
         seen = turn.apply(face.face_points(state.x)) + shift
-        found = tracker.step(RegisteredScan(seen, np.ones(len(seen))))
+        found = tracker.step(SeenPoints(seen, np.ones(len(seen))))
         assert found.status == "fitted"
         assert found.target is not None
         assert found.target.distances(face.face_points(found.state.x)).mean() < 0.05

@@ -32,9 +32,12 @@ export function resultPanel(job, signal) {
     ...Object.entries(summary?.figures ?? summary ?? {}),
     ...Object.entries(summary?.all_markers ?? {}).map(([name, value]) => [`all markers, ${name}`, value]),
   ].filter(([name, value]) => (typeof value === "number" && name !== "format") || typeof value === "string");
+  // of what was odd before a verdict was, without one
+  const notices = (summary?.notices ?? []).map((notice) => ({ severity: "warning", ...notice }));
+  const findings = [...notices, ...(summary?.findings ?? [])];
   const content = [
     summary?.verdict && h("p", { class: "verdict" }, rigId ? verdictOf(summary) : verdictState(summary.verdict, job.kind)),
-    summary?.findings && findingList(summary.findings),
+    (summary?.findings || findings.length > 0) && findingList(findings),
     summary && judgedLines(summary),
     rigId && summary?.checks && findingList(rigFindings(summary)),
     rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),

@@ -22,6 +22,9 @@ import { bytes, count, figure, labelWords, plain, short, when } from "../words.j
 
 const EVERY_MS = 5_000;
 
+/** Roles of captures that are chosen for fits: scans, and a table of known activations beside them. */
+const CHOSEN_FOR_FITS = ["expression", "activations"];
+
 /** What the state of the newest build says of the model. */
 const MODEL = { succeeded: "Built", queued: "Waits to be built", running: "Being built", failed: "Not built" };
 
@@ -116,9 +119,8 @@ class SubjectView {
     captures.sort((a, b) => (b.role === "neutral") - (a.role === "neutral") || a.name.localeCompare(b.name));
     this.rigs = rigs;
     this.assets = captures.filter(({ role }) => role === "asset").map(({ id }) => id);
-    const ids = new Set(captures.filter(({ role }) => role === "expression").map(({ id }) => id));
-    this.chosen = new Set([...this.chosen].filter((id) => ids.has(id)));
     this.captures = new Map(captures.map((capture) => [capture.id, capture]));
+    this.chosen = new Set([...this.chosen].filter((id) => CHOSEN_FOR_FITS.includes(this.captures.get(id)?.role)));
     // another name or role makes another row: its buttons have both in them
     this.showCaptures(captures.map((capture) => ({ id: [capture.id, capture.name, capture.role].join(), capture })));
     this.showRigs(rigs);
@@ -153,13 +155,16 @@ class SubjectView {
   }
 
   mark() {
-    const why = this.chosen.size ? null : "Choose expressions in the list of scans first";
+    const expressions = this.chosenOf("expression").length;
+    const why = expressions ? null : "Choose expressions in the list of scans first";
     refuse(this.fit, why);
-    setText(
-      this.fit,
-      this.chosen.size ? `Fit ${count(this.chosen.size, "expression")}` : "Fit the chosen expressions",
-    );
+    setText(this.fit, expressions ? `Fit ${count(expressions, "expression")}` : "Fit the chosen expressions");
     for (const more of this.rigBody.querySelectorAll("button[data-more]")) refuse(more, why);
+  }
+
+  /** Return the ids of the chosen captures of a role. */
+  chosenOf(role) {
+    return [...this.chosen].filter((id) => this.captures.get(id).role === role);
   }
 
   captureRow(capture) {
@@ -197,7 +202,7 @@ class SubjectView {
       element: h(
         "tr",
         {},
-        h("td", { class: "tight" }, role === "expression" ? box : null),
+        h("td", { class: "tight" }, CHOSEN_FOR_FITS.includes(role) ? box : null),
         h("th", { scope: "row" }, name, about),
         h("td", {}, this.roles.get(role).title),
         h("td", {}, isScan && (capture.registered ? "Registered" : "Raw"), isTake && "Take", isMarkerSet(capture) && "Marker set"),
@@ -303,7 +308,8 @@ class SubjectView {
       toast("There is no rig yet to fit it with: build the model and fit expressions first.", "bad");
       return;
     }
-    await this.order(kind, { rig_id: this.rigs[0].id, captures, ...more });
+    const tables = this.chosenOf("activations");
+    await this.order(kind, { rig_id: this.rigs[0].id, captures: [...captures, ...tables], ...more });
   }
 
   async deleteCapture(capture) {
