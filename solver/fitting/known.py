@@ -41,9 +41,7 @@ class SkinWorth:
     """What a scan's distances are worth beside a table's standard deviations."""
 
     sigma_mm: float = 0.3  # by which a fitted skin is off where noise and model leave it
-    # distances that err by themselves: a face of 300 cm^2 in patches of a cm, as far as the
-    # model's errors reach
-    independent: float = 600.0
+    independent: float = 600.0  # distances that err by themselves: half a cm^2 of a face each
 
     @property
     def weight(self) -> float:

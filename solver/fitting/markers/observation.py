@@ -22,7 +22,7 @@ from solver.fitting.activation import ActivationOptions
 from solver.fitting.contact import NearContact
 from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face, Pose, PosedFace
-from solver.fitting.information import Posterior
+from solver.fitting.information import Posterior, inverse_of_positive
 from solver.fitting.known import KnownTerm
 from solver.fitting.least_squares import StopOptions
 from solver.fitting.markers.filter import (
@@ -247,9 +247,9 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         points, free = seen.points, seen.unlabelled
         judged, term = self._judge.term(head, at, spread, points, precision, free)
         if not term.precision.any():
-            state = solver.state
+            state, mean = solver.state, self._expect(prior, seen.known)
             with suppress(SolveError):  # out of reach: it stays where it is
-                solver.go_to(state.pose.add(prior.mean - state.pose.vector()))
+                solver.go_to(state.pose.add(mean - state.pose.vector()))
             return self._leave(solver, term, judged, prior, memory, "predicted", known=seen.known)
         priors: list[Prior] = [prior, self._penalties]
         priors += [] if seen.known is None else [seen.known]
@@ -267,6 +267,15 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
             return self._leave(solver, term, judged, prior, memory, "kept", known=seen.known)
         more = (steps, seen.known)
         return self._leave(solver, term, judged, prior, memory, "fitted", *more)
+
+    def _expect(self, prior: GaussianPrior, known: KnownTerm | None) -> Floats:
+        """Return the controls (q,) of a frame of which a table alone tells, if there is one."""
+        if known is None:
+            return prior.mean
+        layout = self.face.layout
+        pull = known.gradient(Pose.of(layout, prior.mean))
+        change = inverse_of_positive(prior.precision + known.curvature) @ pull
+        return layout.bounds.clip(prior.mean - change)
 
     def place(
         self,
