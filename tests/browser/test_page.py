@@ -376,6 +376,28 @@ def test_long_lists_come_in_pages(show: Show, studio: Studio) -> None:
     assert rows.first.get_attribute("data-job") == newest
 
 
+def test_a_table_of_known_activations_is_chosen_for_fits(show: Show, studio: Studio) -> None:
+    subject_id, rig_id = studio.rigged()
+    emg = studio._add(subject_id, "emg", "activations", {})
+    smile = studio.capture(subject_id, "smile-again", registered=True)
+    performance = studio._add(subject_id, "talk", "performance", {})
+    page = show(f"/subjects/{subject_id}")
+    page.get_by_label("Choose emg for a fit").check()
+    assert page.get_by_role("button", name="Fit the chosen").is_disabled()
+    page.get_by_label("Choose smile-again for a fit").check()
+    page.get_by_role("button", name="Fit 1 expression").click()
+    page.get_by_role("dialog").get_by_role("button", name="Submit").click()
+    page.get_by_role("link", name="Alex").first.click()
+    page.get_by_label("Choose emg for a fit").check()
+    page.get_by_role("button", name="Fit talk").click()
+    page.get_by_role("dialog").get_by_role("button", name="Submit").click()
+    page.locator(".head .state").wait_for()
+    jobs = studio.get(f"/v1/jobs?subject_id={subject_id}&reads={emg}")["items"]
+    read = {job["kind"]: job["captures"] for job in jobs}
+    assert read == {"fit_geometry": [emg, smile], "fit_sequence": [performance, emg]}
+    assert next(job for job in jobs if job["kind"] == "fit_sequence")["rig_id"] == rig_id
+
+
 def test_a_subject_is_worked_with_and_deleted(show: Show, studio: Studio) -> None:
     subject_id = studio.modelled()
     studio.capture(subject_id, "smile")
