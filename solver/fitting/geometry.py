@@ -54,7 +54,7 @@ class GeometryOptions:
 
     rounds: int = 12
     w_a: tuple[float, float] = (0.2, 1e-3)  # of the first and last round, geometric in between
-    w_s: tuple[float, float] = (1e-4, 1e-7)
+    w_s: tuple[float, float] = (1e-4, 1e-5)
     w_v: float = 1e-2  # of the muscles' volume
     w_b: float = 1e-6  # of the jaw
     stiffness: float = 30.0  # of a muscle that contracts, by that of the flesh around it
