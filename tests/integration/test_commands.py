@@ -164,6 +164,25 @@ def test_a_performance_and_its_frames(myoface: Command, tmp_path: Path) -> None:
     assert "performance  frames" in myoface("captures", "list", subject).output
 
 
+def test_a_table_lies_beside_all_expressions_unless_some_are_named(
+    myoface: Command, url: str, tmp_path: Path
+) -> None:
+    subject = myoface("subjects", "add", "Ada").output.strip()
+    for name in ("neutral", "smile", "frown"):
+        myoface("upload", subject, scan(tmp_path, name), "--registered")
+    myoface("jobs", "submit", "build_model", subject)
+    table = scan(tmp_path, "emg").rename(tmp_path / "emg.csv")
+    emg = myoface("captures", "add", subject, table, "--role", "activations").output.split()[0]
+    fits = []
+    for named, expressions in (((), {"smile", "frown"}), (("--capture", "smile"), {"smile"})):
+        given = ("fit_geometry", subject, "--capture", "emg", *named)
+        fits.append(told := myoface("jobs", "submit", *given).output.split())
+        with Client(url) as client:
+            assert set(client.rig(told[-1]).expressions) == expressions
+    with Client(url) as client:
+        assert {job.id for job in client.jobs(reads=emg)} == {told[0] for told in fits}
+
+
 def test_an_unknown_name_is_refused_with_those_there_are(myoface: Command, tmp_path: Path) -> None:
     subject = myoface("subjects", "add", "Ada").output.strip()
     myoface("upload", subject, scan(tmp_path, "smile"))
