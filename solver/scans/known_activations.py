@@ -42,6 +42,7 @@ class KnownTableOptions:
 
     most_bytes: int = 32 * 2**20
     most_rows: int = 500_000  # an hour of eight channels, of which filtered EMG needs 15 a second
+    longest_line: int = 10_000  # characters
     longest_field: int = 200
     most: float = 1.0  # contraction, of fibres that have lost all of their length
     least: float = -1.0  # of fibres that are twice as long
@@ -236,10 +237,6 @@ class _TableReader:
             muscles.append(spelt[key])
             lines.append(self._line)
             expressions.append(row.get("expression", ""))
-            if len(lines) > self._options.most_rows:
-                self._fail(
-                    "activations.unreadable", f"has more than {self._options.most_rows:,} rows"
-                )
         if not lines:
             self._fail("activations.unreadable", "has no rows under its heading")
         return KnownTable(
@@ -256,10 +253,13 @@ class _TableReader:
 
     def _rows(self, text: str) -> Iterator[list[str]]:
         """Give the fields of every row that is not blank."""
-        reader, width = csv.reader(io.StringIO(text, newline="")), 0
+        reader, width = csv.reader(self._lines(text)), 0
         try:
             for fields in reader:
                 self._line = reader.line_num
+                if self._line > self._options.most_rows + 1:
+                    message = f"has more than {self._options.most_rows:,} rows"
+                    self._fail("activations.unreadable", message)
                 found = [each.strip() for each in fields]
                 if not any(found):
                     continue
@@ -275,6 +275,15 @@ class _TableReader:
         except csv.Error as error:
             self._line = reader.line_num
             self._fail("activations.unreadable", f"is no table: {error}")
+
+    def _lines(self, text: str) -> Iterator[str]:
+        """Give the lines of a text, none of them of more columns than can be kept."""
+        for number, line in enumerate(io.StringIO(text, newline=""), start=1):
+            if len(line) > self._options.longest_line:
+                self._line = number
+                message = f"the line has more than {self._options.longest_line:,} characters"
+                self._fail("activations.unreadable", message)
+            yield line
 
     def _columns(self, heading: list[str]) -> list[str]:
         columns = [each.lower() for each in heading]

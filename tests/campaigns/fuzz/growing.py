@@ -216,6 +216,17 @@ OTHERS: dict[str, dict[str, Make]] = {
         "frames": lambda n: take_files.c3d_bytes(_cloud(n, 20)),
         "labels": lambda n: take_files.npz_bytes(_cloud(4, 20 + n, seen=20)),
     },
+    "known activations": {
+        "rows": lambda n: (
+            b"muscle,time,value,sd\n"
+            + b"".join(b"procerus,%.6f,0.1,0.1\n" % (1e-6 * k) for k in range(n))
+        ),
+        "blanks": lambda n: b"muscle,value,sd" + b"\n" * n,
+        "quotes": lambda n: b"muscle,value,sd\n" + b'"' * n,
+        "names": lambda n: b"muscle,value,sd\n" + b"frontalis_l." * n + b",0.1,0.1\n",
+        "columns": lambda n: b"muscle,value,sd\n" + b"," * n,
+        "digits": lambda n: b"muscle,value,sd\nprocerus,0." + b"1" * n + b",0.1\n",
+    },
     "sequence": {
         "frames": lambda n: seeds.sequence_bytes(n, 2),
         "muscles": lambda n: seeds.sequence_bytes(2, n),

@@ -140,6 +140,13 @@ def markers_trc() -> list[bytes]:
     return [content, content.replace(b"\t", b" ")]
 
 
+def known_activations() -> list[bytes]:
+    """Return tables of known activations, by time and by expression."""
+    by_time = [f"frontalis,left,{0.05 * number},0.1,0.05\n" for number in range(20)]
+    by_name = "muscle,expression,value,sd\nprocerus,smile,0.2,0.1\nfrontalis_l.medial,,-0.1,0.1\n"
+    return ["".join(["muscle,side,time,value,sd\n", *by_time]).encode(), by_name.encode()]
+
+
 def markers_motive() -> list[bytes]:
     """Return CSV files of older and newer releases."""
     points = take_files.face_points(6, 4)

@@ -18,6 +18,7 @@ from solver.errors import InputError
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
 from solver.registration.landmarks import read_landmarks
+from solver.scans.known_activations import read_known
 from solver.scans.markers.check import check_take
 from solver.scans.markers.places.bind import Reference
 from solver.scans.markers.places.face_take import USUAL_RATE, living_labels
@@ -88,6 +89,14 @@ def _sequence(path: Path) -> None:
     found.of_muscles(found.muscles)
 
 
+def _known_activations(path: Path) -> None:
+    table = read_known(path, ("frontalis_l.medial", "frontalis_l.lateral", "procerus"))
+    if table.times is None:
+        table.of_expressions(["smile"])
+    else:
+        table.of_take(100, 60.0).at(0.5)
+
+
 def _archive(path: Path) -> None:
     Archive.read(path, "model", "a model", 1)
 
@@ -129,6 +138,7 @@ def _markers() -> list[Target]:
         _file("marker set", seeds.marker_set(), "json", _marker_set),
         # a check looks for a face: what costs it the most is made for it
         replace(_file("markers check", checked, "dat", _check), most_inputs=40),
+        _file("known activations", seeds.known_activations(), "csv", _known_activations),
         _file("sequence", seeds.sequence(), "npz", _sequence),
     ]
 

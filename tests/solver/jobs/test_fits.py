@@ -158,6 +158,8 @@ def test_known_activations_are_kept_to_and_disagreement_is_told(
     assert told["code"] == "activations.disagree"
     assert told["muscle"] == "right"
     assert not any("disagree" in each["code"] for each in report["narrow"]["warnings"])
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count('class="known"') == 2
     rig = Rig.load(tmp_path / "out" / "rig.npz")
     assert rig.expression("wide").known[0].as_dict() == wrong
     table.write_text("muscle,expression,value,sd\nright,grin,0.2,0.05\n")

@@ -103,7 +103,8 @@ BY_TIME, BY_NAME = "muscle,time,value,sd\n", "muscle,expression,value,sd\n"
         ("unreadable", BY_TIME, "no rows"),
         ("unreadable", BY_TIME + "procerus,0,0.1", "line 2: 4 columns expected, 3 found"),
         ("unreadable", BY_TIME + f"{'m' * 300},0,0.1,0.1", "characters"),
-        ("unreadable", BY_TIME + f'"{"m" * 200_000}",0,0.1,0.1', "no table"),
+        ("unreadable", BY_TIME + "," * 20_000, "line 2: the line has more than 10,000"),
+        ("unreadable", BY_TIME + '"' + 200_000 * "m\n", "no table"),
     ],
 )
 def test_what_cannot_be_used_is_told_with_its_line(
