@@ -132,6 +132,20 @@ def test_disagreements_are_told_beyond_two_standard_deviations():
     assert figures["procerus"]["rms"] == pytest.approx(0.1)
 
 
+def test_a_face_that_does_not_move_is_left_where_it_is_and_told():
+    """As of a palsy: the table says that a muscle pulls, the skin that nothing does."""
+    model = small_model()
+    face = Face(model, mix_by_stiffness(model.weights, 30.0)).driven_by(Admissible())
+    rest = face.face_points(face.rest.x)
+    known, target = known_of(("frontalis_l", 0.5, 0.05)), Target.from_points(rest)
+    prior = unseen_regulariser(face, target, known)
+    found = activation.fit(face, SkinDistance(face, target), prior, options=UNSEEN_STOP).state
+    assert np.linalg.norm(face.face_points(found.x) - rest, axis=1).max() < 0.5
+    (fit,) = FaceMuscles.of(face).compare(known, found.pose.a)
+    assert 0.0 < fit.contraction < 0.25
+    assert len(find_disagreements("still", (fit,))) == 1
+
+
 def test_known_muscles_are_kept_to_and_more_is_found_again():
     """Of 40 points with 0.2 mm of noise; EMG of six muscles with a standard deviation of 0.1."""
     rng, model = np.random.default_rng(12), small_model()
