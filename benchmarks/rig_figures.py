@@ -15,9 +15,9 @@ from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
-from solver.rig.report.certificate import Muscles, certify
+from solver.rig.report.certificate import JawFigures, Muscles, certify
 from solver.rig.report.checks import Judgement, expression_verdict, judge
-from solver.rig.report.prime_movers import rank_contractions
+from solver.rig.report.prime_movers import is_one_of, rank_contractions
 from solver.rig.round_trip import activation_error
 
 
@@ -27,6 +27,15 @@ class NoiseOptions:
 
     sd_mm: float = 0.2  # of each coordinate of each vertex
     seed: int = 7
+
+
+@dataclass(frozen=True)
+class CloserOptions:
+    """Muscles that close the jaw, and when they have nothing to do."""
+
+    muscles: tuple[str, ...] = ("masseter", "temporalis", "medial pterygoid")  # of anatomy texts
+    open_mm: float = 5.0  # of the incisors, beyond which the jaw is open
+    silent: float = 0.05  # contraction up to which they are silent
 
 
 # a figure -> the certificate's check, and how it is taken over the expressions
@@ -133,6 +142,21 @@ def muscle_figures(expressions: Sequence[Muscles]) -> Figures:
         known = values[np.isfinite(values)]
         figures[key] = float(known.max()) if len(known) else None
     return figures
+
+
+def pulling_closers(
+    model: SubjectModel, found: Muscles, jaw: JawFigures, options: CloserOptions = CloserOptions()
+) -> dict[str, float]:
+    """Return the muscles that close the jaw and contract while it is open, with how much."""
+    if jaw.opening_mm <= options.open_mm:
+        return {}
+    return {
+        name: float(by)
+        for name, whole, by, judged in zip(
+            model.muscle_names, model.muscle_groups, found.contraction, found.is_judged, strict=True
+        )
+        if judged and by > options.silent and is_one_of(whole, options.muscles)
+    }
 
 
 def same_muscle_other_person(people: Sequence[Figures]) -> float | None:
