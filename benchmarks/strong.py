@@ -44,17 +44,32 @@ STRONG = {
     "snarl": Expression(SNARL, sides=("left",)),
 }
 
+# Unseen expressions that ask much of one part of the face: its regions, by which each is judged.
+LIPS, NOSE = ("upper_lip", "lower_lip"), ("nose",)
+BEAM = {"mouthSmile": 1.0, "mouthUpperUp": 0.5, "cheekSquint": 0.5, "jawOpen": 0.15}
+HARD = {
+    "funnel": Expression({"mouthFunnel": 1.0, "jawOpen": 0.15}),
+    "beam": Expression(BEAM),
+    "sniff": Expression({"noseSneer": 1.0, "mouthUpperUp": 0.3}),
+}
+HARD_REGIONS = {"funnel": LIPS, "beam": LIPS, "sniff": NOSE}
 
-def strong_scans(template: Template, neutral: Surface) -> dict[str, Surface]:
-    """Return the strong expressions of a person whose ``neutral`` has the template's topology.
+
+def strong_scans(
+    template: Template, neutral: Surface, expressions: Mapping[str, Expression] = STRONG
+) -> dict[str, Surface]:
+    """Return ``expressions`` of a person whose ``neutral`` has the template's topology.
 
     Raises :class:`InputError` (``captures.expression``) for a shape that the template lacks.
     """
     shapes = template.shapes
     if shapes is None:
         raise InputError("captures.expression", f"template '{template.name}' has no expressions")
-    mixtures = strong_mixtures(shapes.expression_names)
-    return {name: mixed(neutral, shapes, weights) for name, weights in mixtures.items()}
+    names = shapes.expression_names
+    return {
+        name: mixed(neutral, shapes, shape_weights(each, names))
+        for name, each in expressions.items()
+    }
 
 
 def strong_mixtures(shapes: Sequence[str]) -> dict[str, dict[str, float]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -38,7 +38,8 @@ Scans = Mapping[str, Surface]
 class Fits:
     """Settled fits of several scans, how long they took, and why there is none of a scan.
 
-    ``face`` is the one they are of, with its S; ``rounds`` are those that S took.
+    ``face`` is the one they are of, with its S; ``rounds`` are those that S took, in
+    ``cpu_seconds`` of the processor's time.
     """
 
     face: Face
@@ -47,6 +48,7 @@ class Fits:
     seconds: float
     failed: dict[str, str] = field(default_factory=dict)
     rounds: int = 0
+    cpu_seconds: float = 0.0
 
     @property
     def states(self) -> dict[str, PosedFace]:
@@ -64,6 +66,12 @@ class Fits:
         points = self.face.face_points(self.states[name].x)
         goal = self.scans[name].vertices[self.face.model.face]
         return np.asarray(np.linalg.norm(points - goal, axis=1))
+
+    def region_mean(self, name: str, regions: Sequence[str]) -> float | None:
+        """Return the mean distance, mm, over some regions; None where the face has none of them."""
+        model = self.face.model
+        within = np.isin(model.face, np.concatenate([model.region(each) for each in regions]))
+        return float(self.distances(name)[within].mean()) if within.any() else None
 
     def skin(self, name: str) -> Floats:
         """Return the whole skin (V, 3) of a fit."""
@@ -120,7 +128,7 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
         rounds += 1
         log.info("round %d: %.3f mm", number, geometry.mean_error(face, targets, states))
 
-    start = time.perf_counter()
+    start, cpu = time.perf_counter(), time.process_time()
     data, first_terms = terms(face, targets), distances(face, targets)
     fitted = geometry.fit(
         face,
@@ -130,8 +138,8 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
         recruited=recruit(face, targets),
         listen=listen,
     )
-    seconds = time.perf_counter() - start
-    return Fits(fitted.face, dict(scans), fitted.endings, seconds, rounds=rounds)
+    seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+    return Fits(fitted.face, dict(scans), fitted.endings, seconds, rounds=rounds, cpu_seconds=cpu)
 
 
 def by_activations(face: Face, scans: Scans) -> Fits:

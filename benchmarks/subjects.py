@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from benchmarks.strong import strong_scans
+from benchmarks.strong import HARD, strong_scans
 from solver.anatomy.build import build_subject_model, jaw_tracks
 from solver.anatomy.meshing import find_or_make_mesh
 from solver.fitting.drives.admissible import Admissible
@@ -16,6 +16,7 @@ from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
+from solver.surface import Surface
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
 from solver.templates.ict_facekit import ict_capture_set
 from solver.templates.ict_template import build_ict_template
@@ -78,11 +79,15 @@ def builtin_options() -> argparse.Namespace:
 
 @dataclass(frozen=True)
 class Subject:
-    """A person to be fitted, with the sets of scans by their names (:data:`SETS`)."""
+    """A person to be fitted, with the sets of scans by their names (:data:`SETS`).
+
+    ``hard`` are unseen scans of :data:`~benchmarks.strong.HARD` expressions.
+    """
 
     name: str
     model: SubjectModel
     sets: dict[str, CaptureSet]
+    hard: dict[str, Surface]
     tracks: JawTracks
 
     @property
@@ -116,4 +121,5 @@ def each(options: argparse.Namespace, names: Sequence[str], edge_mm: float) -> I
         model = build_subject_model(template, neutral, edge_mm=edge_mm, compartments=divided)
         strong = replace(scans, train=strong_scans(template, scans.neutral))
         sets = dict(zip(SETS, (scans, strong), strict=True))
-        yield Subject(name, model, sets, jaw_tracks(template, model))
+        hard = strong_scans(template, scans.neutral, HARD)
+        yield Subject(name, model, sets, hard, jaw_tracks(template, model))
