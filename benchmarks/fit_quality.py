@@ -10,7 +10,8 @@ contact and round trip are those of the rig's certificate, the worst or the sum 
 of what muscles can do, ``lengthened`` those whose fibres lengthen more than a resting muscle's may,
 ``closers`` those that close the jaw and contract while it is open, ``asymmetry`` is the greatest
 difference of both sides' contractions, by the greatest contraction, where the scan is alike on
-both. ``round_trip.activation_error`` is how much the activations of the unseen scans change by
+both, ``strayed`` the part of the worst muscle's flesh that S has more than 5 mm outside its
+surface. ``round_trip.activation_error`` is how much the activations of the unseen scans change by
 noise on them, ``contraction_change`` the most that a muscle's contraction does,
 ``same_muscle_other_person`` the correlation of contractions in the same expression of two subjects
 of ``--faces``. ``hard`` has the mean over the lips in an unseen funnel and beam, and over the nose
@@ -79,6 +80,7 @@ WORST: dict[str, Any] = {
     "lengthened": sum,
     "asymmetry": max,
     "closers": sum,
+    "strayed": max,
     "bite_max_mm": max,
     "condyle_out_mm": max,
     "jaw_beyond": max,

@@ -38,6 +38,7 @@ MUSCLES = {
     "at_bound": "at a bound, worst expression",
     "closers": "closers in an open jaw, sum",
     "asymmetry": "left against right",
+    "strayed": "flesh outside its muscle",
     "activation_error": "change by noise",
     "contraction_change": "of a contraction, most",
 }

@@ -132,6 +132,8 @@ def rig_figures(train: Fits, test: Fits, tracks: JawTracks) -> Figures:
         "lengthened": sum(found["lengthened"] for found in expressions.values()),
         "asymmetry": max(uneven, default=None),
         "closers": sum(len(found["closers"]) for found in expressions.values()),
+        "strayed": max(certificate.strayed.values(), default=None),
+        "strayed_by_muscle": certificate.strayed,
         "condyle_out_mm": max(found["condyle_out_mm"] for found in expressions.values()),
         "certificates_bad": bad + len(failed),
         "certificates": len(expressions) + len(failed),

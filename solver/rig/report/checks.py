@@ -14,11 +14,12 @@ import numpy as np
 from solver.errors import Verdict
 from solver.fitting.contraction import STILL
 from solver.mechanics.newton import NewtonOptions
-from solver.rig.report.certificate import Certificate
-from solver.rig.report.measures import Measure, measures
+from solver.rig.report.certificate import Certificate, StrayOptions
+from solver.rig.report.measures import Measure, measures, measures_of_rig
 from solver.rig.report.prime_movers import MoverOptions
 from solver.rig.rig import Rig
 
+ALL = "all expressions"  # where a check of the rig as a whole is made
 ORDER: tuple[Verdict, ...] = ("good", "usable", "bad")
 
 
@@ -193,6 +194,16 @@ CHECKS = (
         "on both",
         "The scan gives no reason for it: read the mean of both sides. A fit_geometry with a "
         "greater weight of symmetry keeps S alike on both.",
+    ),
+    RigCheck(
+        "muscles.strayed",
+        "Flesh outside its muscle",
+        FigureLimits(100.0 * StrayOptions.most, np.inf, "%"),
+        f"part of a muscle in S that is more than {StrayOptions.beyond_mm:g} mm outside the "
+        "surface which the anatomy gives it",
+        "The skin is right, but flesh pulls there that is none of this muscle's: do not read its "
+        "activations as effort. Training scans that move the muscles beside it, too, leave it "
+        "less to make up for.",
     ),
     RigCheck(
         "jaw.range",
@@ -403,10 +414,14 @@ def ready(judgements: Sequence[Judgement], expressions: Sequence[str]) -> str:
 
 
 def judge(rig: Rig, certificate: Certificate) -> list[Judgement]:
-    """Judge every check that could be made, in the order of :data:`CHECKS`."""
+    """Judge every check that could be made, in the order of :data:`CHECKS`.
+
+    One of the rig as a whole has a figure of :data:`ALL`, and of no expression.
+    """
     made = {
         fit.name: measures(rig, fit, certificate.expressions[fit.name]) for fit in rig.expressions
     }
+    made[ALL] = measures_of_rig(rig.model, certificate)
     judgements = []
     for check in CHECKS:
         known = {name: found[check.code] for name, found in made.items() if check.code in found}
