@@ -370,7 +370,8 @@ def _limit(spoiled: str, failed: Sequence[Judgement]) -> Limit:
         if each.of(name) != "good"
         for muscle in measure.muscles
     ]
-    if count := len({muscle for _, muscle in muscles}):
+    # muscles by their wholes: checks name compartments, or whole muscles
+    if count := len({muscle.partition(".")[0] for _, muscle in muscles}):
         spoiled = f"{'one muscle is' if count == 1 else f'{count} muscles are'} {EFFORT}"
     among = "worst in" if len(set(muscles)) > 1 else "in"
     reason = _reason(worst.check, worst.measures[expression])
