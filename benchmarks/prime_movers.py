@@ -36,12 +36,10 @@ from benchmarks.documents import Figures, Section, Table
 from benchmarks.rig_figures import pulling_closers
 from benchmarks.strong import DrawOptions, called_actions, draw_mixtures, mixed, strong_mixtures
 from benchmarks.subject_fits import Fits
-from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.action_units import Action, actions_of, joined_codes, units_of
 from solver.anatomy.template import ShapeBasis, split_side
 from solver.animation.blendshapes import CORRECTED, expression_targets
 from solver.fitting.face import Face
-from solver.fitting.geometry import GeometryOptions
 from solver.model import SubjectModel
 from solver.rig.report.certificate import Muscles, jaw_motion, muscles
 from solver.rig.report.prime_movers import (
@@ -51,12 +49,9 @@ from solver.rig.report.prime_movers import (
     movers,
     rank_contractions,
 )
-from solver.rig.rig import Rig
 from solver.surface import Surface
-from solver.templates.builtin.build import builtin_template
-from solver.templates.ict_facekit import read_facekit, shape_basis
 
-QUICK_ROUNDS, QUICK_MIXTURES = 4, 6
+QUICK_MIXTURES = 6
 SINGLE, MIXED = ("units", "held_out"), ("strong", "drawn")
 SUMMARY = ("prime_mover_top3", "contradicted", "judged", *SINGLE[1:], *MIXED, "closers", "seconds")
 
@@ -103,34 +98,17 @@ class Person:
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
-        faces = options.faces
-        found = builtin_template().shapes if faces is None else shape_basis(read_facekit(faces))
-        assert found is not None, "templates of benchmarks have shapes"
-        self.basis: ShapeBasis = found
+        self.basis = subjects.shapes(options)
 
     @cached_property
     def face(self) -> Face:
         """The rig's face."""
-        return self._face(self.options.rig, lambda model: model)
+        return subject_fits.face_of_rig(self.options, self.options.rig)
 
     @cached_property
     def uninformed(self) -> Face:
         """The face of a model that lacks the shapes of the units that are held out."""
-        return self._face(self.options.held_rig, without_held_out)
-
-    def _face(self, path: Path | None, change: Callable[[SubjectModel], SubjectModel]) -> Face:
-        options = self.options
-        if path is not None and path.is_file():
-            rig = Rig.load(path)
-            return subjects.bounded(Face(rig.model, rig.weights), options)
-        model, captures = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
-        rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
-        schedule = subjects.schedule(options, rounds)
-        fits = subject_fits.by_geometry(Face(change(model)), captures.train, schedule)
-        face = fits.face
-        if path is not None:
-            Rig(face.model, face.S, tuple(fits.expressions("train")), drive=face.drive).save(path)
-        return face
+        return subject_fits.face_of_rig(self.options, self.options.held_rig, without_held_out)
 
     def units(self, face: Face) -> dict[str, Surface]:
         """Return the skins of the single units that were asked for."""
@@ -168,10 +146,7 @@ def _strong(person: Person) -> Figures:
 
 def _drawn(person: Person) -> Figures:
     draw = DrawOptions(count=QUICK_MIXTURES) if person.options.quick else DrawOptions()
-    model = person.face.model
-    wholes = set(model.muscle_groups)
-    shapes = [name for name in single_units(model, person.basis) if _is_made(name, wholes)]
-    return person.mixtures(draw_mixtures(shapes, draw))
+    return person.mixtures(draw_mixtures(drawn_shapes(person.face.model, person.basis), draw))
 
 
 PARTS: dict[str, Callable[[Person], Figures]] = {
@@ -180,6 +155,12 @@ PARTS: dict[str, Callable[[Person], Figures]] = {
     "strong": _strong,
     "drawn": _drawn,
 }
+
+
+def drawn_shapes(model: SubjectModel, basis: ShapeBasis) -> list[str]:
+    """Return the shapes of one unit each that a model's muscles, or its jaw, can make."""
+    wholes = set(model.muscle_groups)
+    return [name for name in single_units(model, basis) if _is_made(name, wholes)]
 
 
 def _is_made(shape: str, wholes: Iterable[str]) -> bool:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
+from benchmarks import subjects
 from benchmarks.documents import Figures
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
@@ -25,11 +28,14 @@ from solver.fitting.per_tet import PerTetOptions
 from solver.fitting.recruitment import recruit
 from solver.jobs.fits import describe_fit
 from solver.meshio.registered import RegisteredScan
+from solver.model import SubjectModel
 from solver.rig.report.certificate import with_round_trips
 from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Surface
 
 log = logging.getLogger(__name__)
+
+QUICK_ROUNDS = 4  # of a fit of S in a quick run
 
 Scans = Mapping[str, Surface]
 
@@ -221,3 +227,27 @@ def rig_of(train: Fits, test: Fits) -> Rig:
         "round_trip": time.perf_counter() - start,
     }
     return Rig(face.model, face.S, fits, seconds)
+
+
+def face_of_rig(
+    options: argparse.Namespace,
+    path: Path | None,
+    change: Callable[[SubjectModel], SubjectModel] = lambda model: model,
+) -> Face:
+    """Return the face of a rig file with the controls of the options.
+
+    Where there is none S is fitted to the standard scans of the chosen subject, whose model goes
+    through ``change`` first, and left there.
+    """
+    if path is not None and path.is_file():
+        rig = Rig.load(path)
+        return subjects.bounded(Face(rig.model, rig.weights), options)
+    edge = subjects.COARSE_EDGE_MM if options.quick else subjects.EDGE_MM
+    model, captures = subjects.load(options, edge)
+    rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
+    schedule = subjects.schedule(options, rounds)
+    fits = by_geometry(Face(change(model)), captures.train, schedule)
+    face = fits.face
+    if path is not None:
+        Rig(face.model, face.S, tuple(fits.expressions("train")), drive=face.drive).save(path)
+    return face

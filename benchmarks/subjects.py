@@ -11,6 +11,7 @@ from pathlib import Path
 from benchmarks.strong import HARD, strong_scans
 from solver.anatomy.build import build_subject_model, jaw_tracks
 from solver.anatomy.meshing import find_or_make_mesh
+from solver.anatomy.template import ShapeBasis
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
@@ -18,7 +19,7 @@ from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
 from solver.surface import Surface
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
-from solver.templates.ict_facekit import ict_capture_set
+from solver.templates.ict_facekit import ict_capture_set, read_facekit, shape_basis
 from solver.templates.ict_template import build_ict_template
 from solver.templates.tables import CaptureSet
 
@@ -94,6 +95,14 @@ class Subject:
     def captures(self) -> CaptureSet:
         """Return the standard set."""
         return self.sets["standard"]
+
+
+def shapes(options: argparse.Namespace) -> ShapeBasis:
+    """Return the shapes of the chosen template."""
+    faces = options.faces
+    found = builtin_template().shapes if faces is None else shape_basis(read_facekit(faces))
+    assert found is not None, "templates of benchmarks have shapes"
+    return found
 
 
 def load(options: argparse.Namespace, edge_mm: float) -> tuple[SubjectModel, CaptureSet]:
