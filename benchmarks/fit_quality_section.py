@@ -36,6 +36,7 @@ MUSCLES = {
     "stretch_longest": "greatest stretch",
     "lengthened": "lengthened, sum",
     "at_bound": "at a bound, worst expression",
+    "at_fibre_bound": "at that of lengthening",
     "closers": "closers in an open jaw, sum",
     "asymmetry": "left against right",
     "strayed": "flesh outside its muscle",

@@ -52,6 +52,9 @@ class BoundOptions:
     part: float = 0.1
 
 
+BOUNDS = ("at_bound", "at_fibre_bound")
+
+
 @dataclass(frozen=True)
 class EvennessOptions:
     """Expressions by which both sides are compared."""
@@ -106,7 +109,7 @@ def rig_figures(train: Fits, test: Fits, tracks: JawTracks) -> Figures:
             "verdict": expression_verdict(judgements, name),
             "beyond": beyond[name].value,
             **muscle_figures([check.muscles]),
-            "at_bound": at_bound(fits.face, fits.states[name].pose.a, check.muscles),
+            **bound_figures(fits.face, fits.states[name].pose.a, check.muscles),
             "lengthened": lengthened(check.muscles),
             "asymmetry": asymmetry(check),
             "closers": pulling_closers(rig.model, check.muscles, check.jaw),
@@ -128,7 +131,7 @@ def rig_figures(train: Fits, test: Fits, tracks: JawTracks) -> Figures:
             rig.model, [check.crossing for check in checks.values()]
         ),
         **muscle_figures([check.muscles for check in checks.values()]),
-        "at_bound": max(found["at_bound"] for found in expressions.values()),
+        **{key: max(found[key] for found in expressions.values()) for key in BOUNDS},
         "lengthened": sum(found["lengthened"] for found in expressions.values()),
         "asymmetry": max(uneven, default=None),
         "closers": sum(len(found["closers"]) for found in expressions.values()),
@@ -187,12 +190,17 @@ def muscle_figures(expressions: Sequence[Muscles]) -> Figures:
     return figures
 
 
-def at_bound(face: Face, a: Floats, found: Muscles, options: BoundOptions = BoundOptions()) -> int:
-    """Return how many muscles are at a bound of what muscles can do, or beyond it."""
+def bound_figures(
+    face: Face, a: Floats, found: Muscles, options: BoundOptions = BoundOptions()
+) -> Figures:
+    """Return how many muscles are at a bound of what muscles can do, or beyond it.
+
+    ``at_fibre_bound`` are those whose fibres lengthen up to theirs.
+    """
     limits = options.drive.feasible(face.model, face.flesh.volumes, face.S)
     at_rest = limits.margins(np.tile(IDENTITY, (len(a), 1)))
-    near = (limits.margins(a) < options.part * at_rest).any(axis=1)
-    return int((near & found.is_judged).sum())
+    near = limits.margins(a)[found.is_judged] < options.part * at_rest[found.is_judged]
+    return {"at_bound": int(near.any(axis=1).sum()), "at_fibre_bound": int(near[:, 0].sum())}
 
 
 def lengthened(found: Muscles) -> int:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import argparse
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -180,7 +180,16 @@ class NamedTripOptions:
 # What a fit is told -> the fit of scans, by the contractions (m,) that are true in each: it may be
 # told some of them.
 Told = Callable[[Face, Mapping[str, Surface], Mapping[str, Floats]], Fits]
-TOLD: dict[str, Told] = {"skin": lambda face, scans, _: subject_fits.by_activations(face, scans)}
+TOLD: dict[str, Told] = {
+    "skin alone": lambda face, scans, _: subject_fits.by_activations(_unexpecting(face), scans),
+    "skin and anatomy": lambda face, scans, _: subject_fits.by_activations(face, scans),
+}
+
+
+def _unexpecting(face: Face) -> Face:
+    """Return a face of whose muscles nothing is expected in any expression."""
+    unknown = Face(replace(face.model, expressions=None), face.S)
+    return unknown.driven_as(face.drive)
 
 
 def named_round_trip(

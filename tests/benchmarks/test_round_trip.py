@@ -37,7 +37,7 @@ def test_muscles_of_a_mixture_come_back(monkeypatch: pytest.MonkeyPatch) -> None
     told["nonsense"] = lambda face, scans, _: by_activations(face, dict.fromkeys(scans, skin))
     monkeypatch.setattr(round_trip, "TOLD", told)
     found = named_round_trip(face, {"smile": smile})
-    assert found["skin"]["correlation"] == pytest.approx(1.0, abs=1e-6)
-    assert found["skin"]["contraction_rms"] < 0.05
+    assert found["skin and anatomy"]["correlation"] == pytest.approx(1.0, abs=1e-6)
+    assert found["skin and anatomy"]["contraction_rms"] < 0.05
     assert found["nonsense"]["correlation"] == pytest.approx(-1.0, abs=1e-6)
-    assert found["skin"]["unreached"] == 0
+    assert found["skin and anatomy"]["unreached"] == 0
