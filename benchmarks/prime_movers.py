@@ -36,7 +36,7 @@ from benchmarks.documents import Figures, Section, Table
 from benchmarks.rig_figures import pulling_closers
 from benchmarks.strong import DrawOptions, called_actions, draw_mixtures, mixed, strong_mixtures
 from benchmarks.subject_fits import Fits
-from solver.anatomy.action_units import Action, actions_of, joined_codes, units_of
+from solver.anatomy.action_units import Action, action_units, actions_of, joined_codes, units_of
 from solver.anatomy.template import ShapeBasis, split_side
 from solver.animation.blendshapes import CORRECTED, expression_targets
 from solver.fitting.face import Face
@@ -133,7 +133,7 @@ def _units(person: Person) -> Figures:
 
 def _held_out(person: Person) -> Figures:
     face = person.uninformed
-    codes = held_out_units(person.basis.expression_names)
+    codes = held_out_units(person.basis.expression_names, face.model.muscle_groups)
     scans = {name: scan for name, scan in person.units(face).items() if has_unit(name, codes)}
     return measure(face, scans)
 
@@ -186,11 +186,20 @@ def single_units(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Sur
 
 
 def held_out_units(
-    shapes: Iterable[str], options: HeldOutOptions = HeldOutOptions()
+    shapes: Iterable[str], wholes: Iterable[str], options: HeldOutOptions = HeldOutOptions()
 ) -> frozenset[str]:
-    """Return the codes of the units that are held out, of those of a template's ``shapes``."""
-    codes = sorted({action.unit.code for shape in shapes for action in actions_of(shape)})
-    return frozenset(codes[options.first :: options.every])
+    """Return the codes of the units that are held out: of those that can be judged.
+
+    They are single units of a template's ``shapes``, of which it has a muscle among ``wholes``.
+    """
+    found = [units_of(split_side(shape)[0]) for shape in shapes]
+    single, wholes = {units[0].code for units in found if len(units) == 1}, set(wholes)
+    judged = [
+        code
+        for code, unit in action_units().items()
+        if code in single and any(is_one_of(whole, unit.muscles) for whole in wholes)
+    ]
+    return frozenset(judged[options.first :: options.every])
 
 
 def has_unit(shape: str, codes: frozenset[str]) -> bool:
@@ -203,7 +212,7 @@ def without_held_out(model: SubjectModel) -> SubjectModel:
     known = model.expressions
     if known is None:
         return model
-    codes = held_out_units(known.names)
+    codes = held_out_units(known.names, model.muscle_groups)
     kept = [row for row, name in enumerate(known.names) if not has_unit(name, codes)]
     names = tuple(known.names[row] for row in kept)
     return replace(model, expressions=replace(known, names=names, motions=known.motions[kept]))

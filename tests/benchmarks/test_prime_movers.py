@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.prime_movers import (
+    has_unit,
+    held_out_units,
     measure,
     measure_mixtures,
     single_summary,
@@ -71,14 +73,16 @@ def test_the_muscle_that_made_a_shape_is_found() -> None:
 
 def test_held_out_units_are_unknown_to_the_model() -> None:
     names = ("browInnerUp", "mouthSmileLeft", "mouthSmileRight", "noseSneerLeft", "eyeLookUpLeft")
-    block = block_model()
+    wholes = ("frontalis", "zygomaticus_major", "levator_labii_superioris_alaeque_nasi")
+    block = replace(block_model(), muscle_names=wholes)
     motions = np.arange(len(names), dtype=np.float32)[:, None, None] * np.ones((len(block.face), 3))
     model = replace(block, expressions=Expressions(names, motions.astype(np.float32)))
     known = without_held_out(model).expressions
     assert known is not None
-    # AU 1, AU 12 and AU 9, in the order of their codes as text
-    assert known.names == ("browInnerUp", "noseSneerLeft", "eyeLookUpLeft")
-    assert known.motions[:, 0, 0].tolist() == [0.0, 3.0, 4.0]
+    # AU 1, AU 9 and AU 12, of which the second is held out
+    assert known.names == ("browInnerUp", "mouthSmileLeft", "mouthSmileRight", "eyeLookUpLeft")
+    assert known.motions[:, 0, 0].tolist() == [0.0, 1.0, 2.0, 4.0]
+    assert has_unit("noseSneerLeft", held_out_units(names, wholes))
 
 
 def test_jaw_closers_are_silent_in_an_open_jaw_alone() -> None:
