@@ -202,8 +202,7 @@ CHECKS = (
         f"part of a muscle in S that is more than {StrayOptions.beyond_mm:g} mm outside the "
         "surface which the anatomy gives it",
         "The skin is right, but flesh pulls there that is none of this muscle's: do not read its "
-        "activations as effort. Training scans that move the muscles beside it, too, leave it "
-        "less to make up for.",
+        "activations as effort, and look at what edits of it do.",
     ),
     RigCheck(
         "jaw.range",
