@@ -40,12 +40,14 @@ from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry import GeometryOptions
+from solver.fitting.known import FaceMuscles
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import fibre_tensors, shorten
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.report.certificate import muscles
 from solver.rig.report.prime_movers import is_one_of
 from solver.rig.round_trip import round_trip
+from solver.scans.known_activations import KnownMuscles
 from solver.surface import Floats, Surface
 
 log = logging.getLogger(__name__)
@@ -204,12 +206,40 @@ class NamedTripOptions:
     seed: int = 0
 
 
+@dataclass(frozen=True)
+class EmgOptions:
+    """Channels of EMG that a fit may be told, of the whole muscles that contract most."""
+
+    channels: int = 6
+    sd: float = 0.1
+    seed: int = 1
+
+
+def _by_emg(
+    face: Face,
+    scans: Mapping[str, Surface],
+    truths: Mapping[str, Floats],
+    emg: EmgOptions = EmgOptions(),
+) -> Fits:
+    """Fit with some muscles of each scan known, as channels of EMG have them."""
+    rng, known = np.random.default_rng(emg.seed), {}
+    own, wholes = FaceMuscles.of(face), tuple(dict.fromkeys(face.model.muscle_groups))
+    for scan, contractions in truths.items():
+        true = own.means(wholes, contractions)
+        chosen = np.argsort(-true)[: emg.channels]
+        values = true[chosen] + emg.sd * rng.standard_normal(len(chosen))
+        names = tuple(wholes[number] for number in chosen)
+        known[scan] = KnownMuscles(names, values, np.full(len(chosen), emg.sd))
+    return subject_fits.by_activations(face, scans, known)
+
+
 # What a fit is told -> the fit of scans, by the contractions (m,) that are true in each: it may be
 # told some of them.
 Told = Callable[[Face, Mapping[str, Surface], Mapping[str, Floats]], Fits]
 TOLD: dict[str, Told] = {
     "skin alone": lambda face, scans, _: subject_fits.by_activations(_unexpecting(face), scans),
     "skin and anatomy": lambda face, scans, _: subject_fits.by_activations(face, scans),
+    "skin, anatomy and EMG of six muscles": _by_emg,
 }
 
 

@@ -23,6 +23,7 @@ from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit, Status
 from solver.fitting.geometry import GeometryOptions
+from solver.fitting.known import NOTHING_KNOWN
 from solver.fitting.objective import Target, Term, distances
 from solver.fitting.per_tet import PerTetOptions
 from solver.fitting.recruitment import recruit
@@ -31,6 +32,7 @@ from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
 from solver.rig.report.certificate import with_round_trips
 from solver.rig.rig import ExpressionFit, Rig
+from solver.scans.known_activations import NOTHING, KnownMuscles
 from solver.surface import Floats, Surface
 
 log = logging.getLogger(__name__)
@@ -148,12 +150,14 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
     return Fits(fitted.face, dict(scans), fitted.endings, seconds, rounds=rounds, cpu_seconds=cpu)
 
 
-def by_activations(face: Face, scans: Scans) -> Fits:
-    """Fit activations and jaw to every scan, S being known."""
+def by_activations(
+    face: Face, scans: Scans, known: Mapping[str, KnownMuscles] = NOTHING_KNOWN
+) -> Fits:
+    """Fit activations and jaw to every scan, S being known, and of some muscles what they do."""
     targets = _targets(face, scans)
 
     def fit(name: str, data: Term) -> FallbackFit:
-        prior = unseen_regulariser(face, targets[name])
+        prior = unseen_regulariser(face, targets[name], known.get(name, NOTHING))
         found = fallback.fit(face, data, prior, UNSEEN_STOP)
         if found.status == "failed":
             raise SolveError("fit.failed", "; ".join(notice.message for notice in found.notices))

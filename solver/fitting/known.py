@@ -16,7 +16,7 @@ known muscle does by itself, C + s^2 g g^T, g being the least change that makes 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -41,7 +41,9 @@ class SkinWorth:
     """What a scan's distances are worth beside a table's standard deviations."""
 
     sigma_mm: float = 0.3  # by which a fitted skin is off where noise and model leave it
-    independent: float = 600.0  # distances that err by themselves: half a cm^2 of a face each
+    # distances that err by themselves: 1.6 cm^2 of a face each. S that is wrong errs over all that
+    # a muscle moves, noise alone would have tens of times as many
+    independent: float = 180.0
 
     @property
     def weight(self) -> float:
@@ -128,15 +130,18 @@ class FaceMuscles:
         """Return the term of what is known."""
         layout, by_value = self.face.layout, np.nan_to_num(self._shortening.rates)
         rates = np.zeros((len(known), layout.size))
-        rates[:, layout.muscles] = self._shares(known)[:, :, None] * by_value
+        rates[:, layout.muscles] = self._shares(known.names)[:, :, None] * by_value
         return KnownTerm(rates, layout.rest, known.values, known.sd, weight)
 
     def contractions(self, known: KnownMuscles, a: Floats) -> Floats:
         """Return the contractions (r,) of known muscles by the values ``a`` of all."""
         rest = self.face.layout.drive.rest
         change = (a - rest).reshape(len(rest), -1)
-        by_muscle = (np.nan_to_num(self._shortening.rates) * change).sum(axis=1)
-        return np.asarray(self._shares(known) @ by_muscle)
+        return self.means(known.names, (self._shortening.rates * change).sum(axis=1))
+
+    def means(self, names: Sequence[str], contractions: Floats) -> Floats:
+        """Return the contractions (r,) of muscles and wholes by those (m,) of all muscles."""
+        return np.asarray(self._shares(names) @ np.nan_to_num(contractions))
 
     def regularise(
         self, known: KnownMuscles, expected: Regulariser, plain: Regulariser
@@ -171,10 +176,10 @@ class FaceMuscles:
         own = np.array(find_muscles(name, self.names), dtype=np.int64)
         return own[self._is_usable[own]]
 
-    def _shares(self, known: KnownMuscles) -> Floats:
-        """Return the shares (r, m) of muscles in what is known."""
-        out, volumes = np.zeros((len(known), len(self.names))), self._shortening.volumes
-        for row, name in enumerate(known.names):
+    def _shares(self, names: Sequence[str]) -> Floats:
+        """Return the shares (r, m) that muscles have in what is called by ``names`` (r)."""
+        out, volumes = np.zeros((len(names), len(self.names))), self._shortening.volumes
+        for row, name in enumerate(names):
             own = self._of(name)
             out[row, own] = volumes[own] / volumes[own].sum()
         return out
