@@ -3,7 +3,7 @@
     min_s  g . s + s . H s / 2    with q + s within the bounds
 
 H is small, dense and positive definite. One matrix serves many g: a model gives the ``best`` step
-for any of them, and ``follow``, how that step changes with g, what holds it at a bound holding on.
+for any of them, and how that step is ``following`` g, what holds it at a bound holding on.
 
 A ``linearised_step`` has m_i + dm_i/dq . s >= 0 for bounds, of all margins m_i at q. With
 H = L L^T, the rows C of the bounds that the step without bounds breaks by r, and V = L^-1 C^T, the
@@ -19,8 +19,9 @@ where an interior point (:mod:`.interior_point`) takes some twenty.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -46,6 +47,9 @@ class StepOptions:
         return cls(LinearisedOptions(), InteriorPointOptions(fall=0.03, short=1e-2))
 
 
+Follow = Callable[[Floats], Floats]
+
+
 class StepModel(Protocol):
     """The quadratic models of one matrix H (size, size) from one q (size,)."""
 
@@ -55,8 +59,8 @@ class StepModel(Protocol):
         Raises :class:`SolveError` (``solve.not_finite``) where H is not positive definite.
         """
 
-    def follow(self, change: Floats) -> Floats:
-        """Return B^-1 r (size,): minus what the best step changes by for r more in the gradient."""
+    def following(self) -> Follow:
+        """Return r (size,) -> B^-1 r: minus the change of the best step for r more gradient."""
 
 
 def step_model(
@@ -84,14 +88,10 @@ class _FreeSteps:
     hessian: Floats
 
     def best(self, gradient: Floats) -> Floats:
-        return -self.follow(gradient)
+        return -self.following()(gradient)
 
-    def follow(self, change: Floats) -> Floats:
-        return _solve(self._factor, change)
-
-    @cached_property
-    def _factor(self) -> Any:
-        return _factorise(self.hessian)
+    def following(self) -> Follow:
+        return partial(_solve, _factorise(self.hessian))
 
 
 @dataclass(frozen=True)
@@ -103,20 +103,20 @@ class _BoxSteps:
     def best(self, gradient: Floats) -> Floats:
         return bounded_step(self.hessian, gradient, self.limits)
 
-    def follow(self, change: Floats) -> Floats:
-        # at a bound that the step would leave, it stays
-        open_, factor = self._open
-        out = np.zeros_like(change)
-        out[open_] = _solve(factor, change[open_])
-        return out
-
-    @cached_property
-    def _open(self) -> tuple[np.ndarray, Any]:
+    def following(self) -> Follow:
         lower, upper = self.limits
         ahead = self.best(self.gradient)
+        # at a bound that the step would leave, it stays
         held = ((ahead == lower) | (ahead == upper)) & (ahead == 0.0)
         open_ = np.flatnonzero(~held)
-        return open_, _factorise(self.hessian[np.ix_(open_, open_)])
+        factor = _factorise(self.hessian[np.ix_(open_, open_)])
+
+        def follow(change: Floats) -> Floats:
+            out = np.zeros_like(change)
+            out[open_] = _solve(factor, change[open_])
+            return out
+
+        return follow
 
 
 @dataclass(frozen=True)
@@ -134,14 +134,10 @@ class _SetSteps:
             found = linearised_step(*model, options.linearised)
         return interior_step(*model, options.interior).change if found is None else found
 
-    def follow(self, change: Floats) -> Floats:
-        return _solve(self._factor, change)
-
-    @cached_property
-    def _factor(self) -> Any:
+    def following(self) -> Follow:
         model = self.bounds, self.hessian, self.gradient, self.q
         ahead = interior_step(*model, self.options.interior)
-        return _factorise(self.hessian + ahead.curvature)
+        return partial(_solve, _factorise(self.hessian + ahead.curvature))
 
 
 def _factorise(matrix: Floats) -> Any:
