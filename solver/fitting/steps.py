@@ -35,16 +35,27 @@ from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
+class LinearisedOptions:
+    """The active set, and when a step by it is good for nothing."""
+
+    rounds: int = 10  # in which bounds join the active ones
+    broken: float = 1e-9  # margin below 0 from which a bound counts as broken
+    ridge: float = 1e-10  # relative, as the bounds of a muscle may depend on each other
+    parts: tuple[float, ...] = (1.0, 0.5, 0.25)  # of a step that are brought inside ...
+    worth: float = 0.7  # ... with a part of its gain, or there is none
+
+
+@dataclass(frozen=True)
 class StepOptions:
     """The methods within a set: the first that has a step."""
 
-    linearised: LinearisedOptions | None = None  # from frame to frame, where steps are short
+    linearised: LinearisedOptions | None = field(default_factory=LinearisedOptions)
     interior: InteriorPointOptions = field(default_factory=InteriorPointOptions)
 
     @classmethod
     def quick(cls) -> StepOptions:
         """Return those of many fits, each from a state near by: about the best step will do."""
-        return cls(LinearisedOptions(), InteriorPointOptions(fall=0.03, short=1e-2))
+        return cls(LinearisedOptions(worth=0.3), InteriorPointOptions(fall=0.03, short=1e-2))
 
 
 Follow = Callable[[Floats], Floats]
@@ -128,16 +139,25 @@ class _SetSteps:
     options: StepOptions
 
     def best(self, gradient: Floats) -> Floats:
-        model, options = (self.bounds, self.hessian, gradient, self.q), self.options
-        found = None
-        if options.linearised is not None:
-            found = linearised_step(*model, options.linearised)
-        return interior_step(*model, options.interior).change if found is None else found
+        found = self._linearised(gradient)
+        if found is not None:
+            return found.change
+        model = self.bounds, self.hessian, gradient, self.q
+        return interior_step(*model, self.options.interior).change
 
     def following(self) -> Follow:
+        found = self._linearised(self.gradient)
+        if found is not None:
+            return found.follow
         model = self.bounds, self.hessian, self.gradient, self.q
         ahead = interior_step(*model, self.options.interior)
         return partial(_solve, _factorise(self.hessian + ahead.curvature))
+
+    def _linearised(self, gradient: Floats) -> LinearisedStep | None:
+        options = self.options.linearised
+        if options is None:
+            return None
+        return linearised_step(self.bounds, self.hessian, gradient, self.q, options)
 
 
 def _factorise(matrix: Floats) -> Any:
@@ -166,14 +186,22 @@ def solve_positive(matrix: Floats, right: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class LinearisedOptions:
-    """The active set, and when a step by it is good for nothing."""
+class LinearisedStep:
+    """A step (size,), with L of the Hessian (size, size) and V (size, k) of what holds it."""
 
-    rounds: int = 10  # in which bounds join the active ones
-    broken: float = 1e-9  # margin below 0 from which a bound counts as broken
-    ridge: float = 1e-10  # relative, as the bounds of a muscle may depend on each other
-    parts: tuple[float, ...] = (1.0, 0.5, 0.25)  # of a step that are brought inside ...
-    worth: float = 0.3  # ... with a part of its gain, or there is none
+    change: Floats
+    root: Floats
+    active: Floats
+
+    def follow(self, change: Floats) -> Floats:
+        """Return L^-T (1 - Q Q^T) L^-1 r for r (size,), the columns of Q being a basis of V's."""
+        pull = scipy.linalg.solve_triangular(self.root, change, lower=True)
+        pull -= self._basis @ (self._basis.T @ pull)
+        return np.asarray(scipy.linalg.solve_triangular(self.root, pull, lower=True, trans="T"))
+
+    @cached_property
+    def _basis(self) -> Floats:
+        return np.asarray(scipy.linalg.orth(self.active))
 
 
 def linearised_step(
@@ -182,11 +210,11 @@ def linearised_step(
     gradient: Floats,
     q: Floats,
     options: LinearisedOptions = LinearisedOptions(),
-) -> Floats | None:
+) -> LinearisedStep | None:
     """Return about the best step (size,) from q (size,), its end being inside the bounds.
 
-    None where q is outside, or the bounds bend too much even along a part of it. ``hessian`` H is
-    (size, size), ``gradient`` g (size,). Raises :class:`SolveError` (``solve.not_finite``) where H
+    Where q is outside it begins at the nearest that is not. None where the bounds bend too much
+    even along a part of it. ``hessian`` H is (size, size), ``gradient`` g (size,). Raises :class:`SolveError` (``solve.not_finite``) where H
     is not positive definite, or anything is not finite.
     """
     try:
@@ -194,17 +222,19 @@ def linearised_step(
         free = -scipy.linalg.cho_solve((root, True), gradient)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
-    if not bounds.contains(q):
-        return None
+    begin = q if bounds.contains(q) else bounds.clip(q)
+    entered = begin - q
+    gradient = gradient + hessian @ entered
     try:
-        step = _active_set_step(_LinearBounds(bounds, q), root, free, options)
+        ahead = _active_set_step(_LinearBounds(bounds, begin), root, free - entered, options)
     except (np.linalg.LinAlgError, RuntimeError):  # too many bounds that depend on each other
         return None
+    step, active = ahead
     least = options.worth * _gain(step, hessian, gradient)
     for part in options.parts:
-        inside = bounds.clip(q + part * step) - q
+        inside = bounds.clip(begin + part * step) - begin
         if _gain(inside, hessian, gradient) >= least:
-            return inside
+            return LinearisedStep(entered + inside, root, active)
     return None
 
 
@@ -214,9 +244,13 @@ def _gain(step: Floats, hessian: Floats, gradient: Floats) -> float:
 
 def _active_set_step(
     bounds: _LinearBounds, root: Floats, free: Floats, options: LinearisedOptions
-) -> Floats:
-    """Return the step within linear bounds; ``free`` is that without, ``root`` is L."""
+) -> tuple[Floats, Floats]:
+    """Return the step within linear bounds, and V of those that hold it.
+
+    ``free`` is the step without bounds, ``root`` is L.
+    """
     step, active, columns = free, np.zeros(0, np.int64), np.zeros((len(free), 0))
+    multipliers = np.zeros(0)
     for _ in range(options.rounds):
         broken = np.flatnonzero(bounds.margins(step) < -options.broken)
         broken = np.setdiff1d(broken, active)
@@ -228,7 +262,7 @@ def _active_set_step(
         multipliers = _multipliers(columns, -bounds.margins(free)[active], options.ridge)
         pull = columns @ multipliers
         step = free + scipy.linalg.solve_triangular(root, pull, lower=True, trans="T")
-    return step
+    return step, columns[:, multipliers > 0.0]
 
 
 def _multipliers(columns: Floats, broken: Floats, ridge: float) -> Floats:
