@@ -6,9 +6,18 @@ functions and weights of the jobs. ``standard.free.train_mean_mm`` is then a fig
 set by free muscles, of the worst subject, each figure by itself; ``subjects`` has those of each.
 Distances are over the face skin, vertex by vertex, in mm. The other figures of muscles, jaw,
 contact and round trip are those of the rig's certificate, the worst or the sum of all expressions
-(:mod:`benchmarks.rig_figures`). ``round_trip.activation_error`` is how much the activations of the
-unseen scans change by noise on them, ``same_muscle_other_person`` the correlation of contractions
-in the same expression of two subjects of ``--faces``.
+(:mod:`benchmarks.rig_figures`): ``at_bound`` are the muscles of an expression that are at a bound
+of what muscles can do, ``at_fibre_bound`` at that of lengthening, ``lengthened`` those whose fibres
+lengthen more than a resting muscle's may, ``closers`` those that close the jaw and contract while
+it is open; ``asymmetry`` is the greatest difference of both sides' contractions, by the greatest
+contraction, where the scan is alike on both; ``strayed`` the part of the worst muscle's flesh that
+S has more than 5 mm outside its surface. ``round_trip.activation_error`` is how much the
+activations of the unseen scans change by noise on them, ``contraction_change`` the most that a
+muscle's contraction does, ``same_muscle_other_person`` the correlation of contractions in the same
+expression of two subjects of ``--faces``. ``hard`` has the mean over the lips in an unseen funnel
+and beam, and over the nose in a sniff, by the face that was fitted to the strong set.
+``geometry_ratio`` is the processor's time of the fit of S within limits by that of the free one, if
+both are in the run.
 
 P is fitted to the training scans of each set unless ``--no-per-tet``. For the standard set and free
 controls there are comparisons: ``ablation_ratio`` is the training scans' mean with activations
@@ -38,7 +47,12 @@ from benchmarks.artifact import add_bump, cheek, followed
 from benchmarks.documents import Figures
 from benchmarks.fit_quality_section import section
 from benchmarks.pictures import Compared
-from benchmarks.rig_figures import noise_error, rig_figures, same_muscle_other_person
+from benchmarks.rig_figures import (
+    hard_figures,
+    noise_figures,
+    rig_figures,
+    same_muscle_other_person,
+)
 from benchmarks.subject_fits import CONTROLS, Fits
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM, SETS, Subject
 from solver.errors import InputError
@@ -63,6 +77,12 @@ WORST: dict[str, Any] = {
     "volume_worst_percent": max,
     "fibres_longest": max,
     "stretch_longest": max,
+    "at_bound": max,
+    "at_fibre_bound": max,
+    "lengthened": sum,
+    "asymmetry": max,
+    "closers": sum,
+    "strayed": max,
     "bite_max_mm": max,
     "condyle_out_mm": max,
     "jaw_beyond": max,
@@ -76,9 +96,12 @@ WORST: dict[str, Any] = {
         "refit_activations_percent": max,
         "unreached": max,
         "activation_error": max,
+        "contraction_change": max,
     },
+    "hard": {"lips_mm": max, "nose_mm": max},
     "rounds": max,
     "geometry_seconds": max,
+    "geometry_cpu_seconds": max,
 }
 WORST_OF_SET: dict[str, Any] = {
     "ablation_ratio": min,
@@ -88,6 +111,7 @@ WORST_OF_SET: dict[str, Any] = {
     "per_tet_train_mean_mm": max,
     "per_tet_max_mm": max,
     "per_tet_inverted": sum,
+    "geometry_ratio": max,
 }
 
 SUMMARY = SETS  # figures of all subjects: not those of a piece
@@ -208,9 +232,13 @@ def _set(subject: Subject, scans: str, options: argparse.Namespace) -> Figures:
         _tell(name, f"unseen scans, {controls}", test)
         fits[controls] = train, test
         found[controls] = rig_figures(train, test, subject.tracks)
-        found[controls]["round_trip"]["activation_error"] = noise_error(method, test)
+        found[controls]["round_trip"] |= noise_figures(method, test)
+        if scans == "strong":
+            found[controls]["hard"] = hard_figures(method.test(train.face, subject.hard))
         log.info("%s: %s", name, {k: v for k, v in found[controls].items() if k in WORST})
-    free = fits.get("free")
+    free, admissible = fits.get("free"), fits.get("admissible")
+    if free and admissible:
+        found["geometry_ratio"] = admissible[0].cpu_seconds / free[0].cpu_seconds
     if free and scans == "standard":
         found |= _without(name, face, captures, free[0], schedule)
     if options.per_tet:

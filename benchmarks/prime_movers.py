@@ -1,45 +1,77 @@
-"""Whether the muscles that literature names contract when a rig makes one action unit alone.
+"""Whether the muscles that literature names contract when a rig makes units of FACS.
 
-Every shape of the template that is one action unit of FACS, at full strength on the rig's person,
-is fitted by activations and jaw with the rig's S. ``prime_mover_top3`` is the part of the shapes,
-among those whose muscles the template has, in which on each side one of these is among the three
-that contract most (:mod:`solver.rig.report.prime_movers`); ``contradicted`` the part in which a
-named muscle lengthens or an antagonist contracts more. Without ``--rig`` S is fitted to the
-subject's training scans first.
+Shapes of the template, on the rig's person, are fitted by activations and jaw with the rig's S, and
+compared with the muscles that anatomy texts name for their action units
+(:mod:`solver.rig.report.prime_movers`). The parts, of which ``--parts`` names some:
+
+``units``: every shape that is one unit, at full strength. ``prime_mover_top3`` is the part of
+    them, among those whose muscles the template has, in which on each side one of these is among
+    the three that contract most; ``contradicted`` the part in which a named muscle lengthens or an
+    antagonist contracts more.
+``held_out``: the same of a third of the units, by a model that lacks their shapes. S is fitted with
+    that model, so that nothing told of them; its training scans are the same.
+``strong``, ``drawn``: mixtures, the strong scans and thirty of two to five units that go together.
+    ``units_contract`` is the part of their units, on each side, of which a muscle contracts,
+    ``unnamed`` the part of all contraction that is in muscles which no unit of the mixture names.
+
+``closers`` are the muscles that close the jaw and contract while it is open, over all parts. S is
+fitted to the subject's training scans unless ``--rig`` and ``--held-rig`` are there; else they are
+left in them, for the pieces of a run to share.
 """
 
 from __future__ import annotations
 
 import argparse
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from benchmarks import report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
+from benchmarks.rig_figures import pulling_closers
+from benchmarks.strong import DrawOptions, called_actions, draw_mixtures, mixed, strong_mixtures
 from benchmarks.subject_fits import Fits
-from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
-from solver.anatomy.action_units import actions_of, joined_codes
+from solver.anatomy.action_units import Action, action_units, actions_of, joined_codes, units_of
 from solver.anatomy.template import ShapeBasis, split_side
 from solver.animation.blendshapes import CORRECTED, expression_targets
 from solver.fitting.face import Face
-from solver.fitting.geometry import GeometryOptions
 from solver.model import SubjectModel
-from solver.rig.report.certificate import muscles
-from solver.rig.report.prime_movers import MoverOptions, movers, rank_contractions
-from solver.rig.rig import Rig
+from solver.rig.report.certificate import Muscles, jaw_motion, muscles
+from solver.rig.report.prime_movers import (
+    MoverOptions,
+    Movers,
+    is_one_of,
+    movers,
+    rank_contractions,
+)
 from solver.surface import Surface
-from solver.templates.builtin.build import builtin_template
-from solver.templates.ict_facekit import read_facekit, shape_basis
 
-QUICK_ROUNDS = 4
+QUICK_MIXTURES = 6
+SINGLE, MIXED = ("units", "held_out"), ("strong", "drawn")
+SUMMARY = ("prime_mover_top3", "contradicted", "judged", *SINGLE[1:], *MIXED, "closers", "seconds")
+
+
+@dataclass(frozen=True)
+class HeldOutOptions:
+    """Units that a model does not know: every so many, in the order of their table."""
+
+    every: int = 3
+    first: int = 1
 
 
 def main() -> None:
     """Run from the command line."""
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
-    parser.add_argument("--rig", type=Path, help="rig.npz of the template (of --faces, if given)")
+    report.add_list(parser, "--parts", PARTS)
+    for option, of in (("--rig", "S"), ("--held-rig", "S by the model without some units")):
+        words = f"rig.npz of {of}: read if there, else S is left in it"
+        parser.add_argument(option, type=Path, help=words)
     parser.add_argument("--shapes", help="ARKit's names without sides, joined by commas; else all")
     subjects.add_controls(parser)
     options = parser.parse_args()
@@ -48,27 +80,95 @@ def main() -> None:
 
 
 def run(options: argparse.Namespace) -> Figures:
-    """Return the figures of one rig."""
-    is_builtin = options.faces is None
-    shapes = builtin_template().shapes if is_builtin else shape_basis(read_facekit(options.faces))
-    face = _face(options)
-    scans = single_units(face.model, shapes)
-    if options.quick:
-        scans = {name: scan for name, scan in scans.items() if split_side(name)[1] != "right"}
-    if options.shapes:
-        kept = options.shapes.split(",")
-        scans = {name: scan for name, scan in scans.items() if split_side(name)[0] in kept}
+    """Return the figures of the parts that were asked for."""
+    person, found = Person(options), {}
+    for part in options.parts:
+        found[part] = PARTS[part](person)
+    return summarised(
+        {
+            "parts": {part: figures["shapes"] for part, figures in found.items()},
+            "failed": {part: figures["failed"] for part, figures in found.items()},
+            "seconds": {part: figures["seconds"] for part, figures in found.items()},
+        }
+    )
+
+
+class Person:
+    """The rig's person, and shapes to fit; S is fitted when it is asked for."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+        self.basis = subjects.shapes(options)
+
+    @cached_property
+    def face(self) -> Face:
+        """The rig's face."""
+        return subject_fits.face_of_rig(self.options, self.options.rig)
+
+    @cached_property
+    def uninformed(self) -> Face:
+        """The face of a model that lacks the shapes of the units that are held out."""
+        return subject_fits.face_of_rig(self.options, self.options.held_rig, without_held_out)
+
+    def units(self, face: Face) -> dict[str, Surface]:
+        """Return the skins of the single units that were asked for."""
+        scans = single_units(face.model, self.basis)
+        if self.options.quick:
+            scans = {name: scan for name, scan in scans.items() if split_side(name)[1] != "right"}
+        if self.options.shapes:
+            kept = self.options.shapes.split(",")
+            scans = {name: scan for name, scan in scans.items() if split_side(name)[0] in kept}
+        return scans
+
+    def mixtures(self, weights: Mapping[str, Mapping[str, float]]) -> Figures:
+        """Fit mixtures, name -> shape -> weight, and return their figures."""
+        face = self.face
+        scans = {name: mixed(face.model.skin, self.basis, each) for name, each in weights.items()}
+        return measure_mixtures(face, scans, weights)
+
+
+def _units(person: Person) -> Figures:
+    return measure(person.face, person.units(person.face))
+
+
+def _held_out(person: Person) -> Figures:
+    face = person.uninformed
+    codes = held_out_units(person.basis.expression_names, face.model.muscle_groups)
+    scans = {name: scan for name, scan in person.units(face).items() if has_unit(name, codes)}
     return measure(face, scans)
 
 
-def _face(options: argparse.Namespace) -> Face:
-    if options.rig is not None:
-        rig = Rig.load(options.rig)
-        return subjects.bounded(Face(rig.model, rig.weights), options)
-    model, captures = subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)
-    rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
-    schedule = subjects.schedule(options, rounds)
-    return subject_fits.by_geometry(Face(model), captures.train, schedule).face
+def _strong(person: Person) -> Figures:
+    found = strong_mixtures(person.basis.expression_names)
+    count = 2 if person.options.quick else len(found)
+    return person.mixtures(dict(list(found.items())[:count]))
+
+
+def _drawn(person: Person) -> Figures:
+    draw = DrawOptions(count=QUICK_MIXTURES) if person.options.quick else DrawOptions()
+    return person.mixtures(draw_mixtures(drawn_shapes(person.face.model, person.basis), draw))
+
+
+PARTS: dict[str, Callable[[Person], Figures]] = {
+    "units": _units,
+    "held_out": _held_out,
+    "strong": _strong,
+    "drawn": _drawn,
+}
+
+
+def drawn_shapes(model: SubjectModel, basis: ShapeBasis) -> list[str]:
+    """Return the shapes of one unit each that a model's muscles, or its jaw, can make."""
+    wholes = set(model.muscle_groups)
+    return [name for name in single_units(model, basis) if _is_made(name, wholes)]
+
+
+def _is_made(shape: str, wholes: Iterable[str]) -> bool:
+    """Tell whether a template's muscles, or its jaw, make every unit of a shape."""
+    if shape.startswith("jaw"):
+        return True
+    units = units_of(split_side(shape)[0])
+    return all(any(is_one_of(whole, unit.muscles) for whole in wholes) for unit in units)
 
 
 def single_units(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Surface]:
@@ -85,18 +185,92 @@ def single_units(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Sur
     }
 
 
+def held_out_units(
+    shapes: Iterable[str], wholes: Iterable[str], options: HeldOutOptions = HeldOutOptions()
+) -> frozenset[str]:
+    """Return the codes of the units that are held out: of those that can be judged.
+
+    They are single units of a template's ``shapes``, of which it has a muscle among ``wholes``.
+    """
+    found = [units_of(split_side(shape)[0]) for shape in shapes]
+    single, wholes = {units[0].code for units in found if len(units) == 1}, set(wholes)
+    judged = [
+        code
+        for code, unit in action_units().items()
+        if code in single and any(is_one_of(whole, unit.muscles) for whole in wholes)
+    ]
+    return frozenset(judged[options.first :: options.every])
+
+
+def has_unit(shape: str, codes: frozenset[str]) -> bool:
+    """Tell whether a shape has one of the units ``codes``."""
+    return any(action.unit.code in codes for action in actions_of(shape))
+
+
+def without_held_out(model: SubjectModel) -> SubjectModel:
+    """Return a model whose expressions lack all that have a unit which is held out."""
+    known = model.expressions
+    if known is None:
+        return model
+    codes = held_out_units(known.names, model.muscle_groups)
+    kept = [row for row, name in enumerate(known.names) if not has_unit(name, codes)]
+    names = tuple(known.names[row] for row in kept)
+    return replace(model, expressions=replace(known, names=names, motions=known.motions[kept]))
+
+
 def measure(face: Face, scans: Mapping[str, Surface]) -> Figures:
-    """Fit activations to skins of single units, name -> skin, and count their prime movers."""
+    """Fit activations to skins of single units, name -> skin, and judge their prime movers."""
     fits = subject_fits.by_activations(face, scans)
-    shapes = {name: _shape(fits, name) for name in fits.states}
-    judged = [figures for figures in shapes.values() if figures["prime"] is not None]
+    return _measured(fits, {name: _shape(fits, name) for name in fits.states})
+
+
+def measure_mixtures(
+    face: Face, scans: Mapping[str, Surface], weights: Mapping[str, Mapping[str, float]]
+) -> Figures:
+    """Fit activations to skins of mixtures of units, and see whose muscles contract."""
+    fits = subject_fits.by_activations(face, scans)
+    return _measured(fits, {name: _mixture(fits, name, weights[name]) for name in fits.states})
+
+
+def _measured(fits: Fits, shapes: Figures) -> Figures:
+    return {"shapes": shapes, "failed": fits.failed, "seconds": fits.seconds}
+
+
+def summarised(figures: Figures) -> Figures:
+    """Return figures of all ``parts`` with what they come to."""
+    parts: dict[str, Figures] = figures["parts"]
+    found: Figures = {}
+    for part in SINGLE:
+        if part in parts:
+            of_part = single_summary(parts[part].values())
+            found |= of_part if part == "units" else {part: of_part}
+    for part in MIXED:
+        if part in parts:
+            found[part] = mixture_summary(parts[part].values())
+    closers = [each["closers"] for shapes in parts.values() for each in shapes.values()]
+    return {**found, "closers": sum(map(len, closers)), **figures}
+
+
+def single_summary(shapes: Iterable[Figures]) -> Figures:
+    """Return what the figures of shapes that are one unit each come to."""
+    judged = [shape for shape in shapes if shape["prime"] is not None]
     return {
-        "prime_mover_top3": _part(figures["prime"] for figures in judged),
-        "contradicted": _part(bool(figures["contradictions"]) for figures in judged),
+        "prime_mover_top3": _part(shape["prime"] for shape in judged),
+        "contradicted": _part(bool(shape["contradictions"]) for shape in judged),
         "judged": len(judged),
-        "failed": fits.failed,
-        "seconds": fits.seconds,
-        "shapes": shapes,
+    }
+
+
+def mixture_summary(mixtures: Iterable[Figures]) -> Figures:
+    """Return what the figures of mixtures come to: units by their number, contraction by amount."""
+    mixtures = list(mixtures)
+    contract = [each for mixture in mixtures for each in mixture["units"].values()]
+    whole, unnamed = (sum(each[key] for each in mixtures) for key in ("contraction", "unnamed"))
+    return {
+        "units_contract": _part(contract),
+        "unnamed": unnamed / whole if whole > 0.0 else None,
+        "judged": len(contract),
+        "mean_mm": float(np.mean([each["mean_mm"] for each in mixtures])) if mixtures else None,
     }
 
 
@@ -106,17 +280,31 @@ def _part(answers: Iterable[bool]) -> float | None:
     return sum(listed) / len(listed) if listed else None
 
 
-def _shape(fits: Fits, name: str) -> Figures:
+def _muscles(fits: Fits, name: str) -> Muscles:
     face = fits.face
-    a = fits.states[name].pose.a
-    model = face.model
-    of = muscles(model, face.flesh.volumes, face.S, a)
+    return muscles(face.model, face.flesh.volumes, face.S, fits.states[name].pose.a)
+
+
+def _movers(model: SubjectModel, found: Muscles, actions: Sequence[Action]) -> Movers:
     wholes = dict(zip(model.muscle_names, model.muscle_groups, strict=True))
-    found = movers(
-        rank_contractions(model.muscle_names, of.contraction, of.is_judged),
-        wholes,
-        actions_of(name),
-    )
+    ranked = rank_contractions(model.muscle_names, found.contraction, found.is_judged)
+    return movers(ranked, wholes, actions)
+
+
+def _fit(fits: Fits, name: str, found: Muscles) -> Figures:
+    """Return the figures that any fit has."""
+    model = fits.face.model
+    jaw = jaw_motion(model, fits.face.jaw.matrix(fits.states[name].pose.b))
+    return {
+        "opening_mm": jaw.opening_mm,
+        "closers": pulling_closers(model, found, jaw),
+        "mean_mm": float(fits.distances(name).mean()),
+    }
+
+
+def _shape(fits: Fits, name: str) -> Figures:
+    of = _muscles(fits, name)
+    found = _movers(fits.face.model, of, actions_of(name))
     judged = [check for check in found.actions if check.is_judged]
     named = sorted({muscle for check in judged for muscle in check.muscles})
     ahead = sorted({muscle for check in judged for muscle in check.ahead[: MoverOptions.places]})
@@ -129,13 +317,78 @@ def _shape(fits: Fits, name: str) -> Figures:
         "missing": sorted({muscle for check in found.actions for muscle in check.missing}),
         "contradictions": [str(each) for each in found.contradictions()],
         "idle": [str(each) for each in found.idle()],
-        "mean_mm": float(fits.distances(name).mean()),
+        **_fit(fits, name, of),
+    }
+
+
+def _mixture(fits: Fits, name: str, weights: Mapping[str, float]) -> Figures:
+    """Return the figures of a mixture: who contracts of those that its units name, and who else.
+
+    A whole muscle counts by the compartment that contracts most.
+    """
+    of = _muscles(fits, name)
+    actions = called_actions(weights)
+    found = _movers(fits.face.model, of, actions)
+    most: dict[str, float] = {}
+    for muscle, by in found.contractions.items():
+        most.setdefault(found.wholes[muscle], max(by, 0.0))
+    named = {found.wholes[muscle] for check in found.actions for muscle in check.muscles}
+    others = {whole: by for whole, by in most.items() if whole not in named}
+    return {
+        "weights": {shape: round(weight, 3) for shape, weight in weights.items()},
+        "units": {
+            f"{check.action.unit.code} {check.action.side}": check.rank is not None
+            for check in found.actions
+            if check.is_judged
+        },
+        "contraction": sum(most.values()),
+        "unnamed": sum(others.values()),
+        "others": {
+            whole: round(by, 3)
+            for whole, by in list(others.items())[: MoverOptions.places]
+            if by >= MoverOptions.least
+        },
+        **_fit(fits, name, of),
     }
 
 
 def section(figures: Figures) -> Section:
     """Return the section of docs/science/benchmarks.md."""
-    rows = [
+    parts: dict[str, Figures] = figures["parts"]
+    tables = []
+    judged: dict[str, Any] = {"units": figures, "held_out": figures.get("held_out")}
+    single = {part: judged[part] for part in SINGLE if part in parts}
+    if single:
+        keys = ("prime_mover_top3", "contradicted", "judged")
+        rows = [[part.replace("_", " "), *(it[key] for key in keys)] for part, it in single.items()]
+        tables.append(Table(["units", "among three", "contradicted", "shapes judged"], rows))
+    made = {part: figures[part] for part in MIXED if part in parts}
+    if made:
+        figure = ("units_contract", "unnamed", "judged", "mean_mm")
+        rows = [[part, *(it[key] for key in figure)] for part, it in made.items()]
+        heads = ["mixtures", "units that contract", "contraction unnamed", "units", "mean, mm"]
+        tables.append(Table(heads, rows))
+    heads = ["shape", "unit", "among three", "muscles named", "contract more", "mean, mm"]
+    for part in single:
+        tables.append(Table(heads, _shape_rows(parts[part]), part.replace("_", " ").capitalize()))
+    heads = ["mixture", "of", "units idle", "others contract", "jaw closers", "mean, mm"]
+    for part in made:
+        tables.append(Table(heads, _mixture_rows(parts[part]), part.capitalize()))
+    return Section(
+        title="Prime movers",
+        compared="Shapes of the template that are one action unit of FACS, fitted with a rig's S: "
+        "whether one of the muscles that literature names is among the three that contract most "
+        "on each side, and how often a named muscle lengthens or an antagonist contracts more. "
+        "Units that are held out are unknown to the model, and to the fit of S. Mixtures are "
+        "the strong scans, and some drawn of two to five units: which part of their units has a "
+        "muscle that contracts, and which part of the contraction is in muscles that none names. "
+        f"Muscles that close the jaw contract while it is open: {figures['closers']}.",
+        parts=tables,
+    )
+
+
+def _shape_rows(shapes: Figures) -> list[list[Any]]:
+    return [
         [
             name,
             shape["unit"],
@@ -144,17 +397,22 @@ def section(figures: Figures) -> Section:
             _listed(shape["ahead"]),
             shape["mean_mm"],
         ]
-        for name, shape in figures["shapes"].items()
+        for name, shape in shapes.items()
     ]
-    heads = ["shape", "unit", "among three", "muscles named", "contract more", "mean, mm"]
-    whole = [[figures["prime_mover_top3"], figures["contradicted"], figures["judged"]]]
-    return Section(
-        title="Prime movers",
-        compared="Shapes of the template that are one action unit of FACS, fitted with a rig's S: "
-        "whether one of the muscles that literature names is among the three that contract most "
-        "on each side, and how often a named muscle lengthens or an antagonist contracts more.",
-        parts=[Table(["among three", "contradicted", "shapes judged"], whole), Table(heads, rows)],
-    )
+
+
+def _mixture_rows(mixtures: Figures) -> list[list[Any]]:
+    return [
+        [
+            name,
+            _listed(mixture["weights"]),
+            ", ".join(unit for unit, contracts in mixture["units"].items() if not contracts),
+            _listed(mixture["others"]),
+            _listed(mixture["closers"]),
+            mixture["mean_mm"],
+        ]
+        for name, mixture in mixtures.items()
+    ]
 
 
 def _listed(contractions: dict[str, float]) -> str:

@@ -3,22 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from benchmarks.documents import Figures
+from benchmarks.strong import HARD_REGIONS, LIPS
 from benchmarks.subject_fits import Fits, Method, rig_of
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
+from solver.fitting.contraction import STILL
+from solver.fitting.drives.admissible import Admissible
+from solver.fitting.face import Face
+from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
-from solver.rig.report.certificate import Muscles, certify
+from solver.rig.report.certificate import (
+    SYMMETRY,
+    ExpressionCheck,
+    JawFigures,
+    Muscles,
+    certify,
+    muscles,
+)
 from solver.rig.report.checks import Judgement, expression_verdict, judge
-from solver.rig.report.prime_movers import rank_contractions
+from solver.rig.report.prime_movers import is_one_of, rank_contractions
 from solver.rig.round_trip import activation_error
+from solver.surface import Floats
 
 
 @dataclass(frozen=True)
@@ -27,6 +40,35 @@ class NoiseOptions:
 
     sd_mm: float = 0.2  # of each coordinate of each vertex
     seed: int = 7
+
+
+@dataclass(frozen=True)
+class BoundOptions:
+    """Where a muscle counts as being at a bound of what muscles can do."""
+
+    drive: Admissible = field(default_factory=Admissible)
+    # of the way from rest to the bound, what is left: at rest no muscle is at a bound, though that
+    # of lengthening is 2 % away
+    part: float = 0.1
+
+
+BOUNDS = ("at_bound", "at_fibre_bound")
+
+
+@dataclass(frozen=True)
+class EvennessOptions:
+    """Expressions by which both sides are compared."""
+
+    least: float = 0.05  # contraction that some muscle has in them
+
+
+@dataclass(frozen=True)
+class CloserOptions:
+    """Muscles that close the jaw, and when they have nothing to do."""
+
+    muscles: tuple[str, ...] = ("masseter", "temporalis", "medial pterygoid")  # of anatomy texts
+    open_mm: float = 5.0  # of the incisors, beyond which the jaw is open
+    silent: float = 0.05  # contraction up to which they are silent
 
 
 # a figure -> the certificate's check, and how it is taken over the expressions
@@ -62,17 +104,23 @@ def rig_figures(train: Fits, test: Fits, tracks: JawTracks) -> Figures:
     for name, found in expressions.items():
         fits = train if name in train.states else test
         motion = fits.face.jaw.matrix(fits.states[name].pose.b)
-        muscles = checks[name].muscles
+        check = checks[name]
         found |= {
             "verdict": expression_verdict(judgements, name),
             "beyond": beyond[name].value,
-            **muscle_figures([muscles]),
+            **muscle_figures([check.muscles]),
+            **bound_figures(fits.face, fits.states[name].pose.a, check.muscles),
+            "lengthened": lengthened(check.muscles),
+            "asymmetry": asymmetry(check),
+            "closers": pulling_closers(rig.model, check.muscles, check.jaw),
+            "lips_mm": fits.region_mean(name, LIPS),
             "condyle_out_mm": tracks.departure(motion),
             "contractions": rank_contractions(
-                rig.model.muscle_names, muscles.contraction, muscles.is_judged
+                rig.model.muscle_names, check.muscles.contraction, check.muscles.is_judged
             ),
         }
     failed = {**train.failed, **test.failed}
+    uneven = [it["asymmetry"] for it in expressions.values() if it["asymmetry"] is not None]
     bad = sum(found["verdict"] == "bad" for found in expressions.values())
     trips = [fit.round_trip for fit in rig.expressions if fit.round_trip]
     return {
@@ -83,6 +131,12 @@ def rig_figures(train: Fits, test: Fits, tracks: JawTracks) -> Figures:
             rig.model, [check.crossing for check in checks.values()]
         ),
         **muscle_figures([check.muscles for check in checks.values()]),
+        **{key: max(found[key] for found in expressions.values()) for key in BOUNDS},
+        "lengthened": sum(found["lengthened"] for found in expressions.values()),
+        "asymmetry": max(uneven, default=None),
+        "closers": sum(len(found["closers"]) for found in expressions.values()),
+        "strayed": max(certificate.strayed.values(), default=None),
+        "strayed_by_muscle": certificate.strayed,
         "condyle_out_mm": max(found["condyle_out_mm"] for found in expressions.values()),
         "certificates_bad": bad + len(failed),
         "certificates": len(expressions) + len(failed),
@@ -92,6 +146,7 @@ def rig_figures(train: Fits, test: Fits, tracks: JawTracks) -> Figures:
         },
         "rounds": train.rounds,
         "geometry_seconds": train.seconds,
+        "geometry_cpu_seconds": train.cpu_seconds,
         "test_seconds": test.seconds,
         "round_trip_seconds": rig.seconds["round_trip"],
         "failed": failed,
@@ -135,6 +190,51 @@ def muscle_figures(expressions: Sequence[Muscles]) -> Figures:
     return figures
 
 
+def bound_figures(
+    face: Face, a: Floats, found: Muscles, options: BoundOptions = BoundOptions()
+) -> Figures:
+    """Return how many muscles are at a bound of what muscles can do, or beyond it.
+
+    ``at_fibre_bound`` are those whose fibres lengthen up to theirs.
+    """
+    limits = options.drive.feasible(face.model, face.flesh.volumes, face.S)
+    at_rest = limits.margins(np.tile(IDENTITY, (len(a), 1)))
+    near = limits.margins(a)[found.is_judged] < options.part * at_rest[found.is_judged]
+    return {"at_bound": int(near.any(axis=1).sum()), "at_fibre_bound": int(near[:, 0].sum())}
+
+
+def lengthened(found: Muscles) -> int:
+    """Return how many muscles lengthen, more than one at rest may."""
+    return int((found.is_judged & (found.contraction <= -STILL.lengthened)).sum())
+
+
+def asymmetry(check: ExpressionCheck, options: EvennessOptions = EvennessOptions()) -> float | None:
+    """Return the greatest difference of both sides' contractions by the greatest contraction.
+
+    None of expressions whose scan is not alike on both sides, and where next to nothing contracts.
+    """
+    most = max(check.movers.contractions.values(), default=0.0)
+    even = check.asymmetry_mm is not None and check.asymmetry_mm <= SYMMETRY.most_mm
+    if not even or most < options.least:
+        return None
+    return max((each.amount for each in check.movers.uneven()), default=0.0) / most
+
+
+def pulling_closers(
+    model: SubjectModel, found: Muscles, jaw: JawFigures, options: CloserOptions = CloserOptions()
+) -> dict[str, float]:
+    """Return the muscles that close the jaw and contract while it is open, with how much."""
+    if jaw.opening_mm <= options.open_mm:
+        return {}
+    return {
+        name: float(by)
+        for name, whole, by, judged in zip(
+            model.muscle_names, model.muscle_groups, found.contraction, found.is_judged, strict=True
+        )
+        if judged and by > options.silent and is_one_of(whole, options.muscles)
+    }
+
+
 def same_muscle_other_person(people: Sequence[Figures]) -> float | None:
     """Return the correlation of the muscles' contractions in two people's same expression.
 
@@ -152,10 +252,34 @@ def same_muscle_other_person(people: Sequence[Figures]) -> float | None:
     return float(np.mean(found)) if found else None
 
 
-def noise_error(method: Method, test: Fits, noise: NoiseOptions = NoiseOptions()) -> float | None:
-    """Return how much noise on the scans changes activations, as the round trip measures them.
+def hard_figures(fits: Fits) -> Figures:
+    """Return the means over the regions by which :data:`~benchmarks.strong.HARD` are judged, mm.
 
-    It is the mean over the expressions; None without any.
+    ``lips_mm`` and ``nose_mm`` are the worst expression's.
+    """
+    means = {name: fits.region_mean(name, HARD_REGIONS[name]) for name in fits.states}
+
+    def worst(is_of_lips: bool) -> float | None:
+        known = [
+            mean
+            for name, mean in means.items()
+            if mean is not None and (HARD_REGIONS[name] == LIPS) == is_of_lips
+        ]
+        return max(known, default=None)
+
+    return {
+        "lips_mm": worst(is_of_lips=True),
+        "nose_mm": worst(is_of_lips=False),
+        "expressions": means,
+        "failed": fits.failed,
+    }
+
+
+def noise_figures(method: Method, test: Fits, noise: NoiseOptions = NoiseOptions()) -> Figures:
+    """Return how much noise on the scans changes activations, and the contraction of any muscle.
+
+    ``activation_error`` is that of the round trip, the mean over the expressions,
+    ``contraction_change`` the greatest of all muscles and expressions; None without any.
     """
     rng, face = np.random.default_rng(noise.seed), test.face
     spoilt = {
@@ -163,10 +287,22 @@ def noise_error(method: Method, test: Fits, noise: NoiseOptions = NoiseOptions()
         for name, scan in test.scans.items()
     }
     again, rest = method.test(face, spoilt), face.rest_pose().a
-    errors = [
-        activation_error(state.pose.a, again.states[name].pose.a, rest=rest)
+    pairs = [
+        (state.pose.a, again.states[name].pose.a)
         for name, state in test.states.items()
         if name in again.states
     ]
+    errors = [activation_error(*pair, rest=rest) for pair in pairs]
     known = [error for error in errors if np.isfinite(error)]
-    return float(np.mean(known)) if known else None
+    changes = [_contraction_change(face, *pair) for pair in pairs]
+    return {
+        "activation_error": float(np.mean(known)) if known else None,
+        "contraction_change": max(changes, default=None),
+    }
+
+
+def _contraction_change(face: Face, a: Floats, other: Floats) -> float:
+    """Return the greatest change of a judged muscle's contraction between two activations."""
+    one, two = (muscles(face.model, face.flesh.volumes, face.S, each) for each in (a, other))
+    change = np.abs(one.contraction - two.contraction)[one.is_judged]
+    return float(np.nanmax(change, initial=0.0))

@@ -1,19 +1,29 @@
-"""Every muscle of one side pulled alone: where the skin goes, and where it is folded.
+"""Muscles of one side pulled alone: where the skin goes, and where it is folded.
 
-Each compartment (with ``--whole`` each muscle) is contracted by 30 % along its fibres, its
-volume kept, by the S of a ``--rig`` or else the geometric one, the jaw at rest. ``pull_mm`` is how
-far the skin over the insertion goes along the fibres to the origin: below 0 the muscle pushes.
-``insertion_mm`` and ``origin_mm`` are how far the flesh of either end comes to the other one, and
-``held_mm`` how far the origin is from what is held. A ring has none of them. ``fibres`` is the
-length that they reach, by that at rest. ``--pictures`` draws the sheet.
+They are pulled by the S of a ``--rig`` or else the geometric one, the jaw at rest. The parts, of
+which ``--parts`` names some:
+
+``compartments``: each compartment (with ``--whole`` each muscle) is contracted by 30 % along its
+    fibres, its volume kept. ``pull_mm`` is how far the skin over the insertion goes along the
+    fibres to the origin: below 0 the muscle pushes; ``pulling`` is the part of the muscles that do
+    not. ``insertion_mm`` and ``origin_mm`` are how far the flesh of either end comes to the other
+    one, and ``held_mm`` how far the origin is from what is held. A ring has none of them.
+    ``fibres`` is the length that they reach, by that at rest. ``--pictures`` draws the sheet.
+``named``: all of each muscle that anatomy texts name contracts as far as the page's sliders let it,
+    within what muscles can do. ``max_mm`` is how far the skin goes, ``as_texts`` whether a place of
+    the face goes the way that texts say (:mod:`benchmarks.muscle_actions`), or the part of the
+    muscles of which it does. ``lids`` has the gap that the palpebral part leaves between the lids,
+    at rest, and where the template closes the eye.
+``sliders``: ``left`` is the part of an expression's motion that the sliders of the rig's muscles
+    and jaw leave: what the page calls the rest of the expression.
 """
 
 from __future__ import annotations
 
 import argparse
 import logging
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +31,25 @@ from scipy.spatial import cKDTree
 
 from benchmarks import documents, report, subjects
 from benchmarks.documents import Figures, Plot, Section, Table
+from benchmarks.muscle_actions import (
+    find_place,
+    goes_as_said,
+    has_lids,
+    lid_gap,
+    muscle_actions,
+    named_muscles,
+)
 from benchmarks.muscle_sheet import Pulled, draw, least_stretches
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
+from solver.animation.blendshapes import keep_within
 from solver.drawing.head import muscle_side
 from solver.errors import SolveError
+from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import fibre_tensors, shorten
-from solver.rig.rig import Rig
+from solver.model import SubjectModel
+from solver.rig.preview.sliders import SliderOptions, controls_of
+from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints
 
 log = logging.getLogger(__name__)
@@ -45,11 +67,22 @@ class PullOptions:
     places: int = 2  # regions that are named
 
 
+@dataclass(frozen=True)
+class FullOptions:
+    """How far all of a muscle contracts, and what closes the eyes."""
+
+    sliders: SliderOptions = field(default_factory=SliderOptions)
+    within: Admissible = field(default_factory=Admissible)
+    lids: str = "palpebral part of orbicularis oculi"
+    blink: str = "eyeBlinkLeft"  # the template's expression, in which the lids meet
+
+
 def main() -> None:
     """Run from the command line."""
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
     parser.add_argument("--rig", type=Path, help="rig.npz of the subject, whose S is taken")
+    report.add_list(parser, "--parts", PARTS)
     parser.add_argument("--pictures", type=Path, help="folder for the sheet")
     parser.add_argument("--muscles", help="names joined by commas; else all of left and middle")
     options = parser.parse_args()
@@ -59,33 +92,170 @@ def main() -> None:
 
 def run(options: argparse.Namespace) -> Figures:
     """Return the figures of one subject, and draw its sheet."""
+    fits: Sequence[ExpressionFit] = ()
     if options.rig is not None:
         rig = Rig.load(options.rig)
-        face = Face(rig.model, rig.weights)
+        face, fits = Face(rig.model, rig.weights), rig.expressions
     else:
         face = Face(subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)[0])
-    model, name = face.model, "built-in" if options.faces is None else options.subject
-    geometry = "geometric" if options.rig is None else "fitted"
+    figures: Figures = {
+        "subject": _subject(options),
+        "S": "geometric" if options.rig is None else "fitted",
+        "tets": len(face.model.tets),
+    }
+    for part in options.parts:
+        figures |= PARTS[part](face, fits, options)
+    return figures
+
+
+def _subject(options: argparse.Namespace) -> str:
+    return "built-in" if options.faces is None else str(options.subject)
+
+
+def _compartments(face: Face, _: Sequence[ExpressionFit], options: argparse.Namespace) -> Figures:
+    """Return the figures of every compartment, and draw the sheet."""
     wanted = options.muscles.split(",") if options.muscles else None
+    found, failed = _sorted_out(pull_each(face, wanted))
+    if options.pictures is not None:
+        name, geometry = _subject(options), "geometric" if options.rig is None else "fitted"
+        person = "the built-in person" if name == "built-in" else f"subject {name}"
+        title = f"Single muscles of {person}, {geometry} S"
+        draw(options.pictures / picture(name), title, face.model, found)
+    figures = {muscle: measure(face, muscle, pulled) for muscle, pulled in found.items()}
+    pulls = [each["pull_mm"] for each in figures.values() if each["pull_mm"] is not None]
+    return {
+        "pulling": _part([pull > 0.0 for pull in pulls]),
+        "with_ends": len(pulls),
+        "muscles": figures,
+        "failed": failed,
+    }
+
+
+def _sorted_out(
+    pulled: Iterator[tuple[str, Pulled | SolveError]],
+) -> tuple[dict[str, Pulled], dict[str, str]]:
+    """Return muscle -> skin, and muscle -> why there is none."""
     found, failed = {}, {}
-    for muscle, state in pull_each(face, wanted):
+    for muscle, state in pulled:
         if isinstance(state, SolveError):
             failed[muscle] = f"{state.code}: {state.message}"
         else:
             found[muscle] = state
         log.info("%s %s", muscle, failed.get(muscle, ""))
-    if options.pictures is not None:
-        person = "the built-in person" if name == "built-in" else f"subject {name}"
-        title = f"Single muscles of {person}, {geometry} S"
-        draw(options.pictures / picture(name), title, model, found)
-    figures = {muscle: measure(face, muscle, pulled) for muscle, pulled in found.items()}
-    return {
-        "subject": name,
-        "S": geometry,
-        "tets": len(model.tets),
-        "muscles": figures,
-        "failed": failed,
+    return found, failed
+
+
+def _part(answers: Sequence[bool]) -> float | None:
+    return sum(answers) / len(answers) if answers else None
+
+
+def _named(face: Face, _: Sequence[ExpressionFit], __: argparse.Namespace) -> Figures:
+    found, failed = _sorted_out(pull_named(face))
+    return {**named_figures(face.model, found), "named_failed": failed}
+
+
+def pull_named(
+    face: Face, options: FullOptions = FullOptions()
+) -> Iterator[tuple[str, Pulled | SolveError]]:
+    """Yield every muscle of the table of actions as :func:`pull_each`, contracted in full."""
+    model, rest = face.model, face.rest
+    before = face.whole_skin(rest.x, rest.pose.b)
+    limits = options.within.feasible(model, face.flesh.volumes, face.S)
+    done: set[str] = set()
+    for action in muscle_actions():
+        numbers = named_muscles(model, action.muscle, both=action.is_ring)
+        numbers = numbers[np.isfinite(limits.tensors[numbers]).all(axis=(1, 2))]
+        if not len(numbers) or action.muscle in done:
+            continue
+        done.add(action.muscle)
+        a = rest.pose.a.copy()
+        for number in numbers:
+            a[number] = shorten(limits.tensors[number], options.sliders.full_stretch)
+        pose = Pose(keep_within(a, limits)[0], rest.pose.b)
+        try:
+            x = face.continuation(rest, pose).x
+        except SolveError as error:
+            yield action.muscle, error
+        else:
+            yield action.muscle, Pulled(before, face.whole_skin(x, pose.b), x)
+
+
+def named_figures(
+    model: SubjectModel, pulled: dict[str, Pulled], options: FullOptions = FullOptions()
+) -> Figures:
+    """Return what muscles of anatomy texts do in full, and whether that is what texts say."""
+    figures: Figures = {}
+    for action in muscle_actions():
+        place = find_place(model, action.place)
+        if action.muscle in pulled and len(place):
+            motion = pulled[action.muscle].motion
+            size = np.linalg.norm(motion[model.face], axis=1)
+            figures[action.muscle] = {
+                "max_mm": float(size.max()),
+                **goes_as_said(action, motion[place]),
+            }
+    found: Figures = {
+        "as_texts": _part([each["as_texts"] for each in figures.values()]),
+        "named": figures,
     }
+    if options.lids in pulled and has_lids(model):
+        found["lids"] = _lids(model, pulled[options.lids], options)
+    return found
+
+
+def _lids(model: SubjectModel, pulled: Pulled, options: FullOptions) -> Figures:
+    """Return the gap of the left lids, mm: ``gap_mm`` beyond that where the template blinks.
+
+    Lids that meet may have one by their thickness.
+    """
+    known, closed = model.expressions, 0.0
+    if known is not None and options.blink in known.names:
+        skin = model.skin.vertices.copy()
+        skin[model.face] += known.motions[known.names.index(options.blink)]
+        closed = lid_gap(model, skin)
+    left = lid_gap(model, pulled.after)
+    return {
+        "gap_mm": max(left - closed, 0.0),
+        "at_rest_mm": lid_gap(model, pulled.before) - closed,
+        "closed_mm": closed,
+    }
+
+
+def _sliders(face: Face, fits: Sequence[ExpressionFit], _: argparse.Namespace) -> Figures:
+    left = left_by_sliders(face, fits)
+    return {"left": left, "left_most": max(left.values(), default=None)}
+
+
+def left_by_sliders(face: Face, fits: Sequence[ExpressionFit]) -> dict[str, float]:
+    """Return expression -> the part of its motion that sliders of muscles and jaw leave.
+
+    That is by the root mean square over the face. Expressions are left out that the sliders do not
+    come to rest in.
+    """
+    if not fits:
+        return {}
+    sliders, rest, found = controls_of(face, fits), face.rest, {}
+    own = sliders.of_kind("muscle") + sliders.of_kind("jaw")
+    ids = face.model.face
+    for fit in fits:
+        values = np.zeros(len(sliders))
+        values[own] = sliders.presets[fit.name][own]
+        try:
+            x = face.continuation(rest, sliders.pose(values)).x
+        except SolveError as error:
+            log.warning("%s: %s", fit.name, error)
+            continue
+        motion = fit.skin[ids] - face.model.skin.vertices[ids]
+        left = fit.skin[ids] - face.face_points(x)
+        found[fit.name] = float(np.linalg.norm(left) / np.linalg.norm(motion))
+    return found
+
+
+PARTS: dict[str, Callable[[Face, Sequence[ExpressionFit], argparse.Namespace], Figures]] = {
+    "compartments": _compartments,
+    "named": _named,
+    "sliders": _sliders,
+}
 
 
 def picture(subject: str) -> str:
@@ -221,21 +391,49 @@ def section(figures: Figures) -> Section:
     }
     rows = [
         [muscle, *(found[key] for key in columns), ", ".join(found["regions"])]
-        for muscle, found in figures["muscles"].items()
+        for muscle, found in figures.get("muscles", {}).items()
     ]
     sheet = documents.IMAGES / picture(figures["subject"])
+    parts: list[Table | Plot | str] = []
+    if sheet.exists():
+        parts.append(Plot(sheet, "Every muscle of the left side alone"))
+    if "named" in figures:
+        parts += [_named_words(figures), _named_table(figures)]
+    if figures.get("left"):
+        left = [[name, 100.0 * part] for name, part in figures["left"].items()]
+        parts.append(Table(["expression", "motion that its sliders leave, %"], left))
+    if rows:
+        parts.append(Table(["muscle", *columns.values(), "regions"], rows))
     return Section(
         title="Single muscles",
         compared="Every muscle of the left side and the middle contracted alone by 30 %, by the "
         f"{figures['S']} S: how far the skin goes, and where to at the place that goes farthest, "
         "in mm; how far it is pulled over the insertion along the fibres to the origin; how far "
         "the flesh of the insertion and of the origin comes to the other end, and how far from "
-        "what is held the origin lies (no figures: a ring); how short fibres and skin become.",
-        parts=[
-            *([Plot(sheet, "Every muscle of the left side alone")] if sheet.exists() else []),
-            Table(["muscle", *columns.values(), "regions"], rows),
-        ],
+        "what is held the origin lies (no figures: a ring); how short fibres and skin become. "
+        "All of a muscle that anatomy texts name as far as the page's sliders let it: how far the "
+        "skin goes, and where the place goes to that texts tell of.",
+        parts=parts,
     )
+
+
+def _named_words(figures: Figures) -> str:
+    """Return in a sentence how many muscles do what texts say, and whether eyes close."""
+    words = f"{100.0 * figures['as_texts']:.0f} % of the muscles do to the skin what texts say."
+    if lids := figures.get("lids"):
+        left, whole = lids["gap_mm"], lids["at_rest_mm"]
+        words += f" The palpebral part leaves {left:.1f} of the {whole:.1f} mm between the lids."
+    return words
+
+
+def _named_table(figures: Figures) -> Table:
+    keys = ("max_mm", "place", "lateral_mm", "up_mm", "forward_mm")
+    rows = [
+        [muscle, *(each[key] for key in keys), " and ".join(each["ways"]), each["as_texts"]]
+        for muscle, each in figures["named"].items()
+    ]
+    heads = ["muscle", "greatest, mm", "place", "lateral", "up", "forward", "by texts", "so"]
+    return Table(heads, rows)
 
 
 if __name__ == "__main__":

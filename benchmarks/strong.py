@@ -1,11 +1,17 @@
-"""Strong expressions of any template, which fits find hard: weights of ARKit's shapes."""
+"""Mixtures of a template's expressions: strong ones, which fits find hard, and drawn ones.
+
+They are weights of ARKit's shapes, which any template may have.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from solver.anatomy.template import Template, split_side
+import numpy as np
+
+from solver.anatomy.action_units import Action, actions_of, units_of
+from solver.anatomy.template import ShapeBasis, Template, split_side
 from solver.errors import InputError
 from solver.surface import Surface
 
@@ -38,24 +44,48 @@ STRONG = {
     "snarl": Expression(SNARL, sides=("left",)),
 }
 
+# Unseen expressions that ask much of one part of the face: its regions, by which each is judged.
+LIPS, NOSE = ("upper_lip", "lower_lip"), ("nose",)
+BEAM = {"mouthSmile": 1.0, "mouthUpperUp": 0.5, "cheekSquint": 0.5, "jawOpen": 0.15}
+HARD = {
+    "funnel": Expression({"mouthFunnel": 1.0, "jawOpen": 0.15}),
+    "beam": Expression(BEAM),
+    "sniff": Expression({"noseSneer": 1.0, "mouthUpperUp": 0.3}),
+}
+HARD_REGIONS = {"funnel": LIPS, "beam": LIPS, "sniff": NOSE}
 
-def strong_scans(template: Template, neutral: Surface) -> dict[str, Surface]:
-    """Return the strong expressions of a person whose ``neutral`` has the template's topology.
+
+def strong_scans(
+    template: Template, neutral: Surface, expressions: Mapping[str, Expression] = STRONG
+) -> dict[str, Surface]:
+    """Return ``expressions`` of a person whose ``neutral`` has the template's topology.
 
     Raises :class:`InputError` (``captures.expression``) for a shape that the template lacks.
     """
     shapes = template.shapes
     if shapes is None:
         raise InputError("captures.expression", f"template '{template.name}' has no expressions")
-    deltas = dict(zip(shapes.expression_names, shapes.expressions, strict=True))
+    names = shapes.expression_names
+    return {
+        name: mixed(neutral, shapes, shape_weights(each, names))
+        for name, each in expressions.items()
+    }
 
-    def scan(weights: Mapping[str, float]) -> Surface:
-        moved = neutral.vertices.copy()
-        for name, weight in weights.items():
-            moved += weight * deltas[name]
-        return neutral.moved(moved)
 
-    return {name: scan(shape_weights(each, list(deltas))) for name, each in STRONG.items()}
+def strong_mixtures(shapes: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return the strong expressions by the names of a template's ``shapes``.
+
+    Raises as :func:`strong_scans`.
+    """
+    return {name: shape_weights(each, shapes) for name, each in STRONG.items()}
+
+
+def mixed(neutral: Surface, basis: ShapeBasis, weights: Mapping[str, float]) -> Surface:
+    """Return the skin of a person with this ``neutral`` in a mixture of a template's shapes."""
+    moved, number = neutral.vertices.copy(), basis.expression_names.index
+    for name, weight in weights.items():
+        moved += weight * basis.expressions[number(name)]
+    return neutral.moved(moved)
 
 
 def shape_weights(expression: Expression, shapes: Sequence[str]) -> dict[str, float]:
@@ -73,3 +103,56 @@ def shape_weights(expression: Expression, shapes: Sequence[str]) -> dict[str, fl
             raise InputError("captures.expression", f"the template has no expression {wanted}")
         found |= dict.fromkeys(own, weight)
     return found
+
+
+@dataclass(frozen=True)
+class DrawOptions:
+    """Mixtures that are drawn at random."""
+
+    count: int = 30
+    units: tuple[int, int] = (2, 5)  # the fewest and the most of a mixture
+    weight: tuple[float, float] = (0.3, 1.0)
+    one_sided: float = 0.2  # part of the units of two sides that are made on one of them
+    seed: int = 0
+
+
+def draw_mixtures(
+    shapes: Sequence[str], options: DrawOptions = DrawOptions()
+) -> dict[str, dict[str, float]]:
+    """Return mixtures of ``shapes`` that are one unit each: name -> shape -> weight.
+
+    No mixture has a unit twice, or units of which one's muscles are the other's antagonists.
+    """
+    rng, found = np.random.default_rng(options.seed), {}
+    fewest, most = options.units
+    sides: dict[str, list[str]] = {}
+    for shape in shapes:
+        sides.setdefault(split_side(shape)[0], []).append(shape)
+    bases = list(sides)
+    for number in range(options.count):
+        count = int(rng.integers(fewest, most + 1))
+        chosen: list[str] = []
+        for base in rng.permutation(bases).tolist():
+            if len(chosen) < count and _go_together([*chosen, base]):
+                chosen.append(base)
+        weights: dict[str, float] = {}
+        for base in chosen:
+            own = sides[base]
+            if len(own) > 1 and rng.uniform() < options.one_sided:
+                own = [own[rng.integers(len(own))]]
+            weights |= dict.fromkeys(own, float(rng.uniform(*options.weight)))
+        found[f"mixture {number + 1}"] = weights
+    return found
+
+
+def _go_together(bases: Sequence[str]) -> bool:
+    """Tell whether one face can make all shapes, given without sides, at once."""
+    units = [unit for base in bases for unit in units_of(base)]
+    made = {muscle for unit in units for muscle in unit.muscles}
+    hindered = {muscle for unit in units for muscle in unit.antagonists}
+    return len(set(units)) == len(units) and not made & hindered
+
+
+def called_actions(weights: Mapping[str, float]) -> tuple[Action, ...]:
+    """Return the action units, with their sides, of all shapes of a mixture."""
+    return tuple(dict.fromkeys(action for shape in weights for action in actions_of(shape)))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
+from benchmarks import subjects
 from benchmarks.documents import Figures
 from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
@@ -25,11 +28,14 @@ from solver.fitting.per_tet import PerTetOptions
 from solver.fitting.recruitment import recruit
 from solver.jobs.fits import describe_fit
 from solver.meshio.registered import RegisteredScan
+from solver.model import SubjectModel
 from solver.rig.report.certificate import with_round_trips
 from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Surface
 
 log = logging.getLogger(__name__)
+
+QUICK_ROUNDS = 4  # of a fit of S in a quick run
 
 Scans = Mapping[str, Surface]
 
@@ -38,7 +44,8 @@ Scans = Mapping[str, Surface]
 class Fits:
     """Settled fits of several scans, how long they took, and why there is none of a scan.
 
-    ``face`` is the one they are of, with its S; ``rounds`` are those that S took.
+    ``face`` is the one they are of, with its S; ``rounds`` are those that S took, in
+    ``cpu_seconds`` of the processor's time.
     """
 
     face: Face
@@ -47,6 +54,7 @@ class Fits:
     seconds: float
     failed: dict[str, str] = field(default_factory=dict)
     rounds: int = 0
+    cpu_seconds: float = 0.0
 
     @property
     def states(self) -> dict[str, PosedFace]:
@@ -64,6 +72,12 @@ class Fits:
         points = self.face.face_points(self.states[name].x)
         goal = self.scans[name].vertices[self.face.model.face]
         return np.asarray(np.linalg.norm(points - goal, axis=1))
+
+    def region_mean(self, name: str, regions: Sequence[str]) -> float | None:
+        """Return the mean distance, mm, over some regions; None where the face has none of them."""
+        model = self.face.model
+        within = np.isin(model.face, np.concatenate([model.region(each) for each in regions]))
+        return float(self.distances(name)[within].mean()) if within.any() else None
 
     def skin(self, name: str) -> Floats:
         """Return the whole skin (V, 3) of a fit."""
@@ -120,7 +134,7 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
         rounds += 1
         log.info("round %d: %.3f mm", number, geometry.mean_error(face, targets, states))
 
-    start = time.perf_counter()
+    start, cpu = time.perf_counter(), time.process_time()
     data, first_terms = terms(face, targets), distances(face, targets)
     fitted = geometry.fit(
         face,
@@ -130,8 +144,8 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
         recruited=recruit(face, targets),
         listen=listen,
     )
-    seconds = time.perf_counter() - start
-    return Fits(fitted.face, dict(scans), fitted.endings, seconds, rounds=rounds)
+    seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+    return Fits(fitted.face, dict(scans), fitted.endings, seconds, rounds=rounds, cpu_seconds=cpu)
 
 
 def by_activations(face: Face, scans: Scans) -> Fits:
@@ -213,3 +227,27 @@ def rig_of(train: Fits, test: Fits) -> Rig:
         "round_trip": time.perf_counter() - start,
     }
     return Rig(face.model, face.S, fits, seconds)
+
+
+def face_of_rig(
+    options: argparse.Namespace,
+    path: Path | None,
+    change: Callable[[SubjectModel], SubjectModel] = lambda model: model,
+) -> Face:
+    """Return the face of a rig file with the controls of the options.
+
+    Where there is none S is fitted to the standard scans of the chosen subject, whose model goes
+    through ``change`` first, and left there.
+    """
+    if path is not None and path.is_file():
+        rig = Rig.load(path)
+        return subjects.bounded(Face(rig.model, rig.weights), options)
+    edge = subjects.COARSE_EDGE_MM if options.quick else subjects.EDGE_MM
+    model, captures = subjects.load(options, edge)
+    rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
+    schedule = subjects.schedule(options, rounds)
+    fits = by_geometry(Face(change(model)), captures.train, schedule)
+    face = fits.face
+    if path is not None:
+        Rig(face.model, face.S, tuple(fits.expressions("train")), drive=face.drive).save(path)
+    return face

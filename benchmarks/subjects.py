@@ -8,16 +8,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from benchmarks.strong import strong_scans
+from benchmarks.strong import HARD, strong_scans
 from solver.anatomy.build import build_subject_model, jaw_tracks
 from solver.anatomy.meshing import find_or_make_mesh
+from solver.anatomy.template import ShapeBasis
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
+from solver.surface import Surface
 from solver.templates.builtin.build import builtin_capture_set, builtin_template
-from solver.templates.ict_facekit import ict_capture_set
+from solver.templates.ict_facekit import ict_capture_set, read_facekit, shape_basis
 from solver.templates.ict_template import build_ict_template
 from solver.templates.tables import CaptureSet
 
@@ -78,17 +80,29 @@ def builtin_options() -> argparse.Namespace:
 
 @dataclass(frozen=True)
 class Subject:
-    """A person to be fitted, with the sets of scans by their names (:data:`SETS`)."""
+    """A person to be fitted, with the sets of scans by their names (:data:`SETS`).
+
+    ``hard`` are unseen scans of :data:`~benchmarks.strong.HARD` expressions.
+    """
 
     name: str
     model: SubjectModel
     sets: dict[str, CaptureSet]
+    hard: dict[str, Surface]
     tracks: JawTracks
 
     @property
     def captures(self) -> CaptureSet:
         """Return the standard set."""
         return self.sets["standard"]
+
+
+def shapes(options: argparse.Namespace) -> ShapeBasis:
+    """Return the shapes of the chosen template."""
+    faces = options.faces
+    found = builtin_template().shapes if faces is None else shape_basis(read_facekit(faces))
+    assert found is not None, "templates of benchmarks have shapes"
+    return found
 
 
 def load(options: argparse.Namespace, edge_mm: float) -> tuple[SubjectModel, CaptureSet]:
@@ -116,4 +130,5 @@ def each(options: argparse.Namespace, names: Sequence[str], edge_mm: float) -> I
         model = build_subject_model(template, neutral, edge_mm=edge_mm, compartments=divided)
         strong = replace(scans, train=strong_scans(template, scans.neutral))
         sets = dict(zip(SETS, (scans, strong), strict=True))
-        yield Subject(name, model, sets, jaw_tracks(template, model))
+        hard = strong_scans(template, scans.neutral, HARD)
+        yield Subject(name, model, sets, hard, jaw_tracks(template, model))

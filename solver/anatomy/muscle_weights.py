@@ -132,7 +132,7 @@ def _near_tets(corners: Floats, surface: Surface, distance: float = 0.0) -> np.n
     """Return (t,) True for tets that may lie within a distance of a surface, by their spheres."""
     centres = corners.mean(axis=1)
     radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
-    return _within(centres, surface, distance + radii)
+    return is_within(centres, surface, distance + radii)
 
 
 def _samples(level: int) -> Floats:
@@ -145,17 +145,17 @@ def _samples(level: int) -> Floats:
 
 def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
     """Return the tetrahedra within :data:`CANDIDATE_MM` of a muscle, by corners and samples."""
-    near = np.asarray(_within(vertices, surface, CANDIDATE_MM)[tets].any(axis=1))
+    near = np.asarray(is_within(vertices, surface, CANDIDATE_MM)[tets].any(axis=1))
     others = np.flatnonzero(~near)
     corners = vertices[tets[others]]
     possible = _near_tets(corners, surface, CANDIDATE_MM)
     points = np.einsum("sk,tkd->tsd", _samples(SAMPLING.near_level), corners[possible])
-    inside = _within(points.reshape(-1, 3), surface, CANDIDATE_MM)
+    inside = is_within(points.reshape(-1, 3), surface, CANDIDATE_MM)
     near[others[possible]] = inside.reshape(points.shape[:2]).any(axis=1)
     return np.flatnonzero(near)
 
 
-def _within(points: Floats, surface: Surface, reach: Floats | float) -> np.ndarray:
+def is_within(points: Floats, surface: Surface, reach: Floats | float) -> np.ndarray:
     """Return (n,) True where a point lies inside a surface or within ``reach`` of it."""
     lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     reach = np.broadcast_to(reach, len(points))

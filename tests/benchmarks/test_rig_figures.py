@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks.fit_quality import worst
-from benchmarks.rig_figures import rig_figures, same_muscle_other_person
+from benchmarks.rig_figures import asymmetry, rig_figures, same_muscle_other_person
 from benchmarks.subject_fits import Fits
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.fallback import FallbackFit
 from solver.mechanics.flesh import IDENTITY
 from solver.mechanics.jaw_tracks import JawTracks
+from solver.rig.report.prime_movers import movers
 from tests.solver.block import block_model
 
 PUSHES = np.array([1.3, 0.0, 0.0, 0.9, 0.0, 1.0])  # fibres along x lengthen
@@ -51,6 +53,18 @@ def test_known_muscles_and_a_known_jaw(face: Face) -> None:
     assert found["snap_max_mm"] < 0.01
     assert (found["rounds"], found["geometry_seconds"]) == (4, 2.0)
     assert found["bite_max_mm"] is None
+    # pushing is beyond a bound, rest is at none
+    assert (found["at_bound"], found["lengthened"], found["closers"]) == (1, 1, 0)
+    assert found["expressions"]["sad"]["at_bound"] == 0
+    assert found["asymmetry"] is None
+
+
+def test_sides_are_compared_where_the_scan_is_alike_on_both() -> None:
+    of_both = {"left mentalis": 0.3, "right mentalis": 0.24, "procerus": 0.4, "left risorius": 0.0}
+    check = SimpleNamespace(movers=movers(of_both, {m: m for m in of_both}, ()), asymmetry_mm=0.1)
+    assert asymmetry(check) == pytest.approx(0.06 / 0.4)
+    check.asymmetry_mm = 3.0
+    assert asymmetry(check) is None
 
 
 def test_contractions_of_two_people_are_compared_by_expression_and_muscle() -> None:

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.strong import STRONG, Expression, shape_weights, strong_scans
+from benchmarks.strong import (
+    STRONG,
+    DrawOptions,
+    Expression,
+    called_actions,
+    draw_mixtures,
+    shape_weights,
+    strong_scans,
+)
 from solver.anatomy.template import split_side
 from solver.errors import InputError
 from solver.templates.builtin.build import builtin_template
@@ -49,3 +57,23 @@ def test_the_built_in_person_makes_them() -> None:
     snarl, x = motion["snarl"], template.skin.vertices[:, 0]
     assert snarl[x > 20.0].max() > 5.0
     assert snarl[x < -20.0].max() < 1.0
+
+
+def test_drawn_mixtures_are_of_units_that_go_together() -> None:
+    shapes = [
+        *("mouthSmileLeft", "mouthSmileRight", "mouthFrownLeft", "mouthFrownRight"),
+        *("mouthShrugLower", "mouthShrugUpper", "browInnerUp", "jawLeft", "jawRight"),
+    ]
+    found = draw_mixtures(shapes, DrawOptions(count=40))
+    assert found == draw_mixtures(shapes, DrawOptions(count=40))
+    for weights in found.values():
+        actions = called_actions(weights)
+        codes = {action.unit.code for action in actions}
+        bases = {split_side(shape)[0] for shape in weights}
+        assert 2 <= len(codes) == len(bases) <= 5
+        assert not codes >= {"AU 12", "AU 15"}  # smile and frown
+    # some of the smiles are of one side, and call for the muscles of that one alone
+    smiles = [weights for weights in found.values() if len(weights.keys() & set(shapes[:2])) == 1]
+    assert smiles
+    sides = {side for unit, side in called_actions(smiles[0]) if unit.code == "AU 12"}
+    assert len(sides) == 1

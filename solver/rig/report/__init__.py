@@ -66,6 +66,7 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
         "limits": [asdict(limit) for limit in limits_of(judgements)],
         "checks": [_judgement(judgement, certificate.settings) for judgement in judgements],
         "expressions": expressions,
+        "strayed": {whole: _round(part) for whole, part in certificate.strayed.items()},
         "information": found and information_figures(model, found),
         "warnings": [notice.as_dict() for notice in rig.warnings],
         "train_mean_mm": _role_mean(rig, "train"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from solver.anatomy.action_units import actions_of
 from solver.anatomy.embedding import at_nearest
+from solver.anatomy.muscle_weights import is_within
 from solver.anatomy.physiology import JAW_RANGES, SHORTEST, THICKEST
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
@@ -110,6 +111,33 @@ def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) ->
     return Muscles(shortest, longest, determinants(a), fibres, flesh)
 
 
+@dataclass(frozen=True)
+class StrayOptions:
+    """Flesh of a muscle that counts as outside of it."""
+
+    # its tet's middle lies further from the muscle's surface: people's muscles vary by millimetres
+    beyond_mm: float = 5.0
+    most: float = 0.1  # part of a muscle's flesh that may be
+
+
+def strayed(
+    model: SubjectModel, volumes: Floats, S: sp.csr_array, options: StrayOptions = StrayOptions()
+) -> dict[str, float]:
+    """Return whole muscle -> the part of its flesh that S has outside of it, the worst first.
+
+    ``volumes`` (n,) are the tets' at rest. Muscles without a surface are left out.
+    """
+    entries, centres, found = S.tocoo(), model.tet_centres, {}
+    flesh = entries.data * volumes[entries.row]
+    whole_of = np.array(["", *model.muscle_groups])[entries.col]
+    for whole, surface in model.muscles.items():
+        own = (whole_of == whole) & (entries.data > 0.0)
+        if own.any():
+            inside = is_within(centres[entries.row[own]], surface, options.beyond_mm)
+            found[whole] = float(flesh[own][~inside].sum() / flesh[own].sum())
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
 JAW_WORDS = {
     "opening_deg": ("closes by {:.0f}°", "opens by {:.0f}°"),
     "opening_mm": ("closes {:.1f} mm beyond rest", "opens by {:.0f} mm"),
@@ -193,11 +221,13 @@ class Certificate:
     """The checks of a rig: expression -> check, and the ``settings`` of the job that made it.
 
     ``information`` is that of the training scans on each muscle; None where no state is known.
+    ``strayed`` is that of :func:`strayed`.
     """
 
     expressions: dict[str, ExpressionCheck]
     settings: dict[str, Any]
     information: MuscleInformation | None = None
+    strayed: dict[str, float] = field(default_factory=dict)
 
 
 # called before each expression with its name and number
@@ -234,7 +264,8 @@ def certify(
     # the signs of pivots near buckling take double precision, whatever the fit had
     linear = analyse(face.flesh.hessian(face.model.rest, face.flesh.passive()))
     checks = {fit.name: _check(face, fit, mouth, linear) for fit in rig.expressions}
-    return Certificate(checks, settings, information or muscle_information(face, rig))
+    outside = strayed(face.model, face.flesh.volumes, rig.weights)
+    return Certificate(checks, settings, information or muscle_information(face, rig), outside)
 
 
 def muscle_information(face: Face, rig: Rig) -> MuscleInformation | None:

@@ -14,11 +14,12 @@ import numpy as np
 from solver.errors import Verdict
 from solver.fitting.contraction import STILL
 from solver.mechanics.newton import NewtonOptions
-from solver.rig.report.certificate import Certificate
-from solver.rig.report.measures import Measure, measures
+from solver.rig.report.certificate import Certificate, StrayOptions
+from solver.rig.report.measures import Measure, measures, measures_of_rig
 from solver.rig.report.prime_movers import MoverOptions
 from solver.rig.rig import Rig
 
+ALL = "all expressions"  # where a check of the rig as a whole is made
 ORDER: tuple[Verdict, ...] = ("good", "usable", "bad")
 
 
@@ -195,6 +196,15 @@ CHECKS = (
         "greater weight of symmetry keeps S alike on both.",
     ),
     RigCheck(
+        "muscles.strayed",
+        "Flesh outside its muscle",
+        FigureLimits(100.0 * StrayOptions.most, np.inf, "%"),
+        f"part of a muscle in S that is more than {StrayOptions.beyond_mm:g} mm outside the "
+        "surface which the anatomy gives it",
+        "The skin is right, but flesh pulls there that is none of this muscle's: do not read its "
+        "activations as effort, and look at what edits of it do.",
+    ),
+    RigCheck(
         "jaw.range",
         "Jaw beyond what jaws can do",
         FigureLimits(0, np.inf),
@@ -359,7 +369,8 @@ def _limit(spoiled: str, failed: Sequence[Judgement]) -> Limit:
         if each.of(name) != "good"
         for muscle in measure.muscles
     ]
-    if count := len({muscle for _, muscle in muscles}):
+    # muscles by their wholes: checks name compartments, or whole muscles
+    if count := len({muscle.partition(".")[0] for _, muscle in muscles}):
         spoiled = f"{'one muscle is' if count == 1 else f'{count} muscles are'} {EFFORT}"
     among = "worst in" if len(set(muscles)) > 1 else "in"
     reason = _reason(worst.check, worst.measures[expression])
@@ -403,10 +414,14 @@ def ready(judgements: Sequence[Judgement], expressions: Sequence[str]) -> str:
 
 
 def judge(rig: Rig, certificate: Certificate) -> list[Judgement]:
-    """Judge every check that could be made, in the order of :data:`CHECKS`."""
+    """Judge every check that could be made, in the order of :data:`CHECKS`.
+
+    One of the rig as a whole has a figure of :data:`ALL`, and of no expression.
+    """
     made = {
         fit.name: measures(rig, fit, certificate.expressions[fit.name]) for fit in rig.expressions
     }
+    made[ALL] = measures_of_rig(rig.model, certificate)
     judgements = []
     for check in CHECKS:
         known = {name: found[check.code] for name, found in made.items() if check.code in found}

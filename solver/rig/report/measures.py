@@ -18,7 +18,15 @@ from solver.errors import Finding, make_warning
 from solver.fitting.face import Face
 from solver.mechanics.boundary import FreeJaw
 from solver.model import SubjectModel
-from solver.rig.report.certificate import SYMMETRY, ExpressionCheck, FleshCheck, jaw_motion, muscles
+from solver.rig.report.certificate import (
+    SYMMETRY,
+    Certificate,
+    ExpressionCheck,
+    FleshCheck,
+    StrayOptions,
+    jaw_motion,
+    muscles,
+)
 from solver.rig.report.prime_movers import MoverOptions, Said, is_one_of
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
@@ -57,6 +65,26 @@ def measures(rig: Rig, fit: ExpressionFit, check: ExpressionCheck) -> dict[str, 
         **_solve(fit),
         "solver.warnings": Measure(len(notices), "; ".join(each.message for each in notices)),
     }
+
+
+def measures_of_rig(model: SubjectModel, certificate: Certificate) -> dict[str, Measure]:
+    """Return code -> figure of what all expressions of a rig have in common, its S."""
+    said = [
+        Said(whole, f"has {100.0 * part:.0f} % of its flesh outside", part)
+        for whole, part in certificate.strayed.items()
+    ]
+    if not said:
+        return {}
+    worst, *_ = said
+    beyond = [each for each in said if each.amount > StrayOptions.most]
+    names = {each.muscle for each in beyond}
+    parts = [
+        name
+        for name, whole in zip(model.muscle_names, model.muscle_groups, strict=True)
+        if whole in names
+    ]
+    words = "; ".join(map(str, beyond or said[:1]))
+    return {"muscles.strayed": Measure(100.0 * worst.amount, words, worst, tuple(parts))}
 
 
 def _skin(model: SubjectModel, fit: ExpressionFit) -> dict[str, Measure]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+import trimesh
 
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.mechanics.flesh import IDENTITY
@@ -17,6 +18,7 @@ from solver.rig.report.checks import CHECKS, Judgement, RigCheck, judge, overall
 from solver.rig.report.measures import Measure
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import activation_error
+from solver.surface import Surface
 from tests.solver.block import block_model
 
 PULL = np.array([[0.75, 0.05, 0.0, 1.1, 0.0, 1.1], [1.1, 0.0, 0.05, 0.8, 0.0, 1.1]])
@@ -73,6 +75,30 @@ def test_flesh_at_rest_in_its_equilibrium(face: Face, state: PosedFace) -> None:
     whole = volumes(face, state.x).sum() / volumes(face, face.model.rest).sum()
     assert abs(whole - 1.0) > 1e-3
     assert found.volume_percent == pytest.approx(100.0 * (whole - 1.0))
+
+
+def test_flesh_that_s_has_outside_its_muscle_is_told(face: Face, state: PosedFace) -> None:
+    model, border = face.model, 15.0
+    box = trimesh.creation.box(bounds=[[-1.0, -1.0, -1.0], [border, 41.0, 16.0]])
+    surfaces = {"left": Surface(np.array(box.vertices), np.array(box.faces, np.int64))}
+    face = Face(replace(model, muscles=surfaces))
+    rig = Rig(face.model, face.S, (fitted(face, state),), {})
+    certificate = certify(face, rig, {})
+    flesh = face.S[:, [1]].toarray()[:, 0] * volumes(face, model.rest)
+    outside = model.tet_centres[:, 0] > border + 5.0
+    expected = flesh[outside].sum() / flesh.sum()
+    assert 0.1 < expected < 0.9
+    assert certificate.strayed == {"left": pytest.approx(expected)}
+    judged = {each.check.code: each for each in judge(rig, certificate)}
+    found = judged["muscles.strayed"]
+    assert (found.worst, found.verdict) == ("all expressions", "usable")
+    assert "smile" not in found.measures
+    figures = report(rig, certificate)
+    assert figures["strayed"] == {"left": pytest.approx(expected, abs=1e-4)}
+    words = f"left has {100.0 * expected:.0f} % of its flesh outside"
+    assert next(each["says"] for each in figures["checks"] if each["code"] == found.check.code) == (
+        words
+    )
 
 
 def test_flesh_out_of_its_equilibrium(face: Face, state: PosedFace) -> None:
