@@ -214,8 +214,9 @@ def linearised_step(
     """Return about the best step (size,) from q (size,), its end being inside the bounds.
 
     Where q is outside it begins at the nearest that is not. None where the bounds bend too much
-    even along a part of it. ``hessian`` H is (size, size), ``gradient`` g (size,). Raises :class:`SolveError` (``solve.not_finite``) where H
-    is not positive definite, or anything is not finite.
+    even along a part of it. ``hessian`` H is (size, size), ``gradient`` g (size,). Raises
+    :class:`SolveError` (``solve.not_finite``) where H is not positive definite, or anything is not
+    finite.
     """
     try:
         root = scipy.linalg.cholesky(hessian, lower=True)
