@@ -31,6 +31,7 @@ from solver.fitting.objective import Regulariser, Target, Term
 from solver.fitting.recruitment import Recruited
 from solver.fitting.reference import NotConvergedError
 from solver.fitting.simplex import mix_by_stiffness, replace_values
+from solver.mechanics.linear import in_threads
 from solver.scans.known_activations import NOTHING, KnownMuscles
 
 WHOLE_ROUNDS = 5  # at the end, which see all terms
@@ -134,13 +135,14 @@ def fit(
     face = face.with_weights(_start(face, options) if start is None else start)
     first, at_rest = ActivationOptions(options.first_iterations), rest_curvature(face)
     begin = _problem(face, first_terms, options, 0, structure, recruited, known).regularisers
-    states = {
-        name: activation.descend(
-            face, term, begin[name], face.rest, first, go=Face.newton_predict, matrix=at_rest
-        ).state
-        for name, term in first_terms.items()
-    }
-    now, steps = Iterate(face.S.data, states), options.first_iterations
+
+    def descend(name: str) -> PosedFace:
+        at = face, first_terms[name], begin[name], face.rest, first
+        return activation.descend(*at, go=Face.newton_predict, matrix=at_rest).state
+
+    states = in_threads(descend, first_terms)
+    now = Iterate(face.S.data, dict(zip(first_terms, states, strict=True)))
+    steps = options.first_iterations
     whole = max(options.rounds - WHOLE_ROUNDS, 0)
     rules = joint.RoundOptions(options.retries, options.tolerance)
     # rounds that gain nothing end a stage: on to the whole rounds, or to the end
@@ -178,11 +180,13 @@ def _tighten(
         face = problem.shape.face(now.values)
         loosened = face.drive.loosened(parts[number - first] if number < closed else 0.0)
         face = face if loosened is None else face.driven_by(loosened)
-        states = {
-            name: activation.enter(face, problem.data[name], problem.regularisers[name], state)
-            for name, state in now.states.items()
-        }
-        return replace(now, states=states)
+
+        def bring(name: str) -> PosedFace:
+            prior, state = problem.regularisers[name], now.states[name]
+            return activation.enter(face, problem.data[name], prior, state)
+
+        states = in_threads(bring, now.states)
+        return replace(now, states=dict(zip(now.states, states, strict=True)))
 
     taken = 0
     last = range(closed, closed + way.rounds)
@@ -235,11 +239,12 @@ def _finish(
     steps: int,
 ) -> GeometryFit:
     """Settle states that were only approached, together with a last fit of the activations."""
-    endings = {}
-    for name, term in data.items():
-        ending = fallback.fit(face, term, regularisers[name], LAST, start=states[name])
-        endings[name] = replace(ending, iterations=steps + ending.iterations)
-    return GeometryFit(face, endings)
+
+    def settle(name: str) -> FallbackFit:
+        ending = fallback.fit(face, data[name], regularisers[name], LAST, start=states[name])
+        return replace(ending, iterations=steps + ending.iterations)
+
+    return GeometryFit(face, dict(zip(data, in_threads(settle, data), strict=True)))
 
 
 def mean_error(face: Face, targets: Mapping[str, Target], states: Mapping[str, PosedFace]) -> float:

@@ -19,8 +19,9 @@ goes a shorter way with every round.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -35,6 +36,7 @@ from solver.fitting.objective import Regulariser, Term, sparse
 from solver.fitting.sensitivity import Sensitivity
 from solver.fitting.simplex import minimise_on_simplex, replace_values
 from solver.mechanics.equilibrium import PredictorOptions
+from solver.mechanics.linear import in_threads
 from solver.mechanics.response import Controls
 from solver.surface import Floats, Ints
 
@@ -188,27 +190,28 @@ def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOp
     rule, pose_rule = options.damping, options.pose_damping
     shape, face = problem.shape, problem.shape.face(now.values)
     damping = {name: now.pose_damping.get(name, pose_rule.start) for name in now.states}
-    models = {
-        name: _Linearised(problem, face, now.values, name, state, damping[name])
-        for name, state in now.states.items()
-    }
-    change = _change(problem, now, list(models.values()), options.largest_change)
+
+    def linearise(name: str) -> _Linearised:
+        return _Linearised(problem, face, now.values, name, now.states[name], damping[name])
+
+    models = in_threads(linearise, now.states)
+    change = _change(problem, now, models, options.largest_change)
     before = problem.prior_value(now.values)
     for halving in range(options.halvings):
         fraction = 0.5**halving
         part = fraction * change
         values = now.values + part
-        shaped = shape.face(values)
-        trials = {}
-        for name, model in models.items():
-            follower = model.follow(part)
-            trials[name] = trial = model.trial(shaped, follower, fraction)
-            damping[name] = pose_rule.adapt(damping[name], trial.ratio)
-            for own in options.pose_parts:
-                if trials[name].gain >= 0.0:
-                    break
-                trial = model.trial(shaped, follower, own * fraction)
-                trials[name] = max(trials[name], trial, key=lambda each: each.gain)
+        follow = partial(
+            _Linearised.follow,
+            face=shape.face(values),
+            change=part,
+            fraction=fraction,
+            pose_parts=options.pose_parts,
+        )
+        tried = dict(zip(now.states, in_threads(follow, models), strict=True))
+        for name, (whole, *_) in tried.items():
+            damping[name] = pose_rule.adapt(damping[name], whole.ratio)
+        trials = {name: max(each, key=lambda trial: trial.gain) for name, each in tried.items()}
         # the priors are quadratic: what they gain is what their model says
         nearer = before - problem.prior_value(values)
         gain = sum(trial.gain for trial in trials.values()) + nearer
@@ -231,11 +234,11 @@ def _change(
 ) -> Floats:
     """Return the change (nnz,) of S's values that minimises the damped model, poses following."""
     structure, known = problem.structure, problem.prior_gradient(now.values)
-    gradient = sum((model.gradient_by_geometry() for model in models), known)
+    gradient = sum(in_threads(_Linearised.gradient_by_geometry, models), known)
 
     def product(direction: Floats) -> Floats:
         known = (problem.w_s + now.damping) * direction + structure.T @ (structure @ direction)
-        return np.asarray(sum((model.product(direction) for model in models), known))
+        return np.asarray(sum(in_threads(lambda model: model.product(direction), models), known))
 
     best = minimise_on_simplex(now.values, gradient, product, problem.shape.indptr, reach)
     return np.asarray(best - now.values)
@@ -297,6 +300,7 @@ class _Linearised:
         damped = self._hessian + damping * np.diag(self._layout.damping)
         # at a bound that the step would leave, the pose does not follow
         self._steps = self._layout.steps(damped, self._by_pose, self._q, reach=1.0)
+        self._follow = self._steps.following()
 
     def gradient_by_geometry(self) -> Floats:
         """Return f's derivative (nnz,) by S, the pose following."""
@@ -309,17 +313,27 @@ class _Linearised:
 
     def _pull(self, by_x: Floats, by_pose: Floats) -> Floats:
         """Return X^T (g - T B^-1 h) for g by the free coordinates, which it changes, and h."""
-        by_x[self._touched] -= self._coupling @ self._steps.follow(by_pose)
+        by_x[self._touched] -= self._coupling @ self._follow(by_pose)
         return self._response.free_adjoint(self._weights, by_x)
 
-    def follow(self, change: Floats) -> _Follower:
-        """Return what follows a ``change`` (nnz,) of S."""
+    def follow(
+        self, face: Face, change: Floats, fraction: float, pose_parts: Iterable[float]
+    ) -> list[_Trial]:
+        """Go to a ``face`` with a ``change`` (nnz,) of S, and ``fraction`` of the way to its pose.
+
+        Other trials go shorter ways, parts of that, until one does not lose.
+        """
         flesh = self._response.free_motion(self._weights, change)
         coupled = self._couple(flesh)
-        return _Follower(flesh, coupled, self._steps.best(self._by_pose + coupled))
+        follower = _Follower(flesh, coupled, self._steps.best(self._by_pose + coupled))
+        trials = [self._trial(face, follower, fraction)]
+        for part in pose_parts:
+            if trials[-1].gain >= 0.0:
+                break
+            trials.append(self._trial(face, follower, part * fraction))
+        return trials
 
-    def trial(self, face: Face, follower: _Follower, fraction: float) -> _Trial:
-        """Go to a face of new values and ``fraction`` of the way to the pose that goes with it."""
+    def _trial(self, face: Face, follower: _Follower, fraction: float) -> _Trial:
         problem, state = self._problem, self._state
         flesh, coupled = follower.flesh, follower.coupled
         by_pose = fraction / max(self._layout.reach(follower.by_pose), 1.0) * follower.by_pose

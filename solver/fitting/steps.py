@@ -3,7 +3,7 @@
     min_s  g . s + s . H s / 2    with q + s within the bounds
 
 H is small, dense and positive definite. One matrix serves many g: a model gives the ``best`` step
-for any of them, and ``follow``, how that step changes with g, what holds it at a bound holding on.
+for any of them, and how that step is ``following`` g, what holds it at a bound holding on.
 
 A ``linearised_step`` has m_i + dm_i/dq . s >= 0 for bounds, of all margins m_i at q. With
 H = L L^T, the rows C of the bounds that the step without bounds breaks by r, and V = L^-1 C^T, the
@@ -19,8 +19,9 @@ where an interior point (:mod:`.interior_point`) takes some twenty.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -34,16 +35,30 @@ from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
+class LinearisedOptions:
+    """The active set, and when a step by it is good for nothing."""
+
+    rounds: int = 10  # in which bounds join the active ones
+    broken: float = 1e-9  # margin below 0 from which a bound counts as broken
+    ridge: float = 1e-10  # relative, as the bounds of a muscle may depend on each other
+    parts: tuple[float, ...] = (1.0, 0.5, 0.25)  # of a step that are brought inside ...
+    worth: float = 0.7  # ... with a part of its gain, or there is none
+
+
+@dataclass(frozen=True)
 class StepOptions:
     """The methods within a set: the first that has a step."""
 
-    linearised: LinearisedOptions | None = None  # from frame to frame, where steps are short
+    linearised: LinearisedOptions | None = field(default_factory=LinearisedOptions)
     interior: InteriorPointOptions = field(default_factory=InteriorPointOptions)
 
     @classmethod
     def quick(cls) -> StepOptions:
         """Return those of many fits, each from a state near by: about the best step will do."""
-        return cls(LinearisedOptions(), InteriorPointOptions(fall=0.03, short=1e-2))
+        return cls(LinearisedOptions(worth=0.3), InteriorPointOptions(fall=0.03, short=1e-2))
+
+
+Follow = Callable[[Floats], Floats]
 
 
 class StepModel(Protocol):
@@ -55,8 +70,8 @@ class StepModel(Protocol):
         Raises :class:`SolveError` (``solve.not_finite``) where H is not positive definite.
         """
 
-    def follow(self, change: Floats) -> Floats:
-        """Return B^-1 r (size,): minus what the best step changes by for r more in the gradient."""
+    def following(self) -> Follow:
+        """Return r (size,) -> B^-1 r: minus the change of the best step for r more gradient."""
 
 
 def step_model(
@@ -84,14 +99,10 @@ class _FreeSteps:
     hessian: Floats
 
     def best(self, gradient: Floats) -> Floats:
-        return -self.follow(gradient)
+        return -self.following()(gradient)
 
-    def follow(self, change: Floats) -> Floats:
-        return _solve(self._factor, change)
-
-    @cached_property
-    def _factor(self) -> Any:
-        return _factorise(self.hessian)
+    def following(self) -> Follow:
+        return partial(_solve, _factorise(self.hessian))
 
 
 @dataclass(frozen=True)
@@ -103,20 +114,20 @@ class _BoxSteps:
     def best(self, gradient: Floats) -> Floats:
         return bounded_step(self.hessian, gradient, self.limits)
 
-    def follow(self, change: Floats) -> Floats:
-        # at a bound that the step would leave, it stays
-        open_, factor = self._open
-        out = np.zeros_like(change)
-        out[open_] = _solve(factor, change[open_])
-        return out
-
-    @cached_property
-    def _open(self) -> tuple[np.ndarray, Any]:
+    def following(self) -> Follow:
         lower, upper = self.limits
         ahead = self.best(self.gradient)
+        # at a bound that the step would leave, it stays
         held = ((ahead == lower) | (ahead == upper)) & (ahead == 0.0)
         open_ = np.flatnonzero(~held)
-        return open_, _factorise(self.hessian[np.ix_(open_, open_)])
+        factor = _factorise(self.hessian[np.ix_(open_, open_)])
+
+        def follow(change: Floats) -> Floats:
+            out = np.zeros_like(change)
+            out[open_] = _solve(factor, change[open_])
+            return out
+
+        return follow
 
 
 @dataclass(frozen=True)
@@ -128,20 +139,25 @@ class _SetSteps:
     options: StepOptions
 
     def best(self, gradient: Floats) -> Floats:
-        model, options = (self.bounds, self.hessian, gradient, self.q), self.options
-        found = None
-        if options.linearised is not None:
-            found = linearised_step(*model, options.linearised)
-        return interior_step(*model, options.interior).change if found is None else found
+        found = self._linearised(gradient)
+        if found is not None:
+            return found.change
+        model = self.bounds, self.hessian, gradient, self.q
+        return interior_step(*model, self.options.interior).change
 
-    def follow(self, change: Floats) -> Floats:
-        return _solve(self._factor, change)
-
-    @cached_property
-    def _factor(self) -> Any:
+    def following(self) -> Follow:
+        found = self._linearised(self.gradient)
+        if found is not None:
+            return found.follow
         model = self.bounds, self.hessian, self.gradient, self.q
         ahead = interior_step(*model, self.options.interior)
-        return _factorise(self.hessian + ahead.curvature)
+        return partial(_solve, _factorise(self.hessian + ahead.curvature))
+
+    def _linearised(self, gradient: Floats) -> LinearisedStep | None:
+        options = self.options.linearised
+        if options is None:
+            return None
+        return linearised_step(self.bounds, self.hessian, gradient, self.q, options)
 
 
 def _factorise(matrix: Floats) -> Any:
@@ -170,14 +186,22 @@ def solve_positive(matrix: Floats, right: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class LinearisedOptions:
-    """The active set, and when a step by it is good for nothing."""
+class LinearisedStep:
+    """A step (size,), with L of the Hessian (size, size) and V (size, k) of what holds it."""
 
-    rounds: int = 10  # in which bounds join the active ones
-    broken: float = 1e-9  # margin below 0 from which a bound counts as broken
-    ridge: float = 1e-10  # relative, as the bounds of a muscle may depend on each other
-    parts: tuple[float, ...] = (1.0, 0.5, 0.25)  # of a step that are brought inside ...
-    worth: float = 0.3  # ... with a part of its gain, or there is none
+    change: Floats
+    root: Floats
+    active: Floats
+
+    def follow(self, change: Floats) -> Floats:
+        """Return L^-T (1 - Q Q^T) L^-1 r for r (size,), the columns of Q being a basis of V's."""
+        pull = scipy.linalg.solve_triangular(self.root, change, lower=True)
+        pull -= self._basis @ (self._basis.T @ pull)
+        return np.asarray(scipy.linalg.solve_triangular(self.root, pull, lower=True, trans="T"))
+
+    @cached_property
+    def _basis(self) -> Floats:
+        return np.asarray(scipy.linalg.orth(self.active))
 
 
 def linearised_step(
@@ -186,29 +210,32 @@ def linearised_step(
     gradient: Floats,
     q: Floats,
     options: LinearisedOptions = LinearisedOptions(),
-) -> Floats | None:
+) -> LinearisedStep | None:
     """Return about the best step (size,) from q (size,), its end being inside the bounds.
 
-    None where q is outside, or the bounds bend too much even along a part of it. ``hessian`` H is
-    (size, size), ``gradient`` g (size,). Raises :class:`SolveError` (``solve.not_finite``) where H
-    is not positive definite, or anything is not finite.
+    Where q is outside it begins at the nearest that is not. None where the bounds bend too much
+    even along a part of it. ``hessian`` H is (size, size), ``gradient`` g (size,). Raises
+    :class:`SolveError` (``solve.not_finite``) where H is not positive definite, or anything is not
+    finite.
     """
     try:
         root = scipy.linalg.cholesky(hessian, lower=True)
         free = -scipy.linalg.cho_solve((root, True), gradient)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
-    if not bounds.contains(q):
-        return None
+    begin = q if bounds.contains(q) else bounds.clip(q)
+    entered = begin - q
+    gradient = gradient + hessian @ entered
     try:
-        step = _active_set_step(_LinearBounds(bounds, q), root, free, options)
+        ahead = _active_set_step(_LinearBounds(bounds, begin), root, free - entered, options)
     except (np.linalg.LinAlgError, RuntimeError):  # too many bounds that depend on each other
         return None
+    step, active = ahead
     least = options.worth * _gain(step, hessian, gradient)
     for part in options.parts:
-        inside = bounds.clip(q + part * step) - q
+        inside = bounds.clip(begin + part * step) - begin
         if _gain(inside, hessian, gradient) >= least:
-            return inside
+            return LinearisedStep(entered + inside, root, active)
     return None
 
 
@@ -218,9 +245,13 @@ def _gain(step: Floats, hessian: Floats, gradient: Floats) -> float:
 
 def _active_set_step(
     bounds: _LinearBounds, root: Floats, free: Floats, options: LinearisedOptions
-) -> Floats:
-    """Return the step within linear bounds; ``free`` is that without, ``root`` is L."""
+) -> tuple[Floats, Floats]:
+    """Return the step within linear bounds, and V of those that hold it.
+
+    ``free`` is the step without bounds, ``root`` is L.
+    """
     step, active, columns = free, np.zeros(0, np.int64), np.zeros((len(free), 0))
+    multipliers = np.zeros(0)
     for _ in range(options.rounds):
         broken = np.flatnonzero(bounds.margins(step) < -options.broken)
         broken = np.setdiff1d(broken, active)
@@ -232,7 +263,7 @@ def _active_set_step(
         multipliers = _multipliers(columns, -bounds.margins(free)[active], options.ridge)
         pull = columns @ multipliers
         step = free + scipy.linalg.solve_triangular(root, pull, lower=True, trans="T")
-    return step
+    return step, columns[:, multipliers > 0.0]
 
 
 def _multipliers(columns: Floats, broken: Floats, ridge: float) -> Floats:

@@ -29,7 +29,7 @@ from typing_extensions import override
 from solver.errors import InputError
 from solver.mechanics.assembly import PAIRS
 from solver.mechanics.flesh import Flesh
-from solver.mechanics.terms import EnergyTerm, RestingTerm, force_columns
+from solver.mechanics.terms import EnergyTerm, KeptArrays, RestingTerm, force_columns
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
@@ -178,8 +178,9 @@ class FibreTerm(EnergyTerm):
 
     @override
     def forces(self, x: Floats, controls: Floats) -> Floats:
-        _forces(self._entries, np.ascontiguousarray(x), controls, self.curve, self._out)
-        return self._out
+        out = self._kept.forces
+        _forces(self._entries, np.ascontiguousarray(x), controls, self.curve, out)
+        return out
 
     @override
     def blocks(
@@ -262,8 +263,8 @@ class FibreTerm(EnergyTerm):
         return _selection(self.muscles.muscles, len(self.muscles.strengths))
 
     @cached_property
-    def _out(self) -> Floats:
-        return np.empty((len(self.tets), 4, 3))
+    def _kept(self) -> KeptArrays:
+        return KeptArrays(len(self.tets))
 
 
 class _Measured(NamedTuple):

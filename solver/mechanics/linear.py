@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Protocol
+from functools import cache, partial
+from typing import Any, Protocol, TypeVar
 
 import numba as nb
 import numpy as np
@@ -20,6 +22,9 @@ from typing_extensions import override
 
 from solver.errors import InputError
 from solver.surface import Floats, Ints
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 class NotPositiveDefiniteError(ArithmeticError):
@@ -321,8 +326,26 @@ def leave_threads_to_kernels() -> None:
     threadpool_limits(limits=1, user_api="blas")
 
 
-def in_threads(work: Callable[[int], None], items: Iterable[int]) -> None:
-    """Call ``work`` for each item on as many threads as the kernels use; it must let others run."""
-    with ThreadPoolExecutor(nb.get_num_threads()) as threads:
-        for _ in threads.map(work, items):
-            pass
+def in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Return ``work`` of each item, on as many threads as the kernels use; it must let others run.
+
+    Each thread's kernels are then its own alone, and so is all that it hands to threads itself. The
+    first error of any is raised.
+    """
+    if getattr(_THREAD, "is_worker", False):
+        return [work(item) for item in items]
+    return list(_kept_threads(nb.get_num_threads(), os.getpid()).map(work, items))
+
+
+_THREAD = threading.local()
+
+
+@cache
+def _kept_threads(count: int, _process: int) -> ThreadPoolExecutor:
+    """Return threads of a process that are kept, and with them the memory that they work in."""
+    return ThreadPoolExecutor(count, initializer=_begin_thread)
+
+
+def _begin_thread() -> None:
+    _THREAD.is_worker = True
+    nb.set_num_threads(1)

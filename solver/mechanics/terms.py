@@ -8,9 +8,9 @@ and is a :class:`solver.mechanics.boundary.Potential`.
 
 from __future__ import annotations
 
+import threading
 from abc import abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -55,11 +55,20 @@ class InvertedActivationError(InputError, SolveError):
     """A tet is activated to no positive volume: to a fit, a step that went too far."""
 
 
+class KeptArrays(threading.local):
+    """Memory of each thread for the results of ``count`` tets: fresh one costs what they cost."""
+
+    def __init__(self, count: int) -> None:
+        self.forces = np.empty((count, 4, 3))
+        self.blocks = np.empty((count, PAIRS, 3, 3))
+
+
 class ElasticTerm(EnergyTerm):
     """The law of all tets; its controls are activations (n, 6)."""
 
     def __init__(self, mesh: Elements) -> None:
         self._mesh, self.vertices = mesh, mesh.tets
+        self._kept = KeptArrays(len(mesh.tets))
 
     @override
     def energy(self, x: Floats, controls: Floats) -> float:
@@ -71,8 +80,8 @@ class ElasticTerm(EnergyTerm):
     def forces(self, x: Floats, controls: Floats) -> Floats:
         """Differentiate; raises :class:`InvertedActivationError`."""
         self._check(controls)
-        elements.forces(self._mesh, np.ascontiguousarray(x), controls, self._forces)
-        return self._forces
+        elements.forces(self._mesh, np.ascontiguousarray(x), controls, self._kept.forces)
+        return self._kept.forces
 
     @override
     def blocks(
@@ -80,9 +89,10 @@ class ElasticTerm(EnergyTerm):
     ) -> Floats:
         """Differentiate; raises :class:`InvertedActivationError`."""
         self._check(controls)
-        mesh, out = self._mesh, self._blocks if some is None else np.empty((len(some), PAIRS, 3, 3))
+        mesh, out = self._mesh, self._kept.blocks
         if some is not None:
             mesh, controls = mesh.take(some), controls[some]
+            out = np.empty((len(some), PAIRS, 3, 3))
         elements.hessian_blocks(mesh, np.ascontiguousarray(x), controls, float(project), out)
         return out
 
@@ -105,15 +115,6 @@ class ElasticTerm(EnergyTerm):
             tet = int(np.argmin([symmetric_determinant(tuple(each)) for each in a]))
             message = f"tet number {tet} is activated to no positive volume"
             raise InvertedActivationError("material.activation", message)
-
-    @cached_property
-    def _forces(self) -> Floats:
-        return np.empty((len(self._mesh.tets), 4, 3))
-
-    @cached_property
-    def _blocks(self) -> Floats:
-        # kept: fresh memory costs as much as what is computed
-        return np.empty((len(self._mesh.tets), PAIRS, 3, 3))
 
 
 class RestingTerm(EnergyTerm):

@@ -124,13 +124,13 @@ def test_a_step_to_the_next_frame_is_about_the_best_within_the_bounds():
     begin = -hessian @ goal
     q = layout.rest + interior_step(bounds, hessian, begin, layout.rest).change
     gradient = begin + hessian @ (q - layout.rest) - hessian @ shift
-    found = linearised_step(bounds, hessian, gradient, q)
-    best = interior_step(bounds, hessian, gradient, q).change
+    ahead = linearised_step(bounds, hessian, gradient, q)
+    assert ahead is not None
+    found, best = ahead.change, interior_step(bounds, hessian, gradient, q).change
 
     def gain(step):
         return -(gradient @ step + 0.5 * step @ hessian @ step)
 
-    assert found is not None
     assert bounds.contains(q + found)
     np.testing.assert_array_equal(found, bounds.clip(q + found) - q)
     assert gain(found) > 0.95 * gain(best) > 0.0
