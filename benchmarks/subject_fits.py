@@ -6,7 +6,7 @@ import argparse
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -127,8 +127,7 @@ class Fits:
 
 
 def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
-    """Fit S, activations and jaws to all scans; within limits the jaw is on its tracks."""
-    face = face if schedule.within is None else face.with_jaw_on_tracks()
+    """Fit S, activations and jaws to all scans."""
     targets, rounds = _targets(face, scans), 0
 
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
@@ -212,7 +211,7 @@ class Method:
 
 
 def _by_admissible(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
-    return by_geometry(face, scans, replace(schedule, within=Admissible()))
+    return by_geometry(face.driven_as(Admissible()), scans, schedule)
 
 
 CONTROLS = {  # by what muscles and jaw may do
@@ -248,9 +247,8 @@ def face_of_rig(
         return subjects.bounded(Face(rig.model, rig.weights), options)
     edge = subjects.COARSE_EDGE_MM if options.quick else subjects.EDGE_MM
     model, captures = subjects.load(options, edge)
-    rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
-    schedule = subjects.schedule(options, rounds)
-    fits = by_geometry(Face(change(model)), captures.train, schedule)
+    schedule = GeometryOptions(rounds=QUICK_ROUNDS) if options.quick else GeometryOptions()
+    fits = by_geometry(subjects.bounded(Face(change(model)), options), captures.train, schedule)
     face = fits.face
     if path is not None:
         Rig(face.model, face.S, tuple(fits.expressions("train")), drive=face.drive).save(path)
