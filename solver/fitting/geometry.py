@@ -37,8 +37,8 @@ LAST = ActivationOptions(20, tolerance=1e-3)  # of the activations, once S is fo
 class GeometryOptions:
     """The schedule of the rounds."""
 
-    rounds: int = 16  # at most
-    falling: int = 2  # rounds in which the weights fall from their first to their last values
+    rounds: int = 20  # at most
+    falling: int = 3  # rounds in which the weights fall from their first to their last values
     w_a: tuple[float, float] = (0.2, 1e-3)
     w_s: tuple[float, float] = (1e-4, 1e-5)
     w_v: float = 1e-2  # of the muscles' volume

@@ -164,7 +164,8 @@ class FaceMuscles:
             mean[own] = rest[own] + change.reshape(rest[own].shape)
             w_a[own] = usual[own]
         prior = replace(expected.prior, a=mean)
-        return replace(expected, w_a=w_a, prior=prior, known=self.term(known))
+        others = (*expected.others, self.term(known))
+        return replace(expected, w_a=w_a, prior=prior, others=others)
 
     def compare(self, known: KnownMuscles, a: Floats) -> tuple[KnownFit, ...]:
         """Return what is known of muscles beside their fitted contractions."""

@@ -4,9 +4,10 @@
               + w_v/2 sum_j (det S(a_j) - 1)^2
               + w_b/2 |D (b - b_prior)|^2 + w_e/2 sum_jk max(0, e - lambda_k(S(a_j)))^2
 
-w_a being one for all muscles or each one's own (:mod:`solver.fitting.recruitment`); what a table
-knows of muscles is one more term (:mod:`solver.fitting.known`). Of the others
-muscles that are no shapes S(a_j) have no volume and no stretches
+w_a being one for all muscles or each one's own. Further priors are added: that both sides do alike
+(:mod:`solver.fitting.recruitment`), and what a table knows of muscles
+(:mod:`solver.fitting.known`).
+Muscles that are no shapes S(a_j) have no volume and no stretches
 (:class:`~solver.fitting.controls.ShapePenalty`).
 
 The vertex weights sum to one, so that the first term is a mean squared distance in mm^2 and the
@@ -113,7 +114,7 @@ class Regulariser(Prior):
     w_b: float
     prior: Pose
     w_e: float = 0.1  # of least eigenvalues
-    known: Prior | None = None  # the term of what a table knows of muscles
+    others: tuple[Prior, ...] = ()  # beside these, as of what a table knows of muscles
 
     def with_proximal_term(self, pose: Pose, weight: float) -> Regulariser:
         """Return, but for a constant, the sum with ``weight``/2 |a - a_pose|^2, the jaw's alike."""
@@ -137,8 +138,8 @@ class Regulariser(Prior):
         away = 0.5 * np.sum(self.w_a * (pose.a - self.prior.a) ** 2)
         penalty = pose.layout.drive.penalty
         shapes = penalty.value(pose.a, self.w_v, self.w_e) if penalty else 0.0
-        known = self.known.value(pose) if self.known else 0.0
-        return float(away + shapes + known + 0.5 * self.w_b * joints @ joints)
+        others = sum(other.value(pose) for other in self.others)
+        return float(away + shapes + others + 0.5 * self.w_b * joints @ joints)
 
     def gradient(self, pose: Pose) -> Floats:
         """Return the derivative by (a, b), (size,)."""
@@ -146,22 +147,22 @@ class Regulariser(Prior):
         if penalty := pose.layout.drive.penalty:
             by_a += penalty.gradient(pose.a, self.w_v, self.w_e)
         by_b = self.w_b * pose.layout.joint_units**2 * (pose.b - self.prior.b)
-        out = pose.layout.join([by_a, by_b])
-        return out + self.known.gradient(pose) if self.known else out
+        others = (other.gradient(pose) for other in self.others)
+        return sum(others, pose.layout.join([by_a, by_b]))
 
     def curvature(self, pose: Pose) -> tuple[Floats, Floats]:
         """Return the Gauss-Newton Hessian: a block of each a_j, (m, k, k), and b's diagonal.
 
-        What is known of whole muscles joins the blocks of compartments, which is left out here.
+        What joins the blocks of two muscles, in the other priors, is left out here.
         """
         blocks, diagonal = self._curvature(pose)
-        if self.known:
-            muscles, whole = pose.layout.muscles, self.known.gauss_newton(pose)
-            blocks += whole[muscles[:, :, None], muscles[:, None, :]]
+        muscles = pose.layout.muscles
+        for other in self.others:
+            blocks += other.gauss_newton(pose)[muscles[:, :, None], muscles[:, None, :]]
         return blocks, diagonal
 
     def _curvature(self, pose: Pose) -> tuple[Floats, Floats]:
-        """Return the same without what is known."""
+        """Return the same without the other priors."""
         muscles = pose.layout.muscles
         each = np.arange(muscles.shape[1])
         blocks = np.zeros((*muscles.shape, muscles.shape[1]))
@@ -178,7 +179,7 @@ class Regulariser(Prior):
         out[layout.muscles[:, :, None], layout.muscles[:, None, :]] = blocks
         joints = layout.joint_places
         out[joints, joints] = diagonal
-        return out + self.known.gauss_newton(pose) if self.known else out
+        return sum((other.gauss_newton(pose) for other in self.others), out)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,13 @@ takes the place of w_a/2 |a_j - I|^2: m_j is the shape of a muscle whose fibres 
 the part ``contraction`` u_j of their length, its volume kept, u_j being the greatest u_e of those
 that name it, 1 at most. r is the part of the scan's motion that the sum explains: what nobody's
 expression is, anybody may make.
+
+A scan that is alike on both sides is made alike by both: with muscle j' on the other side of j, and
+M a_j' for its activation in the mirror,
+
+    w_a/2 even r v sum_jj' |a_j - M a_j'|^2,    v = 1 - sum_e |u_e - u_e'| / sum_e u_e,
+
+e' being the same expression of the other side, and v 0 at least.
 """
 
 from __future__ import annotations
@@ -29,14 +36,16 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import nnls
+from typing_extensions import override
 
 from solver.anatomy.action_units import ActionUnit, actions_of, template_names
 from solver.drawing.head import both_sides, muscle_side
-from solver.fitting.face import Face
-from solver.fitting.objective import Regulariser, Target
+from solver.fitting.face import Face, Pose
+from solver.fitting.objective import Prior, Regulariser, Target
+from solver.fitting.simplex import mirrored_pairs
 from solver.fitting.stretches import fibre_tensors, shorten
 from solver.mechanics.flesh import IDENTITY
-from solver.surface import Floats
+from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,7 @@ class RecruitmentOptions:
     price: float = 30.0  # by which w_a is greater than where nothing is known
     opposed: float = 10.0  # by which that of a muscle is greater that works against one called for
     called: float = 0.25  # amount of an expression from which its muscles are called for wholly
+    even: float = 100.0  # by which what both sides do otherwise costs more than w_a
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +66,8 @@ class Recruitment:
     ``motions`` (e, k, 3) are those of the face's points, mm, off ``rest`` (k, 3). ``named`` (e, m)
     tells whether a unit of an expression names a muscle, on its side, and ``opposed`` (e, m)
     whether it is an antagonist of one. ``tensors`` (m, 3, 3) are the means of d d^T
-    along the muscles' fibres d, NaN where there are none.
+    along the muscles' fibres d, NaN where there are none. ``mirrored`` (e,) are the numbers of the
+    same expressions on the other side, their own in the middle and -1 where there is none.
     """
 
     motions: NDArray[np.floating]
@@ -64,6 +75,8 @@ class Recruitment:
     opposed: NDArray[np.bool_]
     rest: Floats
     tensors: Floats
+    mirrored: Ints
+    sides: EvenSides
     options: RecruitmentOptions = RecruitmentOptions()
 
     @classmethod
@@ -84,7 +97,8 @@ class Recruitment:
             return None
         tensors = fibre_tensors(model, face.flesh.volumes, face.S)
         rest = model.skin.vertices[model.face]
-        return cls(shapes.motions, named, opposed, rest, tensors, options)
+        mirrored, sides = _mirrored(shapes.names), EvenSides.of_face(face)
+        return cls(shapes.motions, named, opposed, rest, tensors, mirrored, sides, options)
 
     def of_target(self, target: Target) -> Recruited:
         """Return what a target calls for."""
@@ -97,7 +111,16 @@ class Recruitment:
         mean = np.tile(IDENTITY, (len(price), 1))
         for muscle in np.flatnonzero((contraction > 0.0) & np.isfinite(self.tensors[:, 0, 0])):
             mean[muscle] = shorten(self.tensors[muscle], 1.0 - contraction[muscle])
-        return Recruited((price**explained)[:, None], mean)
+        even = options.even * explained * self.evenness(amounts)
+        return Recruited((price**explained)[:, None], mean, replace(self.sides, weight=even))
+
+    def evenness(self, amounts: Floats) -> float:
+        """Return how alike both sides of expressions by their ``amounts`` (e,) are, from 0 to 1."""
+        whole = float(amounts.sum())
+        if whole == 0.0:
+            return 1.0
+        other = np.append(amounts, 0.0)[self.mirrored]
+        return max(1.0 - float(np.abs(amounts - other).sum()) / whole, 0.0)
 
     def amounts(self, target: Target) -> tuple[Floats, float]:
         """Return the amounts (e,) of the expressions whose sum is nearest to a target.
@@ -131,11 +154,74 @@ class Recruited:
 
     price: Floats  # (m, 1) by which w_a is greater
     mean: Floats  # (m, 6) of their activations
+    sides: EvenSides  # its weight by w_a
 
     def regularise(self, plain: Regulariser) -> Regulariser:
         """Return a regulariser that expects this of muscles, from one that expects them at rest."""
         prior = replace(plain.prior, a=self.mean)
-        return replace(plain, w_a=plain.w_a * self.price, prior=prior)
+        sides = replace(self.sides, weight=float(np.min(plain.w_a)) * self.sides.weight)
+        others = (*plain.others, sides)
+        return replace(plain, w_a=plain.w_a * self.price, prior=prior, others=others)
+
+
+# Of the six entries of S(a), those of its mirror image, x being to the side.
+MIRROR = np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class EvenSides(Prior):
+    """The price of what both sides do otherwise: weight/2 sum |a_j - M a_j'|^2 of the pairs j, j'.
+
+    ``left`` and ``right`` (r,) are the places of a_j and a_j' among the controls, ``signs`` (r,) M.
+    """
+
+    left: Ints
+    right: Ints
+    signs: Floats
+    weight: float = 1.0
+
+    @classmethod
+    def of_face(cls, face: Face) -> EvenSides:
+        """Return those of the muscles that have one of their name on the other side."""
+        pairs = mirrored_pairs(face.model.muscle_names)
+        left, right = (face.layout.muscles[side].ravel() for side in pairs.T)
+        return cls(left, right, np.tile(MIRROR, len(pairs)))
+
+    @override
+    def value(self, pose: Pose) -> float:
+        off = self._off(pose)
+        return float(0.5 * self.weight * off @ off)
+
+    @override
+    def gradient(self, pose: Pose) -> Floats:
+        out, pull = np.zeros(pose.layout.size), self.weight * self._off(pose)
+        out[self.left], out[self.right] = pull, -self.signs * pull
+        return out
+
+    @override
+    def gauss_newton(self, pose: Pose) -> Floats:
+        out = np.zeros((pose.layout.size, pose.layout.size))
+        out[self.left, self.left] = out[self.right, self.right] = self.weight
+        out[self.left, self.right] = out[self.right, self.left] = -self.weight * self.signs
+        return out
+
+    def _off(self, pose: Pose) -> Floats:
+        q = pose.vector()
+        return np.asarray(q[self.left] - self.signs * q[self.right])
+
+
+def _mirrored(expressions: tuple[str, ...]) -> Ints:
+    """Return the numbers of the expressions on the other side, -1 where there is none."""
+    numbers = {name: number for number, name in enumerate(expressions)}
+    swapped = {"Left": "Right", "Right": "Left"}
+
+    def other(name: str) -> str:
+        for side, opposite in swapped.items():
+            if name.endswith(side):
+                return name.removesuffix(side) + opposite
+        return name
+
+    return np.array([numbers.get(other(name), -1) for name in expressions])
 
 
 @cache

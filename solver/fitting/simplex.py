@@ -238,6 +238,19 @@ def smooth_structure(model: SubjectModel, w_c: float) -> sp.csr_array:
     return sp.csr_array(np.sqrt(w_c) * (pick[first[meet]] - pick[second[meet]]))
 
 
+def mirrored_pairs(names: tuple[str, ...]) -> Ints:
+    """Return the pairs (k, 2) of muscles whose ``names`` differ by their side; none without sides.
+
+    The first of each pair is that which comes first.
+    """
+    try:
+        other = _mirrored_muscles(names)[1:] - 1
+    except InputError:
+        return np.empty((0, 2), np.int64)
+    own = np.arange(len(other))
+    return np.stack([own, other], axis=1)[own < other]
+
+
 def _mirrored_muscles(names: tuple[str, ...]) -> Ints:
     """Return for every column of S that of the other side, for those in the middle their own."""
     words = [tuple(name_words(name.lower())) for name in names]

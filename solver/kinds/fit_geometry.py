@@ -13,7 +13,7 @@ class FitGeometry(ExpressionFitOptions):
     """Options of a fit of S, activations and jaw."""
 
     rounds: Whole = Field(
-        default=16,
+        default=20,
         ge=1,
         le=50,
         description="at most so many rounds of Gauss-Newton on S and all poses",

@@ -16,7 +16,7 @@ from solver.fitting.face import Face
 from solver.fitting.known import FaceMuscles, KnownFit, compare_frames, find_disagreements
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.per_tet.tissue import of_face
-from solver.fitting.recruitment import Recruited
+from solver.fitting.recruitment import EvenSides, Recruited
 from solver.fitting.simplex import mix_by_stiffness
 from solver.fitting.stretches import shorten
 from solver.scans.known_activations import KnownMuscles
@@ -50,14 +50,14 @@ def test_the_term_s_derivatives_are_those_of_its_value(face):
         both = [(of(pose.add(each)), of(pose.add(-each))) for each in moves]
         return np.array([(one - other) / (2.0 * step) for one, other in both])
 
-    gradient = found.known.gradient(pose)
+    gradient = found.others[-1].gradient(pose)
     assert np.abs(gradient).max() > 1e-3
-    np.testing.assert_allclose(gradient, difference(found.known.value), atol=1e-8)
+    np.testing.assert_allclose(gradient, difference(found.others[-1].value), atol=1e-8)
     np.testing.assert_allclose(found.gradient(pose), difference(found.value), atol=1e-7)
-    hessian = found.known.gauss_newton(pose)
-    np.testing.assert_allclose(hessian, difference(found.known.gradient), atol=1e-8)
+    hessian = found.others[-1].gauss_newton(pose)
+    np.testing.assert_allclose(hessian, difference(found.others[-1].gradient), atol=1e-8)
     assert np.linalg.matrix_rank(hessian) == len(KNOWN)
-    more = found.gauss_newton(pose) - replace(found, known=None).gauss_newton(pose)
+    more = found.gauss_newton(pose) - replace(found, others=()).gauss_newton(pose)
     np.testing.assert_allclose(more, hessian, atol=1e-12)
     # a whole muscle joins its compartments, of which IPOPT has the blocks alone
     blocks, muscles = found.curvature(pose)[0], face.layout.muscles
@@ -81,7 +81,7 @@ def test_a_whole_muscle_contracts_by_the_mean_over_its_compartments(face):
 
 def test_what_is_known_takes_the_place_of_what_is_expected(face):
     rest = face.rest_pose().a
-    expected = Recruited(np.full((4, 1), 30.0), rest + 0.1)
+    expected = Recruited(np.full((4, 1), 30.0), rest + 0.1, EvenSides.of_face(face))
     plain = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
     recruited = expected.regularise(plain)
     muscles = FaceMuscles.of(face)
@@ -90,7 +90,7 @@ def test_what_is_known_takes_the_place_of_what_is_expected(face):
     np.testing.assert_allclose(found.prior.a[2], rest[2] + 0.1)
     values = muscles.contractions(KNOWN, found.prior.a)
     np.testing.assert_allclose(values, KNOWN.values)
-    assert found.known.value(replace(face.rest_pose(), a=found.prior.a)) == pytest.approx(0.0)
+    assert found.others[-1].value(replace(face.rest_pose(), a=found.prior.a)) == pytest.approx(0.0)
     nothing = KnownMuscles((), np.zeros(0), np.zeros(0))
     assert muscles.regularise(nothing, recruited, plain) is recruited
 

@@ -11,7 +11,7 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.drives.fibre_contraction import FibreContraction
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
-from solver.fitting.recruitment import Recruitment, RecruitmentOptions, recruit
+from solver.fitting.recruitment import EvenSides, Recruitment, RecruitmentOptions, recruit
 from solver.fitting.stretches import determinants
 from solver.model import Expressions
 from tests.fixtures import small_model
@@ -142,3 +142,31 @@ def test_derivatives_of_priced_muscles():
     of = replace(near, w_b=0.0), replace(prior, w_b=0.0)
     gained = [each.value(here) - each.value(other) for each in of]
     assert gained[0] - gained[1] == pytest.approx(square, rel=1e-9)
+
+
+def test_what_both_sides_do_otherwise_has_its_price(face):
+    """None where they mirror each other; the derivatives are those of the value."""
+    sides, rng = EvenSides.of_face(face), np.random.default_rng(3)
+    pose = face.rest_pose().add(0.1 * rng.standard_normal(face.layout.size))
+
+    def difference(of, step=1e-5):
+        moves = step * np.eye(face.layout.size)
+        return np.array([(of(pose.add(it)) - of(pose.add(-it))) / (2.0 * step) for it in moves])
+
+    gradient = sides.gradient(pose)
+    assert np.abs(gradient).max() > 1e-2
+    np.testing.assert_allclose(gradient, difference(sides.value), atol=1e-8)
+    np.testing.assert_allclose(sides.gauss_newton(pose), difference(sides.gradient), atol=1e-7)
+    one, other = (face.model.muscle_numbers(f"zygomaticus_major_{side}")[0] for side in "lr")
+    a = face.rest_pose().a
+    a[one], a[other] = [1.1, 0.1, 0.2, 0.9, 0.3, 1.0], [1.1, -0.1, -0.2, 0.9, 0.3, 1.0]
+    assert sides.value(replace(pose, a=a)) == pytest.approx(0.0)
+    a[other, 1] = 0.1
+    assert sides.value(replace(pose, a=a)) == pytest.approx(0.5 * 0.2**2)
+
+
+def test_only_a_scan_that_is_alike_on_both_sides_asks_for_the_same_of_both(face):
+    recruitment = Recruitment.of_face(face)
+    weights = [recruitment.of_target(target_of(face, of)).sides.weight for of in np.eye(3)]
+    assert weights[0] == pytest.approx(0.0, abs=1e-6)  # the smile of the left alone
+    assert weights[1:] == pytest.approx(2 * [RecruitmentOptions.even], rel=1e-3)
