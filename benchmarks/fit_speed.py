@@ -127,9 +127,9 @@ class Person:
         path = self.options.rig
         if path is not None and path.is_file():
             return Rig.load(path), {}
-        face = self.compile(subjects.bounded(Face(self.model), self.options))
+        face = self.compile(Face(self.model))
         rounds = QUICK_ROUNDS if self.options.quick else GeometryOptions.rounds
-        fits = by_geometry(face, self.captures.train, GeometryOptions(rounds=rounds))
+        fits = by_geometry(face, self.captures.train, subjects.schedule(self.options, rounds))
         rig = Rig(self.model, fits.face.S, tuple(fits.expressions("train")))
         if path is not None:
             rig.save(path)

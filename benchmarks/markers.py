@@ -35,7 +35,6 @@ from solver.fitting.controls import jaw_on_tracks
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
-from solver.fitting.geometry import GeometryOptions
 from solver.fitting.markers.filter import KnownControls
 from solver.fitting.markers.observation import Markers, SeenMarkers
 from solver.fitting.markers.places import refine_by_take
@@ -293,8 +292,8 @@ def _rig(options: argparse.Namespace) -> Rig:
         return replace(rig, drive=SixNumbers()) if options.controls == "free" else rig
     edge = COARSE_EDGE_MM if options.quick else EDGE_MM
     model, captures = subjects.load(options, edge)
-    face = subjects.bounded(Face(model), options)
-    fits = subject_fits.by_geometry(face, captures.train, GeometryOptions())
+    schedule = subjects.schedule(options)
+    fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
     return Rig(model, fits.face.S, tuple(fits.expressions("train")), drive=fits.face.drive)
 
 

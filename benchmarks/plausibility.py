@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+from dataclasses import replace
 
 from benchmarks import documents, plots, report, subject_fits, subjects
 from benchmarks.documents import Figures, Plot, Section, Table
@@ -53,8 +54,8 @@ def run(options: argparse.Namespace) -> Figures:
 
 
 def _fit(subject: Subject, plausibility: float, schedule: GeometryOptions) -> Figures:
-    start = Face(subject.model).driven_as(Admissible(limits_by_plausibility(plausibility)))
-    fits = subject_fits.by_geometry(start, subject.sets["strong"].train, schedule)
+    schedule = replace(schedule, within=Admissible(limits_by_plausibility(plausibility)))
+    fits = subject_fits.by_geometry(Face(subject.model), subject.sets["strong"].train, schedule)
     face = fits.face
     found = [
         muscles(face.model, face.flesh.volumes, face.S, state.pose.a)

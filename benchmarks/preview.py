@@ -41,9 +41,8 @@ def run(options: argparse.Namespace) -> Figures:
     """Fit, make the preview and return the figures."""
     quick = options.quick
     model, captures = subjects.load(options, COARSE_EDGE_MM if quick else EDGE_MM)
-    schedule = GeometryOptions(rounds=QUICK_ROUNDS) if quick else GeometryOptions()
-    face = subjects.bounded(Face(model), options)
-    fits = subject_fits.by_geometry(face, captures.train, schedule)
+    schedule = subjects.schedule(options, QUICK_ROUNDS if quick else GeometryOptions.rounds)
+    fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
     fitted = fits.expressions("train")
     face = Face(model, fits.face.S, linear=fastest(), tolerance=TOLERANCE)
     start = time.perf_counter()

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from benchmarks import report, subject_fits
@@ -143,8 +144,9 @@ def _figures(based: Template, captures: CaptureSet, options: argparse.Namespace)
     mesh = checked.figures["mesh"]
     # as jobs do: muscles divided, and within what they can do
     model = build_subject_model(based, captures.neutral.vertices, compartments=True)
-    face = Face(model).driven_as(Admissible())
-    schedule = GeometryOptions(rounds=QUICK_ROUNDS) if options.quick else GeometryOptions()
+    face = Face(model)
+    schedule = GeometryOptions(within=Admissible())
+    schedule = replace(schedule, rounds=QUICK_ROUNDS) if options.quick else schedule
     train = subject_fits.by_geometry(face, captures.train, schedule)
     test = subject_fits.by_activations(train.face, captures.test)
     raw = raw_scans(topology(based), options.data / "scans")

@@ -105,8 +105,8 @@ def _refitted(options: argparse.Namespace) -> Figures:
     draw = replace(trip.draw, count=trip.draw.count + trip.trained)
     train, test = simulate(face, _draw(face, options, draw), trip).divided(trip.trained)
     rounds = subject_fits.QUICK_ROUNDS if options.quick else GeometryOptions.rounds
-    start = subjects.bounded(Face(face.model), options)
-    fits = subject_fits.by_geometry(start, train.scans, GeometryOptions(rounds=rounds))
+    schedule = subjects.schedule(options, rounds)
+    fits = subject_fits.by_geometry(Face(face.model), train.scans, schedule)
     return {"refitted_mm": fits.mean_mm, "refitted": found_again(fits.face, test)}
 
 

@@ -6,7 +6,7 @@ import argparse
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +127,8 @@ class Fits:
 
 
 def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
-    """Fit S, activations and jaws to all scans."""
+    """Fit S, activations and jaws to all scans; within limits the jaw is on its tracks."""
+    face = face if schedule.within is None else face.with_jaw_on_tracks()
     targets, rounds = _targets(face, scans), 0
 
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
@@ -211,7 +212,7 @@ class Method:
 
 
 def _by_admissible(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
-    return by_geometry(face.driven_as(Admissible()), scans, schedule)
+    return by_geometry(face, scans, replace(schedule, within=Admissible()))
 
 
 CONTROLS = {  # by what muscles and jaw may do
@@ -247,8 +248,9 @@ def face_of_rig(
         return subjects.bounded(Face(rig.model, rig.weights), options)
     edge = subjects.COARSE_EDGE_MM if options.quick else subjects.EDGE_MM
     model, captures = subjects.load(options, edge)
-    schedule = GeometryOptions(rounds=QUICK_ROUNDS) if options.quick else GeometryOptions()
-    fits = by_geometry(subjects.bounded(Face(change(model)), options), captures.train, schedule)
+    rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
+    schedule = subjects.schedule(options, rounds)
+    fits = by_geometry(Face(change(model)), captures.train, schedule)
     face = fits.face
     if path is not None:
         Rig(face.model, face.S, tuple(fits.expressions("train")), drive=face.drive).save(path)

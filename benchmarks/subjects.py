@@ -14,6 +14,7 @@ from solver.anatomy.meshing import find_or_make_mesh
 from solver.anatomy.template import ShapeBasis
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
+from solver.fitting.geometry import GeometryOptions
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
 from solver.surface import Surface
@@ -50,6 +51,12 @@ def add_controls(parser: argparse.ArgumentParser) -> None:
 def bounded(face: Face, options: argparse.Namespace) -> Face:
     """Return the face with the controls of :func:`add_controls`."""
     return face.driven_as(Admissible()) if options.controls == "admissible" else face
+
+
+def schedule(options: argparse.Namespace, rounds: int = GeometryOptions.rounds) -> GeometryOptions:
+    """Return the schedule of fits of S that end with these controls."""
+    within = Admissible() if options.controls == "admissible" else None
+    return GeometryOptions(rounds=rounds, within=within)
 
 
 def default_to_data(parser: argparse.ArgumentParser) -> None:

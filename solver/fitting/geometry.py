@@ -1,13 +1,17 @@
 """The multi-target problem (x, b, a, S): muscle geometry from several expressions at once.
 
 Gauss-Newton steps on S and all poses together (:mod:`solver.fitting.joint`), the weights w_a and
-w_s falling within the first rounds, their priors the resting muscles and the S of the start.
-Admissible activations (:mod:`solver.fitting.drives.admissible`) are so from the start: S that was
-fitted to free ones has muscles where these would rather push, and stays near there.
+w_s falling from round to round as published, their priors the resting muscles and the S of the
+start.
+
+Admissible activations (:mod:`solver.fitting.drives.admissible`) are reached by continuation: S is
+fitted to free ones first, then the bounds close on them round by round. Straight to the bounds,
+fits end in worse minima.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -17,6 +21,7 @@ import scipy.sparse as sp
 from solver.errors import Finding, InputError
 from solver.fitting import activation, fallback, joint, reference, simplex
 from solver.fitting.activation import ActivationOptions, rest_curvature
+from solver.fitting.drives import MuscleDrive
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.fallback import FallbackFit
 from solver.fitting.joint import GeometryProblem, Iterate, Listener
@@ -29,25 +34,58 @@ from solver.fitting.simplex import mix_by_stiffness, replace_values
 from solver.mechanics.linear import in_threads
 from solver.scans.known_activations import NOTHING, KnownMuscles
 
+WHOLE_ROUNDS = 5  # at the end, which see all terms
 NOBODY: Mapping[str, Recruited] = {}  # nothing is known of who makes any expression
 LAST = ActivationOptions(20, tolerance=1e-3)  # of the activations, once S is found
+
+
+@dataclass(frozen=True)
+class TighteningOptions:
+    """The way from free activations to admissible ones, a round for each step of the bounds."""
+
+    # parts of the way from the limits to those that bind nobody
+    loosened: tuple[float, ...] = (0.3, 0.2, 0.12, 0.08, 0.05, 0.02)
+    rounds: int = 14  # at most, within the limits as they are asked for
+    tolerance: float = 1e-3  # of these: with that of the others they end far from the minimum
 
 
 @dataclass(frozen=True)
 class GeometryOptions:
     """The schedule of the rounds."""
 
-    rounds: int = 20  # at most
-    falling: int = 3  # rounds in which the weights fall from their first to their last values
-    w_a: tuple[float, float] = (0.2, 1e-3)
+    rounds: int = 12
+    w_a: tuple[float, float] = (0.2, 1e-3)  # of the first and last round, geometric in between
     w_s: tuple[float, float] = (1e-4, 1e-5)
     w_v: float = 1e-2  # of the muscles' volume
     w_b: float = 1e-6  # of the jaw
     stiffness: float = 30.0  # of a muscle that contracts, by that of the flesh around it
     first_iterations: int = 4  # of the activations alone, for the first poses
     retries: int = 3  # of a round whose step is refused, each with more damping
-    # two rounds in turn that gain less than this part of f are the last
-    tolerance: float = 1e-3
+    # where two rounds in turn gain less than this part of f, the fit goes on to the whole rounds,
+    # or ends there
+    tolerance: float = 3e-3
+    # whose bounds close on the muscles in the end; None leaves them as the face has them
+    within: MuscleDrive | None = None
+    tightening: TighteningOptions = TighteningOptions()
+
+    @property
+    def most_rounds(self) -> int:
+        """Return how many rounds a fit takes at most."""
+        if self.within is None:
+            return self.rounds
+        way = self.shortened_tightening
+        return self.rounds + len(way.loosened) + way.rounds
+
+    @property
+    def shortened_tightening(self) -> TighteningOptions:
+        """Return the way to admissible activations, shorter for fewer rounds than usual."""
+        share, way = min(self.rounds / GeometryOptions.rounds, 1.0), self.tightening
+        steps = max(round(share * len(way.loosened)), 1)
+        chosen = np.linspace(0, len(way.loosened) - 1, steps + 1)[1:].astype(int)
+        if steps == len(way.loosened):
+            chosen = np.arange(steps)
+        loosened = tuple(way.loosened[number] for number in chosen)
+        return replace(way, loosened=loosened, rounds=math.ceil(share * way.rounds))
 
 
 @dataclass(frozen=True)
@@ -82,8 +120,10 @@ def fit(
 ) -> GeometryFit:
     """Fit S, activations and jaws to all data, from S ``start`` and the rest pose.
 
-    ``first_terms`` take the place of ``data`` for the first poses: the distance without contact,
-    which would take many small steps. ``start`` has the pattern of
+    Muscles of ``face`` are free; they end ``within`` the options' drive, if there is one.
+
+    ``first_terms`` takes the place of ``data`` in all but the last rounds (:data:`WHOLE_ROUNDS`):
+    the distance without contact, which would take many small steps. ``start`` has the pattern of
     the model's geometric S; if not given it is that, its muscles as stiff as the options say
     (:func:`~solver.fitting.simplex.mix_by_stiffness`). ``structure`` L (k, nnz) adds
     1/2 |L (S - start)|^2 (:mod:`solver.fitting.joint`). ``recruited`` is what single expressions
@@ -102,13 +142,22 @@ def fit(
 
     states = in_threads(descend, first_terms)
     now = Iterate(face.S.data, dict(zip(first_terms, states, strict=True)))
+    steps = options.first_iterations
+    whole = max(options.rounds - WHOLE_ROUNDS, 0)
+    rules = joint.RoundOptions(options.retries, options.tolerance)
+    # rounds that gain nothing end a stage: on to the whole rounds, or to the end
+    for terms, rounds in ((first_terms, range(whole)), (data, range(whole, options.rounds))):
 
-    def problem_of(number: int) -> GeometryProblem:
-        return _problem(face, data, options, number, structure, recruited, known)
+        def problem_of(number: int, terms: Mapping[str, Term] = terms) -> GeometryProblem:
+            return _problem(face, terms, options, number, structure, recruited, known)
 
-    rules, rounds = joint.RoundOptions(options.retries, options.tolerance), range(options.rounds)
-    now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen)
-    steps = options.first_iterations + taken
+        now, taken = joint.minimise_rounds(problem_of, now, rounds, rules, listen)
+        steps += taken
+    if options.within is not None:
+        face = face.driven_by(options.within)
+        problem = _problem(face, data, options, options.rounds - 1, structure, recruited, known)
+        now, taken = _tighten(problem, now, options, listen)
+        steps += taken
     found = face.with_weights(replace_values(face.S, now.values))
     last = _regularisers(found, data, options, options.w_a[1], recruited, known)
     return _finish(found, data, last, now.states, steps)
@@ -116,6 +165,37 @@ def fit(
 
 def _start(face: Face, options: GeometryOptions) -> sp.csr_array:
     return mix_by_stiffness(face.model.weights, options.stiffness)
+
+
+def _tighten(
+    problem: GeometryProblem, now: Iterate, options: GeometryOptions, listen: Listener | None
+) -> tuple[Iterate, int]:
+    """Go on within bounds that close on those of the problem's drive, and count the rounds."""
+    first, way = options.rounds, options.shortened_tightening
+    parts = way.loosened
+    closed = first + len(parts)
+
+    def enter(number: int, now: Iterate) -> Iterate:
+        # along the fibres of the newest S
+        face = problem.shape.face(now.values)
+        loosened = face.drive.loosened(parts[number - first] if number < closed else 0.0)
+        face = face if loosened is None else face.driven_by(loosened)
+
+        def bring(name: str) -> PosedFace:
+            prior, state = problem.regularisers[name], now.states[name]
+            return activation.enter(face, problem.data[name], prior, state)
+
+        states = in_threads(bring, now.states)
+        return replace(now, states=dict(zip(now.states, states, strict=True)))
+
+    taken = 0
+    last = range(closed, closed + way.rounds)
+    # while bounds close a round need not gain anything
+    for rounds, tolerance in ((range(first, closed), -np.inf), (last, way.tolerance)):
+        rules = joint.RoundOptions(options.retries, tolerance)
+        now, more = joint.minimise_rounds(lambda _: problem, now, rounds, rules, listen, enter)
+        taken += more
+    return now, taken
 
 
 def _problem(
@@ -128,7 +208,7 @@ def _problem(
     known: Mapping[str, KnownMuscles] = NOTHING_KNOWN,
 ) -> GeometryProblem:
     """Return the problem of round ``number`` (from 0); S of ``face`` is its prior."""
-    t = min(number / max(min(options.falling, options.rounds) - 1, 1), 1.0)
+    t = number / max(options.rounds - 1, 1)
     w_a, w_s = (first * (last / first) ** t for first, last in (options.w_a, options.w_s))
     regularisers = _regularisers(face, data, options, w_a, recruited, known)
     structure = sp.csr_array((0, face.S.nnz)) if structure is None else structure

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
 
@@ -154,14 +154,19 @@ def minimise_rounds(
     rounds: range,
     options: RoundOptions,
     listen: Listener | None = None,
+    enter: Callable[[int, Iterate], Iterate] | None = None,
 ) -> tuple[Iterate, int]:
-    """Return the iterate after ``rounds`` on the problem of each, and how many it took."""
+    """Return the iterate after ``rounds`` on the problem of each, and how many it took.
+
+    ``enter`` prepares the iterate for a round, as where its bounds are new.
+    """
     idle = taken = 0
     for number in rounds:
-        problem = problem_of(number)
-        now = _enter(problem, now)
+        if enter:
+            now = enter(number, now)
         if listen:
             listen(number, now.states)
+        problem = problem_of(number)
         before = problem.value(now.values, now.states)
         now, taken = _round(problem, now, options.retries), taken + 1
         gain = before - problem.value(now.values, now.states)
@@ -169,20 +174,6 @@ def minimise_rounds(
         if idle == 2:
             break
     return now, taken
-
-
-def _enter(problem: GeometryProblem, now: Iterate) -> Iterate:
-    """Bring all states within the bounds of their face: those along fibres follow S."""
-    face = problem.shape.face(now.values)
-    if face.layout.bounds.feasible is None:
-        return now
-
-    def bring(name: str) -> PosedFace:
-        prior, state = problem.regularisers[name], now.states[name]
-        return activation.enter(face, problem.data[name], prior, state)
-
-    states = in_threads(bring, now.states)
-    return replace(now, states=dict(zip(now.states, states, strict=True)))
 
 
 def _round(problem: GeometryProblem, now: Iterate, retries: int) -> Iterate:

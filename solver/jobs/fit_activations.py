@@ -37,7 +37,7 @@ def run(task: Task[FitActivations]) -> list[Path]:
     check_held(face)
     knowledge = fits.read_known_scans(task, face, scans)
     log = fits.WarningLog(subject, progress)
-    oddities = fits.find_oddities(face, scans)
+    oddities = fits.find_oddities(face, scans, drive)
     for fit in carried:
         if fit.name in scans:
             oddities += check_replaced(subject, fit.name, fit.target, scans[fit.name])

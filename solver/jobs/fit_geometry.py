@@ -27,6 +27,9 @@ from solver.rig.report.measures import check_neutral
 from solver.rig.rig import Rig
 from solver.scans.known_activations import NOTHING
 
+# of rounds whose mean grows
+CLOSING = "muscles are brought within what muscles can do: the mean rises meanwhile"
+
 
 def run(task: Task[FitGeometry]) -> list[Path]:
     """Fit S, activations and jaw to several registered expression scans; write the rig's files.
@@ -38,9 +41,12 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     subject = SubjectModel.load(task.inputs["model"])
     scans = fits.read_scans(subject, task.captures)
     drive = fits.asked_drive(given)
-    face = Face(subject, linear=given.linear_solver).driven_as(drive)
+    bounded = drive.loosened(0.0)
+    face = Face(subject, linear=given.linear_solver)
+    if bounded is not None:
+        face = face.with_jaw_on_tracks()
     check_held(face)
-    schedule = GeometryOptions(rounds=given.rounds)
+    schedule = GeometryOptions(rounds=given.rounds, within=bounded)
     if given.solver == "ipopt":
         geometry.check_size(face, len(scans))
     targets = fits.Targets(subject, given.distance).of_scans(scans)
@@ -57,7 +63,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if structures:
         priors["structure"] = sp.csr_array(sp.vstack(structures))
     log = fits.WarningLog(subject, progress)
-    oddities = fits.find_oddities(face, scans)
+    oddities = fits.find_oddities(face, scans, drive)
     if len(scans) == 1:
         message = (
             "the muscle geometry is fitted to one expression: it will follow that one and say "
@@ -79,6 +85,9 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     log.warn(0.8, check_neutral(face.with_weights(fitted.S), expressions))
     asked = given.model_dump(include={"symmetry", "smoothness", "distance", "solver"})
     settings = asdict(schedule) | asked | fits.control_settings(drive)
+    del settings["within"]
+    if bounded is None:
+        del settings["tightening"]
     spent = {"geometry": seconds}
     rig = Rig(subject, fitted.S, tuple(expressions), spent, log.general, drive=drive)
     return fits.leave_rig(fitted.face, rig, settings, task.out, part_of(progress, 0.8))
@@ -99,9 +108,11 @@ def _fit(
         progress(Step("geometry", 0.02 + 0.78 * part, iteration, value))
 
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
-        done = 0.02 + 0.78 * number / schedule.rounds
+        done = 0.02 + 0.78 * number / schedule.most_rounds
         error = geometry.mean_error(face, targets, states)
-        progress(Step("geometry", done, number + 1, mean_error_mm=error))
+        closing = schedule.within is not None and number >= schedule.rounds
+        message = CLOSING if closing else None
+        progress(Step("geometry", done, number + 1, mean_error_mm=error, message=message))
 
     data = terms(face, targets)
     if solver == "ipopt":

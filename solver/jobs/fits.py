@@ -92,10 +92,12 @@ def read_known_scans(
     return table.of_expressions([*scans])
 
 
-def find_oddities(face: Face, scans: Mapping[str, RegisteredScan]) -> list[Finding]:
-    """Return what is odd about a face and scans before they are fitted."""
-    found = [*idle_muscles(face), *before_fit(face.model, scans), *face.drive.lacks(face.model)]
-    if not face.layout.bounds.is_free and face.model.jaw.tracks is None:
+def find_oddities(
+    face: Face, scans: Mapping[str, RegisteredScan], drive: MuscleDrive
+) -> list[Finding]:
+    """Return what is odd about a face and scans before they are fitted by a drive."""
+    found = [*idle_muscles(face), *before_fit(face.model, scans), *drive.lacks(face.model)]
+    if drive.loosened(0.0) is not None and face.model.jaw.tracks is None:
         message = "the model has no tracks of its condyles, so that its jaw is free: build it again"
         found.append(make_warning("model.no_tracks", message))
     return found

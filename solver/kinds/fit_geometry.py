@@ -13,10 +13,11 @@ class FitGeometry(ExpressionFitOptions):
     """Options of a fit of S, activations and jaw."""
 
     rounds: Whole = Field(
-        default=20,
+        default=12,
         ge=1,
         le=50,
-        description="at most so many rounds of Gauss-Newton on S and all poses",
+        description="at most so many rounds of Gauss-Newton on S and all poses; admissible "
+        "controls take up to 1.7 times as many more, to close their bounds",
     )
     symmetry: float = Field(
         default=0.0,

@@ -72,6 +72,14 @@ class MuscleDrive(Protocol):
         """
         return None
 
+    def loosened(self, part: float) -> MuscleDrive | None:  # noqa: ARG002
+        """Return the drive with its bounds ``part`` of the way to none that bind; 0 is the same.
+
+        None for one that free activations cannot be brought into step by step: it has no bounds, or
+        its values are others.
+        """
+        return None
+
     def lacks(self, model: SubjectModel) -> list[Finding]:  # noqa: ARG002
         """Return warnings of what a model does not have, so that the drive cannot do its part."""
         return []

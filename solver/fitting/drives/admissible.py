@@ -261,6 +261,10 @@ class Admissible(SixNumbers):
         return AdmissibleSet(self.limits, fibre_tensors(model, volumes, S))
 
     @override
+    def loosened(self, part: float) -> Admissible:
+        return Admissible(self.limits.loosened(part))
+
+    @override
     def lacks(self, model: SubjectModel) -> list[Finding]:
         if model.fibres is not None:
             return []

@@ -222,7 +222,7 @@ def test_muscles_that_push_are_fitted_as_well_as_muscles_can(free, face):
     push = np.tile([1.4, 0.0, 0.0, 0.9, 0.0, 0.9], (2, 1))
     data = {"push": data_of(free, Pose(push, np.zeros(5)))}
     assert not face.layout.bounds.feasible.contains(push)
-    fitted = geometry.fit(free.driven_by(Admissible(LIMITS)), data, GeometryOptions(rounds=4))
+    fitted = geometry.fit(free, data, GeometryOptions(rounds=4, within=Admissible(LIMITS)))
     a = fitted.states["push"].pose.a
     stretches = np.linalg.eigvalsh(matrices(a))
     tensors = fibre_tensors(free.model, free.flesh.volumes, fitted.S)
