@@ -56,7 +56,7 @@ class RecruitmentOptions:
     price: float = 30.0  # by which w_a is greater than where nothing is known
     opposed: float = 10.0  # by which that of a muscle is greater that works against one called for
     called: float = 0.25  # amount of an expression from which its muscles are called for wholly
-    even: float = 50.0  # by which what both sides do otherwise costs more than w_a
+    even: float = 20.0  # by which what both sides do otherwise costs more than w_a
 
 
 @dataclass(frozen=True, eq=False)
