@@ -32,7 +32,11 @@ PLACES = ("time", "expression")
 NUMBERS = {"time": "activations.time", "value": "activations.value", "sd": "activations.sd"}
 COLUMNS = (NEEDED[0], "side", *PLACES, *NEEDED[1:])
 SIDES: Mapping[str, Literal["", "left", "right"]] = {
-    **{"": "", "left": "left", "l": "left", "right": "right", "r": "right"}
+    "": "",
+    "left": "left",
+    "l": "left",
+    "right": "right",
+    "r": "right",
 }
 
 
