@@ -255,8 +255,8 @@ def single_summary(shapes: Iterable[Figures]) -> Figures:
     """Return what the figures of shapes that are one unit each come to."""
     judged = [shape for shape in shapes if shape["prime"] is not None]
     return {
-        "prime_mover_top3": _part(shape["prime"] for shape in judged),
-        "contradicted": _part(bool(shape["contradictions"]) for shape in judged),
+        "prime_mover_top3": report.part_true(shape["prime"] for shape in judged),
+        "contradicted": report.part_true(bool(shape["contradictions"]) for shape in judged),
         "judged": len(judged),
     }
 
@@ -267,17 +267,11 @@ def mixture_summary(mixtures: Iterable[Figures]) -> Figures:
     contract = [each for mixture in mixtures for each in mixture["units"].values()]
     whole, unnamed = (sum(each[key] for each in mixtures) for key in ("contraction", "unnamed"))
     return {
-        "units_contract": _part(contract),
+        "units_contract": report.part_true(contract),
         "unnamed": unnamed / whole if whole > 0.0 else None,
         "judged": len(contract),
         "mean_mm": float(np.mean([each["mean_mm"] for each in mixtures])) if mixtures else None,
     }
-
-
-def _part(answers: Iterable[bool]) -> float | None:
-    """Return the part that is true; None of nothing."""
-    listed = list(answers)
-    return sum(listed) / len(listed) if listed else None
 
 
 def _muscles(fits: Fits, name: str) -> Muscles:

@@ -53,6 +53,12 @@ def list_of(known: Collection[str] | None = None) -> Callable[[str], list[str]]:
     return read
 
 
+def part_true(answers: Iterable[bool]) -> float | None:
+    """Return the part that is true; None of nothing."""
+    listed = list(answers)
+    return sum(listed) / len(listed) if listed else None
+
+
 def finish(figures: Figures, options: argparse.Namespace, section: SectionOf) -> None:
     """Write the figures where ``--json`` says and, with ``--document``, their section."""
     text = _write(stamped(figures, sys.argv), options.json)

@@ -124,7 +124,7 @@ def _compartments(face: Face, _: Sequence[ExpressionFit], options: argparse.Name
     figures = {muscle: measure(face, muscle, pulled) for muscle, pulled in found.items()}
     pulls = [each["pull_mm"] for each in figures.values() if each["pull_mm"] is not None]
     return {
-        "pulling": _part([pull > 0.0 for pull in pulls]),
+        "pulling": report.part_true([pull > 0.0 for pull in pulls]),
         "with_ends": len(pulls),
         "muscles": figures,
         "failed": failed,
@@ -143,10 +143,6 @@ def _sorted_out(
             found[muscle] = state
         log.info("%s %s", muscle, failed.get(muscle, ""))
     return found, failed
-
-
-def _part(answers: Sequence[bool]) -> float | None:
-    return sum(answers) / len(answers) if answers else None
 
 
 def _named(face: Face, _: Sequence[ExpressionFit], __: argparse.Namespace) -> Figures:
@@ -195,7 +191,7 @@ def named_figures(
                 **goes_as_said(action, motion[place]),
             }
     found: Figures = {
-        "as_texts": _part([each["as_texts"] for each in figures.values()]),
+        "as_texts": report.part_true([each["as_texts"] for each in figures.values()]),
         "named": figures,
     }
     if options.lids in pulled and has_lids(model):

@@ -83,7 +83,12 @@ def _without_overlap(rows: Ints, fractions: Floats, sizes: Floats) -> Floats:
 
 def muscle_volumes(vertices: Floats, tets: Ints, weights: sp.csr_array) -> Floats:
     """Return the volumes (m,) in mm^3 that the muscles have in the tetrahedra."""
-    return np.asarray(weights.T @ volumes(vertices, tets))[1:]
+    return volumes_by_muscle(volumes(vertices, tets), weights)
+
+
+def volumes_by_muscle(volumes: Floats, S: sp.csr_array) -> Floats:
+    """Return the volumes (m,) of the muscles' flesh in S, ``volumes`` (n,) being the tets'."""
+    return np.asarray(S.T @ volumes)[1:]
 
 
 def enclosed_volume(surface: Surface, samples: int = 40_000) -> float:

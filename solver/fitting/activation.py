@@ -66,11 +66,9 @@ def unseen_regulariser(
     Of muscles that S blends what a ``target`` calls for is expected
     (:mod:`solver.fitting.recruitment`), but of those that are ``known`` (:mod:`.known`).
     """
-    weights = UNSEEN["w_a"], UNSEEN["w_v"], UNSEEN["w_b"]
-    plain = Regulariser(*weights, face.rest_pose())
-    recruitment = None if target is None else Recruitment.of_face(face)
+    plain = Regulariser(UNSEEN["w_a"], UNSEEN["w_v"], UNSEEN["w_b"], face.rest_pose())
     expected = plain
-    if target is not None and recruitment is not None:
+    if target is not None and (recruitment := Recruitment.of_face(face)):
         expected = recruitment.of_target(target).regularise(plain)
     return FaceMuscles.of(face).regularise(known, expected, plain)
 

@@ -210,10 +210,12 @@ def mirror_structure(model: SubjectModel, w_m: float) -> sp.csr_array:
 
     Raises :class:`InputError` (``model.no_sides``) if no muscle's name tells its side.
     """
-    S = model.weights
+    S, names = model.weights, model.muscle_names
+    if not any(word in OTHER_SIDE for name in names for word in name_words(name.lower())):
+        raise InputError("model.no_sides", "no muscle's name says left or right: nothing mirrors")
     numbers = replace_values(S, np.arange(1, S.nnz + 1))
     tet = _mirrored_tets(model)[_rows(S)]
-    muscle = _mirrored_muscles(model.muscle_names)[S.indices]
+    muscle = _mirrored_muscles(names)[S.indices]
     found = np.asarray(numbers[np.maximum(tet, 0), muscle]).ravel() - 1
     paired = np.flatnonzero((tet >= 0) & (found >= 0) & (found != np.arange(S.nnz)))
     pick = sp.eye_array(S.nnz, format="csr")
@@ -243,11 +245,7 @@ def mirrored_pairs(names: tuple[str, ...]) -> Ints:
 
     The first of each pair is that which comes first.
     """
-    try:
-        other = _mirrored_muscles(names)[1:] - 1
-    except InputError:
-        return np.empty((0, 2), np.int64)
-    own = np.arange(len(other))
+    own, other = np.arange(len(names)), _mirrored_muscles(names)[1:] - 1
     return np.stack([own, other], axis=1)[own < other]
 
 
@@ -256,8 +254,6 @@ def _mirrored_muscles(names: tuple[str, ...]) -> Ints:
     words = [tuple(name_words(name.lower())) for name in names]
     columns = {name: number for number, name in enumerate(words, start=1)}
     swapped = [tuple(OTHER_SIDE.get(word, word) for word in name) for name in words]
-    if swapped == words:
-        raise InputError("model.no_sides", "no muscle's name says left or right: nothing mirrors")
     return np.array([0, *(columns.get(name, own) for own, name in enumerate(swapped, start=1))])
 
 

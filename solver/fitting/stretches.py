@@ -91,12 +91,6 @@ def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floa
     return np.asarray(np.divide(out[1:], size, out=np.full_like(out[1:], np.nan), where=size > 0.0))
 
 
-def muscle_volumes(volumes: Floats, S: sp.csr_array) -> Floats:
-    """Return the volume (m,) of every muscle's flesh in S, ``volumes`` (n,) being the tets'."""
-    of_entries = S.data * np.repeat(volumes, np.diff(S.indptr))
-    return np.asarray(np.bincount(S.indices, of_entries, S.shape[1])[1:])
-
-
 def shorten(tensor: Floats, stretch: float) -> Floats:
     """Return the activation (6,) that brings fibres to ``stretch`` and keeps the muscle's volume.
 

@@ -16,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from typing_extensions import override
 
+from solver.anatomy.muscle_weights import volumes_by_muscle
 from solver.anatomy.tetrahedra import volumes
 from solver.errors import InputError
 from solver.fitting import activation
@@ -24,7 +25,7 @@ from solver.fitting.controls import Block
 from solver.fitting.drives import MuscleDrive, Shortening
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
-from solver.fitting.stretches import FROBENIUS, entries, muscle_volumes
+from solver.fitting.stretches import FROBENIUS, entries
 from solver.fitting.tet_forces import MatrixRates, MuscleRates, TetForces
 from solver.mechanics.flesh import IDENTITY, Flesh
 from solver.model import SubjectModel
@@ -119,7 +120,7 @@ class FibreContraction(MuscleDrive):
 
     @override
     def shortening(self, model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Shortening:
-        return Shortening(np.full((S.shape[1] - 1, 1), -1.0), muscle_volumes(volumes, S))
+        return Shortening(np.full((S.shape[1] - 1, 1), -1.0), volumes_by_muscle(volumes, S))
 
 
 def fit_contractions(

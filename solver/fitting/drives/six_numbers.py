@@ -16,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from typing_extensions import override
 
+from solver.anatomy.muscle_weights import volumes_by_muscle
 from solver.fitting.controls import Block, ShapePenalty, Spread
 from solver.fitting.drives import MuscleDrive, Shortening
 from solver.fitting.interior_point import FeasibleSet
@@ -28,7 +29,6 @@ from solver.fitting.stretches import (
     entries,
     fibre_tensors,
     matrices,
-    muscle_volumes,
 )
 from solver.fitting.tet_forces import BlendedRates, MuscleRates, TetForces
 from solver.mechanics.flesh import IDENTITY, Flesh
@@ -67,7 +67,7 @@ class SixNumbers(MuscleDrive):
         if S.shape[1] != model.muscle_count + 1:  # tets by themselves, which are no muscles
             return None
         tensors = fibre_tensors(model, volumes, S)
-        return Shortening(-FROBENIUS * tensors[:, ROW, COLUMN], muscle_volumes(volumes, S))
+        return Shortening(-FROBENIUS * tensors[:, ROW, COLUMN], volumes_by_muscle(volumes, S))
 
 
 def activation_block(muscles: int, feasible: FeasibleSet | None = None) -> Block:

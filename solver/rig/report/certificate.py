@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from solver.anatomy.action_units import actions_of
 from solver.anatomy.embedding import at_nearest
-from solver.anatomy.muscle_weights import is_within
+from solver.anatomy.muscle_weights import is_within, volumes_by_muscle
 from solver.anatomy.physiology import JAW_RANGES, SHORTEST, THICKEST
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
@@ -22,7 +22,7 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, Pose
 from solver.fitting.geometry_information import Linearisation, MuscleInformation
-from solver.fitting.stretches import determinants, matrices, muscle_volumes
+from solver.fitting.stretches import determinants, matrices
 from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.linear import LinearSolver, analyse
 from solver.mechanics.newton import Factorization
@@ -106,7 +106,7 @@ def muscles(model: SubjectModel, volumes: Floats, S: sp.csr_array, a: Floats) ->
     tensors = matrices(a)
     shortest, _, longest = np.asarray(np.linalg.eigvalsh(tensors), np.float64).T
     fibres = 1.0 - Contraction.of(model, volumes, S)(a)
-    return Muscles(shortest, longest, determinants(a), fibres, muscle_volumes(volumes, S))
+    return Muscles(shortest, longest, determinants(a), fibres, volumes_by_muscle(volumes, S))
 
 
 @dataclass(frozen=True)
