@@ -99,9 +99,13 @@ class _FreeSteps:
     hessian: Floats
 
     def best(self, gradient: Floats) -> Floats:
-        return -self.following()(gradient)
+        return -self._follow(gradient)
 
     def following(self) -> Follow:
+        return self._follow
+
+    @cached_property
+    def _follow(self) -> Follow:
         return partial(_solve, _factorise(self.hessian))
 
 
