@@ -43,7 +43,7 @@ from solver.fitting.calibration import (
 from solver.fitting.contact import terms
 from solver.fitting.expression_basis import LINEAR, ExpressionBasis
 from solver.fitting.face import Face, Pose, PosedFace
-from solver.fitting.geometry import GeometryOptions
+from solver.fitting.geometry import usual_options
 from solver.fitting.objective import Target, distances
 from solver.fitting.strips import strip_names
 from solver.fitting.tracking import Tracker
@@ -227,7 +227,7 @@ def _fit_blended(person: Person) -> dict[str, Floats]:
     """Return the face's points (k, 3) of all scans as S fits them."""
     face = Face(person.model, linear=fastest())
     if person.rig is None:
-        train = subject_fits.by_geometry(face, person.train, GeometryOptions())
+        train = subject_fits.by_geometry(face, person.train, usual_options(person.model))
         face = train.face
         trained = {name: face.face_points(state.x) for name, state in train.states.items()}
     else:

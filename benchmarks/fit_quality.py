@@ -57,7 +57,7 @@ from benchmarks.subject_fits import CONTROLS, Fits
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM, SETS, Subject
 from solver.errors import InputError
 from solver.fitting.face import Face
-from solver.fitting.geometry import GeometryOptions
+from solver.fitting.geometry import GeometryOptions, usual_options
 from solver.fitting.per_tet import PerTetOptions
 from solver.mechanics.flesh import COROTATED_DET
 from solver.templates.tables import CaptureSet
@@ -221,7 +221,7 @@ def _set(subject: Subject, scans: str, options: argparse.Namespace) -> Figures:
     if not captures.train:
         raise InputError("captures.empty", "the capture sets have no training expression")
     face = Face(subject.model)
-    schedule = GeometryOptions(rounds=QUICK_ROUNDS) if options.quick else GeometryOptions()
+    schedule = usual_options(subject.model, rounds=QUICK_ROUNDS if options.quick else None)
     found: Figures = {}
     fits: dict[str, tuple[Fits, Fits]] = {}
     for controls in options.controls:

@@ -41,7 +41,6 @@ from benchmarks.speed.frames import frames
 from benchmarks.subject_fits import by_geometry
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.fitting.face import Face, Pose
-from solver.fitting.geometry import GeometryOptions
 from solver.fitting.objective import Target
 from solver.mechanics.flesh import COROTATED_DET
 from solver.mechanics.linear import fastest
@@ -62,7 +61,7 @@ COMPARED = 12
 PER_TETS = 3
 """Expressions that the per-tet model, which is slow, is timed on."""
 
-QUICK_ROUNDS, QUICK_FRAMES = 4, 60
+QUICK_FRAMES = 60
 
 FRAME_LIMIT_MS = 60.0
 
@@ -128,8 +127,8 @@ class Person:
         if path is not None and path.is_file():
             return Rig.load(path), {}
         face = self.compile(Face(self.model))
-        rounds = QUICK_ROUNDS if self.options.quick else GeometryOptions.rounds
-        fits = by_geometry(face, self.captures.train, subjects.schedule(self.options, rounds))
+        schedule = subjects.schedule(self.options, self.model)
+        fits = by_geometry(face, self.captures.train, schedule)
         rig = Rig(self.model, fits.face.S, tuple(fits.expressions("train")))
         if path is not None:
             rig.save(path)

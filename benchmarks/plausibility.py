@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import logging
-from dataclasses import replace
 
 from benchmarks import documents, plots, report, subject_fits, subjects
 from benchmarks.documents import Figures, Plot, Section, Table
@@ -18,7 +17,7 @@ from benchmarks.rig_figures import muscle_figures
 from benchmarks.subjects import COARSE_EDGE_MM, Subject
 from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.face import Face
-from solver.fitting.geometry import GeometryOptions
+from solver.fitting.geometry import usual_options
 from solver.rig.report.certificate import muscles
 
 STEPS = (1.0, 0.8, 0.5, 0.0)
@@ -44,17 +43,18 @@ def main() -> None:
 
 def run(options: argparse.Namespace) -> Figures:
     """Return the figures of every subject."""
-    schedule = GeometryOptions(rounds=QUICK_ROUNDS) if options.quick else GeometryOptions()
+    rounds = QUICK_ROUNDS if options.quick else None
     names = options.subjects.split(",")[: 1 if options.quick else None]
     people = {
-        subject.name: [_fit(subject, plausibility, schedule) for plausibility in STEPS]
+        subject.name: [_fit(subject, plausibility, rounds) for plausibility in STEPS]
         for subject in subjects.each(options, names, COARSE_EDGE_MM)
     }
     return {"subjects": people}
 
 
-def _fit(subject: Subject, plausibility: float, schedule: GeometryOptions) -> Figures:
-    schedule = replace(schedule, within=Admissible(limits_by_plausibility(plausibility)))
+def _fit(subject: Subject, plausibility: float, rounds: int | None) -> Figures:
+    within = Admissible(limits_by_plausibility(plausibility))
+    schedule = usual_options(subject.model, within, rounds)
     fits = subject_fits.by_geometry(Face(subject.model), subject.sets["strong"].train, schedule)
     face = fits.face
     found = [

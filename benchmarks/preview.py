@@ -18,13 +18,11 @@ from benchmarks import report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.fitting.face import Face
-from solver.fitting.geometry import GeometryOptions
 from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
 from solver.rig.preview import make_preview
 
 SEED = 0
-QUICK_ROUNDS = 4
 
 
 def main() -> None:
@@ -41,7 +39,7 @@ def run(options: argparse.Namespace) -> Figures:
     """Fit, make the preview and return the figures."""
     quick = options.quick
     model, captures = subjects.load(options, COARSE_EDGE_MM if quick else EDGE_MM)
-    schedule = subjects.schedule(options, QUICK_ROUNDS if quick else GeometryOptions.rounds)
+    schedule = subjects.schedule(options, model)
     fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
     fitted = fits.expressions("train")
     face = Face(model, fits.face.S, linear=fastest(), tolerance=TOLERANCE)

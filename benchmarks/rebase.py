@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 
 from benchmarks import report, subject_fits
@@ -24,7 +23,7 @@ from solver.anatomy.meshing import find_or_make_mesh
 from solver.anatomy.template import Template
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
-from solver.fitting.geometry import GeometryOptions
+from solver.fitting.geometry import usual_options
 from solver.registration.topology import topology
 from solver.rig.pictures import skin_picture, template_picture
 from solver.storage import read_arrays
@@ -145,8 +144,7 @@ def _figures(based: Template, captures: CaptureSet, options: argparse.Namespace)
     # as jobs do: muscles divided, and within what they can do
     model = build_subject_model(based, captures.neutral.vertices, compartments=True)
     face = Face(model)
-    schedule = GeometryOptions(within=Admissible())
-    schedule = replace(schedule, rounds=QUICK_ROUNDS) if options.quick else schedule
+    schedule = usual_options(model, Admissible(), QUICK_ROUNDS if options.quick else None)
     train = subject_fits.by_geometry(face, captures.train, schedule)
     test = subject_fits.by_activations(train.face, captures.test)
     raw = raw_scans(topology(based), options.data / "scans")

@@ -39,7 +39,6 @@ from solver.errors import SolveError
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
-from solver.fitting.geometry import GeometryOptions
 from solver.fitting.known import FaceMuscles
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import fibre_tensors, shorten
@@ -104,8 +103,7 @@ def _refitted(options: argparse.Namespace) -> Figures:
     face, trip = subject_fits.face_of_rig(options, options.rig), _trip(options)
     draw = replace(trip.draw, count=trip.draw.count + trip.trained)
     train, test = simulate(face, _draw(face, options, draw), trip).divided(trip.trained)
-    rounds = subject_fits.QUICK_ROUNDS if options.quick else GeometryOptions.rounds
-    schedule = subjects.schedule(options, rounds)
+    schedule = subjects.schedule(options, face.model)
     fits = subject_fits.by_geometry(Face(face.model), train.scans, schedule)
     return {"refitted_mm": fits.mean_mm, "refitted": found_again(fits.face, test)}
 

@@ -37,8 +37,6 @@ from solver.surface import Floats, Surface
 
 log = logging.getLogger(__name__)
 
-QUICK_ROUNDS = 4  # of a fit of S in a quick run
-
 Scans = Mapping[str, Surface]
 
 
@@ -248,8 +246,7 @@ def face_of_rig(
         return subjects.bounded(Face(rig.model, rig.weights), options)
     edge = subjects.COARSE_EDGE_MM if options.quick else subjects.EDGE_MM
     model, captures = subjects.load(options, edge)
-    rounds = QUICK_ROUNDS if options.quick else GeometryOptions.rounds
-    schedule = subjects.schedule(options, rounds)
+    schedule = subjects.schedule(options, model)
     fits = by_geometry(Face(change(model)), captures.train, schedule)
     face = fits.face
     if path is not None:

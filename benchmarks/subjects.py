@@ -14,7 +14,7 @@ from solver.anatomy.meshing import find_or_make_mesh
 from solver.anatomy.template import ShapeBasis
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
-from solver.fitting.geometry import GeometryOptions
+from solver.fitting.geometry import GeometryOptions, usual_options
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
 from solver.surface import Surface
@@ -25,6 +25,8 @@ from solver.templates.tables import CaptureSet
 
 EDGE_MM, COARSE_EDGE_MM = 9.0, 18.0
 """Tets' edges of benchmarks: as in jobs, and small enough for IPOPT."""
+
+QUICK_ROUNDS = 4  # of a fit of S in a quick run
 
 SETS = ("standard", "strong")  # of a subject's training scans; the unseen ones are the same
 
@@ -53,10 +55,13 @@ def bounded(face: Face, options: argparse.Namespace) -> Face:
     return face.driven_as(Admissible()) if options.controls == "admissible" else face
 
 
-def schedule(options: argparse.Namespace, rounds: int = GeometryOptions.rounds) -> GeometryOptions:
-    """Return the schedule of fits of S that end with these controls."""
-    within = Admissible() if options.controls == "admissible" else None
-    return GeometryOptions(rounds=rounds, within=within)
+def schedule(options: argparse.Namespace, model: SubjectModel) -> GeometryOptions:
+    """Return the schedule of fits of a model's S that end with these controls."""
+    return usual_options(
+        model,
+        within=Admissible() if options.controls == "admissible" else None,
+        rounds=QUICK_ROUNDS if options.quick else None,
+    )
 
 
 def default_to_data(parser: argparse.ArgumentParser) -> None:

@@ -173,6 +173,9 @@ class SubjectModel:
     size_from: SizeFrom = "scan"
     wholes: tuple[str, ...] = ()  # (m,) the whole muscle of each compartment
     expressions: Expressions | None = None  # None in models made before them, or without shapes
+    # (nnz,) values of S in the pattern of ``weights``, by the training of the template; None where
+    # nobody trained it, or where the tets are the person's own
+    trained: NDArray[np.float32] | None = None
 
     @property
     def lower_teeth(self) -> Ints:
@@ -301,6 +304,8 @@ class SubjectModel:
             arrays["fibres"] = self.fibres
         if self.expressions is not None:
             arrays["expression_motions"] = self.expressions.motions
+        if self.trained is not None:
+            arrays["trained"] = self.trained
         header = {
             "format": FORMAT,
             "units": "mm",
@@ -351,6 +356,7 @@ class SubjectModel:
             size_from=header.get("size_from", "scan"),
             wholes=tuple(header.get("wholes", ())),
             expressions=expressions,
+            trained=data.get("trained"),
         )
 
 

@@ -105,6 +105,7 @@ def _assemble(template: Template, person: Template, made_by: str) -> SubjectMode
         mesh_source=made_by,
         fibres=fibre_directions(mesh.vertices, mesh.tets, mesh.weights, person.muscles),
         expressions=_expressions(template),
+        trained=mesh.trained,
     )
 
 

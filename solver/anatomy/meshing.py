@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import igl
 import numpy as np
@@ -87,6 +88,7 @@ def make_mesh(
     start = close_lips(head, flesh.vertices, flesh.tets, flesh.outside, held)
     guides = guidance(head, head.skin.vertices, embedded, rows, held, flesh.vertices[held], start)
     rest = relax(start, flesh.tets, guides)
+    cranium, mandible, cut = _held(head, flesh)
     progress(Step("muscles", 0.92))
     weights = initial_weights(rest, flesh.tets, [muscle.surface for muscle in head.muscles])
     progress(Step("muscles", 1.0))
@@ -94,7 +96,9 @@ def make_mesh(
         edge_mm=edge_mm,
         vertices=rest,
         tets=flesh.tets,
-        **_held(head, flesh),
+        cranium=cranium,
+        mandible=mandible,
+        cut=cut,
         embedded=embedded,
         embedded_in=tet,
         shares=shares,
@@ -162,13 +166,13 @@ def bind_skin(
     return skin[near], tet[near], shares[near], jaw_skin
 
 
-def _held(head: Template, flesh: MeshedFlesh) -> dict[str, Ints]:
-    """Return vertex numbers by what holds them; a vertex of the mandible is held by it only."""
+def _held(head: Template, flesh: MeshedFlesh) -> tuple[Ints, Ints, Ints]:
+    """Return the vertices on cranium, mandible and cut planes; those on two are the mandible's."""
     mandible = flesh.held[Label.MANDIBLE]
     cranium = np.setdiff1d(flesh.held[Label.CRANIUM], mandible)
     cut = np.setdiff1d(flesh.held[Label.CUT], np.union1d(mandible, cranium))
     cut = cut[~_drawn_along(head, flesh.vertices[cut])]
-    return {"cranium": cranium, "mandible": mandible, "cut": cut}
+    return cranium, mandible, cut
 
 
 def _drawn_along(head: Template, points: Floats) -> np.ndarray:
@@ -224,17 +228,24 @@ def find_or_make_mesh(
     hash of what they were made from, and read only if that is what they were made from. Fine ones
     take longer than the usual ``mesher_seconds``. Raises as :func:`make_mesh`.
     """
-    if template.mesh is not None and template.mesh.edge_mm == edge_mm:
+    own = template.mesh
+    if own is not None and own.edge_mm == edge_mm:
         return template
     bare = replace(template.without_compartments, mesh=None)
     path = cache_directory() / f"meshed-{MAKING}-{bare.sha256[:16]}-{edge_mm:g}mm.npz"
     if (kept := _read_kept(path, bare, edge_mm)) is not None:
-        return replace(template, mesh=kept)
+        return replace(template, mesh=_trained_by(own, kept))
     log.info("making the template's tets", template=template.name, to=str(path))
     made = make_mesh(bare, edge_mm, progress, mesher_seconds)
     if not path.exists():  # else another process was faster: then its tets are everybody's
         replace(bare, mesh=made).save(path)
-    return replace(template, mesh=Template.load(path).mesh)
+    made = cast(TemplateMesh, Template.load(path).mesh)
+    return replace(template, mesh=_trained_by(own, made))
+
+
+def _trained_by(own: TemplateMesh | None, made: TemplateMesh) -> TemplateMesh:
+    """Return ``made`` tets with the training of a template's own ones."""
+    return made if own is None else replace(made, trained=made.trained_like(own))
 
 
 def _read_kept(path: Path, bare: Template, edge_mm: float) -> TemplateMesh | None:

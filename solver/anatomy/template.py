@@ -14,6 +14,7 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import rows_of, shares_in_tets
 from solver.errors import InputError
@@ -98,6 +99,8 @@ def check_arrays(template: Template, file: str) -> None:
             check.numbers(f"mesh {name}", getattr(mesh, name), limit)
         check.points("mesh shares", mesh.shares, (len(mesh.embedded_in), 4))
         check.points("mesh weights", weights.data, (len(weights.indices),))
+        if mesh.trained is not None:
+            check.points("mesh trained", mesh.trained, (len(weights.indices),))
         check.numbers("mesh weights", weights.indices, weights.shape[1])
         found = {"weights": weights.shape[0], "embedded_in": len(mesh.embedded_in)}
         for name, wanted in (("weights", len(mesh.tets)), ("embedded_in", len(mesh.embedded))):
@@ -154,7 +157,33 @@ class TemplateMesh:
     embedded_in: Ints  # (e,) the tets under them
     shares: Floats  # (e, 4) coordinates there of their nearest point on the flesh's outside, >= 0
     attached_mandible: Ints  # skin vertices that move rigidly with the mandible
-    weights: sp.csr_array  # (n, m + 1) initial S, which every person shares
+    weights: sp.csr_array  # (n, m + 1) geometric S, which every person shares
+    # (nnz,) the values of S in its pattern that the template's own expressions ask for
+    # (solver.fitting.training), with compartments or without; None where nobody trained it
+    trained: NDArray[np.float32] | None = None
+
+    @property
+    def centres(self) -> Floats:
+        """Return the middles (n, 3) of the tets."""
+        return np.asarray(self.vertices[self.tets].mean(axis=1))
+
+    def trained_like(self, other: TemplateMesh) -> NDArray[np.float32] | None:
+        """Return the trained values of ``other`` tets of the same muscles, at the nearest of them.
+
+        Both fill the same flesh. A row without any value there keeps its geometric S.
+        """
+        if other.trained is None:
+            return None
+        there = sp.csr_array(
+            (other.trained, other.weights.indices, other.weights.indptr), shape=other.weights.shape
+        )
+        nearest = cKDTree(other.centres).query(self.centres)[1]
+        own = self.weights
+        row = np.repeat(np.arange(own.shape[0]), np.diff(own.indptr))
+        values = np.asarray(there[nearest[row], own.indices]).ravel()
+        total = np.bincount(row, values, own.shape[0])[row]
+        found = np.divide(values, total, out=own.data.copy(), where=total > 0.0)
+        return np.asarray(found, dtype=np.float32)
 
     @property
     def surface_rows(self) -> sp.csr_array:
@@ -169,19 +198,24 @@ class TemplateMesh:
 
     def arrays(self) -> Arrays:
         """Return the mesh as named arrays, for a file."""
-        plain = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)[:-1]}
+        plain = {name: np.asarray(getattr(self, name)) for name in MESH_PLAIN}
+        if self.trained is not None:
+            plain["trained"] = self.trained
         return plain | csr_arrays("weights", self.weights)
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, muscle_count: int) -> TemplateMesh:
         """Return the mesh that :meth:`arrays` described."""
-        plain: dict[str, Any] = {f.name: arrays[f.name] for f in fields(cls)[:-1]}
+        plain: dict[str, Any] = {name: arrays[name] for name in MESH_PLAIN}
         plain["edge_mm"] = float(plain["edge_mm"])
         if "sliding" in arrays:  # files of before there were facial spaces
             plain["cranium"] = np.union1d(plain["cranium"], arrays["sliding"])
-        return cls(**plain, weights=csr_from("weights", arrays, muscle_count + 1))
+        weights = csr_from("weights", arrays, muscle_count + 1)
+        return cls(**plain, weights=weights, trained=arrays.get("trained"))
 
 
+# arrays of a mesh that are stored as they are, with its edge length
+MESH_PLAIN = tuple(f.name for f in fields(TemplateMesh) if f.name not in ("weights", "trained"))
 FORMAT = 1  # of the file
 SURFACES = ("skin", "cranium", "mandible")
 VERTEX_SETS = ("face_vertices", "attached_cranium", "attached_mandible")

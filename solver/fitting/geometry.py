@@ -32,6 +32,7 @@ from solver.fitting.recruitment import Recruited
 from solver.fitting.reference import NotConvergedError
 from solver.fitting.simplex import mix_by_stiffness, replace_values
 from solver.mechanics.linear import in_threads
+from solver.model import SubjectModel
 from solver.scans.known_activations import NOTHING, KnownMuscles
 
 WHOLE_ROUNDS = 5  # at the end, which see all terms
@@ -88,6 +89,18 @@ class GeometryOptions:
         return replace(way, loosened=loosened, rounds=math.ceil(share * way.rounds))
 
 
+# of fits that begin with a trained S: it is near, and what scans do not show stays as it is
+TRAINED = GeometryOptions(rounds=4, w_s=(1e-4, 1e-4), first_iterations=8)
+
+
+def usual_options(
+    model: SubjectModel, within: MuscleDrive | None = None, rounds: int | None = None
+) -> GeometryOptions:
+    """Return the options of a fit of a model's S, by whether its template is trained."""
+    usual = GeometryOptions() if model.trained is None else TRAINED
+    return replace(usual, within=within, rounds=usual.rounds if rounds is None else rounds)
+
+
 @dataclass(frozen=True)
 class GeometryFit:
     """The face with its S, and every expression as it was settled, all steps being counted."""
@@ -124,7 +137,8 @@ def fit(
 
     ``first_terms`` takes the place of ``data`` in all but the last rounds (:data:`WHOLE_ROUNDS`):
     the distance without contact, which would take many small steps. ``start`` has the pattern of
-    the model's geometric S; if not given it is that, its muscles as stiff as the options say
+    the model's geometric S; if not given it is the trained S of the model's template, or else the
+    geometric one, its muscles as stiff as the options say
     (:func:`~solver.fitting.simplex.mix_by_stiffness`). ``structure`` L (k, nnz) adds
     1/2 |L (S - start)|^2 (:mod:`solver.fitting.joint`). ``recruited`` is what single expressions
     call for (:mod:`solver.fitting.recruitment`), ``known`` what tables know of muscles in them
@@ -164,7 +178,10 @@ def fit(
 
 
 def _start(face: Face, options: GeometryOptions) -> sp.csr_array:
-    return mix_by_stiffness(face.model.weights, options.stiffness)
+    model = face.model
+    if model.trained is None:
+        return mix_by_stiffness(model.weights, options.stiffness)
+    return replace_values(model.weights, model.trained.astype(np.float64))
 
 
 def _tighten(

@@ -46,7 +46,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     if bounded is not None:
         face = face.with_jaw_on_tracks()
     check_held(face)
-    schedule = GeometryOptions(rounds=given.rounds, within=bounded)
+    schedule = geometry.usual_options(subject, bounded, given.rounds)
     if given.solver == "ipopt":
         geometry.check_size(face, len(scans))
     targets = fits.Targets(subject, given.distance).of_scans(scans)

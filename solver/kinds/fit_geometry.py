@@ -12,12 +12,13 @@ from solver.kinds.kind import DoubleSolver, ExpressionFitOptions, Kind
 class FitGeometry(ExpressionFitOptions):
     """Options of a fit of S, activations and jaw."""
 
-    rounds: Whole = Field(
-        default=12,
+    rounds: Whole | None = Field(
+        default=None,
         ge=1,
         le=50,
-        description="at most so many rounds of Gauss-Newton on S and all poses; admissible "
-        "controls take up to 1.7 times as many more, to close their bounds",
+        description="at most so many rounds of Gauss-Newton on S and all poses: by default 4 where "
+        "the template is trained, else 12; admissible controls take up to 1.7 times as many more, "
+        "to close their bounds",
     )
     symmetry: float = Field(
         default=0.0,
