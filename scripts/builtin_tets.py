@@ -1,4 +1,4 @@
-"""Write the tetrahedra of the built-in face and their S: .venv/bin/python scripts/builtin_tets.py
+"""Write the built-in face's tetrahedra and their S: .venv/bin/python scripts/builtin_tets.py.
 
 fTetWild is not reproducible: another run gives another mesh (a minute). Look at `make demo` with it
 before it is committed. With --train the tets stay as they are, and S alone is trained anew by the

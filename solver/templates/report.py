@@ -145,6 +145,7 @@ def template_figures(template: Template) -> dict[str, Any]:
             "inverted": int(np.sum(sizes <= 0)),
             "smallest_dihedral_deg": round(angle, 2),
             "candidates_per_tet": round(mesh.weights.nnz / len(mesh.tets) - 1.0, 2),
+            "trained": mesh.trained is not None,
         }
     return figures
 
