@@ -45,6 +45,7 @@ from solver.fitting.objective import Prior, Regulariser, Target
 from solver.fitting.simplex import mirrored_pairs
 from solver.fitting.stretches import fibre_tensors, shorten
 from solver.mechanics.flesh import IDENTITY
+from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
 
@@ -57,6 +58,15 @@ class RecruitmentOptions:
     opposed: float = 10.0  # by which that of a muscle is greater that works against one called for
     called: float = 0.25  # amount of an expression from which its muscles are called for wholly
     even: float = 20.0  # by which what both sides do otherwise costs more than w_a
+
+
+# A trained S (:mod:`solver.fitting.training`) leaves the work to the right muscles by itself
+TRAINED = RecruitmentOptions(price=10.0)
+
+
+def usual_options(model: SubjectModel) -> RecruitmentOptions:
+    """Return what is expected of a model's muscles, by whether its template is trained."""
+    return RecruitmentOptions() if model.trained is None else TRAINED
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +90,11 @@ class Recruitment:
     options: RecruitmentOptions = RecruitmentOptions()
 
     @classmethod
-    def of_face(
-        cls, face: Face, options: RecruitmentOptions = RecruitmentOptions()
-    ) -> Recruitment | None:
+    def of_face(cls, face: Face, options: RecruitmentOptions | None = None) -> Recruitment | None:
         """Return that of a face; None where nothing is known of its muscles, or S drives none.
 
         Models have no expressions that were made before they had, or of a template without any.
+        ``options`` are by default those of :func:`usual_options`.
         """
         model, shapes = face.model, face.model.expressions
         if shapes is None or face.layout.drive.penalty is None:
@@ -98,7 +107,8 @@ class Recruitment:
         tensors = fibre_tensors(model, face.flesh.volumes, face.S)
         rest = model.skin.vertices[model.face]
         mirrored, sides = _mirrored(shapes.names), EvenSides.of_face(face)
-        return cls(shapes.motions, named, opposed, rest, tensors, mirrored, sides, options)
+        chosen = options or usual_options(model)
+        return cls(shapes.motions, named, opposed, rest, tensors, mirrored, sides, chosen)
 
     def of_target(self, target: Target) -> Recruited:
         """Return what a target calls for."""
@@ -245,7 +255,7 @@ def find_called(muscles: tuple[str, ...], expression: str) -> tuple[list[bool], 
 
 
 def recruit(
-    face: Face, targets: Mapping[str, Target], options: RecruitmentOptions = RecruitmentOptions()
+    face: Face, targets: Mapping[str, Target], options: RecruitmentOptions | None = None
 ) -> dict[str, Recruited]:
     """Return target -> what it calls for; {} where nothing is known of a face's muscles."""
     recruitment = Recruitment.of_face(face, options)
