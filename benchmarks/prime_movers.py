@@ -8,8 +8,9 @@ compared with the muscles that anatomy texts name for their action units
     them, among those whose muscles the template has, in which on each side one of these is among
     the three that contract most; ``contradicted`` the part in which a named muscle lengthens or an
     antagonist contracts more.
-``held_out``: the same of a third of the units, by a model that lacks their shapes. S is fitted with
-    that model, so that nothing told of them; its training scans are the same.
+``held_out``: the same of a third of the units, by a model that lacks their shapes, of a template
+    that was trained without them. S is fitted with that model, so that nothing told of them; its
+    training scans are the same.
 ``strong``, ``drawn``: mixtures, the strong scans and thirty of two to five units that go together.
     ``units_contract`` is the part of their units, on each side, of which a muscle contracts,
     ``unnamed`` the part of all contraction that is in muscles which no unit of the mixture names.
@@ -37,7 +38,7 @@ from benchmarks.rig_figures import pulling_closers
 from benchmarks.strong import DrawOptions, called_actions, draw_mixtures, mixed, strong_mixtures
 from benchmarks.subject_fits import Fits
 from solver.anatomy.action_units import Action, action_units, actions_of, joined_codes, units_of
-from solver.anatomy.template import ShapeBasis, split_side
+from solver.anatomy.template import ShapeBasis, Template, split_side
 from solver.animation.blendshapes import CORRECTED, expression_targets
 from solver.fitting.face import Face
 from solver.model import SubjectModel
@@ -108,7 +109,16 @@ class Person:
     @cached_property
     def uninformed(self) -> Face:
         """The face of a model that lacks the shapes of the units that are held out."""
-        return subject_fits.face_of_rig(self.options, self.options.held_rig, without_held_out)
+        return subject_fits.face_of_rig(self.options, self.options.held_rig, self._hold_out)
+
+    def _hold_out(self, model: SubjectModel) -> SubjectModel:
+        """Return a model of a template that has no shape of the units, nor learned them."""
+        held = replace(without_held_out(model), trained=None)
+        if self.options.quick or held.expressions is None:
+            return held
+        template = subjects.chosen_template(self.options, subjects.EDGE_MM)
+        learned = subjects.trained(untaught(template, held.expressions.names)).mesh
+        return replace(held, trained=learned and learned.trained)
 
     def units(self, face: Face) -> dict[str, Surface]:
         """Return the skins of the single units that were asked for."""
@@ -216,6 +226,16 @@ def without_held_out(model: SubjectModel) -> SubjectModel:
     kept = [row for row, name in enumerate(known.names) if not has_unit(name, codes)]
     names = tuple(known.names[row] for row in kept)
     return replace(model, expressions=replace(known, names=names, motions=known.motions[kept]))
+
+
+def untaught(template: Template, names: Sequence[str]) -> Template:
+    """Return a template with the expressions ``names`` alone, which nobody trained yet."""
+    shapes, mesh = template.shapes, template.mesh
+    if shapes is None or mesh is None:
+        return template
+    kept = [row for row, name in enumerate(shapes.expression_names) if name in names]
+    shapes = replace(shapes, expressions=shapes.expressions[kept], expression_names=tuple(names))
+    return replace(template, shapes=shapes, mesh=replace(mesh, trained=None))
 
 
 def measure(face: Face, scans: Mapping[str, Surface]) -> Figures:

@@ -11,10 +11,12 @@ from pathlib import Path
 from benchmarks.strong import HARD, strong_scans
 from solver.anatomy.build import build_subject_model, jaw_tracks
 from solver.anatomy.meshing import find_or_make_mesh
-from solver.anatomy.template import ShapeBasis
+from solver.anatomy.template import ShapeBasis, Template
+from solver.cache import cache_directory
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face
 from solver.fitting.geometry import GeometryOptions, usual_options
+from solver.fitting.training import train
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.model import SubjectModel
 from solver.surface import Surface
@@ -110,6 +112,26 @@ def shapes(options: argparse.Namespace) -> ShapeBasis:
     return found
 
 
+def chosen_template(options: argparse.Namespace, edge_mm: float) -> Template:
+    """Return the subjects' template with tets of ``edge_mm``."""
+    if (options.faces is None) != (options.anatomy is None):
+        raise SystemExit("--anatomy and --faces go together")
+    found = builtin_template()
+    if options.faces is not None:
+        found = build_ict_template(options.anatomy, options.faces)
+    return find_or_make_mesh(found, edge_mm)
+
+
+def trained(template: Template) -> Template:
+    """Return a template with its S trained, which is kept in the cache: it takes ten minutes."""
+    if template.mesh is not None and template.mesh.trained is not None:
+        return template
+    path = cache_directory() / f"benchmarks-trained-{template.sha256}.npz"
+    if not path.exists():
+        train(template).save(path)
+    return Template.load(path)
+
+
 def load(options: argparse.Namespace, edge_mm: float) -> tuple[SubjectModel, CaptureSet]:
     """Build the chosen subject's model with tets of ``edge_mm`` and return it with the scans."""
     subject = next(each(options, [options.subject], edge_mm))
@@ -122,14 +144,11 @@ def each(options: argparse.Namespace, names: Sequence[str], edge_mm: float) -> I
     Without folders it is the built-in person alone, whatever the ``names``. The strong set has the
     unseen scans of the standard one.
     """
-    if (options.faces is None) != (options.anatomy is None):
-        raise SystemExit("--anatomy and --faces go together")
+    template = trained(chosen_template(options, edge_mm))
     if options.faces is None:
-        captures, template = {"built-in": builtin_capture_set()}, builtin_template()
+        captures = {"built-in": builtin_capture_set()}
     else:
         captures = {n: ict_capture_set(options.faces, n, options.capture_sets) for n in names}
-        template = build_ict_template(options.anatomy, options.faces)
-    template = find_or_make_mesh(template, edge_mm)
     for name, scans in captures.items():
         neutral, divided = scans.neutral.vertices, not options.whole
         model = build_subject_model(template, neutral, edge_mm=edge_mm, compartments=divided)
