@@ -118,7 +118,7 @@ class Person:
             return held
         template = subjects.chosen_template(self.options, subjects.EDGE_MM)
         learned = subjects.trained(untaught(template, held.expressions.names)).mesh
-        return replace(held, trained=learned and learned.trained)
+        return replace(held, trained=None if learned is None else learned.trained)
 
     def units(self, face: Face) -> dict[str, Surface]:
         """Return the skins of the single units that were asked for."""
