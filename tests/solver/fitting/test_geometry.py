@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from solver.errors import InputError
 from solver.fitting import activation, geometry, joint, simplex
 from solver.fitting.face import Face
-from solver.fitting.geometry import GeometryOptions
+from solver.fitting.geometry import GeometryOptions, usual_options
 from solver.fitting.joint import GeometryProblem, Iterate
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.sensitivity import Sensitivity
@@ -109,6 +109,26 @@ def test_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
     # what was found is a good start
     again = geometry.fit(start, data, GeometryOptions(rounds=2), start=fitted.S)
     assert geometry.mean_error(start, targets, again.states) < 0.5 * before
+
+
+def test_a_fit_begins_where_the_template_was_trained(face):
+    targets = targets_of(face, 1)
+    smeared_face = Face(smeared(face.model))
+    trained = face.S.data.astype(np.float32)
+    model = replace(smeared_face.model, trained=trained)
+    assert usual_options(model).rounds < usual_options(smeared_face.model).rounds
+    begun = []
+    options = GeometryOptions(rounds=1, first_iterations=1)
+    for start in (Face(model), smeared_face):
+        data = {name: SkinDistance(start, target) for name, target in targets.items()}
+        given = (
+            None
+            if start.model.trained is not None
+            else replace_values(start.S, trained.astype(np.float64))
+        )
+        fitted = geometry.fit(start, data, options, start=given)
+        begun.append(fitted.S.data)
+    np.testing.assert_allclose(*begun, atol=1e-9)
 
 
 def test_symmetric_option_leaves_changes_alike():
