@@ -73,21 +73,6 @@ def tet_binder(vertices: Floats, tets: Ints) -> Callable[[Floats], tuple[Ints, F
     return bind
 
 
-def extend(
-    matrix: sp.csc_array, values: Floats, given: np.ndarray, load: Floats, order: str = "COLAMD"
-) -> Floats:
-    """Return u (p, ...) with K u = ``load`` that is ``values`` where ``given`` (p,) is True.
-
-    K, the symmetric ``matrix`` (p, p), is a Laplacian or a conductivity; ``order`` is SuperLU's.
-    """
-    solution, free = values.copy(), ~given
-    if free.any():
-        right = (load - matrix[:, given] @ values[given])[free]
-        inner = sp.csc_array(matrix[free][:, free])
-        solution[free] = splu(inner, permc_spec=order).solve(np.ascontiguousarray(right))
-    return solution
-
-
 def rows_of(corners: Ints, shares: Floats, count: int) -> sp.csr_array:
     """Return CSR rows (n, count) with ``shares`` (n, k) in the columns ``corners`` (n, k)."""
     indptr = np.arange(0, corners.size + 1, corners.shape[1])
