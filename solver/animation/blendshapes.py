@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from solver.anatomy.template import ShapeBasis
+from solver.anatomy.template import CORRECTED, ShapeBasis
 from solver.errors import InputError, SolveError
 from solver.fitting import activation
 from solver.fitting.activation import UNSEEN_STOP, DescentOptions, objective, unseen_regulariser
@@ -102,7 +102,6 @@ def keep_within(a: Floats, limits: FeasibleSet | None) -> tuple[Floats, int]:
 
 FORMAT = FILES["blendshapes.npz"].format
 STORED = ("activations", "jaw", "mean_mm", "settled")  # its arrays
-CORRECTED = {"mouthClose": "jawOpen"}  # corrective shape -> the one it corrects
 # mm; a shape that moves no point of the face further is nothing for muscles: a tongue, a pupil
 LEAST_MOTION_MM = 0.05
 NOTHING_KNOWN: Mapping[str, Floats] = MappingProxyType({})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,14 +21,7 @@ from solver.fitting.strips import strip_names
 from solver.kinds import scene as scenes
 from solver.mechanics.boundary import Potential
 from solver.mechanics.fibre_muscle import FibreMuscles
-from solver.mechanics.flesh import (
-    COROTATED_DET,
-    COROTATED_TRACE,
-    IDENTITY,
-    MOONEY_RIVLIN,
-    NEO_HOOKEAN,
-    Material,
-)
+from solver.mechanics.flesh import IDENTITY, LAWS, MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.scene.places import Places, check_objects, objects_of
@@ -71,14 +64,6 @@ def force_of(entry: scenes.Force, face: Face, masses: Floats, places: Places) ->
         return Wind(face, entry.m_s, entry.gusts, entry.seed)
     at, radius = places.vertex(entry.at), entry.radius_mm
     return Pull(face.model, at, entry.mn, radius_mm=radius, ramp=entry.ramp)
-
-
-LAWS: Mapping[str, Material] = {
-    "corotated_trace": COROTATED_TRACE,
-    "corotated_det": COROTATED_DET,
-    "neo_hookean": NEO_HOOKEAN,
-    "mooney_rivlin": MOONEY_RIVLIN,
-}
 
 
 class Physics:
