@@ -92,7 +92,7 @@ class Drive:
     """Input of a moment."""
 
     time: float  # seconds
-    A: Floats  # (n, 6) of each tet
+    A: Floats  # what drives the flesh: activations (n, 6) of each tet, or other controls of it
     jaw: Floats  # (5,)
     head: Similarity  # into the world
     objects: tuple[Floats, ...] = ()  # vertices (o, 3) in the world, mm
