@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from solver.simulation import Simulator as Simulator
     from solver.tracks.basis import MuscleTracks as MuscleTracks
     from solver.tracks.face import TrackFace as TrackFace
+    from solver.tracks.response import TrackResponse as TrackResponse
 
 # Read when the first kernel starts its threads. Else these wait busily for the next kernel, which
 # takes a tenth of the speed from what runs meanwhile and half of the processor from other workers.
@@ -71,6 +72,7 @@ _PLACES = {
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",
     "TrackFace": "solver.tracks.face:TrackFace",
+    "TrackResponse": "solver.tracks.response:TrackResponse",
     "Tracker": "solver.fitting.tracking:Tracker",
     "check_term": "solver.mechanics.terms:check_term",
     "export": "solver.rig.exporters:export",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from solver.fitting.face import Face
 from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.boundary import Potential
 from solver.mechanics.flesh import LAWS
+from solver.mechanics.linear import GrowingSolver
 from solver.model import SubjectModel
 from solver.similarity import IDENTITY
 from solver.simulation import MOMENT, Simulator
@@ -78,6 +80,12 @@ class TrackFace:
             tolerance=tolerance,
             settled_mm=settled_mm,
         )
+
+    @cached_property
+    def exact_solver(self) -> GrowingSolver:
+        """What factorises exact Hessians for derivatives, in double precision."""
+        flesh = self.face.flesh
+        return GrowingSolver(flesh.hessian(flesh.rest, flesh.passive()))
 
     def rest(self) -> TrackState:
         """Return the neutral face, all controls zero; raises as :meth:`move`."""

@@ -100,9 +100,9 @@ class TrackedFlesh:
         A = self.S @ np.vstack([IDENTITY, a])
         return np.concatenate([A.ravel(), target[self.springs.vertices[:, 0]].ravel()])
 
-    def rates(self, a: Floats, target: Floats) -> sp.csr_array:
+    def rates(self, a: Floats, target: Floats) -> Floats:
         """Return their derivatives (controls, k) by those of the two, (m, 6, k) and (p, 3, k)."""
         count = a.shape[2]
         by_tet = (self.S[:, 1:] @ a.reshape(len(a), -1)).reshape(-1, count)
         places = target[self.springs.vertices[:, 0]].reshape(-1, count)
-        return sp.csr_array(np.vstack([by_tet, places]))
+        return np.vstack([by_tet, places])

@@ -83,7 +83,7 @@ def test_rates_of_controls_are_linear_in_those_of_muscles_and_places(tracked):
     random = np.random.default_rng(9)
     count = len(tracked.flesh.rest)
     a, target = random.standard_normal((2, 6, 3)), random.standard_normal((count, 3, 3))
-    rates = tracked.rates(a, target).toarray()
+    rates = tracked.rates(a, target)
     for column in range(3):
         base = tracked.controls(np.zeros((2, 6)), np.zeros((count, 3)))
         end = tracked.controls(a[:, :, column], target[:, :, column])
