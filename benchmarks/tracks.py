@@ -42,9 +42,10 @@ from solver.tracks.shapes import template_shapes
 PARTS = ("shapes", "recording", "derivatives")
 FRAMES, QUICK_FRAMES = 300, 4
 QUICK_SHAPES = 4
-# weights of pressed lips, and steps of differences and of the two sides of Taylor's expansion
-PRESSED = {"mouthPressLeft": 0.6, "mouthPressRight": 0.6, "mouthShrugLower": 0.4, "jawLeft": 0.2}
-STEP, TAYLOR = 1e-3, (2e-2, 1e-2)
+# weights of pressed lips; how far differences move the skin, for contact is stiff; and the steps,
+# over that, whose distances from the linear prediction tell its order
+PRESSED = {"mouthPressLeft": 0.9, "mouthPressRight": 0.9, "mouthShrugLower": 0.6, "jawLeft": 0.1}
+FREE_MM, TOUCHING_MM, TAYLOR = 1e-2, 2e-4, (20.0, 10.0)
 MOVES_MM = 0.05
 """Controls that move the skin by less, at most, are compared with nothing."""
 LIP_MM = 5.0
@@ -193,13 +194,14 @@ class _Person:
 
     def _derivatives(self, q: Floats, potentials: list[Potential]) -> Figures:
         face = TrackFace(self._model, self._tracks, potentials, tolerance=1e-10, settled_mm=0.0)
-        state = face.move(face.rest(), q)
+        state = face.move(face.move(face.rest(), q), q)  # the second settles what is left
         response = TrackResponse(face, state)
         timed = _times(face, state)
         columns = response.skin_columns()
         count = len(q) if not self._options.quick else QUICK_SHAPES
         asked = np.linspace(0, len(q) - 1, count).round().astype(int)
-        errors = [_error(face, state, int(number), columns) for number in asked]
+        step_mm = TOUCHING_MM if potentials else FREE_MM
+        errors = [_error(face, state, int(number), columns, step_mm) for number in asked]
         random = np.random.default_rng(3)
         way = random.standard_normal(len(q)) * (np.arange(len(q)) < len(self._tracks.names))
         gradient = random.standard_normal(columns.shape[:2])
@@ -210,7 +212,7 @@ class _Person:
             "controls": sum(each is not None for each in errors),
             "minimum": response.minimum,
             "contacts": sum(each.contacts(state.x) for each in potentials if _is_barrier(each)),
-            "taylor_order": _taylor_order(face, state, response, way / np.abs(way).max()),
+            "taylor_order": _taylor_order(face, state, response, way, step_mm),
             "adjoint_gap": float(abs((gradient * moved).sum() - pulled @ way) / norms),
             **timed,
         }
@@ -267,25 +269,31 @@ def _is_barrier(potential: Potential) -> TypeGuard[Barrier]:
     return isinstance(potential, Barrier)
 
 
-def _error(face: TrackFace, state: TrackState, number: int, columns: Floats) -> float | None:
+def _error(
+    face: TrackFace, state: TrackState, number: int, columns: Floats, step_mm: float
+) -> float | None:
     """Return how far a column is off central differences, relative; None if no skin moves."""
-    change = STEP * np.eye(len(state.q))[number]
+    column = columns[:, :, number]
+    size = float(np.abs(column).max())
+    if size < MOVES_MM:
+        return None
+    step = step_mm / size
+    change = step * np.eye(len(state.q))[number]
     ahead, behind = (face.skin(face.move(state, state.q + sign * change)) for sign in (1, -1))
-    expected = (ahead - behind) / (2.0 * STEP)
-    size = float(np.abs(expected).max())
-    return None if size < MOVES_MM else float(np.abs(columns[:, :, number] - expected).max() / size)
+    return float(np.abs(column - (ahead - behind) / (2.0 * step)).max() / size)
 
 
 def _taylor_order(
-    face: TrackFace, state: TrackState, response: TrackResponse, way: Floats
+    face: TrackFace, state: TrackState, response: TrackResponse, way: Floats, step_mm: float
 ) -> float:
     """Return by which power of its length a step leaves the linear prediction."""
     rate = response.product(way)
+    lengths = np.array(TAYLOR) * step_mm / np.abs(rate).max()
     off = [
         np.linalg.norm(face.move(state, state.q + length * way).x - state.x - length * rate)
-        for length in TAYLOR
+        for length in lengths
     ]
-    return float(np.log(off[0] / off[1]) / np.log(TAYLOR[0] / TAYLOR[1]))
+    return float(np.log2(off[0] / off[1]) / np.log2(lengths[0] / lengths[1]))
 
 
 def _times(face: TrackFace, state: TrackState) -> Figures:

@@ -24,7 +24,8 @@ class TrackResponse:
     """The derivatives of one state; ``minimum`` is False where flesh is about to buckle.
 
     They are as exact as the state is settled: :class:`~solver.tracks.face.TrackFace` with a
-    ``tolerance`` of 1e-9 and ``settled_mm`` of 0 leaves next to nothing. Raises
+    ``tolerance`` of 1e-9 and ``settled_mm`` of 0 leaves next to nothing, after a second move to the
+    same controls where the first was far. Raises
     :class:`~solver.errors.SolveError`: ``tracks.no_equilibrium`` for a state that is none,
     ``solve.singular`` where a part of the flesh is held by nothing.
     """
