@@ -38,8 +38,8 @@ from benchmarks.rig_figures import pulling_closers
 from benchmarks.strong import DrawOptions, called_actions, draw_mixtures, mixed, strong_mixtures
 from benchmarks.subject_fits import Fits
 from solver.anatomy.action_units import Action, action_units, actions_of, joined_codes, units_of
-from solver.anatomy.template import ShapeBasis, Template, split_side
-from solver.animation.blendshapes import CORRECTED, expression_targets
+from solver.anatomy.template import CORRECTED, ShapeBasis, Template, split_side
+from solver.animation.blendshapes import expression_targets
 from solver.fitting.face import Face
 from solver.model import SubjectModel
 from solver.rig.report.certificate import Muscles, jaw_motion, muscles

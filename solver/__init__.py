@@ -42,6 +42,9 @@ if TYPE_CHECKING:
     from solver.rig.exporters import export as export
     from solver.rig.rig import Rig as Rig
     from solver.simulation import Simulator as Simulator
+    from solver.tracks.basis import MuscleTracks as MuscleTracks
+    from solver.tracks.face import TrackFace as TrackFace
+    from solver.tracks.response import TrackResponse as TrackResponse
 
 # Read when the first kernel starts its threads. Else these wait busily for the next kernel, which
 # takes a tenth of the speed from what runs meanwhile and half of the processor from other workers.
@@ -57,6 +60,7 @@ _PLACES = {
     "Face": "solver.fitting.face:Face",
     "GeometryOptions": "solver.fitting.geometry:GeometryOptions",
     "Material": "solver.mechanics.flesh:Material",
+    "MuscleTracks": "solver.tracks.basis:MuscleTracks",
     "PassiveTerm": "solver.mechanics.terms:PassiveTerm",
     "Pose": "solver.fitting.face:Pose",
     "RegisteredScan": "solver.meshio.registered:RegisteredScan",
@@ -67,6 +71,8 @@ _PLACES = {
     "SubjectModel": "solver.model:SubjectModel",
     "Target": "solver.fitting.objective:Target",
     "Template": "solver.anatomy.template:Template",
+    "TrackFace": "solver.tracks.face:TrackFace",
+    "TrackResponse": "solver.tracks.response:TrackResponse",
     "Tracker": "solver.fitting.tracking:Tracker",
     "check_term": "solver.mechanics.terms:check_term",
     "export": "solver.rig.exporters:export",

@@ -73,21 +73,6 @@ def tet_binder(vertices: Floats, tets: Ints) -> Callable[[Floats], tuple[Ints, F
     return bind
 
 
-def extend(
-    matrix: sp.csc_array, values: Floats, given: np.ndarray, load: Floats, order: str = "COLAMD"
-) -> Floats:
-    """Return u (p, ...) with K u = ``load`` that is ``values`` where ``given`` (p,) is True.
-
-    K, the symmetric ``matrix`` (p, p), is a Laplacian or a conductivity; ``order`` is SuperLU's.
-    """
-    solution, free = values.copy(), ~given
-    if free.any():
-        right = (load - matrix[:, given] @ values[given])[free]
-        inner = sp.csc_array(matrix[free][:, free])
-        solution[free] = splu(inner, permc_spec=order).solve(np.ascontiguousarray(right))
-    return solution
-
-
 def rows_of(corners: Ints, shares: Floats, count: int) -> sp.csr_array:
     """Return CSR rows (n, count) with ``shares`` (n, k) in the columns ``corners`` (n, k)."""
     indptr = np.arange(0, corners.size + 1, corners.shape[1])
@@ -130,6 +115,7 @@ class LooseSkin:
         self, model: SubjectModel, *, fade_mm: float = 60.0, touch_mm: float = 1.0
     ) -> None:
         skin, faces = model.skin.vertices, model.skin.faces
+        self._count = len(skin)
         edges = _edges(model, touch_mm)
         _, part = connected_components(edges, directed=False)
         hangs = np.isin(part, part[model.embedded])
@@ -144,11 +130,18 @@ class LooseSkin:
     def follow(self, moved: Floats) -> Floats:
         """Return the displacements (k, 3) where the skin is displaced by ``moved`` (V, 3), in mm.
 
-        Of that only what is on flesh and on the mandible counts.
+        Of that only what is on flesh and on the mandible counts. Several may lie side by side.
         """
         if self._factor is None:
-            return np.empty((0, 3))
+            return np.empty((0, moved.shape[1]))
         return np.asarray(self._factor.solve(np.asarray(self._pull @ moved[self._given])))
+
+    def adjoint(self, forces: Floats) -> Floats:
+        """Return the transpose of :meth:`follow` applied to ``forces`` (k, 3): (V, 3)."""
+        out = np.zeros((self._count, 3))
+        if self._factor is not None:
+            out[self._given] = self._pull.T @ self._factor.solve(np.ascontiguousarray(forces), "T")
+        return out
 
 
 def _edges(model: SubjectModel, touch_mm: float) -> sp.csr_array:

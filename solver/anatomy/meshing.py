@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
-import igl
 import numpy as np
-import scipy.sparse as sp
 import structlog
 from scipy.spatial import cKDTree
 
@@ -22,13 +20,15 @@ from solver.anatomy.domain import (
     in_front,
     label_tets,
 )
-from solver.anatomy.embedding import at_nearest, bind_outside, extend, rows_of
+from solver.anatomy.embedding import at_nearest, bind_outside, rows_of
 from solver.anatomy.muscle_weights import initial_weights
 from solver.anatomy.template import Template, TemplateMesh
 from solver.anatomy.tetrahedra import tetrahedralize
 from solver.anatomy.transfer import guidance, relax
 from solver.cache import cache_directory
 from solver.errors import InputError, SolveError
+from solver.mechanics.flesh import shape_gradients
+from solver.mechanics.harmonic import HarmonicExtension, laplacian
 from solver.progress import Progress, Step, silent
 from solver.surface import Floats, Ints
 
@@ -201,12 +201,12 @@ def harmonic_displacement(vertices: Floats, tets: Ints, known: Ints, values: Flo
 
     Linear finite elements; the vertices (p, 3) give the metric.
     """
-    displacement, nothing = np.zeros_like(vertices), np.zeros_like(vertices)
+    displacement = np.zeros_like(vertices)
     displacement[known] = values
     given = np.zeros(len(vertices), dtype=bool)
     given[known] = True
-    laplacian = sp.csc_array(-igl.cotmatrix(vertices, tets))
-    return extend(laplacian, displacement, given, nothing, "MMD_AT_PLUS_A")
+    gradients, sizes = shape_gradients(vertices, tets)
+    return HarmonicExtension(laplacian(gradients, sizes, tets, len(vertices)), given)(displacement)
 
 
 # A template's tets where its file carries none of the wanted size: made once, then kept.

@@ -14,10 +14,10 @@ import scipy.sparse as sp
 import trimesh
 from scipy.spatial import cKDTree
 
-from solver.anatomy.embedding import extend
 from solver.anatomy.template import Muscle
 from solver.anatomy.tetrahedra import volumes
 from solver.mechanics.flesh import shape_gradients
+from solver.mechanics.harmonic import HarmonicExtension, laplacian
 from solver.surface import Floats, Ints, Surface, area_normals, own_numbers, winding_numbers
 
 CANDIDATE_MM = 10.0  # a muscle may act in the tets within this distance (the paper's sparsity of S)
@@ -251,10 +251,7 @@ class _Field:
         self._gradients, self._weight = gradients, weight
         numbers, self._tets = own_numbers(tets)
         self._points = vertices[numbers]
-        entries = np.einsum("t,tid,tjd->tij", weight, gradients, gradients)
-        pairs = (np.repeat(self._tets, 4, axis=1).ravel(), np.tile(self._tets, 4).ravel())
-        count = len(numbers)
-        self._matrix = sp.csc_array((entries.ravel(), pairs), shape=(count, count))
+        self._matrix = laplacian(gradients, weight, self._tets, len(numbers))
 
     def along(self, muscle: Muscle) -> Floats:
         """Return the gradient (t, 3) of the potential between a muscle's ends."""
@@ -290,8 +287,9 @@ class _Field:
 
     def _solve(self, load: Floats, guess: Floats, given: np.ndarray) -> Floats:
         """Return u (p,) with -div(sigma grad u) = ``load`` that is ``guess`` where it is given."""
-        pull = FIBRES.pull * self._matrix.diagonal().mean() * sp.eye_array(len(guess))
-        return extend((self._matrix + pull).tocsc(), guess, given, load + pull @ guess)
+        pull = FIBRES.pull * self._matrix.diagonal().mean()
+        held = HarmonicExtension(self._matrix + pull * sp.eye_array(len(guess)), given)
+        return held(guess, load=load + pull * guess)
 
 
 def with_axis(name: str, surface: Surface, skull: Floats) -> Muscle:

@@ -44,6 +44,9 @@ class ShapeBasis:
     expression_names: tuple[str, ...]  # (e,) as ARKit calls them where it has one
 
 
+# corrective expression -> the one that it corrects: it is added where that one is
+CORRECTED = {"mouthClose": "jawOpen"}
+
 # expressions of ARKit that move the whole face to one side, not one side of it
 _SIDEWAYS = ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
 

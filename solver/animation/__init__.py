@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -11,13 +11,14 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
-from solver.animation.blendshapes import Blend, Blendshapes, keep_within, unfold
+from solver.animation.blendshapes import Blend, DrivenShapes, ShapedPose, keep_within, unfold
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.interior_point import FeasibleSet
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, by_muscle, find_muscles, tell_muscles
 from solver.scans.performance import ARKIT_NAMES, LiveLinkTake
+from solver.similarity import IDENTITY as HEAD_AT_REST
 from solver.similarity import Similarity
 from solver.surface import Floats, nearest_sphere
 from solver.templates.ict_facekit import arkit_source
@@ -29,7 +30,8 @@ class PosedFrame:
 
     Activations of fibre muscles are (m,), in [0, 1]. Eyes, the subject's left one first, are
     rotation vectors in radians in the head's frame. ``clamped`` counts the muscles that were kept
-    within their limits, or from folding (:func:`keep_within`).
+    within their limits, or from folding (:func:`keep_within`). ``target`` (p, 3) is where tracks
+    pull the flesh, in the head's frame, if tracks drive it.
     """
 
     a: Floats
@@ -37,6 +39,13 @@ class PosedFrame:
     head: Similarity
     eyes: Floats
     clamped: int = 0
+    target: Floats | None = None
+
+    @classmethod
+    def of(cls, pose: ShapedPose) -> PosedFrame:
+        """Return a frame of a pose, head and eyes as at rest."""
+        at_rest = HEAD_AT_REST, np.zeros((2, 3))
+        return cls(pose.a, pose.jaw, *at_rest, pose.clamped, pose.target)
 
 
 class Drives(Protocol):
@@ -128,8 +137,9 @@ class PoseKey:
 
     ``expressions`` are weights from 0 to 1; ``activations`` are those of single muscles (6,), of
     which what differs from rest is added to the expressions'; so is ``jaw`` (5,), rad and mm.
-    ``fibres`` are activations of fibre muscles, which take the place of both. The name of a whole
-    muscle means all its compartments and strips that are not named themselves.
+    ``fibres`` are activations of fibre muscles, which take the place of both, and ``shapes`` are
+    weights of the shapes of tracks. The name of a whole muscle means all its compartments and
+    strips that are not named themselves.
     """
 
     time: float
@@ -137,6 +147,7 @@ class PoseKey:
     activations: Mapping[str, Floats] = field(default_factory=dict)
     jaw: Floats = field(default_factory=lambda: np.zeros(5))
     fibres: Mapping[str, float] = field(default_factory=dict)
+    shapes: Mapping[str, float] = field(default_factory=dict)
 
 
 class _BlendedKeys:
@@ -306,7 +317,7 @@ class RecordedDrives(Drives):
     def __init__(
         self,
         take: LiveLinkTake,
-        shapes: Blendshapes,
+        shapes: DrivenShapes,
         model: SubjectModel,
         start: int = 0,
         end: int | None = None,
@@ -324,10 +335,13 @@ class RecordedDrives(Drives):
             reason = f"the recording has the frames 0 to {count - 1}: {asked}"
             raise InputError("scene.frames", reason, expected=count, start=start, end=last)
         frames = slice(start, last)
-        self._blend = shapes.blend
-        columns = [ARKIT_NAMES.index(arkit_source(name)) for name in self._blend.names]
+        # what ARKit drives; tracks have other shapes, too
+        sources = [arkit_source(name) for name in shapes.names]
+        driven = [source in ARKIT_NAMES for source in sources]
+        columns = [ARKIT_NAMES.index(source) if source in ARKIT_NAMES else 0 for source in sources]
+        self._shapes = shapes
         self.times: Floats = take.times[frames] - take.times[start]
-        self.weights: Floats = np.clip(take.weights[frames][:, columns], 0.0, 1.0)
+        self.weights: Floats = np.clip(take.weights[frames][:, columns], 0.0, 1.0) * driven
         turns = np.hstack([take.head[frames], take.eyes[frames].reshape(-1, 6)])
         values = np.hstack([self.weights, turns])
         self._track = track(self.times, values, "frames", "linear")
@@ -337,10 +351,9 @@ class RecordedDrives(Drives):
     @override
     def __call__(self, time: float) -> PosedFrame:
         weights, head, eyes = np.split(self._track(time), [-9, -6])
-        pose = self._blend.pose(weights)
-        a, clamped = keep_within(pose.a, self._limits)
+        still = PosedFrame.of(self._shapes.posed(weights, self._limits))
         motion = turn_about(self._neck, head, np.zeros(3)).then(self._head(time))
-        return PosedFrame(a, pose.b, motion, eyes.reshape(2, 3), clamped)
+        return replace(still, head=motion, eyes=eyes.reshape(2, 3))
 
 
 class Gaze:

@@ -13,14 +13,15 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
-from solver.anatomy.template import ShapeBasis
+from solver.anatomy.template import CORRECTED, ShapeBasis
 from solver.errors import InputError, SolveError
 from solver.fitting import activation
 from solver.fitting.activation import UNSEEN_STOP, DescentOptions, objective, unseen_regulariser
@@ -70,6 +71,31 @@ class Blend:
         return Pose(np.asarray(a), np.asarray(share @ self.jaw))
 
 
+@dataclass(frozen=True)
+class ShapedPose:
+    """What weights of shapes make of a face: activations ``a`` (m, 6) and ``jaw`` (5,).
+
+    ``clamped`` counts the muscles that were kept within their limits, or from folding;
+    ``target`` (p, 3) is where tracks pull the flesh, if tracks drive it.
+    """
+
+    a: Floats
+    jaw: Floats
+    clamped: int = 0
+    target: Floats | None = None
+
+
+class DrivenShapes(Protocol):
+    """Shapes that a recording drives by their names."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the shapes' names."""
+
+    def posed(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
+        """Return the pose of ``weights`` (e,) from 0 to 1, within ``limits`` if there are some."""
+
+
 def unfold(a: Floats) -> tuple[Floats, int]:
     """Return activations (m, 6) with every eigenvalue at least what fits keep to.
 
@@ -102,7 +128,6 @@ def keep_within(a: Floats, limits: FeasibleSet | None) -> tuple[Floats, int]:
 
 FORMAT = FILES["blendshapes.npz"].format
 STORED = ("activations", "jaw", "mean_mm", "settled")  # its arrays
-CORRECTED = {"mouthClose": "jawOpen"}  # corrective shape -> the one it corrects
 # mm; a shape that moves no point of the face further is nothing for muscles: a tongue, a pupil
 LEAST_MOTION_MM = 0.05
 NOTHING_KNOWN: Mapping[str, Floats] = MappingProxyType({})
@@ -134,10 +159,21 @@ class Blendshapes:
     drive: MuscleDrive = field(default_factory=SixNumbers)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Return the shapes' names."""
+        return tuple(self.shapes)
+
+    @cached_property
     def blend(self) -> Blend:
-        """Return the shapes as what poses are blended of."""
+        """The shapes as what poses are blended of."""
         poses = {name: shape.pose for name, shape in self.shapes.items()}
         return Blend.of(poses, len(self.muscles))
+
+    def posed(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
+        """Return the blend by ``weights`` (e,), its muscles within ``limits`` if there are some."""
+        pose = self.blend.pose(weights)
+        a, clamped = keep_within(pose.a, limits)
+        return ShapedPose(a, pose.b, clamped)
 
     def save(self, path: Path, model: SubjectModel, S: sp.csr_array) -> None:
         """Write the shapes as NPZ, replacing the file whole; they are of ``model`` with S."""

@@ -245,6 +245,10 @@ class Barrier(Potential):
         self._objects = list(boundary.objects)
         self._last = None
 
+    def contacts(self, x: Floats) -> int:
+        """Return how many pairs of points, edges and triangles are near enough to push."""
+        return len(self._touching(x)[1])
+
     @override
     def value(self, x: Floats) -> float:
         (points, collisions), lagged = self._touching(x), self._lagged

@@ -13,13 +13,14 @@ import igl
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import LooseSkin
 from solver.anatomy.tetrahedra import ML, volumes
 from solver.edits import Edited
 from solver.errors import InputError
+from solver.mechanics.flesh import shape_gradients
+from solver.mechanics.harmonic import HarmonicExtension, laplacian
 from solver.model import SubjectModel, find_muscles, tell_muscles
 from solver.surface import (
     Floats,
@@ -285,17 +286,15 @@ def into_volume(
     outer = np.isin(model.embedded, painted_skin)
     skin = model.embedding[outer]
     area = vertex_areas(model.skin.vertices, model.skin.faces)[model.embedded[outer]] / blur_mm
-    weighed = skin.T @ sp.diags_array(area)
-    system = weighed @ skin - sp.csc_array(igl.cotmatrix(model.rest, model.tets))
-    # a trace of stiffness for flesh in no contact with the face, which gets none of it
-    system += 1e-9 * system.diagonal().mean() * sp.eye_array(len(model.rest))
-    heat = weighed @ painted[model.embedded[outer]]
+    heat = painted[model.embedded[outer]]
+    gradients, sizes = shape_gradients(model.rest, model.tets)
+    system = laplacian(gradients, sizes, model.tets, len(model.rest))
     if depth_mm is not None:
-        heat *= 1.0 + blur_mm / depth_mm  # what flows inward is missing on the skin
-        corners = np.repeat(volumes(model.rest, model.tets) / 4.0, 4)
-        lumped = np.bincount(model.tets.ravel(), corners, len(model.rest))
+        heat = heat * (1.0 + blur_mm / depth_mm)  # what flows inward is missing on the skin
+        lumped = np.bincount(model.tets.ravel(), np.repeat(sizes / 4.0, 4), len(model.rest))
         system += sp.diags_array(lumped / depth_mm**2)
-    u = splu(system.tocsc()).solve(heat)
+    # a trace of stiffness for flesh in no contact with the face, which gets none of it
+    u = HarmonicExtension(system, rows=skin, weights=area, trace=1e-9)(targets=heat)
     return np.asarray(np.clip(u, 0.0, 1.0)[model.tets].mean(axis=1))
 
 

@@ -429,6 +429,30 @@ class Face:
         skin[self._loose_skin.ids] += self._loose_skin.follow(skin - model.skin.vertices)
         return skin
 
+    def skin_rates(self, motion: Floats, b: Floats, b_rates: Floats) -> Floats:
+        """Return the derivatives (V, 3, k) of :meth:`whole_skin` at b.
+
+        The flesh moves by ``motion`` (p, 3, k), the jaw's numbers by ``b_rates`` (.., k).
+        """
+        model, count = self.model, motion.shape[2]
+        out = np.zeros((len(model.skin.vertices), 3, count))
+        attached = model.attached_mandible
+        out[attached] = self.jaw.jacobian(model.skin.vertices[attached], b) @ b_rates
+        flat = model.embedding @ motion.reshape(len(motion), -1)
+        out[model.embedded] = flat.reshape(-1, 3, count)
+        loose = self._loose_skin.follow(out.reshape(len(out), -1))
+        out[self._loose_skin.ids] += loose.reshape(-1, 3, count)
+        return out
+
+    def skin_adjoint(self, gradient: Floats, b: Floats) -> tuple[Floats, Floats]:
+        """Return the transpose of :meth:`skin_rates` applied to g (V, 3): by x (p, 3) and by b."""
+        model, loose = self.model, self._loose_skin
+        attached = model.attached_mandible
+        pulled = gradient + loose.adjoint(gradient[loose.ids])
+        jacobian = self.jaw.jacobian(model.skin.vertices[attached], b)
+        by_b = np.einsum("vib,vi->b", jacobian, pulled[attached])
+        return np.asarray(model.embedding.T @ pulled[model.embedded]), by_b
+
     @cached_property
     def _loose_skin(self) -> LooseSkin:
         return LooseSkin(self.model)

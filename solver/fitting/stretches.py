@@ -9,6 +9,7 @@ computing", section 3): to first order it is A + dA, but it never leaves these m
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -91,14 +92,35 @@ def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floa
     return np.asarray(np.divide(out[1:], size, out=np.full_like(out[1:], np.nan), where=size > 0.0))
 
 
-def shorten(tensor: Floats, stretch: float) -> Floats:
-    """Return the activation (6,) that brings fibres to ``stretch`` and keeps the muscle's volume.
+@dataclass(frozen=True)
+class Shortening:
+    """Activations of m muscles by the stretch of their fibres; they keep the muscles' volume.
 
-    The deviator of ``tensor`` (3, 3), the mean of d d^T, is the logarithmic strain: parallel fibres
-    come to ``stretch``, those of a ring to its root in their plane, those of all directions do
-    nothing.
+        S(a) = exp(K log(stretch)),    K = 3/2 dev(T) / max(T)
+
+    T being the mean of d d^T along the fibres d: parallel fibres come to the stretch, those of a
+    ring to its root in their plane, those of all directions do nothing.
     """
-    values, axes = np.linalg.eigh(tensor)
-    strain = 1.5 * np.log(stretch) * (values - values.mean()) / values.max()
-    matrix = (axes * np.exp(strain)) @ axes.T
-    return np.asarray(matrix[ROW, COLUMN])
+
+    values: Floats  # (m, 3) of K
+    axes: Floats  # (m, 3, 3)
+
+    @classmethod
+    def of(cls, tensors: Floats) -> Shortening:
+        """Return that of muscles with ``tensors`` T (m, 3, 3)."""
+        values, axes = np.linalg.eigh(tensors)
+        deviators = values - values.mean(axis=1, keepdims=True)
+        return cls(1.5 * deviators / values.max(axis=1, keepdims=True), np.asarray(axes))
+
+    def __call__(self, stretch: Floats) -> Floats:
+        """Return the activations (m, 6) that bring fibres to ``stretch`` (m,)."""
+        return with_stretches(stretch[:, None] ** self.values, self.axes)
+
+    def rates(self, stretch: Floats) -> Floats:
+        """Return their derivatives (m, 6) by the stretch."""
+        return with_stretches(self.values * stretch[:, None] ** (self.values - 1.0), self.axes)
+
+
+def shorten(tensor: Floats, stretch: float) -> Floats:
+    """Return the activation (6,) of one muscle: :class:`Shortening` of its ``tensor`` (3, 3)."""
+    return np.asarray(Shortening.of(tensor[None])(np.array([stretch]))[0])

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from solver.anatomy.template import ShapeBasis
 from solver.animation import RecordedDrives
-from solver.animation.blendshapes import Blendshapes, Solved, expression_targets, solve_blendshapes
+from solver.animation.blendshapes import (
+    Blendshapes,
+    DrivenShapes,
+    Solved,
+    expression_targets,
+    solve_blendshapes,
+)
+from solver.animation.tracks import TrackedShapes
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
@@ -24,6 +32,7 @@ from solver.scans.performance import read_live_link
 from solver.scene import Stage
 from solver.scene.document import head_of
 from solver.surface import Floats
+from solver.tracks.basis import MuscleTracks
 
 BASIS = 0.1  # part of a job after which its basis is solved, if none was left
 SOLVED = 0.3  # part of a job after which its blendshapes are solved
@@ -36,8 +45,9 @@ def run(task: Task[Animate]) -> list[Path]:
     Activations and jaw of every expression of the template are solved first, once for a rig: the
     ``blendshapes.npz`` that this leaves is taken as it is if it is given, and of muscles within
     the limits of the rig's. They begin with the rig's basis of expressions, which is solved and
-    left where no earlier job has. Raises, besides, ``basis.*``, ``blendshapes.*`` and
-    ``live_link.*``.
+    left where no earlier job has. Where the scene says so tracks drive the face, whose shapes are
+    the recording's, and nothing is solved before. Raises, besides, ``basis.*``, ``blendshapes.*``,
+    ``tracks.*`` and ``live_link.*``.
     """
     given, out, progress = task.options, task.out, task.progress
     if given.video:
@@ -48,34 +58,45 @@ def run(task: Task[Animate]) -> list[Path]:
     recording = scene.recording
     recorded = read_live_link(places.asset(recording.asset))
 
-    def stage_of(shapes: Blendshapes) -> Stage:
+    def stage_of(shapes: DrivenShapes, tracks: MuscleTracks | None = None) -> Stage:
         head = head_of(scene.head)
         start, end = recording.start, recording.end
         of_take = recorded, shapes, model, start, end
         drives = RecordedDrives(*of_take, head=head, limits=rig.limits)
-        return Stage(scene, places, S, drives, given.linear_solver)
+        return Stage(scene, places, S, drives, given.linear_solver, tracks=tracks)
 
     kept = out / "blendshapes.npz"
-    shapes = None
-    if "blendshapes" in task.inputs:
-        shapes = Blendshapes.load(task.inputs["blendshapes"], model, S)
-    if shapes is None or shapes.drive != rig.drive:  # solved by a release without limits
-        # the shapes take minutes: what is wrong with the scene is told before
-        stage_of(Blendshapes(model.muscle_names, {}))
-        shapes = _solve_shapes(rig, kept, task)
-    shapes.save(kept, model, S)
-    stage, playing = stage_of(shapes), part_of(progress, SOLVED, EXPORT)
+    more: dict[str, Any] = {"timecode": recorded.timecodes[recording.start or 0]}
+    if scene.drive == "tracks":
+        tracks = MuscleTracks.load(task.inputs["tracks"], model)
+        stage, begun = stage_of(TrackedShapes.of(model, tracks), tracks), READ
+        more["shapes"] = len(tracks.names)
+    else:
+        shapes = None
+        if "blendshapes" in task.inputs:
+            shapes = Blendshapes.load(task.inputs["blendshapes"], model, S)
+        if shapes is None or shapes.drive != rig.drive:  # solved by a release without limits
+            # the shapes take minutes: what is wrong with the scene is told before
+            stage_of(Blendshapes(model.muscle_names, {}))
+            shapes = _solve_shapes(rig, kept, task)
+        shapes.save(kept, model, S)
+        stage, begun = stage_of(shapes), SOLVED
+        more |= _told(shapes)
+    playing = part_of(progress, begun, EXPORT)
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
+    written = finish(stage, frames, out, progress, title="Animation", video=given.video, more=more)
+    solved = [] if stage.tracks else [kept, out / BASIS_FILE]
+    return [*written, *(file for file in solved if file.is_file())]
+
+
+def _told(shapes: Blendshapes) -> dict[str, Any]:
+    """Return the figures of solved blendshapes."""
     solved = shapes.shapes
-    more = {
-        "timecode": recorded.timecodes[recording.start or 0],
+    return {
         "blendshapes": len(solved),
         "blendshapes_mean_mm": float(np.mean([shape.mean_mm for shape in solved.values()])),
         "not_settled": [name for name, shape in solved.items() if not shape.settled],
     }
-    written = finish(stage, frames, out, progress, title="Animation", video=given.video, more=more)
-    basis = out / BASIS_FILE
-    return [*written, kept, *([basis] if basis.is_file() else [])]
 
 
 def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:

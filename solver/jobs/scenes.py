@@ -129,7 +129,10 @@ def finish(
 ) -> list[Path]:
     """Write what a scene leaves; ``more`` figures are for ``animation.json``."""
     progress(Step("export", EXPORT))
-    model = stage.model
+    model, arrays = stage.model, {}
+    if stage.tracks is not None:
+        lines = stage.tracks.lines
+        arrays["lengths"] = np.array([lines.lengths(model.rest + frame.moved) for frame in frames])
     figures = {"penetration_neutral_mm": round(stage.gauge.neutral().most, 4), **more}
     with tempfile.TemporaryFile() as stream:
         shape = (len(frames), *model.skin.vertices.shape)
@@ -145,6 +148,7 @@ def finish(
             report=motion_report(frames, model) | figures,
             vertices=model.face,
             muscles=stage.muscles,
+            arrays=arrays,
             objects=stage.objects,
             video=video,
         )

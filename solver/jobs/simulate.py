@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+from solver.animation.tracks import TrackedShapes
 from solver.fitting.calibration import read_muscles
 from solver.fitting.face import Pose
 from solver.fitting.strips import strip_names
@@ -12,12 +14,17 @@ from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_per
 from solver.kinds.simulate import Simulate
 from solver.progress import part_of
 from solver.rig.frames.animation import check_video
+from solver.rig.rig import Rig
 from solver.scene import Stage
-from solver.scene.document import drives_of, moving_fibres, performances_of
+from solver.scene.document import drives_of, moving_fibres, performances_of, track_drives_of
+from solver.scene.places import Places
+from solver.tracks.basis import MuscleTracks
 
 
 def run(task: Task[Simulate]) -> list[Path]:
     """Play performances and keys of a rig's expressions, of muscles and jaw on a fitted face.
+
+    Where the scene says so, tracks drive the face by keys of their shapes, instead.
 
     Frames that are ready are in ``out/frames``; with ``resume`` those that are there are kept and
     the simulation goes on after them. Raises :class:`InputError` (``scene.*``) for a scene that
@@ -28,6 +35,16 @@ def run(task: Task[Simulate]) -> list[Path]:
     if given.video:
         check_video()
     rig, places = read_person(task)
+    by_tracks = given.scene.drive == "tracks"
+    stage, more = (_by_tracks if by_tracks else _by_muscles)(task, rig, places)
+    playing = part_of(progress, READ, EXPORT)
+    frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
+    return finish(stage, frames, out, progress, title="Simulation", video=given.video, more=more)
+
+
+def _by_muscles(task: Task[Simulate], rig: Rig, places: Places) -> tuple[Stage, dict[str, Any]]:
+    """Return a scene that a rig's expressions, performances and muscles play, and its figures."""
+    given = task.options
     poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in rig.expressions}
     file = task.inputs.get("fibre_muscles")
     known = None if file is None else read_muscles(file, rig.model)
@@ -39,12 +56,17 @@ def run(task: Task[Simulate]) -> list[Path]:
     firmer = 1.0 if performances is None else max(float(performances.curve.max()), 1.0)
     stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver, fibres, firmer)
     played = performances.performances if performances else ()
-    more = {
-        "performances": [
-            {"asset": each.entry.asset, "frames": len(each.times), "bridged": each.bridged.tolist()}
-            for each in played
-        ]
-    }
-    playing = part_of(progress, READ, EXPORT)
-    frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
-    return finish(stage, frames, out, progress, title="Simulation", video=given.video, more=more)
+    told = [
+        {"asset": each.entry.asset, "frames": len(each.times), "bridged": each.bridged.tolist()}
+        for each in played
+    ]
+    return stage, {"performances": told}
+
+
+def _by_tracks(task: Task[Simulate], rig: Rig, places: Places) -> tuple[Stage, dict[str, Any]]:
+    """Return a scene that the shapes of tracks play, and its figures."""
+    given = task.options
+    tracks = MuscleTracks.load(task.inputs["tracks"], rig.model)
+    drives = track_drives_of(given.scene, TrackedShapes.of(rig.model, tracks), rig.model)
+    stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver, tracks=tracks)
+    return stage, {"shapes": len(tracks.names)}

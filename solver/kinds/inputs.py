@@ -87,6 +87,7 @@ INPUTS: Mapping[str, Input] = {
     "fibre_muscles": Input(
         (_option("fibres", "fibre_muscles.npz of fit-fibres", "fibre_muscles"),)
     ),
+    "tracks": Input((_option("tracks", "tracks.npz of build-tracks"),)),
     "role": Input((Part("role", "what the scan is meant to be", form="role"),)),
     "start": Input(
         (_option("start", "rig to start from, also of another person", form="file or folder"),)
@@ -112,6 +113,7 @@ class LeftFile:
 
 FILES: Mapping[str, LeftFile] = {
     "model.npz": LeftFile("model", "model"),
+    "tracks.npz": LeftFile("tracks", "tracks"),
     "rig.npz": LeftFile("rig", "rig"),
     "markers.json": LeftFile("markers", "marker_set"),
     "sequence.npz": LeftFile("sequences", "asset", formats=(1, 2)),  # 2 has what markers add

@@ -118,6 +118,11 @@ class Key(Document):
         max_length=256,
         description="activations of fibre muscles by name, on top of what is performed",
     )
+    shapes: dict[str, Annotated[float, Field(ge=0, le=1)]] = Field(
+        default={},
+        max_length=256,
+        description="weights of the shapes of tracks by name, in a scene that these drive",
+    )
 
 
 class MotionKey(Document):
@@ -444,6 +449,11 @@ Edits = Annotated[
 class PlayedScene(FleshEntry):
     """A scene with frames: of a simulation or an animation."""
 
+    drive: Literal["muscles", "tracks"] = Field(
+        default="muscles",
+        description="what moves the flesh: muscles, as the rig was fitted; tracks, the shapes of "
+        "build_tracks, with its law of the flesh unless the scene gives another",
+    )
     mode: Literal["quasi_static", "dynamic"] = Field(
         default="quasi_static",
         description="dynamic: the flesh has inertia; quasi_static: every frame is an equilibrium",

@@ -18,7 +18,7 @@ class Simulate(PlayOptions):
 
 KIND = Kind(
     queue="long",
-    reads=("rig", "template", "assets", "sequences", "fibre_muscles"),
+    reads=("rig", "template", "assets", "sequences", "fibre_muscles", "tracks"),
     leaves="animation",
     result="animation.glb",
     folder="simulation",

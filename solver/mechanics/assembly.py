@@ -5,6 +5,8 @@ Every entry is summed in the order of the tets: the result is the same on any nu
 
 from __future__ import annotations
 
+import math
+
 import numba as nb
 import numpy as np
 import scipy.sparse as sp
@@ -29,7 +31,8 @@ class VertexSum:
 
     def __call__(self, per_tet: Floats) -> Floats:
         """Return the sums, (3 count, ...)."""
-        flat = per_tet.reshape(per_tet.shape[0] * per_tet.shape[1], -1)
+        # not -1: a term may have no entries
+        flat = per_tet.reshape(math.prod(per_tet.shape[:2]), math.prod(per_tet.shape[2:]))
         out = np.empty((self._count, flat.shape[1]))
         _sum_rows(flat, self._first, self._corners, out)
         return out.reshape(3 * self._count, *per_tet.shape[3:])

@@ -171,3 +171,8 @@ class Potential(Protocol):
 
     def max_step(self, x: Floats, y: Floats, goal: Boundary) -> float:
         """Return the part of the way x -> y, with the rigid parts to ``goal``, that is feasible."""
+
+
+def curvature(potentials: Sequence[Potential], x: Floats) -> sp.csr_array:
+    """Return the sum of the potentials' exact second derivatives (3 p, 3 p)."""
+    return sum((each.curvature(x) for each in potentials), sp.csr_array((x.size, x.size)))

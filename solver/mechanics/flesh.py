@@ -7,6 +7,7 @@ order of their vertex numbers, three coordinates each. Stress is in units of mu,
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -58,6 +59,14 @@ NEO_HOOKEAN = replace(COROTATED_DET, law="neo_hookean")
 # Nearly incompressible flesh for fibre muscles: a bulk modulus of 6.7 mu, as linear tets lock above
 # ten.
 MOONEY_RIVLIN = replace(COROTATED_DET, law="mooney_rivlin")
+
+# as documents name them
+LAWS: Mapping[str, Material] = {
+    "corotated_trace": COROTATED_TRACE,
+    "corotated_det": COROTATED_DET,
+    "neo_hookean": NEO_HOOKEAN,
+    "mooney_rivlin": MOONEY_RIVLIN,
+}
 
 
 def shape_gradients(rest: Floats, tets: Ints) -> tuple[Floats, Floats]:

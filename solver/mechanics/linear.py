@@ -61,7 +61,7 @@ class Rslab(LinearSolver):
     dtype = "float64"
     block = 32  # right-hand sides that it gets at once
 
-    def __init__(self, pattern: sp.csr_array) -> None:
+    def __init__(self, pattern: sp.csr_array, _block: int = 3) -> None:
         import rslab
 
         # the lower triangle by columns is the upper triangle by rows
@@ -115,8 +115,8 @@ class _SuperLU:
 
     pivot_threshold = 0.1  # SuperLU's own for symmetric patterns: smaller diagonals are no pivots
 
-    def __init__(self, pattern: sp.csr_array) -> None:
-        self._order = nested_dissection(pattern)
+    def __init__(self, pattern: sp.csr_array, block: int = 3) -> None:
+        self._order = nested_dissection(pattern, block)
         numbers = pattern.copy()
         numbers.data = np.arange(1, len(pattern.indices) + 1)
         permuted = sp.csc_array(numbers[self._order][:, self._order])
@@ -148,20 +148,20 @@ class _SuperLU:
 class _Cholmod:
     """CHOLMOD by cvxopt (GPL-3, an extra)."""
 
-    def __init__(self, pattern: sp.csr_array) -> None:
+    def __init__(self, pattern: sp.csr_array, block: int = 3) -> None:
         import cvxopt
         import cvxopt.cholmod
 
         self._cvxopt: Any = cvxopt
-        self._pattern = pattern
+        self._pattern, self._block = pattern, block
         self._keep, self._rows, indptr = _upper(pattern)
         self._columns = np.repeat(np.arange(pattern.shape[0]), np.diff(indptr))
         cvxopt.cholmod.options["supernodal"] = 2
-        self._order = cvxopt.matrix(nested_dissection(pattern).tolist(), tc="i")
+        self._order = cvxopt.matrix(nested_dissection(pattern, block).tolist(), tc="i")
 
     def factor(self, data: Floats, *, indefinite: bool = False) -> Factor:
         if indefinite:  # a Cholesky factor does not exist
-            return _SuperLU(self._pattern).factor(data, indefinite=True)
+            return _SuperLU(self._pattern, self._block).factor(data, indefinite=True)
         cholmod, places = self._cvxopt.cholmod, (self._rows, self._columns)
         lower = self._cvxopt.spmatrix(data[self._keep], *places, self._pattern.shape)
         # a numeric factorisation overwrites its analysis, and a fit keeps several factors alive
@@ -179,7 +179,7 @@ class _Cholmod:
 
 
 # Name -> (the package it needs, the solver).
-SOLVERS: dict[str, tuple[str, Callable[[sp.csr_array], LinearSolver]]] = {
+SOLVERS: dict[str, tuple[str, Callable[[sp.csr_array, int], LinearSolver]]] = {
     "rslab": ("rslab", Rslab),
     "rslab-single": ("rslab", _RslabSingle),
     "cholmod": ("cvxopt", _Cholmod),
@@ -190,11 +190,12 @@ SOLVERS: dict[str, tuple[str, Callable[[sp.csr_array], LinearSolver]]] = {
 DOUBLE = ("rslab", "cholmod", "superlu")
 
 
-def analyse(pattern: sp.csr_array, name: str | None = None) -> LinearSolver:
+def analyse(pattern: sp.csr_array, name: str | None = None, block: int = 3) -> LinearSolver:
     """Analyse a symmetric pattern (all of it, sorted CSR) with the solver of that ``name``.
 
-    Without a name it is the fastest in double precision. Raises :class:`InputError`
-    (``solver.unknown``, ``solver.missing``).
+    Without a name it is the fastest in double precision. Unknowns come in blocks of ``block``:
+    three coordinates of a vertex, or one value. Raises :class:`InputError` (``solver.unknown``,
+    ``solver.missing``).
     """
     name = name or next(each for each in DOUBLE if _is_installed(SOLVERS[each][0]))
     if name not in SOLVERS:
@@ -202,7 +203,7 @@ def analyse(pattern: sp.csr_array, name: str | None = None) -> LinearSolver:
     package, solver = SOLVERS[name]
     if not _is_installed(package):
         raise InputError("solver.missing", f"linear solver {name!r} needs the package {package}")
-    return solver(pattern)
+    return solver(pattern, block)
 
 
 def fastest() -> str:

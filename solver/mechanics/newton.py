@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from typing_extensions import override
 
 from solver.errors import SolveError
-from solver.mechanics.boundary import Boundary, Potential
+from solver.mechanics.boundary import Boundary, Potential, curvature
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import Factor, GrowingSolver, LinearSolver, NotPositiveDefiniteError
 from solver.surface import Floats
@@ -53,7 +53,7 @@ class NewtonOptions:
     # enough, and keeps more of Newton's speed
     projections: tuple[float, ...] = (0.0, 0.05, 0.15, 0.4, 1.0)
     collapsed: float = 1e-3  # det F below which a tet is too stiff for its neighbours
-    quadratic: float = 1e-7  # residual below which the Hessian is tried as it is
+    quadratic: float = 1e-7  # residual below which the Hessian is tried as it is, contact's too
     far: float = 0.3  # residual above which a search begins with the whole projection
 
     # part of the residual that a chord step leaves at most: it costs a fifth to an eighth of a
@@ -164,6 +164,11 @@ class Energy:
         self.flesh, self.a = flesh, a
         self._linear, self._potentials, self._goal = linear, potentials, goal
 
+    @property
+    def touches(self) -> bool:
+        """Tell whether there is something to touch."""
+        return bool(self._potentials)
+
     def value(self, x: Floats) -> float:
         """Return the energy of x (p, 3)."""
         return self.flesh.energy(x, self.a) + sum(each.value(x) for each in self._potentials)
@@ -181,9 +186,20 @@ class Energy:
 
     def factorization(self, x: Floats, first: int) -> Factorization:
         """Return the Hessian at x, to be projected from number ``first`` on."""
+        return self._factorization(x, first, self.contact_hessian(x))
+
+    def exact_factorization(self, x: Floats) -> Factorization | None:
+        """Return the Hessian at x with the potentials' as it is, None if that is indefinite."""
+        found = self._factorization(x, 0, curvature(self._potentials, x))
+        try:
+            return found if found.projection == 0 else None
+        except SolveError:
+            return None
+
+    def _factorization(self, x: Floats, first: int, contact: sp.csr_array) -> Factorization:
         linear = self._linear
         if isinstance(linear, GrowingSolver):
-            linear = linear.plus(self.flesh.free_block(self.contact_hessian(x)))
+            linear = linear.plus(self.flesh.free_block(contact))
         return Factorization(self.flesh, linear, x, self.a, first)
 
     def contact_hessian(self, x: Floats) -> sp.csr_array:
@@ -264,7 +280,13 @@ class Search:
 
     def direction(self) -> Floats:
         """Factorise the Hessian here and return Newton's step (size,)."""
-        self.factorization = self._energy.factorization(self.x, self._first_projection())
+        found = None
+        if self._energy.touches and self.residual <= self._options.quadratic:
+            # projected contact converges linearly
+            found = self._energy.exact_factorization(self.x)
+        if found is None:
+            found = self._energy.factorization(self.x, self._first_projection())
+        self.factorization = found
         self.projection = self.factorization.projection
         self.factorizations += 1
         return self.factorization.solve(-self.gradient)

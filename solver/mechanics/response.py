@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from typing_extensions import override
 
-from solver.mechanics.boundary import BoundaryRates, Potential
+from solver.mechanics.boundary import BoundaryRates, Potential, curvature
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import Factor, GrowingSolver, LinearSolver, NotPositiveDefiniteError
 from solver.surface import Floats
@@ -53,14 +53,15 @@ class SparseControls(Controls):
         flesh: Flesh,
         x: Floats,
         a: Floats,
-        rates: sp.csr_array,
+        rates: sp.csr_array | Floats,
         boundary: BoundaryRates | None = None,
         potentials: Sequence[Potential] = (),
     ) -> SparseControls:
         """Differentiate the forces on a flesh at x (p, 3) with its controls ``a``.
 
-        ``rates`` (6 n, k) is da/dq, of activations each tet's six entries in turn; ``boundary`` is
-        how held vertices, jaw and objects move, if they do; ``potentials`` are placed where x is.
+        ``rates`` (controls, k) is da/dq, of activations each tet's six entries in turn;
+        ``boundary`` is how held vertices, jaw and objects move, if they do; ``potentials`` are
+        placed where x is.
         """
         count, forces = rates.shape[1], flesh.forces_by_control(x, a) @ rates
         held = sp.csr_array((flesh.rest.size, count))
@@ -107,16 +108,19 @@ class Response:
         a: Floats,
         *,
         potentials: Sequence[Potential] = (),
-        linear: LinearSolver | None = None,
+        linear: LinearSolver | GrowingSolver | None = None,
     ) -> Response:
         """Factorise the Hessian at x (p, 3) with ``a`` (n, 6), nothing of it projected.
 
-        ``linear`` solves for the flesh's pattern; with ``potentials`` the pattern is analysed anew.
+        ``linear`` solves for the flesh's pattern; with ``potentials`` the pattern is analysed anew
+        unless it is one that grows.
         Raises :class:`~solver.mechanics.linear.NotPositiveDefiniteError` where it is singular.
         """
         matrix = flesh.hessian(x, a)
-        if potentials or linear is None:
-            linear = GrowingSolver(matrix).plus(flesh.free_block(curvature(potentials, x)))
+        if linear is None or (potentials and not isinstance(linear, GrowingSolver)):
+            linear = GrowingSolver(matrix)
+        if isinstance(linear, GrowingSolver):
+            linear = linear.plus(flesh.free_block(curvature(potentials, x)))
         try:
             return cls(flesh, linear.factor(matrix.data))
         except NotPositiveDefiniteError:
@@ -153,8 +157,3 @@ class Response:
         flat = gradient.ravel()
         free = self.free_adjoint(controls, flat[self._flesh.free_coordinates])
         return np.asarray(free + controls.held.T @ flat)
-
-
-def curvature(potentials: Sequence[Potential], x: Floats) -> sp.csr_array:
-    """Return the sum of the potentials' exact second derivatives (3 p, 3 p)."""
-    return sum((each.curvature(x) for each in potentials), sp.csr_array((x.size, x.size)))

@@ -160,6 +160,36 @@ class PassiveTerm(EnergyTerm):
         return None
 
 
+class Springs(PassiveTerm):
+    """Springs without length that pull vertices to places of their own.
+
+    E = sum_k s_k / 2 |x_k - centre_k|^2 over ``vertices`` (k, 1), with ``centre`` (k, 3) and
+    ``stiffness`` s (k,) in Pa mm.
+    """
+
+    def __init__(self, vertices: Ints, centre: Floats, stiffness: Floats) -> None:
+        self.vertices, self.centre, self.stiffness = vertices, centre, stiffness
+
+    def places(self, _controls: Floats) -> Floats:
+        """Return where the vertices are pulled to, (k, 3)."""
+        return self.centre
+
+    def _drift(self, x: Floats, controls: Floats) -> Floats:
+        return np.asarray(x[self.vertices[:, 0]] - self.places(controls))
+
+    @override
+    def energy(self, x: Floats, controls: Floats) -> float:
+        return 0.5 * float(self.stiffness @ (self._drift(x, controls) ** 2).sum(axis=1))
+
+    @override
+    def forces(self, x: Floats, controls: Floats) -> Floats:
+        return np.asarray((self.stiffness[:, None] * self._drift(x, controls))[:, None])
+
+    @override
+    def stiffness_of(self, some: Ints | slice) -> Floats:
+        return self.stiffness[some, None, None, None] * np.eye(3)
+
+
 @dataclass(frozen=True)
 class SlidingPlanes(PassiveTerm):
     """Flesh that slides on a bone: vertices stay on planes, and move freely in them.

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.action_units import joined_codes, units_of
-from solver.anatomy.template import ShapeBasis, split_side
-from solver.animation.blendshapes import CORRECTED, expression_targets
+from solver.anatomy.template import CORRECTED, ShapeBasis, split_side
+from solver.animation.blendshapes import expression_targets
 from solver.errors import InputError, SolveError
 from solver.fitting import activation
 from solver.fitting.activation import ActivationOptions

@@ -6,6 +6,7 @@ import colorsys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import igl
 import numpy as np
@@ -334,3 +335,51 @@ def sequence_picture(
         caption = f"frame {shot.frame.frame}, mean {shot.frame.mean_mm:.2f} mm"
         columns.append(Column.of(caption, bodies, camera, layout))
     draw_sheet(path, title, detail, ("Seen", "Fit", "Error"), columns, layout)
+
+
+# A contact sheet of muscle tracks: shapes as their template has them, and as flesh has them.
+
+
+@dataclass(frozen=True)
+class TrackShot:
+    """A shape at weight 1, and the skin of flesh that goes there."""
+
+    name: str
+    shape: Floats  # (V, 3) mm
+    skin: Floats | None  # (V, 3); None where the flesh found no rest
+    inverted: int  # tets
+
+    def off_mm(self, face: Ints) -> Floats:
+        """Return the distances (k,) of the face's points; there must be a skin."""
+        assert self.skin is not None, "a shape that was not reached has no distance"
+        return np.asarray(np.linalg.norm((self.skin - self.shape)[face], axis=1))
+
+    def figures(self, face: Ints) -> dict[str, Any]:
+        """Return what reports tell of it."""
+        if self.skin is None:
+            return {"name": self.name, "reached": False}
+        off = self.off_mm(face)
+        return {
+            "name": self.name,
+            "reached": True,
+            "mean_mm": round(float(off.mean()), 4),
+            "max_mm": round(float(off.max()), 4),
+            "inverted": self.inverted,
+        }
+
+
+def tracks_picture(model: SubjectModel, shots: Sequence[TrackShot], path: Path) -> None:
+    """Draw shapes in columns: the plain shape, the flesh under its tracks, the distance in mm."""
+    head, layout = DrawnHead(model.skin), SheetLayout()
+    camera = face_camera(model.skin.vertices, model.face, 0.0)
+    columns = []
+    for shot in shots:
+        if shot.skin is None:
+            continue
+        error = np.full(len(model.skin.vertices), np.nan)
+        error[model.face] = shot.off_mm(model.face)
+        bodies = head.compare(shot.shape, shot.skin, error)
+        caption = f"{shot.name}, mean {np.nanmean(error):.2f} mm"
+        columns.append(Column.of(caption, bodies, camera, layout))
+    detail = "shapes at weight 1, and the flesh that muscles lead there"
+    draw_sheet(path, "Muscle tracks", detail, ("Shape", "Tracks", "Error"), columns, layout)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,20 +21,15 @@ from solver.fitting.strips import strip_names
 from solver.kinds import scene as scenes
 from solver.mechanics.boundary import Potential
 from solver.mechanics.fibre_muscle import FibreMuscles
-from solver.mechanics.flesh import (
-    COROTATED_DET,
-    COROTATED_TRACE,
-    IDENTITY,
-    MOONEY_RIVLIN,
-    NEO_HOOKEAN,
-    Material,
-)
+from solver.mechanics.flesh import IDENTITY, LAWS, MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.scene.places import Places, check_objects, objects_of
 from solver.simulation import Simulator
 from solver.simulation.forces import Drive, ExternalForce, Gravity, Pull, Wind, lumped_masses
 from solver.surface import Floats, Surface
+from solver.tracks.basis import MuscleTracks
+from solver.tracks.springs import TrackedFlesh
 
 
 def edit_of(entry: scenes.Edit, places: Places) -> AnatomyChange:
@@ -73,29 +68,27 @@ def force_of(entry: scenes.Force, face: Face, masses: Floats, places: Places) ->
     return Pull(face.model, at, entry.mn, radius_mm=radius, ramp=entry.ramp)
 
 
-LAWS: Mapping[str, Material] = {
-    "corotated_trace": COROTATED_TRACE,
-    "corotated_det": COROTATED_DET,
-    "neo_hookean": NEO_HOOKEAN,
-    "mooney_rivlin": MOONEY_RIVLIN,
-}
-
-
 class Physics:
     """Flesh of a ``scene``, and what it meets, as its document says.
 
     Where ``fibres`` move it, strengths over the flesh's mu, it is of the law that they are
-    calibrated in, unless the document says another. Contact is ``firmer`` by what muscles press
-    harder: what is pressed into teeth goes by their ratio.
+    calibrated in, where ``tracks`` do, of theirs, unless the document says another. Contact is
+    ``firmer`` by what muscles press harder: what is pressed into teeth goes by their ratio.
     """
 
     def __init__(
-        self, scene: scenes.FleshEntry, fibres: FibreMuscles | None = None, firmer: float = 1.0
+        self,
+        scene: scenes.FleshEntry,
+        fibres: FibreMuscles | None = None,
+        firmer: float = 1.0,
+        tracks: MuscleTracks | None = None,
     ) -> None:
         self._scene, self._fibres, self._firmer = scene, fibres, firmer
         given = scene.material
-        own = fibres is not None and "law" not in given.model_fields_set
-        law = MOONEY_RIVLIN if own else LAWS[given.law]
+        law = LAWS[given.law]
+        if "law" not in given.model_fields_set:
+            law = MOONEY_RIVLIN if fibres is not None else law
+            law = LAWS[tracks.law] if tracks is not None else law
         self._material = law.in_pascal(given.stiffness_pa)
 
     def face(self, edited: Edited) -> Face:
@@ -173,10 +166,11 @@ def check_length(frames: float) -> None:
 
 
 class Stage:
-    """A person with the S (n, m + 1) in a scene, or with ``fibres`` that the ``drives`` are of.
+    """A person with the S (n, m + 1) in a scene, or with what else the ``drives`` are of.
 
-    ``drives`` say what the face does; ``linear`` names the linear solver; ``objects`` are what the
-    face meets, ``muscles`` what moves it; contact is ``firmer`` by a factor. Raises
+    That are ``fibres`` or ``tracks``, whose muscles have the model's shares of the tets. ``drives``
+    say what the face does; ``linear`` names the linear solver; ``objects`` are what the face meets,
+    ``muscles`` what moves it; contact is ``firmer`` by a factor. Raises
     :class:`~solver.errors.InputError` (``scene.*``, ``force.point``, ``contact.crossed``) for what
     the person does not have or cannot be.
     """
@@ -190,18 +184,26 @@ class Stage:
         linear: str | None = None,
         fibres: FibreMuscles | None = None,
         firmer: float = 1.0,
+        tracks: MuscleTracks | None = None,
     ) -> None:
         check_length(len(drives.times))
-        self.drives = drives
-        self._physics = Physics(scene, fibres, firmer)
+        self.drives, self.tracks = drives, tracks
+        self._physics = Physics(scene, fibres, firmer, tracks)
         edits = [edit_of(entry, places) for entry in scene.edits]
-        self._edited = apply(
-            edits, places.model, S if fibres is None else whole_weights(places.model)
-        )
+        if fibres is not None:
+            S = whole_weights(places.model)
+        elif tracks is not None:
+            S = tracks.shares(places.model)
+        self._edited = apply(edits, places.model, S)
         muscles = places.model.muscle_names
         self.muscles = muscles if fibres is None else strip_names(muscles, fibres)
         self.model = self._edited.model
         self._face = self._physics.face(self._edited)
+        self._tracked: TrackedFlesh | None = None
+        if tracks is not None:
+            springs = self._edited.S, tracks.stiffness, tracks.length_mm
+            self._tracked = TrackedFlesh.of(self._face.flesh, *springs)
+            self._face = self._face.with_flesh(self._tracked.flesh)
         if isinstance(scene, scenes.SimulateScene):
             self.objects = objects_of(scene.objects, places, scene.interpolation)
         else:
@@ -228,7 +230,10 @@ class Stage:
 
     def drive(self, time: float, pose: PosedFrame) -> Drive:
         """Return what the flesh is asked for at ``time``, when the face does ``pose``."""
-        A = self._physics.activations(self._edited, pose.a)
+        if self._tracked is not None and pose.target is not None:
+            A = self._tracked.controls(pose.a, pose.target)
+        else:
+            A = self._physics.activations(self._edited, pose.a)
         objects = tuple(each.at(time).vertices for each in self.objects)
         return Drive(time, A, pose.jaw, pose.head, objects)
 

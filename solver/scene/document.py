@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from solver.anatomy.physiology import JAW_FREEDOM
 from solver.animation import Drives, HeadKey, KeyedDrives, PoseKey
 from solver.animation.performance import FittedSequence, MixedPerformances, PlayedPerformance
+from solver.animation.tracks import KeyedTracks, TrackedShapes
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.interior_point import FeasibleSet
@@ -71,12 +72,13 @@ def drives_of(
     second, from 0 on. Raises :class:`InputError`: as :class:`KeyedDrives`, and ``scene.jaw`` where
     no jaw can be.
     """
+    for number, entry in enumerate(scene.keys):
+        if entry.shapes:
+            reason = 'shapes are those of tracks: set "drive" to "tracks", or name expressions'
+            raise InputError("scene.shapes", f"keys[{number}] has shapes; {reason}", key=number)
     keys = _KeyReader(model, S)(scene.keys)
     ends = [float(under.times[-1])] if under else []
-    last = max([*ends, *(key.time for key in keys)], default=0.0)
-    seconds, fps = last if scene.duration is None else scene.duration, scene.fps
-    check_length(seconds * fps)  # of a file's times, before there are so many
-    times = np.arange(int(seconds * fps + 1e-6) + 1) / fps
+    times = _frame_times(scene, [*ends, *(key.time for key in keys)])
     head, interpolation = head_of(scene.head), scene.interpolation
     drives = KeyedDrives(
         keys,
@@ -89,6 +91,33 @@ def drives_of(
         fibres=fibres,
         limits=limits,
     )
+    for number, key in enumerate(keys):
+        check_jaw(drives(key.time).jaw, f"keys[{number}]")
+    return drives
+
+
+def _frame_times(scene: SimulateScene, ends: Sequence[float]) -> Floats:
+    """Return when the frames of a scene are, in s; without a duration it lasts to the last end."""
+    seconds, fps = max(ends, default=0.0) if scene.duration is None else scene.duration, scene.fps
+    check_length(seconds * fps)  # of a file's times, before there are so many
+    return np.arange(int(seconds * fps + 1e-6) + 1) / fps
+
+
+def track_drives_of(
+    scene: SimulateScene, shapes: TrackedShapes, model: SubjectModel
+) -> KeyedTracks:
+    """Return what the keys of a scene make a face do that tracks drive.
+
+    Raises :class:`InputError`: as :class:`KeyedTracks`, ``scene.shapes`` for a scene with
+    performances, and ``scene.jaw`` where no jaw can be.
+    """
+    if scene.performance is not None:
+        reason = "a scene that tracks drive plays no performances, whose muscles are a rig's"
+        raise InputError("scene.shapes", reason)
+    keys = _KeyReader(model, model.weights)(scene.keys)
+    times = _frame_times(scene, [key.time for key in keys])
+    head, interpolation = head_of(scene.head), scene.interpolation
+    drives = KeyedTracks(keys, shapes, model, times, head=head, interpolation=interpolation)
     for number, key in enumerate(keys):
         check_jaw(drives(key.time).jaw, f"keys[{number}]")
     return drives
@@ -201,6 +230,7 @@ class _KeyReader:
                 {name: self._activation(name, how) for name, how in self._each(entry.muscles)},
                 jaw_of(entry.jaw),
                 entry.fibres,
+                entry.shapes,
             )
             for entry in entries
         ]

@@ -24,10 +24,10 @@ from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.mechanics.boundary import straight
 from solver.mechanics.flesh import Flesh
-from solver.mechanics.terms import PassiveTerm
+from solver.mechanics.terms import Springs
 from solver.model import SubjectModel
 from solver.similarity import Similarity
-from solver.surface import Floats, Ints, area_normals
+from solver.surface import Floats, area_normals
 
 
 def lumped_masses(flesh: Flesh, density: Floats) -> Floats:
@@ -36,37 +36,30 @@ def lumped_masses(flesh: Flesh, density: Floats) -> Floats:
     return np.asarray(np.bincount(flesh.tets.ravel(), quarters, len(flesh.rest)), np.float64)
 
 
-class Inertia(PassiveTerm):
-    """Springs to a ``centre`` (p, 3) for inertia and damping, and a ``load`` (p, 3) that pulls.
+class Inertia(Springs):
+    """Springs of inertia and damping on the free vertices, and a ``load`` (p, 3) that pulls.
 
-    E = sum_v s_v / 2 |x_v - centre_v|^2 - load_v . (x_v - rest_v) over the free vertices, with
-    ``stiffness`` s (p,) in Pa mm and the load in Pa mm^2, both zero until they are set.
+    E = springs - sum_v load_v . (x_v - rest_v), with the load in Pa mm^2; all is zero until it is
+    set.
     """
 
     def __init__(self, flesh: Flesh) -> None:
-        self.vertices = flesh.free[:, None]
-        self._rest = self.centre = flesh.rest
+        self._rest, self._free = flesh.rest, flesh.free
+        super().__init__(flesh.free[:, None], flesh.rest[flesh.free], np.zeros(len(flesh.free)))
         self.release()
 
     @override
     def energy(self, x: Floats, controls: Floats) -> float:
-        free = self.vertices[:, 0]
-        stretched = ((x - self.centre)[free] ** 2).sum(axis=1)
-        work = float((self.load * (x - self._rest))[free].sum())
-        return 0.5 * float(self.stiffness[free] @ stretched) - work
+        work = float((self.load * (x - self._rest))[self._free].sum())
+        return super().energy(x, controls) - work
 
     @override
     def forces(self, x: Floats, controls: Floats) -> Floats:
-        outside = self.stiffness[:, None] * (x - self.centre) - self.load
-        return np.asarray(outside[self.vertices])
-
-    @override
-    def stiffness_of(self, some: Ints | slice) -> Floats:
-        return self.stiffness[self.vertices[some, 0], None, None, None] * np.eye(3)
+        return super().forces(x, controls) - self.load[self.vertices]
 
     def release(self) -> None:
         """Take springs and load away."""
-        self.stiffness, self.load = np.zeros(len(self._rest)), np.zeros_like(self._rest)
+        self.stiffness, self.load = np.zeros(len(self._free)), np.zeros_like(self._rest)
 
     def launch(
         self, masses: Floats, y: Floats, flight: Floats, seconds: float, damping: float
@@ -76,8 +69,8 @@ class Inertia(PassiveTerm):
         ``masses`` (p,) are in g, ``damping`` is in 1/s.
         """
         inertia, drag = 1.0 / seconds**2, damping / seconds
-        self.stiffness = (inertia + drag) * masses
-        self.centre = (inertia * flight + drag * y) / (inertia + drag)
+        self.stiffness = (inertia + drag) * masses[self._free]
+        self.centre = (inertia * flight + drag * y)[self._free] / (inertia + drag)
 
 
 @dataclass(frozen=True)
@@ -99,7 +92,7 @@ class Drive:
     """Input of a moment."""
 
     time: float  # seconds
-    A: Floats  # (n, 6) of each tet
+    A: Floats  # what drives the flesh: activations (n, 6) of each tet, or other controls of it
     jaw: Floats  # (5,)
     head: Similarity  # into the world
     objects: tuple[Floats, ...] = ()  # vertices (o, 3) in the world, mm

@@ -71,6 +71,7 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "round_trip": None,
     "single_muscles": None,
     "take_scenes": take,
+    "tracks": None,
 }
 
 

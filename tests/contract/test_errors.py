@@ -26,7 +26,7 @@ WITH_STATUS = ("Problem", "faulty")
 HELPERS = {"unauthorized_problem": 0, "_check_format": 1}
 MADE_OF_PARTS = (
     *("http.", "live_link.", "options.", "template.", "model.", "basis."),
-    *("capture.format", "blendshapes.format", "fibres.format", "markers.format"),
+    *("capture.format", "blendshapes.format", "fibres.format", "markers.format", "tracks.format"),
 )
 """Codes that the source puts together, or passes on."""
 STATUS = {"CHECKSUM_MISMATCH": "460"}

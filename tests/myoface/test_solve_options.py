@@ -37,6 +37,7 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "blendshapes": [(["--blendshapes", "shapes.npz"], {"blendshapes": "shapes.npz"})],
     "expression_basis": [(["--basis", "basis.npz"], {"expression_basis": "basis.npz"})],
     "fibre_muscles": [(["--fibres", "fibres.npz"], {"fibre_muscles": "fibres.npz"})],
+    "tracks": [(["--tracks", "tracks.npz"], {"tracks": "tracks.npz"})],
     "start": [(["--start", "rig.npz"], {"start": "rig.npz"})],
     "assets": [(["--asset", "soft=map.npy"], {})],
     "sequences": [],

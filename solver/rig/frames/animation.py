@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from fractions import Fraction
 from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 from zipfile import ZIP_DEFLATED, ZipFile
 
@@ -118,6 +119,7 @@ TRACKS = (  # taken of every frame, see MotionRecord
     *("time", "activations", "jaw", "head", "eyes"),
     *("penetration_mm", "behind_teeth", "inverted", "iterations", "seconds"),
 )
+NO_ARRAYS: Mapping[str, np.ndarray] = MappingProxyType({})
 FASTEST = 1  # level of compression: skins hardly shrink, however long one tries
 
 
@@ -127,12 +129,15 @@ def write_animation_npz(
     frames: Sequence[MotionRecord],
     skins: Singles,
     vertices: Ints,
+    more: Mapping[str, np.ndarray] = NO_ARRAYS,
 ) -> None:
     """Write what drove ``frames``, and ``vertices`` (k,) of their skins in the world, mm.
 
-    ``skins`` (f, v, 3), in the head's frame, are read one by one, so that they may be mapped.
+    ``skins`` (f, v, 3), in the head's frame, are read one by one, so that they may be mapped;
+    ``more`` arrays have a row for each frame.
     """
     arrays = {name: np.array([getattr(frame, name) for frame in frames]) for name in TRACKS}
+    arrays |= more
     names = np.array(muscles, dtype=np.str_)
     arrays |= {"format": np.array(FORMAT), "muscles": names, "vertices": vertices}
     with ZipFile(path, "w", ZIP_DEFLATED, compresslevel=FASTEST) as archive:
@@ -280,17 +285,18 @@ def write_animation(
     report: dict[str, Any],
     vertices: Ints,
     muscles: Sequence[str] | None = None,
+    arrays: Mapping[str, np.ndarray] = NO_ARRAYS,
     objects: Sequence[SceneObject] = (),
     video: bool = False,
     options: FilmOptions = FilmOptions(),
 ) -> list[Path]:
     """Write ``frames``, whose ``skins`` (f, v, 3) are in the head's frame, mm; return the paths.
 
-    ``animation.npz`` has the ``vertices`` (k,) of the skin and the names of the ``muscles``, those
-    of the model by default. ``objects`` are what the face meets;
-    ``video`` adds ``animation.mp4``, see :func:`check_video`.
+    ``animation.npz`` has the ``vertices`` (k,) of the skin, the names of the ``muscles``, those
+    of the model by default, and more ``arrays``. ``objects`` are what the face meets; ``video``
+    adds ``animation.mp4``, see :func:`check_video`.
     """
-    table, glb, arrays, sheet, film = (
+    table, glb, packed, sheet, film = (
         out / f"animation.{kind}" for kind in ("json", "glb", "npz", "png", "mp4")
     )
     times = np.array([frame.time for frame in frames])
@@ -300,8 +306,8 @@ def write_animation(
         for each in objects
     ]
     written = write_animation_glb(glb, model.skin, skins, heads, times - times[0], solids)
-    write_animation_npz(arrays, muscles or model.muscle_names, frames, skins, vertices)
-    measured = {arrays.name: compare_animation_npz(arrays, frames, skins, vertices)}
+    write_animation_npz(packed, muscles or model.muscle_names, frames, skins, vertices, arrays)
+    measured = {packed.name: compare_animation_npz(packed, frames, skins, vertices)}
     figures = {**report, "glb": {**asdict(written), "bytes": glb.stat().st_size}, "files": measured}
     write_json(table, figures)
     filming = Filming(model)
@@ -318,7 +324,7 @@ def write_animation(
         f"skin at most {max(frame.penetration_mm for frame in frames):.2f} mm in what it meets"
     )
     contact_sheet(filming, [shot(number) for number in shown], title, detail, sheet)
-    files = [table, glb, arrays, sheet]
+    files = [table, glb, packed, sheet]
     film.unlink(missing_ok=True)  # one of another scene is not to stay beside the new files
     if video:
         files.append(film)

@@ -14,11 +14,12 @@ import scipy.sparse as sp
 import trimesh
 from scipy import interpolate
 from scipy.ndimage import gaussian_filter
+from scipy.sparse.linalg import splu
 
 from solver.anatomy.bones import largest_piece, level_set
 from solver.anatomy.data import read_json, read_table
 from solver.anatomy.domain import grid_quads, split_quads
-from solver.anatomy.embedding import barycentric, extend
+from solver.anatomy.embedding import barycentric
 from solver.anatomy.template import Depth
 from solver.surface import Floats, Ints, Surface, adjacency, inside
 from solver.templates.builtin.head import Head
@@ -70,7 +71,11 @@ class OuterSkin:
         free = np.intersect1d(vertices, self.visible_vertices)
         given = ~np.isin(np.arange(len(self.vertices)), free)
         tight = copy(self)
-        tight.vertices = extend(laplacian, self.vertices, given, np.zeros_like(self.vertices))
+        tight.vertices = self.vertices.copy()
+        # by SuperLU: the built-in template's hash hangs on the last bit
+        pull = -laplacian[:, given] @ self.vertices[given]
+        inner = splu(sp.csc_array(laplacian[free][:, free]))
+        tight.vertices[free] = inner.solve(np.ascontiguousarray(pull[free]))
         tight.normals = np.nan_to_num(igl.per_vertex_normals(tight.vertices, self.faces))
         return tight
 

@@ -66,3 +66,15 @@ def test_lashes_go_with_the_lid_they_touch(monkeypatch):
 def test_a_face_that_is_all_flesh_has_none():
     model = head_block()
     assert LooseSkin(model).follow(np.ones_like(model.skin.vertices)).shape == (0, 3)
+
+
+def test_the_adjoint_of_following_is_its_transpose():
+    model, _ = with_a_neck(head_block())
+    loose, random = LooseSkin(model), np.random.default_rng(2)
+    moved = random.standard_normal(model.skin.vertices.shape)
+    forces = random.standard_normal((len(loose.ids), 3))
+    pulled = loose.adjoint(forces)
+    assert np.abs(pulled).max() > 0.1
+    np.testing.assert_allclose((forces * loose.follow(moved)).sum(), (pulled * moved).sum())
+    side_by_side = loose.follow(np.hstack([moved, 2.0 * moved]))
+    np.testing.assert_allclose(side_by_side[:, 3:], 2.0 * loose.follow(moved))

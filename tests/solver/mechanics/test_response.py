@@ -9,10 +9,10 @@ from solver.contact.obstacles import Eyeball
 from solver.contact.one_sided import OneSided
 from solver.errors import InputError
 from solver.fitting.face import Face
-from solver.mechanics.boundary import Boundary, BoundaryRates, move_jaw_back
+from solver.mechanics.boundary import Boundary, BoundaryRates, curvature, move_jaw_back
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import SOLVERS, analyse
-from solver.mechanics.response import Response, SparseControls, curvature
+from solver.mechanics.response import Response, SparseControls
 from tests.solver.ball import ball
 from tests.solver.block import block_model, grid
 

@@ -1,0 +1,121 @@
+"""The face as a function of blendshape weights and jaw: flesh at rest under its muscle tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from solver.errors import InputError
+from solver.fitting.face import Face
+from solver.kinds.scene import STIFFNESS_PA
+from solver.mechanics.boundary import Potential
+from solver.mechanics.flesh import LAWS
+from solver.mechanics.linear import GrowingSolver
+from solver.model import SubjectModel
+from solver.similarity import IDENTITY
+from solver.simulation import MOMENT, Simulator
+from solver.simulation.forces import Drive, FleshMotion
+from solver.surface import Floats
+from solver.tracks.basis import MuscleTracks, TrackPose, TrackTargets
+from solver.tracks.springs import TrackedFlesh
+
+
+@dataclass(frozen=True)
+class TrackState:
+    """Flesh at rest under controls."""
+
+    q: Floats  # (K + 5,) weights of the shapes and the jaw on top of theirs, rad and mm
+    pose: TrackPose  # what they ask for
+    drive: Drive
+    motion: FleshMotion
+    residual: float  # see Energy.residual
+    iterations: int
+    inverted: int  # tets
+    seconds: float  # that it took
+
+    @property
+    def x(self) -> Floats:
+        """Return the vertices (p, 3)."""
+        return self.motion.x
+
+
+class TrackFace:
+    """A person's face driven by tracks, and by nothing else.
+
+    ``potentials`` are what the skin touches, of the same ``stiffness_pa``:
+    :func:`solver.contact.contact_potentials`. ``linear`` names the linear solver; states are
+    solved to ``tolerance``, or until steps are shorter than ``settled_mm``, as
+    :class:`~solver.mechanics.newton.NewtonOptions` say. Raises :class:`InputError`
+    (``tracks.model``) for tracks of another model.
+    """
+
+    def __init__(
+        self,
+        model: SubjectModel,
+        tracks: MuscleTracks,
+        potentials: Sequence[Potential] = (),
+        *,
+        stiffness_pa: float = STIFFNESS_PA,
+        linear: str | None = None,
+        tolerance: float = MOMENT.tolerance,
+        settled_mm: float = MOMENT.settled_mm,
+    ) -> None:
+        tracks.check(model)
+        self.model, self.tracks, self.potentials = model, tracks, potentials
+        plain = Face(model, material=LAWS[tracks.law].in_pascal(stiffness_pa), linear=linear)
+        springs = tracks.shares(model), tracks.stiffness, tracks.length_mm
+        self.tracked = TrackedFlesh.of(plain.flesh, *springs)
+        self.face = plain.with_flesh(self.tracked.flesh)
+        self.targets = TrackTargets(model, tracks)
+        self._simulator = Simulator(
+            self.face,
+            potentials,
+            [],
+            dynamic=False,
+            density=np.ones(len(model.tets)),
+            linear=linear,
+            tolerance=tolerance,
+            settled_mm=settled_mm,
+        )
+
+    @cached_property
+    def exact_solver(self) -> GrowingSolver:
+        """What factorises exact Hessians for derivatives, in double precision."""
+        flesh = self.face.flesh
+        return GrowingSolver(flesh.hessian(flesh.rest, flesh.passive()))
+
+    def rest(self) -> TrackState:
+        """Return the neutral face, all controls zero; raises as :meth:`move`."""
+        q = np.zeros(self.tracks.size)
+        pose = self.targets.at(q)
+        drive = self._drive(0.0, pose)
+        motion = self._simulator.rest(drive)
+        inverted = self.face.flesh.inverted(motion.x)
+        return TrackState(q, pose, drive, motion, 0.0, 0, inverted, 0.0)
+
+    def move(self, state: TrackState, q: Floats) -> TrackState:
+        """Go from a state to controls q (K + 5,); the shorter the way, the faster.
+
+        Raises :class:`InputError` (``tracks.controls``) for other numbers than these, and
+        :class:`~solver.errors.SolveError` (``simulate.*``) where the flesh finds no way.
+        """
+        if q.shape != (self.tracks.size,) or not np.isfinite(q).all():
+            wanted = f"{len(self.tracks.names)} weights and five numbers of the jaw"
+            message = f"controls are {wanted}, all finite, not of shape {q.shape}"
+            raise InputError("tracks.controls", message, expected=self.tracks.size)
+        pose = self.targets.at(q)
+        goal = self._drive(state.drive.time + 1.0, pose)
+        found = self._simulator.step(state.motion, state.drive, goal)
+        told = found.residual, found.iterations, found.inverted, found.seconds
+        return TrackState(q.copy(), pose, goal, found.motion, *told)
+
+    def skin(self, state: TrackState) -> Floats:
+        """Return the whole skin (V, 3) of a state."""
+        return self.face.whole_skin(state.x, state.drive.jaw)
+
+    def _drive(self, time: float, pose: TrackPose) -> Drive:
+        controls = self.tracked.controls(pose.activations, pose.target)
+        return Drive(time, controls, pose.jaw, IDENTITY)

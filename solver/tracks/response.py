@@ -1,0 +1,88 @@
+"""dx/dq of a face under tracks, q = (w, j): exact through equilibrium and contact.
+
+    H dx/dq = k dM/dq - (d2E/dx dA) dA/dq - (what bones and contact do as the jaw moves) db/dq
+
+H is the exact Hessian of flesh, springs and contact, indefinite or not. One factorisation serves
+columns, products and adjoint products (:mod:`solver.mechanics.response`). Friction is that of the
+step which led to the last state: what it remembers is taken as it is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from solver.errors import SolveError
+from solver.mechanics.boundary import Boundary, BoundaryRates
+from solver.mechanics.newton import Energy
+from solver.mechanics.response import Response, SparseControls
+from solver.simulation import MOMENT
+from solver.surface import Floats
+from solver.tracks.face import TrackFace, TrackState
+
+
+class TrackResponse:
+    """The derivatives of one state; ``minimum`` is False where flesh is about to buckle.
+
+    They are as exact as the state is settled: :class:`~solver.tracks.face.TrackFace` with a
+    ``tolerance`` of 1e-9 and ``settled_mm`` of 0 leaves next to nothing, after a second move to the
+    same controls where the first was far. Raises
+    :class:`~solver.errors.SolveError`: ``tracks.no_equilibrium`` for a state that is none,
+    ``solve.singular`` where a part of the flesh is held by nothing.
+    """
+
+    def __init__(self, face: TrackFace, state: TrackState) -> None:
+        self._face, self._state = face.face, state
+        flesh, x, controls, b = face.face.flesh, state.x, state.drive.A, state.drive.jaw
+        held = face.face.held_positions(b)
+        for each in face.potentials:
+            each.place(Boundary(held, b))
+        energy = Energy(flesh, face.face.linear, controls, face.potentials)
+        residual = energy.residual(energy.gradient(x))
+        if not residual <= MOMENT.stalled:
+            message = f"the state is no equilibrium: its residual is {residual:.1e}"
+            raise SolveError("tracks.no_equilibrium", message, residual=residual)
+        rates = face.targets.rates(state.q)
+        moved = (face.face.mandible_jacobian(b) @ rates.jaw)[flesh.held]
+        self._jaw = rates.jaw
+        self._controls = SparseControls.of(
+            flesh,
+            x,
+            controls,
+            face.tracked.rates(rates.activations, rates.target),
+            BoundaryRates(moved, rates.jaw),
+            face.potentials,
+        )
+        self._response = Response.exact(
+            flesh, x, controls, potentials=face.potentials, linear=face.exact_solver
+        )
+
+    @property
+    def minimum(self) -> bool:
+        """Tell whether the Hessian is positive definite."""
+        return self._response.minimum
+
+    def columns(self) -> Floats:
+        """Return dx/dq (p, 3, K + 5) of the flesh's vertices."""
+        return self._response.motions(self._controls)
+
+    def product(self, change: Floats) -> Floats:
+        """Return dx/dq dq (p, 3) for a change (K + 5,) of the controls."""
+        return self._response.product(self._controls, change)
+
+    def adjoint(self, gradient: Floats) -> Floats:
+        """Return (dx/dq)^T g (K + 5,) for g by the flesh's vertices (p, 3)."""
+        return self._response.adjoint(self._controls, gradient)
+
+    def skin_columns(self) -> Floats:
+        """Return the derivatives (V, 3, K + 5) of the whole skin."""
+        return self._face.skin_rates(self.columns(), self._state.drive.jaw, self._jaw)
+
+    def skin_product(self, change: Floats) -> Floats:
+        """Return the skin's motion (V, 3) for a change (K + 5,) of the controls."""
+        moved, by_jaw = self.product(change)[:, :, None], (self._jaw @ change)[:, None]
+        return np.asarray(self._face.skin_rates(moved, self._state.drive.jaw, by_jaw)[:, :, 0])
+
+    def skin_adjoint(self, gradient: Floats) -> Floats:
+        """Return the transpose of :meth:`skin_product` applied to g (V, 3): (K + 5,)."""
+        by_flesh, by_jaw = self._face.skin_adjoint(gradient, self._state.drive.jaw)
+        return np.asarray(self.adjoint(by_flesh) + self._jaw.T @ by_jaw)

@@ -1,0 +1,62 @@
+"""The job that builds muscle tracks: its files, and what is told of shapes and muscles."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from solver.anatomy.template import ShapeBasis
+from solver.errors import InputError
+from solver.jobs import build_tracks, run_job
+from solver.model import SubjectModel
+from solver.tracks.basis import MuscleTracks
+from tests.solver.tracks.block import block_shapes, tracked_block
+
+
+@pytest.fixture
+def model_file(tmp_path, monkeypatch):
+    model = tracked_block()
+    shapes = block_shapes(model) | {"still": np.zeros_like(model.skin.vertices)}
+    motions = np.array(list(shapes.values()), np.float32)
+    basis = ShapeBasis(motions[:0], motions, tuple(shapes))
+    monkeypatch.setattr(build_tracks, "read_template", lambda _: SimpleNamespace(shapes=basis))
+    file = tmp_path / "model.npz"
+    model.save(file)
+    return file
+
+
+def test_it_leaves_tracks_their_figures_and_a_picture(tmp_path, model_file):
+    options = {"stiffness": {"left": 2.0}, "length_mm": 2, "bones": "held"}
+    files = run_job("build_tracks", tmp_path / "out", options=options, model=model_file)
+    assert [file.name for file in files] == ["tracks.npz", "tracks.json", "tracks.png"]
+    tracks = MuscleTracks.load(files[0], SubjectModel.load(model_file))
+    assert tracks.names == ("aside", "bulge", "open", "still")
+    assert tracks.stiffness.tolist() == [2.0, 1.0]
+    assert (tracks.bones, tracks.length_mm) == ("held", 2.0)
+    told = json.loads(files[1].read_text())
+    assert told["notices"] == ["still moves no skin on flesh"]
+    assert [shape["turned_tets"] for shape in told["shapes"]] == [0, 0, 0, 0]
+    assert [muscle["name"] for muscle in told["muscles"]] == ["left", "right"]
+    assert all(muscle["length_mm"] > 10.0 and not muscle["closed"] for muscle in told["muscles"])
+    assert {shape["name"] for shape in told["tried"]} == set(tracks.names)
+    assert all(shape["reached"] and shape["inverted"] == 0 for shape in told["tried"])
+    assert files[2].read_bytes().startswith(b"\x89PNG")
+
+
+def test_shapes_that_turn_flesh_inside_out_are_told_and_kept(tmp_path, model_file, monkeypatch):
+    model = SubjectModel.load(model_file)
+    folded = np.zeros_like(model.skin.vertices)
+    folded[model.embedded, 2] = -25.0
+    basis = ShapeBasis(folded[None].astype(np.float32)[:0], folded[None], ("folded",))
+    monkeypatch.setattr(build_tracks, "read_template", lambda _: SimpleNamespace(shapes=basis))
+    files = run_job("build_tracks", tmp_path / "out", options={"bones": "held"}, model=model_file)
+    [shape] = json.loads(files[1].read_text())["shapes"]
+    assert shape["turned_tets"] > 10
+
+
+def test_a_muscle_that_there_is_not_is_told(tmp_path, model_file):
+    options = {"stiffness": {"lefty": 2.0}}
+    with pytest.raises(InputError) as error:
+        run_job("build_tracks", tmp_path / "out", options=options, model=model_file)
+    assert error.value.code == "tracks.muscle"
