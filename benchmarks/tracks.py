@@ -23,10 +23,9 @@ from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.template import CORRECTED
-from solver.contact import Gauge, contact_potentials
+from solver.contact import Gauge
 from solver.contact.barrier import Barrier
 from solver.errors import SolveError
-from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.boundary import Potential
 from solver.mechanics.linear import fastest
 from solver.mechanics.newton import Energy
@@ -35,7 +34,7 @@ from solver.scans.performance import ARKIT_NAMES, read_live_link
 from solver.surface import Floats
 from solver.templates.ict_facekit import arkit_source
 from solver.tracks.basis import MuscleTracks, TrackOptions
-from solver.tracks.face import TrackFace, TrackState
+from solver.tracks.face import TrackFace, TrackState, track_potentials
 from solver.tracks.response import TrackResponse
 from solver.tracks.shapes import template_shapes
 
@@ -115,7 +114,7 @@ class _Person:
         given = TrackOptions(length_mm=options.length_mm, law=options.law)
         self._tracks = MuscleTracks.of(model, self._shapes, given)
         self._precompute = time.perf_counter() - begun
-        potentials = contact_potentials(model, STIFFNESS_PA)
+        potentials = track_potentials(model)
         self._face = TrackFace(model, self._tracks, potentials, linear=fastest())
         self._rest = self._face.rest()
         self._start = time.perf_counter() - begun
@@ -189,7 +188,7 @@ class _Person:
         """Compare derivatives with differences, with contact and without."""
         weights = {name: w for name, w in PRESSED.items() if name in self._tracks.names}
         q = self._tracks.controls(weights)
-        potentials = contact_potentials(self._model, STIFFNESS_PA)
+        potentials = track_potentials(self._model)
         return {"free": self._derivatives(q, []), "contact": self._derivatives(q, potentials)}
 
     def _derivatives(self, q: Floats, potentials: list[Potential]) -> Figures:
