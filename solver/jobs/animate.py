@@ -33,6 +33,7 @@ from solver.scene import Stage
 from solver.scene.document import head_of
 from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks
+from solver.tracks.face import TrackContact
 
 BASIS = 0.1  # part of a job after which its basis is solved, if none was left
 SOLVED = 0.3  # part of a job after which its blendshapes are solved
@@ -63,7 +64,8 @@ def run(task: Task[Animate]) -> list[Path]:
         start, end = recording.start, recording.end
         of_take = recorded, shapes, model, start, end
         drives = RecordedDrives(*of_take, head=head, limits=rig.limits)
-        return Stage(scene, places, S, drives, given.linear_solver, tracks=tracks)
+        firmer = 1.0 if tracks is None else TrackContact.firmer
+        return Stage(scene, places, S, drives, given.linear_solver, firmer=firmer, tracks=tracks)
 
     kept = out / "blendshapes.npz"
     more: dict[str, Any] = {"timecode": recorded.timecodes[recording.start or 0]}

@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.template import CORRECTED
-from solver.contact import contact_potentials
 from solver.errors import SolveError
 from solver.jobs import Task, read_template
 from solver.kinds.build_tracks import BuildTracks
-from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.progress import Progress, Step
@@ -23,7 +21,7 @@ from solver.rig.pictures import TrackShot, tracks_picture
 from solver.storage import write_json
 from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks, TrackOptions, TrackTargets
-from solver.tracks.face import TrackFace
+from solver.tracks.face import TrackFace, track_potentials
 from solver.tracks.shapes import template_shapes
 
 
@@ -75,8 +73,7 @@ def _try(
     for name in sorted(moved, key=lambda each: -moved[each]):
         chosen.setdefault(name.removesuffix("Left").removesuffix("Right"), name)
     names = list(chosen.values())[: options.count]
-    potentials = contact_potentials(model, STIFFNESS_PA)
-    face = TrackFace(model, tracks, potentials, linear=fastest())
+    face = TrackFace(model, tracks, track_potentials(model), linear=fastest())
     rest, shots = face.rest(), []
     for number, name in enumerate(names):
         progress(Step("try", 0.2 + 0.7 * number / len(names), number, message=name))

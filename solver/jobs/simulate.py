@@ -19,6 +19,7 @@ from solver.scene import Stage
 from solver.scene.document import drives_of, moving_fibres, performances_of, track_drives_of
 from solver.scene.places import Places
 from solver.tracks.basis import MuscleTracks
+from solver.tracks.face import TrackContact
 
 
 def run(task: Task[Simulate]) -> list[Path]:
@@ -68,5 +69,6 @@ def _by_tracks(task: Task[Simulate], rig: Rig, places: Places) -> tuple[Stage, d
     given = task.options
     tracks = MuscleTracks.load(task.inputs["tracks"], rig.model)
     drives = track_drives_of(given.scene, TrackedShapes.of(rig.model, tracks), rig.model)
-    stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver, tracks=tracks)
+    driven = rig.weights, drives, given.linear_solver
+    stage = Stage(given.scene, places, *driven, firmer=TrackContact.firmer, tracks=tracks)
     return stage, {"shapes": len(tracks.names)}

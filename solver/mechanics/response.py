@@ -42,9 +42,12 @@ class Controls(Protocol):
 
 @dataclass(frozen=True)
 class SparseControls(Controls):
-    """Controls with G as a matrix: ``forces`` (size, k) CSC and ``held`` (3 p, k) CSR."""
+    """Controls with G as a matrix: ``forces`` (size, k), ``held`` (3 p, k).
 
-    forces: sp.csc_array
+    The forces are dense where held vertices move, as their coupling is.
+    """
+
+    forces: sp.csc_array | Floats
     held: sp.csr_array
 
     @classmethod
@@ -64,7 +67,6 @@ class SparseControls(Controls):
         placed where x is.
         """
         count, forces = rates.shape[1], flesh.forces_by_control(x, a) @ rates
-        held = sp.csr_array((flesh.rest.size, count))
         if boundary is not None:
             motion = np.zeros((len(flesh.rest), 3, count))
             motion[flesh.held] = boundary.held
@@ -73,12 +75,13 @@ class SparseControls(Controls):
             for each in potentials:
                 rigid += each.by_boundary(x, boundary).reshape(-1, count)
             pull = flesh.coupling(x, a, motion) + rigid[flesh.free_coordinates]
-            forces = forces + sp.csc_array(pull)
-            held = sp.csr_array(flat)
-        return cls(sp.csc_array(forces), held)
+            return cls(np.asarray(forces + pull), sp.csr_array(flat))
+        return cls(sp.csc_array(forces), sp.csr_array((flesh.rest.size, count)))
 
     @override
     def columns(self) -> Floats:
+        if isinstance(self.forces, np.ndarray):
+            return np.array(self.forces, order="F")
         return np.asarray(self.forces.toarray(order="F"))
 
     @override
