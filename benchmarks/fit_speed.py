@@ -127,7 +127,7 @@ class Person:
         if path is not None and path.is_file():
             return Rig.load(path), {}
         face = self.compile(Face(self.model))
-        schedule = subjects.schedule(self.options, self.model)
+        schedule = subjects.schedule(self.options, self.model, quick=self.options.quick)
         fits = by_geometry(face, self.captures.train, schedule)
         rig = Rig(self.model, fits.face.S, tuple(fits.expressions("train")))
         if path is not None:

@@ -292,7 +292,7 @@ def _rig(options: argparse.Namespace) -> Rig:
         return replace(rig, drive=SixNumbers()) if options.controls == "free" else rig
     edge = COARSE_EDGE_MM if options.quick else EDGE_MM
     model, captures = subjects.load(options, edge)
-    schedule = subjects.schedule(options, model)
+    schedule = subjects.schedule(options, model, quick=options.quick)
     fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
     return Rig(model, fits.face.S, tuple(fits.expressions("train")), drive=fits.face.drive)
 

@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> Figures:
     """Fit, make the preview and return the figures."""
     quick = options.quick
     model, captures = subjects.load(options, COARSE_EDGE_MM if quick else EDGE_MM)
-    schedule = subjects.schedule(options, model)
+    schedule = subjects.schedule(options, model, quick=options.quick)
     fits = subject_fits.by_geometry(Face(model), captures.train, schedule)
     fitted = fits.expressions("train")
     face = Face(model, fits.face.S, linear=fastest(), tolerance=TOLERANCE)

@@ -103,7 +103,7 @@ def _refitted(options: argparse.Namespace) -> Figures:
     face, trip = subject_fits.face_of_rig(options, options.rig), _trip(options)
     draw = replace(trip.draw, count=trip.draw.count + trip.trained)
     train, test = simulate(face, _draw(face, options, draw), trip).divided(trip.trained)
-    schedule = subjects.schedule(options, face.model)
+    schedule = subjects.schedule(options, face.model, quick=options.quick)
     fits = subject_fits.by_geometry(Face(face.model), train.scans, schedule)
     return {"refitted_mm": fits.mean_mm, "refitted": found_again(fits.face, test)}
 

@@ -246,7 +246,7 @@ def face_of_rig(
         return subjects.bounded(Face(rig.model, rig.weights), options)
     edge = subjects.COARSE_EDGE_MM if options.quick else subjects.EDGE_MM
     model, captures = subjects.load(options, edge)
-    schedule = subjects.schedule(options, model)
+    schedule = subjects.schedule(options, model, quick=options.quick)
     fits = by_geometry(Face(change(model)), captures.train, schedule)
     face = fits.face
     if path is not None:

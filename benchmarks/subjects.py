@@ -57,13 +57,10 @@ def bounded(face: Face, options: argparse.Namespace) -> Face:
     return face.driven_as(Admissible()) if options.controls == "admissible" else face
 
 
-def schedule(options: argparse.Namespace, model: SubjectModel) -> GeometryOptions:
+def schedule(options: argparse.Namespace, model: SubjectModel, *, quick: bool) -> GeometryOptions:
     """Return the schedule of fits of a model's S that end with these controls."""
-    return usual_options(
-        model,
-        within=Admissible() if options.controls == "admissible" else None,
-        rounds=QUICK_ROUNDS if options.quick else None,
-    )
+    within = Admissible() if options.controls == "admissible" else None
+    return usual_options(model, within, QUICK_ROUNDS if quick else None)
 
 
 def default_to_data(parser: argparse.ArgumentParser) -> None:
