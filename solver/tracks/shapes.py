@@ -32,6 +32,7 @@ class ShapeOptions:
 
     least_mm: float = 0.05  # a shape that moves no skin on flesh further does nothing
     as_teeth: float = 0.9  # skinning weight of the skin that stands for them
+    still_mm: float = 1e-3  # teeth that move less are still: templates round
 
 
 def template_shapes(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
@@ -101,7 +102,7 @@ class JawFreeShapes:
         check_shapes(model, shapes)
         on_skin = np.clip(model.embedding @ skinning, 0.0, 1.0)
         teeth, notices = _teeth(model, on_skin, options)
-        split = _JawSplit(model, on_skin, teeth)
+        split = _JawSplit(model, on_skin, teeth, options.still_mm)
         numbers, motions, missed = [], [], []
         for name, motion in shapes.items():
             under = CORRECTED.get(name, "")
@@ -128,13 +129,14 @@ class _JawSplit:
     model: SubjectModel
     on_skin: Floats  # (e,) o
     teeth: Ints
+    still_mm: float
 
     def __call__(self, motion: Floats) -> tuple[Floats, Floats, float]:
         """Return b (5,) and B (e, 3) of a ``motion`` (V, 3), and what b misses of the teeth."""
         jaw, neutral = FreeJaw(self.model.jaw), self.model.skin.vertices
         teeth, start = neutral[self.teeth], neutral[self.model.embedded]
         goal, b = teeth + motion[self.teeth], np.zeros(JAW_FREEDOM)
-        if np.abs(motion[self.teeth]).max(initial=0.0) > 0.0:
+        if np.abs(motion[self.teeth]).max(initial=0.0) > self.still_mm:
             b = nearest_jaw(jaw, teeth, goal, b)
         left = np.sqrt(((jaw.move(teeth, b) - goal) ** 2).sum() / max(len(teeth), 1))
         target = start + motion[self.model.embedded]
