@@ -144,6 +144,7 @@ class _Person:
         names = [self._tracks.names[number] for number in without_jaw]
         names = [name for name in names if name not in CORRECTED]
         weights = random.random(len(names))
+        weights /= weights.sum()  # teeth that are still in each shape are still in the sum
         added = sum(w * self._shapes[name] for w, name in zip(weights, names, strict=True))
         whole = MuscleTracks.of(self._model, {"sum": np.asarray(added)}).morphs[0]
         rows = [self._tracks.names.index(name) for name in names]

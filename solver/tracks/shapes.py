@@ -32,7 +32,7 @@ class ShapeOptions:
 
     least_mm: float = 0.05  # a shape that moves no skin on flesh further does nothing
     as_teeth: float = 0.9  # skinning weight of the skin that stands for them
-    still_mm: float = 1e-3  # teeth that move less are still: templates round
+    still_mm: float = 0.01  # teeth that move less are still: templates round
 
 
 def template_shapes(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
