@@ -39,8 +39,7 @@ def template_shapes(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, 
     """Return name -> the motion (V, 3) of a person's skin in every expression of its template.
 
     Correctives such as ``mouthClose`` are as they are, to be added to what they correct. Raises
-    :class:`InputError`: ``tracks.no_shapes`` for a template without expressions,
-    ``tracks.topology`` if they are of another skin.
+    :class:`InputError` (``tracks.no_shapes``) for a template without expressions.
     """
     if basis is None or not len(basis.expression_names):
         name = model.template.get("name", "")
@@ -51,7 +50,13 @@ def template_shapes(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, 
 
 
 def check_shapes(model: SubjectModel, shapes: Mapping[str, Floats]) -> None:
-    """Raise :class:`InputError` (``tracks.topology``, ``tracks.shape``) for shapes of no use."""
+    """Raise :class:`InputError` for shapes of no use.
+
+    ``tracks.no_shapes`` if there are none, ``tracks.topology`` for those of another skin,
+    ``tracks.shape`` for vertices that are no number.
+    """
+    if not shapes:
+        raise InputError("tracks.no_shapes", "there are no shapes that tracks could be built of")
     expected = model.skin.vertices.shape
     for name, motion in shapes.items():
         if motion.shape != expected:
