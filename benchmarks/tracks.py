@@ -44,7 +44,7 @@ QUICK_SHAPES = 4
 # weights of pressed lips; how far differences move the skin, for contact is stiff; and the steps,
 # over that, whose distances from the linear prediction tell its order
 PRESSED = {"mouthPressLeft": 1.0, "mouthPressRight": 1.0, "mouthShrugLower": 0.9, "jawLeft": 0.1}
-FREE_MM, TOUCHING_MM, TAYLOR = 1e-2, 2e-4, (20.0, 10.0)
+FREE_MM, TOUCHING_MM, TAYLOR = 2e-3, 2e-4, (20.0, 10.0)
 MOVES_MM = 0.05
 """Controls that move the skin by less, at most, are compared with nothing."""
 LIP_MM = 5.0
@@ -144,6 +144,7 @@ class _Person:
         names = [self._tracks.names[number] for number in without_jaw]
         names = [name for name in names if name not in CORRECTED]
         weights = random.random(len(names))
+        weights /= weights.sum()  # teeth that are still in each shape are still in the sum
         added = sum(w * self._shapes[name] for w, name in zip(weights, names, strict=True))
         whole = MuscleTracks.of(self._model, {"sum": np.asarray(added)}).morphs[0]
         rows = [self._tracks.names.index(name) for name in names]
@@ -192,7 +193,7 @@ class _Person:
         return {"free": self._derivatives(q, []), "contact": self._derivatives(q, potentials)}
 
     def _derivatives(self, q: Floats, potentials: list[Potential]) -> Figures:
-        face = TrackFace(self._model, self._tracks, potentials, tolerance=1e-10, settled_mm=0.0)
+        face = TrackFace(self._model, self._tracks, potentials, tolerance=1e-12, settled_mm=0.0)
         state = face.move(face.move(face.rest(), q), q)  # the second settles what is left
         response = TrackResponse(face, state)
         timed = _times(face, state)

@@ -166,10 +166,13 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
         files += _assets(session, new)
     files += _template(session, kind, new)
     for name, file in FILES.items():
-        if file.of_a_rig and file.input in kind.reads:
-            leavers = [each.name for each in KINDS.values() if name in each.hands_on]
-            if found := rigs.left_by(session, rig, leavers, name, file.formats):
-                files.append(artifact_file(file.role, found))
+        if file.input not in kind.reads or not (file.of_a_rig or file.of_a_model):
+            continue
+        made_of = rigs.made_of_rig(rig) if file.of_a_rig else rigs.made_of_model(model)
+        leavers = [each.name for each in KINDS.values() if name in each.hands_on]
+        what = leavers, name, file.formats
+        if found := rigs.left_by(session, new.subject_id, made_of, *what):
+            files.append(artifact_file(file.role, found))
     return Inputs(files, model_job_id=model.id)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import or_, select
+from sqlalchemy import ColumnElement, or_, select
 from sqlalchemy.orm import Session, load_only
 
 from service import paging
@@ -82,21 +82,37 @@ def preview(session: Session, rig: Rig) -> Artifact | None:
     ).one_or_none()
 
 
-def left_by(
-    session: Session, rig: Rig, kinds: Iterable[str], name: str, formats: Iterable[int]
-) -> Artifact | None:
-    """Return the newest artifact ``name`` that jobs of some ``kinds`` left of a rig.
+def made_of_rig(rig: Rig) -> ColumnElement[bool]:
+    """Return what holds of jobs that read a rig."""
+    same: ColumnElement[bool] = Job.request["rig_id"].as_string() == rig.id
+    return same
 
-    It is of one of ``formats``, or of one that was not noted.
+
+def made_of_model(model: Job) -> ColumnElement[bool]:
+    """Return what holds of jobs that read the model which a job made."""
+    return Job.model_job_id == model.id
+
+
+def left_by(
+    session: Session,
+    subject_id: str,
+    made_of: ColumnElement[bool],
+    kinds: Iterable[str],
+    name: str,
+    formats: Iterable[int],
+) -> Artifact | None:
+    """Return the newest artifact ``name`` that a subject's jobs of some ``kinds`` left.
+
+    They are those that ``made_of`` holds of; it is of one of ``formats``, or of one not noted.
     """
     return session.scalars(
         select(Artifact)
         .join(Job, Job.id == Artifact.job_id)
         .where(
-            Job.subject_id == rig.subject_id,
+            Job.subject_id == subject_id,
             Job.state == State.SUCCEEDED,
             Job.kind.in_(kinds),
-            Job.request["rig_id"].as_string() == rig.id,
+            made_of,
             Artifact.name == name,
             or_(Artifact.format.is_(None), Artifact.format.in_(formats)),
         )

@@ -30,7 +30,8 @@ class Task(Generic[Given]):
     ``inputs`` are its files by name: ``scan`` with its ``landmarks``, ``neutral``, ``template``,
     ``model``, ``rig`` (of 0.1 with its ``model``, ``weights`` and ``report``: ``Rig.load`` reads
     either), ``start`` (another rig), ``performance``, ``markers`` (a take) with their
-    ``marker_set`` and calibrated ``fibre_muscles``, ``blendshapes``, ``expression_basis``.
+    ``marker_set`` and calibrated ``fibre_muscles``, ``blendshapes``, ``expression_basis``,
+    ``tracks``.
     """
 
     out: Path  # the folder for what it leaves

@@ -71,7 +71,7 @@ def run(task: Task[Animate]) -> list[Path]:
     if scene.drive == "tracks":
         tracks = MuscleTracks.load(task.inputs["tracks"], model)
         stage, begun = stage_of(TrackedShapes.of(model, tracks), tracks), READ
-        more: dict[str, Any] = {"shapes": len(tracks.names)}
+        told: dict[str, Any] = {"shapes": len(tracks.names)}
     else:
         shapes = None
         if "blendshapes" in task.inputs:
@@ -82,8 +82,8 @@ def run(task: Task[Animate]) -> list[Path]:
             shapes = _solve_shapes(rig, kept, task)
         shapes.save(kept, model, S)
         stage, begun = stage_of(shapes), SOLVED
-        more = _told(shapes)
-    more["timecode"] = recorded.timecodes[recording.start or 0]
+        told = _told(shapes)
+    more = {"timecode": recorded.timecodes[recording.start or 0], **told}
     playing = part_of(progress, begun, EXPORT)
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
     written = finish(stage, frames, out, progress, title="Animation", video=given.video, more=more)

@@ -103,6 +103,7 @@ class LeftFile:
     role: str  # what the job that reads it calls it
     formats: tuple[int, ...] = (1,)  # the numbers that this release reads, the newest last
     of_a_rig: bool = False  # made of one rig and of no other: later jobs of it find the newest
+    of_a_model: bool = False  # the same of a model: jobs of rigs that have it find the newest
     is_kept: bool = False  # takes minutes to make: the next attempt at a job goes on with it
 
     @property
@@ -113,7 +114,7 @@ class LeftFile:
 
 FILES: Mapping[str, LeftFile] = {
     "model.npz": LeftFile("model", "model"),
-    "tracks.npz": LeftFile("tracks", "tracks"),
+    "tracks.npz": LeftFile("tracks", "tracks", of_a_model=True),
     "rig.npz": LeftFile("rig", "rig"),
     "markers.json": LeftFile("markers", "marker_set"),
     "sequence.npz": LeftFile("sequences", "asset", formats=(1, 2)),  # 2 has what markers add

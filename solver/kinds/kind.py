@@ -51,7 +51,7 @@ class Kind:
         number of theirs, ``sequences`` those that fits left, named as assets are; ``template`` is
         the subject's, ``model`` its newest, ``rig`` a fitted person, ``any_rig`` one that may be
         left out, ``blendshapes``, ``expression_basis`` and calibrated ``fibre_muscles`` are those
-        that an earlier job of the rig left.
+        that an earlier job of the rig left; ``tracks`` one of its model.
     asks
         What only a command line asks for: the ``role`` of a capture, which a service knows, and
         the ``start`` of a fit, another rig.

@@ -255,11 +255,12 @@ class TrackTargets:
     def __init__(self, model: SubjectModel, tracks: MuscleTracks) -> None:
         self._model, self._tracks = model, tracks
         self._jaw = FreeJaw(model.jaw)
-        self._rest_lengths = tracks.lines.lengths(model.rest)
+        lengths = tracks.lines.lengths(model.rest)
         _, volumes = shape_gradients(model.rest, model.tets)
         tensors = fibre_tensors(model, volumes, model.weights)
         # muscles with a line and fibres; the others stay as passive flesh
-        self._driven = (self._rest_lengths > 0.0) & np.isfinite(tensors).all(axis=(1, 2))
+        self._driven = (lengths > 0.0) & np.isfinite(tensors).all(axis=(1, 2))
+        self._rest_lengths = lengths[self._driven]
         self._shortening = Shortening.of(tensors[self._driven])
 
     @cached_property
@@ -292,7 +293,7 @@ class TrackTargets:
         lengths = tracks.lines.length_rates(pose.target, target)
         a = np.zeros((*pose.activations.shape, len(q)))
         by_stretch = self._shortening.rates(self._stretches(pose.lengths))
-        stretch = (lengths / np.maximum(self._rest_lengths, 1e-9)[:, None])[self._driven]
+        stretch = lengths[self._driven] / self._rest_lengths[:, None]
         a[self._driven] = by_stretch[:, :, None] * stretch[:, None]
         return TrackRates(target, self._jaw_rates, a)
 
@@ -301,4 +302,4 @@ class TrackTargets:
         return np.asarray(self._model.rest + np.tensordot(weights, self._tracks.morphs, 1))
 
     def _stretches(self, lengths: Floats) -> Floats:
-        return np.asarray((lengths / np.maximum(self._rest_lengths, 1e-9))[self._driven])
+        return np.asarray(lengths[self._driven] / self._rest_lengths)

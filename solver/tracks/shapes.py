@@ -32,14 +32,14 @@ class ShapeOptions:
 
     least_mm: float = 0.05  # a shape that moves no skin on flesh further does nothing
     as_teeth: float = 0.9  # skinning weight of the skin that stands for them
+    still_mm: float = 0.01  # teeth that move less are still: templates round
 
 
 def template_shapes(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
     """Return name -> the motion (V, 3) of a person's skin in every expression of its template.
 
     Correctives such as ``mouthClose`` are as they are, to be added to what they correct. Raises
-    :class:`InputError`: ``tracks.no_shapes`` for a template without expressions,
-    ``tracks.topology`` if they are of another skin.
+    :class:`InputError` (``tracks.no_shapes``) for a template without expressions.
     """
     if basis is None or not len(basis.expression_names):
         name = model.template.get("name", "")
@@ -50,7 +50,13 @@ def template_shapes(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, 
 
 
 def check_shapes(model: SubjectModel, shapes: Mapping[str, Floats]) -> None:
-    """Raise :class:`InputError` (``tracks.topology``, ``tracks.shape``) for shapes of no use."""
+    """Raise :class:`InputError` for shapes of no use.
+
+    ``tracks.no_shapes`` if there are none, ``tracks.topology`` for those of another skin,
+    ``tracks.shape`` for vertices that are no number.
+    """
+    if not shapes:
+        raise InputError("tracks.no_shapes", "there are no shapes that tracks could be built of")
     expected = model.skin.vertices.shape
     for name, motion in shapes.items():
         if motion.shape != expected:
@@ -101,7 +107,7 @@ class JawFreeShapes:
         check_shapes(model, shapes)
         on_skin = np.clip(model.embedding @ skinning, 0.0, 1.0)
         teeth, notices = _teeth(model, on_skin, options)
-        split = _JawSplit(model, on_skin, teeth)
+        split = _JawSplit(model, on_skin, teeth, options.still_mm)
         numbers, motions, missed = [], [], []
         for name, motion in shapes.items():
             under = CORRECTED.get(name, "")
@@ -128,13 +134,14 @@ class _JawSplit:
     model: SubjectModel
     on_skin: Floats  # (e,) o
     teeth: Ints
+    still_mm: float
 
     def __call__(self, motion: Floats) -> tuple[Floats, Floats, float]:
         """Return b (5,) and B (e, 3) of a ``motion`` (V, 3), and what b misses of the teeth."""
         jaw, neutral = FreeJaw(self.model.jaw), self.model.skin.vertices
         teeth, start = neutral[self.teeth], neutral[self.model.embedded]
         goal, b = teeth + motion[self.teeth], np.zeros(JAW_FREEDOM)
-        if np.abs(motion[self.teeth]).max(initial=0.0) > 0.0:
+        if np.abs(motion[self.teeth]).max(initial=0.0) > self.still_mm:
             b = nearest_jaw(jaw, teeth, goal, b)
         left = np.sqrt(((jaw.move(teeth, b) - goal) ** 2).sum() / max(len(teeth), 1))
         target = start + motion[self.model.embedded]

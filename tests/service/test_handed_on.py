@@ -289,3 +289,15 @@ def test_every_file_that_is_handed_on_is_an_input_of_some_kind() -> None:
     left = {name for kind in KINDS.values() for name in kind.hands_on}
     assert left <= set(FILES)
     assert {FILES[name].input for name in left} <= read
+
+
+def test_tracks_of_the_rig_s_model_are_found_by_its_scenes(session: Session) -> None:
+    rig = session.add_rig()
+    tracks = session.studio.submit("build_tracks", session.subject)
+    session.studio.pretend(tracks, session.stored("tracks.npz"))
+    scene = {"options": {"scene": {"drive": "tracks", "keys": [{"time": 0}]}}}
+    job = session.ask("simulate", rig_id=rig, **scene).json()["id"]
+    assert session.sources(job)["tracks"] == tracks
+    # another model's rig has none of them
+    other = session.ask("simulate", rig_id=session.add_rig(), **scene).json()["id"]
+    assert "tracks" not in session.sources(other)

@@ -36,6 +36,10 @@ def test_an_example_is_a_scene_of_the_built_in_person(name):
     template = builtin_template()
     assert {*named(scene, "at"), *named(scene, "spots")} <= set(landmark_vertices(template))
     assert set(named(scene, "regions")) <= set(template.regions)
+    shapes = {name for key in scene.get("keys", []) for name in key.get("shapes", {})}
+    assert bool(shapes) == (scene.get("drive") == "tracks")
+    assert template.shapes is not None
+    assert shapes <= set(template.shapes.expression_names)
 
 
 def test_the_scenes_of_the_documentation_are_some():

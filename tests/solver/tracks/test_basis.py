@@ -145,6 +145,12 @@ def test_shapes_that_cannot_be_carried_are_refused(model, shapes):
     assert error.value.code == "tracks.topology"
 
 
+def test_no_shapes_make_no_tracks(model):
+    with pytest.raises(InputError) as error:
+        MuscleTracks.of(model, {})
+    assert error.value.code == "tracks.no_shapes"
+
+
 def test_a_template_without_expressions_is_refused(model):
     nothing = np.zeros((0, len(model.skin.vertices), 3), np.float32)
     for basis in (None, ShapeBasis(nothing, nothing, ())):
