@@ -3,6 +3,8 @@
 Muscle weights S, activations and jaw of several expressions at once; the result is a rig.
 """
 
+from typing import Annotated
+
 from pydantic import Field
 
 from solver.kinds.document import Whole
@@ -12,10 +14,8 @@ from solver.kinds.kind import DoubleSolver, ExpressionFitOptions, Kind
 class FitGeometry(ExpressionFitOptions):
     """Options of a fit of S, activations and jaw."""
 
-    rounds: Whole | None = Field(
+    rounds: Annotated[Whole, Field(ge=1, le=50)] | None = Field(
         default=None,
-        ge=1,
-        le=50,
         description="at most so many rounds of Gauss-Newton on S and all poses: by default 4 where "
         "the template is trained, else 12; admissible controls take up to 1.7 times as many more, "
         "to close their bounds",

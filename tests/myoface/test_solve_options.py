@@ -108,9 +108,8 @@ def value_of(rules: Mapping[str, Any]) -> Any:
         return {"side": 3}
     if "string" in kinds:
         return "smile"
-    number = next(each for each in forms if each.get("type") in ("integer", "number"))
-    least = number.get("minimum", number.get("exclusiveMinimum", 0))
-    most = number.get("maximum", least + 1000)
+    least = rules.get("minimum", rules.get("exclusiveMinimum", 0))
+    most = rules.get("maximum", least + 1000)
     value = 290 if least <= 290 <= most and rules.get("default") != 290 else (least + most) / 2
     return int(value) if "integer" in kinds else float(value)
 
