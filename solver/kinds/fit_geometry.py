@@ -7,14 +7,14 @@ from typing import Annotated
 
 from pydantic import Field
 
-from solver.kinds.document import Whole
+from solver.kinds.document import Integral
 from solver.kinds.kind import DoubleSolver, ExpressionFitOptions, Kind
 
 
 class FitGeometry(ExpressionFitOptions):
     """Options of a fit of S, activations and jaw."""
 
-    rounds: Annotated[Whole, Field(ge=1, le=50)] | None = Field(
+    rounds: Annotated[int, Field(ge=1, le=50), Integral] | None = Field(
         default=None,
         description="at most so many rounds of Gauss-Newton on S and all poses: by default 4 where "
         "the template is trained, else 12; admissible controls take up to 1.7 times as many more, "
