@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from solver.simulation import Simulator as Simulator
     from solver.tracks.basis import MuscleTracks as MuscleTracks
     from solver.tracks.face import TrackFace as TrackFace
+    from solver.tracks.fit import fit as fit_tracks  # noqa: F401
     from solver.tracks.response import TrackResponse as TrackResponse
 
 # Read when the first kernel starts its threads. Else these wait busily for the next kernel, which
@@ -79,6 +80,7 @@ _PLACES = {
     "expression_terms": "solver.fitting.contact:terms",
     "fit_expression": "solver.fitting.fallback:fit",
     "fit_geometry": "solver.fitting.geometry:fit",
+    "fit_tracks": "solver.tracks.fit:fit",
     "read_registered": "solver.meshio.registered:read_registered",
     "run_job": "solver.jobs:run_job",
     "unseen_regulariser": "solver.fitting.activation:unseen_regulariser",
