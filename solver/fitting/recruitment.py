@@ -60,8 +60,9 @@ class RecruitmentOptions:
     even: float = 20.0  # by which what both sides do otherwise costs more than w_a
 
 
-# A trained S (:mod:`solver.fitting.training`) leaves the work to the right muscles by itself
-TRAINED = RecruitmentOptions(price=10.0)
+# A trained S (:mod:`solver.fitting.training`) leaves the work to the right muscles by itself;
+# antagonists pay as much as without
+TRAINED = RecruitmentOptions(price=10.0, opposed=30.0)
 
 
 def usual_options(model: SubjectModel) -> RecruitmentOptions:
