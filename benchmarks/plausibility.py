@@ -14,14 +14,13 @@ from benchmarks import documents, plots, report, subject_fits, subjects
 from benchmarks.documents import Figures, Plot, Section, Table
 from benchmarks.plots import Tradeoff
 from benchmarks.rig_figures import muscle_figures
-from benchmarks.subjects import COARSE_EDGE_MM, Subject
+from benchmarks.subjects import COARSE_EDGE_MM, QUICK_ROUNDS, Subject
 from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.face import Face
 from solver.fitting.geometry import usual_options
 from solver.rig.report.certificate import muscles
 
 STEPS = (1.0, 0.8, 0.5, 0.0)
-QUICK_ROUNDS = 4
 WORST = {  # figures of a fit -> their words
     "stretch_longest": "greatest stretch",
     "fibres_longest": "longest fibres",

@@ -113,10 +113,9 @@ def chosen_template(options: argparse.Namespace, edge_mm: float) -> Template:
     """Return the subjects' template with tets of ``edge_mm``."""
     if (options.faces is None) != (options.anatomy is None):
         raise SystemExit("--anatomy and --faces go together")
-    found = builtin_template()
-    if options.faces is not None:
-        found = build_ict_template(options.anatomy, options.faces)
-    return find_or_make_mesh(found, edge_mm)
+    if options.faces is None:
+        return find_or_make_mesh(builtin_template(), edge_mm)
+    return find_or_make_mesh(build_ict_template(options.anatomy, options.faces), edge_mm)
 
 
 def trained(template: Template) -> Template:

@@ -23,16 +23,17 @@ from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.template import CORRECTED
+from solver.anatomy.tetrahedra import volumes
+from solver.animation import shape_weights
 from solver.contact import Gauge
 from solver.contact.barrier import Barrier
 from solver.errors import SolveError
-from solver.mechanics.boundary import Potential
+from solver.mechanics.boundary import JAW_FREEDOM, Potential
 from solver.mechanics.linear import fastest
 from solver.mechanics.newton import Energy
 from solver.model import SubjectModel
-from solver.scans.performance import ARKIT_NAMES, read_live_link
+from solver.scans.performance import read_live_link
 from solver.surface import Floats
-from solver.templates.ict_facekit import arkit_source
 from solver.tracks.basis import MuscleTracks, TrackOptions
 from solver.tracks.face import TrackFace, TrackState, track_potentials
 from solver.tracks.response import TrackResponse
@@ -170,13 +171,11 @@ class _Person:
     def recorded(self) -> Figures:
         """Play frames of a recording."""
         take = read_live_link(self._options.recording)
-        sources = [arkit_source(name) for name in self._tracks.names]
-        driven = np.array([source in ARKIT_NAMES for source in sources])
-        columns = [ARKIT_NAMES.index(source) if source in ARKIT_NAMES else 0 for source in sources]
-        weights = np.clip(take.weights[:, columns], 0.0, 1.0) * driven
+        weights = shape_weights(take, self._tracks.names)
+        jaw = np.zeros(JAW_FREEDOM)
         found, failed, state = [], [], self._rest
         for number in self._numbers(len(weights)):
-            q = np.concatenate([weights[number], np.zeros(self._tracks.size - len(sources))])
+            q = np.concatenate([weights[number], jaw])
             try:
                 frame, state = self._go(state, q)
             except SolveError as error:
@@ -249,10 +248,7 @@ class _Person:
 
     def _lip_change(self, x: Floats) -> float:
         """Return the change of the lips' volume, a part of that at rest."""
-        rest, now = (
-            np.linalg.det(each[self._lips[:, 1:]] - each[self._lips[:, :1]]).sum()
-            for each in (self._model.rest, x)
-        )
+        rest, now = (volumes(each, self._lips).sum() for each in (self._model.rest, x))
         return float(now / rest - 1.0)
 
 

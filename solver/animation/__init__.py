@@ -305,6 +305,17 @@ def check_muscles(names: Iterable[str], muscles: Sequence[str], where: str, **co
             raise InputError("scene.muscle", reason, found=name, expected=list(muscles), **context)
 
 
+def shape_weights(take: LiveLinkTake, names: Sequence[str]) -> Floats:
+    """Return a recording's weights (f, e), from 0 to 1, of the shapes ``names`` of a template.
+
+    Those that ARKit does not drive, as tracks have some, are zero throughout.
+    """
+    sources = [arkit_source(name) for name in names]
+    driven = [source in ARKIT_NAMES for source in sources]
+    columns = [ARKIT_NAMES.index(source) if source in ARKIT_NAMES else 0 for source in sources]
+    return np.asarray(np.clip(take.weights[:, columns], 0.0, 1.0) * driven)
+
+
 class RecordedDrives(Drives):
     """:class:`Drives` of a recording of Live Link Face, from frame ``start`` to before ``end``.
 
@@ -335,13 +346,9 @@ class RecordedDrives(Drives):
             reason = f"the recording has the frames 0 to {count - 1}: {asked}"
             raise InputError("scene.frames", reason, expected=count, start=start, end=last)
         frames = slice(start, last)
-        # what ARKit drives; tracks have other shapes, too
-        sources = [arkit_source(name) for name in shapes.names]
-        driven = [source in ARKIT_NAMES for source in sources]
-        columns = [ARKIT_NAMES.index(source) if source in ARKIT_NAMES else 0 for source in sources]
         self._shapes = shapes
         self.times: Floats = take.times[frames] - take.times[start]
-        self.weights: Floats = np.clip(take.weights[frames][:, columns], 0.0, 1.0) * driven
+        self.weights: Floats = shape_weights(take, shapes.names)[frames]
         turns = np.hstack([take.head[frames], take.eyes[frames].reshape(-1, 6)])
         values = np.hstack([self.weights, turns])
         self._track = track(self.times, values, "frames", "linear")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.template import CORRECTED
+from solver.anatomy.tetrahedra import volumes
 from solver.errors import SolveError
 from solver.jobs import Task, read_template
 from solver.kinds.build_tracks import BuildTracks
@@ -127,5 +128,4 @@ def _figures(model: SubjectModel, tracks: MuscleTracks, shots: list[TrackShot]) 
 
 def _turned(model: SubjectModel, x: Floats) -> int:
     """Return how many tets are inside out at x (p, 3): there flesh does not follow its target."""
-    edges = x[model.tets[:, 1:]] - x[model.tets[:, :1]]
-    return int((np.linalg.det(edges) <= 0.0).sum())
+    return int((volumes(x, model.tets) <= 0.0).sum())

@@ -274,7 +274,10 @@ class TrackTargets:
 
     def at(self, q: Floats) -> TrackPose:
         """Return what q (K + 5,) asks for."""
-        b, y = self.jaw(q), self._morphed(q)
+        return self._pose(self.jaw(q), self._morphed(q))
+
+    def _pose(self, b: Floats, y: Floats) -> TrackPose:
+        """Return what a jaw b (5,) and the morphed flesh y (p, 3) ask for."""
         share = self._tracks.skinning[:, None]
         target = (1.0 - share) * y + share * self._jaw.move(y, b)
         lengths = self._tracks.lines.lengths(target)
@@ -289,7 +292,7 @@ class TrackTargets:
         turned = (1.0 - share) * np.eye(3) + share * self._jaw.matrix(b)[:3, :3]
         target = share * (self._jaw.jacobian(y, b) @ self._jaw_rates)
         target[:, :, : len(tracks.names)] += turned @ tracks.morphs.transpose(1, 2, 0)
-        pose = self.at(q)
+        pose = self._pose(b, y)
         lengths = tracks.lines.length_rates(pose.target, target)
         a = np.zeros((*pose.activations.shape, len(q)))
         by_stretch = self._shortening.rates(self._stretches(pose.lengths))
