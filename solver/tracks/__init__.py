@@ -10,4 +10,6 @@ and Fedkiw, High-quality face capture using anatomical muscles, CVPR 2019).
 
 :mod:`~solver.tracks.shapes`, :mod:`~solver.tracks.lines`, :mod:`~solver.tracks.basis`,
 :mod:`~solver.tracks.springs` and :mod:`~solver.tracks.face`, in that order.
+:mod:`~solver.tracks.fit` finds weights and jaw of a scan, by the flesh or by the plain shapes of
+:mod:`~solver.tracks.plain`.
 """

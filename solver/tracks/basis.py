@@ -148,6 +148,13 @@ class MuscleTracks:
             q[len(self.names) :] = jaw
         return q
 
+    def check_controls(self, q: Floats) -> None:
+        """Raise :class:`InputError` (``tracks.controls``) for anything but q (K + 5,), finite."""
+        if q.shape != (self.size,) or not np.isfinite(q).all():
+            wanted = f"{len(self.names)} weights and five numbers of the jaw"
+            message = f"controls are {wanted}, all finite, not of shape {q.shape}"
+            raise InputError("tracks.controls", message, expected=self.size)
+
     def shares(self, model: SubjectModel) -> sp.csr_array:
         """Return S (n, m + 1), a model's muscles' parts of its tets weighed by their firmness.
 

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from solver.contact import contact_potentials
-from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.boundary import Potential
@@ -21,6 +20,7 @@ from solver.simulation import MOMENT, Simulator
 from solver.simulation.forces import Drive, FleshMotion
 from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks, TrackPose, TrackTargets
+from solver.tracks.response import TrackResponse
 from solver.tracks.springs import TrackedFlesh
 
 
@@ -64,8 +64,8 @@ class TrackFace:
     ``potentials`` are what the skin touches, of the same ``stiffness_pa``:
     :func:`track_potentials`. ``linear`` names the linear solver; states are
     solved to ``tolerance``, or until steps are shorter than ``settled_mm``, as
-    :class:`~solver.mechanics.newton.NewtonOptions` say. Raises :class:`InputError`
-    (``tracks.model``) for tracks of another model.
+    :class:`~solver.mechanics.newton.NewtonOptions` say. Raises
+    :class:`~solver.errors.InputError` (``tracks.model``) for tracks of another model.
     """
 
     def __init__(
@@ -115,13 +115,10 @@ class TrackFace:
     def move(self, state: TrackState, q: Floats) -> TrackState:
         """Go from a state to controls q (K + 5,); the shorter the way, the faster.
 
-        Raises :class:`InputError` (``tracks.controls``) for other numbers than these, and
-        :class:`~solver.errors.SolveError` (``simulate.*``) where the flesh finds no way.
+        Raises as ``MuscleTracks.check_controls``, and :class:`~solver.errors.SolveError`
+        (``simulate.*``) where the flesh finds no way.
         """
-        if q.shape != (self.tracks.size,) or not np.isfinite(q).all():
-            wanted = f"{len(self.tracks.names)} weights and five numbers of the jaw"
-            message = f"controls are {wanted}, all finite, not of shape {q.shape}"
-            raise InputError("tracks.controls", message, expected=self.tracks.size)
+        self.tracks.check_controls(q)
         pose = self.targets.at(q)
         goal = self._drive(state.drive.time + 1.0, pose)
         found = self._simulator.step(state.motion, state.drive, goal)
@@ -131,6 +128,10 @@ class TrackFace:
     def skin(self, state: TrackState) -> Floats:
         """Return the whole skin (V, 3) of a state."""
         return self.face.whole_skin(state.x, state.drive.jaw)
+
+    def columns(self, state: TrackState) -> Floats:
+        """Return dx/dq (p, 3, K + 5); raises as :class:`~solver.tracks.response.TrackResponse`."""
+        return TrackResponse(self, state).columns()
 
     def _drive(self, time: float, pose: TrackPose) -> Drive:
         controls = self.tracked.controls(pose.activations, pose.target)

@@ -3,7 +3,8 @@
     min over q = (w, j)    data(x(q)) + w_w/2 |w|^2 + w_j/2 |j|^2    with 0 <= w <= 1
 
 x(q) is the flesh at rest between its tracks, bones and whatever touches, and dx/dq is exact
-(:mod:`solver.tracks.response`). Gauss-Newton with a trust region: each step is the least of its
+(:mod:`solver.tracks.response`); or x(q) is that of plain shapes (:mod:`solver.tracks.plain`), which
+the same terms fit. Gauss-Newton with a trust region: each step is the least of its
 model within the bounds and a box around q. Published weights have no bounds; here they stay in
 [0, 1], where an animator can take them up, unless they are asked to be free.
 """
@@ -12,11 +13,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from typing_extensions import override
 
 from solver.errors import SolveError
+from solver.fitting.face import Face
 from solver.fitting.least_squares import (
     DampingOptions,
     LeastSquaresProblem,
@@ -32,8 +35,52 @@ from solver.fitting.least_squares import (
 from solver.fitting.objective import Term
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.surface import Floats
-from solver.tracks.face import TrackFace, TrackState
-from solver.tracks.response import TrackResponse
+from solver.tracks.basis import MuscleTracks, TrackPose
+
+
+class ShapeState(Protocol):
+    """A face under controls q: the flesh's vertices x (p, 3), and what it was asked for."""
+
+    @property
+    def q(self) -> Floats:
+        """Return the controls (K + 5,)."""
+
+    @property
+    def x(self) -> Floats:
+        """Return the vertices (p, 3)."""
+
+    @property
+    def pose(self) -> TrackPose:
+        """Return what the controls ask for."""
+
+    @property
+    def inverted(self) -> int:
+        """Return how many tets are inside out."""
+
+
+State = TypeVar("State", bound=ShapeState)
+
+
+class ShapeFace(Protocol[State]):
+    """A face that weights of shapes and a jaw drive.
+
+    :class:`~solver.tracks.face.TrackFace` or :class:`~solver.tracks.plain.PlainFace`.
+    """
+
+    face: Face
+    tracks: MuscleTracks
+
+    def rest(self) -> State:
+        """Return the neutral face."""
+
+    def move(self, state: State, q: Floats) -> State:
+        """Go from a state to controls q (K + 5,)."""
+
+    def skin(self, state: State) -> Floats:
+        """Return the whole skin (V, 3)."""
+
+    def columns(self, state: State) -> Floats:
+        """Return dx/dq (p, 3, K + 5)."""
 
 
 @dataclass(frozen=True)
@@ -53,22 +100,22 @@ class TrackFitOptions:
 
 
 @dataclass(frozen=True)
-class TrackFit:
+class TrackFit(Generic[State]):
     """End of a fit: the flesh there, the objective in mm^2, the steps to it, and why."""
 
-    state: TrackState
+    state: State
     objective: float
     steps: int
     termination: Termination
 
 
 def fit(
-    face: TrackFace,
+    face: ShapeFace[State],
     data: Term,
-    start: TrackState | None = None,
+    start: State | None = None,
     options: TrackFitOptions = TrackFitOptions(),
     listen: Listener | None = None,
-) -> TrackFit:
+) -> TrackFit[State]:
     """Fit weights and jaw to what ``data`` asks of the flesh, from rest or from a ``start``.
 
     ``data`` is a term of ``face.face``, such as
@@ -82,8 +129,8 @@ def fit(
 
 
 @dataclass(frozen=True)
-class _Problem(LeastSquaresProblem[TrackState]):
-    face: TrackFace
+class _Problem(LeastSquaresProblem[State]):
+    face: ShapeFace[State]
     data: Term
     options: TrackFitOptions
 
@@ -110,19 +157,19 @@ class _Problem(LeastSquaresProblem[TrackState]):
         return np.concatenate([low, -free]), np.concatenate([high, free])
 
     @override
-    def value(self, point: TrackState) -> float:
+    def value(self, point: State) -> float:
         return self.data.value(point.x) + 0.5 * float(self.prices @ point.q**2)
 
     @override
-    def linearise(self, point: TrackState) -> LinearModel:
-        columns = TrackResponse(self.face, point).columns().reshape(-1, len(point.q))
+    def linearise(self, point: State) -> LinearModel:
+        columns = self.face.columns(point).reshape(-1, len(point.q))
         gradient = columns.T @ self.data.gradient(point.x).ravel() + self.prices * point.q
         curvature = self.data.curvature(point.x)
         hessian = columns.T @ np.asarray(curvature @ columns) + np.diag(self.prices)
         return _Model(self, point.q, gradient, hessian)
 
     @override
-    def move(self, point: TrackState, step: LeastSquaresStep) -> TrackState | None:
+    def move(self, point: State, step: LeastSquaresStep) -> State | None:
         try:
             return self.face.move(point, np.clip(point.q + step.change, *self.bounds))
         except SolveError:
@@ -133,7 +180,7 @@ class _Problem(LeastSquaresProblem[TrackState]):
 class _Model(LinearModel):
     """The Gauss-Newton model of a problem at q."""
 
-    problem: _Problem
+    problem: _Problem[Any]
     q: Floats
     gradient: Floats
     hessian: Floats

@@ -9,6 +9,8 @@ step which led to the last state: what it remembers is taken as it is.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from solver.errors import SolveError
@@ -17,7 +19,9 @@ from solver.mechanics.newton import Energy
 from solver.mechanics.response import Response, SparseControls
 from solver.simulation import MOMENT
 from solver.surface import Floats
-from solver.tracks.face import TrackFace, TrackState
+
+if TYPE_CHECKING:  # the face asks for these derivatives
+    from solver.tracks.face import TrackFace, TrackState
 
 
 class TrackResponse:
