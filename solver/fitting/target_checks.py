@@ -54,7 +54,7 @@ def before_fit(
     """Return what is odd about scans by name, each a registered scan of ``model``'s topology."""
     found = [*_find_repeated(model, scans, limits), *_find_same_name(model, scans, limits)]
     for name, scan in scans.items():
-        for check in (_check_coverage, _check_head, _check_edges):
+        for check in (_check_coverage, _check_mouth, _check_head, _check_edges):
             found += check(model, name, scan, limits)
     return found
 
@@ -215,6 +215,17 @@ def _check_coverage(
         )
         context = {"expression": name, "found": round(part, 3)}
         yield make_warning("target.coverage", message, context)
+
+
+def _check_mouth(
+    model: SubjectModel, name: str, scan: RegisteredScan, _limits: TargetLimits
+) -> Iterator[Finding]:
+    """Find a scan with a hole where the mouth is."""
+    named = [model.regions[lip] for lip in ("upper_lip", "lower_lip") if lip in model.regions]
+    lips = np.concatenate([np.empty(0, np.int64), *named])
+    if len(lips) and not np.isin(lips, _seen(model, scan)).any():
+        message = f"{name} shows nothing of the lips: what the fit makes of them is a guess"
+        yield make_warning("target.mouth", message, {"expression": name, "region": "lips"})
 
 
 def _check_head(

@@ -7,8 +7,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from solver.fitting import fallback
-from solver.fitting.activation import UNSEEN, UNSEEN_STOP, unseen_regulariser
-from solver.fitting.contact import terms
+from solver.fitting.activation import UNSEEN, UNSEEN_STOP
 from solver.fitting.target_checks import check_held, check_repeated, check_replaced
 from solver.jobs import Task, fits
 from solver.kinds.fit_activations import FitActivations
@@ -16,7 +15,6 @@ from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
 from solver.rig.report import known_information
 from solver.rig.rig import Rig
-from solver.scans.known_activations import NOTHING
 
 
 def run(task: Task[FitActivations]) -> list[Path]:
@@ -49,25 +47,10 @@ def run(task: Task[FitActivations]) -> list[Path]:
     log.warn(0.02, oddities)
     stop = replace(UNSEEN_STOP, max_iterations=given.max_iterations)
     targets = fits.Targets(subject, given.distance).of_scans(scans)
-    data = terms(face, targets)
-    fitted = []
     begin = time.perf_counter()
-    for number, (name, scan) in enumerate(scans.items()):
-
-        def listen(iteration: int, value: float, number: int = number, name: str = name) -> None:
-            part = (number + min(iteration / stop.max_iterations, 1.0)) / len(scans)
-            progress(Step("activations", 0.02 + 0.48 * part, iteration, value, message=name))
-
-        start = time.perf_counter()
-        known = knowledge.get(name, NOTHING)
-        prior = unseen_regulariser(face, targets[name], known)
-        found = fallback.fit(face, data[name], prior, stop, given.solver, listen)
-        spent = time.perf_counter() - start
-        about = (face, name, "test", scan, targets[name])
-        expression = fits.describe_fit(*about, found, spent, known)
-        done = 0.02 + 0.48 * (number + 1) / len(scans)
-        fitted.append(log.about(expression, done, found.notices))
-    fits.refuse_failures(fitted)
+    fitted = fits.fit_unseen(
+        face, scans, targets, log, fits.Span(0.02, 0.5), knowledge, stop, given.solver
+    )
     kept = [fit for fit in carried if fit.name not in scans]
     asked = given.model_dump(include={"distance", "solver"})
     settings = {**UNSEEN, **asdict(stop), **asked, **fits.control_settings(drive)}
@@ -77,7 +60,8 @@ def run(task: Task[FitActivations]) -> list[Path]:
     seconds = {"geometry": sum(together)} if together else {}
     seconds["activations"] = time.perf_counter() - begin
     expressions = (*kept, *fitted)
-    whole = Rig(subject, face.S, expressions, seconds, log.general, drive=drive)
+    systems = fits.carried_systems(parent, scans)
+    whole = Rig(subject, face.S, expressions, seconds, log.general, drive=drive, systems=systems)
     same = not any(fit.name in scans for fit in trained)
     information = known_information(parent) if same else None
     return fits.leave_rig(face, whole, settings, task.out, part_of(progress, 0.5), information)

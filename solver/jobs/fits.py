@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from solver.errors import Finding, InputError, SolveError, make_warning
+from solver.fitting import fallback
+from solver.fitting.activation import UNSEEN_STOP, ActivationOptions, unseen_regulariser
+from solver.fitting.contact import terms
 from solver.fitting.drives import MuscleDrive
 from solver.fitting.drives.admissible import Admissible, limits_by_plausibility
 from solver.fitting.drives.six_numbers import SixNumbers
@@ -19,9 +22,10 @@ from solver.fitting.drives.stored import store
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face
-from solver.fitting.fallback import FallbackFit
+from solver.fitting.fallback import FallbackFit, Solver
 from solver.fitting.geometry_information import MuscleInformation
-from solver.fitting.known import FaceMuscles, find_disagreements
+from solver.fitting.known import NOTHING_KNOWN, FaceMuscles, find_disagreements
+from solver.fitting.least_squares import Listener
 from solver.fitting.objective import Target
 from solver.fitting.target_checks import after_fit, before_fit, find_inflated, idle_muscles
 from solver.jobs import Task
@@ -32,9 +36,11 @@ from solver.model import SubjectModel
 from solver.progress import Progress, Step
 from solver.rig.exporters import write_rig
 from solver.rig.report.certificate import certify, with_round_trips
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig.rig import ExpressionFit, Rig, System
 from solver.scans.known_activations import NOTHING, KnownMuscles, read_known
 from solver.surface import Floats, Ints, Surface, vertex_normals
+
+Fit = TypeVar("Fit", bound=ExpressionFit)
 
 
 def asked_drive(options: ExpressionFitOptions, own: MuscleDrive | None = None) -> MuscleDrive:
@@ -111,6 +117,38 @@ def refuse_failures(fits: Sequence[ExpressionFit]) -> None:
         raise SolveError("fit.failed", message)
 
 
+def fit_unseen(
+    face: Face,
+    scans: Mapping[str, RegisteredScan],
+    targets: Mapping[str, Target],
+    log: WarningLog,
+    span: Span,
+    knowledge: Mapping[str, KnownMuscles] = NOTHING_KNOWN,
+    stop: ActivationOptions = UNSEEN_STOP,
+    solver: Solver = "reduced",
+) -> list[ExpressionFit]:
+    """Fit activations and jaw to every scan with the S of ``face``, and log what is odd.
+
+    ``span`` is the part of the job that this is. Raises as :func:`refuse_failures`.
+    """
+    data = terms(face, targets)
+    fitted = []
+    for number, (name, scan) in enumerate(scans.items()):
+        part = span.part(number, len(scans))
+        listen = log.listener("activations", name, part, stop.max_iterations)
+
+        start = time.perf_counter()
+        known = knowledge.get(name, NOTHING)
+        prior = unseen_regulariser(face, targets[name], known)
+        found = fallback.fit(face, data[name], prior, stop, solver, listen)
+        spent = time.perf_counter() - start
+        about = (face, name, "test", scan, targets[name])
+        expression = describe_fit(*about, found, spent, known)
+        fitted.append(log.about(expression, part.end, found.notices))
+    refuse_failures(fitted)
+    return fitted
+
+
 def describe_fit(
     face: Face,
     name: str,
@@ -149,6 +187,12 @@ def describe_fit(
         confidence=scan.confidence,
         known=FaceMuscles.of(face).compare(known, state.pose.a) if len(known) else (),
     )
+
+
+def carried_systems(parent: Rig, scans: Mapping[str, RegisteredScan]) -> dict[str, System]:
+    """Return a rig's other systems without expressions of which ``scans`` are other ones."""
+    found = {name: scan.vertices for name, scan in scans.items()}
+    return {name: system.without(found) for name, system in parent.systems.items()}
 
 
 def leave_rig(
@@ -216,6 +260,22 @@ def _normals(points: Floats, triangles: Ints) -> Floats:
     return normals
 
 
+@dataclass(frozen=True)
+class Span:
+    """A part of a job, from one fraction of it to another."""
+
+    start: float
+    end: float
+
+    def at(self, part: float) -> float:
+        """Return the fraction of the job that is done when a ``part`` of the span is."""
+        return self.start + part * (self.end - self.start)
+
+    def part(self, number: int, count: int) -> Span:
+        """Return one of ``count`` equal parts."""
+        return Span(self.at(number / count), self.at((number + 1) / count))
+
+
 # The warnings of a job: sent while it runs, and kept for its report.
 
 
@@ -227,13 +287,28 @@ class WarningLog:
         self._progress = progress
         self._notices: list[Finding] = []
 
+    def branch(self) -> WarningLog:
+        """Return a log of other fits of the same expressions, with what is known of them so far."""
+        other = WarningLog(self._model, self._progress)
+        other._notices = [*self._notices]
+        return other
+
+    def listener(self, phase: str, name: str, span: Span, most: int) -> Listener:
+        """Return what tells of the iterations, ``most`` at most, of a fit of ``name``."""
+
+        def listen(iteration: int, value: float) -> None:
+            done = span.at(min(iteration / most, 1.0))
+            self._progress(Step(phase, done, iteration, value, message=name))
+
+        return listen
+
     def warn(self, fraction: float, notices: Iterable[Finding]) -> None:
         """Send notices as warnings when ``fraction`` of the job is done."""
         for notice in notices:
             self._notices.append(notice)
             self._progress(Step("warning", fraction, message=notice.message))
 
-    def about(self, fit: ExpressionFit, fraction: float, solve: Iterable[Finding]) -> ExpressionFit:
+    def about(self, fit: Fit, fraction: float, solve: Iterable[Finding]) -> Fit:
         """Return a fit with the notices of it, of its ``solve`` and of what it leaves."""
         own = {"expression": fit.name}
         self.warn(fraction, [replace(each, context={**own, **each.context}) for each in solve])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from functools import cached_property
@@ -28,6 +28,7 @@ from solver.fitting.face import Face
 from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.known import KnownFit
 from solver.kinds import FILES
+from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.newton import NewtonOptions
 from solver.model import SIZE_WORDS, SubjectModel
 from solver.rig.round_trip import RoundTrip
@@ -82,10 +83,57 @@ class ExpressionFit:
         shown = np.isfinite(self.error_mm[vertices]).astype(np.float64)
         return shown if self.confidence is None else self.confidence[vertices] * shown
 
+    def is_of(self, scan: Floats) -> bool:
+        """Return whether the expression was fitted to this ``scan`` (v, 3), NaN in its holes."""
+        return np.array_equal(self.target.astype(np.float32), scan.astype(np.float32), True)
+
     def measured_error(self, vertices: Ints) -> Floats:
         """Return the errors (k,) in mm of those ``vertices`` that the scan shows."""
         error = self.error_mm[vertices]
         return error[np.isfinite(error)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeFit(ExpressionFit):
+    """One expression, fitted by weights of K shapes and a jaw instead of muscles.
+
+    Its ``activations`` are what the shapes ask of the muscles, its ``jaw`` is that of the shapes
+    with what is on top of it.
+    """
+
+    weights: Floats  # (K,)
+    jaw_on_top: Floats  # (5,) of the shapes', rad and mm
+    lengths: Floats  # (m,) mm of the muscles' centre lines, zero where there is none
+
+
+@dataclass(frozen=True)
+class System:
+    """Expressions of a rig's face that something else than its muscles drives.
+
+    In a rig's ``systems`` they are ``T``, muscle tracks, and ``B``, plain blendshapes; ``S``, its
+    muscles, are its own expressions. Scans of one name are the same in all of them.
+    """
+
+    shapes: tuple[str, ...]  # names of the K shapes
+    expressions: tuple[ShapeFit, ...]
+
+    def without(self, scans: Mapping[str, Floats]) -> System:
+        """Return the system without the expressions that have other ``scans`` (v, 3) now."""
+        kept = [
+            fit for fit in self.expressions if fit.name not in scans or fit.is_of(scans[fit.name])
+        ]
+        return replace(self, expressions=tuple(kept))
+
+    def replaced(self, other: System) -> System:
+        """Return ``other`` with those expressions of this one that it does not have.
+
+        Weights of other shapes say nothing beside it, and are dropped.
+        """
+        if self.shapes != other.shapes:
+            return other
+        names = {fit.name for fit in other.expressions}
+        kept = [fit for fit in self.expressions if fit.name not in names]
+        return replace(other, expressions=(*kept, *other.expressions))
 
 
 @dataclass(frozen=True)
@@ -99,6 +147,8 @@ class Rig:
     notices: tuple[Finding, ...] = ()  # what was odd about the model or the job as a whole
     figures: dict[str, Any] | None = None  # of solver.rig.report; None before they are made
     drive: MuscleDrive = FREE_DRIVE  # that S was fitted with
+    # what else drives the face, by its letter
+    systems: Mapping[str, System] = field(default_factory=dict)
 
     def face(self, linear: str | None = None, tolerance: float = NewtonOptions.tolerance) -> Face:
         """Return the person as fitted: with S and drive, a driven jaw on the model's tracks.
@@ -153,11 +203,16 @@ class Rig:
             "notices": [notice.as_dict() for notice in self.notices],
             "figures": self.figures,
             "drive": store(self.drive),
+            "systems": {name: {"shapes": each.shapes} for name, each in self.systems.items()},
         }
         parts = {
             "model": model.arrays,
             "weights": _weight_arrays(self.weights, self.model),
             "activations": _expression_arrays(self.expressions, self.model),
+            **{
+                f"system_{name}": _system_arrays(each, self.model)
+                for name, each in self.systems.items()
+            },
         }
         arrays = {
             f"{part}_{name}": array for part, held in parts.items() for name, array in held.items()
@@ -202,6 +257,12 @@ class Rig:
                 header["seconds"],
                 tuple(Finding.from_dict(each) for each in header["notices"]),
                 header["figures"],
+                systems={
+                    name: _system_from(
+                        about, with_prefix(archive.arrays, f"system_{name}_"), model, path
+                    )
+                    for name, about in dict(header.get("systems", {})).items()
+                },
             )
             drive = restore(header["drive"]) if "drive" in header else rig._find_drive()
             return replace(rig, drive=drive)
@@ -281,7 +342,7 @@ def _model_hash(model: SubjectModel) -> str:
     return digest.hexdigest()
 
 
-def _expression_arrays(expressions: tuple[ExpressionFit, ...], model: SubjectModel) -> Arrays:
+def _expression_arrays(expressions: Sequence[ExpressionFit], model: SubjectModel) -> Arrays:
     muscles, vertices = model.muscle_count, len(model.skin.vertices)
 
     def column(field: str, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
@@ -356,6 +417,35 @@ def _expression_from(data: Arrays, k: int) -> ExpressionFit:
     if "known" in data:
         values["known"] = tuple(KnownFit(**each) for each in json.loads(str(data["known"][k])))
     return ExpressionFit(str(data["names"][k]), str(data["roles"][k]), **values)
+
+
+# The arrays of another system: those of expressions, and its own controls.
+
+
+def _system_arrays(system: System, model: SubjectModel) -> Arrays:
+    controls = {
+        name: np.reshape([getattr(fit, name) for fit in system.expressions], (-1, size))
+        for name, size in _controls(system.shapes, model).items()
+    }
+    return {**_expression_arrays(system.expressions, model), **controls}
+
+
+def _system_from(about: Mapping[str, Any], data: Arrays, model: SubjectModel, path: Path) -> System:
+    shapes = tuple(about["shapes"])
+    controls = _controls(shapes, model)
+    for name, size in controls.items():
+        if data[name].shape != (len(data["names"]), size):
+            raise ValueError(f"{name} are {data[name].shape}")
+    fits = [
+        ShapeFit(**vars(fit), **{name: data[name][k] for name in controls})
+        for k, fit in enumerate(_expressions_from(data, model, path))
+    ]
+    return System(shapes, tuple(fits))
+
+
+def _controls(shapes: tuple[str, ...], model: SubjectModel) -> dict[str, int]:
+    """Return how many numbers each control of an expression has, in the order of its arrays."""
+    return {"weights": len(shapes), "jaw_on_top": JAW_FREEDOM, "lengths": model.muscle_count}
 
 
 @contextmanager

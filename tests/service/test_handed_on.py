@@ -298,6 +298,11 @@ def test_tracks_of_the_rig_s_model_are_found_by_its_scenes(session: Session) -> 
     scene = {"options": {"scene": {"drive": "tracks", "keys": [{"time": 0}]}}}
     job = session.ask("simulate", rig_id=rig, **scene).json()["id"]
     assert session.sources(job)["tracks"] == tracks
+    # and by fits of them, with the registered scans
+    smile = session.studio.capture(session.subject, "smile-by-tracks", registered=True)
+    fit = session.ask("fit_tracks", rig_id=rig, captures=[smile]).json()["id"]
+    assert session.sources(fit)["tracks"] == tracks
+    assert session.sources(fit)["capture"] == smile
     # another model's rig has none of them
     other = session.ask("simulate", rig_id=session.add_rig(), **scene).json()["id"]
     assert "tracks" not in session.sources(other)

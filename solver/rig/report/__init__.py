@@ -29,8 +29,9 @@ from solver.rig.report.checks import (
     ready,
     use,
 )
-from solver.rig.report.measures import measured_regions, uneven_sides
+from solver.rig.report.measures import measured_regions, rounded, uneven_sides
 from solver.rig.report.prime_movers import ActionCheck
+from solver.rig.report.systems import system_figures
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats
@@ -66,7 +67,8 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
         "limits": [asdict(limit) for limit in limits_of(judgements)],
         "checks": [_judgement(judgement, certificate.settings) for judgement in judgements],
         "expressions": expressions,
-        "strayed": {whole: _round(part) for whole, part in certificate.strayed.items()},
+        "systems": system_figures(rig),
+        "strayed": {whole: rounded(part) for whole, part in certificate.strayed.items()},
         "information": found and information_figures(model, found),
         "warnings": [notice.as_dict() for notice in rig.warnings],
         "train_mean_mm": _role_mean(rig, "train"),
@@ -119,7 +121,7 @@ def _expression(
         "role": fit.role,
         "verdict": expression_verdict(judgements, fit.name),
         "failed": [each.check.code for each in mine if each.of(fit.name) != "good"],
-        "coverage": _round(len(error) / len(model.face)),
+        "coverage": rounded(len(error) / len(model.face)),
         **_distances(error),
         "inverted": fit.inverted,
         "solver": fit.solver,
@@ -128,9 +130,9 @@ def _expression(
         "iterations": fit.iterations,
         "seconds": round(fit.seconds, 3),
         "jaw": [round(float(value), 6) for value in fit.jaw],
-        "regions": {name: _round(seen.mean()) for name, (_, seen) in regions.items()},
+        "regions": {name: rounded(seen.mean()) for name, (_, seen) in regions.items()},
         "by_region": {
-            name: {"coverage": _round(len(seen) / len(ids)), **_distances(seen)}
+            name: {"coverage": rounded(len(seen) / len(ids)), **_distances(seen)}
             for name, (ids, seen) in regions.items()
         },
         "flesh": flesh and {**_plain_fields(flesh), "residual": float(f"{flesh.residual:.3e}")},
@@ -140,16 +142,16 @@ def _expression(
         "muscles": _muscles(model, check.muscles),
         "movers": _movers(check),
         "known": [each.as_dict() for each in fit.known],
-        "asymmetry_mm": None if check.asymmetry_mm is None else _round(check.asymmetry_mm),
+        "asymmetry_mm": None if check.asymmetry_mm is None else rounded(check.asymmetry_mm),
         "round_trip": trip and {"reached": trip.is_reached, **_plain_fields(trip)},
     }
 
 
 def _distances(error: Floats) -> dict[str, float | None]:
     return {
-        "mean_mm": _round(error.mean()),
-        "p95_mm": _round(np.percentile(error, 95)),
-        "max_mm": _round(error.max()),
+        "mean_mm": rounded(error.mean()),
+        "p95_mm": rounded(np.percentile(error, 95)),
+        "max_mm": rounded(error.max()),
     }
 
 
@@ -163,7 +165,7 @@ def _crossing(found: Crossing | None) -> dict[str, float | None] | None:
 def _muscles(model: SubjectModel, found: Muscles) -> dict[str, dict[str, Any]]:
     columns = ("fibres", "shortest", "longest", "volume", "flesh_mm3")
     return {
-        name: {column: _round(getattr(found, column)[number]) for column in columns}
+        name: {column: rounded(getattr(found, column)[number]) for column in columns}
         | {"whole": model.muscle_groups[number], "faults": found.faults(number)}
         for number, name in enumerate(model.muscle_names)
     }
@@ -173,7 +175,7 @@ def _movers(check: ExpressionCheck) -> dict[str, Any]:
     found = check.movers
     return {
         "contractions": [
-            {"muscle": name, "contraction": _round(each)}
+            {"muscle": name, "contraction": rounded(each)}
             for name, each in found.contractions.items()
         ],
         "actions": [_action(check) for check in found.actions],
@@ -199,9 +201,9 @@ def information_figures(model: SubjectModel, found: MuscleInformation) -> dict[s
     names = model.muscle_names
     return {
         "scans": found.scans,
-        "muscles": {name: _round(found.information[j]) for j, name in enumerate(names)},
+        "muscles": {name: rounded(found.information[j]) for j, name in enumerate(names)},
         "confused": [
-            {"muscles": [names[i], names[j]], "correlation": _round(correlation)}
+            {"muscles": [names[i], names[j]], "correlation": rounded(correlation)}
             for i, j, correlation in found.confused
         ],
     }
@@ -222,20 +224,15 @@ def known_information(rig: Rig) -> MuscleInformation | None:
 def _role_mean(rig: Rig, role: str) -> float | None:
     face = rig.model.face
     means = [fit.measured_error(face).mean() for fit in rig.expressions if fit.role == role]
-    return _round(np.mean(means)) if means else None
+    return rounded(np.mean(means)) if means else None
 
 
 def _plain(value: Any) -> Any:
-    return _round(value) if isinstance(value, float) else value
+    return rounded(value) if isinstance(value, float) else value
 
 
 def _plain_fields(found: FleshCheck | JawFigures | RoundTrip) -> dict[str, Any]:
     return {name: _plain(value) for name, value in asdict(found).items()}
-
-
-def _round(value: float | np.floating) -> float | None:
-    """Return a figure with four decimals; None for what is not finite."""
-    return round(float(value), 4) if math.isfinite(value) else None
 
 
 def _version(package: str) -> str | None:

@@ -6,6 +6,7 @@ the limits.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -44,6 +45,11 @@ class Measure:
     detail: str = ""
     worst: Said | None = None
     muscles: tuple[str, ...] = ()
+
+
+def rounded(value: float | np.floating) -> float | None:
+    """Return a figure with four decimals; None for what is not finite."""
+    return round(float(value), 4) if math.isfinite(value) else None
 
 
 def measured_regions(model: SubjectModel, fit: ExpressionFit) -> dict[str, tuple[Ints, Floats]]:

@@ -51,6 +51,18 @@ def test_a_scan_that_was_sent_twice_or_is_the_neutral():
     ]
 
 
+def test_a_hole_where_the_mouth_is():
+    regions = {"upper_lip": np.arange(10, 14), "lower_lip": np.arange(14, 18)}
+    model = replace(MODEL, regions=regions)
+    seen = np.ones(len(NEUTRAL))
+    seen[10:18] = 0.0
+    hole = {"smile": RegisteredScan(expression(), seen)}
+    (notice,) = target_checks.before_fit(model, hole)
+    assert (notice.code, notice.context["region"]) == ("target.mouth", "lips")
+    seen[12] = 0.5
+    assert target_checks.before_fit(model, hole) == []
+
+
 def test_a_scan_that_a_rig_has_under_another_name():
     known = expression().astype(np.float32)
     known[::7] = np.nan  # holes of the scan then

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from zipfile import ZIP_BZIP2, ZIP_DEFLATED, ZIP_STORED, ZipFile
 
@@ -13,8 +13,8 @@ import pytest
 from solver.errors import InputError, make_warning
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, weights_hash
-from solver.rig.rig import ExpressionFit, Rig
-from solver.storage import read_arrays
+from solver.rig.rig import FORMAT, ExpressionFit, Rig, ShapeFit, System
+from solver.storage import Archive, read_arrays
 from tests.solver.block import block_model
 
 
@@ -51,6 +51,51 @@ def test_a_rig_comes_back_from_its_file_and_from_its_folder(rig: Rig, tmp_path: 
         found = Rig.load(path)
         check_same(rig, found)
         assert (found.seconds, found.notices) == (rig.seconds, rig.notices)
+
+
+def by_shapes(rig: Rig, name: str, weight: float) -> ShapeFit:
+    """Return an expression of the rig as one that two shapes drive."""
+    held = {each.name: getattr(rig.expressions[0], each.name) for each in fields(ExpressionFit)}
+    lengths = np.arange(float(rig.model.muscle_count))
+    own = {"weights": np.array([weight, 0.5]), "jaw_on_top": np.arange(5.0), "lengths": lengths}
+    return ShapeFit(**{**held, "name": name}, **own)
+
+
+def test_systems_come_back_and_a_rig_without_is_of_muscles_alone(rig: Rig, tmp_path: Path) -> None:
+    fits = by_shapes(rig, "smile", 0.25), by_shapes(rig, "kiss", 1.0)
+    system = System(("aside", "bulge"), fits)
+    replace(rig, systems={"T": system, "B": System(("aside",), ())}).save(tmp_path / "rig.npz")
+    found = Rig.load(tmp_path / "rig.npz")
+    check_same(rig, found)
+    assert found.systems["B"] == System(("aside",), ())
+    assert found.systems["T"].shapes == system.shapes
+    for before, after in zip(fits, found.systems["T"].expressions, strict=True):
+        assert before.name == after.name
+        for each in ("weights", "jaw_on_top", "lengths", "activations", "jaw", "x"):
+            np.testing.assert_array_equal(getattr(before, each), getattr(after, each))
+    # as rigs were before there were systems
+    archive = Archive.read(tmp_path / "rig.npz", "rig", "a rig", FORMAT)
+    header = {name: each for name, each in archive.header.items() if name != "systems"}
+    kept = {name: each for name, each in archive.arrays.items() if not name.startswith("system_")}
+    Archive(header, kept).write(tmp_path / "old.npz")
+    assert Rig.load(tmp_path / "old.npz").systems == {}
+    for damaged in ({"T": {"shapes": ["one"]}}, {"T": {}}, {"M": {"shapes": []}}, [3], {"T": 3}):
+        Archive({**archive.header, "systems": damaged}, archive.arrays).write(tmp_path / "bad.npz")
+        with pytest.raises(InputError) as error:
+            Rig.load(tmp_path / "bad.npz")
+        assert error.value.code == "rig.unreadable"
+
+
+def test_a_system_takes_new_fits_in_and_lets_other_scans_go(rig: Rig) -> None:
+    smile, kiss = (by_shapes(rig, name, 0.25) for name in ("smile", "kiss"))
+    system, again = System(("a", "b"), (smile, kiss)), by_shapes(rig, "kiss", 1.0)
+    names = [each.name for each in system.replaced(System(("a", "b"), (again,))).expressions]
+    assert names == ["smile", "kiss"]
+    assert system.replaced(System(("a", "b"), (again,))).expressions[1] is again
+    assert system.replaced(System(("a", "c"), (again,))).expressions == (again,)
+    scan = smile.target.copy()
+    assert system.without({"smile": scan}).expressions == (smile, kiss)
+    assert system.without({"smile": scan + 0.1}).expressions == (kiss,)
 
 
 def zip_of(file: Path, packing: int = ZIP_STORED) -> Path:

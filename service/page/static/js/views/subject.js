@@ -34,6 +34,11 @@ function kindsOfRigs(kinds) {
   return [...kinds.values()].filter((kind) => kind.reads.includes("rig") && needless(kind));
 }
 
+/** Return the kinds of job that fit chosen expressions with a rig. */
+function kindsOfFits(kinds) {
+  return [...kinds.values()].filter(({ reads }) => ["rig", "captures"].every((each) => reads.includes(each)));
+}
+
 export async function mount(root, { id }) {
   const ending = new AbortController();
   const [subject, kinds, roles] = await Promise.all([
@@ -42,7 +47,7 @@ export async function mount(root, { id }) {
     rolesByName(),
   ]);
   nameWindow(subject.name);
-  const view = new SubjectView(subject, kindsOfRigs(kinds), roles, ending.signal);
+  const view = new SubjectView(subject, kinds, roles, ending.signal);
   root.append(...view.elements);
   await repeat(
     () => view.refresh(),
@@ -54,9 +59,10 @@ export async function mount(root, { id }) {
 }
 
 class SubjectView {
-  constructor(subject, kindsOfRigs, roles, signal) {
+  constructor(subject, kinds, roles, signal) {
     this.subject = subject;
-    this.kindsOfRigs = kindsOfRigs;
+    this.kindsOfRigs = kindsOfRigs(kinds);
+    this.kindsOfFits = kindsOfFits(kinds);
     this.roles = roles;
     this.signal = signal;
     this.chosen = new Set();
@@ -66,6 +72,7 @@ class SubjectView {
     this.showRigs = keyed(this.rigBody, (rig) => this.rigRow(rig));
     this.model = h("p", { class: "grow" });
     this.build = button("Build the model", () => this.order("build_model"));
+    this.tracks = button("Build tracks", () => this.order("build_tracks"));
     this.fit = button("Fit the chosen expressions", () =>
       this.order("fit_geometry", { captures: [...this.chosen] }),
     );
@@ -97,7 +104,7 @@ class SubjectView {
         h("button", { type: "button", class: "danger", onclick: () => this.delete() }, "Delete subject"),
       ),
       panel("scans", "Scans", this.captureTable, this.noScans, this.next),
-      panel("model", "Model", h("div", { class: "row" }, this.model, this.build, this.fit)),
+      panel("model", "Model", h("div", { class: "row" }, this.model, this.build, this.tracks, this.fit)),
       panel("rigs", "Rigs", this.rigTable, this.noRigs),
     ];
   }
@@ -246,11 +253,16 @@ class SubjectView {
             { class: "row end" },
             h("a", { class: "button", href: `/jobs/${rig.job_id}` }, "Files"),
             button("Edit", () => this.edit(askToEditRig(this.rigs.find(({ id }) => id === rig.id)))),
-            button(
-              "Fit more to it",
-              () => this.order("fit_activations", { rig_id: rig.id, captures: [...this.chosen] }),
-              null,
-              { "data-more": true },
+            this.kindsOfFits.map(({ kind, reads }) =>
+              button(
+                kind === "fit_activations" ? "Fit more to it" : plain(kind),
+                () => {
+                  const captures = reads.includes("activations") ? [...this.chosen] : this.chosenOf("expression");
+                  return this.order(kind, { rig_id: rig.id, captures });
+                },
+                null,
+                { "data-more": true },
+              ),
             ),
             this.kindsOfRigs.map(({ kind, reads }) =>
               button(plain(kind), () =>

@@ -1,0 +1,137 @@
+"""The job that fits weights of muscle tracks, and systems beside them, to scans."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.errors import Finding, make_warning
+from solver.fitting.face import Face
+from solver.fitting.objective import Target
+from solver.fitting.target_checks import before_fit, check_held
+from solver.jobs import Task, fits
+from solver.kinds.fit_tracks import FitTracks
+from solver.mechanics.linear import fastest
+from solver.meshio.registered import RegisteredScan
+from solver.progress import Step, part_of
+from solver.rig.report import known_information
+from solver.rig.report.systems import SYSTEMS
+from solver.rig.rig import Rig, System
+from solver.rig.systems import find_crossed, fit_scan
+from solver.tracks.basis import MuscleTracks
+from solver.tracks.face import TrackFace, track_potentials
+from solver.tracks.fit import ShapeFace, State, TrackFitOptions
+from solver.tracks.plain import PlainFace
+
+BOUNDS = {"unit": (0.0, 1.0), "free": (-np.inf, np.inf)}
+
+
+def run(task: Task[FitTracks]) -> list[Path]:
+    """Fit scans by tracks, and by plain shapes and muscles if asked for; write the new rig's files.
+
+    The rig's expressions are carried over in all systems; a new capture of the same name replaces
+    the old. Raises :class:`~solver.errors.InputError`: ``tracks.*``, ``scan.*``, ``rig.*``.
+    """
+    given, progress = task.options, task.progress
+    progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
+    rig = Rig.load(task.inputs)
+    model, linear = rig.model, given.linear_solver or fastest()
+    scans = fits.read_scans(model, task.captures)
+    tracks = MuscleTracks.load(task.inputs["tracks"], model)
+    face = rig.face(linear)
+    check_held(face)
+    log = fits.WarningLog(model, progress)
+    log.warn(
+        0.02, [*before_fit(model, scans), *([] if given.muscles else _other_scans(rig, scans))]
+    )
+    parent, seconds = rig, dict(rig.seconds)
+    targets = fits.Targets(model, given.distance).of_scans(scans)
+    if given.muscles:
+        begin = time.perf_counter()
+        rig = _with_muscles(rig, face, scans, targets, log.branch())
+        seconds["activations"] = time.perf_counter() - begin
+    faces: dict[str, ShapeFace[Any]] = {
+        "T": TrackFace(model, tracks, track_potentials(model), linear=linear)
+    }
+    if given.plain_shapes:
+        faces["B"] = PlainFace(model, tracks)
+    systems = fits.carried_systems(rig, scans)
+    for number, (letter, driven) in enumerate(faces.items()):
+        begin, span = time.perf_counter(), fits.Span(0.2, 0.5).part(number, len(faces))
+        found = _fit_system(driven, SYSTEMS[letter], scans, targets, given, log.branch(), span)
+        systems[letter] = systems[letter].replaced(found) if letter in systems else found
+        seconds[SYSTEMS[letter]] = time.perf_counter() - begin
+    options = given.model_dump(exclude={"linear_solver"})
+    settings = {**(rig.figures or {}).get("settings", {}), "tracks": options}
+    whole = replace(rig, seconds=seconds, notices=log.general, systems=systems)
+    information = known_information(parent) if _trained(rig) == _trained(parent) else None
+    ending = part_of(progress, 0.5)
+    return fits.leave_rig(face, whole, settings, task.out, ending, information)
+
+
+def _trained(rig: Rig) -> list[str]:
+    """Return the names of the expressions that S was fitted to."""
+    return [fit.name for fit in rig.expressions if fit.role == "train"]
+
+
+def _other_scans(rig: Rig, scans: Mapping[str, RegisteredScan]) -> list[Finding]:
+    """Return the expressions that muscles were fitted to by other scans than these."""
+    found = []
+    for fit in rig.expressions:
+        if fit.name in scans and not fit.is_of(scans[fit.name].vertices):
+            message = (
+                f"{fit.name}: the rig's muscles are fitted to another scan of that name: fit them "
+                "to this one, too, to compare"
+            )
+            found.append(make_warning("target.other", message, {"expression": fit.name}))
+    return found
+
+
+def _with_muscles(
+    rig: Rig,
+    face: Face,
+    scans: Mapping[str, RegisteredScan],
+    targets: Mapping[str, Target],
+    log: fits.WarningLog,
+) -> Rig:
+    """Return the rig with its muscles fitted to those of the scans that they were not yet."""
+    known = {
+        fit.name
+        for fit in rig.expressions
+        if fit.name in scans and fit.is_of(scans[fit.name].vertices)
+    }
+    missing = {name: scan for name, scan in scans.items() if name not in known}
+    if not missing:
+        return rig
+    wanted = {name: targets[name] for name in missing}
+    fitted = fits.fit_unseen(face, missing, wanted, log, fits.Span(0.02, 0.2))
+    kept = [fit for fit in rig.expressions if fit.name not in missing]
+    return replace(rig, expressions=(*kept, *fitted))
+
+
+def _fit_system(
+    driven: ShapeFace[State],
+    name: str,
+    scans: Mapping[str, RegisteredScan],
+    targets: Mapping[str, Target],
+    given: FitTracks,
+    log: fits.WarningLog,
+    span: fits.Span,
+) -> System:
+    """Fit weights and jaw to every scan; ``name`` is that of the system."""
+    options = TrackFitOptions(given.w_w, given.w_j, BOUNDS[given.bounds])
+    options = replace(options, stop=replace(options.stop, iterations=given.max_iterations))
+    fitted = []
+    for number, (scan_name, scan) in enumerate(scans.items()):
+        part = span.part(number, len(scans))
+        listen = log.listener(name.replace(" ", "_"), scan_name, part, given.max_iterations)
+        found = fit_scan(driven, scan_name, scan, targets[scan_name], options, listen)
+        noticed = [*found.notices, *find_crossed(driven.face.model, found)]
+        fitted.append(log.about(found, part.end, noticed))
+    fits.refuse_failures(fitted)
+    return System(driven.tracks.names, tuple(fitted))

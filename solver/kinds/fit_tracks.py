@@ -1,0 +1,60 @@
+"""Fit muscle tracks.
+
+Weights of the template's shapes and a jaw for every scan, through flesh that keeps its volume and
+lips that meet. The new rig is the parent with these expressions beside those of its muscles, and
+those of plain shapes as well, if asked for; its report compares them.
+"""
+
+from typing import Literal
+
+from pydantic import Field
+
+from solver.kinds.document import Whole
+from solver.kinds.kind import FitOptions, Kind, LinearSolver
+
+
+class FitTracks(FitOptions):
+    """Options of a fit of weights."""
+
+    bounds: Literal["unit", "free"] = Field(
+        default="unit",
+        description="what weights may be: unit, from 0 to 1, where an animator can take them up; "
+        "free, any numbers, as published",
+    )
+    w_w: float = Field(
+        default=1e-4,
+        ge=0,
+        le=100,
+        description="price of the weights, mm^2: one that is 1 costs as much as skin that is "
+        "sqrt(w_w / 2) mm off everywhere, so that it grows as the square of a scan's noise",
+    )
+    w_j: float = Field(
+        default=1e-4,
+        ge=0,
+        le=100,
+        description="the same of the jaw on top of the shapes', by rad^2 and mm^2",
+    )
+    plain_shapes: bool = Field(
+        default=False,
+        description="fit plain blendshapes to the same scans, too: what tracks are compared with",
+    )
+    muscles: bool = Field(
+        default=False,
+        description="fit muscles to those of the scans that the rig has not, too, as "
+        "fit_activations does by default",
+    )
+    max_iterations: Whole = Field(
+        default=20, ge=1, le=500, description="Gauss-Newton iterations per expression at most"
+    )
+    linear_solver: LinearSolver = None
+
+
+KIND = Kind(
+    queue="short",
+    reads=("rig", "captures", "tracks"),
+    leaves="rig",
+    report="report.json",
+    result="rig.glb",
+    folder="rig-new",
+    options=FitTracks,
+)

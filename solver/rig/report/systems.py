@@ -1,0 +1,116 @@
+"""A rig's systems side by side: what each comes to in every expression."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from solver.anatomy.tetrahedra import volumes
+from solver.contact.crossing import crossing
+from solver.contact.mouth import Mouth
+from solver.fitting.contraction import Contraction
+from solver.model import SubjectModel
+from solver.rig.report.measures import rounded
+from solver.rig.rig import ExpressionFit, Rig, ShapeFit
+from solver.surface import Floats, Ints
+
+SYSTEMS = {"S": "muscles", "T": "muscle tracks", "B": "plain shapes"}
+
+
+@dataclass(frozen=True)
+class SystemOptions:
+    """Controls that count."""
+
+    counts: float = 0.05  # from this part of its range on, that of a weight or of a contraction
+
+
+@dataclass(frozen=True)
+class LipFlesh:
+    """The flesh of the lips, whose volume no expression changes in a living face."""
+
+    tets: Ints  # (k, 4)
+    rest_mm3: float
+
+    @classmethod
+    def of(cls, model: SubjectModel, within_mm: float = 5.0) -> LipFlesh | None:
+        """Return the tets whose middles are near the lips' skin; None in a model without lips."""
+        regions: Sequence[Ints] = [
+            model.regions[name] for name in ("upper_lip", "lower_lip") if name in model.regions
+        ]
+        lips = np.concatenate([np.empty(0, np.int64), *regions])
+        if not len(lips):
+            return None
+        distances, _ = cKDTree(model.skin.vertices[lips]).query(model.tet_centres)
+        tets = model.tets[distances < within_mm]
+        return cls(tets, float(volumes(model.rest, tets).sum())) if len(tets) else None
+
+    def change(self, x: Floats) -> float:
+        """Return the change of the volume at x (p, 3), a part of that at rest."""
+        return float(volumes(x, self.tets).sum() / self.rest_mm3 - 1.0)
+
+
+def fits_by_system(rig: Rig) -> dict[str, Sequence[ExpressionFit]]:
+    """Return the expressions of every system of a rig, by its letter."""
+    others = {name: system.expressions for name, system in rig.systems.items()}
+    return {"S": rig.expressions, **others}
+
+
+@dataclass(frozen=True)
+class SystemMeasures:
+    """Measures fits of one model, of muscles or of shapes."""
+
+    model: SubjectModel
+    lips: LipFlesh | None
+    mouth: Mouth | None
+    contraction: Contraction
+    options: SystemOptions = SystemOptions()
+
+    @classmethod
+    def of(cls, rig: Rig) -> SystemMeasures:
+        """Return what measures the systems of a rig."""
+        model = rig.model
+        sizes = volumes(model.rest, model.tets)
+        contraction = Contraction.of(model, sizes, rig.weights)
+        return cls(model, LipFlesh.of(model), Mouth.of(model), contraction)
+
+    def figures(self, fit: ExpressionFit) -> dict[str, Any]:
+        """Return the figures of one fit as JSON values; None is what is not known."""
+        error = fit.measured_error(self.model.face)
+        lips = None if self.lips is None or fit.x is None else 1e2 * self.lips.change(fit.x)
+        controls = self._controls(fit)
+        return {
+            "mean_mm": rounded(error.mean()),
+            "p95_mm": rounded(np.percentile(error, 95)),
+            "lip_volume_percent": None if lips is None else rounded(lips),
+            "crossing_mm": self.mouth and rounded(crossing(self.mouth, fit.skin).lips),
+            "inverted": fit.inverted,
+            "controls": len(controls),
+            "controls_used": int((np.abs(controls) > self.options.counts).sum()),
+            "iterations": fit.iterations,
+            "seconds": round(fit.seconds, 3),
+            "status": fit.status,
+            "round_trip_mm": fit.round_trip and rounded(fit.round_trip.skin_mean_mm),
+            "warnings": [notice.as_dict() for notice in fit.notices],
+        }
+
+    def _controls(self, fit: ExpressionFit) -> Floats:
+        """Return weights (K,) of shapes, or contractions of muscles that have fibres."""
+        if isinstance(fit, ShapeFit):
+            return fit.weights
+        found = self.contraction(fit.activations)
+        return np.asarray(found[np.isfinite(found)])
+
+
+def system_figures(rig: Rig) -> dict[str, dict[str, Any]]:
+    """Return expression -> system -> figures; nothing where there are only muscles."""
+    if not rig.systems:
+        return {}
+    measures, found = SystemMeasures.of(rig), dict[str, dict[str, Any]]()
+    for system, fits in fits_by_system(rig).items():
+        for fit in fits:
+            found.setdefault(fit.name, {})[system] = measures.figures(fit)
+    return found

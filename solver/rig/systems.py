@@ -1,0 +1,122 @@
+"""Expressions fitted by weights of shapes: the systems of a rig beside its muscles.
+
+A scan is fitted by muscle tracks or by plain shapes with the same terms
+(:mod:`solver.tracks.fit`), and kept with the figures that muscles' fits have.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from solver.contact.crossing import crossing
+from solver.contact.mouth import Mouth
+from solver.errors import Finding, SolveError, make_warning
+from solver.fitting.least_squares import Listener, Termination
+from solver.fitting.objective import SkinDistance, Target
+from solver.mechanics.boundary import JAW_FREEDOM
+from solver.meshio.registered import RegisteredScan
+from solver.model import SubjectModel
+from solver.rig.rig import ShapeFit
+from solver.rig.round_trip import RoundTrip
+from solver.tracks.fit import ShapeFace, State, TrackFit, TrackFitOptions, fit
+
+TRACK_FIT = TrackFitOptions()
+
+
+@dataclass(frozen=True)
+class CrossedScanOptions:
+    """Lips of a scan that cross."""
+
+    told_mm: float = 0.5  # from this depth; closed lips of scans cross by a few tenths
+
+
+def fit_scan(
+    face: ShapeFace[State],
+    name: str,
+    scan: RegisteredScan,
+    target: Target,
+    options: TrackFitOptions = TRACK_FIT,
+    listen: Listener | None = None,
+) -> ShapeFit:
+    """Fit weights and jaw to a ``scan`` called ``name``, and go to them from rest once more.
+
+    ``target`` is the scan's face. Where the flesh finds no way the face stays at rest, and the fit
+    says so.
+    """
+    begun, rest = time.perf_counter(), face.rest()
+    notices: tuple[Finding, ...] = ()
+    try:
+        found = fit(face, SkinDistance(face.face, target), rest, options, listen)
+        status = "converged" if found.termination is Termination.CONVERGED else "stopped"
+    except (SolveError, np.linalg.LinAlgError) as error:
+        found, status = TrackFit(rest, 0.0, 0, Termination.STUCK), "failed"
+        notices = (make_warning("solve.failed", f"no fit was found ({error})"),)
+    described = _describe(face, name, scan, target, found)
+    return replace(
+        described,
+        seconds=time.perf_counter() - begun,
+        status=status,
+        notices=notices,
+        round_trip=_round_trip(face, rest, found.state),
+    )
+
+
+def _describe(
+    face: ShapeFace[State], name: str, scan: RegisteredScan, target: Target, found: TrackFit[State]
+) -> ShapeFit:
+    state, model = found.state, face.face.model
+    points = face.face.face_points(state.x)
+    error = np.full(len(scan.vertices), np.nan)
+    error[model.face] = target.distances(points)
+    return ShapeFit(
+        name,
+        "test",  # no scan shapes tracks
+        state.pose.activations,
+        state.pose.jaw,
+        face.skin(state),
+        scan.vertices,
+        error,
+        state.inverted,
+        found.steps,
+        0.0,
+        target.value(points),
+        state.x,
+        confidence=scan.confidence,
+        weights=state.q[:-JAW_FREEDOM],
+        jaw_on_top=state.q[-JAW_FREEDOM:],
+        lengths=state.pose.lengths,
+    )
+
+
+def _round_trip(face: ShapeFace[State], rest: State, found: State) -> RoundTrip:
+    """Return how far the skin is off the fitted one where the controls lead to it from rest."""
+    try:
+        again = face.move(rest, found.q)
+    except SolveError:
+        return RoundTrip()
+    ids = face.face.model.face
+    apart = np.linalg.norm(face.skin(again)[ids] - face.skin(found)[ids], axis=1)
+    return RoundTrip(float(apart.mean()), float(apart.max()))
+
+
+def find_crossed(
+    model: SubjectModel, fit: ShapeFit, options: CrossedScanOptions = CrossedScanOptions()
+) -> list[Finding]:
+    """Return whether the lips of the scan cross, as those of no face do, and what the fit does."""
+    mouth = Mouth.of(model)
+    if mouth is None or not np.isfinite(fit.target[mouth.skin]).all():
+        return []
+    scanned, fitted = (crossing(mouth, skin) for skin in (fit.target, fit.skin))
+    if scanned.lips < options.told_mm or scanned.vertex is None:
+        return []
+    left = fit.measured_error(np.array([scanned.vertex]))
+    off = f", {left[0]:.1f} mm off the scan" if len(left) else ""
+    message = (
+        f"{fit.name}: the lips of the scan cross by {scanned.lips:.1f} mm at vertex "
+        f"{scanned.vertex}; in the fit they cross by {fitted.lips:.2f} mm there{off}"
+    )
+    context = {"expression": fit.name, "vertex": scanned.vertex, "mm": round(scanned.lips, 2)}
+    return [make_warning("target.crossed", message, context)]

@@ -1,0 +1,210 @@
+"""The job that fits weights of tracks: the systems of the rig that it leaves, and what it tells."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from solver.contact.crossing import Crossing
+from solver.errors import InputError
+from solver.jobs import run_job
+from solver.meshio.registered import write_registered
+from solver.model import SubjectModel
+from solver.rig import systems
+from solver.rig.rig import Rig
+from solver.surface import Floats, Surface
+from solver.tracks.basis import MuscleTracks
+from solver.tracks.face import TrackFace, track_potentials
+from solver.tracks.fit import TrackFit
+from tests.solver.block import head_block
+
+pytestmark = pytest.mark.long
+
+WEIGHTS = {"wide": {"aside": 0.7, "bulge": 0.4}, "full": {"bulge": 0.9}}
+
+
+def block() -> SubjectModel:
+    """Return a block as large as a head with fibres along x."""
+    plain = head_block((7, 5, 1))
+    fibres = np.where(plain.weights.indices[:, None] > 0, [1.0, 0.0, 0.0], 0.0)
+    return replace(plain, fibres=fibres)
+
+
+MODEL = block()
+
+
+def shapes() -> dict[str, Floats]:
+    """Return a skin that is drawn aside, and one that bulges."""
+    skin = MODEL.skin.vertices
+    middle = np.exp(-(((skin[:, :2] - [75.0, 60.0]) / 40.0) ** 2).sum(axis=1))
+    aside, bulge = np.zeros_like(skin), np.zeros_like(skin)
+    aside[:, 0], bulge[:, 2] = 4.0 * middle, 3.0 * middle
+    return {"aside": aside, "bulge": bulge}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rig of the model with one expression by muscles, its tracks, and scans that they make."""
+    folder = tmp_path_factory.mktemp("subject")
+    tracks = MuscleTracks.of(MODEL, shapes())
+    tracks.save(folder / "tracks.npz")
+    face = TrackFace(MODEL, tracks, track_potentials(MODEL))
+    for name, weights in WEIGHTS.items():
+        write(folder / f"{name}.ply", face.skin(face.move(face.rest(), tracks.controls(weights))))
+    MODEL.save(folder / "model.npz")
+    Rig(MODEL, MODEL.weights, ()).save(folder / "none.npz")
+    given = {"rig": folder / "none.npz", "options": {"controls": "free"}}
+    captures = {"wide": folder / "wide.ply"}
+    run_job("fit_activations", folder / "rig", captures=captures, **given)
+    return folder
+
+
+def write(path: Path, skin: Floats, confidence: Floats | None = None) -> Path:
+    seen = np.ones(len(skin)) if confidence is None else confidence
+    write_registered(path, Surface(skin, MODEL.skin.faces), seen)
+    return path
+
+
+def fit(files: Path, out: Path, *names: str, **more: Any) -> tuple[Rig, dict[str, Any]]:
+    """Fit scans by name; return the rig that is left, and its report."""
+    captures = {name: files / f"{name}.ply" for name in names}
+    given = {"rig": files / "rig" / "rig.npz", "tracks": files / "tracks.npz", **more}
+    run_job("fit_tracks", out, **{"captures": captures, **given})
+    return Rig.load(out / "rig.npz"), json.loads((out / "report.json").read_text())
+
+
+def test_weights_stand_beside_the_muscles(files: Path, tmp_path: Path) -> None:
+    options = {"plain_shapes": True, "w_w": 1e-8}
+    rig, report = fit(files, tmp_path, "wide", "full", options=options)
+    assert [fit.name for fit in rig.expressions] == ["wide"]
+    assert set(rig.systems) == {"T", "B"}
+    by_tracks, plain = rig.systems["T"], rig.systems["B"]
+    assert by_tracks.shapes == plain.shapes == ("aside", "bulge")
+    for fitted in by_tracks.expressions:
+        expected = [WEIGHTS[fitted.name].get(shape, 0.0) for shape in by_tracks.shapes]
+        np.testing.assert_allclose(fitted.weights, expected, atol=0.05)
+        assert (fitted.inverted, fitted.status, fitted.role) == (0, "converged", "test")
+        assert np.nanmean(fitted.error_mm) < 0.05
+        assert fitted.round_trip is not None
+        assert fitted.round_trip.skin_max_mm < 0.05
+        assert fitted.x is not None
+        assert fitted.lengths.shape == (MODEL.muscle_count,)
+    told = report["systems"]
+    assert set(told["wide"]) == {"S", "T", "B"}
+    assert set(told["full"]) == {"T", "B"}
+    assert told["full"]["T"]["controls_used"] == 1
+    assert told["full"]["T"]["controls"] == 2
+    # flesh is what made these scans: the sum of shapes is no better
+    assert told["wide"]["T"]["mean_mm"] < told["wide"]["B"]["mean_mm"]
+    assert report["settings"]["tracks"]["w_w"] == 1e-8
+    assert "muscle tracks" in (tmp_path / "report.html").read_text()
+
+
+def test_later_fits_carry_the_others_over(files: Path, tmp_path: Path) -> None:
+    fit(files, tmp_path / "one", "wide")
+    first = tmp_path / "one" / "rig.npz"
+    rig, _ = fit(files, tmp_path / "two", "full", rig=first)
+    assert [fit.name for fit in rig.systems["T"].expressions] == ["wide", "full"]
+    # a fit of muscles to the same scan keeps what tracks made of it, one to another does not
+    for scan, kept in (("wide", ["wide", "full"]), ("full", ["full"])):
+        out, captures = tmp_path / scan, {"wide": files / f"{scan}.ply"}
+        options = {"controls": "free"}
+        given = {"rig": tmp_path / "two" / "rig.npz", "options": options}
+        run_job("fit_activations", out, captures=captures, **given)
+        again = Rig.load(out / "rig.npz")
+        assert [fit.name for fit in again.systems["T"].expressions] == kept
+
+
+def test_muscles_are_fitted_to_what_the_rig_does_not_know(files: Path, tmp_path: Path) -> None:
+    rig, report = fit(files, tmp_path, "wide", "full", options={"muscles": True})
+    before = Rig.load(files / "rig" / "rig.npz")
+    assert [fit.name for fit in rig.expressions] == ["wide", "full"]
+    np.testing.assert_array_equal(rig.expressions[0].activations, before.expressions[0].activations)
+    assert set(report["systems"]["full"]) == {"S", "T"}
+
+
+def test_bounds_are_kept_unless_weights_are_free(files: Path, tmp_path: Path) -> None:
+    skin = MODEL.skin.vertices - 0.5 * shapes()["aside"]
+    captures = {"back": write(tmp_path / "back.ply", skin)}
+    found = {}
+    for bounds in ("unit", "free"):
+        options = {"bounds": bounds, "w_w": 1e-8}
+        rig, _ = fit(files, tmp_path / bounds, options=options, captures=captures)
+        found[bounds] = rig.systems["T"].expressions[0].weights[0]
+    assert found["unit"] == 0.0
+    assert found["free"] < -0.3
+
+
+def test_what_is_odd_about_a_scan_is_told_with_its_place(files: Path, tmp_path: Path) -> None:
+    scan = MODEL.skin.vertices + 0.5 * shapes()["bulge"]
+    turn = np.deg2rad(8.0)
+    turned = scan @ np.array(
+        [[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
+    )
+    captures = {
+        "wide": write(tmp_path / "wide.ply", scan),
+        "turned": write(tmp_path / "turned.ply", turned),
+    }
+    _, report = fit(files, tmp_path / "out", captures=captures)
+    codes = {
+        name: {each["code"] for each in found["T"]["warnings"]}
+        for name, found in report["systems"].items()
+    }
+    assert "target.other" in codes["wide"]
+    assert "target.turned" in codes["turned"]
+
+
+def test_lips_of_a_scan_that_cross_are_told(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, _ = fit(files, tmp_path, "wide")
+    found = [Crossing(depth, 7, None, None, None) for depth in (3.0, 0.1)]
+    monkeypatch.setattr(systems.Mouth, "of", lambda _: SimpleNamespace(skin=np.arange(4)))
+    monkeypatch.setattr(systems, "crossing", lambda *_: found.pop(0))
+    (notice,) = systems.find_crossed(MODEL, rig.systems["T"].expressions[0])
+    assert (notice.code, notice.context["vertex"], notice.context["mm"]) == ("target.crossed", 7, 3)
+    assert "cross by 3.0 mm at vertex 7; in the fit they cross by 0.10 mm" in notice.message
+    assert "mm off the scan" in notice.message
+
+
+def test_what_cannot_be_used_is_refused(files: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.npz"
+    moved = replace(MODEL, rest=MODEL.rest * 1.001)
+    MuscleTracks.of(moved, shapes()).save(other)
+    with pytest.raises(InputError) as error:
+        fit(files, tmp_path / "a", "wide", tracks=other)
+    assert error.value.code == "tracks.model"
+    with pytest.raises(InputError) as error:
+        fit(files, tmp_path / "b", "wide", tracks=None)
+    assert error.value.code == "job.missing"
+    small = Surface(MODEL.skin.vertices[:-1], MODEL.skin.faces[:4])
+    write_registered(tmp_path / "small.ply", small, np.ones(len(small.vertices)))
+    with pytest.raises(InputError) as error:
+        fit(files, tmp_path / "c", captures={"small": tmp_path / "small.ply"})
+    assert error.value.code.startswith("scan.")
+
+
+def test_a_scan_that_the_flesh_finds_no_way_to_stays_at_rest(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = systems.fit
+    calls = []
+
+    def fails_once(*given: Any, **more: Any) -> TrackFit[Any]:
+        calls.append(None)
+        if len(calls) == 1:
+            raise np.linalg.LinAlgError("no way")
+        return real(*given, **more)
+
+    monkeypatch.setattr(systems, "fit", fails_once)
+    rig, report = fit(files, tmp_path, "wide", "full")
+    first, second = rig.systems["T"].expressions
+    assert (first.status, second.status) == ("failed", "converged")
+    assert not first.weights.any()
+    assert "solve.failed" in {each["code"] for each in report["systems"]["wide"]["T"]["warnings"]}
