@@ -70,6 +70,7 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "registration": data,
     "round_trip": None,
     "single_muscles": None,
+    "systems": None,
     "take_scenes": take,
     "tracks": None,
 }
