@@ -225,7 +225,7 @@ def _summary(targets: list[Figures]) -> Figures:
     known = {key: [each[key] for each in targets if each[key] is not None] for key in WORST}
     return {
         **{key: float(np.mean([each[key] for each in targets])) for key in MEANS},
-        **{key: float(np.abs(each).max()) if each else None for key, each in known.items()},
+        **{key: max(map(abs, each)) if each else None for key, each in known.items()},
         "lip_volume_mean_percent": float(np.abs(known["lip_volume_percent"]).mean())
         if known["lip_volume_percent"]
         else None,
@@ -254,7 +254,8 @@ def section(figures: Figures) -> Section:
             if part in person:
                 rows = [
                     [f"{system}, {SYSTEMS[system]}", *(found.get(key) for key in COLUMNS)]
-                    for system, found in person[part].items()
+                    for system in SYSTEMS
+                    if (found := person[part].get(system))
                 ]
                 caption = f"{name}, {person['tets']} tets, `{part}`:"
                 parts.append(Table(["system", *COLUMNS.values()], rows, caption))
@@ -267,7 +268,10 @@ def section(figures: Figures) -> Section:
             "`left_out` without the shapes of the target in the bases of T and B; `spoilt` with "
             f"{Spoil.noise_mm:g} mm of noise, holes over {100 * Spoil.holes:g} % of the face and "
             f"vertices slid by {Spoil.slide_mm:g} mm along the lips, judged by the clean mixture. "
-            "Distances are over the whole face, holes too; the lips' volume should not change."
+            "Distances are over the whole face, holes too; the lips' volume should not change. S "
+            "begins with a template that was trained on all of these shapes, whatever is left out "
+            "elsewhere; those of B ride on the tets, of which coarse ones miss some hundredths of "
+            "a millimetre."
         ),
         parts=parts,
     )

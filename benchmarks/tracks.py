@@ -17,13 +17,11 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.anatomy.template import CORRECTED
-from solver.anatomy.tetrahedra import volumes
 from solver.animation import shape_weights
 from solver.contact import Gauge
 from solver.contact.barrier import Barrier
@@ -32,6 +30,7 @@ from solver.mechanics.boundary import JAW_FREEDOM, Potential
 from solver.mechanics.linear import fastest
 from solver.mechanics.newton import Energy
 from solver.model import SubjectModel
+from solver.rig.report.systems import LipFlesh
 from solver.scans.performance import read_live_link
 from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks, TrackOptions
@@ -121,9 +120,9 @@ class _Person:
         self._rest = self._face.rest()
         self._start = time.perf_counter() - begun
         self._gauge = Gauge(model, potentials=potentials)
-        lips = np.concatenate([model.region(f"{side}_lip") for side in ("upper", "lower")])
-        near = cKDTree(model.skin.vertices[lips]).query(model.tet_centres)[0] < LIP_MM
-        self._lips = model.tets[near]
+        lips = LipFlesh.of(model, LIP_MM)
+        assert lips is not None, "models of benchmarks have lips"
+        self._lips = lips
         self._motions = np.array([motion[model.face] for motion in self._shapes.values()])
 
     def figures(self) -> Figures:
@@ -238,18 +237,13 @@ class _Person:
             np.linalg.norm(skin - wanted, axis=1),
             np.linalg.norm(wanted, axis=1),
             np.linalg.norm(self._face.face.face_embedding @ (now.x - now.pose.target), axis=1),
-            self._lip_change(now.x),
-            self._lip_change(now.pose.target),
+            self._lips.change(now.x),
+            self._lips.change(now.pose.target),
             self._gauge.at(now.x, now.drive.jaw).most,
             now.inverted,
             seconds,
         )
         return frame, now
-
-    def _lip_change(self, x: Floats) -> float:
-        """Return the change of the lips' volume, a part of that at rest."""
-        rest, now = (volumes(each, self._lips).sum() for each in (self._model.rest, x))
-        return float(now / rest - 1.0)
 
 
 class _Projected:
