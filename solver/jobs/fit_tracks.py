@@ -19,6 +19,7 @@ from solver.kinds.fit_tracks import FitTracks
 from solver.mechanics.linear import fastest
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step, part_of
+from solver.rig.exporters import export
 from solver.rig.report import known_information
 from solver.rig.report.systems import SYSTEMS
 from solver.rig.rig import Rig, System
@@ -71,7 +72,8 @@ def run(task: Task[FitTracks]) -> list[Path]:
     whole = replace(rig, seconds=seconds, notices=log.general, systems=systems)
     information = known_information(parent) if _trained(rig) == _trained(parent) else None
     ending = part_of(progress, 0.5)
-    return fits.leave_rig(face, whole, settings, task.out, ending, information)
+    files = fits.leave_rig(face, whole, settings, task.out, ending, information)
+    return [*files, export(whole, "systems", task.out / "systems.glb")]
 
 
 def _trained(rig: Rig) -> list[str]:

@@ -79,19 +79,53 @@ def write_face(
     """
 
     def targets(buffer: Buffer, normals: Floats) -> list[gl.Attributes]:
-        return [
-            gl.Attributes(
-                POSITION=buffer.morph(
-                    (shape - neutral.vertices) * METRES, options.still_mm * METRES, bounds=True
-                ),
-                NORMAL=buffer.morph(
-                    vertex_normals(neutral.moved(shape)) - normals, options.still_normal
-                ),
-            )
-            for shape in shapes.values()
-        ]
+        return _targets(buffer, neutral, normals, shapes, options)
 
     write_morphed(path, neutral, list(shapes), targets, animate, attributes)
+
+
+def write_faces(
+    path: Path,
+    neutral: Surface,
+    faces: Mapping[str, Mapping[str, Floats]],
+    errors: Mapping[str, Floats],
+    apart_mm: float = 0.0,
+    options: ShapeOptions = DEFAULTS,
+) -> None:
+    """Write several faces of one skin, name -> named shapes (v, 3), mm, that move together.
+
+    Each is a node of its name, ``apart_mm`` to the side of the one before; they share the skin's
+    vertices, normals and triangles. ``errors`` are the values (v,) of each that
+    :func:`write_face` has as an attribute. Shapes of one name are shown at one time.
+    """
+    buffer, normals = Buffer(), vertex_normals(neutral)
+    base = _base(buffer, neutral, normals)
+    parts = _parts(neutral)
+    triangles = [buffer.indices(neutral.faces[part]) for part in parts.values()]
+    names = list(dict.fromkeys(name for shapes in faces.values() for name in shapes))
+    times, weights = options.keys(len(names))
+    at_keys = buffer.dense(times, gl.SCALAR, bounds=True)
+    meshes, tracks = list[gl.Mesh](), list[Tracks]()
+    for name, shapes in faces.items():
+        error = buffer.dense(errors[name], gl.SCALAR, gl.ARRAY_BUFFER)
+        of_vertices = gl.Attributes(**{**base, ERROR_ATTRIBUTE: error})
+        targets = _targets(buffer, neutral, normals, shapes, options)
+        meshes.append(_morphed(f"face.{name}", list(shapes), of_vertices, triangles, targets))
+        own = weights[:, [names.index(shape) for shape in shapes]]
+        values = {gl.WEIGHTS: (at_keys, buffer.dense(own.ravel(), gl.SCALAR))} if shapes else {}
+        tracks.append(values)
+    places = [[number * apart_mm * METRES, 0.0, 0.0] for number in range(len(meshes))]
+    _save(
+        path,
+        buffer,
+        [
+            gl.Node(name=mesh.name, mesh=number, translation=place)
+            for number, (mesh, place) in enumerate(zip(meshes, places, strict=True))
+        ],
+        meshes,
+        list(parts),
+        animation("expressions", *tracks) if names else None,
+    )
 
 
 def write_morphed(
@@ -111,45 +145,108 @@ def write_morphed(
     """
     buffer = Buffer()
     normals = vertex_normals(neutral)
-    of_vertices = gl.Attributes(
-        POSITION=buffer.dense(neutral.vertices * METRES, gl.VEC3, gl.ARRAY_BUFFER, bounds=True),
-        NORMAL=buffer.dense(normals, gl.VEC3, gl.ARRAY_BUFFER),
-    )
+    of_vertices = gl.Attributes(**_base(buffer, neutral, normals))
     for name, values in attributes.items():
         setattr(of_vertices, name, buffer.dense(values, gl.SCALAR, gl.ARRAY_BUFFER))
     targets = make_targets(buffer, normals)
     animation = animate(buffer, len(names))
-    # Blender numbers vertices by primitives: so it keeps their order where parts do not mix
-    by_vertex = sorted(skin_parts(neutral).items(), key=lambda part: neutral.faces[part[1]].min())
-    parts = dict(by_vertex)
-    materials = [*parts, "object"] if solids else list(parts)
-    document = gl.GLTF2(
-        asset=gl.Asset(version="2.0", generator=GENERATOR),
-        scene=0,
-        scenes=[gl.Scene(name="face", nodes=list(range(1 + len(solids))))],
-        nodes=[
+    parts = _parts(neutral)
+    triangles = [buffer.indices(neutral.faces[part]) for part in parts.values()]
+    _save(
+        path,
+        buffer,
+        [
             gl.Node(name="face", mesh=0),
             *(_node(solid, number) for number, solid in enumerate(solids, start=1)),
         ],
-        materials=[_material(part) for part in materials],
-        meshes=[
-            gl.Mesh(
-                name="face",
-                weights=[0.0] * len(names),
-                extras={"targetNames": list(names)},
-                primitives=[
-                    gl.Primitive(
-                        attributes=of_vertices,
-                        indices=buffer.indices(neutral.faces[faces]),
-                        material=number,
-                        mode=gl.TRIANGLES,
-                        targets=targets,
-                    )
-                    for number, faces in enumerate(parts.values())
-                ],
-            ),
+        [
+            _morphed("face", names, of_vertices, triangles, targets),
             *(_mesh(buffer, solid, len(parts)) for solid in solids),
         ],
+        [*parts, "object"] if solids else list(parts),
+        animation,
+        extensions,
+    )
+
+
+def _base(buffer: Buffer, neutral: Surface, normals: Floats) -> dict[str, int]:
+    """Add a skin's vertices and normals, and return their accessors by attribute."""
+    points = neutral.vertices * METRES
+    return {
+        "POSITION": buffer.dense(points, gl.VEC3, gl.ARRAY_BUFFER, bounds=True),
+        "NORMAL": buffer.dense(normals, gl.VEC3, gl.ARRAY_BUFFER),
+    }
+
+
+def _targets(
+    buffer: Buffer,
+    neutral: Surface,
+    normals: Floats,
+    shapes: Mapping[str, Floats],
+    options: ShapeOptions,
+) -> list[gl.Attributes]:
+    """Add shapes (v, 3), mm, as changes of positions and normals."""
+    return [
+        gl.Attributes(
+            POSITION=buffer.morph(
+                (shape - neutral.vertices) * METRES, options.still_mm * METRES, bounds=True
+            ),
+            NORMAL=buffer.morph(
+                vertex_normals(neutral.moved(shape)) - normals, options.still_normal
+            ),
+        )
+        for shape in shapes.values()
+    ]
+
+
+def _parts(neutral: Surface) -> dict[str, Ints]:
+    """Return the triangles of each part of a skin, which is a primitive with its own material."""
+    # Blender numbers vertices by primitives: so it keeps their order where parts do not mix
+    return dict(sorted(skin_parts(neutral).items(), key=lambda part: neutral.faces[part[1]].min()))
+
+
+def _morphed(
+    name: str,
+    names: Sequence[str],
+    of_vertices: gl.Attributes,
+    triangles: Sequence[int],
+    targets: list[gl.Attributes],
+) -> gl.Mesh:
+    """Return a mesh with named morph targets; each part's ``triangles`` have its material."""
+    return gl.Mesh(
+        name=name,
+        weights=[0.0] * len(names),
+        extras={"targetNames": list(names)},
+        primitives=[
+            gl.Primitive(
+                attributes=of_vertices,
+                indices=indices,
+                material=number,
+                mode=gl.TRIANGLES,
+                targets=targets,
+            )
+            for number, indices in enumerate(triangles)
+        ],
+    )
+
+
+def _save(
+    path: Path,
+    buffer: Buffer,
+    nodes: list[gl.Node],
+    meshes: list[gl.Mesh],
+    materials: Sequence[str],
+    animation: gl.Animation | None,
+    extensions: Sequence[str] = (),
+) -> None:
+    """Write the file of a buffer; every node is seen."""
+    document = gl.GLTF2(
+        asset=gl.Asset(version="2.0", generator=GENERATOR),
+        scene=0,
+        scenes=[gl.Scene(name="face", nodes=list(range(len(nodes))))],
+        nodes=nodes,
+        materials=[_material(part) for part in materials],
+        meshes=meshes,
         animations=[] if animation is None else [animation],
         accessors=buffer.accessors,
         bufferViews=buffer.views,

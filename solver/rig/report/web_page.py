@@ -25,6 +25,7 @@ from solver.rig.rig import ROLES
 FILES = {
     "rig.npz": "the rig in one file: model, matrix S and expressions",
     "rig.glb": "the skin with one named morph target per expression",
+    "systems.glb": "the same skin by every system, side by side",
     "activations.npz": "muscle activations, jaw and flesh of every expression",
     "activations.csv": "the same activations as a table",
     "muscle_weights.npz": "the matrix S, tetrahedra × muscles",

@@ -17,6 +17,7 @@ from solver.jobs import run_job
 from solver.meshio.registered import write_registered
 from solver.model import SubjectModel
 from solver.rig import systems
+from solver.rig.exporters import export_measured
 from solver.rig.rig import Rig
 from solver.surface import Floats, Surface
 from solver.tracks.basis import MuscleTracks
@@ -103,7 +104,9 @@ def test_weights_stand_beside_the_muscles(files: Path, tmp_path: Path) -> None:
     # flesh is what made these scans: the sum of shapes is no better
     assert told["wide"]["T"]["mean_mm"] < told["wide"]["B"]["mean_mm"]
     assert report["settings"]["tracks"]["w_w"] == 1e-8
-    assert "muscle tracks" in (tmp_path / "report.html").read_text()
+    assert "system" in export_measured(rig, "systems", tmp_path / "again.glb").figures
+    assert (tmp_path / "systems.glb").is_file()
+    assert "Systems side by side" in (tmp_path / "report.html").read_text()
 
 
 def test_later_fits_carry_the_others_over(files: Path, tmp_path: Path) -> None:
