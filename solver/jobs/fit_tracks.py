@@ -73,7 +73,11 @@ def run(task: Task[FitTracks]) -> list[Path]:
     information = known_information(parent) if _trained(rig) == _trained(parent) else None
     ending = part_of(progress, 0.5)
     files = fits.leave_rig(face, whole, settings, task.out, ending, information)
-    return [*files, export(whole, "systems", task.out / "systems.glb")]
+    views = [
+        export(whole, "view", task.out / f"view_{letter}.bin", {"system": letter})
+        for letter in systems
+    ]
+    return [*files, export(whole, "systems", task.out / "systems.glb"), *views]
 
 
 def _trained(rig: Rig) -> list[str]:

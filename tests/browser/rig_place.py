@@ -24,7 +24,7 @@ from solver.rig.frames import MarkerFrame, SequenceFrame
 from solver.rig.frames.animation_gltf import AnimatedSkin
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.similarity import IDENTITY
-from solver.storage import write_container
+from solver.storage import read_container, write_container
 from solver.surface import Floats
 from tests.browser.sample_rig import Sample, write_sample
 from tests.browser.stage import CHROMIUM
@@ -88,6 +88,7 @@ def served_rigs(folder: Path) -> Iterator[Place]:
     store = app.state.store.of(DEFAULT_TENANT)
     sample = write_sample(folder / "a")
     files = [folder / "a" / name for name in PARTS]
+    files.append(_by_tracks(folder / "a"))
     subject, first = put_rig(store, "Ada", files, {**sample.summary(), **CERTIFICATE})
     other = write_sample(folder / "b", subject="B")
     files = [folder / "b" / name for name in (*PARTS[:2], *SOLVED)]
@@ -137,6 +138,18 @@ def until(condition: Callable[[], bool], seconds: float = SECONDS) -> None:
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+def _by_tracks(folder: Path) -> Path:
+    """Write what tracks make of a sample's expressions: half of them."""
+    found, path = read_container(folder / "view.bin"), folder / "view_T.bin"
+    halved = {
+        name: array / 2 if name.startswith("skin/") else array
+        for name, array in found.arrays.items()
+    }
+    header = {name: found.header[name] for name in found.header if name != "arrays"}
+    write_container(path, header, halved)
+    return path
 
 
 def _sequence(folder: Path, sample: Sample) -> tuple[Path, Floats]:

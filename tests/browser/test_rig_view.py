@@ -434,6 +434,35 @@ def test_two_rigs_are_compared(place: Place, look: Callable[..., Page]) -> None:
     assert page.url.endswith("view=side")
 
 
+def test_systems_of_a_rig_are_chosen_and_stand_side_by_side(
+    place: Place, look: Callable[..., Page]
+) -> None:
+    page = look(f"/rigs/{place.first}?e=smile:1")
+    _shown(page)
+    by_muscles = _picture(page)
+    page.get_by_label("Driven by").select_option("T")
+    page.wait_for_url("**/*system=T*")
+    _shown(page)
+    _settled(page)
+    assert _query(page) == "system=T&e=smile:1"
+    assert np.abs(_picture(page) - by_muscles).mean() > 0.2
+    assert page.get_by_label("Muscles and bones").count() == 0
+    page.get_by_role("link", name="Side by side").click()
+    page.wait_for_url("**/compare?*")
+    _shown(page)
+    assert page.locator(".pane-names").inner_text().split("\n") == [
+        "A: Ada",
+        "B: Ada, muscle tracks",
+    ]
+    page.get_by_label("Heat map").select_option("distance")
+    _settled(page)
+    assert _query(page).startswith(f"a={place.first}&b={place.first}.T&heat=0-2")
+    # what there is not leads to what there is
+    page = look(f"/rigs/{place.first}?system=B", refusals=True)
+    _shown(page)
+    assert "system" not in page.url
+
+
 def _watch(page: Page) -> None:
     """Keep what is drawn in ``window.posed``."""
     page.evaluate(

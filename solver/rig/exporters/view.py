@@ -1,12 +1,13 @@
 """``view.bin``: the skin of a rig for a page that shows it, and that page for a notebook.
 
 docs/reference/rig-format.md describes it. Displacements are in half precision, as in
-``inside.bin``.
+``inside.bin``. Other systems of a rig have a file each, ``view_T.bin`` ....
 """
 
 from __future__ import annotations
 
 from base64 import b64encode
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -16,11 +17,13 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.muscle_weights import muscle_volumes
-from solver.fitting.contraction import STILL
-from solver.rig.exporters import NO_OPTIONS
-from solver.rig.exporters import NoOptions as Options
+from solver.anatomy.tetrahedra import volumes
+from solver.errors import InputError, quote
+from solver.fitting.contraction import STILL, Contraction
 from solver.rig.frames.read_back import NEUTRAL, compare_expressions
-from solver.rig.rig import Rig
+from solver.rig.report.measures import distances
+from solver.rig.report.systems import fits_by_system
+from solver.rig.rig import ExpressionFit, Rig
 from solver.storage import read_container, write_container
 
 FILE = "view.bin"
@@ -28,44 +31,66 @@ MEDIA_TYPE = "application/octet-stream"
 WITH_EVERY_RIG = True
 
 
-def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
-    """Write the skin in every expression, the scans and the distances between them."""
-    figures = rig.known_figures()
-    neutral = rig.model.skin.vertices
-    told = [figures["expressions"][fit.name] for fit in rig.expressions]
-    names, jaw = rig.model.muscle_names, rig.model.jaw
-    flesh = muscle_volumes(rig.model.rest, rig.model.tets, rig.weights).tolist()
+@dataclass(frozen=True)
+class Options:
+    """Whose expressions are written."""
+
+    system: str = "S"  # the rig's muscles; or one of its systems
+
+
+DEFAULTS = Options()
+
+
+def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
+    """Write the skin in every expression, the scans and the distances between them.
+
+    Raises :class:`InputError` (``export.options``) for a system that the rig does not have.
+    """
+    model, fits = rig.model, _fits(rig, options.system)
+    neutral, jaw = model.skin.vertices, model.jaw
+    contraction = Contraction.of(model, volumes(model.rest, model.tets), rig.weights)
+    flesh = muscle_volumes(model.rest, model.tets, rig.weights).tolist()
     header = {
         "expressions": [
-            {"name": fit.name, **{key: each[key] for key in ("mean_mm", "p95_mm", "max_mm")}}
-            for fit, each in zip(rig.expressions, told, strict=True)
+            {"name": fit.name, **distances(fit.measured_error(model.face))} for fit in fits
         ],
-        "muscles": list(names),
-        "wholes": list(rig.model.muscle_groups),
+        "muscles": list(model.muscle_names),
+        "wholes": list(model.muscle_groups),
         "flesh_mm3": flesh,
         "still": [-STILL.lengthened, STILL.least],
         "sagittal": {"at": jaw.origin.tolist(), "across": jaw.axes[0].tolist()},
     }
-    stretches = [[each["muscles"][name]["fibres"] for name in names] for each in told]
+    stretches = [1.0 - contraction(fit.activations) for fit in fits]
     arrays: dict[str, np.ndarray] = {
         "neutral": neutral.astype(np.float32),
-        "faces": rig.model.skin.faces.astype(np.uint32),
-        "activation": np.array(stretches, np.float32).reshape(len(told), len(names)),
+        "faces": model.skin.faces.astype(np.uint32),
+        "activation": np.array(stretches, np.float32).reshape(len(fits), model.muscle_count),
     }
-    for k, fit in enumerate(rig.expressions):
+    for k, fit in enumerate(fits):
         arrays[f"skin/{k}"] = (fit.skin - neutral).astype(np.float16)
         arrays[f"scan/{k}"] = (fit.target - neutral).astype(np.float16)
         arrays[f"error/{k}"] = fit.error_mm.astype(np.float16)
     write_container(path, header, arrays)
 
 
-def read_back(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> dict[str, Any]:
+def _fits(rig: Rig, system: str) -> Sequence[ExpressionFit]:
+    """Return the expressions of a system."""
+    known = fits_by_system(rig)
+    if system not in known:
+        message = f"the rig has no system {quote(system)}: it has {', '.join(known)}"
+        raise InputError("export.options", message, found=quote(system), expected=[*known])
+    return known[system]
+
+
+def read_back(rig: Rig, path: Path, options: Options = DEFAULTS) -> dict[str, Any]:
     """Return how far the file's skins are off the rig's."""
+    skins = {fit.name: fit.skin for fit in _fits(rig, options.system)}
     archive = read_container(path)
     arrays, told = archive.arrays, archive.header["expressions"]
     neutral = arrays["neutral"]
     shown = {each["name"]: neutral + arrays[f"skin/{k}"] for k, each in enumerate(told)}
-    return compare_expressions(path, {NEUTRAL: neutral, **shown}, rig.skins())
+    wanted = {NEUTRAL: rig.model.skin.vertices, **skins}
+    return compare_expressions(path, {NEUTRAL: neutral, **shown}, wanted)
 
 
 @dataclass(frozen=True)

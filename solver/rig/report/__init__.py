@@ -29,12 +29,11 @@ from solver.rig.report.checks import (
     ready,
     use,
 )
-from solver.rig.report.measures import measured_regions, rounded, uneven_sides
+from solver.rig.report.measures import distances, measured_regions, rounded, uneven_sides
 from solver.rig.report.prime_movers import ActionCheck
 from solver.rig.report.systems import system_figures
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
-from solver.surface import Floats
 
 PACKAGES = ("myoface", "numpy", "scipy", "numba")
 CONTACTS = {
@@ -122,7 +121,7 @@ def _expression(
         "verdict": expression_verdict(judgements, fit.name),
         "failed": [each.check.code for each in mine if each.of(fit.name) != "good"],
         "coverage": rounded(len(error) / len(model.face)),
-        **_distances(error),
+        **distances(error),
         "inverted": fit.inverted,
         "solver": fit.solver,
         "status": fit.status,
@@ -132,7 +131,7 @@ def _expression(
         "jaw": [round(float(value), 6) for value in fit.jaw],
         "regions": {name: rounded(seen.mean()) for name, (_, seen) in regions.items()},
         "by_region": {
-            name: {"coverage": rounded(len(seen) / len(ids)), **_distances(seen)}
+            name: {"coverage": rounded(len(seen) / len(ids)), **distances(seen)}
             for name, (ids, seen) in regions.items()
         },
         "flesh": flesh and {**_plain_fields(flesh), "residual": float(f"{flesh.residual:.3e}")},
@@ -144,14 +143,6 @@ def _expression(
         "known": [each.as_dict() for each in fit.known],
         "asymmetry_mm": None if check.asymmetry_mm is None else rounded(check.asymmetry_mm),
         "round_trip": trip and {"reached": trip.is_reached, **_plain_fields(trip)},
-    }
-
-
-def _distances(error: Floats) -> dict[str, float | None]:
-    return {
-        "mean_mm": rounded(error.mean()),
-        "p95_mm": rounded(np.percentile(error, 95)),
-        "max_mm": rounded(error.max()),
     }
 
 

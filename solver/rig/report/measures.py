@@ -52,6 +52,15 @@ def rounded(value: float | np.floating) -> float | None:
     return round(float(value), 4) if math.isfinite(value) else None
 
 
+def distances(error: Floats) -> dict[str, float | None]:
+    """Return mean, 95th percentile and greatest of distances in mm."""
+    return {
+        "mean_mm": rounded(error.mean()),
+        "p95_mm": rounded(np.percentile(error, 95)),
+        "max_mm": rounded(error.max()),
+    }
+
+
 def measured_regions(model: SubjectModel, fit: ExpressionFit) -> dict[str, tuple[Ints, Floats]]:
     """Return the face's regions of which the scan shows something: vertices and errors in mm."""
     on_face = {name: np.intersect1d(ids, model.face) for name, ids in model.regions.items()}

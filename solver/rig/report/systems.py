@@ -14,7 +14,7 @@ from solver.contact.crossing import crossing
 from solver.contact.mouth import Mouth
 from solver.fitting.contraction import Contraction
 from solver.model import SubjectModel
-from solver.rig.report.measures import rounded
+from solver.rig.report.measures import distances, rounded
 from solver.rig.rig import ExpressionFit, Rig, ShapeFit
 from solver.surface import Floats, Ints
 
@@ -44,8 +44,8 @@ class LipFlesh:
         lips = np.concatenate([np.empty(0, np.int64), *regions])
         if not len(lips):
             return None
-        distances, _ = cKDTree(model.skin.vertices[lips]).query(model.tet_centres)
-        tets = model.tets[distances < within_mm]
+        away, _ = cKDTree(model.skin.vertices[lips]).query(model.tet_centres)
+        tets = model.tets[away < within_mm]
         return cls(tets, float(volumes(model.rest, tets).sum())) if len(tets) else None
 
     def change(self, x: Floats) -> float:
@@ -83,8 +83,7 @@ class SystemMeasures:
         lips = None if self.lips is None or fit.x is None else 1e2 * self.lips.change(fit.x)
         controls = self._controls(fit)
         return {
-            "mean_mm": rounded(error.mean()),
-            "p95_mm": rounded(np.percentile(error, 95)),
+            **distances(error),
             "lip_volume_percent": None if lips is None else rounded(lips),
             "crossing_mm": self.mouth and rounded(crossing(self.mouth, fit.skin).lips),
             "inverted": fit.inverted,

@@ -19,6 +19,7 @@ from solver.model import SubjectModel
 from solver.rig import systems
 from solver.rig.exporters import export_measured
 from solver.rig.rig import Rig
+from solver.storage import read_container
 from solver.surface import Floats, Surface
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace, track_potentials
@@ -106,6 +107,8 @@ def test_weights_stand_beside_the_muscles(files: Path, tmp_path: Path) -> None:
     assert report["settings"]["tracks"]["w_w"] == 1e-8
     assert "system" in export_measured(rig, "systems", tmp_path / "again.glb").figures
     assert (tmp_path / "systems.glb").is_file()
+    shown = read_container(tmp_path / "view_T.bin").header["expressions"]
+    assert [each["name"] for each in shown] == ["wide", "full"]
     assert "Systems side by side" in (tmp_path / "report.html").read_text()
 
 

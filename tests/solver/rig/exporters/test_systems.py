@@ -13,6 +13,7 @@ from solver.errors import InputError, SolveError
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.exporters import export, export_measured, systems
 from solver.rig.rig import ExpressionFit, Rig, ShapeFit, System
+from solver.storage import read_container
 from tests.solver.block import block_model
 
 
@@ -59,6 +60,17 @@ def test_faces_share_the_skin_and_show_an_expression_at_one_time(rig: Rig, tmp_p
     times = np.array([0.8, 2.4])  # the two expressions, each held
     np.testing.assert_allclose(muscles.motion(times)[0], [[1.0], [0.0]])
     np.testing.assert_allclose(tracks.motion(times)[0], [[0.0, 1.0], [1.0, 0.0]])
+
+
+def test_the_page_s_file_is_of_one_system(rig: Rig, tmp_path: Path) -> None:
+    path = export(rig, "view", tmp_path / "view_T.bin", {"system": "T"})
+    found = read_container(path)
+    assert [each["name"] for each in found.header["expressions"]] == ["kiss", "smile"]
+    assert found.header["expressions"][1]["mean_mm"] == pytest.approx(3.0)
+    np.testing.assert_allclose(found.arrays["skin/0"][:, 1], 2.0)
+    with pytest.raises(InputError, match="it has S, T, B") as refused:
+        export(rig, "view", tmp_path / "none.bin", {"system": "P"})
+    assert refused.value.code == "export.options"
 
 
 def test_a_file_of_another_system_is_refused(rig: Rig, tmp_path: Path) -> None:

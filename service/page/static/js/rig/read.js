@@ -8,10 +8,34 @@ export async function rigAndSubject(id, signal) {
   return [rig, await api.get(`/v1/subjects/${rig.subject_id}`, {}, signal)];
 }
 
-/** Return a rig's `view.bin`; null if the rig is older than such files. */
-export async function viewOf(id, signal) {
+const MUSCLES = "S";
+/** What drives a face, by its letter in a rig's files. */
+export const SYSTEMS = { [MUSCLES]: "Muscles", T: "Muscle tracks", B: "Plain shapes" };
+const VIEW_FILE = /^view_([A-Z])\.bin$/;
+
+/** Return the letters of the systems that a rig can be shown by. */
+export function systemsOf({ artifacts }) {
+  return [MUSCLES, ...artifacts.flatMap(({ name }) => VIEW_FILE.exec(name)?.slice(1) ?? [])];
+}
+
+/** Return the rig's id and the letter of a system that an address names: `ID` or `ID.T`. */
+export function idAndSystem(text) {
+  const [id, system = MUSCLES] = text.split(".");
+  return [id, system in SYSTEMS ? system : MUSCLES];
+}
+
+/** Return a rig as one of its systems has it: certificate and inside are those of its muscles. */
+export function bySystem(rig, system) {
+  if (system === MUSCLES) return rig;
+  const artifacts = rig.artifacts.filter(({ name }) => name !== "inside.bin");
+  return { ...rig, artifacts, summary: { ...rig.summary, train_mean_mm: null, test_mean_mm: null, inverted: null } };
+}
+
+/** Return the file that shows a rig by a system; null if the rig does not have it. */
+export async function viewOf(id, signal, system = MUSCLES) {
+  const file = system === MUSCLES ? "view.bin" : `view_${system}.bin`;
   try {
-    return await api.bytes(`/v1/rigs/${id}/artifacts/view.bin`, { signal });
+    return await api.bytes(`/v1/rigs/${id}/artifacts/${file}`, { signal });
   } catch (problem) {
     if (problem.code === "artifact.unknown") return null;
     throw problem;

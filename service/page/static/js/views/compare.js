@@ -1,4 +1,4 @@
-// Two rigs beside each other: `/compare?a=RIG&b=RIG`.
+// Two rigs beside each other, or two systems of one: `/compare?a=RIG&b=RIG.T`.
 
 import * as api from "../api.js";
 import { h, show } from "../dom.js";
@@ -8,7 +8,7 @@ import { short, when } from "../words.js";
 import { ComparePage } from "../rig/compare_page.js";
 import { Face } from "../rig/face.js";
 import { fromQuery, toQuery } from "../rig/link.js";
-import { rigAndSubject, viewOf } from "../rig/read.js";
+import { SYSTEMS, bySystem, idAndSystem, rigAndSubject, viewOf } from "../rig/read.js";
 
 export async function mount(root, params, query) {
   const ending = new AbortController();
@@ -19,9 +19,11 @@ export async function mount(root, params, query) {
     show(root, head, h("p", { class: "empty" }, "Choose two rigs."));
     return () => ending.abort();
   }
-  const sides = await Promise.all(ids.map(async (id) => {
-    const [[rig, subject], buffer] = await Promise.all([rigAndSubject(id, signal), viewOf(id, signal)]);
-    return { rig, subject, face: buffer && new Face(buffer) };
+  const sides = await Promise.all(ids.map(async (text) => {
+    const [id, system] = idAndSystem(text);
+    const [[rig, subject], buffer] = await Promise.all([rigAndSubject(id, signal), viewOf(id, signal, system)]);
+    const name = system === "S" ? subject.name : `${subject.name}, ${SYSTEMS[system].toLowerCase()}`;
+    return { rig: bySystem(rig, system), subject: { ...subject, name }, face: buffer && new Face(buffer) };
   }));
   const old = sides.filter(({ face }) => !face);
   if (old.length) {
@@ -55,7 +57,7 @@ async function pickers(ids, signal) {
         const next = ids.map((id, k) => (k === i ? select.value : id));
         navigate(`/compare?${["a", "b"].flatMap((name, k) => (next[k] ? [`${name}=${next[k]}`] : [])).join("&")}`);
       },
-    }, h("option", { value: "" }, "Choose a rig"), rigs.map((rig) => h("option", { value: rig.id, selected: rig.id === chosen },
+    }, h("option", { value: "" }, "Choose a rig"), rigs.map((rig) => h("option", { value: rig.id, selected: rig.id === idAndSystem(chosen ?? "")[0] },
       `${people.get(rig.subject_id) ?? "a subject"}, ${rig.name || when(rig.created_at)}, ${short(rig.id)}`)));
     return h("div", { class: "row" }, h("label", { for: select.id }, "AB"[i]), select);
   });
