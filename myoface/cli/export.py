@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from myoface.cli.app import NewFolder, Url
 from myoface.cli.commands import Argument, Option
-from myoface.cli.console import JobView, out, transfer_bar
+from myoface.cli.console import JobDisplay, out, transfer_bar
 from myoface.cli.lookup import find_rig
 from myoface.cli.operator import OPERATOR
 from myoface.client import DEFAULT_URL, Client
@@ -53,7 +53,7 @@ def _made(client: Client, rig: Rig, format: Format) -> Artifact:
     Raises :class:`ApiError`: ``client.answer`` if the job has left no such file.
     """
     job = client.submit("export_rig", rig.subject_id, rig_id=rig.id, options={"format": format})
-    with JobView(job.kind) as view:
+    with JobDisplay(job.kind) as view:
         result = client.wait(job.id, view.watch).result or Result()
     if file := _named(FILES[format], result.artifacts):
         return file

@@ -33,7 +33,7 @@ from solver.fitting.expression_basis import begin_at
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.interior_point import Bounds, FeasibleSet
 from solver.fitting.objective import Prior, Target, Term
-from solver.fitting.steps import StepOptions
+from solver.fitting.steps import FeasibleStepOptions
 from solver.fitting.stretches import COLUMN, ROW, matrices
 from solver.kinds import FILES
 from solver.mechanics.flesh import IDENTITY
@@ -131,7 +131,7 @@ STORED = ("activations", "jaw", "mean_mm", "settled")  # its arrays
 # mm; a shape that moves no point of the face further is nothing for muscles: a tongue, a pupil
 LEAST_MOTION_MM = 0.05
 NOTHING_KNOWN: Mapping[str, Floats] = MappingProxyType({})
-SHORT = DescentOptions(steps=StepOptions.quick())  # within limits: there are fifty shapes
+SHORT = DescentOptions(steps=FeasibleStepOptions.quick())  # within limits: there are fifty shapes
 
 
 @dataclass(frozen=True)

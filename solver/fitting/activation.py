@@ -40,7 +40,7 @@ from solver.fitting.least_squares import (
 from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, Term
 from solver.fitting.recruitment import Recruitment
 from solver.fitting.sensitivity import Sensitivity
-from solver.fitting.steps import StepOptions, solve_positive
+from solver.fitting.steps import FeasibleStepOptions, solve_positive
 from solver.scans.known_activations import NOTHING, KnownMuscles
 from solver.surface import Floats
 
@@ -85,7 +85,7 @@ class DescentOptions:
     products: int = 16  # with J^T C J for a step, at most
     # length of the correction that a step is left without, relative to it in the model's own norm
     accuracy: float = 0.1
-    steps: StepOptions = field(default_factory=StepOptions)  # within bounds
+    steps: FeasibleStepOptions = field(default_factory=FeasibleStepOptions)  # within bounds
 
 
 @dataclass(frozen=True)
@@ -335,7 +335,7 @@ def rest_curvature(face: Face) -> Floats:
 
 
 def _whole_model(
-    face: Face, data: Term, regulariser: Prior, state: PosedFace, options: StepOptions
+    face: Face, data: Term, regulariser: Prior, state: PosedFace, options: FeasibleStepOptions
 ) -> DenseModel:
     """Return f's model at a state with its matrix as it is there."""
     jacobian = Sensitivity(face, state).by_pose()
@@ -384,7 +384,7 @@ class DenseModel:
     gradient: Floats
     q: Floats
     motion: Floats | None = None
-    options: StepOptions = field(default_factory=StepOptions)
+    options: FeasibleStepOptions = field(default_factory=FeasibleStepOptions)
 
     def plus(self, matrix: Floats) -> DenseModel:
         """Return the model with a further part (k, k) of f's Hessian."""

@@ -133,7 +133,7 @@ def interior_step(
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
     count = len(barrier.margins(q))
     weight, curvature = 0.5 * float(slope @ newton) / count, np.zeros_like(hessian)
-    first = _Model(barrier, hessian, gradient, q, weight)
+    first = _BarrierModel(barrier, hessian, gradient, q, weight)
     begin = first.quadratic(step)
     for _ in range(options.weights):
         # of no bound is there more to gain
@@ -148,7 +148,9 @@ def interior_step(
     return InteriorStep(step, curvature)
 
 
-def _descend(model: _Model, step: Floats, options: InteriorPointOptions) -> tuple[Floats, Floats]:
+def _descend(
+    model: _BarrierModel, step: Floats, options: InteriorPointOptions
+) -> tuple[Floats, Floats]:
     """Return the step that minimises the model with its barrier, and the barrier's curvature."""
     for _ in range(options.steps):
         curvature = model.weight * model.barrier.hessian(model.q + step)
@@ -163,7 +165,7 @@ def _descend(model: _Model, step: Floats, options: InteriorPointOptions) -> tupl
 
 
 @dataclass(frozen=True)
-class _Model:
+class _BarrierModel:
     """The quadratic model with a barrier of some weight."""
 
     barrier: _Barrier
@@ -184,7 +186,11 @@ class _Model:
 
 
 def _search(
-    model: _Model, step: Floats, direction: Floats, decrement: float, options: InteriorPointOptions
+    model: _BarrierModel,
+    step: Floats,
+    direction: Floats,
+    decrement: float,
+    options: InteriorPointOptions,
 ) -> Floats:
     """Return a step further along ``direction`` that lowers the model and stays inside."""
     least, before = options.kept * model.barrier.margins(model.q + step), model.value(step)

@@ -43,7 +43,7 @@ from solver.drawing.head import both_sides, muscle_side
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Prior, Regulariser, Target
 from solver.fitting.simplex import mirrored_pairs
-from solver.fitting.stretches import fibre_tensors, shorten
+from solver.fitting.stretches import fibre_tensors, isochoric_activation
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
@@ -121,7 +121,7 @@ class Recruitment:
         contraction = options.contraction * (strengths * self.named).max(axis=0)
         mean = np.tile(IDENTITY, (len(price), 1))
         for muscle in np.flatnonzero((contraction > 0.0) & np.isfinite(self.tensors[:, 0, 0])):
-            mean[muscle] = shorten(self.tensors[muscle], 1.0 - contraction[muscle])
+            mean[muscle] = isochoric_activation(self.tensors[muscle], 1.0 - contraction[muscle])
         even = options.even * explained * self.evenness(amounts)
         return Recruited((price**explained)[:, None], mean, replace(self.sides, weight=even))
 

@@ -46,14 +46,14 @@ class LinearisedOptions:
 
 
 @dataclass(frozen=True)
-class StepOptions:
+class FeasibleStepOptions:
     """The methods within a set: the first that has a step."""
 
     linearised: LinearisedOptions | None = field(default_factory=LinearisedOptions)
     interior: InteriorPointOptions = field(default_factory=InteriorPointOptions)
 
     @classmethod
-    def quick(cls) -> StepOptions:
+    def quick(cls) -> FeasibleStepOptions:
         """Return those of many fits, each from a state near by: about the best step will do."""
         return cls(LinearisedOptions(worth=0.3), InteriorPointOptions(fall=0.03, short=1e-2))
 
@@ -80,7 +80,7 @@ def step_model(
     gradient: Floats,
     q: Floats,
     longest: Floats,
-    options: StepOptions = StepOptions(),
+    options: FeasibleStepOptions = FeasibleStepOptions(),
 ) -> StepModel:
     """Return the steps from q within ``bounds``, those in a box no longer than ``longest`` (size,).
 
@@ -140,7 +140,7 @@ class _SetSteps:
     hessian: Floats
     gradient: Floats
     q: Floats
-    options: StepOptions
+    options: FeasibleStepOptions
 
     def best(self, gradient: Floats) -> Floats:
         found = self._linearised(gradient)

@@ -17,7 +17,7 @@ from solver.jobs import Task, read_template
 from solver.kinds.build_tracks import BuildTracks
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
-from solver.progress import Progress, Step
+from solver.progress import ProgressCallback, Step
 from solver.rig.pictures import TrackShot, tracks_picture
 from solver.storage import write_json
 from solver.surface import Floats
@@ -61,7 +61,7 @@ def _try(
     model: SubjectModel,
     tracks: MuscleTracks,
     shapes: Mapping[str, Floats],
-    progress: Progress,
+    progress: ProgressCallback,
     options: ShownOptions = ShownOptions(),
 ) -> list[TrackShot]:
     """Go from rest to each of the shapes that move the face most, one of a pair."""

@@ -22,7 +22,7 @@ from solver.fitting.target_checks import check_held
 from solver.jobs import Task, fits
 from solver.kinds.fit_geometry import FitGeometry
 from solver.model import SubjectModel
-from solver.progress import Progress, Step, part_of
+from solver.progress import ProgressCallback, Step, part_of
 from solver.rig.report.measures import check_neutral
 from solver.rig.rig import Rig
 from solver.scans.known_activations import NOTHING
@@ -99,7 +99,7 @@ def _fit(
     targets: Mapping[str, Target],
     schedule: GeometryOptions,
     priors: Mapping[str, Any],
-    progress: Progress,
+    progress: ProgressCallback,
 ) -> tuple[GeometryFit, tuple[Finding, ...]]:
     """Fit by a solver; returns what IPOPT noticed, too."""
 

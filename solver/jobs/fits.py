@@ -29,7 +29,7 @@ from solver.kinds.kind import Distance, ExpressionFitOptions
 from solver.mechanics.flesh import IDENTITY
 from solver.meshio.registered import RegisteredScan, read_registered
 from solver.model import SubjectModel
-from solver.progress import Progress, Step
+from solver.progress import ProgressCallback, Step
 from solver.rig.exporters import write_rig
 from solver.rig.report.certificate import certify, with_round_trips
 from solver.rig.rig import ExpressionFit, Rig
@@ -156,7 +156,7 @@ def leave_rig(
     rig: Rig,
     settings: dict[str, Any],
     out: Path,
-    progress: Progress,
+    progress: ProgressCallback,
     information: MuscleInformation | None = None,
 ) -> list[Path]:
     """Check what was fitted and write the rig's files; ``progress`` counts from 0 to 1 here.
@@ -222,7 +222,7 @@ def _normals(points: Floats, triangles: Ints) -> Floats:
 class WarningLog:
     """Notices are sent as steps of the phase ``warning`` and sorted by expression."""
 
-    def __init__(self, model: SubjectModel, progress: Progress) -> None:
+    def __init__(self, model: SubjectModel, progress: ProgressCallback) -> None:
         self._model = model
         self._progress = progress
         self._notices: list[Finding] = []

@@ -21,7 +21,7 @@ from solver.animation import PosedFrame
 from solver.errors import SolveError
 from solver.jobs import Task, hash_files
 from solver.kinds.scene import FatEntry
-from solver.progress import Progress, Step, silent
+from solver.progress import ProgressCallback, Step, silent
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.frames.animation import (
     Filming,
@@ -75,7 +75,12 @@ class PictureOptions:
 
 
 def play(
-    stage: Stage, out: Path, scene: str, progress: Progress = silent, *, resume: bool = False
+    stage: Stage,
+    out: Path,
+    scene: str,
+    progress: ProgressCallback = silent,
+    *,
+    resume: bool = False,
 ) -> list[MotionRecord]:
     """Simulate all frames of a stage and return them; they are in ``out/frames`` as they come.
 
@@ -121,7 +126,7 @@ def finish(
     stage: Stage,
     frames: Sequence[MotionRecord],
     out: Path,
-    progress: Progress,
+    progress: ProgressCallback,
     *,
     title: str,
     video: bool,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from solver.anatomy.template import Template
 from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan
-from solver.progress import Progress, Step, silent
+from solver.progress import ProgressCallback, Step, silent
 from solver.registration.landmarks import find_landmarks, landmark_vertices
 from solver.registration.locate import Location, locate_face, location_findings, scan_samples
 from solver.registration.nonrigid import (
@@ -90,7 +90,7 @@ def register(
     frame: Mapping[str, Any] = FRAME,
     landmarks: Marks | None = None,
     landmarker: Path | None = None,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> RegisteredFace:
     """Register a mended scan: a neutral, or an expression if ``neutral`` (n, 3) is given.
 

@@ -24,7 +24,7 @@ from solver.anatomy.transfer import carry_muscle, guidance, relax
 from solver.errors import Finding, InputError
 from solver.meshio.mesh import check_finite, too_large_error, weld
 from solver.meshio.raw import RawScan, mend, read_raw
-from solver.progress import Progress, Step, silent
+from solver.progress import ProgressCallback, Step, silent
 from solver.registration.correspondence import Carrier, Correspondence, correspond
 from solver.registration.landmarks import match, read_landmarks
 from solver.registration.locate import face_surface, scan_samples
@@ -71,7 +71,7 @@ def rebase(
     name: str = "",
     frame: Mapping[str, Any] = FRAME,
     landmarks: Path | None = None,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> Rebased:
     """Return the template with the vertices of the head ``skin``, in their order.
 
@@ -136,7 +136,7 @@ def _register(
     known: Topology,
     frame: Mapping[str, Any],
     landmarks: Path | None,
-    progress: Progress,
+    progress: ProgressCallback,
 ) -> tuple[RegisteredFace, list[Finding]]:
     """Register the template onto a head; return what the head lacks of a face, too."""
     template, scan = known.template, mend(raw)[0]

@@ -27,7 +27,7 @@ import scipy.sparse as sp
 
 from solver.errors import InputError, quote
 from solver.fitting.simplex import mix_by_stiffness
-from solver.fitting.stretches import Shortening, fibre_tensors
+from solver.fitting.stretches import IsochoricActivations, fibre_tensors
 from solver.kinds import FILES
 from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
 from solver.mechanics.flesh import IDENTITY, LAWS, shape_gradients
@@ -261,7 +261,7 @@ class TrackTargets:
         # muscles with a line and fibres; the others stay as passive flesh
         self._driven = (lengths > 0.0) & np.isfinite(tensors).all(axis=(1, 2))
         self._rest_lengths = lengths[self._driven]
-        self._shortening = Shortening.of(tensors[self._driven])
+        self._activations = IsochoricActivations.of(tensors[self._driven])
 
     @cached_property
     def _jaw_rates(self) -> Floats:
@@ -282,7 +282,7 @@ class TrackTargets:
         target = (1.0 - share) * y + share * self._jaw.move(y, b)
         lengths = self._tracks.lines.lengths(target)
         a = np.tile(IDENTITY, (len(lengths), 1))
-        a[self._driven] = self._shortening(self._stretches(lengths))
+        a[self._driven] = self._activations(self._stretches(lengths))
         return TrackPose(target, b, lengths, a)
 
     def rates(self, q: Floats) -> TrackRates:
@@ -295,7 +295,7 @@ class TrackTargets:
         pose = self._pose(b, y)
         lengths = tracks.lines.length_rates(pose.target, target)
         a = np.zeros((*pose.activations.shape, len(q)))
-        by_stretch = self._shortening.rates(self._stretches(pose.lengths))
+        by_stretch = self._activations.rates(self._stretches(pose.lengths))
         stretch = lengths[self._driven] / self._rest_lengths[:, None]
         a[self._driven] = by_stretch[:, :, None] * stretch[:, None]
         return TrackRates(target, self._jaw_rates, a)

@@ -23,7 +23,7 @@ from solver.surface import Floats
 
 
 @dataclass(frozen=True)
-class Shortening:
+class ContractionMap:
     """Contractions of m muscles by their values: c_j = rates_j . (a_j - rest_j), 0 at rest.
 
     Contraction is the part of their length that fibres lose, of fibre muscles the activation.
@@ -60,12 +60,12 @@ class MuscleDrive(Protocol):
         """
         return None
 
-    def shortening(
+    def contraction_map(
         self,
         model: SubjectModel,  # noqa: ARG002
         volumes: Floats,  # noqa: ARG002
         S: sp.csr_array,  # noqa: ARG002
-    ) -> Shortening | None:
+    ) -> ContractionMap | None:
         """Return the muscles' contractions by their values; None where these do not tell them.
 
         ``volumes`` (n,) are the tets' at rest.

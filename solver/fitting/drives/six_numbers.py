@@ -18,7 +18,7 @@ from typing_extensions import override
 
 from solver.anatomy.muscle_weights import volumes_by_muscle
 from solver.fitting.controls import Block, ShapePenalty, Spread
-from solver.fitting.drives import MuscleDrive, Shortening
+from solver.fitting.drives import ContractionMap, MuscleDrive
 from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.stretches import (
     COLUMN,
@@ -61,13 +61,13 @@ class SixNumbers(MuscleDrive):
         return BlendedRates(forces)
 
     @override
-    def shortening(
+    def contraction_map(
         self, model: SubjectModel, volumes: Floats, S: sp.csr_array
-    ) -> Shortening | None:
+    ) -> ContractionMap | None:
         if S.shape[1] != model.muscle_count + 1:  # tets by themselves, which are no muscles
             return None
         tensors = fibre_tensors(model, volumes, S)
-        return Shortening(-FROBENIUS * tensors[:, ROW, COLUMN], volumes_by_muscle(volumes, S))
+        return ContractionMap(-FROBENIUS * tensors[:, ROW, COLUMN], volumes_by_muscle(volumes, S))
 
 
 def activation_block(muscles: int, feasible: FeasibleSet | None = None) -> Block:

@@ -33,7 +33,7 @@ from solver.model import SubjectModel
 from solver.rig.frames import MarkerFrame
 from solver.rig.frames.animation_gltf import SEQUENCE_SHAPES, AnimatedSkin
 from solver.rig.frames.gltf import DEFAULTS, MATERIALS, worst_error
-from solver.rig.frames.gltf import ShapeOptions as Options
+from solver.rig.frames.gltf import MorphTargetOptions as Options
 from solver.rig.frames.read_back import MorphedSkin, compare_expressions
 from solver.rig.rig import Rig
 from solver.similarity import IDENTITY, Similarity, small_motion

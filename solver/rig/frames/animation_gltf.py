@@ -25,7 +25,7 @@ from solver.rig.frames import SequenceFrame
 from solver.rig.frames.gltf import (
     METRES,
     Buffer,
-    ShapeOptions,
+    MorphTargetOptions,
     Solid,
     Tracks,
     animation,
@@ -214,7 +214,7 @@ def _greatest(vectors: Singles) -> Floats:
 
 
 # a frame has many shapes at once: what each leaves out for a still vertex adds up
-SEQUENCE_SHAPES = ShapeOptions(still_mm=1e-4)
+SEQUENCE_SHAPES = MorphTargetOptions(still_mm=1e-4)
 # a file's numbers have the rest of the 0.2 mm that it may be off; frames of takes are noisy, and
 # ask for more shapes and samples than those of simulations
 SEQUENCE_BASIS = SkinBasisOptions(

@@ -34,7 +34,7 @@ MATERIALS = {  # linear base colour and opacity, roughness
 
 
 @dataclass(frozen=True)
-class ShapeOptions:
+class MorphTargetOptions:
     """Limits below which a shape is still, and the times in which shapes are shown in turn."""
 
     still_mm: float = 1e-3  # a vertex that moves less is left out of a sparse target
@@ -51,7 +51,7 @@ class ShapeOptions:
         return np.append(0.0, times), np.vstack([np.zeros((1, count)), rows])
 
 
-DEFAULTS = ShapeOptions()  # every expression whole, a second and a half each
+DEFAULTS = MorphTargetOptions()  # every expression whole, a second and a half each
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def write_face(
     shapes: Mapping[str, Floats],
     animate: Callable[[Buffer, int], gl.Animation | None],
     attributes: Mapping[str, Floats] = NOTHING,
-    options: ShapeOptions = DEFAULTS,
+    options: MorphTargetOptions = DEFAULTS,
 ) -> None:
     """Write a skin with named ``shapes`` (v, 3), mm, as morph targets of node 0, and an animation.
 
@@ -203,7 +203,9 @@ def _material(part: str) -> gl.Material:
     )
 
 
-def in_turn(buffer: Buffer, count: int, options: ShapeOptions = DEFAULTS) -> gl.Animation | None:
+def in_turn(
+    buffer: Buffer, count: int, options: MorphTargetOptions = DEFAULTS
+) -> gl.Animation | None:
     """Return an animation of all shapes one after the other; None if there is none."""
     if not count:
         return None

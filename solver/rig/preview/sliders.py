@@ -22,7 +22,7 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
-from solver.fitting.stretches import shorten
+from solver.fitting.stretches import isochoric_activation
 from solver.mechanics.boundary import JawMotion
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.rig import ExpressionFit
@@ -151,7 +151,7 @@ def _muscles(face: Face, full_stretch: float) -> tuple[list[Control], Floats]:
     changes = np.zeros((len(names), 6, len(kept)))
     pulled = np.tile(IDENTITY, (len(names), 1))
     for column, muscle in enumerate(kept):
-        pulled[muscle] = shorten(contraction.tensors[muscle], full_stretch)
+        pulled[muscle] = isochoric_activation(contraction.tensors[muscle], full_stretch)
         changes[muscle, :, column] = pulled[muscle] - IDENTITY
     full = contraction(pulled)
     listed = [Control(names[j], "muscle", names[j], names[j], full=float(full[j])) for j in kept]
