@@ -280,7 +280,7 @@ def _with_tets(
     found: Figures = {
         "per_tet_train_mean_mm": by_tets.mean_mm,
         "per_tet_max_mm": max((each["max_mm"] for each in expressions.values()), default=None),
-        "per_tet_inverted": by_tets.inverted(),
+        "per_tet_inverted": by_tets.count_inverted(),
         "per_tet_seconds": by_tets.seconds,
         "per_tet_failed": by_tets.failed,
         "per_tet_expressions": expressions,

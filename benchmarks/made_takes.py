@@ -240,7 +240,7 @@ class Bench:
             shifts.append(float(np.linalg.norm(off)))
             whole = face.whole_skin(fit.state.x, pose.b)
             jaws.append(float(np.linalg.norm((whole - skin)[incisors].mean(axis=0))))
-            inverted += face.flesh.inverted(fit.state.x)
+            inverted += face.flesh.count_inverted(fit.state.x)
             not_finite += not np.isfinite(fit.state.x).all() or not np.isfinite(fit.sd).all()
             q, layout = pose.vector(), pose.layout
             out_of_tracks += bool(

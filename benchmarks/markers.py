@@ -250,7 +250,7 @@ def _real(options: argparse.Namespace, kit: FaceKit, rig: Rig, shapes: Floats) -
         fits, inverted = [], 0
         for seen in frames:
             fits.append(tracker.step(SeenMarkers(seen)).residual_mm)
-            inverted += face.flesh.inverted(tracker.state.x)
+            inverted += face.flesh.count_inverted(tracker.state.x)
         log.info("%s: %.3f mm", name, rms(np.concatenate(fits)[~np.isnan(np.concatenate(fits))]))
         left_out = _left_out(face, places, sigma, known, frames)
         off = np.concatenate(fits)

@@ -152,7 +152,7 @@ def measured(problem: Problem, found: Answer) -> dict[str, Any]:
         "energy_polar_f": energy(problem, found.x, polar_of_f=True),
         "gradient_left": float(at_end / at_start),
         "gradient_error": found.gradient_error,
-        "inverted": truth.flesh.inverted(found.x),
+        "inverted": truth.flesh.count_inverted(found.x),
     }
 
 

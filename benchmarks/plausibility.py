@@ -65,7 +65,7 @@ def _fit(subject: Subject, plausibility: float, rounds: int | None) -> Figures:
         "train_mean_mm": fits.mean_mm,
         "beyond": sum(bool(each.faults(m)) for each in found for m in range(len(each.fibres))),
         **muscle_figures(found),
-        "inverted": fits.inverted(),
+        "inverted": fits.count_inverted(),
         "rounds": fits.rounds,
         "seconds": fits.seconds,
     }

@@ -189,7 +189,7 @@ def single_units(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Sur
     moving = expression_targets(model, basis)
     assert basis is not None, "without shapes there are no targets"
     return {
-        name: model.skin.moved(model.skin.vertices + shape)
+        name: model.skin.with_vertices(model.skin.vertices + shape)
         for name, shape in zip(basis.expression_names, basis.expressions, strict=True)
         if name in moving and name not in CORRECTED and actions_of(name)
     }

@@ -283,7 +283,9 @@ def noise_figures(method: Method, test: Fits, noise: NoiseOptions = NoiseOptions
     """
     rng, face = np.random.default_rng(noise.seed), test.face
     spoilt = {
-        name: scan.moved(scan.vertices + noise.sd_mm * rng.standard_normal(scan.vertices.shape))
+        name: scan.with_vertices(
+            scan.vertices + noise.sd_mm * rng.standard_normal(scan.vertices.shape)
+        )
         for name, scan in test.scans.items()
     }
     again, rest = method.test(face, spoilt), face.rest_pose().a

@@ -285,7 +285,7 @@ def simulate(
             log.warning("%s: %s", name, error)
             continue
         found.truths[name] = _contraction(face, pose.a)
-        found.scans[name] = face.model.skin.moved(face.whole_skin(x, pose.b) + noise)
+        found.scans[name] = face.model.skin.with_vertices(face.whole_skin(x, pose.b) + noise)
     return replace(found, unreached=len(mixtures) - len(found.scans))
 
 

@@ -84,9 +84,9 @@ class Fits:
         state = self.states[name]
         return self.face.whole_skin(state.x, state.pose.b)
 
-    def inverted(self) -> int:
+    def count_inverted(self) -> int:
         """Return the number of inverted tets in all expressions."""
-        return sum(self.face.flesh.inverted(state.x) for state in self.states.values())
+        return sum(self.face.flesh.count_inverted(state.x) for state in self.states.values())
 
     def expressions(self, role: str) -> list[ExpressionFit]:
         """Return what a rig holds of the fits."""
@@ -117,7 +117,7 @@ class Fits:
                 "mean_mm": float(distance.mean()),
                 "p95_mm": float(np.percentile(distance, 95)),
                 "max_mm": float(distance.max()),
-                "inverted": self.face.flesh.inverted(state.x),
+                "inverted": self.face.flesh.count_inverted(state.x),
                 "lip_crossing_mm": mouth and crossing(mouth, self.skin(name)).lips,
                 "scan_lip_crossing_mm": mouth and crossing(mouth, self.scans[name].vertices).lips,
             }

@@ -46,7 +46,7 @@ def small_capture(name: str) -> Surface:
     if name == "neutral":
         return neutral
     with np.load(EXPRESSIONS_FILE) as data:
-        return neutral.moved(neutral.vertices + data[name].astype(np.float64))
+        return neutral.with_vertices(neutral.vertices + data[name].astype(np.float64))
 
 
 @cache

@@ -95,7 +95,7 @@ class Command:
     def run(self, words: Sequence[str], title: str) -> None:
         """Call the function with what ``words`` say."""
         parser = self.parser(title)
-        joined = _joined(parser, words)
+        joined = _join_value(parser, words)
         # argparse takes options between arguments, or a --, not both
         parse = parser.parse_args if "--" in joined else parser.parse_intermixed_args
         given = parse(joined)
@@ -196,7 +196,7 @@ def _first_line(function: Callable[..., None]) -> str:
     return (inspect.getdoc(function) or "").partition("\n")[0]
 
 
-def _joined(parser: CommandParser, words: Sequence[str]) -> list[str]:
+def _join_value(parser: CommandParser, words: Sequence[str]) -> list[str]:
     """Return the words with a value such as ``-y`` joined to its option, as argparse wants it."""
     known = parser.option_strings
     joined: list[str] = []

@@ -36,7 +36,7 @@ def _parts(kind: Kind) -> list[InputPart]:
     return found
 
 
-def _typed(part: InputPart) -> tuple[Any, Any]:
+def _type_and_default(part: InputPart) -> tuple[Any, Any]:
     """Return the type of a part on the command line, and its default."""
     rules: dict[str, Any] = {"help": part.words}
     if part.form in ("file", "file or folder", "files"):
@@ -81,14 +81,14 @@ def _parameters(kind: Kind) -> list[Parameter]:
     properties, parts = kind.schema["properties"], _parts(kind)
     for part in parts:
         if part.is_needed:
-            add(part.parameter, *_typed(part))
+            add(part.parameter, *_type_and_default(part))
     for name, rules in properties.items():
         if _is_document(rules):
             add(name, SceneFile)
     add("output", NewFolder, Path(kind.folder))
     for part in parts:
         if not part.is_needed:
-            add(part.parameter, *_typed(part))
+            add(part.parameter, *_type_and_default(part))
     for name, rules in properties.items():
         if not _is_document(rules):
             add(name, _option(name, rules), rules.get("default", Parameter.empty))

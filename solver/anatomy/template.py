@@ -315,7 +315,7 @@ class Template:
     @property
     def parted_skin(self) -> Surface:
         """Return the skin with the lips parted."""
-        return self.skin.moved(self.skin.vertices + self.parting)
+        return self.skin.with_vertices(self.skin.vertices + self.parting)
 
     @property
     def flesh(self) -> Surface:
@@ -325,7 +325,7 @@ class Template:
     @property
     def parted_flesh(self) -> Surface:
         """Return :attr:`flesh` with the lips parted."""
-        return self.flesh.moved(self.skin.vertices + self.parting)
+        return self.flesh.with_vertices(self.skin.vertices + self.parting)
 
     @property
     def without_compartments(self) -> Template:

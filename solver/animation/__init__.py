@@ -358,7 +358,7 @@ class RecordedDrives(Drives):
     @override
     def __call__(self, time: float) -> PosedFrame:
         weights, head, eyes = np.split(self._track(time), [-9, -6])
-        still = PosedFrame.of(self._shapes.posed(weights, self._limits))
+        still = PosedFrame.of(self._shapes.pose_of(weights, self._limits))
         motion = turn_about(self._neck, head, np.zeros(3)).then(self._head(time))
         return replace(still, head=motion, eyes=eyes.reshape(2, 3))
 

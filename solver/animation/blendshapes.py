@@ -92,7 +92,7 @@ class DrivenShapes(Protocol):
     def names(self) -> tuple[str, ...]:
         """Return the shapes' names."""
 
-    def posed(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
+    def pose_of(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
         """Return the pose of ``weights`` (e,) from 0 to 1, within ``limits`` if there are some."""
 
 
@@ -169,7 +169,7 @@ class Blendshapes:
         poses = {name: shape.pose for name, shape in self.shapes.items()}
         return Blend.of(poses, len(self.muscles))
 
-    def posed(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
+    def pose_of(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
         """Return the blend by ``weights`` (e,), its muscles within ``limits`` if there are some."""
         pose = self.blend.pose(weights)
         a, clamped = keep_within(pose.a, limits)

@@ -239,9 +239,9 @@ class Bone:
         bones, skin = before.bones.copy(), model.skin.vertices.copy()
         bones[of_bone] += motion(model.rest[of_bone] + bones[of_bone])
         skin[of_skin] += motion(skin[of_skin])
-        moved = surface.moved(surface.vertices + motion(surface.vertices))
+        moved = surface.with_vertices(surface.vertices + motion(surface.vertices))
         anatomy = replace(
-            model, bones={**model.bones, self.bone: moved}, skin=model.skin.moved(skin)
+            model, bones={**model.bones, self.bone: moved}, skin=model.skin.with_vertices(skin)
         )
         return replace(before, model=anatomy, bones=bones)
 

@@ -64,13 +64,13 @@ class Bounds:
         return not self.is_box and self.feasible is None
 
     @cached_property
-    def bounded(self) -> tuple[Ints, Ints]:
+    def bounded_places(self) -> tuple[Ints, Ints]:
         """Places of the entries with a lower and with an upper bound of their own."""
         return np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
 
     def room(self, q: Floats) -> Floats:
         """Return the distances of q (size,) to the box: to lower bounds, then to upper ones."""
-        low, high = self.bounded
+        low, high = self.bounded_places
         return np.concatenate([q[low] - self.lower[low], self.upper[high] - q[high]])
 
     def contains(self, q: Floats) -> bool:
@@ -235,7 +235,7 @@ class _Barrier:
 
     def gradient(self, q: Floats) -> Floats:
         """Return its derivative (size,)."""
-        (low, high), out = self._bounds.bounded, np.zeros_like(q)
+        (low, high), out = self._bounds.bounded_places, np.zeros_like(q)
         out[self._muscles] = self._within.gradient(q[self._muscles])
         out[low] -= 1.0 / (q[low] - self._bounds.lower[low])
         out[high] += 1.0 / (self._bounds.upper[high] - q[high])
@@ -243,7 +243,7 @@ class _Barrier:
 
     def hessian(self, q: Floats) -> Floats:
         """Return its second derivative (size, size), positive semi-definite."""
-        low, high = self._bounds.bounded
+        low, high = self._bounds.bounded_places
         diagonal = np.zeros_like(q)
         diagonal[low] += (q[low] - self._bounds.lower[low]) ** -2
         diagonal[high] += (self._bounds.upper[high] - q[high]) ** -2

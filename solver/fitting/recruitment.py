@@ -107,7 +107,7 @@ class Recruitment:
             return None
         tensors = fibre_tensors(model, face.flesh.volumes, face.S)
         rest = model.skin.vertices[model.face]
-        mirrored, sides = _mirrored(shapes.names), EvenSides.of_face(face)
+        mirrored, sides = _mirror_numbers(shapes.names), EvenSides.of_face(face)
         chosen = options or usual_options(model)
         return cls(shapes.motions, named, opposed, rest, tensors, mirrored, sides, chosen)
 
@@ -221,7 +221,7 @@ class EvenSides(Prior):
         return np.asarray(q[self.left] - self.signs * q[self.right])
 
 
-def _mirrored(expressions: tuple[str, ...]) -> Ints:
+def _mirror_numbers(expressions: tuple[str, ...]) -> Ints:
     """Return the numbers of the expressions on the other side, -1 where there is none."""
     numbers = {name: number for number, name in enumerate(expressions)}
     swapped = {"Left": "Right", "Right": "Left"}

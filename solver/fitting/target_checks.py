@@ -125,7 +125,7 @@ def find_inflated(
     left, motion = np.zeros_like(scan), np.zeros_like(scan)
     left[model.face] = np.nan_to_num(scan - skin)[model.face]
     motion[model.face] = np.nan_to_num(scan - model.skin.vertices)[model.face]
-    height = np.einsum("vi,vi->v", left, vertex_normals(model.skin.moved(skin)))
+    height = np.einsum("vi,vi->v", left, vertex_normals(model.skin.with_vertices(skin)))
     high = height > limits.inflated_mm
     if not high.any():
         return []

@@ -100,7 +100,7 @@ def _figures(model: SubjectModel, tracks: MuscleTracks, shots: list[TrackShot]) 
                 "jaw": tracks.jaw[number].round(5).tolist(),
                 "teeth_mm": round(float(tracks.teeth_mm[number]), 4),
                 "off_mm": round(float(tracks.off_mm[number]), 4),
-                "turned_tets": _turned(model, pose.target),
+                "turned_tets": _count_inverted(model, pose.target),
             }
         )
     lengths = tracks.lines.lengths(model.rest)
@@ -126,6 +126,6 @@ def _figures(model: SubjectModel, tracks: MuscleTracks, shots: list[TrackShot]) 
     }
 
 
-def _turned(model: SubjectModel, x: Floats) -> int:
+def _count_inverted(model: SubjectModel, x: Floats) -> int:
     """Return how many tets are inside out at x (p, 3): there flesh does not follow its target."""
     return int((volumes(x, model.tets) <= 0.0).sum())

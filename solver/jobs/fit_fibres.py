@@ -167,7 +167,7 @@ def _fit_figures(
     return {
         "fibre_mm": _error(face, target, ending),
         "status": ending.status,
-        "inverted": face.flesh.inverted(state.x),
+        "inverted": face.flesh.count_inverted(state.x),
         "activations": dict(zip(names, state.pose.a.round(DECIMALS).tolist(), strict=True)),
         "jaw": state.pose.b.round(DECIMALS).tolist(),
     }

@@ -41,7 +41,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     subject = SubjectModel.load(task.inputs["model"])
     scans = fits.read_scans(subject, task.captures)
     drive = fits.asked_drive(given)
-    bounded = drive.loosened(0.0)
+    bounded = drive.loosen(0.0)
     face = Face(subject, linear=given.linear_solver)
     if bounded is not None:
         face = face.with_jaw_on_tracks()

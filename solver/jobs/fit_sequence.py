@@ -123,7 +123,7 @@ def _frame(number: int, fit: DenseFit, face: Face, seconds: float) -> SequenceFr
         head=fit.head.twist.round(DECIMALS),
         **distance_figures(error[np.isfinite(error)]),
         coverage=round(fit.coverage, 4),
-        inverted=face.flesh.inverted(fit.state.x),
+        inverted=face.flesh.count_inverted(fit.state.x),
         iterations=fit.steps,
         seconds=round(seconds, 4),
     )

@@ -97,7 +97,7 @@ def find_oddities(
 ) -> list[Finding]:
     """Return what is odd about a face and scans before they are fitted by a drive."""
     found = [*idle_muscles(face), *before_fit(face.model, scans), *drive.lacks(face.model)]
-    if drive.loosened(0.0) is not None and face.model.jaw.tracks is None:
+    if drive.loosen(0.0) is not None and face.model.jaw.tracks is None:
         message = "the model has no tracks of its condyles, so that its jaw is free: build it again"
         found.append(make_warning("model.no_tracks", message))
     return found
@@ -139,7 +139,7 @@ def describe_fit(
         skin=face.whole_skin(state.x, state.pose.b),
         target=scan.vertices,
         error_mm=error,
-        inverted=face.flesh.inverted(state.x),
+        inverted=face.flesh.count_inverted(state.x),
         iterations=found.iterations,
         seconds=seconds,
         objective=target.value(points),

@@ -167,7 +167,7 @@ def _reach(stage: Stage, motion: FleshMotion, drive: Drive | None, goal: Drive) 
     if drive is None:
         at_rest = stage.simulator.rest(goal)
         spent = time.perf_counter() - begun
-        return Stepped(at_rest, at_rest.y, 0, 0, 0.0, spent, stage.inverted(at_rest.y))
+        return Stepped(at_rest, at_rest.y, 0, 0, 0.0, spent, stage.count_inverted(at_rest.y))
     iterations = halvings = 0
     moments = np.linspace(drive.time, goal.time, stage.steps_per_frame + 1)[1:-1].tolist()
     between = [stage.drive(moment, stage.drives(moment)) for moment in moments]

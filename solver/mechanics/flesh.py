@@ -242,7 +242,7 @@ class Flesh:
         """Return the controls of a face at rest: activations (n, 6) unless others drive it."""
         return self._passive.copy()
 
-    def moved(self, x: Floats, motion: Floats) -> Floats:
+    def add_motion(self, x: Floats, motion: Floats) -> Floats:
         """Return a copy of x (p, 3) with the free vertices moved by ``motion`` (size,)."""
         x = x.copy()
         x[self.free] += motion.reshape(-1, 3)
@@ -306,7 +306,7 @@ class Flesh:
         """Return min J(y) / min(J(x), J0) over all tets, J0 being where the barrier starts."""
         return float(elements.min_jacobian_ratio(self.elements, x, y))
 
-    def inverted(self, x: Floats) -> int:
+    def count_inverted(self, x: Floats) -> int:
         """Return how many tets have det F <= 0."""
         return int((self.jacobians(x) <= 0.0).sum())
 

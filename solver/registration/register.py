@@ -123,11 +123,11 @@ def register(
     vertices = free_form(scan, fit.motion, fit.vertices, topology, schedule, pins)
     vertices = unfold(rest, vertices, topology.flesh)
     vertices = carry_hidden(topology.groups, placed, fit.vertices, vertices, topology.outer)
-    skin, motion = topology.template.skin.moved(vertices), fit.motion
+    skin, motion = topology.template.skin.with_vertices(vertices), fit.motion
     seen = trust(scan, motion, skin, topology.outer)
     if neutral is not None:
         back = head_motion(vertices, fit.vertices, topology.stable * seen.confidence)
-        skin, motion = skin.moved(back(vertices)), motion.then(back)
+        skin, motion = skin.with_vertices(back(vertices)), motion.then(back)
     _check(raw.file, seen, topology)
     folded = folded_triangles(rest, skin.vertices, topology.flesh)
     return RegisteredFace(scan, start, skin, seen, motion, fit.weights, folded, told)
@@ -172,7 +172,7 @@ def _fit_expression(
     # the neutral's size is surer than one that was measured on this scan's own face
     basis, sizes = topology.template.shapes, start.size.is_measured
     still = np.flatnonzero(topology.stable > STILL)
-    normals = vertex_normals(topology.template.skin.moved(neutral))[still]
+    normals = vertex_normals(topology.template.skin.with_vertices(neutral))[still]
     share = topology.stable[still]
     motion = align(scan, start.motion, neutral[still], normals, share, sizes=sizes)
     if basis is None or not len(basis.expressions):

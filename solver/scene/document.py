@@ -140,7 +140,7 @@ def moving_fibres(
     if fibres is None:
         reason = "the scene has keys of fibre muscles, and the rig has none that are calibrated"
         raise InputError("scene.fibres", f"{reason}: run fit_fibres, or give its result")
-    return fibres.scaled(curve)
+    return fibres.scale(curve)
 
 
 def performances_of(

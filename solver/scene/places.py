@@ -161,7 +161,7 @@ class SceneObject:
 
     def at(self, time: float) -> Surface:
         """Return it in the world at ``time`` in s."""
-        return self.shape.moved(small_motion(self.path(time))(self.shape.vertices))
+        return self.shape.with_vertices(small_motion(self.path(time))(self.shape.vertices))
 
 
 def objects_of(
@@ -217,7 +217,7 @@ def _rod(radius: float, length: float, options: RodOptions = RodOptions()) -> Su
     end = np.array([0.0, half])
     profile = np.vstack([cap - end, side, cap[::-1] * np.array([1.0, -1.0]) + end])
     unit = _surface(trimesh.creation.revolve(profile, sections=sides))
-    return unit.moved(radius * unit.vertices)
+    return unit.with_vertices(radius * unit.vertices)
 
 
 def _read(name: str, path: Path) -> Surface:

@@ -179,7 +179,7 @@ def symmetric(parts: dict[str, AnatomicalPart]) -> dict[str, AnatomicalPart]:
         elif "left" not in name:  # cut at the mid-plane
             on_left = (surface.vertices[surface.faces, 0] > MIDDLE_X).any(axis=1)
             half = part_of(surface, np.flatnonzero(on_left))
-            half = half.moved(np.maximum(half.vertices, [MIDDLE_X, -np.inf, -np.inf]))
+            half = half.with_vertices(np.maximum(half.vertices, [MIDDLE_X, -np.inf, -np.inf]))
             surface = join_surfaces([half, _mirror_image(half)])
         result[name] = AnatomicalPart(part.category, surface)
     return result

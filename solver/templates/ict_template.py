@@ -174,7 +174,7 @@ def carry_anatomy(parts: dict[str, AnatomicalPart], kit: FaceKit) -> Anatomy:
     )
     skull = bodyparts3d.merge_parts(parts, "cranium")
     jaw = bodyparts3d.part_surface(parts, "mandible")
-    skull, jaw = (bone.moved(first(align(bone.vertices))) for bone in (skull, jaw))
+    skull, jaw = (bone.with_vertices(first(align(bone.vertices))) for bone in (skull, jaw))
     cranium, mandible = wrap_bones(skull, jaw, head, VoxelGrid(WRAP_LO, WRAP_HI))
     sample = first(sample)
     wraps = [SkinDepth(cranium), SkinDepth(mandible)]
@@ -197,7 +197,9 @@ def carry_anatomy(parts: dict[str, AnatomicalPart], kit: FaceKit) -> Anatomy:
         centres=400,
         stiffness=0.1,
     )
-    moved = {name: parts[name].surface.moved(second(first(v))) for name, v in muscles.items()}
+    moved = {
+        name: parts[name].surface.with_vertices(second(first(v))) for name, v in muscles.items()
+    }
     return Anatomy(cranium, mandible, jaw, moved)
 
 

@@ -168,8 +168,8 @@ def _place(
         back = Similarity(1.0, turned, -turned @ motion.shift)
         middle = float(back(face.skin.vertices[known.face])[:, 0].mean())
         if back.degrees < REBASE.straight_deg and abs(middle) < REBASE.centred_mm:
-            return surface.moved(motion.scale * surface.vertices @ axes.T), back
-    return surface.moved(motion(surface.vertices)), None
+            return surface.with_vertices(motion.scale * surface.vertices @ axes.T), back
+    return surface.with_vertices(motion(surface.vertices)), None
 
 
 def _into_shape(template: Template, skin: Floats) -> tuple[Template, str]:
@@ -185,9 +185,9 @@ def _into_shape(template: Template, skin: Floats) -> tuple[Template, str]:
 
     moved = replace(
         template,
-        skin=template.skin.moved(move(template.skin.vertices)),
-        cranium=template.cranium.moved(move(template.cranium.vertices)),
-        mandible=template.mandible.moved(move(template.mandible.vertices)),
+        skin=template.skin.with_vertices(move(template.skin.vertices)),
+        cranium=template.cranium.with_vertices(move(template.cranium.vertices)),
+        mandible=template.mandible.with_vertices(move(template.mandible.vertices)),
         muscles=tuple(carry_muscle(muscle, move) for muscle in template.muscles),
         condyles=move(template.condyles),
         bottom_y=template.bottom_y + float(shift[1]),

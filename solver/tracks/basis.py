@@ -274,7 +274,7 @@ class TrackTargets:
 
     def at(self, q: Floats) -> TrackPose:
         """Return what q (K + 5,) asks for."""
-        return self._pose(self.jaw(q), self._morphed(q))
+        return self._pose(self.jaw(q), self._morph(q))
 
     def _pose(self, b: Floats, y: Floats) -> TrackPose:
         """Return what a jaw b (5,) and the morphed flesh y (p, 3) ask for."""
@@ -287,7 +287,7 @@ class TrackTargets:
 
     def rates(self, q: Floats) -> TrackRates:
         """Return the derivatives of :meth:`at`."""
-        b, y, tracks = self.jaw(q), self._morphed(q), self._tracks
+        b, y, tracks = self.jaw(q), self._morph(q), self._tracks
         share = tracks.skinning[:, None, None]
         turned = (1.0 - share) * np.eye(3) + share * self._jaw.matrix(b)[:3, :3]
         target = share * (self._jaw.jacobian(y, b) @ self._jaw_rates)
@@ -300,7 +300,7 @@ class TrackTargets:
         a[self._driven] = by_stretch[:, :, None] * stretch[:, None]
         return TrackRates(target, self._jaw_rates, a)
 
-    def _morphed(self, q: Floats) -> Floats:
+    def _morph(self, q: Floats) -> Floats:
         weights = q[: len(self._tracks.names)]
         return np.asarray(self._model.rest + np.tensordot(weights, self._tracks.morphs, 1))
 

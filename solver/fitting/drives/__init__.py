@@ -72,7 +72,7 @@ class MuscleDrive(Protocol):
         """
         return None
 
-    def loosened(self, part: float) -> MuscleDrive | None:  # noqa: ARG002
+    def loosen(self, part: float) -> MuscleDrive | None:  # noqa: ARG002
         """Return the drive with its bounds ``part`` of the way to none that bind; 0 is the same.
 
         None for one that free activations cannot be brought into step by step: it has no bounds, or

@@ -100,7 +100,7 @@ class ControlFilter:
         last = self._last
         is_same = last is not None and is_of_same(table, last.evidence.table)
         if self._is_steady and last is not None and known is last.known and is_same:
-            return last.prior.about(self.usual.faded(mean, self._kept))
+            return last.prior.about(self.usual.fade(mean, self._kept))
         return self.later(mean, known.covariance, table)
 
     def after(

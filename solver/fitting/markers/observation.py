@@ -130,7 +130,7 @@ class MarkerFit:
         return np.asarray(off)
 
     @property
-    def rejected(self) -> int:
+    def rejected_count(self) -> int:
         """Return how many points were taken for wrong."""
         return int((self.judged.states == "outlier").sum())
 
@@ -222,13 +222,13 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
             return fit, left
         # judged from the face at rest, the points of a wide-open mouth are wrong ones
         for _ in range(self.options.looks):
-            if fit.kept or not fit.rejected:
+            if fit.kept or not fit.rejected_count:
                 break
             expected, head = self.prior.about(left.mean), self._before(seen, fit.state)[1]
             before = fit
             fit, left = self._fit(seen, solver, None, prior, expected, head)
             fit = replace(fit, steps=before.steps + fit.steps)
-            if fit.rejected >= before.rejected:
+            if fit.rejected_count >= before.rejected_count:
                 break
         return fit, left
 

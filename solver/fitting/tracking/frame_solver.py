@@ -202,7 +202,7 @@ class _FrameProblem:
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
         """Correct the equilibrium, no more."""
         face, flesh, pose = self.face, self.face.flesh, point.pose.add(step.change)
-        x = flesh.moved(point.x, self.lagged.jacobian.flesh @ step.change)
+        x = flesh.add_motion(point.x, self.lagged.jacobian.flesh @ step.change)
         x[face.model.mandible] = face.mandible(pose.b)
         return _correct(face, point, pose, x, self.corrector)
 

@@ -275,7 +275,7 @@ class AnimatedSkin:
         The frames are in it at ``times`` (f,).
         """
         numbers = [frame.frame for frame in self.frames]
-        found = compare_motion(path, shown, numbers, times, self._stored(), self.heads)
+        found = compare_motion(path, shown, numbers, times, self._read_skins(), self.heads)
         return {"shapes": len(shown.names), **found}
 
     @property
@@ -289,7 +289,7 @@ class AnimatedSkin:
         They are those of :func:`.span_skins`, none where the face is as the neutral throughout.
         """
         if self._morphs is None:
-            basis = span_skins(self.neutral, self._stored(), self._options)
+            basis = span_skins(self.neutral, self._read_skins(), self._options)
             moves = np.abs(basis.shapes).max(axis=(1, 2)) > self._options.still_mm
             shapes = {}
             for number in np.flatnonzero(moves).tolist():
@@ -299,7 +299,7 @@ class AnimatedSkin:
             self._morphs = shapes, basis.weights[:, moves]
         return self._morphs
 
-    def _stored(self) -> Singles:
+    def _read_skins(self) -> Singles:
         """Return the skins (f, v, 3), mapped."""
         self._skins.flush()
         shape = (len(self.frames), *self.neutral.vertices.shape)

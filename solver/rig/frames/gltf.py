@@ -85,7 +85,7 @@ def write_face(
                     (shape - neutral.vertices) * METRES, options.still_mm * METRES, bounds=True
                 ),
                 NORMAL=buffer.morph(
-                    vertex_normals(neutral.moved(shape)) - normals, options.still_normal
+                    vertex_normals(neutral.with_vertices(shape)) - normals, options.still_normal
                 ),
             )
             for shape in shapes.values()

@@ -57,7 +57,7 @@ def test_barrier_has_its_derivatives_and_no_slope_at_rest():
     assert np.abs(by_slope[convex]).max() > 10.0
     np.testing.assert_allclose(seen[convex], by_slope[convex], rtol=1e-5, atol=1e-3)
     assert np.linalg.eigvalsh(admissible.hessian(a)).min() > 0.0
-    loose = replace(admissible, limits=LIMITS.loosened(0.3))
+    loose = replace(admissible, limits=LIMITS.loosen(0.3))
     for each in (admissible, loose):
         assert np.abs(each.gradient(np.tile(IDENTITY, (12, 1)))).max() < 1e-10
 

@@ -83,8 +83,10 @@ def test_the_other_half_is_the_mirror_image():
     whole = Surface(np.asarray(box.vertices), np.asarray(box.faces, np.int64))
     parts = {
         "chin": AnatomicalPart("cranium", whole),
-        "left ear": AnatomicalPart("muscle", whole.moved(whole.vertices + np.array([20, 0, 0]))),
-        "right ear": AnatomicalPart("muscle", whole.moved(whole.vertices - [60, 0, 0])),
+        "left ear": AnatomicalPart(
+            "muscle", whole.with_vertices(whole.vertices + np.array([20, 0, 0]))
+        ),
+        "right ear": AnatomicalPart("muscle", whole.with_vertices(whole.vertices - [60, 0, 0])),
     }
     found = bodyparts3d.symmetric(parts)
     chin = found["chin"].surface

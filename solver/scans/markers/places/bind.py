@@ -81,7 +81,7 @@ class Reference:
         face = model_face(model)
         jaw = None
         if expression is not None:
-            face, jaw = face.moved(expression.skin), (model.jaw, expression.jaw)
+            face, jaw = face.with_vertices(expression.skin), (model.jaw, expression.jaw)
         rims = find_rims(face.vertices, model.regions)
         return cls(face, model.sha256, markers, jaw, rims)
 

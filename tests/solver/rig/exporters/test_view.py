@@ -35,8 +35,8 @@ def rig() -> Rig:
     cube = Surface(box, np.array([[0, 1, 2], [1, 3, 2], [4, 5, 6]]))
     model = replace(
         block_model(),
-        bones={"cranium": cube, "mandible": cube.moved(box - 20.0)},
-        muscles={"right": cube.moved(box + np.array([30.0, 10.0, 4.0]))},
+        bones={"cranium": cube, "mandible": cube.with_vertices(box - 20.0)},
+        muscles={"right": cube.with_vertices(box + np.array([30.0, 10.0, 4.0]))},
     )
     face = Face(model)
     rest = face.rest_pose()

@@ -58,5 +58,5 @@ def test_rows_of_teeth_that_are_apart() -> None:
         vertices[1] = vertices[0] + [0.0, -apart, 0.0]
         teeth = {"upper_teeth": np.array([0]), "lower_teeth": np.array([1])}
         regions = {**model.regions, **teeth}
-        face = Face(replace(model, skin=model.skin.moved(vertices), regions=regions))
+        face = Face(replace(model, skin=model.skin.with_vertices(vertices), regions=regions))
         assert [finding.code for finding in check_neutral(face, [])] == codes
