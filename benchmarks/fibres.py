@@ -52,7 +52,7 @@ from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.scans.performance import read_live_link
 from solver.similarity import IDENTITY as STILL
 from solver.simulation import Simulator

@@ -44,7 +44,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Target
 from solver.mechanics.flesh import COROTATED_DET
 from solver.mechanics.linear import fastest
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.scans.performance import read_live_link
 from solver.templates.ict_facekit import drive, ict_neutral, read_facekit
 

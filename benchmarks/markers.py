@@ -44,9 +44,9 @@ from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints, SeenPoints
 from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
+from solver.rig import Rig
 from solver.rig.preview import make_live_preview
 from solver.rig.preview.live import LiveTracker
-from solver.rig.rig import Rig
 from solver.scans.markers.places.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.prepare import bind
 from solver.scans.markers.readers.take import read_take

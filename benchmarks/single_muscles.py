@@ -48,8 +48,8 @@ from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import fibre_tensors, isochoric_activation
 from solver.model import SubjectModel
+from solver.rig import ExpressionFit, Rig
 from solver.rig.preview.sliders import SliderOptions, controls_of
-from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints
 
 log = logging.getLogger(__name__)

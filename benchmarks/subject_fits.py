@@ -30,8 +30,8 @@ from solver.fitting.recruitment import recruit
 from solver.jobs.fits import describe_fit
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
+from solver.rig import ExpressionFit, Rig
 from solver.rig.report.certificate import with_round_trips
-from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.known_activations import NOTHING, KnownMuscles
 from solver.surface import Floats, Surface
 

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from solver.fitting.face import Face
 from solver.model import JawFrame, SubjectModel
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface
 
 MM_PER_M = 1000.0

@@ -24,7 +24,7 @@ from myoface.client import Client
 from solver.anatomy.template import Template
 from solver.animation import RecordedDrives
 from solver.model import SubjectModel
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.scans.performance import read_live_link
 
 SHOWS = ("checks", "contact", "sliding", "speed", "effects", "performance", "jobs")

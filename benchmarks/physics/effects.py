@@ -30,8 +30,8 @@ from solver.fitting.face import Face
 from solver.kinds.scene import ContactEntry, EditScene, FleshEntry
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
+from solver.rig import ExpressionFit, Rig
 from solver.rig.report.edit_report import Compared, EditedPerson, edit_report
-from solver.rig.rig import ExpressionFit, Rig
 from solver.scene import Physics, edit_of
 from solver.scene.document import read_scene
 from solver.scene.places import Places

@@ -146,7 +146,7 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
     # by what the kind reads: an option may be called as the input of another kind
     files = {part.role: given[part.parameter] for part in _parts(kind) if part.role}
     if (rig := files.pop("rig", None)) is not None:
-        from solver.rig.rig import find_files
+        from solver.rig import find_files
 
         files |= find_files(rig)
     with JobDisplay(_name(kind)) as view, _made(folder):

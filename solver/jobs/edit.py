@@ -13,6 +13,7 @@ from solver.jobs import Task
 from solver.jobs.scenes import read_person
 from solver.kinds.edit import Edit
 from solver.progress import ProgressCallback, Step
+from solver.rig import ExpressionFit
 from solver.rig.report.edit_report import (
     Compared,
     EditedPerson,
@@ -20,7 +21,6 @@ from solver.rig.report.edit_report import (
     edit_report,
     write_edit,
 )
-from solver.rig.rig import ExpressionFit
 from solver.scene import Physics, edit_of
 
 

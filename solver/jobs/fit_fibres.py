@@ -33,10 +33,10 @@ from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
 from solver.progress import Step
+from solver.rig import Rig
 from solver.rig.report import known_information, report
 from solver.rig.report.certificate import certify
 from solver.rig.report.web_page import write_page
-from solver.rig.rig import Rig
 from solver.storage import write_json
 
 DECIMALS = 4  # of figures in mm

@@ -23,8 +23,8 @@ from solver.jobs import Task, fits
 from solver.kinds.fit_geometry import FitGeometry
 from solver.model import SubjectModel
 from solver.progress import ProgressCallback, Step, part_of
+from solver.rig import Rig
 from solver.rig.report.measures import check_neutral
-from solver.rig.rig import Rig
 from solver.scans.known_activations import NOTHING
 
 # of rounds whose mean grows

@@ -48,8 +48,8 @@ from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.mechanics.linear import fastest
 from solver.progress import Step
+from solver.rig import Rig
 from solver.rig.frames import sequence_report, write_sequence
-from solver.rig.rig import Rig
 from solver.scans.markers.places.bind import Reference
 from solver.scans.markers.places.face_take import USUAL_RATE, count_tracks, frames_about
 from solver.scans.markers.places.marker_set import BoundTake, MarkerSet

@@ -30,9 +30,9 @@ from solver.mechanics.flesh import IDENTITY
 from solver.meshio.registered import RegisteredScan, read_registered
 from solver.model import SubjectModel
 from solver.progress import ProgressCallback, Step
+from solver.rig import ExpressionFit, Rig
 from solver.rig.exporters import write_rig
 from solver.rig.report.certificate import certify, with_round_trips
-from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.known_activations import NOTHING, KnownMuscles, read_known
 from solver.surface import Floats, Ints, Surface, vertex_normals
 

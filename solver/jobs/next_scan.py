@@ -14,6 +14,7 @@ from solver.jobs.fits import known_basis
 from solver.kinds.next_scan import NextScan
 from solver.mechanics.linear import fastest
 from solver.progress import Step
+from solver.rig import Rig
 from solver.rig.next_scan import (
     Library,
     library_poses,
@@ -23,7 +24,6 @@ from solver.rig.next_scan import (
 )
 from solver.rig.report import information_figures
 from solver.rig.report.certificate import scan_information
-from solver.rig.rig import Rig
 from solver.storage import write_json
 
 SCANNED = 0.2  # part of a job after which the rig's own scans are read

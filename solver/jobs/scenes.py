@@ -22,6 +22,7 @@ from solver.errors import SolveError
 from solver.jobs import Task, hash_files
 from solver.kinds.scene import FatEntry
 from solver.progress import ProgressCallback, Step, silent
+from solver.rig import Rig
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.frames.animation import (
     Filming,
@@ -31,7 +32,6 @@ from solver.rig.frames.animation import (
     read_motion,
     write_animation,
 )
-from solver.rig.rig import Rig
 from solver.scene import Stage
 from solver.scene.document import document_of
 from solver.scene.places import Places

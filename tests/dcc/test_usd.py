@@ -12,9 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.mechanics.boundary import move_jaw
+from solver.rig import ExpressionFit, Rig
 from solver.rig.frames import MarkerFrame
 from solver.rig.frames.animation_gltf import AnimatedSkin
-from solver.rig.rig import ExpressionFit, Rig
 from solver.similarity import small_motion
 from solver.surface import Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression

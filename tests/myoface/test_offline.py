@@ -12,7 +12,7 @@ import pytest
 from myoface.cli.offline import name_expressions
 from myoface.errors import ApiError
 from solver.meshio.registered import write_registered
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from tests.command_line import Told, invoke
 from tests.solver.block import head_block
 

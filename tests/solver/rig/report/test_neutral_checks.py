@@ -8,8 +8,8 @@ import numpy as np
 
 from solver.fitting.face import Face
 from solver.model import SubjectModel
+from solver.rig import ExpressionFit
 from solver.rig.report.measures import check_neutral
-from solver.rig.rig import ExpressionFit
 from tests.solver.block import block_model
 from tests.solver.rig.report.test_web_page import fit
 
