@@ -29,7 +29,7 @@ from typing_extensions import override
 from solver.anatomy.physiology import SHORTEST
 from solver.errors import Finding, InputError, make_warning
 from solver.fitting.controls import Block
-from solver.fitting.drives.six_numbers import SixNumbers, activation_block
+from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.stretches import (
     COLUMN,
     FROBENIUS,
@@ -254,7 +254,8 @@ class Admissible(SixNumbers):
 
     @override
     def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
-        return activation_block(S.shape[1] - 1, self.feasible(model, flesh.volumes, S))
+        free = super().block(model, flesh, S)
+        return replace(free, feasible=self.feasible(model, flesh.volumes, S))
 
     @override
     def feasible(self, model: SubjectModel, volumes: Floats, S: sp.csr_array) -> AdmissibleSet:
