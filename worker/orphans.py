@@ -55,7 +55,7 @@ def note_session(folder: Path, leader: int) -> None:
 def end_processes(folder: Path) -> None:
     """Kill the processes of an attempt (Linux; elsewhere they end by themselves).
 
-    Those that are not confined may have left its session, and then have its mark.
+    Processes that are not confined may have left the attempt's session; they have its mark.
     """
     for process in {*_of_session(folder), *_with_mark(folder)}:
         with suppress(OSError):  # gone meanwhile

@@ -6,8 +6,8 @@ database and no queue, so whatever happens to it costs an attempt at most.
 
 ``python -m worker.solve --standby <parent> <niceness> <pipe>`` loads code that most of a job's
 start goes into, says a line on the pipe when it is ready, and is told the folder of its one job on
-standard input. What it loads knows no job, has no kernels (they are looked for in the attempt's
-folder) and starts no threads (they would not be confined).
+standard input. The code that it loads knows no job, has no kernels (they are looked for in the
+attempt's folder) and starts no threads (they would not be confined).
 """
 
 from __future__ import annotations

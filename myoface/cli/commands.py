@@ -1,8 +1,8 @@
 """Read a command line into the parameters of a function: its signature is what can be typed.
 
 A parameter is ``Annotated[type, Option(...)]`` or ``Annotated[type, Argument(...)]``. One that says
-neither is an option if it has a default, and an argument if it has none. What is a ``bool`` is a
-flag, what is a list may be repeated. The reading itself is that of :mod:`argparse`.
+neither is an option if it has a default, and an argument if it has none. A ``bool`` is a flag, a
+list may be repeated. :mod:`argparse` reads the words.
 """
 
 from __future__ import annotations

@@ -63,10 +63,10 @@ def split_side(expression: str) -> tuple[str, str]:
 
 
 def check_arrays(template: Template, file: str) -> None:
-    """Raise what is wrong with a template's arrays; ``file`` is named in the message.
+    """Check a template's arrays; ``file`` is named in the message.
 
-    That is an :class:`InputError`, ``template.shape``, ``template.nan`` or ``template.range``, with
-    the ``array``'s name.
+    Raises :class:`InputError`, ``template.shape``, ``template.nan`` or ``template.range``, with the
+    ``array``'s name.
     """
     check = _Check(file)
     for name in SURFACES:

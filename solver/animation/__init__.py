@@ -217,7 +217,7 @@ class KeyedDrives(Drives):
     """:class:`Drives` by ``keys``, with frames at ``times`` (f,) in s.
 
     Weights of the expressions ``poses``, activations and jaw are interpolated, each by itself, at
-    rest if there is no key. The ``head`` turns about the neck. What the keys differ from rest by is
+    rest if there is no key. The ``head`` turns about the neck. The keys' difference from rest is
     added to other drives, ``under`` them, if there are any; the muscles that keys move stay within
     ``limits``, if they have some. ``fibres`` names the fibre muscles of a face that is moved by
     these; expressions and six numbers are nothing for it. Raises :class:`InputError` as
@@ -308,7 +308,7 @@ def check_muscles(names: Iterable[str], muscles: Sequence[str], where: str, **co
 def shape_weights(take: LiveLinkTake, names: Sequence[str]) -> Floats:
     """Return a recording's weights (f, e), from 0 to 1, of the shapes ``names`` of a template.
 
-    Those that ARKit does not drive, as tracks have some, are zero throughout.
+    Shapes that ARKit does not drive (tracks have some) stay zero.
     """
     sources = [arkit_source(name) for name in names]
     driven = [source in ARKIT_NAMES for source in sources]

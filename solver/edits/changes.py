@@ -83,7 +83,8 @@ def off_the_ends(model: SubjectModel, fade_mm: float) -> Floats:
 def _border(model: SubjectModel) -> Floats:
     """Return the skin's points (k, 3) that follow the flesh beside some that do not.
 
-    Of their lines that is the one around the whole face; others lie in mouth, nose and eyes.
+    They lie on several lines; the points are those of the one around the whole face, not of those
+    in mouth, nose and eyes.
     """
     follows = np.zeros(len(model.skin.vertices), dtype=bool)
     follows[model.embedded] = True

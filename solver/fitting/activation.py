@@ -9,8 +9,8 @@ settled. The model of f at a state is
 The gradient g takes one adjoint solve, a product with J^T C J two, and the matrix itself as many as
 p has entries. So a matrix K from a state nearby, or from the same face fitted to other data, stands
 in for it: it gives a direction, an exact product says how far to go in it, and a BFGS update keeps
-in K what the product showed. What the model leaves out of f's Hessian, where flesh resists more the
-further it goes, is learnt from the gradients (:class:`~.least_squares.SecondOrder`).
+in K what the product showed. The part of f's Hessian that the model leaves out, as flesh resists
+more the further it goes, is learnt from the gradients (:class:`~.least_squares.SecondOrder`).
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def unseen_regulariser(
 ) -> Regulariser:
     """Return the regulariser of an expression that S was not fitted to, around the resting face.
 
-    Of muscles that S blends what a ``target`` calls for is expected
-    (:mod:`solver.fitting.recruitment`), but of those that are ``known`` (:mod:`.known`).
+    Muscles that S blends are expected to do what a ``target`` calls for
+    (:mod:`solver.fitting.recruitment`), and those in a table what is ``known`` (:mod:`.known`).
     """
     plain = Regulariser(UNSEEN["w_a"], UNSEEN["w_v"], UNSEEN["w_b"], face.rest_pose())
     expected = plain

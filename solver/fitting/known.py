@@ -205,7 +205,7 @@ class FaceMuscles:
 
 @dataclass(frozen=True)
 class DisagreementOptions:
-    """What is worth a warning."""
+    """Limits of a disagreement between table and skin that is worth a warning."""
 
     most_sd: float = 2.0  # by which skin and table may be apart ...
     often: float = 0.1  # ... but in so many of a take's frames: a twentieth is chance

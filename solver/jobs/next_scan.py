@@ -79,7 +79,7 @@ def _near(
 ) -> dict[str, dict[str, Pose]]:
     """Return the poses that the library's fits begin with, of a basis if one was left.
 
-    None is solved: that takes as long as the library itself, while the person waits.
+    No basis is solved here: that takes as long as the library itself, while the person waits.
     """
     basis = known_basis(task, own, shapes.expressions) if shapes else None
     if shapes is None or basis is None:

@@ -142,9 +142,9 @@ class Flesh:
     """Elastic, active tetrahedra with some vertices held.
 
     ``rest`` (p, 3) are vertices in mm, ``tets`` (n, 4) their numbers, with positive rest volumes.
-    The ``held`` ones do not move freely, some of the others stay on ``sliding`` planes. Of each tet
-    there may be ``shares`` (n,), the part of its volume that it stands for (a tet of two tissues is
-    listed twice), ``stiffness_factor`` (n,) of its material, and ``growth`` (n,), the f of plastic
+    The ``held`` ones do not move freely, some of the others stay on ``sliding`` planes. A tet may
+    have ``shares`` (n,), the part of its volume that it stands for (a tet of two tissues is listed
+    twice), a ``stiffness_factor`` (n,) of its material, and ``growth`` (n,), the f of plastic
     growth F_p = f I: its energy is V psi(F F_p^-1, A) with its rest volume V as it was (muscle
     geometry paper, fat).
 

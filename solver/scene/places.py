@@ -46,7 +46,7 @@ class Places:
     def of(cls, model: SubjectModel, template: Path | None, assets: Mapping[str, Path]) -> Places:
         """Return the places of a person whose model was made with ``template``.
 
-        None is the built-in template; a person of another one then has no landmarks. Raises
+        Without one it is the built-in template, and a person of another has no landmarks. Raises
         :class:`InputError` (``scene.template``) for a template of another topology.
         """
         if template is not None:
@@ -100,7 +100,7 @@ class Places:
     def map_of(self, given: SkinMap | None) -> Floats | None:
         """Return a map (V,) on the skin: of an asset, of ``regions``, or of ``spots``.
 
-        None is no map. Raises ``scene.region``, ``scene.map`` and as :meth:`vertex`.
+        None stays None. Raises ``scene.region``, ``scene.map`` and as :meth:`vertex`.
         """
         if given is None:
             return None

@@ -1,6 +1,6 @@
 """Activations that a living muscle can make, and the barrier of that set.
 
-Of muscle j with the stretches lambda_k of S(a_j) and the mean T_j of d d^T along its fibres d,
+With the stretches lambda_k of S(a_j) and the mean T_j of d d^T along its fibres d, muscle j has
 
     T_j : S(a_j) < fibre,    shortest < lambda_k < longest,    1/volume < det S(a_j) < volume,
 

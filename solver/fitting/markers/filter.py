@@ -108,7 +108,7 @@ class ControlFilter:
     ) -> KnownControls:
         """Return what is known after a frame: ``prior`` is :meth:`before` of it, from ``known``.
 
-        That is None before the first frame.
+        ``known`` is None before the first frame.
         """
         last = self._last
         if last is None or known is not last.known or evidence is not last.evidence:

@@ -195,8 +195,8 @@ class HeadPrior:
     ) -> HeadPrior:
         """Return what is known of the head before a frame is fitted.
 
-        That is what the frame before left, so long ago; before the first, or where that is lost,
-        what most of the markers agree on: see :meth:`of_most`.
+        The frame before has left it, so long ago. Before the first frame, or where the head is
+        lost, most of the markers agree on it: see :meth:`of_most`.
         """
         head = None if known is None else known.after(seconds, options)
         if head is None or (head.is_lost(options) and np.isfinite(seen).all(axis=1).sum() >= 3):

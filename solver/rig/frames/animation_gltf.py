@@ -3,8 +3,8 @@
 Skins are a few shapes (:mod:`solver.rig.frames.skin_basis`), stored as whole numbers
 (KHR_mesh_quantization) of the vertices that move. Keys are the frames that are needed; between
 them weights lie on straight lines, and the head turns steadily. Weights lie between 0 and 1, where
-animation tools hold them; so the first shape, ``start``, has the weight 1 throughout. What the face
-meets are nodes of their own.
+animation tools hold them; so the first shape, ``start``, has the weight 1 throughout. Objects that
+the face meets are nodes of their own.
 """
 
 from __future__ import annotations

@@ -299,7 +299,8 @@ class Buffer:
     ) -> int:
         """Add values (k, 3) from -1 to 1 at ``places``, zero elsewhere, as whole numbers.
 
-        That is KHR_mesh_quantization: what goes beyond is cut off. Returns the accessor's number.
+        KHR_mesh_quantization stores them so: values beyond are cut off. Returns the accessor's
+        number.
         """
         most = 2 ** (bits - 1) - 1
         stored = np.rint(np.clip(values, -1.0, 1.0) * most).astype(f"<i{bits // 8}")

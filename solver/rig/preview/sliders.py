@@ -31,9 +31,9 @@ from solver.surface import Floats
 # What a muscle's slider does: the muscle shortens along its fibres, as muscles do.
 #
 # A fit has six numbers a muscle, and uses them freely: seen by itself, a fitted activation may push
-# where the muscle would pull. So a slider is not the fit's but the muscle's. What it tells of an
-# expression is how much the muscle contracts in it (solver.fitting.contraction), by how much it
-# does at 1: the certificate, the tables of takes and the sliders say the same of who pulls.
+# where the muscle would pull. So a slider is not the fit's but the muscle's. An expression sets it
+# to the muscle's contraction there (solver.fitting.contraction) by that at 1: the certificate, the
+# tables of takes and the sliders say the same of who pulls.
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ class PreparedTake:
 
     @cached_property
     def location(self) -> LocatedTake:
-        """Where that face lies on the person at rest, and what is wrong with its markers."""
+        """The place of that face on the person at rest, with the faults of its markers."""
         options, compared = self.options, bool(self.person.model_sha256) and not self.options.actor
         skin, neutral = self.person.face, options.neutral
         return locate_take(self.face, skin, neutral, compared=compared)
