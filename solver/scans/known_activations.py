@@ -21,11 +21,9 @@ import numpy as np
 
 from solver.drawing.head import both_sides, muscle_side
 from solver.errors import file_error, quote, quote_names
-from solver.kinds import ROLES
 from solver.model import tell_muscles
 from solver.surface import Floats, Ints
 
-FORMATS = ROLES["activations"].formats
 NEEDED = ("muscle", "value", "sd")
 PLACES = ("time", "expression")
 # columns of numbers -> the code of an error in one
