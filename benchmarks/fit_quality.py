@@ -1,4 +1,4 @@
-"""How near fitted faces come to their scans, by S and by the per-tet model P, and by what muscles.
+"""Distances of fitted faces to their scans, by S and by the per-tet model P, and by what muscles.
 
 For every subject, every set of scans (``--sets``) and all controls of muscles and jaw
 (``--controls``) S is fitted to the training scans and activations alone to the unseen ones, by the

@@ -1,4 +1,4 @@
-"""How long fits and simulations take on one subject; ratios are of one run.
+"""Times of fits and simulations on one subject; ratios are of one run.
 
 Wall times on the threads that the machine gives, kernels compiled; ``--parts`` chooses what is
 timed, so that no run takes long, and with ``--rig`` S is fitted once for several runs. Muscles are

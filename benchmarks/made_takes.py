@@ -46,7 +46,7 @@ DENSER = {"lip": 2.0, "lid": 2.0, "chin": 1.3, "nose": 1.3, "brow": 1.3, "lining
 
 @dataclass(frozen=True)
 class Truth:
-    """What happened: skins (f, V, 3) in the head's frame, and the head's motion."""
+    """The true motion: skins (f, V, 3) in the head's frame, and the head's motion."""
 
     performance: IctPerformance
     numbers: range

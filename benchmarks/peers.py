@@ -50,7 +50,7 @@ class StoppedError(Exception):
 
 @dataclass(frozen=True)
 class Answer:
-    """What :mod:`benchmarks.forward.child` found; times of the first and of the second solve."""
+    """Findings of :mod:`benchmarks.forward.child`; times of the first and of the second solve."""
 
     x: Floats
     seconds: Floats

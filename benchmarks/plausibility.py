@@ -1,4 +1,4 @@
-"""What skin costs muscles: fits by admissible controls whose bounds are loosened step by step.
+"""Distance against plausibility: fits by admissible controls whose bounds are loosened by steps.
 
 S is fitted to every subject's strong training scans on coarse tets, once for each plausibility. A
 figure of muscles is the worst over muscles and scans, ``beyond`` the sum of the muscles that do

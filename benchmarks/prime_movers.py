@@ -1,4 +1,4 @@
-"""Whether the muscles that literature names contract when a rig makes units of FACS.
+"""Contractions of the muscles that literature names when a rig makes units of FACS.
 
 Shapes of the template, on the rig's person, are fitted by activations and jaw with the rig's S, and
 compared with the muscles that anatomy texts name for their action units

@@ -44,7 +44,7 @@ class NoiseOptions:
 
 @dataclass(frozen=True)
 class BoundOptions:
-    """Where a muscle counts as being at a bound of what muscles can do."""
+    """Limits from which a muscle counts as being at a bound of what muscles can do."""
 
     drive: Admissible = field(default_factory=Admissible)
     # of the way from rest to the bound, what is left: at rest no muscle is at a bound, though that

@@ -57,7 +57,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class PullOptions:
-    """What is pulled, and what counts as moved."""
+    """Pull of single muscles, and limits of what counts as moved."""
 
     stretch: float = 0.7  # of the fibres
     least_share: float = 0.2  # of a tet, from which its fibres count
@@ -69,7 +69,7 @@ class PullOptions:
 
 @dataclass(frozen=True)
 class FullOptions:
-    """How far all of a muscle contracts, and what closes the eyes."""
+    """Full contraction of a muscle, and the muscles that close the eyes."""
 
     sliders: SliderOptions = field(default_factory=SliderOptions)
     within: Admissible = field(default_factory=Admissible)

@@ -199,7 +199,7 @@ def _targets(face: Face, scans: Scans) -> dict[str, Target]:
 
 @dataclass(frozen=True)
 class Method:
-    """How a subject is fitted: ``train`` shapes the face as well, ``test`` poses a shaped one.
+    """A way to fit a subject: ``train`` shapes the face as well, ``test`` poses a shaped one.
 
     Controls of the muscles and the jaw may be any that its faces have; the fits' ``face`` is what
     ``test`` is given.

@@ -1,4 +1,4 @@
-"""What attempts leave when their worker dies: folders, and processes that a solver had started."""
+"""Clean up after attempts whose worker died: folders, and processes that a solver had started."""
 
 from __future__ import annotations
 

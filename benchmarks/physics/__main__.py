@@ -1,4 +1,4 @@
-"""What living flesh does, against known answers and on a fitted person, and how long it takes.
+"""Living flesh, against known answers and on a fitted person, and its times.
 
 The checks need no person: without ``--model`` the flesh that flies is the built-in person's, or
 that of the subject that ``--anatomy`` and ``--faces`` choose. All else is of a person who is fitted

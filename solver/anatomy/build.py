@@ -1,4 +1,4 @@
-"""From a template and a neutral scan to a subject model, its muscles divided if wanted."""
+"""Build a subject model from a template and a neutral scan, its muscles divided if wanted."""
 
 from __future__ import annotations
 

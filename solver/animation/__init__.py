@@ -96,7 +96,7 @@ BELOW_JAW_MM, BEHIND_JAW_MM = 40.0, 20.0
 
 @dataclass(frozen=True)
 class HeadKey:
-    """At ``time`` in s the head is turned by ``rotation`` (3,), a vector in rad, and moved.
+    """Pose of the head at ``time`` in s: turned by ``rotation`` (3,), a vector in rad, and moved.
 
     ``shift`` (3,) is in mm.
     """

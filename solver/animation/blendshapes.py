@@ -73,7 +73,7 @@ class Blend:
 
 @dataclass(frozen=True)
 class ShapedPose:
-    """What weights of shapes make of a face: activations ``a`` (m, 6) and ``jaw`` (5,).
+    """A face posed by weights of shapes: activations ``a`` (m, 6) and ``jaw`` (5,).
 
     ``clamped`` counts the muscles that were kept within their limits, or from folding;
     ``target`` (p, 3) is where tracks pull the flesh, if tracks drive it.

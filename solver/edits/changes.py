@@ -97,7 +97,7 @@ def _border(model: SubjectModel) -> Floats:
 
 @dataclass(frozen=True)
 class Filler:
-    """So many ``ml``, injected along a needle's ``path`` (k, 3), mm in the person's frame at rest.
+    """Filler of ``ml``, injected along a needle's ``path`` (k, 3), mm in the frame of the rest.
 
     The flesh grows by f of F_p = f I with f^3 = 1 + alpha exp(-d^2 / (2 radius^2)), d being the
     distance to the path; alpha is such that the flesh, were it free, grew by the given volume.

@@ -259,7 +259,7 @@ class _Trial:
 
 @dataclass(frozen=True)
 class _Follower:
-    """What follows a change of S: the flesh, its pull on the pose, and the step of that."""
+    """The response to a change of S: the flesh, its pull on the pose, and the step of that."""
 
     flesh: Floats
     coupled: Floats

@@ -38,7 +38,7 @@ NOTHING_KNOWN: Mapping[str, KnownMuscles] = {}  # of any expression
 
 @dataclass(frozen=True)
 class SkinWorth:
-    """What a scan's distances are worth beside a table's standard deviations."""
+    """Weight of a scan's distances beside a table's standard deviations."""
 
     sigma_mm: float = 0.3  # by which a fitted skin is off where noise and model leave it
     # distances that err by themselves: 1.6 cm^2 of a face each. S that is wrong errs over all that

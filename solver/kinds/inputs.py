@@ -151,7 +151,7 @@ class Role:
 
     @property
     def is_scan(self) -> bool:
-        """Whether it is checked and registered; what is none takes no landmarks, and stays so."""
+        """Whether it is checked and registered; others take no landmarks and stay as they are."""
         return bool(self.registered)
 
 

@@ -28,7 +28,7 @@ class PredictorOptions:
 
 @dataclass(frozen=True)
 class CorrectorOptions:
-    """When :func:`correct` asks for a new Hessian, and when it is near enough."""
+    """Limits at which :func:`correct` asks for a new Hessian, and at which it is near enough."""
 
     long_mm: float = 0.75  # a longer correction asks for a new Hessian
     close_mm: float = 0.2  # the end of a shorter one is good enough

@@ -119,7 +119,7 @@ class _Entries(NamedTuple):
 
 @dataclass(frozen=True)
 class FibreMuscles:
-    """Who pulls where: e entries, sorted by tet, of m muscles."""
+    """Fibre muscles in their tets: e entries, sorted by tet, of m muscles."""
 
     tets: Ints  # (e,)
     muscles: Ints  # (e,)

@@ -54,7 +54,7 @@ class KnownTableOptions:
 
 @dataclass(frozen=True)
 class KnownMuscles:
-    """What is known of r muscles at one time: contractions ``values`` (r,) with their ``sd`` (r,).
+    """Known contractions of r muscles at one time: ``values`` (r,) with their ``sd`` (r,).
 
     A name is a muscle's, or that of a whole whose compartments contract by it on average.
     """
@@ -82,7 +82,7 @@ class _Channel:
 
 @dataclass(frozen=True)
 class KnownCourse:
-    """What is known over the time of a take, frames being ``seconds`` apart."""
+    """Known contractions over the time of a take, frames being ``seconds`` apart."""
 
     channels: tuple[_Channel, ...]
     seconds: float

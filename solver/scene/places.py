@@ -1,4 +1,4 @@
-"""What a scene names on and around a person: places, maps painted on the skin, and objects.
+"""Places, maps painted on the skin, and objects that a scene names on and around a person.
 
 A place is a landmark's name, the number of a skin vertex, or a point [x, y, z] in mm.
 """

@@ -114,7 +114,7 @@ class PreparedTake:
 
     @cached_property
     def binding(self) -> Binding:
-        """That set, with what to look at before it is used.
+        """The marker set, with findings to look at before it is used.
 
         Raises :class:`InputError`: ``markers.few``, not enough markers are seen at rest,
         ``markers.flat`` or ``markers.too_large``.
