@@ -23,7 +23,7 @@ LEFT_TO_NEW = 4
 
 
 class ConnectionSlots(Generic[Connection]):
-    """Limit of connections: ``most``, ``most_of_address`` anonymous, ``most_of_tenant`` with key."""
+    """Limit of connections: ``most``, ``most_of_address`` anonymous, ``most_of_tenant`` keyed."""
 
     def __init__(self, most: int, most_of_address: int, most_of_tenant: int) -> None:
         self._most = most
