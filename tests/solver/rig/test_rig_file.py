@@ -13,7 +13,7 @@ import pytest
 from solver.errors import InputError, make_warning
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, weights_hash
-from solver.rig import ExpressionFit, Rig
+from solver.rig.rig import ExpressionFit, Rig
 from solver.storage import read_arrays
 from tests.solver.block import block_model
 
