@@ -39,7 +39,7 @@ def add_bump(
     normals = vertex_normals(scan)[vertices]
     moved = scan.vertices.copy()
     moved[vertices] += heights[:, None] * normals
-    return scan.moved(moved), Bump(vertices, heights, normals)
+    return scan.with_vertices(moved), Bump(vertices, heights, normals)
 
 
 def cheek(model: SubjectModel) -> int:

@@ -45,7 +45,7 @@ Maker = Callable[[Subject, Path], BadScan]
 
 def _obj(folder: Path, name: str, vertices: Floats, surface: Surface) -> Path:
     path = folder / f"{name}.obj"
-    write_obj(path, surface.moved(vertices))
+    write_obj(path, surface.with_vertices(vertices))
     return path
 
 

@@ -1,4 +1,4 @@
-"""How long a check takes through a running service, and where the time goes.
+"""Time of a check through a running service, by its parts.
 
     python -m benchmarks.check_service --json -
 

@@ -1,4 +1,4 @@
-"""How the solvers come down: the objective by iterations and seconds, on a coarse model.
+"""Convergence of the solvers: the objective by iterations and seconds, on a coarse model.
 
 One expression by activations with S (``A``), by the same problem in full space (``IPOPT``) and by
 the per-tet model (``P``), all from the neutral face, until a step gains nothing worth mentioning;

@@ -25,7 +25,7 @@ BEHIND_MM = 150.0
 
 @dataclass(frozen=True)
 class Corruption:
-    """How a scan is spoilt: ``noise_mm``, ``hole_share``, grid ``cell_mm``, ``unit`` in mm."""
+    """Faults put into a scan: ``noise_mm``, ``hole_share``, grid ``cell_mm``, ``unit`` in mm."""
 
     noise_mm: float = 0.3
     hole_share: float = 0.2

@@ -58,7 +58,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Section:
-    """What one benchmark tells a reader; texts are paragraphs of Markdown without line breaks."""
+    """One benchmark in the document; texts are paragraphs of Markdown without line breaks."""
 
     title: str
     compared: str

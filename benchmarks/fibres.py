@@ -52,7 +52,7 @@ from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.scans.performance import read_live_link
 from solver.similarity import IDENTITY as STILL
 from solver.simulation import Simulator
@@ -199,7 +199,7 @@ def _quality(plain: Face, person: Person, fits: Mapping[str, PosedFace]) -> Figu
             for kind, found in by_kind.items()
             if name in found
         }
-        inverted = plain.flesh.inverted(fits[name].x)
+        inverted = plain.flesh.count_inverted(fits[name].x)
         expressions[name] = {"role": role, **errors, "inverted": inverted}
 
     def mean(names: Mapping[str, Surface], kind: str) -> float | None:
@@ -242,12 +242,12 @@ def exaggerate(
 ) -> Figures:
     """Return what whole curves times 2 and 4 make of expressions, in contact."""
     plain = Face(model, material=MOONEY_RIVLIN.in_pascal(3000.0), linear=fastest())
-    own = muscles.scaled(plain.flesh.material.mu / MOONEY_RIVLIN.mu)
+    own = muscles.scale(plain.flesh.material.mu / MOONEY_RIVLIN.mu)
     gauge = Gauge(model)
     neutral = gauge.neutral().most
     found: dict[str, dict[str, Figures]] = {str(factor): {} for factor in FACTORS}
     for factor in FACTORS:
-        face = with_fibres(plain, own.scaled(float(factor)))
+        face = with_fibres(plain, own.scale(float(factor)))
         for name, pose in poses.items():
             # as scenes have it: what presses harder meets what is firmer
             potentials = contact_potentials(model, factor * plain.flesh.material.mu)

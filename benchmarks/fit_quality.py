@@ -1,4 +1,4 @@
-"""How near fitted faces come to their scans, by S and by the per-tet model P, and by what muscles.
+"""Distances of fitted faces to their scans, by S and by the per-tet model P, and by what muscles.
 
 For every subject, every set of scans (``--sets``) and all controls of muscles and jaw
 (``--controls``) S is fitted to the training scans and activations alone to the unseen ones, by the
@@ -280,7 +280,7 @@ def _with_tets(
     found: Figures = {
         "per_tet_train_mean_mm": by_tets.mean_mm,
         "per_tet_max_mm": max((each["max_mm"] for each in expressions.values()), default=None),
-        "per_tet_inverted": by_tets.inverted(),
+        "per_tet_inverted": by_tets.count_inverted(),
         "per_tet_seconds": by_tets.seconds,
         "per_tet_failed": by_tets.failed,
         "per_tet_expressions": expressions,

@@ -1,4 +1,4 @@
-"""How long fits and simulations take on one subject; ratios are of one run.
+"""Times of fits and simulations on one subject; ratios are of one run.
 
 Wall times on the threads that the machine gives, kernels compiled; ``--parts`` chooses what is
 timed, so that no run takes long, and with ``--rig`` S is fitted once for several runs. Muscles are
@@ -44,7 +44,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Target
 from solver.mechanics.flesh import COROTATED_DET
 from solver.mechanics.linear import fastest
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.scans.performance import read_live_link
 from solver.templates.ict_facekit import drive, ict_neutral, read_facekit
 

@@ -1,4 +1,4 @@
-"""How fast the ingest check is, whether it names every fault, and whether it cries wolf.
+"""Speed of the ingest check, faults that it names, and false alarms.
 
     python -m benchmarks.ingest --json -
     python -m benchmarks.ingest --faces ICT_FACEKIT --scans SCANS --json -

@@ -46,7 +46,7 @@ DENSER = {"lip": 2.0, "lid": 2.0, "chin": 1.3, "nose": 1.3, "brow": 1.3, "lining
 
 @dataclass(frozen=True)
 class Truth:
-    """What happened: skins (f, V, 3) in the head's frame, and the head's motion."""
+    """The true motion: skins (f, V, 3) in the head's frame, and the head's motion."""
 
     performance: IctPerformance
     numbers: range
@@ -240,7 +240,7 @@ class Bench:
             shifts.append(float(np.linalg.norm(off)))
             whole = face.whole_skin(fit.state.x, pose.b)
             jaws.append(float(np.linalg.norm((whole - skin)[incisors].mean(axis=0))))
-            inverted += face.flesh.inverted(fit.state.x)
+            inverted += face.flesh.count_inverted(fit.state.x)
             not_finite += not np.isfinite(fit.state.x).all() or not np.isfinite(fit.sd).all()
             q, layout = pose.vector(), pose.layout
             out_of_tracks += bool(

@@ -44,9 +44,9 @@ from solver.fitting.tracking import Tracker
 from solver.fitting.tracking.dense import DensePoints, SeenPoints
 from solver.jobs.build_preview import TOLERANCE
 from solver.mechanics.linear import fastest
+from solver.rig import Rig
 from solver.rig.preview import make_live_preview
 from solver.rig.preview.live import LiveTracker
-from solver.rig.rig import Rig
 from solver.scans.markers.places.marker_set import BoundTake, MarkerSet
 from solver.scans.markers.prepare import bind
 from solver.scans.markers.readers.take import read_take
@@ -250,7 +250,7 @@ def _real(options: argparse.Namespace, kit: FaceKit, rig: Rig, shapes: Floats) -
         fits, inverted = [], 0
         for seen in frames:
             fits.append(tracker.step(SeenMarkers(seen)).residual_mm)
-            inverted += face.flesh.inverted(tracker.state.x)
+            inverted += face.flesh.count_inverted(tracker.state.x)
         log.info("%s: %.3f mm", name, rms(np.concatenate(fits)[~np.isnan(np.concatenate(fits))]))
         left_out = _left_out(face, places, sigma, known, frames)
         off = np.concatenate(fits)

@@ -1,4 +1,4 @@
-"""What anatomy texts say that a muscle does to the skin, and whether it goes that way.
+"""Actions of muscles by anatomy texts, and whether the skin goes that way.
 
 The table is ``solver/anatomy/data/muscle_actions.csv``: a place of the face and the ways that it
 goes when all of a muscle contracts on one side; a ring contracts on both.
@@ -31,7 +31,7 @@ WAYS = {  # in x, y and z on the left
 
 @dataclass(frozen=True)
 class ActionOptions:
-    """What counts as going the way that texts say, and how large places are."""
+    """Limits of going the way that texts say, and the size of places."""
 
     most_off_deg: float = 60.0  # between the place's mean motion and the way
     least_mm: float = 0.1  # of that motion: with less the place stays
@@ -43,7 +43,7 @@ class ActionOptions:
 
 @dataclass(frozen=True)
 class MuscleAction:
-    """What a muscle of anatomy texts does: a place on its side goes in some ``ways``."""
+    """The action of a muscle by anatomy texts: a place on its side goes in some ``ways``."""
 
     muscle: str
     place: str

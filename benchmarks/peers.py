@@ -50,7 +50,7 @@ class StoppedError(Exception):
 
 @dataclass(frozen=True)
 class Answer:
-    """What :mod:`benchmarks.forward.child` found; times of the first and of the second solve."""
+    """Findings of :mod:`benchmarks.forward.child`; times of the first and of the second solve."""
 
     x: Floats
     seconds: Floats
@@ -152,7 +152,7 @@ def measured(problem: Problem, found: Answer) -> dict[str, Any]:
         "energy_polar_f": energy(problem, found.x, polar_of_f=True),
         "gradient_left": float(at_end / at_start),
         "gradient_error": found.gradient_error,
-        "inverted": truth.flesh.inverted(found.x),
+        "inverted": truth.flesh.count_inverted(found.x),
     }
 
 

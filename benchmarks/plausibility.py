@@ -1,4 +1,4 @@
-"""What skin costs muscles: fits by admissible controls whose bounds are loosened step by step.
+"""Distance against plausibility: fits by admissible controls whose bounds are loosened by steps.
 
 S is fitted to every subject's strong training scans on coarse tets, once for each plausibility. A
 figure of muscles is the worst over muscles and scans, ``beyond`` the sum of the muscles that do
@@ -65,7 +65,7 @@ def _fit(subject: Subject, plausibility: float, rounds: int | None) -> Figures:
         "train_mean_mm": fits.mean_mm,
         "beyond": sum(bool(each.faults(m)) for each in found for m in range(len(each.fibres))),
         **muscle_figures(found),
-        "inverted": fits.inverted(),
+        "inverted": fits.count_inverted(),
         "rounds": fits.rounds,
         "seconds": fits.seconds,
     }

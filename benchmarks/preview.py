@@ -1,4 +1,4 @@
-"""How far a rig's sliders are off the simulation they stand for, and how long they take to make.
+"""Errors of a rig's sliders against the simulation they stand for, and the time to make them.
 
 A face is fitted to its training expressions, then its preview is made as the job does. ``mean_mm``,
 ``p95_mm`` and ``max_mm`` are over random plausible poses that it was not made from, on the face's

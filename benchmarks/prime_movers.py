@@ -1,4 +1,4 @@
-"""Whether the muscles that literature names contract when a rig makes units of FACS.
+"""Contractions of the muscles that literature names when a rig makes units of FACS.
 
 Shapes of the template, on the rig's person, are fitted by activations and jaw with the rig's S, and
 compared with the muscles that anatomy texts name for their action units
@@ -189,7 +189,7 @@ def single_units(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Sur
     moving = expression_targets(model, basis)
     assert basis is not None, "without shapes there are no targets"
     return {
-        name: model.skin.moved(model.skin.vertices + shape)
+        name: model.skin.with_vertices(model.skin.vertices + shape)
         for name, shape in zip(basis.expression_names, basis.expressions, strict=True)
         if name in moving and name not in CORRECTED and actions_of(name)
     }

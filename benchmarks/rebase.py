@@ -127,11 +127,11 @@ def carried(made: Rebased, template: Template, captures: CaptureSet) -> CaptureS
         return made.carry(made.turn.turn(delta))
 
     own = captures.neutral.vertices
-    neutral = skin.moved(skin.vertices + move(own - template.skin.vertices))
+    neutral = skin.with_vertices(skin.vertices + move(own - template.skin.vertices))
 
     def scans(given: dict[str, Surface]) -> dict[str, Surface]:
         return {
-            name: neutral.moved(neutral.vertices + move(scan.vertices - own))
+            name: neutral.with_vertices(neutral.vertices + move(scan.vertices - own))
             for name, scan in given.items()
         }
 
@@ -159,7 +159,7 @@ def _figures(based: Template, captures: CaptureSet, options: argparse.Namespace)
         "mesh_source": model.mesh_source,
         "train_mean_mm": train.mean_mm,
         "test_mean_mm": test.mean_mm,
-        "fits_inverted": train.inverted() + test.inverted(),
+        "fits_inverted": train.count_inverted() + test.count_inverted(),
         "expressions": {**train.figures("train"), **test.figures("test")},
         "failed": {**train.failed, **test.failed},
         "raw_mean_mm": raw["mean_surface_mm"],

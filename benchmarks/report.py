@@ -1,4 +1,4 @@
-"""What every benchmark does at its end: one JSON object, and its section of the document."""
+"""The end of every benchmark: one JSON object, and its section of the document."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class NoiseOptions:
 
 @dataclass(frozen=True)
 class BoundOptions:
-    """Where a muscle counts as being at a bound of what muscles can do."""
+    """Limits from which a muscle counts as being at a bound of what muscles can do."""
 
     drive: Admissible = field(default_factory=Admissible)
     # of the way from rest to the bound, what is left: at rest no muscle is at a bound, though that
@@ -283,7 +283,9 @@ def noise_figures(method: Method, test: Fits, noise: NoiseOptions = NoiseOptions
     """
     rng, face = np.random.default_rng(noise.seed), test.face
     spoilt = {
-        name: scan.moved(scan.vertices + noise.sd_mm * rng.standard_normal(scan.vertices.shape))
+        name: scan.with_vertices(
+            scan.vertices + noise.sd_mm * rng.standard_normal(scan.vertices.shape)
+        )
         for name, scan in test.scans.items()
     }
     again, rest = method.test(face, spoilt), face.rest_pose().a

@@ -41,7 +41,7 @@ from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.known import FaceMuscles
 from solver.fitting.objective import Regulariser, SkinDistance, Target
-from solver.fitting.stretches import fibre_tensors, shorten
+from solver.fitting.stretches import fibre_tensors, isochoric_activation
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.report.certificate import muscles
 from solver.rig.report.prime_movers import is_one_of
@@ -186,7 +186,7 @@ def plausible_pose(face: Face, rng: np.random.Generator) -> Pose:
     for muscle, name in enumerate(model.muscle_names):
         if (kind := both_sides(name)) in depth:
             side = depth[kind] + rng.uniform(-ASYMMETRY, ASYMMETRY)
-            a[muscle] = shorten(tensors[muscle], side)
+            a[muscle] = isochoric_activation(tensors[muscle], side)
     opening = rng.uniform(*OPENING)
     return Pose(a, np.array([opening, 0.0, 0.0, 0.0, FORWARD_MM * opening]))
 
@@ -285,7 +285,7 @@ def simulate(
             log.warning("%s: %s", name, error)
             continue
         found.truths[name] = _contraction(face, pose.a)
-        found.scans[name] = face.model.skin.moved(face.whole_skin(x, pose.b) + noise)
+        found.scans[name] = face.model.skin.with_vertices(face.whole_skin(x, pose.b) + noise)
     return replace(found, unreached=len(mixtures) - len(found.scans))
 
 
@@ -319,7 +319,7 @@ def named_pose(
         kind = both_sides(whole)
         depth.setdefault(kind, rng.uniform(*trip.contraction))
         depth.setdefault(whole, depth[kind] + rng.uniform(-trip.asymmetry, trip.asymmetry))
-        a[muscle] = shorten(tensors[muscle], 1.0 - depth[whole])
+        a[muscle] = isochoric_activation(tensors[muscle], 1.0 - depth[whole])
     opens = "jawOpen" in weights
     opening = rng.uniform(*trip.opening) if opens else 0.0
     jaw = np.array([opening, 0.0, 0.0, 0.0, FORWARD_MM * opening])

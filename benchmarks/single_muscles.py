@@ -46,10 +46,10 @@ from solver.drawing.head import muscle_side
 from solver.errors import SolveError
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, Pose
-from solver.fitting.stretches import fibre_tensors, shorten
+from solver.fitting.stretches import fibre_tensors, isochoric_activation
 from solver.model import SubjectModel
+from solver.rig import ExpressionFit, Rig
 from solver.rig.preview.sliders import SliderOptions, controls_of
-from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints
 
 log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class PullOptions:
-    """What is pulled, and what counts as moved."""
+    """Pull of single muscles, and limits of what counts as moved."""
 
     stretch: float = 0.7  # of the fibres
     least_share: float = 0.2  # of a tet, from which its fibres count
@@ -69,7 +69,7 @@ class PullOptions:
 
 @dataclass(frozen=True)
 class FullOptions:
-    """How far all of a muscle contracts, and what closes the eyes."""
+    """Full contraction of a muscle, and the muscles that close the eyes."""
 
     sliders: SliderOptions = field(default_factory=SliderOptions)
     within: Admissible = field(default_factory=Admissible)
@@ -166,7 +166,7 @@ def pull_named(
         done.add(action.muscle)
         a = rest.pose.a.copy()
         for number in numbers:
-            a[number] = shorten(limits.tensors[number], options.sliders.full_stretch)
+            a[number] = isochoric_activation(limits.tensors[number], options.sliders.full_stretch)
         pose = Pose(keep_within(a, limits)[0], rest.pose.b)
         try:
             x = face.continuation(rest, pose).x
@@ -274,7 +274,7 @@ def pull_each(
         if not is_wanted or not np.isfinite(tensors[number]).all():
             continue
         pose = Pose(rest.pose.a.copy(), rest.pose.b)
-        pose.a[number] = shorten(tensors[number], options.stretch)
+        pose.a[number] = isochoric_activation(tensors[number], options.stretch)
         try:
             x = face.continuation(rest, pose).x
         except SolveError as error:

@@ -85,7 +85,7 @@ def mixed(neutral: Surface, basis: ShapeBasis, weights: Mapping[str, float]) -> 
     moved, number = neutral.vertices.copy(), basis.expression_names.index
     for name, weight in weights.items():
         moved += weight * basis.expressions[number(name)]
-    return neutral.moved(moved)
+    return neutral.with_vertices(moved)
 
 
 def shape_weights(expression: Expression, shapes: Sequence[str]) -> dict[str, float]:

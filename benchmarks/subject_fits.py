@@ -30,8 +30,8 @@ from solver.fitting.recruitment import recruit
 from solver.jobs.fits import describe_fit
 from solver.meshio.registered import RegisteredScan
 from solver.model import SubjectModel
+from solver.rig import ExpressionFit, Rig
 from solver.rig.report.certificate import with_round_trips
-from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.known_activations import NOTHING, KnownMuscles
 from solver.surface import Floats, Surface
 
@@ -84,9 +84,9 @@ class Fits:
         state = self.states[name]
         return self.face.whole_skin(state.x, state.pose.b)
 
-    def inverted(self) -> int:
+    def count_inverted(self) -> int:
         """Return the number of inverted tets in all expressions."""
-        return sum(self.face.flesh.inverted(state.x) for state in self.states.values())
+        return sum(self.face.flesh.count_inverted(state.x) for state in self.states.values())
 
     def expressions(self, role: str) -> list[ExpressionFit]:
         """Return what a rig holds of the fits."""
@@ -117,7 +117,7 @@ class Fits:
                 "mean_mm": float(distance.mean()),
                 "p95_mm": float(np.percentile(distance, 95)),
                 "max_mm": float(distance.max()),
-                "inverted": self.face.flesh.inverted(state.x),
+                "inverted": self.face.flesh.count_inverted(state.x),
                 "lip_crossing_mm": mouth and crossing(mouth, self.skin(name)).lips,
                 "scan_lip_crossing_mm": mouth and crossing(mouth, self.scans[name].vertices).lips,
             }
@@ -199,7 +199,7 @@ def _targets(face: Face, scans: Scans) -> dict[str, Target]:
 
 @dataclass(frozen=True)
 class Method:
-    """How a subject is fitted: ``train`` shapes the face as well, ``test`` poses a shaped one.
+    """A way to fit a subject: ``train`` shapes the face as well, ``test`` poses a shaped one.
 
     Controls of the muscles and the jaw may be any that its faces have; the fits' ``face`` is what
     ``test`` is given.

@@ -31,7 +31,7 @@ from solver.contact import contact_potentials
 from solver.fitting.face import Face
 from solver.fitting.objective import Target
 from solver.fitting.simplex import mix_by_stiffness
-from solver.fitting.stretches import Shortening, fibre_tensors
+from solver.fitting.stretches import IsochoricActivations, fibre_tensors
 from solver.jobs.fits import Span, WarningLog, fit_unseen
 from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.boundary import JAW_FREEDOM
@@ -215,7 +215,7 @@ class _Person:
         model, neutral = self._model, self._model.skin.vertices
         lips = np.concatenate([model.region(f"{side}_lip") for side in ("upper", "lower")])
         away = cKDTree(neutral[lips]).query(neutral)[0]
-        surface = model.skin.moved(clean)
+        surface = model.skin.with_vertices(clean)
         normals = vertex_normals(surface)
         along = np.array([1.0, 0.0, 0.0]) - normals[:, :1] * normals
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
@@ -260,7 +260,7 @@ def _simulated(options: argparse.Namespace, names: Sequence[str]) -> _Truths:
     face = Face(model, S, material=material, linear=fastest())
     lips, driven = LipFlesh.of(model), fibre_tensors(model, face.flesh.volumes, S)
     with_fibres = np.isfinite(driven).all(axis=(1, 2))
-    shortening = Shortening.of(driven[with_fibres])
+    shortening = IsochoricActivations.of(driven[with_fibres])
     still = Drive(0.0, face.flesh.passive(), np.zeros(JAW_FREEDOM), IDENTITY)
     skins, changes = {}, {}
     for name in names:

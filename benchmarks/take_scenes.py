@@ -23,7 +23,7 @@ from benchmarks.documents import Figures, Section, Table
 from solver.jobs import run_job
 from solver.kinds.scene import PerformanceEntry, SimulateScene
 from solver.model import SubjectModel
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.scene.document import read_scene
 from solver.scene.places import Places, SceneObject, objects_of
 from solver.similarity import small_motion

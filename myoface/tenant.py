@@ -13,7 +13,7 @@ Scope = Literal["read", "write", "delete", "webhooks", "metrics", "admin"]
 
 @dataclass(frozen=True, kw_only=True)
 class Me(Resource):
-    """Whose key a client has, and what it may be used for."""
+    """Owner and scopes of the client's key."""
 
     tenant: str
     key_id: str

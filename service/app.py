@@ -66,6 +66,23 @@ TAGS = [
     {"name": "system", "description": "Health, limits and kinds of job."},
 ]
 
+ROUTERS = (
+    uploads,
+    subjects,
+    captures,
+    batches,
+    templates,
+    jobs,
+    rigs,
+    webhooks,
+    keys_router,
+    tenants_router,
+    audit_router,
+    deletions_router,
+    system,
+    page,
+)
+
 
 def create_app(settings: Settings | None = None) -> FastAPI:
     """Return the application; without ``settings`` the environment's are used."""
@@ -80,15 +97,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await to_thread.run_sync(bootstrap.prepare, store, keyring, settings)
-        background: list[Background] = [
-            BatchRunner(store, settings),
-            UploadCleaner(store, settings),
-            keyring.uses,
-            ballast,
-            reads,
-        ]
-        if settings.scrub_per_minute:
-            background.append(Scrubber(store, settings))
+        background = [*_runners(store, settings), keyring.uses, ballast, reads]
         for thread in background:
             thread.start()
         yield
@@ -132,22 +141,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.writers = Writers()
     app.state.sender = Sender(settings.webhook_timeout, settings.webhook_allow)
     errors.install(app)
-    for router in (
-        uploads,
-        subjects,
-        captures,
-        batches,
-        templates,
-        jobs,
-        rigs,
-        webhooks,
-        keys_router,
-        tenants_router,
-        audit_router,
-        deletions_router,
-        system,
-        page,
-    ):
+    for router in ROUTERS:
         app.include_router(router)
     openapi.install(app)
     app.add_middleware(RateHeaders)
@@ -155,6 +149,14 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     metrics.install(app, store, settings)
     check_parts(app)
     return app
+
+
+def _runners(store: Store, settings: Settings) -> list[Background]:
+    """Return the threads of this process that work on the store."""
+    runners: list[Background] = [BatchRunner(store, settings), UploadCleaner(store, settings)]
+    if settings.scrub_per_minute:
+        runners.append(Scrubber(store, settings))
+    return runners
 
 
 def _version() -> str:

@@ -55,11 +55,11 @@ def install(app: FastAPI) -> None:
 
 def _sender(document: Callable[[], JsonObject]) -> Callable[..., Response]:
     @cache
-    def packed() -> StaticFile:
+    def packed_document() -> StaticFile:
         return StaticFile.of(json.dumps(document()).encode(), "application/json")
 
     def send(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
-        return send_static(packed(), accept_encoding, if_none_match)
+        return send_static(packed_document(), accept_encoding, if_none_match)
 
     return send
 
@@ -76,7 +76,7 @@ def _complete(document: JsonObject) -> JsonObject:
             operation["responses"] = bodies | operation["responses"]
             for content in operation["requestBody"]["content"].values():
                 content["schema"] = _without_null(content.get("schema", {}))
-                asked |= _referred(content["schema"], schemas)
+                asked |= _references(content["schema"], schemas)
         for content in _contents(operation):
             # FastAPI describes each event of a stream, in a word of 3.2. Before it some tools take
             # a schema for the whole text's and some for each event's: any will do for both.
@@ -147,7 +147,7 @@ def _without_null(schema: JsonObject) -> JsonObject:
     return {**rest[0], **beside} if len(rest) == 1 else {"anyOf": rest, **beside}
 
 
-def _referred(schema: Any, schemas: Mapping[str, Any]) -> set[str]:
+def _references(schema: Any, schemas: Mapping[str, Any]) -> set[str]:
     """Return the names of all schemas that one refers to, and those to which they do."""
     found: set[str] = set()
     waiting = [schema]

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from solver.meshio.registered import read_registered as read_registered
     from solver.meshio.registered import write_registered as write_registered
     from solver.model import SubjectModel as SubjectModel
+    from solver.rig import Rig as Rig
     from solver.rig.exporters import export as export
-    from solver.rig.rig import Rig as Rig
     from solver.simulation import Simulator as Simulator
     from solver.tracks.basis import MuscleTracks as MuscleTracks
     from solver.tracks.face import TrackFace as TrackFace
@@ -65,7 +65,7 @@ _PLACES = {
     "PassiveTerm": "solver.mechanics.terms:PassiveTerm",
     "Pose": "solver.fitting.face:Pose",
     "RegisteredScan": "solver.meshio.registered:RegisteredScan",
-    "Rig": "solver.rig.rig:Rig",
+    "Rig": "solver.rig:Rig",
     "SeenPoints": "solver.fitting.tracking.dense:SeenPoints",
     "Sensitivity": "solver.fitting.sensitivity:Sensitivity",
     "Simulator": "solver.simulation:Simulator",

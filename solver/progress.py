@@ -22,7 +22,7 @@ class Step:
         return {key: value for key, value in asdict(self).items() if value is not None}
 
 
-class Progress(Protocol):
+class ProgressCallback(Protocol):
     """Anything that takes a :class:`Step`."""
 
     def __call__(self, step: Step, /) -> None:
@@ -33,6 +33,6 @@ def silent(_step: Step, /) -> None:
     """Listen to nothing."""
 
 
-def part_of(progress: Progress, start: float, end: float = 1.0) -> Progress:
-    """Return a progress for a part of the whole: its way from 0 to 1 is [start, end] there."""
+def part_of(progress: ProgressCallback, start: float, end: float = 1.0) -> ProgressCallback:
+    """Return a callback for a part of the whole: its way from 0 to 1 is [start, end] there."""
     return lambda step, /: progress(replace(step, fraction=start + step.fraction * (end - start)))

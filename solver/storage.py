@@ -247,7 +247,7 @@ def write_container(path: Path, header: Mapping[str, Any], arrays: Arrays) -> No
     The same content gives the same bytes. ``format``, ``unit`` and ``arrays`` are put into the
     header here. Raises :class:`ValueError` for another dtype and for NaN in the header.
     """
-    stored = {name: _stored(name, array) for name, array in arrays.items()}
+    stored = {name: _little_endian(name, array) for name, array in arrays.items()}
     text, places = _view_header(header, stored)
     with path.open("wb") as stream:
         stream.write(PREFIX.pack(MAGIC, len(text)) + text)
@@ -276,7 +276,7 @@ def read_container(path: str | Path) -> Archive:
     return Archive(header, arrays)
 
 
-def _stored(name: str, array: np.ndarray) -> np.ndarray:
+def _little_endian(name: str, array: np.ndarray) -> np.ndarray:
     if array.dtype.name not in DTYPES:
         raise ValueError(f"{name} has dtype {array.dtype}; a view holds {', '.join(DTYPES)}")
     return np.ascontiguousarray(array, array.dtype.newbyteorder("<"))

@@ -21,7 +21,7 @@ class Surface:
     vertices: Floats
     faces: Ints
 
-    def moved(self, vertices: Floats) -> Surface:
+    def with_vertices(self, vertices: Floats) -> Surface:
         """Return the same triangles with other vertex positions, shape (n, 3)."""
         return Surface(vertices, self.faces)
 

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from solver.fitting.face import Face
 from solver.model import JawFrame, SubjectModel
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig import ExpressionFit, Rig
 from solver.surface import Floats, Ints, Surface
 
 MM_PER_M = 1000.0
@@ -46,7 +46,7 @@ def small_capture(name: str) -> Surface:
     if name == "neutral":
         return neutral
     with np.load(EXPRESSIONS_FILE) as data:
-        return neutral.moved(neutral.vertices + data[name].astype(np.float64))
+        return neutral.with_vertices(neutral.vertices + data[name].astype(np.float64))
 
 
 @cache

@@ -29,7 +29,7 @@ MOST_MESHES = 32
 
 
 class TenantCache:
-    """What is kept of a tenant's templates on this host, besides the installation's own files."""
+    """Cache of a tenant's meshed templates on this host, beside the installation's own files."""
 
     def __init__(self, tenant: str, settings: Settings) -> None:
         self.folder = settings.work / CACHES / tenant

@@ -34,7 +34,7 @@ class HopelessError(Exception):
 
 
 class InvalidOutputError(HopelessError):
-    """What the solver left is nothing that it would leave by itself."""
+    """The solver's output is nothing that the solver would write by itself."""
 
     def __init__(self, message: str) -> None:
         super().__init__({"code": "solver.verdict", "message": message})

@@ -1,4 +1,4 @@
-"""What attempts leave when their worker dies: folders, and processes that a solver had started."""
+"""Clean up after attempts whose worker died: folders, and processes that a solver had started."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def note_session(folder: Path, leader: int) -> None:
 def end_processes(folder: Path) -> None:
     """Kill the processes of an attempt (Linux; elsewhere they end by themselves).
 
-    Those that are not confined may have left its session, and then have its mark.
+    Processes that are not confined may have left the attempt's session; they have its mark.
     """
     for process in {*_of_session(folder), *_with_mark(folder)}:
         with suppress(OSError):  # gone meanwhile

@@ -231,9 +231,9 @@ class SolverProcess:
         return list(newest.values())
 
     def lines(self) -> list[str]:
-        """Return the lines printed since the last call; of a flood only the beginning.
+        """Return the lines printed since the last call; a flood is cut to its beginning.
 
-        Of all that an attempt says, the first `MOST_LINES_KEPT` lines are kept.
+        The first `MOST_LINES_KEPT` lines of an attempt are kept.
         """
         (lines, left_out), room = self._log.take(), self._room
         if left_out:

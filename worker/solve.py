@@ -6,8 +6,8 @@ database and no queue, so whatever happens to it costs an attempt at most.
 
 ``python -m worker.solve --standby <parent> <niceness> <pipe>`` loads code that most of a job's
 start goes into, says a line on the pipe when it is ready, and is told the folder of its one job on
-standard input. What it loads knows no job, has no kernels (they are looked for in the attempt's
-folder) and starts no threads (they would not be confined).
+standard input. The code that it loads knows no job, has no kernels (they are looked for in the
+attempt's folder) and starts no threads (they would not be confined).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from worker import sandbox
 from worker.errors import NO_ROOM, is_full
 
 if TYPE_CHECKING:
-    from solver.progress import Progress, Step
+    from solver.progress import ProgressCallback, Step
 
 RESULT, FAILURE = "result.json", "error.json"
 STANDBY = "--standby"
@@ -137,7 +137,7 @@ def _describe_error(error: Exception, memory_bytes: int) -> dict[str, Any]:
     return {"code": "solver.crash", "message": message}
 
 
-def solve(folder: Path, progress: Progress, jobs: str = "solver.jobs") -> dict[str, Any]:
+def solve(folder: Path, progress: ProgressCallback, jobs: str = "solver.jobs") -> dict[str, Any]:
     """Do the job; returns ``{summary, expressions, formats}``, what it tells of its results."""
     job = json.loads((folder / "job.json").read_text())
     captures: dict[str, Path] = {}
@@ -174,7 +174,7 @@ def _describe(file: Path, *, is_rig: bool) -> dict[str, Any]:
     return {"expressions": expressions, "summary": summary}
 
 
-def to_pipe(write: Callable[[str], Any]) -> Progress:
+def to_pipe(write: Callable[[str], Any]) -> ProgressCallback:
     """Return a progress that writes JSON lines; a supervisor that is gone does not matter."""
 
     def report(step: Step, /) -> None:

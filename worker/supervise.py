@@ -1,4 +1,4 @@
-"""From claim to commit: one job, watched while its solver works in a process of its own."""
+"""Supervise one job from claim to commit, while its solver works in a process of its own."""
 
 from __future__ import annotations
 

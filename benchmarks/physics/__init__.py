@@ -1,4 +1,4 @@
-"""What living flesh does: checks against known answers, contact, sliding, speed, effects."""
+"""Living flesh in benchmarks: checks against known answers, contact, sliding, speed, effects."""
 
 from benchmarks.physics.section import section
 

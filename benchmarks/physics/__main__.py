@@ -1,4 +1,4 @@
-"""What living flesh does, against known answers and on a fitted person, and how long it takes.
+"""Living flesh, against known answers and on a fitted person, and its times.
 
 The checks need no person: without ``--model`` the flesh that flies is the built-in person's, or
 that of the subject that ``--anatomy`` and ``--faces`` choose. All else is of a person who is fitted
@@ -24,7 +24,7 @@ from myoface.client import Client
 from solver.anatomy.template import Template
 from solver.animation import RecordedDrives
 from solver.model import SubjectModel
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.scans.performance import read_live_link
 
 SHOWS = ("checks", "contact", "sliding", "speed", "effects", "performance", "jobs")

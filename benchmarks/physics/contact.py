@@ -69,7 +69,7 @@ class Scene:
         """Return the object where it is in a frame."""
         if self.thing is None:
             return ()
-        return (self.thing.moved(self.thing.vertices + self.shifts[frame]),)
+        return (self.thing.with_vertices(self.thing.vertices + self.shifts[frame]),)
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def scenes(person: Fitted) -> dict[str, Scene]:
     box = trimesh.creation.box(GLASS_MM)
     glass = Surface(np.asarray(box.vertices), np.asarray(box.faces, np.int64))
     place = np.array([middle[0], middle[1], kissed + APART_MM + GLASS_MM[2] / 2])
-    glass = glass.moved(glass.vertices + place)
+    glass = glass.with_vertices(glass.vertices + place)
     pressed = np.zeros((2 * FRAMES, 3))
     pressed[FRAMES:, 2] = np.linspace(0.0, -APART_MM - GLASS_PRESSED_MM, FRAMES)
     worn = headset(model, APART_MM, PRESSED_MM)
@@ -137,7 +137,7 @@ def _gap(model: SubjectModel, thing: Surface) -> float:
     free, touching = 0.0, 2.0 * PRESSED_MM
     while touching - free > NEAR_MM:
         middle = (free + touching) / 2
-        moved = thing.moved(thing.vertices - [0.0, 0.0, middle])
+        moved = thing.with_vertices(thing.vertices - [0.0, 0.0, middle])
         if max(depth_inside(points, moved), depth_inside(moved.vertices, skin)) > 0.0:
             touching = middle
         else:

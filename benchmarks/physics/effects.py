@@ -30,8 +30,8 @@ from solver.fitting.face import Face
 from solver.kinds.scene import ContactEntry, EditScene, FleshEntry
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
+from solver.rig import ExpressionFit, Rig
 from solver.rig.report.edit_report import Compared, EditedPerson, edit_report
-from solver.rig.rig import ExpressionFit, Rig
 from solver.scene import Physics, edit_of
 from solver.scene.document import read_scene
 from solver.scene.places import Places
@@ -132,7 +132,7 @@ def poses(
 def sheet(people: Mapping[str, EditedPerson], path: Path) -> None:
     """Draw all edited persons in columns: at rest from two sides, and in their expressions."""
     first = next(iter(people.values()))
-    model = first.unedited
+    model = first.original
     unedited = replace(
         first,
         edited=replace(first.edited, model=model),
@@ -162,8 +162,8 @@ def cheeks_over_nose(person: EditedPerson) -> float | None:
     faces back, as the insides of nostrils do; None where these keep their place, or a person has no
     such regions.
     """
-    model = person.unedited
-    before = model.skin.moved(person.before.skin)
+    model = person.original
+    before = model.skin.with_vertices(person.before.skin)
     normals, area = vertex_normals(before), vertex_areas(before.vertices, before.faces)
     outward = ((person.after.skin - before.vertices) * normals).sum(axis=1)
 

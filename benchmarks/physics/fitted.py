@@ -13,7 +13,7 @@ from solver.fitting.face import Face, Pose
 from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.flesh import COROTATED_TRACE
 from solver.model import SubjectModel
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.similarity import IDENTITY, Similarity
 from solver.simulation.forces import Drive
 

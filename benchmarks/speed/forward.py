@@ -43,7 +43,7 @@ def forward(face: Face, poses: Mapping[str, Pose]) -> list[Figures]:
                 "warm_seconds": warm.seconds,
                 "iterations": settled.equilibrium.iterations,
                 "difference_mm": float(np.abs(settled.x - again.x).max()),
-                "inverted": face.flesh.inverted(settled.x),
+                "inverted": face.flesh.count_inverted(settled.x),
             }
         )
     return found

@@ -43,7 +43,7 @@ def frames(face: Face, performance: IctPerformance, numbers: range, compared: in
         milliseconds.append(1e3 * watch.seconds)
         state = tracker.state
         errors.append(float(np.nanmean(target.distances(face.face_points(state.x)))))
-        inverted += face.flesh.inverted(state.x)
+        inverted += face.flesh.count_inverted(state.x)
         beyond += int((limits.margins(state.pose.a) <= 0.0).any(axis=1).sum())
         if number in alone:
             data = SkinDistance(face, target)

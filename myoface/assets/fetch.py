@@ -1,7 +1,7 @@
 """Fetching an asset: resumed where it broke off, kept only if it is the right file.
 
-What an archive must be is known from the catalogue. Where it is not, the first copy that arrives is
-trusted, and its hash is written to ``fetched.json`` beside it: every later one must be the same.
+The catalogue has the hash of an archive. Where it has none, the first copy that arrives is trusted
+and its hash is written to ``fetched.json`` beside it: every later copy must be the same.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ RECORD = "fetched.json"
 
 @dataclass(frozen=True)
 class FetchRecord:
-    """Record of a fetched file; ``expected`` is where its hash was known from.
+    """Record of a fetched file.
 
-    That is ``catalogue``, ``option`` (the user gave it) or ``first use``.
+    ``expected`` says where its hash came from: ``catalogue``, ``option`` (the user gave it) or
+    ``first use``.
     """
 
     source: str

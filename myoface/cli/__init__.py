@@ -63,7 +63,7 @@ def run(words: Sequence[str]) -> int:
     return 0
 
 
-def expanded(words: Sequence[str]) -> list[str]:
+def expand_wildcards(words: Sequence[str]) -> list[str]:
     """Return the words with the files that a wildcard stands for, as other systems' shells do."""
     if os.name != "nt":
         return list(words)
@@ -79,4 +79,4 @@ def main() -> None:
     os.umask(0o077)  # what it writes is faces, and nobody else's to read
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # code pages
-    raise SystemExit(run(expanded(sys.argv[1:])))
+    raise SystemExit(run(expand_wildcards(sys.argv[1:])))

@@ -26,7 +26,7 @@ from myoface.cli.app import (
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import (
     BAD,
-    JobView,
+    JobDisplay,
     complain,
     err,
     label_words,
@@ -378,7 +378,7 @@ def _solve(
     output: Path | None,
 ) -> Job:
     """Run a job about one capture; its files go to ``output/<capture>``."""
-    with JobView(f"{kind} {capture.name}") as view:
+    with JobDisplay(f"{kind} {capture.name}") as view:
         done = client.run(kind, subject, captures=[capture.id], options=options, watch=view.watch)
     if output is not None:
         for artifact in _result(done).artifacts:

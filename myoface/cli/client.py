@@ -26,7 +26,7 @@ from myoface.cli.app import (
 from myoface.cli.captures import choose, show_captures
 from myoface.cli.commands import Argument, Group, Option, UsageError
 from myoface.cli.console import (
-    JobView,
+    JobDisplay,
     complain,
     confirm,
     label_words,
@@ -271,7 +271,7 @@ def wait_for_job(job: JobId, url: Url = DEFAULT_URL) -> None:
 
 
 def _follow(client: Client, job: Job) -> None:
-    with JobView(job.kind) as view:
+    with JobDisplay(job.kind) as view:
         ended = client.wait(job.id, view.watch)
     attempts = "" if ended.attempt == 1 else f" at attempt {ended.attempt}"
     out.print(f"{ended.kind} succeeded{attempts}")

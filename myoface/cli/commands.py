@@ -1,8 +1,8 @@
 """Read a command line into the parameters of a function: its signature is what can be typed.
 
 A parameter is ``Annotated[type, Option(...)]`` or ``Annotated[type, Argument(...)]``. One that says
-neither is an option if it has a default, and an argument if it has none. What is a ``bool`` is a
-flag, what is a list may be repeated. The reading itself is that of :mod:`argparse`.
+neither is an option if it has a default, and an argument if it has none. A ``bool`` is a flag, a
+list may be repeated. :mod:`argparse` reads the words.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Command:
     def run(self, words: Sequence[str], title: str) -> None:
         """Call the function with what ``words`` say."""
         parser = self.parser(title)
-        joined = _joined(parser, words)
+        joined = _join_value(parser, words)
         # argparse takes options between arguments, or a --, not both
         parse = parser.parse_args if "--" in joined else parser.parse_intermixed_args
         given = parse(joined)
@@ -196,7 +196,7 @@ def _first_line(function: Callable[..., None]) -> str:
     return (inspect.getdoc(function) or "").partition("\n")[0]
 
 
-def _joined(parser: CommandParser, words: Sequence[str]) -> list[str]:
+def _join_value(parser: CommandParser, words: Sequence[str]) -> list[str]:
     """Return the words with a value such as ``-y`` joined to its option, as argparse wants it."""
     known = parser.option_strings
     joined: list[str] = []

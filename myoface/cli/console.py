@@ -259,7 +259,7 @@ def transfer_bar(title: str) -> Iterator[Transferred]:
         out.show_live("")
 
 
-class JobView:
+class JobDisplay:
     """Shows a job's phase, iteration and mean error while it runs, and times its phases.
 
     On a terminal it is a live bar; elsewhere (a log, CI) a line for every phase, and one for its
@@ -296,7 +296,7 @@ class JobView:
             self._show(job.progress)
 
     def __call__(self, step: Step, /) -> None:
-        """Take the news of a computation in this process (a :class:`solver.progress.Progress`)."""
+        """Show a step of a computation in this process."""
         self._show(step)
 
     def _show(self, step: Step | Progress) -> None:

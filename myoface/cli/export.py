@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from myoface.cli.app import NewFolder, Url
 from myoface.cli.commands import Argument, Option
-from myoface.cli.console import JobView, out, transfer_bar
+from myoface.cli.console import JobDisplay, out, transfer_bar
 from myoface.cli.lookup import find_rig
 from myoface.cli.operator import OPERATOR
 from myoface.client import DEFAULT_URL, Client
@@ -37,13 +37,13 @@ def export(
         return
     with Client(url) as client:
         found = client.rig(find_rig(client, rig))
-        file = _named(FILES[format], found.artifacts) or _made(client, found, format)
+        file = _find_artifact(FILES[format], found.artifacts) or _made(client, found, format)
         with transfer_bar(file.name) as progress:
             client.download(file, output / file.name, progress=progress)
     out.print(f"{output / file.name}")
 
 
-def _named(name: str, artifacts: list[Artifact]) -> Artifact | None:
+def _find_artifact(name: str, artifacts: list[Artifact]) -> Artifact | None:
     return next((each for each in artifacts if each.name == name), None)
 
 
@@ -53,9 +53,9 @@ def _made(client: Client, rig: Rig, format: Format) -> Artifact:
     Raises :class:`ApiError`: ``client.answer`` if the job has left no such file.
     """
     job = client.submit("export_rig", rig.subject_id, rig_id=rig.id, options={"format": format})
-    with JobView(job.kind) as view:
+    with JobDisplay(job.kind) as view:
         result = client.wait(job.id, view.watch).result or Result()
-    if file := _named(FILES[format], result.artifacts):
+    if file := _find_artifact(FILES[format], result.artifacts):
         return file
     left = ", ".join(each.name for each in result.artifacts) or "nothing"
     detail = f"the export of rig {rig.id} has left no {FILES[format]}: it has left {left}"

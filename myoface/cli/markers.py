@@ -41,7 +41,7 @@ def bind(
     Ends with 3 if there is something to look at before the set is used.
     """
     from solver.model import SubjectModel
-    from solver.rig.rig import Rig
+    from solver.rig import Rig
     from solver.scans.markers.places.face_take import frames_about
     from solver.scans.markers.prepare import bind
     from solver.scans.markers.readers.take import read_take

@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal
 
 from myoface.cli.app import NewFile, NewFolder, read_object, read_scene
 from myoface.cli.commands import Argument, Group, Option, UsageError
-from myoface.cli.console import JobView, out, show_outcome
+from myoface.cli.console import JobDisplay, out, show_outcome
 from myoface.names import name_scans
 from solver.jobs import run_job
-from solver.kinds import INPUTS, KINDS, SCANS, Kind, Part
+from solver.kinds import INPUTS, KINDS, SCANS, InputPart, Kind
 
 solve = Group("Solve here, without a service.")
 
@@ -27,16 +27,16 @@ Resume = Annotated[bool, Option("--resume", help="go on after the frames in the 
 SCAN_ROLES = ("unknown", *SCANS)  # that a scan may be meant for
 
 
-def _parts(kind: Kind) -> list[Part]:
+def _parts(kind: Kind) -> list[InputPart]:
     """Return what a kind's command asks for, other than its options."""
-    found: list[Part] = []
+    found: list[InputPart] = []
     for each in (INPUTS[name] for name in (*kind.reads, *kind.asks)):
         is_optional = "capture" in kind.reads and each.of_an_expression
         found += each.of_an_expression if is_optional else each.parts
     return found
 
 
-def _typed(part: Part) -> tuple[Any, Any]:
+def _type_and_default(part: InputPart) -> tuple[Any, Any]:
     """Return the type of a part on the command line, and its default."""
     rules: dict[str, Any] = {"help": part.words}
     if part.form in ("file", "file or folder", "files"):
@@ -81,14 +81,14 @@ def _parameters(kind: Kind) -> list[Parameter]:
     properties, parts = kind.schema["properties"], _parts(kind)
     for part in parts:
         if part.is_needed:
-            add(part.parameter, *_typed(part))
+            add(part.parameter, *_type_and_default(part))
     for name, rules in properties.items():
         if _is_document(rules):
             add(name, SceneFile)
     add("output", NewFolder, Path(kind.folder))
     for part in parts:
         if not part.is_needed:
-            add(part.parameter, *_typed(part))
+            add(part.parameter, *_type_and_default(part))
     for name, rules in properties.items():
         if not _is_document(rules):
             add(name, _option(name, rules), rules.get("default", Parameter.empty))
@@ -146,10 +146,10 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
     # by what the kind reads: an option may be called as the input of another kind
     files = {part.role: given[part.parameter] for part in _parts(kind) if part.role}
     if (rig := files.pop("rig", None)) is not None:
-        from solver.rig.rig import find_files
+        from solver.rig import find_files
 
         files |= find_files(rig)
-    with JobView(_name(kind)) as view, _made(folder):
+    with JobDisplay(_name(kind)) as view, _made(folder):
         left = run_job(
             kind.name,
             folder,

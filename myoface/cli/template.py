@@ -18,7 +18,7 @@ from myoface.cli.app import (
     scan_frame,
 )
 from myoface.cli.commands import Argument, Group, Option, UsageError
-from myoface.cli.console import JobView, Painted, out, show_registration, show_table
+from myoface.cli.console import JobDisplay, Painted, out, show_registration, show_table
 
 if TYPE_CHECKING:
     from solver.anatomy.template import Template
@@ -62,7 +62,7 @@ def build(
         raise UsageError("give --anatomy and --faces, or --folder, or --builtin")
     made = _build(anatomy, faces, folder)
     if mesh:
-        with JobView("template") as view:
+        with JobDisplay("template") as view:
             made = find_or_make_mesh(made, edge_mm, view)
     _save(_train(made) if train else made, output)
 
@@ -80,7 +80,7 @@ def train(given: Given = None, output: NewFile = Path("trained.npz")) -> None:
 def _train(made: Template) -> Template:
     from solver.fitting.training import train as fit
 
-    with JobView("template") as view:
+    with JobDisplay("template") as view:
         return fit(made, progress=view)
 
 
@@ -110,7 +110,7 @@ def rebase(
     from solver.templates.report import report_template
 
     frame = FRAME | scan_frame(unit, eye_distance, up, forward)
-    with JobView("template") as view:
+    with JobDisplay("template") as view:
         made = carry(_load(given), skin, name=name, frame=frame, landmarks=landmarks, progress=view)
     show_registration(skin.name, made.registration)
     _tell(report_template(made.template))

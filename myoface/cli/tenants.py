@@ -112,7 +112,7 @@ def retain(
 ) -> None:
     """Set after how many days a tenant's things go; those that are not given stay as they are.
 
-    Of a tenant's days and the installation's the fewer hold.
+    The installation's days hold where they are fewer than the tenant's.
     """
     from service.store.retention import KINDS
 

@@ -46,7 +46,7 @@ def check_archive(path: Path, archive: Artifact) -> None:
                 while block := stream.read(BLOCK):
                     digest.update(block)
             if digest.hexdigest() != each.sha256:
-                raise _damaged(archive)
+                raise _damaged_error(archive)
 
 
 def is_unpacked(folder: Path, archive: Artifact) -> bool:
@@ -61,7 +61,7 @@ def is_unpacked(folder: Path, archive: Artifact) -> bool:
             if found
             else f"{note} is of no rig, and would be lost: give another folder"
         )
-        raise _occupied(note, detail)
+        raise _occupied_error(note, detail)
     if not (note.is_file() and sha256_of(note) == archive.sha256):
         return False
     return all(_is_there(folder, each) for each in read_note(folder).artifacts)
@@ -94,19 +94,19 @@ def _open(path: Path, archive: Artifact) -> Iterator[tuple[zipfile.ZipFile, Whol
     """Give an archive whose files are stored as they are, in the sizes that ``rig.json`` says."""
     try:
         with zipfile.ZipFile(path) as packed:
-            _stored(packed, RIG_NOTE)
+            _stored_size(packed, RIG_NOTE)
             note = packed.read(RIG_NOTE)
             if hashlib.sha256(note).hexdigest() != archive.sha256:
-                raise _damaged(archive)
+                raise _damaged_error(archive)
             rig = WholeRig.read(json.loads(note))
-            if any(_stored(packed, each.name) != each.size for each in rig.artifacts):
-                raise _damaged(archive)
+            if any(_stored_size(packed, each.name) != each.size for each in rig.artifacts):
+                raise _damaged_error(archive)
             yield packed, rig
     except FAULTS as error:
-        raise _damaged(archive) from error
+        raise _damaged_error(archive) from error
 
 
-def _stored(packed: zipfile.ZipFile, name: str) -> int:
+def _stored_size(packed: zipfile.ZipFile, name: str) -> int:
     """Return the size of a file that is stored as it is: one that was packed may be endless."""
     info = packed.getinfo(name)
     if info.compress_type != zipfile.ZIP_STORED:
@@ -130,14 +130,16 @@ def _is_there(folder: Path, file: Artifact) -> bool:
 
 def _require_free(path: Path) -> None:
     if path.exists():
-        raise _occupied(path, f"{path} is another file, and would be lost: give another folder")
+        raise _occupied_error(
+            path, f"{path} is another file, and would be lost: give another folder"
+        )
 
 
-def _occupied(path: Path, detail: str) -> ApiError:
+def _occupied_error(path: Path, detail: str) -> ApiError:
     return ApiError({"code": "client.folder", "detail": detail, "file": str(path)})
 
 
-def _damaged(archive: Artifact) -> ApiError:
+def _damaged_error(archive: Artifact) -> ApiError:
     detail = f"{archive.name} arrived damaged"
     return ApiError({"code": "client.checksum", "detail": detail, "file": archive.name})
 

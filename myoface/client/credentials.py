@@ -64,10 +64,10 @@ def headers_for(url: str, key: str | None) -> dict[str, str]:
 
 
 def authority(ca: Path | str | None) -> ssl.SSLContext | bool:
-    """Return what httpx verifies a service's certificate with.
+    """Return the authority by which httpx verifies a service's certificate.
 
-    That is the authority in the PEM file ``ca``, or in the one that ``MYOFACE_CA`` names, and no
-    other; without either the public authorities.
+    It is the one in the PEM file ``ca``, or in the file that ``MYOFACE_CA`` names, and no other;
+    without either the public authorities serve.
 
     Raises
     ------

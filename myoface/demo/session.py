@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from myoface.cli.console import JobView, err, transfer_bar
+from myoface.cli.console import JobDisplay, err, transfer_bar
 from myoface.client import Client
 from myoface.client.archive import RIG_NOTE
 from myoface.errors import ApiError
@@ -95,7 +95,7 @@ class Session:
     def _solve(self, kind: str, subject_id: str, **request: Any) -> Job:
         job = self.client.submit(kind, subject_id, **request)
         try:
-            with JobView(kind) as view:
+            with JobDisplay(kind) as view:
                 ended = self.client.wait(job.id, view.watch)
         except ApiError:
             for line in list(self.client.log(job.id))[-LOG_TAIL:]:

@@ -183,7 +183,7 @@ def stuck(store: Store) -> Diagnosis:
 def lost_files(store: Store) -> Diagnosis:
     """List the files that rows refer to and the store has not, or not whole.
 
-    What is damaged is known from whoever read it last: the scrubber reads all in turn.
+    A file counts as damaged if its last reader found it so: the scrubber reads all in turn.
     """
     there = {stored.sha256 for stored in (*store.files.list_stored(), *store.files.list_aside())}
     with store.read() as session:

@@ -52,7 +52,7 @@ class KeyWithText(KeyView):
 
 
 class Me(BaseModel):
-    """Whose key this is, and what it may be used for."""
+    """Owner and scopes of the caller's key."""
 
     tenant: str
     key_id: str

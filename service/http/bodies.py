@@ -163,7 +163,7 @@ class _NoTurnError(Exception):
 class _Turns:
     """Lets one request of a long body in at a time; those who wait do so for ``seconds`` at most.
 
-    Of those who wait, their owners take turns.
+    The owners of waiting requests take turns.
     """
 
     def __init__(self, seconds: float) -> None:

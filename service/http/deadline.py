@@ -47,7 +47,7 @@ class DeadlineProtocol(H11Protocol):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         # of every request's state
-        self.app_state = {**self.app_state, AUTHENTICATED: self._authenticated}
+        self.app_state = {**self.app_state, AUTHENTICATED: self._note_tenant}
         self._deadline: asyncio.TimerHandle | None = None
         self._patience: asyncio.TimerHandle | None = None
 
@@ -104,7 +104,7 @@ class DeadlineProtocol(H11Protocol):
         self.slots.rest(self)  # first: a request that came with this one begins in the next line
         super().on_response_complete()
 
-    def _authenticated(self, tenant_id: str) -> None:
+    def _note_tenant(self, tenant_id: str) -> None:
         """Note whose request this is; called from the thread that looked its key up."""
         self.loop.call_soon_threadsafe(self._take_slot, tenant_id)
 

@@ -23,7 +23,7 @@ LEFT_TO_NEW = 4
 
 
 class ConnectionSlots(Generic[Connection]):
-    """At most ``most`` connections: ``most_of_address`` anonymous, ``most_of_tenant`` with key."""
+    """Limit of connections: ``most``, ``most_of_address`` anonymous, ``most_of_tenant`` keyed."""
 
     def __init__(self, most: int, most_of_address: int, most_of_tenant: int) -> None:
         self._most = most
@@ -41,7 +41,7 @@ class ConnectionSlots(Generic[Connection]):
         """The number of connections that have shown no key."""
         return sum(map(len, self._anonymous.values()))
 
-    def authenticated(self, tenant_id: str) -> int:
+    def count_of_tenant(self, tenant_id: str) -> int:
         """Return the number of a tenant's connections."""
         return len(self._authenticated.get(tenant_id, ()))
 
@@ -70,10 +70,10 @@ class ConnectionSlots(Generic[Connection]):
         self._tenants[connection] = tenant_id
         self._authenticated[tenant_id][connection] = None
         self._busy.add(connection)
-        if self.authenticated(tenant_id) > self._most_of_tenant:
+        if self.count_of_tenant(tenant_id) > self._most_of_tenant:
             return self._free(self._first_to_go(tenant_id))
         if len(self._tenants) > self._most - max(self._most // LEFT_TO_NEW, 1):
-            most = max(self._authenticated, key=self.authenticated)
+            most = max(self._authenticated, key=self.count_of_tenant)
             return self._free(self._first_to_go(most))
         return None
 

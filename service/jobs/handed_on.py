@@ -42,12 +42,14 @@ def handed_on(session: Session, kind: Kind, new: NewJob) -> list[InputFile]:
     rig, and for a file that it did not leave, that is no input, or none of this kind.
     """
     return [
-        _input(session, kind, new, each, f"from_jobs.{number}")
+        _input_file(session, kind, new, each, f"from_jobs.{number}")
         for number, each in enumerate(new.from_jobs)
     ]
 
 
-def _input(session: Session, kind: Kind, new: NewJob, given: FromJob, member: str) -> InputFile:
+def _input_file(
+    session: Session, kind: Kind, new: NewJob, given: FromJob, member: str
+) -> InputFile:
     job = repository.get(session, given.job)
     _refuse_unready(job, new, member)
     role = _role(kind, job, given.artifact, member)

@@ -2,8 +2,8 @@
 
 An input is ``{"role", "name", "filename", "sha256", "of"}``: ``filename`` is the user's own name
 for the file, so that an error in it can name it, ``of`` the id of what it belongs to. The scan that
-a job is about has its ``capture_role`` too. Of a raw capture, models and fits read the registered
-form.
+a job is about has its ``capture_role`` too. Models and fits read the registered form of a raw
+capture.
 """
 
 from __future__ import annotations

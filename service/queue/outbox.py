@@ -152,8 +152,8 @@ def take(
 ) -> list[ClaimedDelivery]:
     """Take deliveries that are due, for those of a worker's ``threads`` that are free.
 
-    The tenants take turns, the one with least under way here first. What is beyond half of the
-    threads for one tenant comes last: it gets those that nobody else has a use for. A webhook gets
+    The tenants take turns, the one with least under way here first. Beyond half of the threads, a
+    tenant gets only those that nobody else has a use for. A webhook gets
     few at once, one that fails gets one, and those that fail get half of the threads together: a
     receiver that does not answer holds up nobody else's news.
     """

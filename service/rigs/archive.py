@@ -52,7 +52,7 @@ class Member:
     content: bytes | None = None
 
 
-def archive_of(session: Session, rig: Rig, store: Store) -> Archive:
+def archive_of(session: Session, rig: Rig, store: Store) -> RigArchive:
     """Return the archive of a rig, with the files that there are by now.
 
     Raises
@@ -72,7 +72,7 @@ def archive_of(session: Session, rig: Rig, store: Store) -> Archive:
         Member(NOTE, len(note), hashlib.sha256(note).hexdigest(), note),
         *(Member(each["name"], each["size"], each["sha256"]) for each in files),
     ]
-    return Archive.of(rig, members, store)
+    return RigArchive.of(rig, members, store)
 
 
 def _artifacts(session: Session, rig: Rig, model: Job | None) -> Iterator[File]:
@@ -138,7 +138,7 @@ def _note(
 
 
 @dataclass(frozen=True)
-class Archive(Sendable):
+class RigArchive(Sendable):
     """The ZIP file of a rig."""
 
     rig_id: str
@@ -147,7 +147,7 @@ class Archive(Sendable):
     store: Store
 
     @classmethod
-    def of(cls, rig: Rig, members: Sequence[Member], store: Store) -> Archive:
+    def of(cls, rig: Rig, members: Sequence[Member], store: Store) -> RigArchive:
         """Return a rig's archive; the first of its ``members`` names the others."""
         size = sum(map(length, lay_out([(each, 0) for each in members], rig.created_at)))
         about = f"rig-{rig.id[:8]}.zip", "application/zip", size, members[0].sha256

@@ -167,8 +167,8 @@ def go_on(session: Session) -> None:
 def close_receipts(store: Store, age: float) -> None:
     """Note which deletions have no file left: after files were removed, not more often.
 
-    ``age`` is that of `collect_garbage`. None is closed before a file that nobody else has would be
-    gone: a receipt that came sooner would tell that somebody has the same one.
+    ``age`` is that of `collect_garbage`. A receipt stays open for as long as a file of one owner
+    takes to go: one that closed sooner would tell that somebody else has the same file.
     """
     with store.read() as session:
         last = clock(session) - timedelta(seconds=2 * age + 2 * min(age, COLLECT_EVERY))

@@ -47,7 +47,7 @@ def open_checked(files: Files, sha256: str) -> Iterator[bytes]:
     LostFileError
         If it is lost or damaged: at once, or of a larger file in place of the last bytes.
     """
-    blocks = _compared(files, sha256)
+    blocks = _read_and_compare(files, sha256)
     first, read = [], 0
     for block in blocks:
         first.append(block)
@@ -66,14 +66,14 @@ def find_fault(files: Files, sha256: str) -> Fault | None:
         If the store does not answer, which says nothing about the file.
     """
     try:
-        for _ in _compared(files, sha256):
+        for _ in _read_and_compare(files, sha256):
             pass
     except LostFileError as error:
         return error.fault
     return None
 
 
-def _compared(files: Files, sha256: str) -> Iterator[bytes]:
+def _read_and_compare(files: Files, sha256: str) -> Iterator[bytes]:
     digest, held_back = hashlib.sha256(), b""
     try:
         for block in files.open(sha256):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Any, TypeVar
+from typing import Any
 
 from sqlalchemy import ColumnElement, Select, delete, exists, or_, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
@@ -36,8 +36,6 @@ ANSWERED = timedelta(days=1)
 BATCH = 200
 # Of what is kept: settings and tenants have a `retain_` of each
 KINDS = ("subjects", "scans", "jobs", "rigs")
-
-Row = TypeVar("Row")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""From a template and a neutral scan to a subject model, its muscles divided if wanted."""
+"""Build a subject model from a template and a neutral scan, its muscles divided if wanted."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from solver.errors import InputError, SolveError
 from solver.mechanics.flesh import shape_gradients
 from solver.mechanics.jaw_tracks import JawTracks, tracks_of_shapes
 from solver.model import CondyleTracks, Expressions, JawFrame, SubjectModel, lower_teeth
-from solver.progress import Progress, Step, silent
+from solver.progress import ProgressCallback, Step, silent
 from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface, join_surfaces, own_numbers, part_of, unit_rows
 
@@ -36,7 +36,7 @@ def build_subject_model(
     *,
     edge_mm: float = EDGE_MM,
     compartments: bool = False,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> SubjectModel:
     """Return the tetrahedral face of the person with the neutral scan ``neutral`` (n, 3) in mm.
 
@@ -59,7 +59,11 @@ def build_subject_model(
 
 
 def carry_anatomy(
-    template: Template, neutral: Floats, *, edge_mm: float = EDGE_MM, progress: Progress = silent
+    template: Template,
+    neutral: Floats,
+    *,
+    edge_mm: float = EDGE_MM,
+    progress: ProgressCallback = silent,
 ) -> tuple[Template, str]:
     """Return the template in the person with skin ``neutral`` (n, 3), and what made its tets."""
     progress(Step("transfer", 0.0))

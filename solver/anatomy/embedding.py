@@ -130,7 +130,7 @@ class LooseSkin:
     def follow(self, moved: Floats) -> Floats:
         """Return the displacements (k, 3) where the skin is displaced by ``moved`` (V, 3), in mm.
 
-        Of that only what is on flesh and on the mandible counts. Several may lie side by side.
+        Only ``moved`` on flesh and on the mandible counts. Several may lie side by side.
         """
         if self._factor is None:
             return np.empty((0, moved.shape[1]))

@@ -29,7 +29,7 @@ from solver.cache import cache_directory
 from solver.errors import InputError, SolveError
 from solver.mechanics.flesh import shape_gradients
 from solver.mechanics.harmonic import HarmonicExtension, laplacian
-from solver.progress import Progress, Step, silent
+from solver.progress import ProgressCallback, Step, silent
 from solver.surface import Floats, Ints
 
 EDGE_MM = 9.0  # the usual edge length on the face
@@ -60,7 +60,7 @@ MESH = MeshOptions()
 def make_mesh(
     head: Template,
     edge_mm: float = EDGE_MM,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
     mesher_seconds: float = MESH.mesher_seconds,
 ) -> TemplateMesh:
     """Fill the flesh between a head's skin and bones with tetrahedra (1 to 6 minutes).
@@ -219,7 +219,7 @@ log = structlog.get_logger(__name__)
 def find_or_make_mesh(
     template: Template,
     edge_mm: float = EDGE_MM,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
     mesher_seconds: float = MESH.mesher_seconds,
 ) -> Template:
     """Return the template with tets of ``edge_mm``: its own, those in the cache, or new ones.

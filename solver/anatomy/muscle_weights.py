@@ -71,7 +71,7 @@ def initial_weights(vertices: Floats, tets: Ints, muscles: list[Surface]) -> sp.
 def _without_overlap(rows: Ints, fractions: Floats, sizes: Floats) -> Floats:
     """Return the fractions (k,) with no tet, of number ``rows`` (k,), filled more than wholly.
 
-    Muscles overlap where they interlace. What is too much is taken from each by its fraction times
+    Muscles overlap where they interlace. Each gives up a part of the excess by its fraction times
     its size in mm^3, ``sizes`` (k,): large muscles hardly miss what would be half of a small one.
     """
     excess = np.maximum(np.bincount(rows, fractions) - 1.0, 0.0)
@@ -94,8 +94,8 @@ def volumes_by_muscle(volumes: Floats, S: sp.csr_array) -> Floats:
 def enclosed_volume(surface: Surface, samples: int = 40_000) -> float:
     """Return the volume in mm^3 of the points that a surface winds around.
 
-    Where it is closed that is a sum over its triangles. Else, with gaps or pieces inside out, it is
-    counted on a grid of ``samples`` along the surface's principal axes, to about 2 %.
+    The volume of a closed surface is a sum over its triangles. With gaps, or pieces inside out, it
+    is counted on a grid of ``samples`` along the surface's principal axes, to about 2 %.
     """
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     if mesh.is_watertight and mesh.is_winding_consistent:
@@ -214,9 +214,9 @@ def fibre_directions(
     """Return unit directions (nnz, 3), one for each stored entry of S, zero in column 0.
 
     ``vertices`` (p, 3) in mm and ``tets`` (n, 4) of positive volume are at rest. The entries of S,
-    ``weights`` (n, m + 1), are the candidates and its values their volume fractions. Of the
-    ``muscles``, which are in the place of the vertices, directions go from origin to insertion, or
-    once around a ring.
+    ``weights`` (n, m + 1), are the candidates and its values their volume fractions. Directions
+    go from a muscle's origin to its insertion, or once around a ring; ``muscles`` are in the frame
+    of the vertices.
     """
     entries, (gradients, sizes) = weights.tocoo(), shape_gradients(vertices, tets)
     directions = np.zeros((weights.nnz, 3))

@@ -63,10 +63,10 @@ def split_side(expression: str) -> tuple[str, str]:
 
 
 def check_arrays(template: Template, file: str) -> None:
-    """Raise what is wrong with a template's arrays; ``file`` is named in the message.
+    """Check a template's arrays; ``file`` is named in the message.
 
-    That is an :class:`InputError`, ``template.shape``, ``template.nan`` or ``template.range``, with
-    the ``array``'s name.
+    Raises :class:`InputError`, ``template.shape``, ``template.nan`` or ``template.range``, with the
+    ``array``'s name.
     """
     check = _Check(file)
     for name in SURFACES:
@@ -315,7 +315,7 @@ class Template:
     @property
     def parted_skin(self) -> Surface:
         """Return the skin with the lips parted."""
-        return self.skin.moved(self.skin.vertices + self.parting)
+        return self.skin.with_vertices(self.skin.vertices + self.parting)
 
     @property
     def flesh(self) -> Surface:
@@ -325,7 +325,7 @@ class Template:
     @property
     def parted_flesh(self) -> Surface:
         """Return :attr:`flesh` with the lips parted."""
-        return self.flesh.moved(self.skin.vertices + self.parting)
+        return self.flesh.with_vertices(self.skin.vertices + self.parting)
 
     @property
     def without_compartments(self) -> Template:

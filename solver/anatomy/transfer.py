@@ -209,13 +209,13 @@ def carry(template: Template, neutral: Floats, warp: Warp) -> Template:
     skins = list(zip(_skin_depths(template, source), _skin_depths(template, neutral), strict=True))
 
     def bone(surface: Surface) -> Surface:
-        return surface.moved(_deep_enough(surface.vertices, warp, skins))
+        return surface.with_vertices(_deep_enough(surface.vertices, warp, skins))
 
     face = template.face_vertices
     reach = neutral[face].min(axis=0) - source[face].min(axis=0)
     return replace(
         template,
-        skin=template.skin.moved(neutral),
+        skin=template.skin.with_vertices(neutral),
         parting=warp(source + template.parting) - warp(source),
         cranium=bone(template.cranium),
         mandible=bone(template.mandible),
@@ -236,7 +236,7 @@ def carry_muscle(muscle: Muscle, motion: Callable[[Floats], Floats]) -> Muscle:
     origin, insertion, start, end = motion(points)
     return replace(
         muscle,
-        surface=muscle.surface.moved(motion(muscle.surface.vertices)),
+        surface=muscle.surface.with_vertices(motion(muscle.surface.vertices)),
         fibre=(end - start) / np.linalg.norm(end - start),
         origin=origin,
         insertion=insertion,
@@ -245,7 +245,7 @@ def carry_muscle(muscle: Muscle, motion: Callable[[Floats], Floats]) -> Muscle:
 
 def _skin_depths(template: Template, skin: Floats) -> tuple[SkinDepth, SkinDepth]:
     """Return depths under all ``skin`` (n, 3) of the flesh, and under the face's."""
-    flesh = template.flesh.moved(skin)
+    flesh = template.flesh.with_vertices(skin)
     on_face = np.isin(flesh.faces, template.face_vertices).all(axis=1)
     return SkinDepth(flesh), SkinDepth(flesh, flesh.faces[on_face])
 

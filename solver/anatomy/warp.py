@@ -197,9 +197,9 @@ def depth_warp(
 ) -> Warp:
     """Return the least bending warp that meets landmarks and depth limits (Gauss-Newton).
 
-    Each of the ``steps`` linearises the depths of the points that violate their limits. What is
-    given for the left also holds for the right, mirrored at x = 0: the warp is symmetric. It has
-    ``centres`` on the left and as many on the right; more ``stiffness`` misses what is wanted by
+    Each of the ``steps`` linearises the depths of the points that violate their limits. Landmarks
+    and limits of the left also hold on the right, mirrored at x = 0: the warp is symmetric. It has
+    ``centres`` on the left and as many on the right; more ``stiffness`` misses the landmarks by
     more, less folds space.
     """
     everything = np.vstack([landmarks.source, *[limit.points for limit in limits]])

@@ -96,7 +96,7 @@ BELOW_JAW_MM, BEHIND_JAW_MM = 40.0, 20.0
 
 @dataclass(frozen=True)
 class HeadKey:
-    """At ``time`` in s the head is turned by ``rotation`` (3,), a vector in rad, and moved.
+    """Pose of the head at ``time`` in s: turned by ``rotation`` (3,), a vector in rad, and moved.
 
     ``shift`` (3,) is in mm.
     """
@@ -217,7 +217,7 @@ class KeyedDrives(Drives):
     """:class:`Drives` by ``keys``, with frames at ``times`` (f,) in s.
 
     Weights of the expressions ``poses``, activations and jaw are interpolated, each by itself, at
-    rest if there is no key. The ``head`` turns about the neck. What the keys differ from rest by is
+    rest if there is no key. The ``head`` turns about the neck. The keys' difference from rest is
     added to other drives, ``under`` them, if there are any; the muscles that keys move stay within
     ``limits``, if they have some. ``fibres`` names the fibre muscles of a face that is moved by
     these; expressions and six numbers are nothing for it. Raises :class:`InputError` as
@@ -308,7 +308,7 @@ def check_muscles(names: Iterable[str], muscles: Sequence[str], where: str, **co
 def shape_weights(take: LiveLinkTake, names: Sequence[str]) -> Floats:
     """Return a recording's weights (f, e), from 0 to 1, of the shapes ``names`` of a template.
 
-    Those that ARKit does not drive, as tracks have some, are zero throughout.
+    Shapes that ARKit does not drive (tracks have some) stay zero.
     """
     sources = [arkit_source(name) for name in names]
     driven = [source in ARKIT_NAMES for source in sources]
@@ -358,7 +358,7 @@ class RecordedDrives(Drives):
     @override
     def __call__(self, time: float) -> PosedFrame:
         weights, head, eyes = np.split(self._track(time), [-9, -6])
-        still = PosedFrame.of(self._shapes.posed(weights, self._limits))
+        still = PosedFrame.of(self._shapes.pose_of(weights, self._limits))
         motion = turn_about(self._neck, head, np.zeros(3)).then(self._head(time))
         return replace(still, head=motion, eyes=eyes.reshape(2, 3))
 

@@ -33,7 +33,7 @@ from solver.fitting.expression_basis import begin_at
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.fitting.interior_point import Bounds, FeasibleSet
 from solver.fitting.objective import Prior, Target, Term
-from solver.fitting.steps import StepOptions
+from solver.fitting.steps import FeasibleStepOptions
 from solver.fitting.stretches import COLUMN, ROW, matrices
 from solver.kinds import FILES
 from solver.mechanics.flesh import IDENTITY
@@ -73,7 +73,7 @@ class Blend:
 
 @dataclass(frozen=True)
 class ShapedPose:
-    """What weights of shapes make of a face: activations ``a`` (m, 6) and ``jaw`` (5,).
+    """A face posed by weights of shapes: activations ``a`` (m, 6) and ``jaw`` (5,).
 
     ``clamped`` counts the muscles that were kept within their limits, or from folding;
     ``target`` (p, 3) is where tracks pull the flesh, if tracks drive it.
@@ -92,7 +92,7 @@ class DrivenShapes(Protocol):
     def names(self) -> tuple[str, ...]:
         """Return the shapes' names."""
 
-    def posed(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
+    def pose_of(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
         """Return the pose of ``weights`` (e,) from 0 to 1, within ``limits`` if there are some."""
 
 
@@ -131,7 +131,7 @@ STORED = ("activations", "jaw", "mean_mm", "settled")  # its arrays
 # mm; a shape that moves no point of the face further is nothing for muscles: a tongue, a pupil
 LEAST_MOTION_MM = 0.05
 NOTHING_KNOWN: Mapping[str, Floats] = MappingProxyType({})
-SHORT = DescentOptions(steps=StepOptions.quick())  # within limits: there are fifty shapes
+SHORT = DescentOptions(steps=FeasibleStepOptions.quick())  # within limits: there are fifty shapes
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class Blendshapes:
         poses = {name: shape.pose for name, shape in self.shapes.items()}
         return Blend.of(poses, len(self.muscles))
 
-    def posed(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
+    def pose_of(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
         """Return the blend by ``weights`` (e,), its muscles within ``limits`` if there are some."""
         pose = self.blend.pose(weights)
         a, clamped = keep_within(pose.a, limits)

@@ -2,10 +2,10 @@
 
 A muscle's activation is carried as log S(a), in which all that is done to it is linear: a gain k
 makes S(a)^k = exp(k log S(a)), and from frame to frame, or over a gap, log S goes without a jump,
-so that no blend folds a muscle (Arsigny et al. 2006, "Log-Euclidean metrics"). That of a fibre
-muscle is carried as it is: a gain k makes min(k a, 1), and beyond that its whole force-length curve
-may be scaled. The head turns about the neck, by its turn and the neck's place from frame to frame,
-so that it moves rigidly in between.
+so that no blend folds a muscle (Arsigny et al. 2006, "Log-Euclidean metrics"). A fibre muscle's
+activation is carried as it is: a gain k makes min(k a, 1), and beyond that its whole force-length
+curve may be scaled. The head turns about the neck, by its turn and the neck's place from frame to
+frame, so that it moves rigidly in between.
 """
 
 from __future__ import annotations

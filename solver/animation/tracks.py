@@ -45,7 +45,7 @@ class TrackedShapes(DrivenShapes):
         return self.tracks.names
 
     @override
-    def posed(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
+    def pose_of(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
         """Return the pose of ``weights`` (K,); tracks know no ``limits`` of single muscles."""
         return self.at(np.concatenate([weights, np.zeros(self.tracks.size - len(weights))]))
 

@@ -50,7 +50,7 @@ class SurfaceOptions:
 def part_lips(mouth: Mouth, points: Floats, options: SurfaceOptions = SurfaceOptions()) -> Floats:
     """Return the points (m, 3) of a mouth, both lips giving way by half of where they cross.
 
-    That is what contact of a scan with closed lips begins with.
+    Contact begins with these points where a scan's lips are closed.
     """
     count = len(points)
     for _ in range(options.rounds):

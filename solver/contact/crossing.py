@@ -65,8 +65,8 @@ def between_lips(
 ) -> Overlap:
     """Find the overlap of the lips at ``points`` (m, 3) of the mouth.
 
-    Of all skin that is inside, the nearest that faces a vertex: skins in contact have opposed
-    normals, which keeps a vertex's own surroundings out.
+    A vertex is paired with the nearest skin inside that faces it: skins in contact have opposed
+    normals, which keeps the vertex's own surroundings out.
     """
     normals, lips = mouth.normals(points), np.flatnonzero(mouth.label == LIPS)
     # the winding number of the skin around the mouth, an open surface, is above one in the flesh

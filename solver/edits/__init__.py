@@ -156,4 +156,4 @@ class Replay:
 
     def _measure(self, x: Floats, jaw: Floats, begun: float) -> Replayed:
         face, seconds = self._face, perf_counter() - begun
-        return Replayed(x, face.whole_skin(x, jaw), jaw, face.flesh.inverted(x), seconds)
+        return Replayed(x, face.whole_skin(x, jaw), jaw, face.flesh.count_inverted(x), seconds)

@@ -83,7 +83,8 @@ def off_the_ends(model: SubjectModel, fade_mm: float) -> Floats:
 def _border(model: SubjectModel) -> Floats:
     """Return the skin's points (k, 3) that follow the flesh beside some that do not.
 
-    Of their lines that is the one around the whole face; others lie in mouth, nose and eyes.
+    They lie on several lines; the points are those of the one around the whole face, not of those
+    in mouth, nose and eyes.
     """
     follows = np.zeros(len(model.skin.vertices), dtype=bool)
     follows[model.embedded] = True
@@ -96,7 +97,7 @@ def _border(model: SubjectModel) -> Floats:
 
 @dataclass(frozen=True)
 class Filler:
-    """So many ``ml``, injected along a needle's ``path`` (k, 3), mm in the person's frame at rest.
+    """Filler of ``ml``, injected along a needle's ``path`` (k, 3), mm in the frame of the rest.
 
     The flesh grows by f of F_p = f I with f^3 = 1 + alpha exp(-d^2 / (2 radius^2)), d being the
     distance to the path; alpha is such that the flesh, were it free, grew by the given volume.
@@ -239,9 +240,9 @@ class Bone:
         bones, skin = before.bones.copy(), model.skin.vertices.copy()
         bones[of_bone] += motion(model.rest[of_bone] + bones[of_bone])
         skin[of_skin] += motion(skin[of_skin])
-        moved = surface.moved(surface.vertices + motion(surface.vertices))
+        moved = surface.with_vertices(surface.vertices + motion(surface.vertices))
         anatomy = replace(
-            model, bones={**model.bones, self.bone: moved}, skin=model.skin.moved(skin)
+            model, bones={**model.bones, self.bone: moved}, skin=model.skin.with_vertices(skin)
         )
         return replace(before, model=anatomy, bones=bones)
 

@@ -9,8 +9,8 @@ settled. The model of f at a state is
 The gradient g takes one adjoint solve, a product with J^T C J two, and the matrix itself as many as
 p has entries. So a matrix K from a state nearby, or from the same face fitted to other data, stands
 in for it: it gives a direction, an exact product says how far to go in it, and a BFGS update keeps
-in K what the product showed. What the model leaves out of f's Hessian, where flesh resists more the
-further it goes, is learnt from the gradients (:class:`~.least_squares.SecondOrder`).
+in K what the product showed. The part of f's Hessian that the model leaves out, as flesh resists
+more the further it goes, is learnt from the gradients (:class:`~.least_squares.SecondOrder`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from solver.fitting.least_squares import (
 from solver.fitting.objective import Prior, Regulariser, SkinDistance, Target, Term
 from solver.fitting.recruitment import Recruitment
 from solver.fitting.sensitivity import Sensitivity
-from solver.fitting.steps import StepOptions, solve_positive
+from solver.fitting.steps import FeasibleStepOptions, solve_positive
 from solver.scans.known_activations import NOTHING, KnownMuscles
 from solver.surface import Floats
 
@@ -63,8 +63,8 @@ def unseen_regulariser(
 ) -> Regulariser:
     """Return the regulariser of an expression that S was not fitted to, around the resting face.
 
-    Of muscles that S blends what a ``target`` calls for is expected
-    (:mod:`solver.fitting.recruitment`), but of those that are ``known`` (:mod:`.known`).
+    Muscles that S blends are expected to do what a ``target`` calls for
+    (:mod:`solver.fitting.recruitment`), and those in a table what is ``known`` (:mod:`.known`).
     """
     plain = Regulariser(UNSEEN["w_a"], UNSEEN["w_v"], UNSEEN["w_b"], face.rest_pose())
     expected = plain
@@ -85,7 +85,7 @@ class DescentOptions:
     products: int = 16  # with J^T C J for a step, at most
     # length of the correction that a step is left without, relative to it in the model's own norm
     accuracy: float = 0.1
-    steps: StepOptions = field(default_factory=StepOptions)  # within bounds
+    steps: FeasibleStepOptions = field(default_factory=FeasibleStepOptions)  # within bounds
 
 
 @dataclass(frozen=True)
@@ -335,7 +335,7 @@ def rest_curvature(face: Face) -> Floats:
 
 
 def _whole_model(
-    face: Face, data: Term, regulariser: Prior, state: PosedFace, options: StepOptions
+    face: Face, data: Term, regulariser: Prior, state: PosedFace, options: FeasibleStepOptions
 ) -> DenseModel:
     """Return f's model at a state with its matrix as it is there."""
     jacobian = Sensitivity(face, state).by_pose()
@@ -384,7 +384,7 @@ class DenseModel:
     gradient: Floats
     q: Floats
     motion: Floats | None = None
-    options: StepOptions = field(default_factory=StepOptions)
+    options: FeasibleStepOptions = field(default_factory=FeasibleStepOptions)
 
     def plus(self, matrix: Floats) -> DenseModel:
         """Return the model with a further part (k, k) of f's Hessian."""

@@ -231,7 +231,7 @@ def load_muscles(path: Path, face: Face) -> FibreMuscles:
 
     Raises as :func:`read_muscles`.
     """
-    return read_muscles(path, face.model).scaled(face.flesh.material.mu)
+    return read_muscles(path, face.model).scale(face.flesh.material.mu)
 
 
 def read_muscles(path: Path, model: SubjectModel) -> FibreMuscles:

@@ -1,6 +1,6 @@
 """Contraction: how much muscles shorten along their fibres, the one figure of who pulls.
 
-Of a muscle, or a compartment of one, under its activation a_j it is
+The contraction of a muscle, or of a compartment, under its activation a_j is
 
     c_j = 1 - T_j : S(a_j),
 

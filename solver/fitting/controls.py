@@ -15,7 +15,7 @@ import numpy as np
 
 from solver.errors import InputError, SolveError
 from solver.fitting.interior_point import Bounds, FeasibleSet
-from solver.fitting.steps import StepModel, StepOptions, step_model
+from solver.fitting.steps import FeasibleStepOptions, StepModel, step_model
 from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw, JawMotion
 from solver.mechanics.jaw_tracks import TRACK_FREEDOM, JawTracks
 from solver.model import JawFrame
@@ -130,7 +130,7 @@ class Layout:
         gradient: Floats,
         q: Floats,
         reach: float = np.inf,
-        options: StepOptions | None = None,
+        options: FeasibleStepOptions | None = None,
     ) -> StepModel:
         """Return the steps of a quadratic model at q, free or within the bounds.
 
@@ -138,7 +138,9 @@ class Layout:
         of ``reach``; others are to be cut by the caller.
         """
         longest = reach * self._reaches
-        return step_model(self.bounds, hessian, gradient, q, longest, options or StepOptions())
+        return step_model(
+            self.bounds, hessian, gradient, q, longest, options or FeasibleStepOptions()
+        )
 
     @cached_property
     def damping(self) -> Floats:

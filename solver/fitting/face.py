@@ -315,7 +315,7 @@ class Face:
         base[self.model.mandible] = self.mandible(pose.b)
         best, least = base, np.inf
         for fraction in self.options.guesses:
-            x = self.flesh.moved(base, fraction * motion)
+            x = self.flesh.add_motion(base, fraction * motion)
             energy = self.flesh.energy(x, a)
             if energy > least:
                 break
@@ -465,4 +465,4 @@ class Face:
         # the held vertices are where they will be
         pull = self.flesh.coupling(state.x, before, (x - state.x)[:, :, None])[:, 0]
         change = self.flesh.gradient(state.x, self.flesh_controls(target.a))
-        return self.flesh.moved(x, -state.equilibrium.factor.solve(pull + change))
+        return self.flesh.add_motion(x, -state.equilibrium.factor.solve(pull + change))

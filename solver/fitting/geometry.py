@@ -195,7 +195,7 @@ def _tighten(
     def enter(number: int, now: Iterate) -> Iterate:
         # along the fibres of the newest S
         face = problem.shape.face(now.values)
-        loosened = face.drive.loosened(parts[number - first] if number < closed else 0.0)
+        loosened = face.drive.loosen(parts[number - first] if number < closed else 0.0)
         face = face if loosened is None else face.driven_by(loosened)
 
         def bring(name: str) -> PosedFace:

@@ -16,8 +16,8 @@ error of theta costs there. With g = X^T (...) r of what a fit leaves, r, in the
 
 is the least squared distance to the expression by another S (:class:`Misfit`). A scan e takes S one
 Gauss-Newton step on, theta_e = (P + sum_k I_k + I_e)^-1 g_e; its gain is by how much that lowers d
-over a library of expressions. What is not known of S alone, tr I_e C, says little of it: there is
-much in S that no expression needs.
+over a library of expressions. The information about S alone, tr I_e C, says little of that gain:
+there is much in S that no expression needs.
 
 Conditioned on the template's fibres and muscles near each tet, on the law, and on the states it is
 linearised at; S within a muscle finer than its slopes counts as known. Distances that no S could

@@ -65,7 +65,7 @@ class Posterior:
     def information_of(self, places: Ints) -> Floats:
         """Return the information (...) of groups of entries ``places`` (..., g).
 
-        That is the part of a group's variance before the data that they take away.
+        It is the part of a group's prior variance that the data take away.
         """
         after = np.diag(self.covariance)[places].sum(axis=-1)
         return np.asarray(np.clip(1.0 - after / self.prior_variance[places].sum(axis=-1), 0.0, 1.0))

@@ -64,13 +64,13 @@ class Bounds:
         return not self.is_box and self.feasible is None
 
     @cached_property
-    def bounded(self) -> tuple[Ints, Ints]:
+    def bounded_places(self) -> tuple[Ints, Ints]:
         """Places of the entries with a lower and with an upper bound of their own."""
         return np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
 
     def room(self, q: Floats) -> Floats:
         """Return the distances of q (size,) to the box: to lower bounds, then to upper ones."""
-        low, high = self.bounded
+        low, high = self.bounded_places
         return np.concatenate([q[low] - self.lower[low], self.upper[high] - q[high]])
 
     def contains(self, q: Floats) -> bool:
@@ -133,7 +133,7 @@ def interior_step(
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
     count = len(barrier.margins(q))
     weight, curvature = 0.5 * float(slope @ newton) / count, np.zeros_like(hessian)
-    first = _Model(barrier, hessian, gradient, q, weight)
+    first = _BarrierModel(barrier, hessian, gradient, q, weight)
     begin = first.quadratic(step)
     for _ in range(options.weights):
         # of no bound is there more to gain
@@ -148,7 +148,9 @@ def interior_step(
     return InteriorStep(step, curvature)
 
 
-def _descend(model: _Model, step: Floats, options: InteriorPointOptions) -> tuple[Floats, Floats]:
+def _descend(
+    model: _BarrierModel, step: Floats, options: InteriorPointOptions
+) -> tuple[Floats, Floats]:
     """Return the step that minimises the model with its barrier, and the barrier's curvature."""
     for _ in range(options.steps):
         curvature = model.weight * model.barrier.hessian(model.q + step)
@@ -163,7 +165,7 @@ def _descend(model: _Model, step: Floats, options: InteriorPointOptions) -> tupl
 
 
 @dataclass(frozen=True)
-class _Model:
+class _BarrierModel:
     """The quadratic model with a barrier of some weight."""
 
     barrier: _Barrier
@@ -184,7 +186,11 @@ class _Model:
 
 
 def _search(
-    model: _Model, step: Floats, direction: Floats, decrement: float, options: InteriorPointOptions
+    model: _BarrierModel,
+    step: Floats,
+    direction: Floats,
+    decrement: float,
+    options: InteriorPointOptions,
 ) -> Floats:
     """Return a step further along ``direction`` that lowers the model and stays inside."""
     least, before = options.kept * model.barrier.margins(model.q + step), model.value(step)
@@ -229,7 +235,7 @@ class _Barrier:
 
     def gradient(self, q: Floats) -> Floats:
         """Return its derivative (size,)."""
-        (low, high), out = self._bounds.bounded, np.zeros_like(q)
+        (low, high), out = self._bounds.bounded_places, np.zeros_like(q)
         out[self._muscles] = self._within.gradient(q[self._muscles])
         out[low] -= 1.0 / (q[low] - self._bounds.lower[low])
         out[high] += 1.0 / (self._bounds.upper[high] - q[high])
@@ -237,7 +243,7 @@ class _Barrier:
 
     def hessian(self, q: Floats) -> Floats:
         """Return its second derivative (size, size), positive semi-definite."""
-        low, high = self._bounds.bounded
+        low, high = self._bounds.bounded_places
         diagonal = np.zeros_like(q)
         diagonal[low] += (q[low] - self._bounds.lower[low]) ** -2
         diagonal[high] += (self._bounds.upper[high] - q[high]) ** -2

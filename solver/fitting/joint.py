@@ -1,6 +1,6 @@
 """One Gauss-Newton step on everything the multi-target problem solves for: S, and every a_k, b_k.
 
-What is written of S holds for whatever else shapes a face in all of its poses (:class:`Shape`).
+S stands here for anything that shapes a face in all of its poses (:class:`Shape`).
 
     f = sum_k [ data_k(x_k) + regulariser(a_k, b_k) ] + w_s/2 |S - S_0|^2 + 1/2 |L (S - S_0)|^2
 
@@ -259,7 +259,7 @@ class _Trial:
 
 @dataclass(frozen=True)
 class _Follower:
-    """What follows a change of S: the flesh, its pull on the pose, and the step of that."""
+    """The response to a change of S: the flesh, its pull on the pose, and the step of that."""
 
     flesh: Floats
     coupled: Floats

@@ -3,9 +3,9 @@
     w/2 sum_k ((c_k(a) - value_k) / sd_k)^2,    c_k(a) = sum_j share_kj c_j(a_j)
 
 is a term of the fit, c_j being the contraction of a muscle or a compartment, linear in its values
-(:class:`~solver.fitting.drives.Shortening`), and a whole muscle's the mean over the volumes of its
-compartments. What the table says takes the place of what recruitment expects of such a muscle: its
-prior has the usual w_a about the least change of its values that makes the known contraction.
+(:class:`~solver.fitting.drives.ContractionMap`), and a whole muscle's the mean over the volumes of
+its compartments. What the table says takes the place of what recruitment expects of such a muscle:
+its prior has the usual w_a about the least change of its values that makes the known contraction.
 
 w makes standard deviations comparable with the skin. The skin's term is a mean of squared
 distances, 2 sigma^2 / n times minus the logarithm of a likelihood of n distances that are
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from solver.errors import Finding, InputError, make_warning
-from solver.fitting.drives import Shortening
+from solver.fitting.drives import ContractionMap
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Prior, Regulariser
 from solver.model import find_muscles
@@ -38,7 +38,7 @@ NOTHING_KNOWN: Mapping[str, KnownMuscles] = {}  # of any expression
 
 @dataclass(frozen=True)
 class SkinWorth:
-    """What a scan's distances are worth beside a table's standard deviations."""
+    """Weight of a scan's distances beside a table's standard deviations."""
 
     sigma_mm: float = 0.3  # by which a fitted skin is off where noise and model leave it
     # distances that err by themselves: 1.6 cm^2 of a face each. S that is wrong errs over all that
@@ -128,7 +128,7 @@ class FaceMuscles:
 
     def term(self, known: KnownMuscles, weight: float = SKIN_WORTH.weight) -> KnownTerm:
         """Return the term of what is known."""
-        layout, by_value = self.face.layout, np.nan_to_num(self._shortening.rates)
+        layout, by_value = self.face.layout, np.nan_to_num(self._contractions.rates)
         rates = np.zeros((len(known), layout.size))
         rates[:, layout.muscles] = self._shares(known.names)[:, :, None] * by_value
         return KnownTerm(rates, layout.rest, known.values, known.sd, weight)
@@ -137,7 +137,7 @@ class FaceMuscles:
         """Return the contractions (r,) of known muscles by the values ``a`` of all."""
         rest = self.face.layout.drive.rest
         change = (a - rest).reshape(len(rest), -1)
-        return self.means(known.names, (self._shortening.rates * change).sum(axis=1))
+        return self.means(known.names, (self._contractions.rates * change).sum(axis=1))
 
     def means(self, names: Sequence[str], contractions: Floats) -> Floats:
         """Return the contractions (r,) of muscles and wholes by those (m,) of all muscles."""
@@ -159,7 +159,7 @@ class FaceMuscles:
         for row in sorted(range(len(known)), key=lambda row: len(known.names[row])):
             own = self._of(known.names[row])
             # the least change of a muscle's values that makes the contraction
-            rates = self._shortening.rates[own]
+            rates = self._contractions.rates[own]
             change = known.values[row] * rates / (rates**2).sum(axis=1, keepdims=True)
             mean[own] = rest[own] + change.reshape(rest[own].shape)
             w_a[own] = usual[own]
@@ -179,16 +179,16 @@ class FaceMuscles:
 
     def _shares(self, names: Sequence[str]) -> Floats:
         """Return the shares (r, m) that muscles have in what is called by ``names`` (r)."""
-        out, volumes = np.zeros((len(names), len(self.names))), self._shortening.volumes
+        out, volumes = np.zeros((len(names), len(self.names))), self._contractions.volumes
         for row, name in enumerate(names):
             own = self._of(name)
             out[row, own] = volumes[own] / volumes[own].sum()
         return out
 
     @cached_property
-    def _shortening(self) -> Shortening:
+    def _contractions(self) -> ContractionMap:
         face = self.face
-        found = face.drive.shortening(face.model, face.flesh.volumes, face.S)
+        found = face.drive.contraction_map(face.model, face.flesh.volumes, face.S)
         if found is None or len(found.rates) != len(self.names):
             message = "the muscles of this fit have no contraction that a table could know"
             raise InputError("activations.drive", message)
@@ -196,7 +196,7 @@ class FaceMuscles:
 
     @cached_property
     def _is_usable(self) -> NDArray[np.bool_]:
-        found = self._shortening
+        found = self._contractions
         return np.asarray(np.isfinite(found.rates).all(axis=1) & (found.volumes > 0.0))
 
 
@@ -205,7 +205,7 @@ class FaceMuscles:
 
 @dataclass(frozen=True)
 class DisagreementOptions:
-    """What is worth a warning."""
+    """Limits of a disagreement between table and skin that is worth a warning."""
 
     most_sd: float = 2.0  # by which skin and table may be apart ...
     often: float = 0.1  # ... but in so many of a take's frames: a twentieth is chance

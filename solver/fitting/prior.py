@@ -90,9 +90,9 @@ class GaussianPrior(Prior):
         """Return the prior so long after a frame whose posterior was N(mean, covariance)."""
         kept = kept_part(seconds, time)
         spread = kept**2 * covariance + (1.0 - kept**2) * self.covariance
-        return GaussianPrior(self.faded(mean, kept), spread)
+        return GaussianPrior(self.fade(mean, kept), spread)
 
-    def faded(self, mean: Floats, kept: float) -> Floats:
+    def fade(self, mean: Floats, kept: float) -> Floats:
         """Return a mean (k,) of which a part is ``kept`` on its way back to rest."""
         return np.asarray(self.mean + kept * (mean - self.mean))
 

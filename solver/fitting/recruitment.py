@@ -43,7 +43,7 @@ from solver.drawing.head import both_sides, muscle_side
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Prior, Regulariser, Target
 from solver.fitting.simplex import mirrored_pairs
-from solver.fitting.stretches import fibre_tensors, shorten
+from solver.fitting.stretches import fibre_tensors, isochoric_activation
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
@@ -107,7 +107,7 @@ class Recruitment:
             return None
         tensors = fibre_tensors(model, face.flesh.volumes, face.S)
         rest = model.skin.vertices[model.face]
-        mirrored, sides = _mirrored(shapes.names), EvenSides.of_face(face)
+        mirrored, sides = _mirror_numbers(shapes.names), EvenSides.of_face(face)
         chosen = options or usual_options(model)
         return cls(shapes.motions, named, opposed, rest, tensors, mirrored, sides, chosen)
 
@@ -121,7 +121,7 @@ class Recruitment:
         contraction = options.contraction * (strengths * self.named).max(axis=0)
         mean = np.tile(IDENTITY, (len(price), 1))
         for muscle in np.flatnonzero((contraction > 0.0) & np.isfinite(self.tensors[:, 0, 0])):
-            mean[muscle] = shorten(self.tensors[muscle], 1.0 - contraction[muscle])
+            mean[muscle] = isochoric_activation(self.tensors[muscle], 1.0 - contraction[muscle])
         even = options.even * explained * self.evenness(amounts)
         return Recruited((price**explained)[:, None], mean, replace(self.sides, weight=even))
 
@@ -221,7 +221,7 @@ class EvenSides(Prior):
         return np.asarray(q[self.left] - self.signs * q[self.right])
 
 
-def _mirrored(expressions: tuple[str, ...]) -> Ints:
+def _mirror_numbers(expressions: tuple[str, ...]) -> Ints:
     """Return the numbers of the expressions on the other side, -1 where there is none."""
     numbers = {name: number for number, name in enumerate(expressions)}
     swapped = {"Left": "Right", "Right": "Left"}

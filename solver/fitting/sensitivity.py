@@ -1,8 +1,8 @@
 """Derivatives of an equilibrium by activations, jaw and muscle geometry.
 
-grad_x E(x; theta) = 0 makes x an implicit function of theta. What the forces are by (a, b) and by S
-is here; :class:`~solver.mechanics.response.Response` solves for dx/dtheta, one factorisation
-serving the dense Jacobian by (a, b) and the products with the Jacobian by S.
+grad_x E(x; theta) = 0 makes x an implicit function of theta. This module has the derivatives of
+the forces by (a, b) and by S; :class:`~solver.mechanics.response.Response` solves for dx/dtheta,
+one factorisation serving the dense Jacobian by (a, b) and the products with the Jacobian by S.
 """
 
 from __future__ import annotations

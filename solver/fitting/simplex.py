@@ -144,8 +144,8 @@ def mix_by_stiffness(fractions: sp.csr_array, stiffness: float) -> sp.csr_array:
 
         s_ij = k_j phi_ij / sum_l k_l phi_il.
 
-    Of a muscle that contracts k_j is ``stiffness`` times that of passive flesh: thin muscles pull
-    a tet that they fill by a tenth nearly as far as they contract.
+    A contracting muscle's k_j is ``stiffness`` times that of passive flesh: thin muscles pull a
+    tet that they fill by a tenth nearly as far as they contract.
     """
     values = np.where(fractions.indices > 0, stiffness, 1.0) * fractions.data
     total = np.bincount(_rows(fractions), values, fractions.shape[0])

@@ -46,14 +46,14 @@ class LinearisedOptions:
 
 
 @dataclass(frozen=True)
-class StepOptions:
+class FeasibleStepOptions:
     """The methods within a set: the first that has a step."""
 
     linearised: LinearisedOptions | None = field(default_factory=LinearisedOptions)
     interior: InteriorPointOptions = field(default_factory=InteriorPointOptions)
 
     @classmethod
-    def quick(cls) -> StepOptions:
+    def quick(cls) -> FeasibleStepOptions:
         """Return those of many fits, each from a state near by: about the best step will do."""
         return cls(LinearisedOptions(worth=0.3), InteriorPointOptions(fall=0.03, short=1e-2))
 
@@ -80,7 +80,7 @@ def step_model(
     gradient: Floats,
     q: Floats,
     longest: Floats,
-    options: StepOptions = StepOptions(),
+    options: FeasibleStepOptions = FeasibleStepOptions(),
 ) -> StepModel:
     """Return the steps from q within ``bounds``, those in a box no longer than ``longest`` (size,).
 
@@ -140,24 +140,24 @@ class _SetSteps:
     hessian: Floats
     gradient: Floats
     q: Floats
-    options: StepOptions
+    options: FeasibleStepOptions
 
     def best(self, gradient: Floats) -> Floats:
-        found = self._linearised(gradient)
+        found = self._linearised_step(gradient)
         if found is not None:
             return found.change
         model = self.bounds, self.hessian, gradient, self.q
         return interior_step(*model, self.options.interior).change
 
     def following(self) -> Follow:
-        found = self._linearised(self.gradient)
+        found = self._linearised_step(self.gradient)
         if found is not None:
             return found.follow
         model = self.bounds, self.hessian, self.gradient, self.q
         ahead = interior_step(*model, self.options.interior)
         return partial(_solve, _factorise(self.hessian + ahead.curvature))
 
-    def _linearised(self, gradient: Floats) -> LinearisedStep | None:
+    def _linearised_step(self, gradient: Floats) -> LinearisedStep | None:
         options = self.options.linearised
         if options is None:
             return None
@@ -291,7 +291,7 @@ class _LinearBounds:
     def margins(self, step: Floats) -> Floats:
         """Return the margins (n,) after a step (size,)."""
         by_muscle = np.einsum("jbk,jk->jb", self._slopes, step[self._bounds.muscles])
-        low, high = self._bounds.bounded
+        low, high = self._bounds.bounded_places
         change = np.concatenate([by_muscle.ravel(), step[low], -step[high]])
         return np.asarray(self._at_q + change)
 
@@ -310,5 +310,5 @@ class _LinearBounds:
     @cached_property
     def _box(self) -> tuple[Ints, Floats]:
         """Places of the bounded entries, and the slopes of their room."""
-        low, high = self._bounds.bounded
+        low, high = self._bounds.bounded_places
         return np.concatenate([low, high]), np.repeat([1.0, -1.0], [len(low), len(high)])

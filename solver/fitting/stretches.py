@@ -93,7 +93,7 @@ def fibre_tensors(model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Floa
 
 
 @dataclass(frozen=True)
-class Shortening:
+class IsochoricActivations:
     """Activations of m muscles by the stretch of their fibres; they keep the muscles' volume.
 
         S(a) = exp(K log(stretch)),    K = 3/2 dev(T) / max(T)
@@ -106,7 +106,7 @@ class Shortening:
     axes: Floats  # (m, 3, 3)
 
     @classmethod
-    def of(cls, tensors: Floats) -> Shortening:
+    def of(cls, tensors: Floats) -> IsochoricActivations:
         """Return that of muscles with ``tensors`` T (m, 3, 3)."""
         values, axes = np.linalg.eigh(tensors)
         deviators = values - values.mean(axis=1, keepdims=True)
@@ -121,6 +121,9 @@ class Shortening:
         return with_stretches(self.values * stretch[:, None] ** (self.values - 1.0), self.axes)
 
 
-def shorten(tensor: Floats, stretch: float) -> Floats:
-    """Return the activation (6,) of one muscle: :class:`Shortening` of its ``tensor`` (3, 3)."""
-    return np.asarray(Shortening.of(tensor[None])(np.array([stretch]))[0])
+def isochoric_activation(tensor: Floats, stretch: float) -> Floats:
+    """Return the activation (6,) of one muscle, by :class:`IsochoricActivations`.
+
+    ``tensor`` (3, 3) is its mean of d d^T.
+    """
+    return np.asarray(IsochoricActivations.of(tensor[None])(np.array([stretch]))[0])

@@ -109,7 +109,7 @@ def _across(rest: Floats, tets: Ints, fibres: Floats, options: StripOptions) -> 
 def _roundness(centres: Floats, fibres: Floats, sectors: int = 8) -> float:
     """Return how well fibres follow circles about the middle, as a mean cosine: the worst sector's.
 
-    That of a ring around a mouth is 0.66, around an eye 0.9, of the roundest sheet 0.5.
+    A ring around a mouth has 0.66, one around an eye 0.9, the roundest sheet 0.5.
     """
     arms = centres - centres.mean(axis=0)
     first, second, axis = np.linalg.svd(arms, full_matrices=False)[2]

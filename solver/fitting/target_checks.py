@@ -119,13 +119,14 @@ def find_inflated(
 ) -> list[Finding]:
     """Return where a ``scan`` (V, 3) stands up from its fit ``skin`` as no muscle lifts skin.
 
-    Muscles move skin along it: air in a cheek, filler and bumps move it along its normals, and what
-    a fit leaves of that is one patch outside of it. Unseen vertices are NaN. Of the largest patch.
+    Muscles move skin along itself. Air in a cheek, filler and bumps move it along its normals, and
+    a fit leaves a patch of the scan outside of its skin. The largest patch is named. Unseen
+    vertices are NaN.
     """
     left, motion = np.zeros_like(scan), np.zeros_like(scan)
     left[model.face] = np.nan_to_num(scan - skin)[model.face]
     motion[model.face] = np.nan_to_num(scan - model.skin.vertices)[model.face]
-    height = np.einsum("vi,vi->v", left, vertex_normals(model.skin.moved(skin)))
+    height = np.einsum("vi,vi->v", left, vertex_normals(model.skin.with_vertices(skin)))
     high = height > limits.inflated_mm
     if not high.any():
         return []

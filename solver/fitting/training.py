@@ -33,7 +33,7 @@ from solver.fitting.objective import Target, distances
 from solver.fitting.recruitment import recruit
 from solver.fitting.simplex import mirror_structure
 from solver.model import Expressions, SubjectModel
-from solver.progress import Progress, Step, part_of, silent
+from solver.progress import ProgressCallback, Step, part_of, silent
 from solver.surface import Floats
 
 
@@ -48,7 +48,9 @@ class TrainingOptions:
 
 
 def train(
-    template: Template, options: TrainingOptions = TrainingOptions(), progress: Progress = silent
+    template: Template,
+    options: TrainingOptions = TrainingOptions(),
+    progress: ProgressCallback = silent,
 ) -> Template:
     """Return a template whose tets have the S that its own expressions ask for; in minutes.
 
@@ -66,7 +68,9 @@ def train(
 
 
 def train_model(
-    model: SubjectModel, options: TrainingOptions = TrainingOptions(), progress: Progress = silent
+    model: SubjectModel,
+    options: TrainingOptions = TrainingOptions(),
+    progress: ProgressCallback = silent,
 ) -> sp.csr_array:
     """Return the S (n, m + 1) that a model's expressions ask for, in a template's neutral.
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from solver.errors import InputError, SolveError
 from solver.kinds import KINDS, JobOptions, Kind, OptionsError
-from solver.progress import Progress, silent
+from solver.progress import ProgressCallback, silent
 
 if TYPE_CHECKING:
     from solver.anatomy.template import Template
@@ -40,7 +40,7 @@ class Task(Generic[Given]):
     captures: Mapping[str, Path] = field(default_factory=dict)  # scans or assets by their names
     role: str = "unknown"  # that its scan is meant for: neutral, expression or unknown
     resume: bool = False  # whether to go on after what an earlier attempt left in ``out``
-    progress: Progress = silent
+    progress: ProgressCallback = silent
 
 
 def run_job(
@@ -51,7 +51,7 @@ def run_job(
     captures: Mapping[str, Path | str] | None = None,
     role: str = "unknown",
     resume: bool = False,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
     jobs: str = "solver.jobs",
     **inputs: Path | str | None,
 ) -> list[Path]:

@@ -26,8 +26,8 @@ from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_per
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
+from solver.rig import Rig
 from solver.rig.frames.animation import check_video
-from solver.rig.rig import Rig
 from solver.scans.performance import read_live_link
 from solver.scene import Stage
 from solver.scene.document import head_of

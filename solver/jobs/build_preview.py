@@ -10,8 +10,8 @@ from solver.jobs import Task
 from solver.kinds.build_preview import BuildPreview
 from solver.mechanics.linear import fastest
 from solver.progress import Step
+from solver.rig import Rig
 from solver.rig.preview import make_preview, preview_picture, read_back, write_preview
-from solver.rig.rig import Rig
 from solver.storage import write_json
 
 TOLERANCE = 1e-5  # residual of an equilibrium: within a thousandth of a mm, far below the error

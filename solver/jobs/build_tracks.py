@@ -17,7 +17,7 @@ from solver.jobs import Task, read_template
 from solver.kinds.build_tracks import BuildTracks
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
-from solver.progress import Progress, Step
+from solver.progress import ProgressCallback, Step
 from solver.rig.pictures import TrackShot, tracks_picture
 from solver.storage import write_json
 from solver.surface import Floats
@@ -61,7 +61,7 @@ def _try(
     model: SubjectModel,
     tracks: MuscleTracks,
     shapes: Mapping[str, Floats],
-    progress: Progress,
+    progress: ProgressCallback,
     options: ShownOptions = ShownOptions(),
 ) -> list[TrackShot]:
     """Go from rest to each of the shapes that move the face most, one of a pair."""
@@ -100,7 +100,7 @@ def _figures(model: SubjectModel, tracks: MuscleTracks, shots: list[TrackShot]) 
                 "jaw": tracks.jaw[number].round(5).tolist(),
                 "teeth_mm": round(float(tracks.teeth_mm[number]), 4),
                 "off_mm": round(float(tracks.off_mm[number]), 4),
-                "turned_tets": _turned(model, pose.target),
+                "turned_tets": _count_inverted(model, pose.target),
             }
         )
     lengths = tracks.lines.lengths(model.rest)
@@ -126,6 +126,6 @@ def _figures(model: SubjectModel, tracks: MuscleTracks, shots: list[TrackShot]) 
     }
 
 
-def _turned(model: SubjectModel, x: Floats) -> int:
+def _count_inverted(model: SubjectModel, x: Floats) -> int:
     """Return how many tets are inside out at x (p, 3): there flesh does not follow its target."""
     return int((volumes(x, model.tets) <= 0.0).sum())

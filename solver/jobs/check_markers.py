@@ -20,7 +20,7 @@ from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.progress import Step
 from solver.registration.locate import face_surface
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.scans.markers.check import check_picture, check_take
 from solver.scans.markers.findings import ADVICE, MarkerCheck, add
 from solver.scans.markers.places.bind import Reference, rest_places

@@ -12,7 +12,8 @@ from solver.fitting.target_checks import check_held
 from solver.jobs import Task
 from solver.jobs.scenes import read_person
 from solver.kinds.edit import Edit
-from solver.progress import Progress, Step
+from solver.progress import ProgressCallback, Step
+from solver.rig import ExpressionFit
 from solver.rig.report.edit_report import (
     Compared,
     EditedPerson,
@@ -20,7 +21,6 @@ from solver.rig.report.edit_report import (
     edit_report,
     write_edit,
 )
-from solver.rig.rig import ExpressionFit
 from solver.scene import Physics, edit_of
 
 
@@ -59,7 +59,7 @@ def _replay(
     fits: Sequence[ExpressionFit],
     words: str,
     begin: float,
-    progress: Progress,
+    progress: ProgressCallback,
 ) -> tuple[Replayed, list[Replayed | None]]:
     """Return a person at rest and in every expression, None for one that finds no rest."""
     progress(Step("rest", begin, message=words))

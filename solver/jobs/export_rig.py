@@ -7,8 +7,8 @@ from pathlib import Path
 from solver.jobs import Task
 from solver.kinds.export_rig import ExportRig
 from solver.progress import Step
+from solver.rig import Rig
 from solver.rig.exporters import export_measured, exporter
-from solver.rig.rig import Rig
 from solver.storage import write_json
 
 

@@ -13,8 +13,8 @@ from solver.jobs import Task, fits
 from solver.kinds.fit_activations import FitActivations
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
+from solver.rig import Rig
 from solver.rig.report import known_information
-from solver.rig.rig import Rig
 
 
 def run(task: Task[FitActivations]) -> list[Path]:

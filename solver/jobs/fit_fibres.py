@@ -33,10 +33,10 @@ from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
 from solver.progress import Step
+from solver.rig import Rig
 from solver.rig.report import known_information, report
 from solver.rig.report.certificate import certify
 from solver.rig.report.web_page import write_page
-from solver.rig.rig import Rig
 from solver.storage import write_json
 
 DECIMALS = 4  # of figures in mm
@@ -167,7 +167,7 @@ def _fit_figures(
     return {
         "fibre_mm": _error(face, target, ending),
         "status": ending.status,
-        "inverted": face.flesh.inverted(state.x),
+        "inverted": face.flesh.count_inverted(state.x),
         "activations": dict(zip(names, state.pose.a.round(DECIMALS).tolist(), strict=True)),
         "jaw": state.pose.b.round(DECIMALS).tolist(),
     }

@@ -22,9 +22,9 @@ from solver.fitting.target_checks import check_held
 from solver.jobs import Task, fits
 from solver.kinds.fit_geometry import FitGeometry
 from solver.model import SubjectModel
-from solver.progress import Progress, Step, part_of
+from solver.progress import ProgressCallback, Step, part_of
+from solver.rig import Rig
 from solver.rig.report.measures import check_neutral
-from solver.rig.rig import Rig
 from solver.scans.known_activations import NOTHING
 
 # of rounds whose mean grows
@@ -41,7 +41,7 @@ def run(task: Task[FitGeometry]) -> list[Path]:
     subject = SubjectModel.load(task.inputs["model"])
     scans = fits.read_scans(subject, task.captures)
     drive = fits.asked_drive(given)
-    bounded = drive.loosened(0.0)
+    bounded = drive.loosen(0.0)
     face = Face(subject, linear=given.linear_solver)
     if bounded is not None:
         face = face.with_jaw_on_tracks()
@@ -99,7 +99,7 @@ def _fit(
     targets: Mapping[str, Target],
     schedule: GeometryOptions,
     priors: Mapping[str, Any],
-    progress: Progress,
+    progress: ProgressCallback,
 ) -> tuple[GeometryFit, tuple[Finding, ...]]:
     """Fit by a solver; returns what IPOPT noticed, too."""
 

@@ -48,8 +48,8 @@ from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.jaw_tracks import JawTracks
 from solver.mechanics.linear import fastest
 from solver.progress import Step
+from solver.rig import Rig
 from solver.rig.frames import sequence_report, write_sequence
-from solver.rig.rig import Rig
 from solver.scans.markers.places.bind import Reference
 from solver.scans.markers.places.face_take import USUAL_RATE, count_tracks, frames_about
 from solver.scans.markers.places.marker_set import BoundTake, MarkerSet
@@ -83,7 +83,7 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     rig, take = Rig.load(task.inputs), count_tracks(read_take(task.inputs["markers"]))
     numbers = frame_numbers(take.file, take.numbers, given)
     rate = given.rate or (take.rate if take.rate > 0 else USUAL_RATE)
-    mended = _mended(task, take, rig, rate)
+    mended = _mend_take(task, take, rig, rate)
     source, notices = mended.source, mended.notices
     face, muscles = _face(task, rig, notices)
     check_held(face)
@@ -114,13 +114,13 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     return files
 
 
-def _mended(task: Task[FitMarkers], take: Take, rig: Rig, rate: float) -> MendedTake:
+def _mend_take(task: Task[FitMarkers], take: Take, rig: Rig, rate: float) -> MendedTake:
     """Return the take bound by the marker set, if one was given, and mended."""
     given, known = task.options, None
     if "marker_set" in task.inputs:
         known = MarkerSet.load(task.inputs["marker_set"], rig.model)
     options = PrepareOptions(given.actor, frames_about(take, given.neutral, rate), rate)
-    return PreparedTake(take, Reference.of(rig.model, known), options).mended
+    return PreparedTake(take, Reference.of(rig.model, known), options).mended_take
 
 
 def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Face, tuple[str, ...]]:

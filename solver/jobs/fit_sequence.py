@@ -38,6 +38,7 @@ from solver.mechanics.linear import fastest
 from solver.meshio.registered import PLAUSIBLE
 from solver.model import SubjectModel
 from solver.progress import Step
+from solver.rig import Rig
 from solver.rig.frames import (
     ChunkOptions,
     SequenceFrame,
@@ -47,7 +48,6 @@ from solver.rig.frames import (
 )
 from solver.rig.frames.animation_gltf import AnimatedSkin
 from solver.rig.pictures import SequenceShot, sequence_picture
-from solver.rig.rig import Rig
 from solver.scans.performance import Performance, open_performance
 from solver.similarity import small_motion
 from solver.surface import Floats, Ints
@@ -123,7 +123,7 @@ def _frame(number: int, fit: DenseFit, face: Face, seconds: float) -> SequenceFr
         head=fit.head.twist.round(DECIMALS),
         **distance_figures(error[np.isfinite(error)]),
         coverage=round(fit.coverage, 4),
-        inverted=face.flesh.inverted(fit.state.x),
+        inverted=face.flesh.count_inverted(fit.state.x),
         iterations=fit.steps,
         seconds=round(seconds, 4),
     )

@@ -19,10 +19,10 @@ from solver.kinds.fit_tracks import FitTracks
 from solver.mechanics.linear import fastest
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step, part_of
+from solver.rig import Rig, System
 from solver.rig.exporters import export
 from solver.rig.report import known_information
 from solver.rig.report.systems import SYSTEMS
-from solver.rig.rig import Rig, System
 from solver.rig.systems import find_crossed, fit_scan
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace, track_potentials

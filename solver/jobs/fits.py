@@ -33,10 +33,10 @@ from solver.kinds.kind import Distance, ExpressionFitOptions
 from solver.mechanics.flesh import IDENTITY
 from solver.meshio.registered import RegisteredScan, read_registered
 from solver.model import SubjectModel
-from solver.progress import Progress, Step
+from solver.progress import ProgressCallback, Step
+from solver.rig import ExpressionFit, Rig, System
 from solver.rig.exporters import write_rig
 from solver.rig.report.certificate import certify, with_round_trips
-from solver.rig.rig import ExpressionFit, Rig, System
 from solver.scans.known_activations import NOTHING, KnownMuscles, read_known
 from solver.surface import Floats, Ints, Surface, vertex_normals
 
@@ -103,7 +103,7 @@ def find_oddities(
 ) -> list[Finding]:
     """Return what is odd about a face and scans before they are fitted by a drive."""
     found = [*idle_muscles(face), *before_fit(face.model, scans), *drive.lacks(face.model)]
-    if drive.loosened(0.0) is not None and face.model.jaw.tracks is None:
+    if drive.loosen(0.0) is not None and face.model.jaw.tracks is None:
         message = "the model has no tracks of its condyles, so that its jaw is free: build it again"
         found.append(make_warning("model.no_tracks", message))
     return found
@@ -177,7 +177,7 @@ def describe_fit(
         skin=face.whole_skin(state.x, state.pose.b),
         target=scan.vertices,
         error_mm=error,
-        inverted=face.flesh.inverted(state.x),
+        inverted=face.flesh.count_inverted(state.x),
         iterations=found.iterations,
         seconds=seconds,
         objective=target.value(points),
@@ -200,7 +200,7 @@ def leave_rig(
     rig: Rig,
     settings: dict[str, Any],
     out: Path,
-    progress: Progress,
+    progress: ProgressCallback,
     information: MuscleInformation | None = None,
 ) -> list[Path]:
     """Check what was fitted and write the rig's files; ``progress`` counts from 0 to 1 here.
@@ -282,7 +282,7 @@ class Span:
 class WarningLog:
     """Notices are sent as steps of the phase ``warning`` and sorted by expression."""
 
-    def __init__(self, model: SubjectModel, progress: Progress) -> None:
+    def __init__(self, model: SubjectModel, progress: ProgressCallback) -> None:
         self._model = model
         self._progress = progress
         self._notices: list[Finding] = []

@@ -106,13 +106,13 @@ class TakeFitter(FrameFitter[MarkerFrame]):
     @override
     def fit(self, number: int) -> MarkerFrame:
         start, source = time.perf_counter(), self._source
-        points, free = source.points(number), source.unlabelled(number)
+        points, free = source.points(number), source.unlabelled_points(number)
         known = self._known.markers_term(number)
         fit = self._tracker.step(SeenMarkers(points, free, source.sigma(number), known))
         status: Status = "kept" if fit.kept else "predicted" if fit.predicted else "fitted"
         frame = _frame(number, status, fit, self._tracker.face, time.perf_counter() - start)
         states = np.array(frame.marker_state)
-        exchanged = source.exchanged(number) & (states == "seen")
+        exchanged = source.exchanged_points(number) & (states == "seen")
         states = np.where(exchanged, "swapped", states)  # an array of "seen" has no room for it
         return replace(frame, marker_state=tuple(states.tolist()))
 
@@ -166,7 +166,7 @@ def _frame(number: int, status: Status, fit: MarkerFit, face: Face, seconds: flo
         **distance_figures(off[judged.weights > 0.0]),
         head=fit.placed.head.twist.round(DECIMALS),
         coverage=round(float(np.mean(judged.weights > 0.0)), 4),
-        inverted=face.flesh.inverted(fit.state.x),
+        inverted=face.flesh.count_inverted(fit.state.x),
         iterations=fit.steps,
         seconds=round(seconds, 4),
         marker_mm=off.round(DECIMALS),
@@ -236,7 +236,7 @@ def _smooth_frame(
     placed = markers.place(state, seen, weights, head, source.sigma(frame.frame))
     off = np.linalg.norm(placed.points - seen, axis=1)
     # a label that was given another's point has the one next to its marker
-    others = np.concatenate([seen, source.unlabelled(frame.frame)])
+    others = np.concatenate([seen, source.unlabelled_points(frame.frame)])
     others = others[np.isfinite(others).all(axis=1)]
     for label in np.flatnonzero(np.isin(states, ("swapped", "relabelled"))):
         off[label] = np.linalg.norm(others - placed.points[label], axis=1).min()
@@ -249,7 +249,7 @@ def _smooth_frame(
         marker_mm=off.round(DECIMALS),
         sd=after.sd.round(DECIMALS),
         contraction_sd=after.contraction_sd.round(DECIMALS),
-        inverted=markers.face.flesh.inverted(state.x),
+        inverted=markers.face.flesh.count_inverted(state.x),
     )
 
 

@@ -14,6 +14,7 @@ from solver.jobs.fits import known_basis
 from solver.kinds.next_scan import NextScan
 from solver.mechanics.linear import fastest
 from solver.progress import Step
+from solver.rig import Rig
 from solver.rig.next_scan import (
     Library,
     library_poses,
@@ -23,7 +24,6 @@ from solver.rig.next_scan import (
 )
 from solver.rig.report import information_figures
 from solver.rig.report.certificate import scan_information
-from solver.rig.rig import Rig
 from solver.storage import write_json
 
 SCANNED = 0.2  # part of a job after which the rig's own scans are read
@@ -79,7 +79,7 @@ def _near(
 ) -> dict[str, dict[str, Pose]]:
     """Return the poses that the library's fits begin with, of a basis if one was left.
 
-    None is solved: that takes as long as the library itself, while the person waits.
+    No basis is solved here: that takes as long as the library itself, while the person waits.
     """
     basis = known_basis(task, own, shapes.expressions) if shapes else None
     if shapes is None or basis is None:

@@ -21,7 +21,8 @@ from solver.animation import PosedFrame
 from solver.errors import SolveError
 from solver.jobs import Task, hash_files
 from solver.kinds.scene import FatEntry
-from solver.progress import Progress, Step, silent
+from solver.progress import ProgressCallback, Step, silent
+from solver.rig import Rig
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.frames.animation import (
     Filming,
@@ -31,7 +32,6 @@ from solver.rig.frames.animation import (
     read_motion,
     write_animation,
 )
-from solver.rig.rig import Rig
 from solver.scene import Stage
 from solver.scene.document import document_of
 from solver.scene.places import Places
@@ -75,7 +75,12 @@ class PictureOptions:
 
 
 def play(
-    stage: Stage, out: Path, scene: str, progress: Progress = silent, *, resume: bool = False
+    stage: Stage,
+    out: Path,
+    scene: str,
+    progress: ProgressCallback = silent,
+    *,
+    resume: bool = False,
 ) -> list[MotionRecord]:
     """Simulate all frames of a stage and return them; they are in ``out/frames`` as they come.
 
@@ -121,7 +126,7 @@ def finish(
     stage: Stage,
     frames: Sequence[MotionRecord],
     out: Path,
-    progress: Progress,
+    progress: ProgressCallback,
     *,
     title: str,
     video: bool,
@@ -162,7 +167,7 @@ def _reach(stage: Stage, motion: FleshMotion, drive: Drive | None, goal: Drive) 
     if drive is None:
         at_rest = stage.simulator.rest(goal)
         spent = time.perf_counter() - begun
-        return Stepped(at_rest, at_rest.y, 0, 0, 0.0, spent, stage.inverted(at_rest.y))
+        return Stepped(at_rest, at_rest.y, 0, 0, 0.0, spent, stage.count_inverted(at_rest.y))
     iterations = halvings = 0
     moments = np.linspace(drive.time, goal.time, stage.steps_per_frame + 1)[1:-1].tolist()
     between = [stage.drive(moment, stage.drives(moment)) for moment in moments]

@@ -96,7 +96,7 @@ def fit_frames(task: Task[Any], numbers: range, fitter: FrameFitter[Fitted]) -> 
 
 
 class KnownFrames:
-    """What a job's table knows of muscles in a take's frames, and what was fitted of it.
+    """Known activations of a take's frames by the job's table, against the fitted ones.
 
     Without a table that is nothing. ``frames`` are the take's, as its file counts them.
     """

@@ -13,8 +13,8 @@ from solver.jobs import Task
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.simulate import Simulate
 from solver.progress import part_of
+from solver.rig import Rig
 from solver.rig.frames.animation import check_video
-from solver.rig.rig import Rig
 from solver.scene import Stage
 from solver.scene.document import drives_of, moving_fibres, performances_of, track_drives_of
 from solver.scene.places import Places

@@ -13,7 +13,7 @@ from pkgutil import iter_modules
 
 from solver.kinds.document import Fault
 from solver.kinds.formats import NOT_READABLE, check_directory, format_number, is_plainly_packed
-from solver.kinds.inputs import FILES, INPUTS, ROLES, SCANS, LeftFile, Part, Role
+from solver.kinds.inputs import FILES, INPUTS, ROLES, SCANS, InputPart, LeftFile, Role
 from solver.kinds.kind import BUILTIN_VERTICES, JobOptions, Kind, OptionsError
 
 __all__ = [
@@ -25,11 +25,11 @@ __all__ = [
     "ROLES",
     "SCANS",
     "Fault",
+    "InputPart",
     "JobOptions",
     "Kind",
     "LeftFile",
     "OptionsError",
-    "Part",
     "Role",
     "check_directory",
     "format_number",

@@ -1,7 +1,7 @@
 """Make a rig's sliders.
 
-What the page's sliders of a rig move: poses of its muscles and jaw are simulated, a reduced skin is
-fitted to them, and its error measured on others. The rig's files have its preview.bin once it is
+The page's sliders move a reduced skin: poses of the rig's muscles and jaw are simulated, the skin
+is fitted to them, and its error measured on others. The rig's files have its preview.bin once it is
 done.
 """
 

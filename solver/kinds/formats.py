@@ -1,4 +1,4 @@
-"""What files say of themselves, read without numerics: the format of ours, a ZIP's members."""
+"""Headers of files, read without numerics: the format of ours, a ZIP's members."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ Form = Literal["file", "file or folder", "files", "named files", "role"]
 
 
 @dataclass(frozen=True)
-class Part:
+class InputPart:
     """A part of an input on the command line: an argument if a job needs it, else an option."""
 
     parameter: str
@@ -32,18 +32,18 @@ class Part:
 class Input:
     """An input of jobs."""
 
-    parts: tuple[Part, ...]
-    of_an_expression: tuple[Part, ...] = ()  # in their place where a kind reads a capture, too
+    parts: tuple[InputPart, ...]
+    of_an_expression: tuple[InputPart, ...] = ()  # in their place where a kind reads a capture, too
 
 
-def _given(parameter: str, words: str, form: Form = "file", role: str | None = None) -> Part:
+def _given(parameter: str, words: str, form: Form = "file", role: str | None = None) -> InputPart:
     """Return an argument; its file has the role that is called as it is."""
-    return Part(parameter, words, role or parameter, form, is_needed=True)
+    return InputPart(parameter, words, role or parameter, form, is_needed=True)
 
 
-def _option(parameter: str, words: str, role: str | None = None, form: Form = "file") -> Part:
+def _option(parameter: str, words: str, role: str | None = None, form: Form = "file") -> InputPart:
     """Return an option; its file has the role that is called as it is."""
-    return Part(parameter, words, role or parameter, form)
+    return InputPart(parameter, words, role or parameter, form)
 
 
 RIG = "rig.npz, or a rig's folder or ZIP; to one of 0.1 copy its model.npz"
@@ -59,7 +59,7 @@ INPUTS: Mapping[str, Input] = {
         (_given("neutral", "OBJ, PLY, GLB or STL"),),
         (_option("neutral", "of an expression: registered neutral"),),
     ),
-    "captures": Input((Part("scans", "expression scans", form="files", is_needed=True),)),
+    "captures": Input((InputPart("scans", "expression scans", form="files", is_needed=True),)),
     "performance": Input(
         (_given("performance", "frames (.npy), or a folder of registered scans", "file or folder"),)
     ),
@@ -77,7 +77,11 @@ INPUTS: Mapping[str, Input] = {
     "any_rig": Input((_option("rig", RIG, form="file or folder"),)),
     "template": Input((_option("template", "template NPZ; default: built-in"),)),
     "assets": Input(
-        (Part("asset", "NAME=FILE, a file that the scene names; repeatable", form="named files"),)
+        (
+            InputPart(
+                "asset", "NAME=FILE, a file that the scene names; repeatable", form="named files"
+            ),
+        )
     ),
     "sequences": Input(()),  # a scene names them as it does assets
     "blendshapes": Input((_option("blendshapes", "blendshapes.npz of an earlier animation"),)),
@@ -88,7 +92,7 @@ INPUTS: Mapping[str, Input] = {
         (_option("fibres", "fibre_muscles.npz of fit-fibres", "fibre_muscles"),)
     ),
     "tracks": Input((_option("tracks", "tracks.npz of build-tracks"),)),
-    "role": Input((Part("role", "what the scan is meant to be", form="role"),)),
+    "role": Input((InputPart("role", "what the scan is meant to be", form="role"),)),
     "start": Input(
         (_option("start", "rig to start from, also of another person", form="file or folder"),)
     ),
@@ -147,7 +151,7 @@ class Role:
 
     @property
     def is_scan(self) -> bool:
-        """Whether it is checked and registered; what is none takes no landmarks, and stays so."""
+        """Whether it is checked and registered; others take no landmarks and stay as they are."""
         return bool(self.registered)
 
 

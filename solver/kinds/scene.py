@@ -99,7 +99,7 @@ Muscle = Annotated[
 ]
 
 
-class Key(Document):
+class Keyframe(Document):
     """The face at one time."""
 
     time: Time
@@ -203,7 +203,7 @@ class PerformanceEntry(Document):
         description="the head's motion from where it is in the first frame, or as it was fitted, "
         "in the studio; or none",
     )
-    keys: list[Key] = Field(
+    keys: list[Keyframe] = Field(
         default=[],
         max_length=MOST_TRACK_KEYS,
         description="what is added to it, at times of the scene",
@@ -498,7 +498,7 @@ class SimulateScene(PlayedScene):
         description="fitted performances: the muscles are mixed by their masks, jaw and head are "
         "the first one's",
     )
-    keys: list[Key] = Field(
+    keys: list[Keyframe] = Field(
         default=[],
         max_length=MOST_TRACK_KEYS,
         description="what the face does, on top of its performances; what a key does not name is "

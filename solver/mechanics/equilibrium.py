@@ -28,7 +28,7 @@ class PredictorOptions:
 
 @dataclass(frozen=True)
 class CorrectorOptions:
-    """When :func:`correct` asks for a new Hessian, and when it is near enough."""
+    """Limits at which :func:`correct` asks for a new Hessian, and at which it is near enough."""
 
     long_mm: float = 0.75  # a longer correction asks for a new Hessian
     close_mm: float = 0.2  # the end of a shorter one is good enough
@@ -111,7 +111,7 @@ def newton_predict(
     for iteration in range(options.corrections + 1):
         direction = search.direction()
         if search.factorization and np.abs(direction).max() <= options.reach_mm:
-            now, estimate = search.x, flesh.moved(search.x, direction)
+            now, estimate = search.x, flesh.add_motion(search.x, direction)
             found = Equilibrium(now, estimate, search.factorization, search.residual, iteration)
             if rough or found.minimum:
                 return _polish(energy, found, options)
@@ -129,7 +129,7 @@ def _check_orientation(energy: Energy, x: Floats) -> None:
             if not np.isfinite(term.energy(flesh.rest, energy.a)):
                 message = f"the energy of {type(term).__name__} is not finite, not even at rest"
                 raise SolveError("solve.not_finite", message)
-        count = energy.flesh.inverted(x)
+        count = energy.flesh.count_inverted(x)
         raise SolveError("solve.inverted", f"{count} tetrahedra are inverted before the first step")
 
 
@@ -145,7 +145,7 @@ def _polish(energy: Energy, now: Equilibrium, options: PredictorOptions) -> Equi
         direction = now.factor.solve(-gradient)
         if np.abs(direction).max() > options.contraction * length:
             break
-        estimate, residual = flesh.moved(x, direction), energy.residual(gradient)
+        estimate, residual = flesh.add_motion(x, direction), energy.residual(gradient)
         now = replace(now, x=x, estimate=estimate, residual=residual)
     return now
 
@@ -194,7 +194,7 @@ def correct(
 def _move(flesh: Flesh, x: Floats, motion: Floats, options: CorrectorOptions) -> Floats | None:
     """Return x (p, 3) with as much of the ``motion`` (size,) as makes no tet collapse."""
     for part in options.parts:
-        moved = flesh.moved(x, part * motion)
+        moved = flesh.add_motion(x, part * motion)
         if flesh.min_jacobian_ratio(x, moved) >= options.min_jacobian_ratio:
             return moved
     return None

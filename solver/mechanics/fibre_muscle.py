@@ -119,7 +119,7 @@ class _Entries(NamedTuple):
 
 @dataclass(frozen=True)
 class FibreMuscles:
-    """Who pulls where: e entries, sorted by tet, of m muscles."""
+    """Fibre muscles in their tets: e entries, sorted by tet, of m muscles."""
 
     tets: Ints  # (e,)
     muscles: Ints  # (e,)
@@ -143,7 +143,7 @@ class FibreMuscles:
         each = np.arange(len(strengths))
         return cls(*kept, S.data[pulls], model.fibres[pulls], strengths, each)
 
-    def scaled(self, factor: Floats | float) -> FibreMuscles:
+    def scale(self, factor: Floats | float) -> FibreMuscles:
         """Return the muscles with their whole curves times ``factor``, of each (m,) or of all."""
         return replace(self, strengths=self.strengths * factor)
 

@@ -142,9 +142,9 @@ class Flesh:
     """Elastic, active tetrahedra with some vertices held.
 
     ``rest`` (p, 3) are vertices in mm, ``tets`` (n, 4) their numbers, with positive rest volumes.
-    The ``held`` ones do not move freely, some of the others stay on ``sliding`` planes. Of each tet
-    there may be ``shares`` (n,), the part of its volume that it stands for (a tet of two tissues is
-    listed twice), ``stiffness_factor`` (n,) of its material, and ``growth`` (n,), the f of plastic
+    The ``held`` ones do not move freely, some of the others stay on ``sliding`` planes. A tet may
+    have ``shares`` (n,), the part of its volume that it stands for (a tet of two tissues is listed
+    twice), a ``stiffness_factor`` (n,) of its material, and ``growth`` (n,), the f of plastic
     growth F_p = f I: its energy is V psi(F F_p^-1, A) with its rest volume V as it was (muscle
     geometry paper, fat).
 
@@ -242,7 +242,7 @@ class Flesh:
         """Return the controls of a face at rest: activations (n, 6) unless others drive it."""
         return self._passive.copy()
 
-    def moved(self, x: Floats, motion: Floats) -> Floats:
+    def add_motion(self, x: Floats, motion: Floats) -> Floats:
         """Return a copy of x (p, 3) with the free vertices moved by ``motion`` (size,)."""
         x = x.copy()
         x[self.free] += motion.reshape(-1, 3)
@@ -306,7 +306,7 @@ class Flesh:
         """Return min J(y) / min(J(x), J0) over all tets, J0 being where the barrier starts."""
         return float(elements.min_jacobian_ratio(self.elements, x, y))
 
-    def inverted(self, x: Floats) -> int:
+    def count_inverted(self, x: Floats) -> int:
         """Return how many tets have det F <= 0."""
         return int((self.jacobians(x) <= 0.0).sum())
 

@@ -34,7 +34,7 @@ NEAREST_STEPS, NEAREST = 20, 1e-9  # of the search for a jaw: most steps, and th
 
 
 @dataclass(frozen=True)
-class TrackOptions:
+class JawTrackOptions:
     """Choice of tracks, and what counts as a jaw's motion among a template's shapes."""
 
     curved: bool = False  # the slope grows along the track
@@ -49,7 +49,7 @@ class TrackOptions:
     spread: float = 0.25  # of the slides, as part of the longest, that tells a curve
 
 
-TRACKS = TrackOptions()
+TRACKS = JawTrackOptions()
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def tracks_of_shapes(
     apart: float,
     teeth: Floats,
     shapes: Iterable[Floats],
-    options: TrackOptions = TRACKS,
+    options: JawTrackOptions = TRACKS,
 ) -> JawTracks:
     """Return the tracks that a template's expressions move the jaw along.
 

@@ -6,8 +6,8 @@ The polar decomposition needs no singular vectors. The sum t = s1 + s2 + s3 of t
     (t^2 - I)^2 - 4 II - 8 J t = 0,   I = |G|^2, II = |cof G|^2, J = det G,
 
 since its roots are the four sums +-s1 +-s2 +-s3 with an even number of minus signs. Newton's method
-from sqrt(3 I) >= t falls to it monotonically, in two to four steps near rest. What is known of t
-by G gives the rest: the rotation R nearest to G is dt/dG, implicitly differentiated, and turns as
+from sqrt(3 I) >= t falls to it monotonically, in two to four steps near rest. The derivatives of t
+by G give the rest: the rotation R nearest to G is dt/dG, implicitly differentiated, and turns as
 
     dR = R [w]x,   Y w = axl(R^T dG - dG^T R),   Y = tr(P) I - P,   det Y = f'(t) / 8.
 

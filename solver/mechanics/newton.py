@@ -302,13 +302,13 @@ class Search:
         value, slope = self._energy.value(x), float(self.gradient @ direction)
 
         def try_step(length: float) -> tuple[Floats, float] | None:
-            trial = flesh.moved(x, length * direction)
+            trial = flesh.add_motion(x, length * direction)
             reached = self._energy.value(trial)
             # rounding decides once the predicted decrease is below the energy's last digits
             enough = reached <= value + options.armijo * length * slope + 1e-13 * abs(value)
             return (trial, reached) if enough else None
 
-        length = self._energy.max_step(x, flesh.moved(x, direction), options)
+        length = self._energy.max_step(x, flesh.add_motion(x, direction), options)
         found = None
         while found is None and length > options.shortest_step:
             found = try_step(length)
@@ -316,7 +316,7 @@ class Search:
         if found is None:
             return None
         while self.projection > 0 and length >= 1.0 and options.growth > 1.0:
-            trial = flesh.moved(x, options.growth * length * direction)
+            trial = flesh.add_motion(x, options.growth * length * direction)
             if flesh.min_jacobian_ratio(x, trial) < options.min_jacobian_ratio:
                 break
             longer = try_step(options.growth * length)
@@ -332,7 +332,7 @@ class Search:
         energy, flesh = self._energy, self._energy.flesh
         correction = self.factorization.solve(-self.gradient)
         point = self.x[flesh.free].ravel()
-        y = flesh.moved(self.x, self._accelerator.step(point, correction))
+        y = flesh.add_motion(self.x, self._accelerator.step(point, correction))
         if energy.max_step(self.x, y, self._options) < 1.0:
             return None
         after = energy.gradient(y)

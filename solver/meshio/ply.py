@@ -218,7 +218,7 @@ class _BinaryBody:
     def _list_lengths(self, element: Element) -> dict[str, int]:
         """Return how many items each list of the next row has (0 behind the end).
 
-        Of a list longer than the file, only as many are counted as no longer fit in it.
+        A list longer than the file counts with just more items than fit in the file.
         """
         position = self._position
         lengths: dict[str, int] = {}

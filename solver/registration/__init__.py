@@ -1,1 +1,1 @@
-"""From a raw scan to the template's vertices: pose, shape, free form, confidence."""
+"""Registration of raw scans to the template's vertices: pose, shape, free form, confidence."""

@@ -4,8 +4,8 @@
 
 v are values at the template's vertices, u those at the head's; B has the barycentric coordinates of
 the closest points, L is the head's Laplacian, so that what the template does not cover (the bag of
-a mouth, the hollow of an eye) follows smoothly. Of closed lips only the own one is close. Eyes and
-teeth of the head take the values of the template's.
+a mouth, the hollow of an eye) follows smoothly. On closed lips, a vertex matches its own lip only.
+Eyes and teeth of the head take the values of the template's.
 """
 
 from __future__ import annotations

@@ -200,8 +200,8 @@ def unfold(before: Floats, after: Floats, faces: Ints) -> Floats:
     """Return ``after`` (n, 3) without its triangles turned over against ``before`` (n, 3).
 
     Around every fold the displacement from ``before`` is laid anew, with the least bending that
-    fits the skin beside it; its patch grows ring by ring until the fold is gone. What is still
-    folded after :data:`WIDENINGS` rings stays.
+    fits the skin beside it; its patch grows ring by ring until the fold is gone. Folds that are
+    left after :data:`WIDENINGS` rings stay.
     """
     graph = adjacency(faces, len(before))
     bending = _bending(before, graph)

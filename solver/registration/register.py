@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from solver.anatomy.template import Template
 from solver.errors import Finding, InputError
 from solver.meshio.raw import RawScan
-from solver.progress import Progress, Step, silent
+from solver.progress import ProgressCallback, Step, silent
 from solver.registration.landmarks import find_landmarks, landmark_vertices
 from solver.registration.locate import Location, locate_face, location_findings, scan_samples
 from solver.registration.nonrigid import (
@@ -90,7 +90,7 @@ def register(
     frame: Mapping[str, Any] = FRAME,
     landmarks: Marks | None = None,
     landmarker: Path | None = None,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> RegisteredFace:
     """Register a mended scan: a neutral, or an expression if ``neutral`` (n, 3) is given.
 
@@ -123,11 +123,11 @@ def register(
     vertices = free_form(scan, fit.motion, fit.vertices, topology, schedule, pins)
     vertices = unfold(rest, vertices, topology.flesh)
     vertices = carry_hidden(topology.groups, placed, fit.vertices, vertices, topology.outer)
-    skin, motion = topology.template.skin.moved(vertices), fit.motion
+    skin, motion = topology.template.skin.with_vertices(vertices), fit.motion
     seen = trust(scan, motion, skin, topology.outer)
     if neutral is not None:
         back = head_motion(vertices, fit.vertices, topology.stable * seen.confidence)
-        skin, motion = skin.moved(back(vertices)), motion.then(back)
+        skin, motion = skin.with_vertices(back(vertices)), motion.then(back)
     _check(raw.file, seen, topology)
     folded = folded_triangles(rest, skin.vertices, topology.flesh)
     return RegisteredFace(scan, start, skin, seen, motion, fit.weights, folded, told)
@@ -172,7 +172,7 @@ def _fit_expression(
     # the neutral's size is surer than one that was measured on this scan's own face
     basis, sizes = topology.template.shapes, start.size.is_measured
     still = np.flatnonzero(topology.stable > STILL)
-    normals = vertex_normals(topology.template.skin.moved(neutral))[still]
+    normals = vertex_normals(topology.template.skin.with_vertices(neutral))[still]
     share = topology.stable[still]
     motion = align(scan, start.motion, neutral[still], normals, share, sizes=sizes)
     if basis is None or not len(basis.expressions):

@@ -21,11 +21,9 @@ import numpy as np
 
 from solver.drawing.head import both_sides, muscle_side
 from solver.errors import file_error, quote, quote_names
-from solver.kinds import ROLES
 from solver.model import tell_muscles
 from solver.surface import Floats, Ints
 
-FORMATS = ROLES["activations"].formats
 NEEDED = ("muscle", "value", "sd")
 PLACES = ("time", "expression")
 # columns of numbers -> the code of an error in one
@@ -56,7 +54,7 @@ class KnownTableOptions:
 
 @dataclass(frozen=True)
 class KnownMuscles:
-    """What is known of r muscles at one time: contractions ``values`` (r,) with their ``sd`` (r,).
+    """Known contractions of r muscles at one time: ``values`` (r,) with their ``sd`` (r,).
 
     A name is a muscle's, or that of a whole whose compartments contract by it on average.
     """
@@ -84,7 +82,7 @@ class _Channel:
 
 @dataclass(frozen=True)
 class KnownCourse:
-    """What is known over the time of a take, frames being ``seconds`` apart."""
+    """Known contractions over the time of a take, frames being ``seconds`` apart."""
 
     channels: tuple[_Channel, ...]
     seconds: float

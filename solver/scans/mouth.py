@@ -88,8 +88,8 @@ def _find_gap(height: Floats, profile: Floats) -> MouthGaps:
 
 # Closed eyes, by where the lids' edge lies in the scan itself.
 #
-# Seen from the front the surface falls back sharply under the edge of an upper lid. Of an open eye
-# this edge lies above the line between the corners of the eye; of a closed one it has come down to
+# Seen from the front the surface falls back sharply under the edge of an upper lid. On an open eye
+# this edge lies above the line between the corners of the eye; on a closed one it has come down to
 # the lower lid, and above it the lid is smooth.
 
 

@@ -105,7 +105,7 @@ class Physics:
         )
         if self._fibres is None:
             return plain
-        return with_fibres(plain, _weaken(self._fibres, edited).scaled(self._material.mu))
+        return with_fibres(plain, _weaken(self._fibres, edited).scale(self._material.mu))
 
     def contacts(self, edited: Edited, objects: Sequence[Surface] = ()) -> list[Potential]:
         """Return what keeps the skin out of itself, of teeth, eyeballs and ``objects``."""
@@ -245,14 +245,14 @@ class Stage:
         """Return how deep flesh y (p, 3), in the head's frame, is in what it meets."""
         return self.gauge.at(y, drive.jaw, self._seen(drive))
 
-    def inverted(self, y: Floats) -> int:
+    def count_inverted(self, y: Floats) -> int:
         """Return the number of inverted tets of flesh y (p, 3)."""
-        return self._face.flesh.inverted(y)
+        return self._face.flesh.count_inverted(y)
 
     def _seen(self, drive: Drive) -> list[Surface]:
         """Return the objects in the head's frame."""
         into = drive.head.inverse()
         return [
-            each.shape.moved(into(vertices))
+            each.shape.with_vertices(into(vertices))
             for each, vertices in zip(self.objects, drive.objects, strict=True)
         ]

@@ -16,9 +16,9 @@ from solver.animation.tracks import KeyedTracks, TrackedShapes
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.interior_point import FeasibleSet
-from solver.fitting.stretches import fibre_tensors, shorten
+from solver.fitting.stretches import fibre_tensors, isochoric_activation
 from solver.kinds.document import Document, find_faults
-from solver.kinds.scene import Jaw, Key, MotionKey, Muscle, SimulateScene
+from solver.kinds.scene import Jaw, Keyframe, MotionKey, Muscle, SimulateScene
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel, by_muscle, find_muscles
@@ -140,7 +140,7 @@ def moving_fibres(
     if fibres is None:
         reason = "the scene has keys of fibre muscles, and the rig has none that are calibrated"
         raise InputError("scene.fibres", f"{reason}: run fit_fibres, or give its result")
-    return fibres.scaled(curve)
+    return fibres.scale(curve)
 
 
 def performances_of(
@@ -222,7 +222,7 @@ class _KeyReader:
         self._names = model.muscle_names
         self._tensors = fibre_tensors(model, shape_gradients(model.rest, model.tets)[1], S)
 
-    def __call__(self, entries: Sequence[Key]) -> list[PoseKey]:
+    def __call__(self, entries: Sequence[Keyframe]) -> list[PoseKey]:
         return [
             PoseKey(
                 entry.time,
@@ -248,4 +248,4 @@ class _KeyReader:
         if np.isnan(tensor).any():
             reason = f"the muscle {name!r} has no fibres in this rig: give six numbers instead"
             raise InputError("scene.muscle", reason, found=name)
-        return shorten(tensor, how)
+        return isochoric_activation(tensor, how)

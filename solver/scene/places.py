@@ -1,4 +1,4 @@
-"""What a scene names on and around a person: places, maps painted on the skin, and objects.
+"""Places, maps painted on the skin, and objects that a scene names on and around a person.
 
 A place is a landmark's name, the number of a skin vertex, or a point [x, y, z] in mm.
 """
@@ -46,7 +46,7 @@ class Places:
     def of(cls, model: SubjectModel, template: Path | None, assets: Mapping[str, Path]) -> Places:
         """Return the places of a person whose model was made with ``template``.
 
-        None is the built-in template; a person of another one then has no landmarks. Raises
+        Without one it is the built-in template, and a person of another has no landmarks. Raises
         :class:`InputError` (``scene.template``) for a template of another topology.
         """
         if template is not None:
@@ -100,7 +100,7 @@ class Places:
     def map_of(self, given: SkinMap | None) -> Floats | None:
         """Return a map (V,) on the skin: of an asset, of ``regions``, or of ``spots``.
 
-        None is no map. Raises ``scene.region``, ``scene.map`` and as :meth:`vertex`.
+        None stays None. Raises ``scene.region``, ``scene.map`` and as :meth:`vertex`.
         """
         if given is None:
             return None
@@ -161,7 +161,7 @@ class SceneObject:
 
     def at(self, time: float) -> Surface:
         """Return it in the world at ``time`` in s."""
-        return self.shape.moved(small_motion(self.path(time))(self.shape.vertices))
+        return self.shape.with_vertices(small_motion(self.path(time))(self.shape.vertices))
 
 
 def objects_of(
@@ -217,7 +217,7 @@ def _rod(radius: float, length: float, options: RodOptions = RodOptions()) -> Su
     end = np.array([0.0, half])
     profile = np.vstack([cap - end, side, cap[::-1] * np.array([1.0, -1.0]) + end])
     unit = _surface(trimesh.creation.revolve(profile, sections=sides))
-    return unit.moved(radius * unit.vertices)
+    return unit.with_vertices(radius * unit.vertices)
 
 
 def _read(name: str, path: Path) -> Surface:

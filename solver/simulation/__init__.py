@@ -148,7 +148,7 @@ class Simulator:
             # a part begins at a multiple of itself, so that they add up to one
             while part < largest and done % (2.0 * part) == 0.0:
                 part *= 2.0
-        y, inverted = minimum.x, self._flesh.inverted(minimum.x)
+        y, inverted = minimum.x, self._flesh.count_inverted(minimum.x)
         seconds = perf_counter() - begun
         return Stepped(now, y, iterations, halvings, minimum.residual, seconds, inverted)
 
@@ -256,7 +256,7 @@ class _Newton:
             motion = np.zeros_like(x)
             motion[held] = goal.held - x[held]
             force = energy.gradient(x) + self._pull(energy, x, motion, goal)
-            y = self._flesh.moved(x + motion, -self._factor.solve(force))
+            y = self._flesh.add_motion(x + motion, -self._factor.solve(force))
             part = energy.max_step(x, y, self._options)
             if part < 1.0 and old:
                 # an old factor knows nothing of what is in the way now

@@ -26,14 +26,14 @@ from solver.templates.tables import PublicFile, file_fault, obj_mesh, public_fil
 
 
 @dataclass(frozen=True)
-class Part:
+class AnatomicalPart:
     """One anatomical part, in mm with y up, and its category."""
 
     category: str
     surface: Surface
 
 
-def public_parts(folder: Path) -> dict[str, Part]:
+def public_parts(folder: Path) -> dict[str, AnatomicalPart]:
     """Return name -> the organs that the face needs, by ``data/bodyparts3d_parts.csv``.
 
     ``folder`` holds ``FMA*.obj`` at any depth, or the archive ``BodyParts3D_3.0_obj_99.zip``.
@@ -49,7 +49,9 @@ def public_parts(folder: Path) -> dict[str, Part]:
         reason = "holds BodyParts3D 4.0, which has no muscles of the face; release 3.0 has"
         raise file_fault("anatomy.release", f"{folder} {reason}", folder)
     return {
-        row["name"]: Part(row["category"], _surface(files, row["fma_id"], row["name"], folder))
+        row["name"]: AnatomicalPart(
+            row["category"], _surface(files, row["fma_id"], row["name"], folder)
+        )
         for row in read_table("bodyparts3d_parts")
     }
 
@@ -79,7 +81,7 @@ def to_subject_axes(points: Floats) -> Floats:
     return np.column_stack([points[:, 0], points[:, 2], -points[:, 1]])
 
 
-def read_parts(folder: Path) -> dict[str, Part]:
+def read_parts(folder: Path) -> dict[str, AnatomicalPart]:
     """Return the parts by name: the meshes of an ``index.csv``, else those of the download.
 
     Raises :class:`InputError`: ``anatomy.index`` if there is neither or the index lacks a column,
@@ -92,19 +94,21 @@ def read_parts(folder: Path) -> dict[str, Part]:
     return parts
 
 
-def _read_index(index: Path) -> dict[str, Part]:
+def _read_index(index: Path) -> dict[str, AnatomicalPart]:
     with index.open(newline="") as stream:
         reader = csv.DictReader(stream)
         missing = _COLUMNS - set(reader.fieldnames or ())
         if missing:
             raise file_fault("anatomy.index", f"{index} lacks the columns {sorted(missing)}", index)
         return {
-            row["name"]: Part(row["category"], _read_mesh(index.with_name(f"{row['fma_id']}.ply")))
+            row["name"]: AnatomicalPart(
+                row["category"], _read_mesh(index.with_name(f"{row['fma_id']}.ply"))
+            )
             for row in reader
         }
 
 
-def _name_eye_rings(parts: dict[str, Part], side: str) -> None:
+def _name_eye_rings(parts: dict[str, AnatomicalPart], side: str) -> None:
     """Give the larger eye ring the name of the orbital part: BodyParts3D 3.0 swaps the two."""
     names = [f"{part} part of {side} orbicularis oculi" for part in RINGS]
     if parts.keys() >= set(names):
@@ -122,7 +126,7 @@ def _read_mesh(path: Path) -> Surface:
     return Surface(to_subject_axes(vertices), faces)
 
 
-def muscle_names(parts: dict[str, Part]) -> list[str]:
+def muscle_names(parts: dict[str, AnatomicalPart]) -> list[str]:
     """Return the muscles that move the face: the facial ones, then masseter and temporalis."""
     facial = [
         n for n, p in parts.items() if p.category == "facial_muscle" and not n.endswith(_BEHIND)
@@ -150,7 +154,7 @@ def with_table_axis(name: str, surface: Surface, skull: Floats) -> Muscle:
     return Muscle(name, surface, axis, origin, insertion, row["ring"] == "yes", compartments)
 
 
-def part_surface(parts: dict[str, Part], name: str) -> Surface:
+def part_surface(parts: dict[str, AnatomicalPart], name: str) -> Surface:
     """Return a part's surface; raises :class:`InputError` (``anatomy.part``) if it is missing."""
     if name not in parts:
         raise InputError("anatomy.part", f"the anatomy has no part named '{name}'", part=name)
@@ -162,7 +166,7 @@ def reflect(points: Floats) -> Floats:
     return np.asarray(points * MIRROR + [2 * MIDDLE_X, 0.0, 0.0])
 
 
-def symmetric(parts: dict[str, Part]) -> dict[str, Part]:
+def symmetric(parts: dict[str, AnatomicalPart]) -> dict[str, AnatomicalPart]:
     """Return parts of the same names that are the left half of the anatomy and its mirror image.
 
     The man is nearly so (muscles to 0.5 mm), and a symmetric head needs it.
@@ -175,9 +179,9 @@ def symmetric(parts: dict[str, Part]) -> dict[str, Part]:
         elif "left" not in name:  # cut at the mid-plane
             on_left = (surface.vertices[surface.faces, 0] > MIDDLE_X).any(axis=1)
             half = part_of(surface, np.flatnonzero(on_left))
-            half = half.moved(np.maximum(half.vertices, [MIDDLE_X, -np.inf, -np.inf]))
+            half = half.with_vertices(np.maximum(half.vertices, [MIDDLE_X, -np.inf, -np.inf]))
             surface = join_surfaces([half, _mirror_image(half)])
-        result[name] = Part(part.category, surface)
+        result[name] = AnatomicalPart(part.category, surface)
     return result
 
 
@@ -185,6 +189,6 @@ def _mirror_image(surface: Surface) -> Surface:
     return Surface(reflect(surface.vertices), surface.faces[:, ::-1].copy())
 
 
-def merge_parts(parts: dict[str, Part], *categories: str) -> Surface:
+def merge_parts(parts: dict[str, AnatomicalPart], *categories: str) -> Surface:
     """Return all parts of some categories as one surface."""
     return join_surfaces([part.surface for part in parts.values() if part.category in categories])

@@ -209,7 +209,7 @@ def ict_capture_set(faces: Path, subject: str, capture_sets: Path | None = None)
             reason = f"ICT-FaceKit has no expression {unknown[0]}"
             raise file_fault("captures.expression", reason, path)
         moves = (weight * kit.deltas[name] for name, weight in weights.items())
-        return neutral.moved(neutral.vertices + sum(moves, np.zeros_like(neutral.vertices)))
+        return neutral.with_vertices(neutral.vertices + sum(moves, np.zeros_like(neutral.vertices)))
 
     train, test = (
         {name: scan(weights) for name, weights in sets[kind].items()} for kind in ("train", "test")
@@ -233,7 +233,7 @@ def ict_neutral(
 def identity(kit: FaceKit, seed: int) -> Surface:
     """Return a random person's neutral: standard normal identity coefficients by ``seed``."""
     coefficients = np.random.default_rng(seed).standard_normal(len(kit.identities))
-    return kit.skin.moved(kit.skin.vertices + np.tensordot(coefficients, kit.identities, 1))
+    return kit.skin.with_vertices(kit.skin.vertices + np.tensordot(coefficients, kit.identities, 1))
 
 
 def _read(path: Path) -> dict[str, Any]:

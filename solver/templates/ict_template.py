@@ -24,7 +24,7 @@ from solver.anatomy.warp import MIRROR, DepthLimits, PointPairs, SkinDepth, dept
 from solver.similarity import Similarity, fit_similarity
 from solver.surface import Floats, Ints, Surface, adjacency, inside, nearest_sphere
 from solver.templates import bodyparts3d, ict_facekit
-from solver.templates.bodyparts3d import Part, muscle_names
+from solver.templates.bodyparts3d import AnatomicalPart, muscle_names
 from solver.templates.ict_facekit import EYEBALLS, FaceKit
 
 # Corresponding points of BodyParts3D and the ICT-FaceKit head, and the soft-tissue depths.
@@ -52,7 +52,7 @@ class DepthTable:
         return np.maximum(least, least_mm), greatest
 
 
-def teeth_and_eyes(parts: dict[str, Part], kit: FaceKit) -> PointPairs:
+def teeth_and_eyes(parts: dict[str, AnatomicalPart], kit: FaceKit) -> PointPairs:
     """Return the middles of 28 tooth crowns and the centres of the eyeballs in both models."""
     pairs: list[tuple[Floats, ...]] = []
     skin = kit.skin
@@ -141,7 +141,7 @@ class Anatomy:
     muscles: dict[str, Surface]
 
 
-def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
+def carry_anatomy(parts: dict[str, AnatomicalPart], kit: FaceKit) -> Anatomy:
     """Return bone wraps and face muscles inside the head.
 
     A first warp carries bones and muscles by teeth, eyes and soft-tissue depths. A second one
@@ -174,7 +174,7 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
     )
     skull = bodyparts3d.merge_parts(parts, "cranium")
     jaw = bodyparts3d.part_surface(parts, "mandible")
-    skull, jaw = (bone.moved(first(align(bone.vertices))) for bone in (skull, jaw))
+    skull, jaw = (bone.with_vertices(first(align(bone.vertices))) for bone in (skull, jaw))
     cranium, mandible = wrap_bones(skull, jaw, head, VoxelGrid(WRAP_LO, WRAP_HI))
     sample = first(sample)
     wraps = [SkinDepth(cranium), SkinDepth(mandible)]
@@ -197,7 +197,9 @@ def carry_anatomy(parts: dict[str, Part], kit: FaceKit) -> Anatomy:
         centres=400,
         stiffness=0.1,
     )
-    moved = {name: parts[name].surface.moved(second(first(v))) for name, v in muscles.items()}
+    moved = {
+        name: parts[name].surface.with_vertices(second(first(v))) for name, v in muscles.items()
+    }
     return Anatomy(cranium, mandible, jaw, moved)
 
 

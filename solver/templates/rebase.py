@@ -24,7 +24,7 @@ from solver.anatomy.transfer import carry_muscle, guidance, relax
 from solver.errors import Finding, InputError
 from solver.meshio.mesh import check_finite, too_large_error, weld
 from solver.meshio.raw import RawScan, mend, read_raw
-from solver.progress import Progress, Step, silent
+from solver.progress import ProgressCallback, Step, silent
 from solver.registration.correspondence import Carrier, Correspondence, correspond
 from solver.registration.landmarks import match, read_landmarks
 from solver.registration.locate import face_surface, scan_samples
@@ -71,7 +71,7 @@ def rebase(
     name: str = "",
     frame: Mapping[str, Any] = FRAME,
     landmarks: Path | None = None,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> Rebased:
     """Return the template with the vertices of the head ``skin``, in their order.
 
@@ -136,7 +136,7 @@ def _register(
     known: Topology,
     frame: Mapping[str, Any],
     landmarks: Path | None,
-    progress: Progress,
+    progress: ProgressCallback,
 ) -> tuple[RegisteredFace, list[Finding]]:
     """Register the template onto a head; return what the head lacks of a face, too."""
     template, scan = known.template, mend(raw)[0]
@@ -168,8 +168,8 @@ def _place(
         back = Similarity(1.0, turned, -turned @ motion.shift)
         middle = float(back(face.skin.vertices[known.face])[:, 0].mean())
         if back.degrees < REBASE.straight_deg and abs(middle) < REBASE.centred_mm:
-            return surface.moved(motion.scale * surface.vertices @ axes.T), back
-    return surface.moved(motion(surface.vertices)), None
+            return surface.with_vertices(motion.scale * surface.vertices @ axes.T), back
+    return surface.with_vertices(motion(surface.vertices)), None
 
 
 def _into_shape(template: Template, skin: Floats) -> tuple[Template, str]:
@@ -185,9 +185,9 @@ def _into_shape(template: Template, skin: Floats) -> tuple[Template, str]:
 
     moved = replace(
         template,
-        skin=template.skin.moved(move(template.skin.vertices)),
-        cranium=template.cranium.moved(move(template.cranium.vertices)),
-        mandible=template.mandible.moved(move(template.mandible.vertices)),
+        skin=template.skin.with_vertices(move(template.skin.vertices)),
+        cranium=template.cranium.with_vertices(move(template.cranium.vertices)),
+        mandible=template.mandible.with_vertices(move(template.mandible.vertices)),
         muscles=tuple(carry_muscle(muscle, move) for muscle in template.muscles),
         condyles=move(template.condyles),
         bottom_y=template.bottom_y + float(shift[1]),

@@ -379,7 +379,9 @@ def _write_shapes(
             raise file_fault(
                 "template.value", f"the shape {name!r} has no name for a file", str(folder)
             )
-        write_ply(folder / f"{name}.ply", template.skin.moved(template.skin.vertices + delta))
+        write_ply(
+            folder / f"{name}.ply", template.skin.with_vertices(template.skin.vertices + delta)
+        )
 
 
 def _write_table(path: Path, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:

@@ -27,7 +27,7 @@ import scipy.sparse as sp
 
 from solver.errors import InputError, quote
 from solver.fitting.simplex import mix_by_stiffness
-from solver.fitting.stretches import Shortening, fibre_tensors
+from solver.fitting.stretches import IsochoricActivations, fibre_tensors
 from solver.kinds import FILES
 from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
 from solver.mechanics.flesh import IDENTITY, LAWS, shape_gradients
@@ -268,7 +268,7 @@ class TrackTargets:
         # muscles with a line and fibres; the others stay as passive flesh
         self._driven = (lengths > 0.0) & np.isfinite(tensors).all(axis=(1, 2))
         self._rest_lengths = lengths[self._driven]
-        self._shortening = Shortening.of(tensors[self._driven])
+        self._activations = IsochoricActivations.of(tensors[self._driven])
 
     @cached_property
     def _jaw_rates(self) -> Floats:
@@ -281,7 +281,7 @@ class TrackTargets:
 
     def at(self, q: Floats) -> TrackPose:
         """Return what q (K + 5,) asks for."""
-        return self._pose(self.jaw(q), self._morphed(q))
+        return self._pose(self.jaw(q), self._morph(q))
 
     def _pose(self, b: Floats, y: Floats) -> TrackPose:
         """Return what a jaw b (5,) and the morphed flesh y (p, 3) ask for."""
@@ -289,12 +289,12 @@ class TrackTargets:
         target = (1.0 - share) * y + share * self._jaw.move(y, b)
         lengths = self._tracks.lines.lengths(target)
         a = np.tile(IDENTITY, (len(lengths), 1))
-        a[self._driven] = self._shortening(self._stretches(lengths))
+        a[self._driven] = self._activations(self._stretches(lengths))
         return TrackPose(target, b, lengths, a)
 
     def rates(self, q: Floats) -> TrackRates:
         """Return the derivatives of :meth:`at`."""
-        b, y, tracks = self.jaw(q), self._morphed(q), self._tracks
+        b, y, tracks = self.jaw(q), self._morph(q), self._tracks
         share = tracks.skinning[:, None, None]
         turned = (1.0 - share) * np.eye(3) + share * self._jaw.matrix(b)[:3, :3]
         target = share * (self._jaw.jacobian(y, b) @ self._jaw_rates)
@@ -302,12 +302,12 @@ class TrackTargets:
         pose = self._pose(b, y)
         lengths = tracks.lines.length_rates(pose.target, target)
         a = np.zeros((*pose.activations.shape, len(q)))
-        by_stretch = self._shortening.rates(self._stretches(pose.lengths))
+        by_stretch = self._activations.rates(self._stretches(pose.lengths))
         stretch = lengths[self._driven] / self._rest_lengths[:, None]
         a[self._driven] = by_stretch[:, :, None] * stretch[:, None]
         return TrackRates(target, self._jaw_rates, a)
 
-    def _morphed(self, q: Floats) -> Floats:
+    def _morph(self, q: Floats) -> Floats:
         weights = q[: len(self._tracks.names)]
         return np.asarray(self._model.rest + np.tensordot(weights, self._tracks.morphs, 1))
 

@@ -109,7 +109,7 @@ class TrackFace:
         pose = self.targets.at(q)
         drive = self._drive(0.0, pose)
         motion = self._simulator.rest(drive)
-        inverted = self.face.flesh.inverted(motion.x)
+        inverted = self.face.flesh.count_inverted(motion.x)
         return TrackState(q, pose, drive, motion, 0.0, 0, inverted, 0.0)
 
     def move(self, state: TrackState, q: Floats) -> TrackState:

@@ -65,4 +65,4 @@ class PlainFace:
 
     def _at(self, q: Floats) -> PlainState:
         pose = self._targets.at(q)
-        return PlainState(q, pose, self.face.flesh.inverted(pose.target))
+        return PlainState(q, pose, self.face.flesh.count_inverted(pose.target))

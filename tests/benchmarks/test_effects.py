@@ -9,7 +9,7 @@ from PIL import Image
 from benchmarks.physics import effects
 from benchmarks.physics.section import section
 from solver.fitting.face import Face, Pose
-from solver.rig.rig import ExpressionFit
+from solver.rig import ExpressionFit
 from solver.scene.places import Places
 from tests.solver.block import head_block
 

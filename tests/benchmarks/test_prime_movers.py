@@ -62,7 +62,7 @@ def test_the_muscle_that_made_a_shape_is_found() -> None:
     assert (summary["prime_mover_top3"], summary["judged"]) == (0.5, 2)
     # a mixture of both: the smile has its muscle, the chin contracts for the unit of no muscle
     weights = {"mouthSmileLeft": 1.0, "noseSneerLeft": 1.0}
-    both = face.model.skin.moved(skin + moved[0] + moved[1])
+    both = face.model.skin.with_vertices(skin + moved[0] + moved[1])
     mixture = measure_mixtures(face, {"both": both}, {"both": weights})["shapes"]["both"]
     assert mixture["units"] == {"AU 12 left": True}
     assert set(mixture["others"]) == {"mentalis_r"}

@@ -31,7 +31,9 @@ def face() -> Face:
 def fits(face: Face, name: str, state: PosedFace) -> Fits:
     skin = face.whole_skin(state.x, state.pose.b)
     ending = FallbackFit(state, 0.0, 3, "reduced", "converged")
-    return Fits(face, {name: face.model.skin.moved(skin + 0.1)}, {name: ending}, 2.0, rounds=4)
+    return Fits(
+        face, {name: face.model.skin.with_vertices(skin + 0.1)}, {name: ending}, 2.0, rounds=4
+    )
 
 
 def test_known_muscles_and_a_known_jaw(face: Face) -> None:

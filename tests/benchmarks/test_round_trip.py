@@ -32,7 +32,7 @@ def test_muscles_of_a_mixture_come_back(monkeypatch: pytest.MonkeyPatch) -> None
     turned = {"mouthSmileRight": 0.7}
     wrong = named_pose(face, turned, np.random.default_rng(0))
     there = face.continuation(face.rest, wrong)
-    skin = face.model.skin.moved(face.whole_skin(there.x, wrong.b))
+    skin = face.model.skin.with_vertices(face.whole_skin(there.x, wrong.b))
     told = dict(round_trip.TOLD)
     told["nonsense"] = lambda face, scans, _: by_activations(face, dict.fromkeys(scans, skin))
     monkeypatch.setattr(round_trip, "TOLD", told)

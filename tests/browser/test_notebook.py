@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from solver.model import SubjectModel
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig import ExpressionFit, Rig
 from solver.templates.builtin.build import builtin_expression
 from tests.solver.block import block_model
 

@@ -75,3 +75,13 @@ def test_the_citation_is_of_this_version() -> None:
     for paper in cited["references"]:
         assert {"type", "title", "authors", "year"} <= paper.keys()
         assert all({"given-names", "family-names"} <= author.keys() for author in paper["authors"])
+
+
+def test_the_ways_of_the_data_lead_through_functions_that_are_there() -> None:
+    page = (ROOT / "docs/develop/follow-the-data.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\S+\.py)` \| (.+?) \|", page, re.MULTILINE)
+    assert len(rows) > 50
+    for file, functions in rows:
+        text = (ROOT / file).read_text(encoding="utf-8")
+        defined = set(re.findall(r"^\s*(?:def|class) (\w+)", text, re.MULTILINE))
+        assert set(INLINE.findall(functions)) <= defined, file

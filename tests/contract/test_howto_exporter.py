@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from solver.mechanics.flesh import IDENTITY
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig import ExpressionFit, Rig
 from tests.contract.howto import Followed, copy_tree, follow, page
 from tests.solver.block import block_model
 
@@ -35,7 +35,7 @@ print("pc2" in offered, told["file"], told["bytes"])
 AFTER_A_FIT = """
 from pathlib import Path
 from solver.rig.exporters import export_all
-from solver.rig.rig import Rig
+from solver.rig import Rig
 print(*(each.path.name for each in export_all(Rig.load(Path("rig.npz")), Path("made"))))
 """
 

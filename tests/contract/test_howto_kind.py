@@ -82,7 +82,7 @@ KINDS_ROUTE = "/v1/kinds"
 def put_rig(settings: object, folder: Path, served: object) -> tuple[str, str]:
     """Put a subject with a model and a rig into a service that stands; return their ids."""
     from solver.mechanics.flesh import IDENTITY
-    from solver.rig.rig import ExpressionFit, Rig
+    from solver.rig import ExpressionFit, Rig
     from tests.solver.block import head_block
 
     model = head_block()

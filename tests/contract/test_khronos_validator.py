@@ -11,10 +11,10 @@ import trimesh
 
 from myoface.demo.outcome import khronos_validation
 from solver.cache import cache_directory
+from solver.rig import ExpressionFit, Rig
 from solver.rig.exporters import glb
 from solver.rig.frames.animation_gltf import write_animation_glb
 from solver.rig.frames.gltf import Solid
-from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Surface
 from tests.fixtures import fixture_model, ict_capture
 

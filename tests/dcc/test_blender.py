@@ -18,6 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.mechanics.boundary import move_jaw
+from solver.rig import ExpressionFit, Rig
 from solver.rig.exporters import glb
 from solver.rig.frames import SequenceFrame
 from solver.rig.frames.animation_gltf import (
@@ -27,7 +28,6 @@ from solver.rig.frames.animation_gltf import (
     write_animation_glb,
 )
 from solver.rig.frames.gltf import Solid
-from solver.rig.rig import ExpressionFit, Rig
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
 from tests.solver.block import block_model

@@ -19,7 +19,7 @@ from myoface.client import Client
 from myoface.stack import Stack
 from service.settings import Settings
 from solver.model import SubjectModel
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.templates.builtin.build import builtin_capture_set
 from tests.command_line import invoke
 

@@ -12,9 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from solver.mechanics.boundary import move_jaw
+from solver.rig import ExpressionFit, Rig
 from solver.rig.frames import MarkerFrame
 from solver.rig.frames.animation_gltf import AnimatedSkin
-from solver.rig.rig import ExpressionFit, Rig
 from solver.similarity import small_motion
 from solver.surface import Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
@@ -47,7 +47,7 @@ def rig() -> Rig:
         block_model(),
         skin=skin,
         face=np.arange(1000),
-        bones={"cranium": bone, "mandible": bone.moved(corners - 40.0)},
+        bones={"cranium": bone, "mandible": bone.with_vertices(corners - 40.0)},
     )
     error = np.full(len(skin.vertices), np.nan)
     error[model.face] = 0.5
@@ -136,7 +136,7 @@ def test_shapes_turn_the_normals_too(rig: Rig, path: Path) -> None:
     moving = np.array(shape.GetPointIndicesAttr().Get())
     normals = np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/Face/Skin")).GetNormalsAttr().Get())
     found = normals[moving] + np.array(shape.GetNormalOffsetsAttr().Get())
-    expected = vertex_normals(rig.model.skin.moved(rig.expressions[1].skin))[moving]
+    expected = vertex_normals(rig.model.skin.with_vertices(rig.expressions[1].skin))[moving]
     np.testing.assert_allclose(found, expected, atol=1e-5)
     assert len(moving) < len(normals)
 

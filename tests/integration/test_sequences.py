@@ -17,8 +17,8 @@ from service.store.database import Store
 from service.store.files import FolderFiles
 from service.store.models import DEFAULT_TENANT
 from solver.mechanics.flesh import IDENTITY
+from solver.rig import Rig
 from solver.rig.frames import SequenceFrame, write_chunk
-from solver.rig.rig import Rig
 from tests.service_client import Studio, eventually
 from tests.solver.block import block_model
 from worker.attempt import AttemptFolder

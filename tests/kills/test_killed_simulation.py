@@ -19,7 +19,7 @@ from solver.anatomy.template import ShapeBasis
 from solver.jobs import run_job
 from solver.jobs.animate import SAVED_EVERY
 from solver.model import SubjectModel
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig import ExpressionFit, Rig
 from solver.scans.performance import ARKIT_NAMES
 from tests.service_client import QUICK, ROOT, Studio, eventually, served
 from tests.solver.ball import ball_template

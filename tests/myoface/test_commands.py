@@ -126,9 +126,9 @@ def test_windows_has_wildcards_too(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         (tmp_path / name).touch()
     words = ["add", "*.obj", "?.txt", "*.stl", '{"a": "*"}']
     monkeypatch.chdir(tmp_path)
-    assert cli.expanded(words) == words
+    assert cli.expand_wildcards(words) == words
     monkeypatch.setattr(cli, "os", types.SimpleNamespace(name="nt"))
-    assert cli.expanded(words) == ["add", "a.obj", "b.obj", "c.txt", "*.stl", '{"a": "*"}']
+    assert cli.expand_wildcards(words) == ["add", "a.obj", "b.obj", "c.txt", "*.stl", '{"a": "*"}']
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 
 from myoface.cli import console
 from myoface.cli.console import (
-    JobView,
+    JobDisplay,
     Painted,
     complain,
     show_outcome,
@@ -35,7 +35,7 @@ def test_a_log_has_news_of_a_long_phase_now_and_then(
 ) -> None:
     now = [100.0]
     monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
-    with JobView("simulate") as view:
+    with JobDisplay("simulate") as view:
         view(Step("read", 0.0, message="[model].npz"))
         for number in range(1, 31):
             view(Step("simulate", number / 40, message=f"frame {number} of 30"))
@@ -62,7 +62,7 @@ def test_a_stranger_s_text_does_nothing_to_the_terminal(capsys: pytest.CaptureFi
     show_table(("name",), [(HOSTILE,)])
     show_verdict(HOSTILE, {"verdict": "bad", "findings": [finding]})
     show_registration(HOSTILE, {"coverage": 1.0, "mean_mm": None, "findings": [finding]})
-    with JobView(HOSTILE) as view:
+    with JobDisplay(HOSTILE) as view:
         view(Step(HOSTILE, 0.0, message=HOSTILE))
     with transfer_bar(HOSTILE) as progress:
         progress(1, 2)

@@ -12,7 +12,7 @@ import pytest
 from myoface.cli.offline import name_expressions
 from myoface.errors import ApiError
 from solver.meshio.registered import write_registered
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from tests.command_line import Told, invoke
 from tests.solver.block import head_block
 
@@ -63,7 +63,7 @@ def test_expressions_are_called_as_the_service_calls_them(tmp_path: Path) -> Non
 def test_a_fit_ends_with_its_verdict_and_certificate(rig: Path, tmp_path: Path) -> None:
     skin = head_block((7, 5, 1)).skin
     moved = skin.vertices + 0.02 * (skin.vertices - skin.vertices.mean(axis=0))
-    write_registered(tmp_path / "smile.ply", skin.moved(moved), np.ones(len(moved)))
+    write_registered(tmp_path / "smile.ply", skin.with_vertices(moved), np.ones(len(moved)))
     out = tmp_path / "fitted"
     told = invoke(["solve", "activations", str(rig), str(tmp_path / "smile.ply"), "-o", str(out)])
     assert told.exit_code == 0, told.output

@@ -35,7 +35,7 @@ def test_one_that_has_shown_a_key_gives_way_to_no_anonymous_one() -> None:
     slots = ConnectionSlots[str](8, 1, MANY)
     _filled(slots, "a", 5)
     assert [slots.open(name, name) for name in "1234567"] == [None, None, None, *"1234"]
-    assert slots.authenticated("a") == 5
+    assert slots.count_of_tenant("a") == 5
 
 
 def test_a_tenant_gives_way_to_itself_the_longest_idle_first() -> None:
@@ -50,7 +50,7 @@ def test_a_tenant_gives_way_to_itself_the_longest_idle_first() -> None:
     assert slots.authenticate("newer", "a") == "a0"  # the only one without a request
     slots.open("newest", "x")
     assert slots.authenticate("newest", "a") == "new"  # none is idle: the oldest request
-    assert slots.authenticated("a") == 3
+    assert slots.count_of_tenant("a") == 3
 
 
 def test_the_tenant_with_the_most_gives_way_to_another() -> None:
@@ -61,7 +61,7 @@ def test_the_tenant_with_the_most_gives_way_to_another() -> None:
         assert slots.open(f"c{number}", "c") is None
         assert slots.authenticate(f"c{number}", "c") == gone
     # a quarter of the slots is left to those that have yet to show a key
-    assert [slots.authenticated(tenant) for tenant in "abc"] == [4, 5, 3]
+    assert [slots.count_of_tenant(tenant) for tenant in "abc"] == [4, 5, 3]
 
 
 def test_a_connection_is_of_the_tenant_of_its_last_request() -> None:
@@ -70,7 +70,7 @@ def test_a_connection_is_of_the_tenant_of_its_last_request() -> None:
     for tenant in ("a", "b", "a"):
         slots.authenticate("proxy", tenant)
         slots.rest("proxy")
-    assert (slots.authenticated("a"), slots.authenticated("b")) == (1, 0)
+    assert (slots.count_of_tenant("a"), slots.count_of_tenant("b")) == (1, 0)
 
 
 def test_one_that_is_closed_is_forgotten() -> None:
@@ -81,4 +81,4 @@ def test_one_that_is_closed_is_forgotten() -> None:
     assert slots.authenticate("0", "a") is None
     slots.rest("0")
     assert slots.open("1", "a") is None
-    assert (slots.anonymous, slots.authenticated("a")) == (1, 0)
+    assert (slots.anonymous, slots.count_of_tenant("a")) == (1, 0)

@@ -25,7 +25,7 @@ def ball_template():
     parting[:, 1] = 3 * np.exp(-(((up + 15) / 10) ** 2)) * (z > 0)
     # wide enough that some vertex of the skull always lies under it
     surface = ball([0, 0, 0], 6.0, 2)
-    surface = surface.moved(surface.vertices * [3, 2, 1] + [0, 10, 45])
+    surface = surface.with_vertices(surface.vertices * [3, 2, 1] + [0, 10, 45])
     muscle = Muscle(
         "frontalis",
         surface,

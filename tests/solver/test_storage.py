@@ -14,7 +14,7 @@ import pytest
 
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.scans.performance import open_performance
 from solver.storage import map_array, read_arrays
 from tests.solver.block import block_model

@@ -15,7 +15,7 @@ from pathlib import Path
 from PIL import Image, ImageDraw
 
 from solver.errors import InputError
-from solver.progress import Progress, Step
+from solver.progress import ProgressCallback, Step
 
 SHOW = "STANDIN_SHOW" in os.environ
 SECONDS, LEAST_REPORTS = (0.5, 12) if SHOW else (0.0, 1)
@@ -27,7 +27,7 @@ def orders_of(scan: Path) -> dict[str, str]:
     return dict(line[3:].split(maxsplit=1) for line in lines if line.startswith("#! "))
 
 
-def work(scans: Iterable[Path], progress: Progress, phases: Sequence[str]) -> None:
+def work(scans: Iterable[Path], progress: ProgressCallback, phases: Sequence[str]) -> None:
     """Report progress, to be seen in ``phases``, with an error that falls, as each scan says."""
     phases = phases if SHOW else ["geometry"]
     for scan in scans:

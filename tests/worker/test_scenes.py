@@ -13,8 +13,8 @@ from solver.animation.blendshapes import Blendshapes, Solved
 from solver.fitting.face import Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import silent
+from solver.rig import Rig
 from solver.rig.frames import SequenceFrame, write_sequence
-from solver.rig.rig import Rig
 from solver.scans.performance import ARKIT_NAMES
 from tests.solver.block import head_block
 from worker.solve import solve

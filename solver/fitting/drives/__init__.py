@@ -23,7 +23,7 @@ from solver.surface import Floats
 
 
 @dataclass(frozen=True)
-class Shortening:
+class ContractionMap:
     """Contractions of m muscles by their values: c_j = rates_j . (a_j - rest_j), 0 at rest.
 
     Contraction is the part of their length that fibres lose, of fibre muscles the activation.
@@ -48,31 +48,23 @@ class MuscleDrive(Protocol):
     def rates(self, forces: TetForces) -> MuscleRates:
         """Return the forces' derivative by the values."""
 
-    def feasible(
-        self,
-        model: SubjectModel,  # noqa: ARG002
-        volumes: Floats,  # noqa: ARG002
-        S: sp.csr_array,  # noqa: ARG002
-    ) -> FeasibleSet | None:
+    def feasible(self, model: SubjectModel, volumes: Floats, S: sp.csr_array) -> FeasibleSet | None:
         """Return the set that the values stay in, None if there is none but the block's box.
 
         ``volumes`` (n,) are the tets' at rest.
         """
         return None
 
-    def shortening(
-        self,
-        model: SubjectModel,  # noqa: ARG002
-        volumes: Floats,  # noqa: ARG002
-        S: sp.csr_array,  # noqa: ARG002
-    ) -> Shortening | None:
+    def contraction_map(
+        self, model: SubjectModel, volumes: Floats, S: sp.csr_array
+    ) -> ContractionMap | None:
         """Return the muscles' contractions by their values; None where these do not tell them.
 
         ``volumes`` (n,) are the tets' at rest.
         """
         return None
 
-    def loosened(self, part: float) -> MuscleDrive | None:  # noqa: ARG002
+    def loosen(self, part: float) -> MuscleDrive | None:
         """Return the drive with its bounds ``part`` of the way to none that bind; 0 is the same.
 
         None for one that free activations cannot be brought into step by step: it has no bounds, or
@@ -80,7 +72,7 @@ class MuscleDrive(Protocol):
         """
         return None
 
-    def lacks(self, model: SubjectModel) -> list[Finding]:  # noqa: ARG002
+    def lacks(self, model: SubjectModel) -> list[Finding]:
         """Return warnings of what a model does not have, so that the drive cannot do its part."""
         return []
 

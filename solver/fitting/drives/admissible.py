@@ -1,6 +1,6 @@
 """Activations that a living muscle can make, and the barrier of that set.
 
-Of muscle j with the stretches lambda_k of S(a_j) and the mean T_j of d d^T along its fibres d,
+With the stretches lambda_k of S(a_j) and the mean T_j of d d^T along its fibres d, muscle j has
 
     T_j : S(a_j) < fibre,    shortest < lambda_k < longest,    1/volume < det S(a_j) < volume,
 
@@ -29,7 +29,7 @@ from typing_extensions import override
 from solver.anatomy.physiology import SHORTEST
 from solver.errors import Finding, InputError, make_warning
 from solver.fitting.controls import Block
-from solver.fitting.drives.six_numbers import SixNumbers, activation_block
+from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.stretches import (
     COLUMN,
     FROBENIUS,
@@ -66,7 +66,7 @@ class AdmissibleLimits:
             message = f"limits have to leave muscles at rest inside of every bound, not {self}"
             raise InputError("limits.rest", message)
 
-    def loosened(self, part: float) -> AdmissibleLimits:
+    def loosen(self, part: float) -> AdmissibleLimits:
         """Return ``part`` of the way to :data:`FREE`; 0 is the same."""
         return replace(
             self,
@@ -99,7 +99,7 @@ def limits_by_plausibility(
 ) -> AdmissibleLimits:
     """Return limits for a plausibility from 0, nearly free, to 1, the limits as they are."""
     part = options.loosest * (1.0 - plausibility) ** options.power
-    return AdmissibleLimits().loosened(part)
+    return AdmissibleLimits().loosen(part)
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ class AdmissibleSet:
             if len(beyond) == 0:
                 return found
             some = replace(self, tensors=self.tensors[beyond])
-            found[beyond] = some._projected(found[beyond], self.options.further * least[beyond])
+            found[beyond] = some._project(found[beyond], self.options.further * least[beyond])
         part = np.ones(len(a))
         for _ in range(self.options.shrinks):
             shrunk = IDENTITY + part[:, None] * (found - IDENTITY)
@@ -186,7 +186,7 @@ class AdmissibleSet:
             part = np.where(outside, self.options.shrink * part, part)
         return np.asarray(shrunk)
 
-    def _projected(self, a: Floats, least: Floats) -> Floats:
+    def _project(self, a: Floats, least: Floats) -> Floats:
         """Return activations moved to ``least`` (m, 9) inside one bound after the other."""
         limits, room = self.limits, np.log(self.limits.volume)
         over = np.maximum(self._fibres(a) - (limits.fibre - least[:, 0]), 0.0)
@@ -254,15 +254,16 @@ class Admissible(SixNumbers):
 
     @override
     def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
-        return activation_block(S.shape[1] - 1, self.feasible(model, flesh.volumes, S))
+        free = super().block(model, flesh, S)
+        return replace(free, feasible=self.feasible(model, flesh.volumes, S))
 
     @override
     def feasible(self, model: SubjectModel, volumes: Floats, S: sp.csr_array) -> AdmissibleSet:
         return AdmissibleSet(self.limits, fibre_tensors(model, volumes, S))
 
     @override
-    def loosened(self, part: float) -> Admissible:
-        return Admissible(self.limits.loosened(part))
+    def loosen(self, part: float) -> Admissible:
+        return Admissible(self.limits.loosen(part))
 
     @override
     def lacks(self, model: SubjectModel) -> list[Finding]:

@@ -22,7 +22,7 @@ from solver.errors import InputError
 from solver.fitting import activation
 from solver.fitting.activation import UNSEEN_STOP, ActivationFit
 from solver.fitting.controls import Block
-from solver.fitting.drives import MuscleDrive, Shortening
+from solver.fitting.drives import ContractionMap, MuscleDrive
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import FROBENIUS, entries
@@ -119,8 +119,10 @@ class FibreContraction(MuscleDrive):
         return MatrixRates(sp.csr_array(by_activation @ rates))
 
     @override
-    def shortening(self, model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Shortening:
-        return Shortening(np.full((S.shape[1] - 1, 1), -1.0), volumes_by_muscle(volumes, S))
+    def contraction_map(
+        self, model: SubjectModel, volumes: Floats, S: sp.csr_array
+    ) -> ContractionMap:
+        return ContractionMap(np.full((S.shape[1] - 1, 1), -1.0), volumes_by_muscle(volumes, S))
 
 
 def fit_contractions(

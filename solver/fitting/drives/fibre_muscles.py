@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from typing_extensions import override
 
 from solver.fitting.controls import Block, Spread
-from solver.fitting.drives import MuscleDrive, Shortening
+from solver.fitting.drives import ContractionMap, MuscleDrive
 from solver.fitting.drives.six_numbers import ACTIVATION_REACH
 from solver.fitting.tet_forces import MatrixRates, MuscleRates, TetForces
 from solver.mechanics.fibre_muscle import CURVE, Curve, FibreMuscles, driven_by_muscles
@@ -53,7 +53,9 @@ class FibreDrive(MuscleDrive):
         return MatrixRates(forces.flesh.forces_by_control(forces.x, forces.controls))
 
     @override
-    def shortening(self, model: SubjectModel, volumes: Floats, S: sp.csr_array) -> Shortening:
+    def contraction_map(
+        self, model: SubjectModel, volumes: Floats, S: sp.csr_array
+    ) -> ContractionMap:
         muscles, count = self.muscles, len(self.muscles.strengths)
         flesh = np.bincount(muscles.muscles, muscles.fractions * volumes[muscles.tets], count)
-        return Shortening(np.ones((count, 1)), np.asarray(flesh, np.float64))
+        return ContractionMap(np.ones((count, 1)), np.asarray(flesh, np.float64))

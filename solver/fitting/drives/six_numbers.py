@@ -18,8 +18,7 @@ from typing_extensions import override
 
 from solver.anatomy.muscle_weights import volumes_by_muscle
 from solver.fitting.controls import Block, ShapePenalty, Spread
-from solver.fitting.drives import MuscleDrive, Shortening
-from solver.fitting.interior_point import FeasibleSet
+from solver.fitting.drives import ContractionMap, MuscleDrive
 from solver.fitting.stretches import (
     COLUMN,
     FROBENIUS,
@@ -61,17 +60,17 @@ class SixNumbers(MuscleDrive):
         return BlendedRates(forces)
 
     @override
-    def shortening(
+    def contraction_map(
         self, model: SubjectModel, volumes: Floats, S: sp.csr_array
-    ) -> Shortening | None:
+    ) -> ContractionMap | None:
         if S.shape[1] != model.muscle_count + 1:  # tets by themselves, which are no muscles
             return None
         tensors = fibre_tensors(model, volumes, S)
-        return Shortening(-FROBENIUS * tensors[:, ROW, COLUMN], volumes_by_muscle(volumes, S))
+        return ContractionMap(-FROBENIUS * tensors[:, ROW, COLUMN], volumes_by_muscle(volumes, S))
 
 
-def activation_block(muscles: int, feasible: FeasibleSet | None = None) -> Block:
-    """Return the block of activations (m, 6), free unless there is a set that they stay in."""
+def activation_block(muscles: int) -> Block:
+    """Return the block of activations (m, 6), free."""
     rest = np.tile(IDENTITY, (muscles, 1))
     spread = Spread(template=0.03, scans=0.03, nothing=0.6)
     return Block(
@@ -80,7 +79,6 @@ def activation_block(muscles: int, feasible: FeasibleSet | None = None) -> Block
         reach=ACTIVATION_REACH,
         spread=spread,
         role="muscles",
-        feasible=feasible,
         penalty=TensorPenalty(),
     )
 

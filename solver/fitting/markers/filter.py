@@ -100,7 +100,7 @@ class ControlFilter:
         last = self._last
         is_same = last is not None and is_of_same(table, last.evidence.table)
         if self._is_steady and last is not None and known is last.known and is_same:
-            return last.prior.about(self.usual.faded(mean, self._kept))
+            return last.prior.about(self.usual.fade(mean, self._kept))
         return self.later(mean, known.covariance, table)
 
     def after(
@@ -108,7 +108,7 @@ class ControlFilter:
     ) -> KnownControls:
         """Return what is known after a frame: ``prior`` is :meth:`before` of it, from ``known``.
 
-        That is None before the first frame.
+        ``known`` is None before the first frame.
         """
         last = self._last
         if last is None or known is not last.known or evidence is not last.evidence:

@@ -130,9 +130,18 @@ class MarkerFit:
         return np.asarray(off)
 
     @property
-    def rejected(self) -> int:
+    def rejected_count(self) -> int:
         """Return how many points were taken for wrong."""
         return int((self.judged.states == "outlier").sum())
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """A frame before it is fitted: what is seen and probable of it, and what the last one left."""
+
+    seen: SeenMarkers
+    prior: GaussianPrior
+    memory: MarkerMemory | None
 
 
 class _Response:
@@ -217,31 +226,27 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         self, seen: SeenMarkers, solver: FrameSolver, memory: MarkerMemory | None
     ) -> tuple[MarkerFit, MarkerMemory]:
         prior, head = self._before(seen, solver.state, memory)
-        fit, left = self._fit(seen, solver, memory, prior, prior, head)
+        begun = _Begun(seen, prior, memory)
+        fit, left = self._fit(begun, solver, prior, head)
         if memory is not None:
             return fit, left
         # judged from the face at rest, the points of a wide-open mouth are wrong ones
         for _ in range(self.options.looks):
-            if fit.kept or not fit.rejected:
+            if fit.kept or not fit.rejected_count:
                 break
             expected, head = self.prior.about(left.mean), self._before(seen, fit.state)[1]
             before = fit
-            fit, left = self._fit(seen, solver, None, prior, expected, head)
+            fit, left = self._fit(begun, solver, expected, head)
             fit = replace(fit, steps=before.steps + fit.steps)
-            if fit.rejected >= before.rejected:
+            if fit.rejected_count >= before.rejected_count:
                 break
         return fit, left
 
     def _fit(
-        self,
-        seen: SeenMarkers,
-        solver: FrameSolver,
-        memory: MarkerMemory | None,
-        prior: GaussianPrior,
-        expected: GaussianPrior,
-        head: HeadPrior,
+        self, begun: _Begun, solver: FrameSolver, expected: GaussianPrior, head: HeadPrior
     ) -> tuple[MarkerFit, MarkerMemory]:
-        """Fit a frame whose controls are those of ``prior``; points are judged by ``expected``."""
+        """Fit a frame; its points are judged by the controls that are ``expected``."""
+        seen, prior = begun.seen, begun.prior
         at, spread = self._predict(expected, solver)
         precision = self._precision(seen.sigma)
         points, free = seen.points, seen.unlabelled
@@ -250,7 +255,7 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
             state, mean = solver.state, self._expect(prior, seen.known)
             with suppress(SolveError):  # out of reach: it stays where it is
                 solver.go_to(state.pose.add(mean - state.pose.vector()))
-            return self._leave(solver, term, judged, prior, memory, "predicted", known=seen.known)
+            return self._leave(begun, solver, term, judged, "predicted")
         priors: list[Prior] = [prior, self._penalties]
         priors += [] if seen.known is None else [seen.known]
         try:
@@ -261,12 +266,11 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
             held = self._held(self._evidence(solver, term, seen.known).alone, seen.known)
             if held.any():
                 priors.append(self._hold(held, prior.mean))
-            probable, first = PriorSum(tuple(priors)), memory is None
+            probable, first = PriorSum(tuple(priors)), begun.memory is None
             steps = solver.fit(term, term.precision, probable, contact=self._contact, whole=first)
         except (SolveError, np.linalg.LinAlgError):
-            return self._leave(solver, term, judged, prior, memory, "kept", known=seen.known)
-        more = (steps, seen.known)
-        return self._leave(solver, term, judged, prior, memory, "fitted", *more)
+            return self._leave(begun, solver, term, judged, "kept")
+        return self._leave(begun, solver, term, judged, "fitted", steps)
 
     def _expect(self, prior: GaussianPrior, known: KnownTerm | None) -> Floats:
         """Return the controls (q,) of a frame of which a table alone tells, if there is one."""
@@ -385,23 +389,21 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
 
     def _leave(
         self,
+        begun: _Begun,
         solver: FrameSolver,
         term: MarkerTerm,
         judged: JudgedFrame,
-        prior: GaussianPrior,
-        memory: MarkerMemory | None,
         ending: Literal["fitted", "predicted", "kept"],
         steps: int = 0,
-        known: KnownTerm | None = None,
     ) -> tuple[MarkerFit, MarkerMemory]:
         """Return the frame, and its posterior to be remembered."""
-        state = solver.state
+        state, prior, known = solver.state, begun.prior, begun.seen.known
         placed = term.place(self.places.at(state.x))
         if ending == "kept":  # its markers determine none of the controls of another frame
             evidence = self.filter.evidence(np.zeros_like(prior.covariance))
         else:
             evidence = self._evidence(solver, term, known)
-        alone, before = evidence.alone, None if memory is None else memory.known
+        alone, before = evidence.alone, None if begun.memory is None else begun.memory.known
         after = self.filter.after(prior, before, evidence)
         head = HeadPrior(placed.head, placed.precision)
         fit = MarkerFit(

@@ -83,7 +83,7 @@ def reach(
     normal = rows.T @ term.inner(term.place(places.at(x))) @ rows
     muscles = face.layout.muscles
     by_expressions = Posterior.of_normal(normal, prior.precision).information_of(muscles)
-    apart = inverse_of_positive(_uncorrelated(prior.covariance, muscles))
+    apart = inverse_of_positive(_drop_correlations(prior.covariance, muscles))
     now = Posterior.of_normal(normal, apart)
     information = now.information_of(muscles)
     points = face.face_points(x)
@@ -102,7 +102,7 @@ def reach(
     return Reach(information, by_expressions, tuple(further), options)
 
 
-def _uncorrelated(covariance: Floats, muscles: Ints) -> Floats:
+def _drop_correlations(covariance: Floats, muscles: Ints) -> Floats:
     """Return a covariance (k, k) in which no muscle (m, g) tells of another, or of the jaw."""
     group = np.full(len(covariance), -1)
     group[muscles] = np.arange(len(muscles))[:, None]

@@ -80,7 +80,7 @@ class ShapeRegression:
         """Return what the points of ``term`` tell of a face that is ``near`` another."""
         count, away = len(self._known), self._places.at(near.x) - self._at
         start = self._amounts @ away.ravel()
-        amounts, placed, covariance = self._fit(self._loosened(term), start)
+        amounts, placed, covariance = self._fit(self._loosen(term), start)
         known = term.head.precision
         gained = inverse_of_positive(covariance[count:, count:]) - known
         head = HeadPrior(placed.head, known + self._options.head_weight * gained)
@@ -91,7 +91,7 @@ class ShapeRegression:
         spread = self._teeth_by_shapes @ covariance[:count, :count] @ self._teeth_by_shapes.T
         return RegressedFrame(head, self._jaw(teeth, goal, spread, near.pose.b))
 
-    def _loosened(self, term: MarkerTerm) -> MarkerTerm:
+    def _loosen(self, term: MarkerTerm) -> MarkerTerm:
         """Return the term with the spread of skin about what expressions make of it."""
         skin = np.where(self._places.on_skin, self._options.skin_mm**2, 0.0)
         precision = term.precision / (1.0 + skin[:, None] * term.precision)
@@ -102,7 +102,7 @@ class ShapeRegression:
     def _fit(self, term: MarkerTerm, amounts: Floats) -> tuple[Floats, PlacedMarkers, Floats]:
         """Return the amounts w (e,), the markers with their head, and the covariance of both."""
         precision = term.precision
-        placed = term.place(self._moved(amounts))
+        placed = term.place(self._displacements(amounts))
         turned = placed.head.rotation @ self._by_shapes.reshape(len(precision), 3, -1)
         rows = np.hstack([turned.reshape(precision.size, -1), placed.by_head])
         weighted = rows.T * precision.ravel()
@@ -113,13 +113,13 @@ class ShapeRegression:
         slope[: len(amounts)] += self._known @ amounts
         step = scipy.linalg.solve(normal + known, -slope, assume_a="pos")
         amounts = amounts + step[: len(amounts)]
-        placed = term.place(self._moved(amounts))
+        placed = term.place(self._displacements(amounts))
         # what expressions leave of the markers says how far they are to be trusted
         left = float(np.sum(precision * placed.offsets**2))
         trusted = min(1.0, np.count_nonzero(precision) / max(left, 1e-12))
         return amounts, placed, inverse_of_positive(trusted * normal + known)
 
-    def _moved(self, amounts: Floats) -> Floats:
+    def _displacements(self, amounts: Floats) -> Floats:
         return np.asarray(self._at + (self._by_shapes @ amounts).reshape(-1, 3))
 
     def _jaw(self, teeth: Floats, goal: Floats, spread: Floats, b: Floats) -> PartPrior:

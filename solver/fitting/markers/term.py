@@ -195,8 +195,8 @@ class HeadPrior:
     ) -> HeadPrior:
         """Return what is known of the head before a frame is fitted.
 
-        That is what the frame before left, so long ago; before the first, or where that is lost,
-        what most of the markers agree on: see :meth:`of_most`.
+        The frame before has left it, so long ago. Before the first frame, or where the head is
+        lost, most of the markers agree on it: see :meth:`of_most`.
         """
         head = None if known is None else known.after(seconds, options)
         if head is None or (head.is_lost(options) and np.isfinite(seen).all(axis=1).sum() >= 3):
@@ -317,7 +317,7 @@ class MarkerTerm(Term):
         # places that were asked for before are near by
         xi = known[-1][2] if known else self._start(places)
         arms = self.head.motion(places) - self._centre
-        now = self._turned(arms, xi)
+        now = self._turn_arms(arms, xi)
         for _ in range(self.options.steps):
             slope = now.by_head.T @ (self.precision * now.offsets).ravel()
             step = -np.linalg.solve(now.normal, slope + self.head.precision @ xi)
@@ -326,7 +326,7 @@ class MarkerTerm(Term):
             # a further rotation, composed; it is small
             turned = Rotation.from_rotvec(step[:3]) * Rotation.from_rotvec(xi[:3])
             xi = np.concatenate([turned.as_rotvec(), xi[3:] + step[3:]])
-            now = self._turned(arms, xi)
+            now = self._turn_arms(arms, xi)
         about = Similarity(1.0, np.eye(3), -self._centre)
         small = Similarity(1.0, now.rotation, xi[3:])
         head = self.head.motion.then(about).then(small).then(about.inverse())
@@ -350,7 +350,7 @@ class MarkerTerm(Term):
         """The point (3,) that the head turns about, in the take."""
         return np.asarray(self.head.motion(self.places.centre[None])[0])
 
-    def _turned(self, arms: Floats, xi: Floats) -> _TurnedMarkers:
+    def _turn_arms(self, arms: Floats, xi: Floats) -> _TurnedMarkers:
         """Return markers that are ``arms`` (k, 3) off the head's centre after its motion xi."""
         rotation = Rotation.from_rotvec(xi[:3]).as_matrix()
         arms = arms @ rotation.T

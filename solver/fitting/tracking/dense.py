@@ -72,7 +72,7 @@ class SeenPoints:
 class DensePoints(Observation[SeenPoints, Similarity, DenseFit]):
     """Points of a performance: an :class:`~.tracker.Observation`, whose memory is the head.
 
-    What is seen are the face's points with their confidence; ``target`` makes what is fitted of
+    A frame has the face's points with their confidence; ``target`` makes the fit's target of
     both. ``still`` (k,) says how still each point lies on the skull (:func:`stillness`) and asks
     for the head's rigid motion. ``regulariser`` is the one of muscles of which nothing is expected
     (:mod:`solver.fitting.recruitment`). Raises :class:`InputError` (``sequence.no_still_points``)

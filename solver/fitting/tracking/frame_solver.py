@@ -27,7 +27,7 @@ from solver.fitting.least_squares import (
 )
 from solver.fitting.objective import Prior, SumTerm, Term
 from solver.fitting.sensitivity import Jacobian, Sensitivity
-from solver.fitting.steps import StepOptions
+from solver.fitting.steps import FeasibleStepOptions
 from solver.mechanics.equilibrium import CorrectorOptions, correct, untangle
 from solver.mechanics.newton import Factorization
 from solver.surface import Floats
@@ -48,7 +48,7 @@ class TrackingOptions:
     # flesh buckles these help little
     lagged_frames: int = 15
     corrector: CorrectorOptions = field(default_factory=CorrectorOptions)
-    steps: StepOptions = field(default_factory=StepOptions.quick)  # within bounds
+    steps: FeasibleStepOptions = field(default_factory=FeasibleStepOptions.quick)  # within bounds
     # effort of a frame that is fitted as any expression is
     whole: ActivationOptions = field(default_factory=lambda: ActivationOptions(20, tolerance=1e-3))
     stuck: float = 1.1  # growth of f up to which a frame without a way down stays as it was
@@ -181,7 +181,7 @@ class _FrameProblem:
     contact: Term | None
     regulariser: Prior
     corrector: CorrectorOptions
-    steps: StepOptions
+    steps: FeasibleStepOptions
 
     def value(self, point: PosedFace) -> float:
         touching = 0.0 if self.contact is None else self.contact.value(point.estimate)
@@ -202,7 +202,7 @@ class _FrameProblem:
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
         """Correct the equilibrium, no more."""
         face, flesh, pose = self.face, self.face.flesh, point.pose.add(step.change)
-        x = flesh.moved(point.x, self.lagged.jacobian.flesh @ step.change)
+        x = flesh.add_motion(point.x, self.lagged.jacobian.flesh @ step.change)
         x[face.model.mandible] = face.mandible(pose.b)
         return _correct(face, point, pose, x, self.corrector)
 

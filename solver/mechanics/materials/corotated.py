@@ -120,7 +120,7 @@ def _single(W: Matrix, scale: float, modes: Modes, k: int) -> None:
 def _twists(R: Matrix, A: Symmetric, Y: Symmetric, scale: float, modes: Modes, k: int) -> None:
     """Write the three modes of the rotation: scale times the second derivative of t(F A) by F.
 
-    That is sum_ij Y^-1_ij W_i W_j^T with W_i = R [e_i]x A, from dR = R [w]x.
+    The derivative is sum_ij Y^-1_ij W_i W_j^T with W_i = R [e_i]x A, from dR = R [w]x.
     """
     left, right, (xx, xy, xz, yy, yz, zz) = modes.left, modes.right, A
     for row in range(3):

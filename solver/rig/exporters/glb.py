@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from solver.rig.frames.gltf import DEFAULTS, ERROR_ATTRIBUTE, in_turn, worst_error, write_face
-from solver.rig.frames.gltf import ShapeOptions as Options
+from solver.rig.frames.gltf import MorphTargetOptions as Options
 from solver.rig.frames.read_back import compare_expressions, read_glb
 from solver.rig.rig import Rig
 

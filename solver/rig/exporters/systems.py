@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from solver.errors import InputError
-from solver.rig.frames.gltf import ShapeOptions, worst_error, write_faces
+from solver.rig.frames.gltf import MorphTargetOptions, worst_error, write_faces
 from solver.rig.frames.read_back import NEUTRAL, compare_expressions, read_glb
 from solver.rig.report.systems import fits_by_system
 from solver.rig.rig import Rig
@@ -19,7 +19,7 @@ WITH_EVERY_RIG = False
 
 
 @dataclass(frozen=True)
-class Options(ShapeOptions):
+class Options(MorphTargetOptions):
     """Options of shapes, and where the faces stand."""
 
     apart: float = 1.1  # from face to face, in widths of the skin; 0 puts all in one place

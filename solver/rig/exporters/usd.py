@@ -33,7 +33,7 @@ from solver.model import SubjectModel
 from solver.rig.frames import MarkerFrame
 from solver.rig.frames.animation_gltf import SEQUENCE_SHAPES, AnimatedSkin
 from solver.rig.frames.gltf import DEFAULTS, MATERIALS, worst_error
-from solver.rig.frames.gltf import ShapeOptions as Options
+from solver.rig.frames.gltf import MorphTargetOptions as Options
 from solver.rig.frames.read_back import MorphedSkin, compare_expressions
 from solver.rig.rig import Rig
 from solver.similarity import IDENTITY, Similarity, small_motion
@@ -171,7 +171,7 @@ def _skin(stage: Usd.Stage, skin: Surface, shapes: Mapping[str, Floats], still_m
         place = _free(stage, mesh.GetPath(), name)
         change = vertices - skin.vertices
         moving = np.flatnonzero((np.abs(change) > still_mm).any(axis=1))
-        turned = vertex_normals(skin.moved(vertices)) - normals
+        turned = vertex_normals(skin.with_vertices(vertices)) - normals
         shape = UsdSkel.BlendShape.Define(stage, place)
         shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(moving.astype(np.int32)))
         shape.CreateOffsetsAttr(_vectors(change[moving]))

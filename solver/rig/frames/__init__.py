@@ -337,9 +337,9 @@ def _entries(muscles: Sequence[str], arrays: Mapping[str, Any]) -> list[str]:
 
 
 def _columns(muscles: Sequence[str], arrays: Mapping[str, Any]) -> dict[str, Floats]:
-    """Return the table's columns (f,) of numbers by their names: what tells who pulls comes first.
+    """Return the table's columns (f,) of numbers by their names: how much muscles pull comes first.
 
-    That is a muscle's contraction, or the activation of a fibre muscle; NaN where it is not known.
+    A muscle's column is its contraction, a fibre muscle's its activation; NaN where unknown.
     """
     jaw = [f"jaw.{number}" for number in range(1, JAW_FREEDOM + 1)]
     head = [f"head.{entry}" for entry in ("rx", "ry", "rz", "tx", "ty", "tz")]

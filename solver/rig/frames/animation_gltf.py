@@ -3,8 +3,8 @@
 Skins are a few shapes (:mod:`solver.rig.frames.skin_basis`), stored as whole numbers
 (KHR_mesh_quantization) of the vertices that move. Keys are the frames that are needed; between
 them weights lie on straight lines, and the head turns steadily. Weights lie between 0 and 1, where
-animation tools hold them; so the first shape, ``start``, has the weight 1 throughout. What the face
-meets are nodes of their own.
+animation tools hold them; so the first shape, ``start``, has the weight 1 throughout. Objects that
+the face meets are nodes of their own.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from solver.rig.frames import SequenceFrame
 from solver.rig.frames.gltf import (
     METRES,
     Buffer,
-    ShapeOptions,
+    MorphTargetOptions,
     Solid,
     Tracks,
     animation,
@@ -214,7 +214,7 @@ def _greatest(vectors: Singles) -> Floats:
 
 
 # a frame has many shapes at once: what each leaves out for a still vertex adds up
-SEQUENCE_SHAPES = ShapeOptions(still_mm=1e-4)
+SEQUENCE_SHAPES = MorphTargetOptions(still_mm=1e-4)
 # a file's numbers have the rest of the 0.2 mm that it may be off; frames of takes are noisy, and
 # ask for more shapes and samples than those of simulations
 SEQUENCE_BASIS = SkinBasisOptions(
@@ -275,7 +275,7 @@ class AnimatedSkin:
         The frames are in it at ``times`` (f,).
         """
         numbers = [frame.frame for frame in self.frames]
-        found = compare_motion(path, shown, numbers, times, self._stored(), self.heads)
+        found = compare_motion(path, shown, numbers, times, self._read_skins(), self.heads)
         return {"shapes": len(shown.names), **found}
 
     @property
@@ -289,7 +289,7 @@ class AnimatedSkin:
         They are those of :func:`.span_skins`, none where the face is as the neutral throughout.
         """
         if self._morphs is None:
-            basis = span_skins(self.neutral, self._stored(), self._options)
+            basis = span_skins(self.neutral, self._read_skins(), self._options)
             moves = np.abs(basis.shapes).max(axis=(1, 2)) > self._options.still_mm
             shapes = {}
             for number in np.flatnonzero(moves).tolist():
@@ -299,7 +299,7 @@ class AnimatedSkin:
             self._morphs = shapes, basis.weights[:, moves]
         return self._morphs
 
-    def _stored(self) -> Singles:
+    def _read_skins(self) -> Singles:
         """Return the skins (f, v, 3), mapped."""
         self._skins.flush()
         shape = (len(self.frames), *self.neutral.vertices.shape)

@@ -34,7 +34,7 @@ MATERIALS = {  # linear base colour and opacity, roughness
 
 
 @dataclass(frozen=True)
-class ShapeOptions:
+class MorphTargetOptions:
     """Limits below which a shape is still, and the times in which shapes are shown in turn."""
 
     still_mm: float = 1e-3  # a vertex that moves less is left out of a sparse target
@@ -51,7 +51,7 @@ class ShapeOptions:
         return np.append(0.0, times), np.vstack([np.zeros((1, count)), rows])
 
 
-DEFAULTS = ShapeOptions()  # every expression whole, a second and a half each
+DEFAULTS = MorphTargetOptions()  # every expression whole, a second and a half each
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def write_face(
     shapes: Mapping[str, Floats],
     animate: Callable[[Buffer, int], gl.Animation | None],
     attributes: Mapping[str, Floats] = NOTHING,
-    options: ShapeOptions = DEFAULTS,
+    options: MorphTargetOptions = DEFAULTS,
 ) -> None:
     """Write a skin with named ``shapes`` (v, 3), mm, as morph targets of node 0, and an animation.
 
@@ -90,7 +90,7 @@ def write_faces(
     faces: Mapping[str, Mapping[str, Floats]],
     errors: Mapping[str, Floats],
     apart_mm: float = 0.0,
-    options: ShapeOptions = DEFAULTS,
+    options: MorphTargetOptions = DEFAULTS,
 ) -> None:
     """Write several faces of one skin, name -> named shapes (v, 3), mm, that move together.
 
@@ -183,7 +183,7 @@ def _targets(
     neutral: Surface,
     normals: Floats,
     shapes: Mapping[str, Floats],
-    options: ShapeOptions,
+    options: MorphTargetOptions,
 ) -> list[gl.Attributes]:
     """Add shapes (v, 3), mm, as changes of positions and normals."""
     return [
@@ -192,7 +192,7 @@ def _targets(
                 (shape - neutral.vertices) * METRES, options.still_mm * METRES, bounds=True
             ),
             NORMAL=buffer.morph(
-                vertex_normals(neutral.moved(shape)) - normals, options.still_normal
+                vertex_normals(neutral.with_vertices(shape)) - normals, options.still_normal
             ),
         )
         for shape in shapes.values()
@@ -300,7 +300,9 @@ def _material(part: str) -> gl.Material:
     )
 
 
-def in_turn(buffer: Buffer, count: int, options: ShapeOptions = DEFAULTS) -> gl.Animation | None:
+def in_turn(
+    buffer: Buffer, count: int, options: MorphTargetOptions = DEFAULTS
+) -> gl.Animation | None:
     """Return an animation of all shapes one after the other; None if there is none."""
     if not count:
         return None
@@ -394,7 +396,8 @@ class Buffer:
     ) -> int:
         """Add values (k, 3) from -1 to 1 at ``places``, zero elsewhere, as whole numbers.
 
-        That is KHR_mesh_quantization: what goes beyond is cut off. Returns the accessor's number.
+        KHR_mesh_quantization stores them so: values beyond are cut off. Returns the accessor's
+        number.
         """
         most = 2 ** (bits - 1) - 1
         stored = np.rint(np.clip(values, -1.0, 1.0) * most).astype(f"<i{bits // 8}")

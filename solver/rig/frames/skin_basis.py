@@ -109,7 +109,7 @@ def normal_shapes(
     weights = basis.weights[chosen]
     right = np.zeros((weights.shape[1], at_rest.size))
     for row, frame in zip(weights, chosen, strict=True):
-        surface = neutral.moved(skins[frame].astype(np.float64))
+        surface = neutral.with_vertices(skins[frame].astype(np.float64))
         right += row[:, None] * (vertex_normals(surface)[basis.moving] - at_rest).ravel()
     gram = weights.T @ weights
     gram[np.diag_indices_from(gram)] += options.ridge * gram.max()

@@ -22,7 +22,7 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
-from solver.fitting.stretches import shorten
+from solver.fitting.stretches import isochoric_activation
 from solver.mechanics.boundary import JawMotion
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.rig import ExpressionFit
@@ -31,9 +31,9 @@ from solver.surface import Floats
 # What a muscle's slider does: the muscle shortens along its fibres, as muscles do.
 #
 # A fit has six numbers a muscle, and uses them freely: seen by itself, a fitted activation may push
-# where the muscle would pull. So a slider is not the fit's but the muscle's. What it tells of an
-# expression is how much the muscle contracts in it (solver.fitting.contraction), by how much it
-# does at 1: the certificate, the tables of takes and the sliders say the same of who pulls.
+# where the muscle would pull. So a slider is not the fit's but the muscle's. An expression sets it
+# to the muscle's contraction there (solver.fitting.contraction) by that at 1: the certificate, the
+# tables of takes and the sliders say the same of who pulls.
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _muscles(face: Face, full_stretch: float) -> tuple[list[Control], Floats]:
     changes = np.zeros((len(names), 6, len(kept)))
     pulled = np.tile(IDENTITY, (len(names), 1))
     for column, muscle in enumerate(kept):
-        pulled[muscle] = shorten(contraction.tensors[muscle], full_stretch)
+        pulled[muscle] = isochoric_activation(contraction.tensors[muscle], full_stretch)
         changes[muscle, :, column] = pulled[muscle] - IDENTITY
     full = contraction(pulled)
     listed = [Control(names[j], "muscle", names[j], names[j], full=float(full[j])) for j in kept]

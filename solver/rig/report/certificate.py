@@ -118,7 +118,7 @@ class StrayOptions:
     most: float = 0.1  # part of a muscle's flesh that may be
 
 
-def strayed(
+def stray_parts(
     model: SubjectModel, volumes: Floats, S: sp.csr_array, options: StrayOptions = StrayOptions()
 ) -> dict[str, float]:
     """Return whole muscle -> the part of its flesh that S has outside of it, the worst first.
@@ -262,7 +262,7 @@ def certify(
     # the signs of pivots near buckling take double precision, whatever the fit had
     linear = analyse(face.flesh.hessian(face.model.rest, face.flesh.passive()))
     checks = {fit.name: _check(face, fit, mouth, linear) for fit in rig.expressions}
-    outside = strayed(face.model, face.flesh.volumes, rig.weights)
+    outside = stray_parts(face.model, face.flesh.volumes, rig.weights)
     return Certificate(checks, settings, information or muscle_information(face, rig), outside)
 
 

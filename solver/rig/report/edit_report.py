@@ -43,7 +43,7 @@ class EditedPerson:
     expressions: Sequence[Compared]
 
     @property
-    def unedited(self) -> SubjectModel:
+    def original(self) -> SubjectModel:
         """Return the person before the edits."""
         return self.edited.unedited
 
@@ -56,7 +56,7 @@ class EditedPerson:
         """Return how much (k,) an expression's motion of the face differs from that before."""
         if compared.before is None or compared.after is None:
             return None
-        face = self.unedited.face
+        face = self.original.face
         motion = compared.after.skin[face] - self.after.skin[face]
         wanted = compared.before.skin[face] - self.before.skin[face]
         return np.asarray(np.linalg.norm(motion - wanted, axis=1))
@@ -64,14 +64,14 @@ class EditedPerson:
 
 def edit_report(person: EditedPerson) -> dict[str, Any]:
     """Return the figures of ``edit.json``: lengths in mm, volumes in ml."""
-    face = person.unedited.face
-    gauge = Gauge(person.edited.model, person.unedited)
+    face = person.original.face
+    gauge = Gauge(person.edited.model, person.original)
     expressions = [_expression(person, each, gauge) for each in person.expressions]
     drifts = [each["drift_mm"] for each in expressions if each["drift_mm"] is not None]
     return {
         "format": FORMAT,
         "volume": _volume(person),
-        "flesh": _flesh(person.edited, person.unedited),
+        "flesh": _flesh(person.edited, person.original),
         "regions": _regions(person),
         "neutral": {
             "moved_mm": float(person.moved_mm[face].mean()),
@@ -109,7 +109,7 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
         **csr_arrays("S", edited.S),
     )
     shapes = {"unedited": person.before.skin, **{name: after.skin for name, after in reached}}
-    write_face(files[2], edited.model.skin.moved(person.after.skin), shapes, in_turn)
+    write_face(files[2], edited.model.skin.with_vertices(person.after.skin), shapes, in_turn)
     stored = read_arrays(files[1])
     packed = dict(zip(stored["names"].tolist(), stored["skin"], strict=True))
     skins = {NEUTRAL: person.after.skin, **{name: after.skin for name, after in reached}}
@@ -124,7 +124,7 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
 
 
 def _volume(person: EditedPerson) -> dict[str, float]:
-    tets = person.unedited.tets
+    tets = person.original.tets
     before, after = (volume_ml(pose.x, tets) for pose in (person.before, person.after))
     change, percent = after - before, 100.0 * (after / before - 1.0)
     return {"before_ml": before, "after_ml": after, "change_ml": change, "change_percent": percent}
@@ -148,8 +148,8 @@ def _flesh(edited: Edited, unedited: SubjectModel) -> dict[str, Any]:
 
 def _regions(person: EditedPerson) -> dict[str, dict[str, float]]:
     """Return how far each of the face's regions moved, and the volume it moved outward through."""
-    model = person.unedited
-    before = model.skin.moved(person.before.skin)
+    model = person.original
+    before = model.skin.with_vertices(person.before.skin)
     outward = ((person.after.skin - before.vertices) * vertex_normals(before)).sum(axis=1)
     swept = outward * vertex_areas(before.vertices, before.faces) * ML
     seen = {name: np.intersect1d(ids, model.face) for name, ids in model.regions.items()}
@@ -162,7 +162,7 @@ def _regions(person: EditedPerson) -> dict[str, dict[str, float]]:
 
 
 def _expression(person: EditedPerson, compared: Compared, gauge: Gauge) -> dict[str, Any]:
-    face, before, after = person.unedited.face, compared.before, compared.after
+    face, before, after = person.original.face, compared.before, compared.after
     drift = person.drift_mm(compared)
     figures: dict[str, Any] = {
         "name": compared.name,
@@ -226,7 +226,7 @@ def edit_picture(
     if len(expressions) < (there := len(person.expressions)):
         detail = f"{detail}; {len(expressions)} of {there} expressions are shown"
     moved = [np.linalg.norm(after - before, axis=1) for _, _, before, after in views]
-    model = person.unedited
+    model = person.original
     usual = np.percentile([each[model.face] for each in moved], options.nearly_all)
     ends = options.scales_mm
     most = next((end for end in ends if end >= usual), ends[-1])

@@ -1,4 +1,4 @@
-"""What fitted expressions say: figures that the checks of a rig judge, and against the neutral.
+"""Measures of fitted expressions and of the neutral: figures that the checks of a rig judge.
 
 There is one figure of an expression by each code of a check; :mod:`solver.rig.report.checks` has
 the limits.

@@ -79,7 +79,7 @@ class Said:
 
 @dataclass(frozen=True)
 class Movers:
-    """Who contracts in an expression, and its actions.
+    """The muscles that contract in an expression, and its actions.
 
     ``contractions`` are muscle or compartment -> contraction, most first, and ``wholes`` the muscle
     that each is a compartment of, or itself.

@@ -69,7 +69,7 @@ def check_take(
     _check_face(check, face)
     if _are_few(check, take, len(face.numbers)):
         return check
-    located = check.located = prepared.located
+    located = check.located = prepared.location
     if located.distinct < len(face.numbers) and _are_few(check, take, located.distinct):
         return check
     report_faults(check, located)
@@ -92,7 +92,7 @@ def check_take(
         add(check, "markers.motionless", "info", message)
     report_location(check, located, located.pose)
     if reference.model_sha256:
-        check.bound = prepared.placed
+        check.bound = prepared.marker_set
         _check_person(check, located, reference, actor=actor)
         if not any(each.code == "markers.other_person" for each in check.findings):
             report_off_skin(check, located, check.bound)

@@ -97,24 +97,24 @@ class PreparedTake:
         return choose_face(self.take)
 
     @cached_property
-    def located(self) -> LocatedTake:
-        """Where that face lies on the person at rest, and what is wrong with its markers."""
+    def location(self) -> LocatedTake:
+        """The place of that face on the person at rest, with the faults of its markers."""
         options, compared = self.options, bool(self.person.model_sha256) and not self.options.actor
         skin, neutral = self.person.face, options.neutral
         return locate_take(self.face, skin, neutral, compared=compared)
 
     @cached_property
-    def placed(self) -> MarkerSet:
+    def marker_set(self) -> MarkerSet:
         """The set of the markers where they lie; the face must have a pose."""
-        pose = self.located.pose
+        pose = self.location.pose
         assert pose is not None, "asked for once the face is located"
         options = self.options
-        markers = place_take(self.located, pose, self.person, actor=options.actor)
+        markers = place_take(self.location, pose, self.person, actor=options.actor)
         return self.person.bind(markers, pose.session)
 
     @cached_property
     def binding(self) -> Binding:
-        """That set, with what to look at before it is used.
+        """The marker set, with findings to look at before it is used.
 
         Raises :class:`InputError`: ``markers.few``, not enough markers are seen at rest,
         ``markers.flat`` or ``markers.too_large``.
@@ -122,19 +122,19 @@ class PreparedTake:
         file, options, check = self.take.file, self.options, MarkerCheck()
         if len(self.face.numbers) < FACE.least:
             raise _few_error(file, len(self.face.numbers), "on the face")
-        located = self.located
+        located = self.location
         if located.pose is None:
             seen = int(np.isfinite(located.points[:, 0]).sum())
             raise _few_error(file, seen, "seen at rest")
         refuse_flat(file, located.points)
         report_rest(check, located, is_given=options.neutral is not None)
-        report_off_skin(check, located, self.placed)
+        report_off_skin(check, located, self.marker_set)
         if self.person.jaw is None:
             report_mouth(check, located, None)
-        return Binding(self.placed, located.pose, located.neutral, tuple(check.findings))
+        return Binding(self.marker_set, located.pose, located.neutral, tuple(check.findings))
 
     @cached_property
-    def mended(self) -> MendedTake:
+    def mended_take(self) -> MendedTake:
         """The take ready to be fitted, bound by the person's marker set or its own.
 
         What stands still or was drawn is missing, labels that are swapped are exchanged, and a

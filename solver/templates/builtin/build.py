@@ -221,10 +221,10 @@ def named_regions(
 ) -> dict[str, Ints]:
     """Return the ``face``, its regions, which do not overlap, and the neck by name.
 
-    The face is brow to chin and ear to ear with the forehead, without ears, scalp and neck. Of the
-    ``visible`` skin vertices it ends ``before_tragus_mm`` in front of the tragus (no ear, no skin
-    behind it) and ``under_jaw_mm`` below the lower border of the jaw. ``sides`` (n,) tells the lips
-    of the head apart, as :func:`lip_sides` does.
+    The face is brow to chin and ear to ear with the forehead, without ears, scalp and neck. Among
+    the ``visible`` skin vertices it ends ``before_tragus_mm`` in front of the tragus (no ear, no
+    skin behind it) and ``under_jaw_mm`` below the lower border of the jaw. ``sides`` (n,) tells the
+    lips of the head apart, as :func:`lip_sides` does.
     """
     at = {name: head.neutral[vertex] for name, vertex in head.landmarks.items()}
     x, y, z = head.neutral[visible].T

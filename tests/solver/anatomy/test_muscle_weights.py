@@ -21,7 +21,7 @@ def box(lo, hi):
 def tilted(surface):
     """Turn a box so that its faces cut the grid's cells at different heights."""
     turn = trimesh.transformations.rotation_matrix(0.5, [1, 2, 0.3], surface.vertices.mean(axis=0))
-    return surface.moved(trimesh.transform_points(surface.vertices, turn))
+    return surface.with_vertices(trimesh.transform_points(surface.vertices, turn))
 
 
 @pytest.fixture

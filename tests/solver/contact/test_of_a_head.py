@@ -69,7 +69,7 @@ def test_lips_are_pushed_out_by_teeth_that_an_edit_moves_forward(head, number):
     # the lips lie on the teeth, some a little in them
     skin = head.skin.vertices.copy()
     skin[head.regions[label], 2] += 4.0
-    near = replace(head, skin=head.skin.moved(skin))
+    near = replace(head, skin=head.skin.with_vertices(skin))
     front = skin[head.regions[label]]
     front = front[np.argmax(front[:, 2])]
     edit = Bone(bone, front, 30.0, np.array([0.0, 0.0, 5.0]))

@@ -38,7 +38,7 @@ def pressed(model, face, thing, potentials):
     motion = simulator.rest(before)
     for number in range(1, STEPS + 1):
         shift = np.array([0.0, 0.0, -(0.5 + PRESSED) * number / STEPS])
-        here = thing.moved(thing.vertices + shift)
+        here = thing.with_vertices(thing.vertices + shift)
         goal = replace(before, time=number / 30, objects=(here.vertices,))
         stepped = simulator.step(motion, before, goal)
         motion, before = stepped.motion, goal
@@ -54,7 +54,7 @@ def test_a_ball_stays_out_of_the_flesh_it_is_pressed_into(nose):
     potentials = contact_potentials(model, STIFFNESS_PA, objects=[thing])
     x, here = pressed(model, face, thing, potentials)
     assert gauge.at(x, closed, [here]).most < 0.1
-    assert face.flesh.inverted(x) == 0
+    assert face.flesh.count_inverted(x) == 0
     moved = np.linalg.norm(face.face_points(x) - face.face_points(model.rest), axis=1)
     assert PRESSED - 1.0 < moved.max() < PRESSED + 1.0
     # far from the ball nothing has happened

@@ -246,7 +246,7 @@ def test_eyeballs_stay_round_where_the_bone_beside_them_moves(model):
     tooth = len(model.skin.vertices) - 1
     points = np.vstack([model.skin.vertices, model.skin.vertices[tooth] + [5.0, 0.0, 0.0]])
     regions = {**model.regions, "left_eyeball": np.array([tooth + 1])}
-    seen = replace(model, skin=model.skin.moved(points), regions=regions)
+    seen = replace(model, skin=model.skin.with_vertices(points), regions=regions)
     edit = Bone("cranium", points[tooth], 60.0, np.array([0.0, 0.0, 5.0]))
     moved = apply([edit], seen, seen.weights).model.skin.vertices - points
     assert moved[tooth, 2] > 4.0

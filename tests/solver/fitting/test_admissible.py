@@ -57,7 +57,7 @@ def test_barrier_has_its_derivatives_and_no_slope_at_rest():
     assert np.abs(by_slope[convex]).max() > 10.0
     np.testing.assert_allclose(seen[convex], by_slope[convex], rtol=1e-5, atol=1e-3)
     assert np.linalg.eigvalsh(admissible.hessian(a)).min() > 0.0
-    loose = replace(admissible, limits=LIMITS.loosened(0.3))
+    loose = replace(admissible, limits=LIMITS.loosen(0.3))
     for each in (admissible, loose):
         assert np.abs(each.gradient(np.tile(IDENTITY, (12, 1)))).max() < 1e-10
 
@@ -78,7 +78,7 @@ def test_a_step_is_the_best_within_the_bounds():
     """Against SLSQP on the same model, with the jaw bounded in a box as well."""
     admissible, rng = random_set(2, seed=5), np.random.default_rng(7)
     jaw = replace(jaw_block(), lower=np.full(5, -0.1), upper=np.full(5, 0.2))
-    layout = Layout((activation_block(2, admissible), jaw))
+    layout = Layout((replace(activation_block(2), feasible=admissible), jaw))
     root = rng.standard_normal((layout.size, layout.size))
     hessian = root @ root.T + np.eye(layout.size)
     goal = layout.join([wild(2, seed=8), rng.standard_normal(5)])
@@ -117,7 +117,7 @@ def test_a_step_to_the_next_frame_is_about_the_best_within_the_bounds():
     """From where another goal has led, in a box as well; too long a step is left to others."""
     admissible, rng = random_set(8, seed=5), np.random.default_rng(7)
     jaw = replace(jaw_block(), lower=np.full(5, -0.1), upper=np.full(5, 0.2))
-    layout = Layout((activation_block(8, admissible), jaw))
+    layout = Layout((replace(activation_block(8), feasible=admissible), jaw))
     bounds, root = layout.bounds, rng.standard_normal((layout.size, layout.size))
     hessian = root @ root.T + np.eye(layout.size)
     goal, shift = rng.normal(0.0, 0.2, layout.size), rng.normal(0.0, 0.02, layout.size)
@@ -140,7 +140,7 @@ def test_a_step_to_the_next_frame_is_about_the_best_within_the_bounds():
 
 
 def test_a_nearly_singular_model_is_minimised_too():
-    layout = Layout((activation_block(2, random_set(2, seed=3)), jaw_block()))
+    layout = Layout((replace(activation_block(2), feasible=random_set(2, seed=3)), jaw_block()))
     rng = np.random.default_rng(4)
     axes = np.linalg.qr(rng.standard_normal((layout.size, layout.size)))[0]
     gradient, gains = 0.1 * rng.standard_normal(layout.size), []

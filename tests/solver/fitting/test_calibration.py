@@ -87,7 +87,7 @@ def test_turned_fibres_weak_muscles_and_wrong_fractions_are_found(plain, tmp_pat
     for ending in found.endings.values():
         assert (ending.state.pose.a >= 0.0).all()
         assert (ending.state.pose.a <= 1.0).all()
-        assert found.face.flesh.inverted(ending.state.x) == 0
+        assert found.face.flesh.count_inverted(ending.state.x) == 0
     assert found.muscles.fractions.min() >= 0.0
     sums = np.bincount(found.muscles.tets, found.muscles.fractions)
     assert sums.max() <= 1.0 + 1e-12

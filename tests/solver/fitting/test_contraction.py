@@ -9,7 +9,7 @@ import pytest
 
 from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face
-from solver.fitting.stretches import shorten
+from solver.fitting.stretches import isochoric_activation
 from solver.mechanics.flesh import IDENTITY
 from tests.solver.block import block_model
 
@@ -25,7 +25,7 @@ def contraction() -> Contraction:
 
 
 def test_it_is_the_part_of_their_length_that_fibres_lose(contraction: Contraction) -> None:
-    a = np.array([shorten(contraction.tensors[0], 0.7), IDENTITY])
+    a = np.array([isochoric_activation(contraction.tensors[0], 0.7), IDENTITY])
     assert contraction(a) == pytest.approx([0.3, 0.0])
     frames = np.array([[IDENTITY, IDENTITY], a])
     np.testing.assert_allclose(contraction(frames), [[0.0, 0.0], [0.3, 0.0]], atol=1e-12)

@@ -60,4 +60,4 @@ def test_out_of_iterations_the_best_is_kept(problem):
     assert [notice.code for notice in found.notices] == ["ipopt.failed"]
     assert found.objective < 0.5 * fallback.activation.objective(data, regulariser, face.rest)
     assert found.state.equilibrium.residual < 1e-6
-    assert face.flesh.inverted(found.state.x) == 0
+    assert face.flesh.count_inverted(found.state.x) == 0

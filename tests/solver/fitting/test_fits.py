@@ -68,7 +68,7 @@ def test_an_expression_of_a_ball_is_fitted_with_neo_hookean_flesh():
     fitted = activation.fit(face, data, options, face.rest)
     before, after = (data.value(x) for x in (model.rest, fitted.state.x))
     assert after < 0.7 * before
-    assert face.flesh.inverted(fitted.state.x) == 0
+    assert face.flesh.count_inverted(fitted.state.x) == 0
 
 
 def test_reduced_solver_agrees_with_ipopt(face):

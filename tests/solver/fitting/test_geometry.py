@@ -105,7 +105,7 @@ def test_fit_improves_on_the_wrong_weights_and_stays_on_the_simplex(face):
     assert after < 0.5 * before
     assert fitted.S.data.min() >= 0.0
     np.testing.assert_allclose(fitted.S.sum(axis=1), 1.0, atol=1e-12)
-    assert all(face.flesh.inverted(state.x) == 0 for state in fitted.states.values())
+    assert all(face.flesh.count_inverted(state.x) == 0 for state in fitted.states.values())
     # what was found is a good start
     again = geometry.fit(start, data, GeometryOptions(rounds=2), start=fitted.S)
     assert geometry.mean_error(start, targets, again.states) < 0.5 * before

@@ -18,7 +18,7 @@ from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.per_tet.tissue import of_face
 from solver.fitting.recruitment import EvenSides, Recruited
 from solver.fitting.simplex import mix_by_stiffness
-from solver.fitting.stretches import shorten
+from solver.fitting.stretches import isochoric_activation
 from solver.scans.known_activations import KnownMuscles
 from tests.fixtures import small_model
 from tests.solver.block import divided_block
@@ -69,7 +69,7 @@ def test_the_term_s_derivatives_are_those_of_its_value(face):
 def test_a_whole_muscle_contracts_by_the_mean_over_its_compartments(face):
     contraction = Contraction.of_face(face)
     a = face.rest_pose().a.copy()
-    a[0] = shorten(contraction.tensors[0], 0.6)
+    a[0] = isochoric_activation(contraction.tensors[0], 0.6)
     whole, upper = FaceMuscles.of(face).contractions(
         known_of(("left", 0, 1), ("left.upper", 0, 1)), a
     )
@@ -158,7 +158,7 @@ def test_known_muscles_are_kept_to_and_more_is_found_again():
         for side in "lr"
     ]
     for muscle, part in zip(pulled, rng.uniform(0.1, 0.4, len(pulled)), strict=True):
-        a[muscle] = shorten(contraction.tensors[muscle], 1.0 - part)
+        a[muscle] = isochoric_activation(contraction.tensors[muscle], 1.0 - part)
     true = contraction(a)
     there = face.continuation(face.rest, replace(face.rest_pose(), a=a))
     points = face.face_points(there.x)

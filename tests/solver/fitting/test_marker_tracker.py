@@ -93,7 +93,7 @@ def test_face_and_head_are_followed(face, places, known, take):
         assert (fit.judged.states == "seen").all()
         assert off(face, fit.state, skin) < 0.3
         assert fit.placed.head.then(head.inverse()).degrees < 0.5
-        assert face.flesh.inverted(fit.state.x) == 0
+        assert face.flesh.count_inverted(fit.state.x) == 0
 
 
 @pytest.mark.long
@@ -392,5 +392,5 @@ def test_a_first_frame_far_from_rest_is_judged_by_the_face_that_it_shows(face, p
         return Tracker(markers).step(seen)
 
     once, looked = fit_first(replace(strict, looks=0)), fit_first(strict)
-    assert looked.rejected == 0 < once.rejected
+    assert looked.rejected_count == 0 < once.rejected_count
     assert off(face, looked.state, skin) < 0.75 * off(face, once.state, skin)

@@ -177,7 +177,7 @@ def test_round_trip_reaches_the_skin(divided):
     assert distance.max() < 0.05
     assert values == sorted(values, reverse=True)
     assert 0 < len(values) <= fit.iterations
-    assert divided.face.flesh.inverted(fit.state.x) == 0
+    assert divided.face.flesh.count_inverted(fit.state.x) == 0
     # muscles contract: their preferred activation is short along the fibres
     assert (fit.gamma > 1.02).all()
 

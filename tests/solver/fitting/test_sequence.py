@@ -63,7 +63,7 @@ def test_frames_are_as_good_as_on_their_own(face, targets):
         options = ActivationOptions(30, tolerance=1e-6)
         rest = face.rest
         alone.append(activation.fit(face, data, weights, rest, options).objective)
-        assert face.flesh.inverted(tracker.state.x) == 0
+        assert face.flesh.count_inverted(tracker.state.x) == 0
         settled = face.solve_equilibrium(tracker.state.pose, tracker.state.x)
         assert np.abs(settled.x - tracker.state.x).max() < 0.05
     assert np.mean(tracked) < 1.02 * np.mean(alone)

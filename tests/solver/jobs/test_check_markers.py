@@ -13,7 +13,7 @@ from myoface.cli.markers import markers as markers_group
 from solver.errors import InputError
 from solver.fitting.face import Face
 from solver.jobs import run_job
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig import ExpressionFit, Rig
 from solver.scans.markers.places.bind import Reference, rest_places
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.similarity import IDENTITY

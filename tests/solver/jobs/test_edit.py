@@ -15,8 +15,8 @@ from solver.errors import InputError
 from solver.fitting.face import Face, Pose
 from solver.jobs import run_job
 from solver.progress import Step
+from solver.rig import ExpressionFit, Rig
 from solver.rig.frames.read_back import validate_glb
-from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import head_block
 
 pytestmark = pytest.mark.long

@@ -12,8 +12,8 @@ import pytest
 from solver.errors import InputError
 from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY
+from solver.rig import ExpressionFit, Rig
 from solver.rig.frames.read_back import validate_glb
-from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import head_block
 
 FIGURES = {"mean_mm": 0.0, "p95_mm": 0.0, "max_mm": 0.0}

@@ -10,7 +10,7 @@ from solver.fitting.calibration import FibreShape, load_muscles, with_fibres
 from solver.fitting.face import Face, Pose
 from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY, MOONEY_RIVLIN
-from solver.rig.rig import ExpressionFit, Rig
+from solver.rig import ExpressionFit, Rig
 from tests.solver.simulation.test_fibres import fibred_block
 
 

@@ -21,9 +21,9 @@ from solver.jobs import fit_markers, run_job
 from solver.mechanics.boundary import move_jaw
 from solver.model import CondyleTracks, SubjectModel
 from solver.progress import Step
+from solver.rig import ExpressionFit, Rig
 from solver.rig.frames import MarkerFrame, read_chunks
 from solver.rig.frames.read_back import LIMIT_MM
-from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.scans.markers.readers.take import Take
 from solver.similarity import Similarity, small_motion

@@ -16,9 +16,8 @@ from solver.errors import InputError
 from solver.jobs import run_job
 from solver.meshio.registered import write_registered
 from solver.model import SubjectModel
-from solver.rig import systems
+from solver.rig import Rig, systems
 from solver.rig.exporters import export_measured
-from solver.rig.rig import Rig
 from solver.storage import read_container
 from solver.surface import Floats, Surface
 from solver.tracks.basis import MuscleTracks

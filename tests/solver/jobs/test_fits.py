@@ -21,7 +21,7 @@ from solver.meshio.obj import write_obj
 from solver.meshio.registered import read_registered
 from solver.model import CondyleTracks
 from solver.progress import Step
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.surface import Floats, Surface
 from tests.solver.block import head_block
 

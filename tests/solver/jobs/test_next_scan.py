@@ -22,8 +22,8 @@ from solver.fitting.geometry_information import Linearisation, Misfit
 from solver.jobs import next_scan, run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
+from solver.rig import ExpressionFit, Rig
 from solver.rig.next_scan import library_targets
-from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import head_block, thinner
 
 MODEL = head_block((7, 5, 1))

@@ -16,8 +16,8 @@ from solver.fitting.face import Face, Pose
 from solver.jobs import run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
+from solver.rig import ExpressionFit, Rig
 from solver.rig.preview import Preview, write_preview
-from solver.rig.rig import ExpressionFit, Rig
 from solver.storage import read_container
 from tests.solver.block import head_block
 

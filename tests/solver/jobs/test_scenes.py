@@ -23,8 +23,8 @@ from solver.fitting.face import Face, Pose
 from solver.jobs import animate, run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
+from solver.rig import ExpressionFit, Rig
 from solver.rig.frames.read_back import LIMIT_MM, validate_glb
-from solver.rig.rig import ExpressionFit, Rig
 from solver.scans.performance import ARKIT_NAMES
 from tests.solver.block import head_block, thinner
 

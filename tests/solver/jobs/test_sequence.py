@@ -24,10 +24,10 @@ from solver.fitting.tracking.frame_solver import FrameSolver
 from solver.jobs import run_job
 from solver.mechanics.equilibrium import CorrectorOptions
 from solver.progress import Step
+from solver.rig import Rig
 from solver.rig.frames import ChunkOptions, read_frames
 from solver.rig.frames.animation_gltf import SEQUENCE_BASIS
 from solver.rig.frames.read_back import LIMIT_MM
-from solver.rig.rig import Rig
 from tests.fixtures import fixture_model
 from tests.solver.block import block_model
 from tests.solver.glb import shown_skins

@@ -12,7 +12,7 @@ import pytest
 
 from solver.errors import InputError
 from solver.jobs import run_job
-from solver.rig.rig import Rig
+from solver.rig import Rig
 from solver.scans.performance import ARKIT_NAMES
 from solver.tracks.basis import MuscleTracks, TrackOptions
 from tests.solver.tracks.block import OPEN, block_shapes, tracked_block

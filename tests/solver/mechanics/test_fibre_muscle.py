@@ -87,7 +87,7 @@ def test_derivatives_by_x_match_finite_differences(strained):
     flesh, muscles, x, a, rng = strained
     whole = driven_by_muscles(flesh, muscles)
     direction = rng.standard_normal(flesh.size)
-    places = [whole.moved(x, sign * STEP * direction) for sign in (1, -1)]
+    places = [whole.add_motion(x, sign * STEP * direction) for sign in (1, -1)]
     term = FibreTerm(flesh, muscles)
     slope = [np.array(term.energy(each, a)) for each in places]
     by_x = forces(flesh, muscles, x, a)[flesh.free_coordinates]
@@ -95,7 +95,7 @@ def test_derivatives_by_x_match_finite_differences(strained):
     ends = [whole.gradient(each, a) for each in places]
     agree(whole.hessian(x, a) @ direction, ends)
     # the fibres' part is not lost in the flesh's
-    relaxed = driven_by_muscles(flesh, muscles.scaled(0.0)).hessian(x, a) @ direction
+    relaxed = driven_by_muscles(flesh, muscles.scale(0.0)).hessian(x, a) @ direction
     assert np.abs(whole.hessian(x, a) @ direction - relaxed).max() > 1.0
 
 
@@ -164,7 +164,7 @@ def test_a_bar_with_one_fibre_pulls_as_its_closed_form(stretch):
     muscles = FibreMuscles(*parts, along, np.array([strength]), np.zeros(1, int))
     whole = driven_by_muscles(flesh, muscles)
     x = vertices * [stretch, width, width]
-    start = whole.moved(x, 0.2 * np.random.default_rng(4).standard_normal(flesh.size))
+    start = whole.add_motion(x, 0.2 * np.random.default_rng(4).standard_normal(flesh.size))
     solver = linear.analyse(whole.hessian(vertices, a))
     found = equilibrium.solve_equilibrium(whole, solver, start, a, tolerance=1e-13).x
     np.testing.assert_allclose(found, x, atol=1e-8)

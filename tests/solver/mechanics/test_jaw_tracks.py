@@ -12,7 +12,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.mechanics.boundary import FreeJaw, five_numbers
 from solver.mechanics.flesh import IDENTITY
-from solver.mechanics.jaw_tracks import JawTracks, TrackOptions, nearest_jaw, tracks_of_shapes
+from solver.mechanics.jaw_tracks import JawTrackOptions, JawTracks, nearest_jaw, tracks_of_shapes
 from solver.model import CondyleTracks
 from tests.fixtures import small_model
 from tests.solver.block import block_model
@@ -132,10 +132,10 @@ def test_tracks_are_found_in_a_templates_shapes():
     assert found.bend == 0.0
     assert (found.length, found.retrusion) == (20.0, 0.0)
     bent = [CURVED.move(points, q) - points for q in ([0.44, 16.0, 16.0], [0.0, 5.0, 5.0])]
-    curved = tracks_of_shapes(STRAIGHT.frame, 100.0, points, bent, TrackOptions(curved=True))
+    curved = tracks_of_shapes(STRAIGHT.frame, 100.0, points, bent, JawTrackOptions(curved=True))
     assert curved.slope == pytest.approx(0.6, abs=0.03)
     assert curved.bend == pytest.approx(0.04, abs=0.004)
-    unknown = tracks_of_shapes(STRAIGHT.frame, 100.0, points, [smile], TrackOptions())
+    unknown = tracks_of_shapes(STRAIGHT.frame, 100.0, points, [smile], JawTrackOptions())
     assert unknown.slope == pytest.approx(np.radians(35.0))
 
 

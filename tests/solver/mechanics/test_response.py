@@ -38,7 +38,7 @@ class Driven:
             # just over the skin where it comes to rest alone, the other a little in it
             near, pressed = (self.x[np.abs(model.rest - at).sum(axis=1).argmin()] for at in PLACES)
             shift = near + np.array([0.01, 0.02, 0.04]) - Q[5:] @ AXES
-            self.glass = self.glass.moved(self.glass.vertices + shift)
+            self.glass = self.glass.with_vertices(self.glass.vertices + shift)
             own = sp.csr_array(sp.eye_array(len(model.rest)))
             front = np.flatnonzero(model.rest[:, 2] == 15.0)
             number = np.arange(30).reshape(6, 5)
@@ -82,7 +82,7 @@ class Driven:
             step = sp.linalg.spsolve(sp.csc_array(H), -gradient)
             if np.abs(step).max() < 1e-12:
                 return x
-            x = self.flesh.moved(x, step * min(1.0, 0.5 / np.abs(step).max()))
+            x = self.flesh.add_motion(x, step * min(1.0, 0.5 / np.abs(step).max()))
         raise AssertionError("no equilibrium")
 
     def controls(self, q, x):

@@ -67,7 +67,7 @@ def test_derivatives_match_finite_differences(muscled):
     rng = np.random.default_rng(1)
     x = flesh.rest + 0.3 * rng.standard_normal(flesh.rest.shape)
     q, h, direction = np.array([0.4, 0.7]), 1e-6, rng.standard_normal(flesh.size)
-    ends = [flesh.moved(x, sign * h * direction) for sign in (1, -1)]
+    ends = [flesh.add_motion(x, sign * h * direction) for sign in (1, -1)]
     slope = (flesh.energy(ends[0], q) - flesh.energy(ends[1], q)) / (2 * h)
     assert abs(slope - flesh.gradient(x, np.zeros(2)) @ direction) > 1.0
     assert flesh.gradient(x, q) @ direction == pytest.approx(slope, rel=1e-6)

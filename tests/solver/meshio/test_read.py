@@ -127,7 +127,7 @@ def test_nan_in_obj_names_line_and_vertex(value: str, tmp_path: Path) -> None:
 def test_nan_in_binary_names_the_vertex(suffix: str, tmp_path: Path) -> None:
     vertices = HEAD.vertices.copy()
     vertices[17, 1] = math.nan
-    error = fault(write(tmp_path / f"head{suffix}", HEAD.moved(vertices)))
+    error = fault(write(tmp_path / f"head{suffix}", HEAD.with_vertices(vertices)))
     assert error.code == "scan.nan"
     assert suffix == ".stl" or error.context["vertex"] == 17
 
@@ -155,20 +155,23 @@ def test_empty_and_cut_short(suffix: str, tmp_path: Path) -> None:
     ("factor", "hint"), [(1e-3, "metres"), (0.1, "centimetres"), (50.0, "cannot be a head")]
 )
 def test_wrong_unit_has_a_hint(factor: float, hint: str, tmp_path: Path) -> None:
-    error = fault(write(tmp_path / "head.ply", HEAD.moved(HEAD.vertices * factor)))
+    error = fault(write(tmp_path / "head.ply", HEAD.with_vertices(HEAD.vertices * factor)))
     assert error.code == "scan.unit"
     assert hint in error.message
 
 
 def test_shuffled_vertices_are_refused(tmp_path: Path) -> None:
     shuffled = np.random.default_rng(0).permutation(HEAD.vertices)
-    assert fault(write(tmp_path / "head.ply", HEAD.moved(shuffled))).code == "scan.vertex_order"
+    assert (
+        fault(write(tmp_path / "head.ply", HEAD.with_vertices(shuffled))).code
+        == "scan.vertex_order"
+    )
     shuffled_faces = Surface(HEAD.vertices, HEAD.faces[::-1].copy())
     assert fault(write(tmp_path / "head.stl", shuffled_faces)).code == "scan.vertex_order"
 
 
 def test_an_expression_off_the_neutral_is_refused(tmp_path: Path) -> None:
-    path = write(tmp_path / "head.obj", HEAD.moved(HEAD.vertices + np.array([0, 40, 0])))
+    path = write(tmp_path / "head.obj", HEAD.with_vertices(HEAD.vertices + np.array([0, 40, 0])))
     error = fault(path, neutral=HEAD.vertices)
     assert error.code == "scan.misaligned"
     assert "moved by 40 mm" in error.message
@@ -178,7 +181,7 @@ def test_an_expression_off_the_neutral_is_refused(tmp_path: Path) -> None:
 def test_a_mirrored_expression_is_refused(axis: int, tmp_path: Path) -> None:
     mirror = np.ones(3)
     mirror[axis] = -1.0
-    path = write(tmp_path / "head.obj", HEAD.moved(HEAD.vertices * mirror))
+    path = write(tmp_path / "head.obj", HEAD.with_vertices(HEAD.vertices * mirror))
     error = fault(path, neutral=HEAD.vertices)
     assert error.code == "scan.mirrored"
     assert "head.obj" in error.message

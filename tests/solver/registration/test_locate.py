@@ -53,7 +53,9 @@ def person(rng: np.random.Generator, *, neutral: bool) -> Surface:
     who = 0.6 * rng.standard_normal(len(shapes.identity))
     weights = rng.random(len(shapes.expressions)) * (rng.random(len(shapes.expressions)) < 0.12)
     vertices = skin.vertices + np.tensordot(who, shapes.identity, 1)
-    return skin.moved(vertices + (not neutral) * np.tensordot(weights, shapes.expressions, 1))
+    return skin.with_vertices(
+        vertices + (not neutral) * np.tensordot(weights, shapes.expressions, 1)
+    )
 
 
 def raw_scan(vertices: Floats, faces: np.ndarray) -> RawScan:
@@ -116,7 +118,7 @@ def write(folder: Path, factor: float) -> Path:
     head = person(np.random.default_rng(4), neutral=True)
     bust = crop(head, "shoulders", np.random.default_rng(4))
     path = folder / "scan.obj"
-    write_obj(path, bust.moved(factor * bust.vertices))
+    write_obj(path, bust.with_vertices(factor * bust.vertices))
     return path
 
 
@@ -181,7 +183,7 @@ def test_an_open_mouth_between_holes_is_a_face(number: int) -> None:
     who = 0.8 * rng.standard_normal(len(shapes.identity))
     vertices = template().skin.vertices + np.tensordot(who, shapes.identity, 1)
     vertices += shapes.expressions[shapes.expression_names.index("jawOpen")]
-    seen = crop(template().skin.moved(vertices), "holes", rng)
+    seen = crop(template().skin.with_vertices(vertices), "holes", rng)
     found = locate(raw_scan(seen.vertices, seen.faces))
     assert found.is_face
     assert not found.pose.is_face

@@ -33,7 +33,7 @@ def person(known):
     neutral = template.skin.vertices + np.tensordot(who, shapes.identity, 1)
     weights = [SMILE.get(name, 0.0) for name in shapes.expression_names]
     smile = neutral + np.tensordot(weights, shapes.expressions, 1)
-    return template.skin.moved(neutral), template.skin.moved(smile)
+    return template.skin.with_vertices(neutral), template.skin.with_vertices(smile)
 
 
 @pytest.fixture(scope="module")

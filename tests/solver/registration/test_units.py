@@ -135,7 +135,7 @@ def head() -> Surface:
 
 def written(folder: Path, mm_per_unit: float) -> Path:
     path = folder / "scan.obj"
-    write_obj(path, head().moved(head().vertices / mm_per_unit))
+    write_obj(path, head().with_vertices(head().vertices / mm_per_unit))
     return path
 
 

@@ -7,8 +7,8 @@ from base64 import b64decode
 from html import unescape
 from pathlib import Path
 
+from solver.rig import Rig
 from solver.rig.exporters import view
-from solver.rig.rig import Rig
 from tests.solver.rig.exporters.test_exporters import rig
 
 __all__ = ["rig"]

@@ -11,8 +11,8 @@ from PIL import Image
 
 from solver.drawing.sheet import HEADER
 from solver.model import SubjectModel
+from solver.rig import ExpressionFit
 from solver.rig.pictures import anatomy_picture, fit_picture, tets_picture
-from solver.rig.rig import ExpressionFit
 from tests.fixtures import small_capture, small_model
 
 CELL = (1600 // 3, 520)

@@ -17,12 +17,12 @@ from solver.drawing.head import skin_parts
 from solver.fitting.face import Face
 from solver.meshio.registered import read_registered
 from solver.model import SubjectModel
+from solver.rig import ExpressionFit, Rig
 from solver.rig.exporters import csv as csv_exporter
 from solver.rig.exporters import glb, write_rig
 from solver.rig.frames.read_back import validate_glb
 from solver.rig.report import report
 from solver.rig.report.certificate import Certificate, certify
-from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
 from solver.storage import write_json
 from solver.surface import Surface

@@ -157,7 +157,7 @@ def test_small_gaps_are_told_and_explained(tmp_path: Path) -> None:
 def test_noise_is_measured(tmp_path: Path) -> None:
     head = dense(ict_capture("neutral"), 1)
     noise = np.random.default_rng(3).normal(0, 0.8, head.vertices.shape)
-    found = checked(written(tmp_path, head.moved(head.vertices + noise)), "neutral")
+    found = checked(written(tmp_path, head.with_vertices(head.vertices + noise)), "neutral")
     assert alarms(found)[0].startswith("The surface is noisy")
     assert found.figures["noise_mm"] == pytest.approx(0.8, abs=0.15)
 
@@ -171,7 +171,7 @@ def written(folder: Path, surface: Surface) -> Path:
 def test_unit_and_axes_are_found_in_any_pose(tmp_path: Path) -> None:
     head = subject().head
     turn = Rotation.random(rng=np.random.default_rng(2)).as_matrix()
-    path = written(tmp_path, head.moved(head.vertices @ turn.T / 25.4 + 7.0))
+    path = written(tmp_path, head.with_vertices(head.vertices @ turn.T / 25.4 + 7.0))
     place = checked(path, "neutral").location
     assert place is not None
     assert place.size.unit.name == "inch"

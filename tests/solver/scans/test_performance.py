@@ -45,7 +45,7 @@ def test_what_is_not_a_number_was_not_seen(tmp_path: Path) -> None:
 def test_a_folder_of_scans_is_read_by_name(tmp_path: Path) -> None:
     confidence = np.ones(COUNT)
     confidence[FACE[3]] = 0.0
-    write_registered(tmp_path / "take.0002.ply", NEUTRAL.moved(FRAMES[1]), confidence)
+    write_registered(tmp_path / "take.0002.ply", NEUTRAL.with_vertices(FRAMES[1]), confidence)
     write_obj(tmp_path / "take.0001.obj", NEUTRAL)
     (tmp_path / "notes.txt").write_text("not a scan")
     take = open_performance(tmp_path, NEUTRAL, FACE)

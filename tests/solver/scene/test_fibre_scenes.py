@@ -14,8 +14,8 @@ from solver.fitting.calibration import fibre_muscles, save_muscles, with_fibres
 from solver.fitting.face import Face, Pose
 from solver.jobs import run_job
 from solver.mechanics.flesh import MOONEY_RIVLIN
+from solver.rig import Rig
 from solver.rig.frames import SequenceFrame, write_sequence
-from solver.rig.rig import Rig
 from tests.solver.simulation.test_fibres import fibred_block
 
 MODEL, COUNT, FPS = fibred_block(), 5, 10.0

@@ -52,7 +52,7 @@ def test_derivatives_of_inertia_damping_and_work_match_differences():
     inertia.load = 100.0 * rng.standard_normal(flesh.rest.shape)
     x, a = flesh.rest + 0.2 * rng.standard_normal(flesh.rest.shape), flesh.passive()
     step = rng.standard_normal(flesh.size)
-    ends = [flesh.moved(x, sign * 1e-6 * step) for sign in (1, -1)]
+    ends = [flesh.add_motion(x, sign * 1e-6 * step) for sign in (1, -1)]
     slope = (flesh.energy(ends[0], a) - flesh.energy(ends[1], a)) / 2e-6
     passive = face.flesh.gradient(x, a) @ step
     assert abs(slope - passive) > 0.1 * abs(slope)

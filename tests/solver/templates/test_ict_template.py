@@ -13,7 +13,7 @@ from solver.anatomy.warp import SkinDepth
 from solver.errors import InputError
 from solver.surface import Surface
 from solver.templates import bodyparts3d, ict_facekit
-from solver.templates.bodyparts3d import Part
+from solver.templates.bodyparts3d import AnatomicalPart
 from solver.templates.ict_template import build_ict_template
 
 DATA = Path(os.environ.get("MYOFACE_DATA", Path(__file__).parents[4] / "shared" / "data"))
@@ -82,9 +82,11 @@ def test_the_other_half_is_the_mirror_image():
     box.apply_translation([2.0, 0, 0])
     whole = Surface(np.asarray(box.vertices), np.asarray(box.faces, np.int64))
     parts = {
-        "chin": Part("cranium", whole),
-        "left ear": Part("muscle", whole.moved(whole.vertices + np.array([20, 0, 0]))),
-        "right ear": Part("muscle", whole.moved(whole.vertices - [60, 0, 0])),
+        "chin": AnatomicalPart("cranium", whole),
+        "left ear": AnatomicalPart(
+            "muscle", whole.with_vertices(whole.vertices + np.array([20, 0, 0]))
+        ),
+        "right ear": AnatomicalPart("muscle", whole.with_vertices(whole.vertices - [60, 0, 0])),
     }
     found = bodyparts3d.symmetric(parts)
     chin = found["chin"].surface

@@ -102,7 +102,9 @@ def test_a_face_without_mouth_eyes_and_back_is_sound_and_registers(template: Tem
 @pytest.mark.slow
 def test_two_heads_and_a_wrong_unit_are_named(template: Template, tmp_path: Path) -> None:
     person = builtin_capture_set().neutral
-    twice = join_surfaces([person, person.moved(person.vertices + np.array([260.0, 0.0, 0.0]))])
+    twice = join_surfaces(
+        [person, person.with_vertices(person.vertices + np.array([260.0, 0.0, 0.0]))]
+    )
     with pytest.raises(InputError, match="two heads"):
         rebase(template, written(tmp_path, twice))
     with pytest.raises(InputError, match="it fits in mm") as caught:

@@ -114,15 +114,15 @@ def test_unit_and_axes_of_the_whole_folder(folder: Path, template: Template) -> 
     for path in [*folder.glob("*.ply"), *folder.glob("*/*.ply")]:
         path.unlink()
     skin = template.skin
-    write_obj(folder / "skin.obj", skin.moved(turned(skin.vertices)))
-    write_obj(folder / "parted.obj", skin.moved(turned(skin.vertices + template.parting)))
+    write_obj(folder / "skin.obj", skin.with_vertices(turned(skin.vertices)))
+    write_obj(folder / "parted.obj", skin.with_vertices(turned(skin.vertices + template.parting)))
     for name in ("cranium", "mandible"):
         bone: Surface = getattr(template, name)
-        write_obj(folder / f"{name}.obj", bone.moved(turned(bone.vertices)))
+        write_obj(folder / f"{name}.obj", bone.with_vertices(turned(bone.vertices)))
     rows = ["name,file,ring,origin_x,origin_y,origin_z,insertion_x,insertion_y,insertion_z"]
     for muscle in template.muscles:
         file = muscle.name.replace(" ", "-") + ".obj"
-        write_obj(folder / file, muscle.surface.moved(turned(muscle.surface.vertices)))
+        write_obj(folder / file, muscle.surface.with_vertices(turned(muscle.surface.vertices)))
         ends = turned(np.stack([muscle.origin, muscle.insertion])).ravel().tolist()
         ring = "yes" if muscle.ring else ""
         rows.append(",".join([muscle.name, file, ring, *map(repr, ends)]))
@@ -232,7 +232,7 @@ def test_vertex_that_is_no_number_is_named(folder: Path, template: Template) -> 
     (folder / "skin.ply").unlink()
     vertices = template.skin.vertices.copy()
     vertices[7, 1] = np.nan
-    write_obj(folder / "skin.obj", template.skin.moved(vertices))
+    write_obj(folder / "skin.obj", template.skin.with_vertices(vertices))
     with pytest.raises(InputError, match="vertex 7") as caught:
         read_template(folder)
     assert caught.value.context["file"] == "skin.obj"

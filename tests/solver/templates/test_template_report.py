@@ -35,7 +35,7 @@ def flipped(surface: Surface) -> Surface:
 
 
 def moved(surface: Surface, by: tuple[float, float, float]) -> Surface:
-    return surface.moved(surface.vertices + by)
+    return surface.with_vertices(surface.vertices + by)
 
 
 def left(template: Template, **changes: object) -> Template:
@@ -52,7 +52,7 @@ def with_mesh(template: Template, **changes: object) -> Template:
 FAULTS: dict[str, tuple[str, Change]] = {
     "licence.missing": ("warning", lambda t: replace(t, licence="unknown")),
     "source.missing": ("warning", lambda t: replace(t, source=" ")),
-    "skin.size": ("error", lambda t: replace(t, skin=t.skin.moved(t.skin.vertices / 10))),
+    "skin.size": ("error", lambda t: replace(t, skin=t.skin.with_vertices(t.skin.vertices / 10))),
     "skin.inside_out": ("error", lambda t: replace(t, skin=flipped(t.skin))),
     "skin.edges": (
         "error",

@@ -63,7 +63,7 @@ def test_a_shape_is_reached_with_the_volume_of_the_lips(face, gauge, name):
     assert state.inverted == 0
     assert abs(lip_volume(state.x) / lip_volume(MODEL.rest) - 1.0) < 0.01
     # which is more than can be said of the shape itself
-    assert face.face.flesh.inverted(state.pose.target) > 0
+    assert face.face.flesh.count_inverted(state.pose.target) > 0
     assert gauge.at(state.x, state.drive.jaw).most < 0.1
 
 

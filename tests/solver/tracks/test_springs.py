@@ -49,7 +49,7 @@ def test_forces_and_stiffness_are_the_energy_s_derivatives(tracked, moved):
 def test_gradient_and_hessian_match_differences(tracked, moved):
     x, controls, step = moved
     flesh, h = tracked.flesh, 1e-6
-    ahead, behind = (flesh.moved(x, sign * h * step) for sign in (1, -1))
+    ahead, behind = (flesh.add_motion(x, sign * h * step) for sign in (1, -1))
     slope = (flesh.energy(ahead, controls) - flesh.energy(behind, controls)) / (2.0 * h)
     assert flesh.gradient(x, controls) @ step == pytest.approx(slope, rel=1e-6)
     change = (flesh.gradient(ahead, controls) - flesh.gradient(behind, controls)) / (2.0 * h)

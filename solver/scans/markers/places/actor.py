@@ -10,8 +10,8 @@ What rides on bone is carried by S alone.
 
 The head's motion is what all frames of the take give (``signal/motion.py``): few takes have markers
 of the head. It is put back afterwards, in the person's size, so that the fit finds the head as in
-any take. What is wrong with it is thus taken off and put back alike, and only the part of J that is
-no similarity makes a motion of the face of it.
+any take. Errors of the motion are thus taken off and put back alike, and only the part of J that is
+no similarity turns them into a motion of the face.
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ class Reference:
         face = model_face(model)
         jaw = None
         if expression is not None:
-            face, jaw = face.moved(expression.skin), (model.jaw, expression.jaw)
+            face, jaw = face.with_vertices(expression.skin), (model.jaw, expression.jaw)
         rims = find_rims(face.vertices, model.regions)
         return cls(face, model.sha256, markers, jaw, rims)
 
@@ -119,8 +119,8 @@ def place_take(
 ) -> tuple[Marker, ...]:
     """Return a marker for every label of a take whose face has a ``pose``.
 
-    Those of an ``actor`` are brought to the person's size by their names, and lie on the skin as
-    markers do: how far they then are from it is how unlike the two faces are. Of the orbit, they
+    An ``actor``'s markers are brought to the person's size by their names, and lie on the skin as
+    markers do: their distance from it then is how unlike the two faces are. Markers of the orbit
     lie on its rim.
     """
     session, height = pose.session, None
@@ -137,7 +137,7 @@ def place_markers(
 ) -> tuple[Marker, ...]:
     """Return a marker for every label that is ``placed`` (n, 3): on skin, bone, or ignored.
 
-    Those of the skin get one ``height_mm``; without it each has its own.
+    Markers of the skin get one ``height_mm``; without it each has its own.
     """
     seen = np.flatnonzero((np.abs(placed) < BIND.farthest).all(axis=1))
     heights, tip = heights_over(placed[seen], skin), nose_tip(skin)
@@ -188,7 +188,7 @@ def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:
 def rest_places(markers: MarkerSet, skin: Surface) -> Floats:
     """Return where markers (k, 3) lie on a person at rest, in the model's frame.
 
-    Those that are to be ignored, and have no place, are NaN.
+    Ignored markers have no place: NaN.
     """
     on_skin = places_over(skin.vertices[markers.vertices], markers.weights, markers.heights)
     is_face = np.array([each.part == "face" for each in markers.markers], bool)

@@ -197,7 +197,7 @@ def _slide(
 ) -> Located:
     """Return ``start`` after its markers slid onto the skin, all at one height over it.
 
-    Of the numbers that are ``chosen`` the first slide, and all of the second lie on the skin.
+    ``chosen`` are the numbers of the markers that slide, and of all that lie on the skin.
     """
     few, used = chosen
     size = start.scale if unit.source == "template" else unit.mm_per_unit

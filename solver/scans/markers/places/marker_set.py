@@ -247,7 +247,7 @@ class BoundTake:
         found = self._session(self._take.positions[self.frames.index(frame)][self._columns])
         return np.where(self._columns[:, None] < 0, np.nan, found)
 
-    def exchanged(self, frame: int) -> NDArray[np.bool_]:
+    def exchanged_points(self, frame: int) -> NDArray[np.bool_]:
         """Return which of a frame's points (k,) were another label's in the file."""
         if self._exchanged is None:
             return np.zeros(len(self.markers), bool)
@@ -255,7 +255,7 @@ class BoundTake:
         known = (self._columns >= 0) & (self._columns < len(here))  # not those of moved markers
         return np.asarray(known & here[np.where(known, self._columns, 0)])
 
-    def unlabelled(self, frame: int) -> Floats:
+    def unlabelled_points(self, frame: int) -> Floats:
         """Return a frame's points (u, 3) without a label."""
         return self._session(self._take.unlabelled[self.frames.index(frame)])
 

@@ -24,8 +24,8 @@ import numpy as np
 
 from solver.errors import Finding, InputError, quote
 from solver.scans.markers.readers.raw_take import (
-    Event,
     RawTake,
+    TakeEvent,
     TakeOptions,
     check_room,
     choose_rate,
@@ -281,7 +281,7 @@ def _read_points(
     return points, residual
 
 
-def _events(header: bytes, parameters: Parameters, numbers: Numbers) -> tuple[Event, ...]:
+def _events(header: bytes, parameters: Parameters, numbers: Numbers) -> tuple[TakeEvent, ...]:
     """Return the events of the group EVENT, or else those of the header."""
     labels, contexts = parameters.texts("EVENT", "LABELS"), parameters.texts("EVENT", "CONTEXTS")
     times = parameters.numbers("EVENT", "TIMES")
@@ -295,7 +295,7 @@ def _events(header: bytes, parameters: Parameters, numbers: Numbers) -> tuple[Ev
     for number, time in enumerate(seconds[:MOST_EVENTS]):
         words = [*contexts[number : number + 1], *labels[number : number + 1]]
         if math.isfinite(time):
-            found.append(Event(quote(" ".join(filter(None, words))), float(time)))
+            found.append(TakeEvent(quote(" ".join(filter(None, words))), float(time)))
     return tuple(found)
 
 

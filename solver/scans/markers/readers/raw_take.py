@@ -58,7 +58,7 @@ TAKE_OPTIONS = TakeOptions()
 
 
 @dataclass(frozen=True)
-class Event:
+class TakeEvent:
     """Something that the file marks in time."""
 
     name: str
@@ -77,7 +77,7 @@ class RawTake:
     residual: Floats | None = None  # (f, n) in the file's units, NaN if unknown
     sigma: Floats | None = None  # (f, n, 3) in the file's units
     up: str | None = None  # the axis that is up by the file
-    events: tuple[Event, ...] = ()
+    events: tuple[TakeEvent, ...] = ()
     findings: list[Finding] = field(default_factory=list)
 
 

@@ -18,8 +18,8 @@ from solver.scans.markers.readers.raw_take import (
     ADVICE,
     MOST_FRAME,
     TAKE_OPTIONS,
-    Event,
     RawTake,
+    TakeEvent,
     TakeOptions,
     check_room,
     check_seen,
@@ -58,7 +58,7 @@ class Take:
     unlabelled_names: tuple[str, ...] = ()  # (u,)
     subject: str = ""  # the prefix that all labels had
     up: str | None = None  # the axis that is up by the file, as "y" or "-z"
-    events: tuple[Event, ...] = ()
+    events: tuple[TakeEvent, ...] = ()
     findings: tuple[Finding, ...] = ()  # what reading it found
 
     def __post_init__(self) -> None:
@@ -140,7 +140,7 @@ class Take:
                 quote(header["subject"]),
                 header["up"] if header["up"] in (*AXES, None) else None,
                 tuple(
-                    Event(quote(event["name"]), float(event["time"]))
+                    TakeEvent(quote(event["name"]), float(event["time"]))
                     for event in header["events"][:MOST_EVENTS]
                 ),
                 tuple(filter(None, map(_known_finding, header["findings"]))),

@@ -187,7 +187,7 @@ class Second:
 def find_neutral(motion: Motion, rate: float) -> tuple[int, int]:
     """Return first and last row of the second in which the face is stillest.
 
-    Of two that are equally still it is the one nearer to the median face.
+    Between two that are equally still, the one nearer to the median face wins.
     """
     (stillest,) = still_seconds(motion, rate, 1)
     return stillest.rows

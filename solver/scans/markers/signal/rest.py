@@ -2,7 +2,7 @@
 
 People hold expressions as still as they rest. But between expressions a face comes back to rest:
 still seconds are compared with the whole take, without the head's motion, and rest is the pose that
-is visited most often. Of two that are held about as long it is the one with the mouth more closed;
+is visited most often. Between two that are held about as long, the mouth more closed decides;
 nothing but a look at them can tell for sure, so that the other is kept as a rival.
 """
 

@@ -13,10 +13,10 @@ from solver.errors import InputError, SolveError
 from solver.fitting.face import Face
 from solver.kinds.export_rig import FORMATS
 from solver.mechanics.flesh import IDENTITY
+from solver.rig import ExpressionFit, Rig
 from solver.rig.exporters import export, export_all, export_measured, exporter
 from solver.rig.report import report
 from solver.rig.report.certificate import certify
-from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import block_model
 from worker.attempt import MEDIA_TYPES
 

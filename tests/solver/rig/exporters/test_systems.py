@@ -11,8 +11,8 @@ import pytest
 
 from solver.errors import InputError, SolveError
 from solver.mechanics.flesh import IDENTITY
+from solver.rig import ExpressionFit, Rig, ShapeFit, System
 from solver.rig.exporters import export, export_measured, systems
-from solver.rig.rig import ExpressionFit, Rig, ShapeFit, System
 from solver.storage import read_container
 from tests.solver.block import block_model
 

@@ -13,12 +13,12 @@ import pytest
 from solver.anatomy.embedding import tet_binder
 from solver.fitting.face import Face, Pose
 from solver.mechanics.boundary import move_jaw
+from solver.rig import ExpressionFit, Rig
 from solver.rig.exporters import inside as inside_exporter
 from solver.rig.exporters import view as view_exporter
 from solver.rig.exporters.inside import NO_MUSCLE
 from solver.rig.report import report
 from solver.rig.report.certificate import certify
-from solver.rig.rig import ExpressionFit, Rig
 from solver.storage import Archive, read_container
 from solver.surface import Surface
 from tests.fixtures import fixture_model
@@ -35,8 +35,8 @@ def rig() -> Rig:
     cube = Surface(box, np.array([[0, 1, 2], [1, 3, 2], [4, 5, 6]]))
     model = replace(
         block_model(),
-        bones={"cranium": cube, "mandible": cube.moved(box - 20.0)},
-        muscles={"right": cube.moved(box + np.array([30.0, 10.0, 4.0]))},
+        bones={"cranium": cube, "mandible": cube.with_vertices(box - 20.0)},
+        muscles={"right": cube.with_vertices(box + np.array([30.0, 10.0, 4.0]))},
     )
     face = Face(model)
     rest = face.rest_pose()

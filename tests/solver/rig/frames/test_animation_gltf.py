@@ -56,7 +56,7 @@ def test_skins_read_back(tmp_path: Path) -> None:
     assert off[written.frame][written.vertex] == pytest.approx(np.max(off), abs=2e-3)
     assert 0.01 < np.max(off) < LIMIT_MM
     for number in (7, 33):
-        expected = vertex_normals(NEUTRAL.moved(skins[number].astype(np.float64)))
+        expected = vertex_normals(NEUTRAL.with_vertices(skins[number].astype(np.float64)))
         at_rest = vertex_normals(NEUTRAL)
         found = at_rest + shown.change(TIMES[number], "NORMAL")
         assert turned(found, expected) < 0.5 * turned(at_rest, expected)

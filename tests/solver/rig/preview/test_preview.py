@@ -9,11 +9,11 @@ import pytest
 
 from solver.fitting.face import Face, Pose
 from solver.mechanics.flesh import IDENTITY
+from solver.rig import ExpressionFit, Rig
 from solver.rig.frames.skin_basis import feature_slopes, features
 from solver.rig.preview.poses import Responses, SampleOptions, SliderSolver
 from solver.rig.preview.sliders import SliderOptions, Sliders, controls_of
 from solver.rig.report.certificate import certify
-from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import head_block
 
 BLOCK = head_block((7, 5, 1))

@@ -12,11 +12,11 @@ import trimesh
 
 from solver.fitting.face import Face, Pose, PosedFace
 from solver.mechanics.flesh import IDENTITY
+from solver.rig import ExpressionFit, Rig
 from solver.rig.report import report
 from solver.rig.report.certificate import certify, check_flesh, with_round_trips
 from solver.rig.report.checks import CHECKS, Judgement, RigCheck, judge, overall, use
 from solver.rig.report.measures import Measure
-from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import activation_error
 from solver.surface import Surface
 from tests.solver.block import block_model
@@ -50,7 +50,7 @@ def fitted(face: Face, state: PosedFace, name: str = "smile") -> ExpressionFit:
         skin=skin,
         target=skin,
         error_mm=np.full(len(skin), 0.2),
-        inverted=face.flesh.inverted(state.x),
+        inverted=face.flesh.count_inverted(state.x),
         iterations=3,
         seconds=0.1,
         objective=0.04,

@@ -8,8 +8,8 @@ import numpy as np
 
 from solver.fitting.face import Face
 from solver.model import SubjectModel
+from solver.rig import ExpressionFit
 from solver.rig.report.measures import check_neutral
-from solver.rig.rig import ExpressionFit
 from tests.solver.block import block_model
 from tests.solver.rig.report.test_web_page import fit
 
@@ -58,5 +58,5 @@ def test_rows_of_teeth_that_are_apart() -> None:
         vertices[1] = vertices[0] + [0.0, -apart, 0.0]
         teeth = {"upper_teeth": np.array([0]), "lower_teeth": np.array([1])}
         regions = {**model.regions, **teeth}
-        face = Face(replace(model, skin=model.skin.moved(vertices), regions=regions))
+        face = Face(replace(model, skin=model.skin.with_vertices(vertices), regions=regions))
         assert [finding.code for finding in check_neutral(face, [])] == codes

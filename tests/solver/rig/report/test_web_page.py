@@ -13,10 +13,10 @@ from PIL import Image
 
 from solver.errors import make_warning
 from solver.fitting.face import Face
+from solver.rig import ExpressionFit, Rig
 from solver.rig.report import report
 from solver.rig.report.certificate import certify
 from solver.rig.report.web_page import write_page
-from solver.rig.rig import ExpressionFit, Rig
 from tests.solver.block import block_model, divided_block
 
 EVIL = "<b>sad & 'so'"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from solver.errors import Finding, InputError
-from solver.scans.markers.readers.raw_take import Event, TakeOptions, make_finding
+from solver.scans.markers.readers.raw_take import TakeEvent, TakeOptions, make_finding
 from solver.scans.markers.readers.take import Take, read_take
 from tests.fixtures import data_folder
 from tests.take_files import (
@@ -186,7 +186,7 @@ def test_npz_of_landmarks_has_sigma_by_axis(tmp_path: Path) -> None:
         ({"labels": ("a", "b", "c", "a")}, "'a' twice"),
         ({"labels": ("a", "b", "c", "x" * 5000)}, "no label"),
         ({"labels": ("a", "b", "c", "\x1b[31m")}, "no label"),
-        ({"events": (Event("start", float("nan")),)}, "event"),
+        ({"events": (TakeEvent("start", float("nan")),)}, "event"),
         ({"sigma": np.full((5, 4, 3), 1e-320)}, "sigma"),
         ({"sigma": np.full((5, 4, 3), np.inf)}, "sigma"),
     ],

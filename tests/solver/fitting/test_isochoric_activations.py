@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.fitting.stretches import FROBENIUS, matrices, shorten
+from solver.fitting.stretches import FROBENIUS, isochoric_activation, matrices
 
 
 def test_fibres_shorten_and_the_volume_stays() -> None:
     along = np.array([2.0, -1.0, 2.0]) / 3.0
-    straight = matrices(shorten(np.outer(along, along), 0.8)[None])[0]
+    straight = matrices(isochoric_activation(np.outer(along, along), 0.8)[None])[0]
     np.testing.assert_allclose(straight @ along, 0.8 * along, atol=1e-12)
     assert np.linalg.det(straight) == pytest.approx(1.0)
-    ring = matrices(shorten(np.diag([0.5, 0.5, 0.0]), 0.8)[None])[0]
+    ring = matrices(isochoric_activation(np.diag([0.5, 0.5, 0.0]), 0.8)[None])[0]
     np.testing.assert_allclose(np.diag(ring), [0.8**0.5, 0.8**0.5, 1 / 0.8])
 
 
