@@ -67,10 +67,10 @@ def unseen_regulariser(
     (:mod:`solver.fitting.recruitment`), and those in a table what is ``known`` (:mod:`.known`).
     """
     plain = Regulariser(UNSEEN["w_a"], UNSEEN["w_v"], UNSEEN["w_b"], face.rest_pose())
-    expected = plain
+    expected, muscles = plain, FaceMuscles.of(face)
     if target is not None and (recruitment := Recruitment.of_face(face)):
-        expected = recruitment.of_target(target).regularise(plain)
-    return FaceMuscles.of(face).regularise(known, expected, plain)
+        expected = recruitment.of_target(target).without(muscles.numbers(known)).regularise(plain)
+    return muscles.regularise(known, expected)
 
 
 @dataclass(frozen=True)

@@ -243,8 +243,10 @@ def _regularisers(
     plain = Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
     muscles, found = FaceMuscles.of(face), {}
     for name in names:
-        expected = recruited[name].regularise(plain) if name in recruited else plain
-        found[name] = muscles.regularise(known.get(name, NOTHING), expected, plain)
+        expected, table = plain, known.get(name, NOTHING)
+        if name in recruited:
+            expected = recruited[name].without(muscles.numbers(table)).regularise(plain)
+        found[name] = muscles.regularise(table, expected)
     return found
 
 

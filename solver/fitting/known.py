@@ -143,18 +143,16 @@ class FaceMuscles:
         """Return the contractions (r,) of muscles and wholes by those (m,) of all muscles."""
         return np.asarray(self._shares(names) @ np.nan_to_num(contractions))
 
-    def regularise(
-        self, known: KnownMuscles, expected: Regulariser, plain: Regulariser
-    ) -> Regulariser:
-        """Return a regulariser with what is known, in the place of what is ``expected`` of these.
+    def numbers(self, known: KnownMuscles) -> Ints:
+        """Return the numbers (k,) of the muscles that a table knows, with whole's compartments."""
+        own = [self._of(name) for name in known.names]
+        return np.unique(np.concatenate(own)) if own else np.array([], dtype=np.int64)
 
-        ``plain`` is that of muscles of which nothing is expected.
-        """
+    def regularise(self, known: KnownMuscles, expected: Regulariser) -> Regulariser:
+        """Return a regulariser with what is known, from one that expects nothing of these."""
         if not len(known):
             return expected
-        rest = self.face.layout.drive.rest
-        mean, by_muscle = expected.prior.a.copy(), np.ones((len(rest), *[1] * (rest.ndim - 1)))
-        w_a, usual = expected.w_a * by_muscle, plain.w_a * by_muscle
+        rest, mean = self.face.layout.drive.rest, expected.prior.a.copy()
         # compartments, of which more is known, after their wholes
         for row in sorted(range(len(known)), key=lambda row: len(known.names[row])):
             own = self._of(known.names[row])
@@ -162,10 +160,8 @@ class FaceMuscles:
             rates = self._contractions.rates[own]
             change = known.values[row] * rates / (rates**2).sum(axis=1, keepdims=True)
             mean[own] = rest[own] + change.reshape(rest[own].shape)
-            w_a[own] = usual[own]
         prior = replace(expected.prior, a=mean)
-        others = (*expected.others, self.term(known))
-        return replace(expected, w_a=w_a, prior=prior, others=others)
+        return replace(expected, prior=prior, others=(*expected.others, self.term(known)))
 
     def compare(self, known: KnownMuscles, a: Floats) -> tuple[KnownFit, ...]:
         """Return what is known of muscles beside their fitted contractions."""

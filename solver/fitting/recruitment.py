@@ -58,11 +58,13 @@ class RecruitmentOptions:
     opposed: float = 10.0  # by which that of a muscle is greater that works against one called for
     called: float = 0.25  # amount of an expression from which its muscles are called for wholly
     even: float = 20.0  # by which what both sides do otherwise costs more than w_a
+    effort: float = 0.0  # slope of the price of contraction that nobody calls for, by w_a
+    small: float = 0.02  # contraction below which that price is quadratic
 
 
-# A trained S (:mod:`solver.fitting.training`) leaves the work to the right muscles by itself;
-# antagonists pay as much as without
-TRAINED = RecruitmentOptions(price=10.0, opposed=30.0)
+# A trained S (:mod:`solver.fitting.training`) leaves the work to the right muscles by itself, so
+# that a lower price does; effort takes away what many others would add by a little each
+TRAINED = RecruitmentOptions(price=4.0, opposed=30.0, effort=30.0)
 
 
 def usual_options(model: SubjectModel) -> RecruitmentOptions:
@@ -88,6 +90,7 @@ class Recruitment:
     tensors: Floats
     mirrored: Ints
     sides: EvenSides
+    effort: Effort
     options: RecruitmentOptions = RecruitmentOptions()
 
     @classmethod
@@ -109,7 +112,8 @@ class Recruitment:
         rest = model.skin.vertices[model.face]
         mirrored, sides = _mirror_numbers(shapes.names), EvenSides.of_face(face)
         chosen = options or usual_options(model)
-        return cls(shapes.motions, named, opposed, rest, tensors, mirrored, sides, chosen)
+        effort = Effort.of_face(face, chosen.small)
+        return cls(shapes.motions, named, opposed, rest, tensors, mirrored, sides, effort, chosen)
 
     def of_target(self, target: Target) -> Recruited:
         """Return what a target calls for."""
@@ -122,8 +126,9 @@ class Recruitment:
         mean = np.tile(IDENTITY, (len(price), 1))
         for muscle in np.flatnonzero((contraction > 0.0) & np.isfinite(self.tensors[:, 0, 0])):
             mean[muscle] = isochoric_activation(self.tensors[muscle], 1.0 - contraction[muscle])
-        even = options.even * explained * self.evenness(amounts)
-        return Recruited((price**explained)[:, None], mean, replace(self.sides, weight=even))
+        sides = replace(self.sides, weight=options.even * explained * self.evenness(amounts))
+        effort = replace(self.effort, weights=options.effort * explained * (1.0 - called))
+        return Recruited((price**explained)[:, None], mean, sides, effort)
 
     def evenness(self, amounts: Floats) -> float:
         """Return how alike both sides of expressions by their ``amounts`` (e,) are, from 0 to 1."""
@@ -166,13 +171,68 @@ class Recruited:
     price: Floats  # (m, 1) by which w_a is greater
     mean: Floats  # (m, 6) of their activations
     sides: EvenSides  # its weight by w_a
+    effort: Effort  # its weights by w_a
+
+    def without(self, muscles: Ints) -> Recruited:
+        """Return what is expected if nothing is of ``muscles`` (k,), as a table knows of them."""
+        price, mean, weights = self.price.copy(), self.mean.copy(), self.effort.weights.copy()
+        price[muscles], mean[muscles], weights[muscles] = 1.0, IDENTITY, 0.0
+        return replace(self, price=price, mean=mean, effort=replace(self.effort, weights=weights))
 
     def regularise(self, plain: Regulariser) -> Regulariser:
         """Return a regulariser that expects this of muscles, from one that expects them at rest."""
-        prior = replace(plain.prior, a=self.mean)
-        sides = replace(self.sides, weight=float(np.min(plain.w_a)) * self.sides.weight)
-        others = (*plain.others, sides)
+        prior, unit = replace(plain.prior, a=self.mean), float(np.min(plain.w_a))
+        sides = replace(self.sides, weight=unit * self.sides.weight)
+        effort = replace(self.effort, weights=unit * self.effort.weights)
+        others = (*plain.others, sides, effort)
         return replace(plain, w_a=plain.w_a * self.price, prior=prior, others=others)
+
+
+@dataclass(frozen=True, eq=False)
+class Effort(Prior):
+    """The linear price of contractions k_j: sum_j weights_j (sqrt(k_j^2 + small^2) - small).
+
+    ``places`` (m, 6) are those of a_j among the controls, ``rates`` (m, 6) are dk_j/da_j.
+    """
+
+    places: Ints
+    rates: Floats
+    small: float
+    weights: Floats  # (m,)
+
+    @classmethod
+    def of_face(cls, face: Face, small: float) -> Effort:
+        """Return that of a face's muscles, which costs nothing yet; without fibres none does."""
+        found = face.drive.contraction_map(face.model, face.flesh.volumes, face.S)
+        places = face.layout.muscles
+        rates = np.zeros(places.shape) if found is None else np.nan_to_num(found.rates)
+        return cls(places, rates, small, np.zeros(len(places)))
+
+    @override
+    def value(self, pose: Pose) -> float:
+        return float(self.weights @ (self._smooth(self._contractions(pose)) - self.small))
+
+    @override
+    def gradient(self, pose: Pose) -> Floats:
+        contractions, out = self._contractions(pose), np.zeros(pose.layout.size)
+        slopes = self.weights * contractions / self._smooth(contractions)
+        out[self.places] = slopes[:, None] * self.rates
+        return out
+
+    @override
+    def gauss_newton(self, pose: Pose) -> Floats:
+        # of the parabola that touches the price at k_j, and at -k_j, and is above it elsewhere
+        out = np.zeros((pose.layout.size, pose.layout.size))
+        bends = self.weights / self._smooth(self._contractions(pose))
+        blocks = bends[:, None, None] * self.rates[:, :, None] * self.rates[:, None, :]
+        out[self.places[:, :, None], self.places[:, None, :]] = blocks
+        return out
+
+    def _contractions(self, pose: Pose) -> Floats:
+        return np.asarray((self.rates * (pose.a - IDENTITY)).sum(axis=1))
+
+    def _smooth(self, contractions: Floats) -> Floats:
+        return np.asarray(np.hypot(contractions, self.small))
 
 
 # Of the six entries of S(a), those of its mirror image, x being to the side.

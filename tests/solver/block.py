@@ -160,3 +160,10 @@ def divided_block(shape=(5, 4, 3)):
         wholes=divided.wholes,
         fibres=fibres,
     )
+
+
+def differences(function, pose, step=1e-5):
+    """Return the central differences of a ``function`` of poses."""
+    moves = step * np.eye(pose.layout.size)
+    ends = ((function(pose.add(move)), function(pose.add(-move))) for move in moves)
+    return np.array([(ahead - behind) / (2.0 * step) for ahead, behind in ends])

@@ -153,10 +153,11 @@ class DensePoints(Observation[SeenPoints, Similarity, DenseFit]):
         return roughly.then(head_motion(roughly(fitted), there, weights))
 
     def _fit(self, target: Target, solver: FrameSolver, before: Pose, known: KnownMuscles) -> int:
-        prior = plain = self._regulariser
+        prior = self._regulariser
         if self._recruitment is not None:
-            prior = self._recruitment.of_target(target).regularise(plain)
-        prior = self._muscles.regularise(known, prior, plain)
+            expected = self._recruitment.of_target(target).without(self._muscles.numbers(known))
+            prior = expected.regularise(prior)
+        prior = self._muscles.regularise(known, prior)
         prior = prior.with_proximal_term(before, self._options.temporal)
         return solver.fit(SkinDistance(self.face, target), target.weights, prior)
 

@@ -16,12 +16,12 @@ from solver.fitting.face import Face
 from solver.fitting.known import FaceMuscles, KnownFit, compare_frames, find_disagreements
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.per_tet.tissue import of_face
-from solver.fitting.recruitment import EvenSides, Recruited
+from solver.fitting.recruitment import Effort, EvenSides, Recruited
 from solver.fitting.simplex import mix_by_stiffness
 from solver.fitting.stretches import isochoric_activation
 from solver.scans.known_activations import KnownMuscles
 from tests.fixtures import small_model
-from tests.solver.block import divided_block
+from tests.solver.block import differences, divided_block
 
 
 @pytest.fixture(scope="module")
@@ -40,22 +40,15 @@ KNOWN = known_of(("left", 0.3, 0.05), ("right.upper", 0.1, 0.2))
 
 def test_the_term_s_derivatives_are_those_of_its_value(face):
     plain = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
-    found = FaceMuscles.of(face).regularise(KNOWN, plain, plain)
+    found = FaceMuscles.of(face).regularise(KNOWN, plain)
     rng = np.random.default_rng(5)
     pose = face.rest_pose().add(0.1 * rng.standard_normal(face.layout.size))
-
-    def difference(of, step=1e-5):
-        """Return the central differences of what there is of a pose, by every control."""
-        moves = step * np.eye(face.layout.size)
-        both = [(of(pose.add(each)), of(pose.add(-each))) for each in moves]
-        return np.array([(one - other) / (2.0 * step) for one, other in both])
-
     gradient = found.others[-1].gradient(pose)
     assert np.abs(gradient).max() > 1e-3
-    np.testing.assert_allclose(gradient, difference(found.others[-1].value), atol=1e-8)
-    np.testing.assert_allclose(found.gradient(pose), difference(found.value), atol=1e-7)
+    np.testing.assert_allclose(gradient, differences(found.others[-1].value, pose), atol=1e-8)
+    np.testing.assert_allclose(found.gradient(pose), differences(found.value, pose), atol=1e-7)
     hessian = found.others[-1].gauss_newton(pose)
-    np.testing.assert_allclose(hessian, difference(found.others[-1].gradient), atol=1e-8)
+    np.testing.assert_allclose(hessian, differences(found.others[-1].gradient, pose), atol=1e-8)
     assert np.linalg.matrix_rank(hessian) == len(KNOWN)
     more = found.gauss_newton(pose) - replace(found, others=()).gauss_newton(pose)
     np.testing.assert_allclose(more, hessian, atol=1e-12)
@@ -81,18 +74,21 @@ def test_a_whole_muscle_contracts_by_the_mean_over_its_compartments(face):
 
 def test_what_is_known_takes_the_place_of_what_is_expected(face):
     rest = face.rest_pose().a
-    expected = Recruited(np.full((4, 1), 30.0), rest + 0.1, EvenSides.of_face(face))
+    effort = Effort.of_face(face, 0.02)
+    expected = Recruited(np.full((4, 1), 30.0), rest + 0.1, EvenSides.of_face(face), effort)
     plain = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
-    recruited = expected.regularise(plain)
     muscles = FaceMuscles.of(face)
-    found = muscles.regularise(KNOWN, recruited, plain)
+    np.testing.assert_array_equal(muscles.numbers(KNOWN), [0, 1, 3])
+    recruited = expected.without(muscles.numbers(KNOWN)).regularise(plain)
+    found = muscles.regularise(KNOWN, recruited)
     np.testing.assert_allclose(found.w_a[:, 0], [1e-3, 1e-3, 0.03, 1e-3])
     np.testing.assert_allclose(found.prior.a[2], rest[2] + 0.1)
     values = muscles.contractions(KNOWN, found.prior.a)
     np.testing.assert_allclose(values, KNOWN.values)
     assert found.others[-1].value(replace(face.rest_pose(), a=found.prior.a)) == pytest.approx(0.0)
     nothing = KnownMuscles((), np.zeros(0), np.zeros(0))
-    assert muscles.regularise(nothing, recruited, plain) is recruited
+    assert muscles.regularise(nothing, recruited) is recruited
+    assert len(muscles.numbers(nothing)) == 0
 
 
 def test_muscles_of_one_number_are_known_by_it(face):
@@ -100,7 +96,7 @@ def test_muscles_of_one_number_are_known_by_it(face):
     gamma = np.array([0.7, 0.7, 1.0, 0.9])
     np.testing.assert_allclose(FaceMuscles.of(along).contractions(KNOWN, gamma), [0.3, 0.1])
     plain = Regulariser(1e-3, 0.0, 1e-6, along.rest_pose())
-    found = FaceMuscles.of(along).regularise(KNOWN, plain, plain)
+    found = FaceMuscles.of(along).regularise(KNOWN, plain)
     np.testing.assert_allclose(found.prior.a, [0.7, 0.7, 1.0, 0.9])
     fibres = with_fibres(face, fibre_muscles(face))
     pulled = np.array([0.3, 0.3, 0.0, 0.1])

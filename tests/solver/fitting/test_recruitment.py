@@ -11,11 +11,11 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.drives.fibre_contraction import FibreContraction
 from solver.fitting.face import Face
 from solver.fitting.objective import Regulariser, SkinDistance, Target
-from solver.fitting.recruitment import EvenSides, Recruitment, RecruitmentOptions, recruit
-from solver.fitting.stretches import determinants
+from solver.fitting.recruitment import Effort, EvenSides, Recruitment, RecruitmentOptions, recruit
+from solver.fitting.stretches import determinants, fibre_tensors, isochoric_activation
 from solver.model import Expressions
 from tests.fixtures import small_model
-from tests.solver.block import block_model, poses
+from tests.solver.block import block_model, differences, divided_block, poses
 
 NAMES = ("mouthSmileLeft", "browInnerUp", "jawOpen")
 
@@ -149,14 +149,12 @@ def test_what_both_sides_do_otherwise_has_its_price(face):
     sides, rng = EvenSides.of_face(face), np.random.default_rng(3)
     pose = face.rest_pose().add(0.1 * rng.standard_normal(face.layout.size))
 
-    def difference(of, step=1e-5):
-        moves = step * np.eye(face.layout.size)
-        return np.array([(of(pose.add(it)) - of(pose.add(-it))) / (2.0 * step) for it in moves])
-
     gradient = sides.gradient(pose)
     assert np.abs(gradient).max() > 1e-2
-    np.testing.assert_allclose(gradient, difference(sides.value), atol=1e-8)
-    np.testing.assert_allclose(sides.gauss_newton(pose), difference(sides.gradient), atol=1e-7)
+    np.testing.assert_allclose(gradient, differences(sides.value, pose), atol=1e-8)
+    np.testing.assert_allclose(
+        sides.gauss_newton(pose), differences(sides.gradient, pose), atol=1e-7
+    )
     one, other = (face.model.muscle_numbers(f"zygomaticus_major_{side}")[0] for side in "lr")
     a = face.rest_pose().a
     a[one], a[other] = [1.1, 0.1, 0.2, 0.9, 0.3, 1.0], [1.1, -0.1, -0.2, 0.9, 0.3, 1.0]
@@ -170,3 +168,59 @@ def test_only_a_scan_that_is_alike_on_both_sides_asks_for_the_same_of_both(face)
     weights = [recruitment.of_target(target_of(face, of)).sides.weight for of in np.eye(3)]
     assert weights[0] == pytest.approx(0.0, abs=1e-6)  # the smile of the left alone
     assert weights[1:] == pytest.approx(2 * [RecruitmentOptions.even], rel=1e-3)
+
+
+def test_effort_is_linear_in_contractions_and_its_parabola_is_above_it(face):
+    rng, small = np.random.default_rng(5), 0.02
+    free = Effort.of_face(face, small)
+    effort = replace(free, weights=rng.uniform(0.5, 1.0, len(free.weights)))
+    pose = face.rest_pose().add(0.05 * rng.standard_normal(face.layout.size))
+    gradient = effort.gradient(pose)
+    assert np.abs(gradient).max() > 0.1
+    np.testing.assert_allclose(gradient, differences(effort.value, pose), atol=1e-7)
+    curvature = effort.gauss_newton(pose)
+    for size in (0.01, 0.1, 1.0):
+        step = size * rng.standard_normal(face.layout.size)
+        bound = effort.value(pose) + gradient @ step + 0.5 * step @ curvature @ step
+        assert effort.value(pose.add(step)) <= bound
+    a = face.rest_pose().a
+    one = face.model.muscle_numbers("zygomaticus_major_l")[0]
+    tensor = fibre_tensors(face.model, face.flesh.volumes, face.S)[one]
+    a[one] = isochoric_activation(tensor, 0.7)
+    by = Contraction.of_face(face)(a)[one]
+    expected = effort.weights[one] * (np.hypot(by, small) - small)
+    assert by > 0.2
+    assert effort.value(replace(pose, a=a)) == pytest.approx(expected)
+
+
+def test_effort_is_asked_of_those_alone_that_nobody_calls_for_or_knows(face):
+    recruitment = Recruitment.of_face(face, RecruitmentOptions(effort=7.0))
+    found = recruitment.of_target(target_of(face, [1.0, 0.0, 0.0]))
+    named, other = (face.model.muscle_numbers(f"zygomaticus_major_{side}") for side in "lr")
+    np.testing.assert_allclose(found.effort.weights[named], 0.0)
+    np.testing.assert_allclose(found.effort.weights[other], 7.0, rtol=1e-3)
+    spared = found.without(np.concatenate([named, other]))
+    np.testing.assert_allclose(spared.effort.weights[other], 0.0)
+    np.testing.assert_allclose(spared.price[named], 1.0)
+    assert contraction_of(face, spared, "zygomaticus_major_l") == pytest.approx(0.0, abs=1e-12)
+
+
+def test_with_effort_fewer_muscles_make_the_same():
+    face = Face(divided_block())
+    tensors = fibre_tensors(face.model, face.flesh.volumes, face.S)
+    a = face.rest_pose().a
+    for muscle, stretch in ((0, 0.8), (1, 0.93)):
+        a[muscle] = isochoric_activation(tensors[muscle], stretch)
+    there = face.continuation(face.rest, replace(face.rest_pose(), a=a))
+    data = SkinDistance(face, Target.from_points(face.face_points(there.x)))
+    plain = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
+    effort = replace(Effort.of_face(face, 0.01), weights=np.array([0.0, 1.0, 1.0, 1.0]))
+
+    def others(*priors):
+        options = ActivationOptions(60, 1e-6)
+        found = activation.fit(face, data, replace(plain, others=priors), face.rest, options)
+        return np.abs(Contraction.of_face(face)(found.state.pose.a))[1:].max()
+
+    before = others()
+    assert before > 0.05
+    assert others(effort) < 0.2 * before
