@@ -49,6 +49,7 @@ from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import fibre_tensors, isochoric_activation
 from solver.model import SubjectModel
 from solver.rig import ExpressionFit, Rig
+from solver.rig.preview.patterns import contract_in_full
 from solver.rig.preview.sliders import SliderOptions, controls_of
 from solver.surface import Floats, Ints
 
@@ -145,18 +146,20 @@ def _sorted_out(
     return found, failed
 
 
-def _named(face: Face, _: Sequence[ExpressionFit], __: argparse.Namespace) -> Figures:
-    found, failed = _sorted_out(pull_named(face))
+def _named(face: Face, fits: Sequence[ExpressionFit], _: argparse.Namespace) -> Figures:
+    found, failed = _sorted_out(pull_named(face, fits))
     return {**named_figures(face.model, found), "named_failed": failed}
 
 
 def pull_named(
-    face: Face, options: FullOptions = FullOptions()
+    face: Face, fits: Sequence[ExpressionFit] = (), options: FullOptions = FullOptions()
 ) -> Iterator[tuple[str, Pulled | SolveError]]:
-    """Yield every muscle of the table of actions as :func:`pull_each`, contracted in full."""
+    """Yield every muscle of the table of actions as :func:`pull_each`, as its sliders at 1."""
     model, rest = face.model, face.rest
     before = face.whole_skin(rest.x, rest.pose.b)
     limits = options.within.feasible(model, face.flesh.volumes, face.S)
+    fitted = [fit.activations for fit in fits]
+    pulled = contract_in_full(face, fitted, options.sliders.full_stretch)
     done: set[str] = set()
     for action in muscle_actions():
         numbers = named_muscles(model, action.muscle, both=action.is_ring)
@@ -165,8 +168,7 @@ def pull_named(
             continue
         done.add(action.muscle)
         a = rest.pose.a.copy()
-        for number in numbers:
-            a[number] = isochoric_activation(limits.tensors[number], options.sliders.full_stretch)
+        a[numbers] = pulled[numbers]
         pose = Pose(keep_within(a, limits)[0], rest.pose.b)
         try:
             x = face.continuation(rest, pose).x

@@ -1,9 +1,9 @@
 """The sliders: every muscle's contraction, the jaw's ways, what else each expression uses.
 
 All are numbers from 0 to 1 that change (a, b) linearly. A muscle's slider contracts it along its
-fibres. The jaw has two, one each way, for each of its degrees of freedom that is used. One number
-per muscle cannot tell all of a fit with six: what is left of each expression is a control of its
-own, so that every fit can be reached.
+fibres, in the pattern of the person's expressions. The jaw has two, one each way, for each of its
+degrees of freedom that is used. One number per muscle cannot tell all of a fit with six: what is
+left of each expression is a control of its own, so that every fit can be reached.
 
 Sliders that markers drive live are a template's expressions instead: they span what faces do, and
 few numbers are fast.
@@ -22,26 +22,26 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.controls import JAW_UNITS
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
-from solver.fitting.stretches import isochoric_activation
 from solver.mechanics.boundary import JawMotion
 from solver.mechanics.flesh import IDENTITY
+from solver.rig.preview.patterns import contract_in_full
 from solver.rig.rig import ExpressionFit
 from solver.surface import Floats
 
 # What a muscle's slider does: the muscle shortens along its fibres, as muscles do.
 #
 # A fit has six numbers a muscle, and uses them freely: seen by itself, a fitted activation may push
-# where the muscle would pull. So a slider is not the fit's but the muscle's. An expression sets it
-# to the muscle's contraction there (solver.fitting.contraction) by that at 1: the certificate, the
-# tables of takes and the sliders say the same of who pulls.
+# where the muscle would pull. So a slider is not that of one fit but the muscle's: what goes along
+# with its contraction in all of them (solver.rig.preview.patterns). An expression sets it to the
+# muscle's contraction there (solver.fitting.contraction) by that at 1: the certificate, the tables
+# of takes and the sliders say the same of who pulls.
 
 
 @dataclass(frozen=True)
 class SliderOptions:
     """Ends of the sliders."""
 
-    # length to which a slider at 1 shortens a muscle's fibres: well within what muscles can, and on
-    # the straight line from rest to there the muscle's volume is never off by more than 5 %
+    # length to which a slider at 1 shortens parallel fibres: well within what muscles can
     full_stretch: float = 1.2 * SHORTEST
     margin: float = 1.25  # the jaw's sliders go so many times as far as the fitted expressions ...
     # ... and at least this part of what jaws do, so that a jaw which an expression hardly moves is
@@ -111,7 +111,7 @@ def controls_of(
     layout = face.layout
     in_a, in_b = layout["activations"], layout["jaw"]
     fitted = np.array([Pose(fit.activations, fit.jaw).vector() for fit in fits]) - layout.rest
-    muscles, changes = _muscles(face, options.full_stretch)
+    muscles, changes = _muscles(face, fits, options.full_stretch)
     contracted = _read_contraction(face, fits, muscles)
     jaws, ways, opened = _jaw(fitted[:, in_b], options)
     directions = np.zeros((layout.size, len(muscles) + len(jaws)))
@@ -143,16 +143,16 @@ def controls_of_basis(face: Face, names: Sequence[str], basis: ExpressionBasis) 
     )
 
 
-def _muscles(face: Face, full_stretch: float) -> tuple[list[Control], Floats]:
+def _muscles(
+    face: Face, fits: Sequence[ExpressionFit], full_stretch: float
+) -> tuple[list[Control], Floats]:
     """Return controls and changes of a (6 m, .) of the muscles that have fibres in S."""
     names, contraction = face.model.muscle_names, Contraction.of_face(face)
     assert contraction is not None, "the sliders of a rig contract muscles by S"
     kept = np.flatnonzero(np.isfinite(contraction.tensors).all(axis=(1, 2)))
+    pulled = contract_in_full(face, [fit.activations for fit in fits], full_stretch)
     changes = np.zeros((len(names), 6, len(kept)))
-    pulled = np.tile(IDENTITY, (len(names), 1))
-    for column, muscle in enumerate(kept):
-        pulled[muscle] = isochoric_activation(contraction.tensors[muscle], full_stretch)
-        changes[muscle, :, column] = pulled[muscle] - IDENTITY
+    changes[kept, :, np.arange(len(kept))] = pulled[kept] - IDENTITY
     full = contraction(pulled)
     listed = [Control(names[j], "muscle", names[j], names[j], full=float(full[j])) for j in kept]
     return listed, changes.reshape(6 * len(names), -1)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from solver.fitting.drives.admissible import ADMISSIBLE
 from solver.fitting.face import Face, Pose
 from solver.mechanics.flesh import IDENTITY
 from solver.rig import ExpressionFit, Rig
@@ -71,7 +72,8 @@ def test_a_muscle_shortens_along_its_fibres_and_keeps_its_volume(controls: Slide
             xx, xy, xz, yy, yz, zz = a[muscle]
             stretch = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
             assert xx == pytest.approx(1.0 - amount * (1.0 - SliderOptions().full_stretch))
-            assert np.linalg.det(stretch) == pytest.approx(1.0, abs=0.05)
+            # on the way, within what muscles can do
+            assert np.linalg.det(stretch) == pytest.approx(1.0, abs=ADMISSIBLE.volume - 1.0)
             assert np.allclose(np.delete(a, muscle, axis=0), IDENTITY)
         assert np.linalg.det(stretch) == pytest.approx(1.0)
 
