@@ -68,14 +68,9 @@ class SparseControls(Controls):
         """
         count, forces = rates.shape[1], flesh.forces_by_control(x, a) @ rates
         if boundary is not None:
-            motion = np.zeros((len(flesh.rest), 3, count))
-            motion[flesh.held] = boundary.held
-            flat = motion.reshape(-1, count)
-            rigid = curvature(potentials, x) @ flat
-            for each in potentials:
-                rigid += each.by_boundary(x, boundary).reshape(-1, count)
-            pull = flesh.coupling(x, a, motion) + rigid[flesh.free_coordinates]
-            return cls(np.asarray(forces + pull), sp.csr_array(flat))
+            contact = curvature(potentials, x)
+            pull, held = boundary_forces(flesh, x, a, boundary, potentials, contact)
+            return cls(np.asarray(forces + pull), held)
         return cls(sp.csc_array(forces), sp.csr_array((flesh.rest.size, count)))
 
     @override
@@ -91,6 +86,53 @@ class SparseControls(Controls):
     @override
     def adjoint(self, motion: Floats) -> Floats:
         return np.asarray(self.forces.T @ motion)
+
+
+@dataclass(frozen=True)
+class ChainedControls(Controls):
+    """Controls q (k,) that drive the flesh by way of r other numbers y: G = (dG/dy) (dy/dq).
+
+    ``forces`` (size, r) is sparse as few numbers drive a vertex, ``rates`` (r, k) dense.
+    """
+
+    forces: sp.csr_array
+    rates: Floats
+    held: sp.csr_array
+
+    @override
+    def columns(self) -> Floats:
+        return np.asfortranarray(self.forces @ self.rates)
+
+    @override
+    def product(self, change: Floats) -> Floats:
+        return np.asarray(self.forces @ (self.rates @ change))
+
+    @override
+    def adjoint(self, motion: Floats) -> Floats:
+        return np.asarray(self.rates.T @ (self.forces.T @ motion))
+
+
+def boundary_forces(
+    flesh: Flesh,
+    x: Floats,
+    a: Floats,
+    boundary: BoundaryRates,
+    potentials: Sequence[Potential],
+    contact: sp.csr_array,
+) -> tuple[Floats, sp.csr_array]:
+    """Return the free gradient's change (size, k) as the ``boundary`` moves, and dx_held/dq.
+
+    The flesh is at x (p, 3) with controls ``a``, the ``potentials`` are placed where it is, and
+    ``contact`` is their :func:`~solver.mechanics.boundary.curvature` there.
+    """
+    motion = np.zeros((*flesh.rest.shape, boundary.count))
+    motion[flesh.held] = boundary.held
+    flat = motion.reshape(flesh.rest.size, -1)
+    by_contact = contact @ flat
+    for each in potentials:
+        by_contact += each.by_boundary(x, boundary).reshape(by_contact.shape)
+    pull = flesh.coupling(x, a, motion) + by_contact[flesh.free_coordinates]
+    return np.asarray(pull), sp.csr_array(flat)
 
 
 class Response:
@@ -110,20 +152,23 @@ class Response:
         x: Floats,
         a: Floats,
         *,
-        potentials: Sequence[Potential] = (),
+        contact: sp.csr_array | None = None,
         linear: LinearSolver | GrowingSolver | None = None,
     ) -> Response:
         """Factorise the Hessian at x (p, 3) with ``a`` (n, 6), nothing of it projected.
 
-        ``linear`` solves for the flesh's pattern; with ``potentials`` the pattern is analysed anew
-        unless it is one that grows.
+        ``contact`` (3 p, 3 p) is the :func:`~solver.mechanics.boundary.curvature` of what touches.
+        ``linear`` solves for the flesh's pattern; with contact the pattern is analysed anew unless
+        it is one that grows.
         Raises :class:`~solver.mechanics.linear.NotPositiveDefiniteError` where it is singular.
         """
         matrix = flesh.hessian(x, a)
-        if linear is None or (potentials and not isinstance(linear, GrowingSolver)):
+        if contact is None:
+            contact = sp.csr_array((x.size, x.size))
+        if linear is None or (contact.nnz and not isinstance(linear, GrowingSolver)):
             linear = GrowingSolver(matrix)
         if isinstance(linear, GrowingSolver):
-            linear = linear.plus(flesh.free_block(curvature(potentials, x)))
+            linear = linear.plus(flesh.free_block(contact))
         try:
             return cls(flesh, linear.factor(matrix.data))
         except NotPositiveDefiniteError:

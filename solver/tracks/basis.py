@@ -253,7 +253,13 @@ class TrackRates:
 
     target: Floats  # (p, 3, K + 5)
     jaw: Floats  # (5, K + 5)
-    activations: Floats  # (m, 6, K + 5)
+    stretches: Floats  # (m, K + 5) of the muscles; zero where a stretch drives nothing
+    by_stretch: Floats  # (m, 6) the activations' derivatives by them
+
+    @property
+    def activations(self) -> Floats:
+        """Return the activations' derivatives (m, 6, K + 5)."""
+        return np.asarray(self.by_stretch[:, :, None] * self.stretches[:, None])
 
 
 class TrackTargets:
@@ -274,6 +280,11 @@ class TrackTargets:
     def _jaw_rates(self) -> Floats:
         """The jaw's derivatives (5, K + 5)."""
         return np.hstack([self._tracks.jaw.T, np.eye(JAW_FREEDOM)])
+
+    @cached_property
+    def _morphs_by_vertex(self) -> Floats:
+        """The morphs as (p, 3, K), as a product with each vertex's turn wants them."""
+        return np.ascontiguousarray(self._tracks.morphs.transpose(1, 2, 0))
 
     def jaw(self, q: Floats) -> Floats:
         """Return b (5,)."""
@@ -298,14 +309,13 @@ class TrackTargets:
         share = tracks.skinning[:, None, None]
         turned = (1.0 - share) * np.eye(3) + share * self._jaw.matrix(b)[:3, :3]
         target = share * (self._jaw.jacobian(y, b) @ self._jaw_rates)
-        target[:, :, : len(tracks.names)] += turned @ tracks.morphs.transpose(1, 2, 0)
+        target[:, :, : len(tracks.names)] += turned @ self._morphs_by_vertex
         pose = self._pose(b, y)
         lengths = tracks.lines.length_rates(pose.target, target)
-        a = np.zeros((*pose.activations.shape, len(q)))
-        by_stretch = self._activations.rates(self._stretches(pose.lengths))
-        stretch = lengths[self._driven] / self._rest_lengths[:, None]
-        a[self._driven] = by_stretch[:, :, None] * stretch[:, None]
-        return TrackRates(target, self._jaw_rates, a)
+        stretches, by_stretch = np.zeros_like(lengths), np.zeros_like(pose.activations)
+        stretches[self._driven] = lengths[self._driven] / self._rest_lengths[:, None]
+        by_stretch[self._driven] = self._activations.rates(self._stretches(pose.lengths))
+        return TrackRates(target, self._jaw_rates, stretches, by_stretch)
 
     def _morph(self, q: Floats) -> Floats:
         weights = q[: len(self._tracks.names)]

@@ -12,11 +12,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.sparse as sp
 
 from solver.errors import SolveError
-from solver.mechanics.boundary import Boundary, BoundaryRates
+from solver.mechanics.boundary import Boundary, BoundaryRates, curvature
 from solver.mechanics.newton import Energy
-from solver.mechanics.response import Response, SparseControls
+from solver.mechanics.response import ChainedControls, Response, boundary_forces
 from solver.simulation import MOMENT
 from solver.surface import Floats
 
@@ -37,27 +38,28 @@ class TrackResponse:
     def __init__(self, face: TrackFace, state: TrackState) -> None:
         self._face, self._state = face.face, state
         flesh, x, controls, b = face.face.flesh, state.x, state.drive.A, state.drive.jaw
-        held = face.face.held_positions(b)
+        now = Boundary(face.face.held_positions(b), b)
         for each in face.potentials:
-            each.place(Boundary(held, b))
+            each.place(now)
         energy = Energy(flesh, face.face.linear, controls, face.potentials)
         residual = energy.residual(energy.gradient(x))
         if not residual <= MOMENT.stalled:
             message = f"the state is no equilibrium: its residual is {residual:.1e}"
             raise SolveError("tracks.no_equilibrium", message, residual=residual)
         rates = face.targets.rates(state.q)
-        moved = (face.face.mandible_jacobian(b) @ rates.jaw)[flesh.held]
+        by_jaw = BoundaryRates(face.face.mandible_jacobian(b)[flesh.held], np.eye(len(b)))
+        contact = curvature(face.potentials, x)
+        pull, held = boundary_forces(flesh, x, controls, by_jaw, face.potentials, contact)
         self._jaw = rates.jaw
-        self._controls = SparseControls.of(
-            flesh,
-            x,
-            controls,
-            face.tracked.rates(rates.activations, rates.target),
-            BoundaryRates(moved, rates.jaw),
-            face.potentials,
+        # q moves the muscles' stretches, the springs' places and the jaw, and these the flesh
+        by_stretch = face.tracked.forces_by_stretch(x, controls, rates.by_stretch)
+        driving = [by_stretch, face.tracked.forces_by_place, sp.csr_array(pull)]
+        numbers = [rates.stretches, face.tracked.places(rates.target), rates.jaw]
+        self._controls = ChainedControls(
+            sp.hstack(driving, format="csr"), np.vstack(numbers), held @ sp.csr_array(rates.jaw)
         )
         self._response = Response.exact(
-            flesh, x, controls, potentials=face.potentials, linear=face.exact_solver
+            flesh, x, controls, contact=contact, linear=face.exact_solver
         )
 
     @property

@@ -12,7 +12,9 @@ after the other: whatever moves or differentiates flesh by its controls does so 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+import numba as nb
 import numpy as np
 import scipy.sparse as sp
 from typing_extensions import override
@@ -98,11 +100,66 @@ class TrackedFlesh:
     def controls(self, a: Floats, target: Floats) -> Floats:
         """Return the flesh's controls for activations (m, 6) and places (p, 3) of the flesh."""
         A = self.S @ np.vstack([IDENTITY, a])
-        return np.concatenate([A.ravel(), target[self.springs.vertices[:, 0]].ravel()])
+        return np.concatenate([A.ravel(), self.places(target)])
 
-    def rates(self, a: Floats, target: Floats) -> Floats:
-        """Return their derivatives (controls, k) by those of the two, (m, 6, k) and (p, 3, k)."""
-        count = a.shape[2]
-        by_tet = (self.S[:, 1:] @ a.reshape(len(a), -1)).reshape(-1, count)
-        places = target[self.springs.vertices[:, 0]].reshape(-1, count)
-        return np.vstack([by_tet, places])
+    def places(self, target: Floats) -> Floats:
+        """Return the springs' coordinates (3 s, ...) among (p, 3, ...) of all vertices."""
+        found = target[self.springs.vertices[:, 0]]
+        return found.reshape(3 * len(found), *target.shape[2:])
+
+    @cached_property
+    def forces_by_place(self) -> sp.csr_array:
+        """The free gradient's derivative (size, 3 s) by the springs' places."""
+        numbers = self.flesh.free_numbers[self.springs.vertices[:, 0]]
+        rows = (3 * numbers[:, None] + np.arange(3)).ravel()
+        values = -np.repeat(self.springs.stiffness, 3)
+        shape = self.flesh.size, len(rows)
+        return sp.csr_array((values, (rows, np.arange(len(rows)))), shape=shape)
+
+    def forces_by_stretch(self, x: Floats, controls: Floats, by_stretch: Floats) -> sp.csr_array:
+        """Return the free gradient's derivative (size, m) by the stretches of the muscles.
+
+        ``by_stretch`` (m, 6) are the derivatives of their activations.
+        """
+        muscles, A = self._muscles, controls[: 6 * len(self.flesh.tets)].reshape(-1, 6)
+        by_tet = self.flesh.elastic.forces_by_activation(x, A)
+        forces = np.empty((muscles.nnz, 12))
+        _force_ways(by_tet, muscles.indptr, muscles.indices, muscles.data, by_stretch, forces)
+        entries, places, indptr, indices = self._force_pattern
+        data = np.bincount(places, forces.ravel()[entries], len(indices))
+        return sp.csr_array((data, indices, indptr), shape=(self.flesh.size, len(by_stretch)))
+
+    @cached_property
+    def _muscles(self) -> sp.csr_array:
+        """The muscles' shares (n, m)."""
+        return self.S[:, 1:]
+
+    @cached_property
+    def _force_pattern(self) -> tuple[Ints, Ints, Ints, Ints]:
+        """Which of the tets' forces of each muscle are on free coordinates, and where they go.
+
+        The pattern of their sum has the indptr (size + 1,) and the indices that come after.
+        """
+        muscles, flesh = self._muscles.tocoo(), self.flesh
+        numbers = flesh.free_numbers[flesh.tets[muscles.coords[0]]]
+        rows = 3 * numbers[:, :, None] + np.arange(3)
+        keys = rows * muscles.shape[1] + muscles.coords[1][:, None, None]
+        entries = np.flatnonzero(rows >= 0)
+        kept, places = np.unique(keys.ravel()[entries], return_inverse=True)
+        row, indices = np.divmod(kept, muscles.shape[1])
+        return entries, places, np.searchsorted(row, np.arange(flesh.size + 1)), indices
+
+
+@nb.njit(cache=True)
+def _force_ways(
+    by_tet: Floats, indptr: Ints, indices: Ints, shares: Floats, ways: Floats, out: Floats
+) -> None:
+    """Fill ``out`` (nnz, 12): d(forces of tet i)/dA_i along s_ij times the way (6,) of muscle j."""
+    for tet in range(len(by_tet)):
+        for entry in range(indptr[tet], indptr[tet + 1]):
+            for v in range(4):
+                for i in range(3):
+                    total = 0.0
+                    for q in range(6):
+                        total += by_tet[tet, v, i, q] * ways[indices[entry], q]
+                    out[entry, 3 * v + i] = shares[entry] * total

@@ -106,7 +106,8 @@ def driven(request):
     block = Driven(request.param)
     q, x = Q, block.settled(Q, block.x)
     controls = block.controls(q, x)
-    response = Response.exact(block.flesh, x, block.state(q)[0], potentials=block.potentials)
+    contact = curvature(block.potentials, x)
+    response = Response.exact(block.flesh, x, block.state(q)[0], contact=contact)
     assert response.minimum
     return block, q, x, controls, response
 

@@ -79,15 +79,19 @@ def test_forces_by_control_match_differences(tracked, moved):
         np.testing.assert_allclose(matrix @ way, change, atol=1e-6 * np.abs(change).max())
 
 
-def test_rates_of_controls_are_linear_in_those_of_muscles_and_places(tracked):
-    random = np.random.default_rng(9)
-    count = len(tracked.flesh.rest)
-    a, target = random.standard_normal((2, 6, 3)), random.standard_normal((count, 3, 3))
-    rates = tracked.rates(a, target)
-    for column in range(3):
-        base = tracked.controls(np.zeros((2, 6)), np.zeros((count, 3)))
-        end = tracked.controls(a[:, :, column], target[:, :, column])
-        assert np.allclose(rates[:, column], end - base)
+def test_forces_by_stretches_and_places_are_those_by_control(tracked, moved):
+    x, controls, _ = moved
+    by_control, count = tracked.flesh.forces_by_control(x, controls), 6 * len(tracked.flesh.tets)
+    ways = np.random.default_rng(9).standard_normal((2, 6))
+    found = tracked.forces_by_stretch(x, controls, ways)
+    assert found.shape == (tracked.flesh.size, 2)
+    for muscle in range(2):
+        shares = tracked.S[:, [1 + muscle]].toarray()
+        expected = by_control[:, :count] @ (shares * ways[muscle]).ravel()
+        assert np.abs(expected).max() > 0.1
+        np.testing.assert_allclose(found[:, [muscle]].toarray()[:, 0], expected, atol=1e-12)
+    by_place = tracked.forces_by_place.toarray()
+    np.testing.assert_array_equal(by_place, by_control[:, count:].toarray())
 
 
 def test_springs_are_as_firm_as_there_is_muscle():
