@@ -15,9 +15,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import SolveError
+from solver.fitting.markers.term import head_rates
 from solver.mechanics.boundary import Boundary, BoundaryRates, curvature
 from solver.mechanics.newton import Energy
 from solver.mechanics.response import ChainedControls, Response, boundary_forces
+from solver.similarity import Similarity
 from solver.simulation import MOMENT
 from solver.surface import Floats
 
@@ -92,3 +94,35 @@ class TrackResponse:
         """Return the transpose of :meth:`skin_product` applied to g (V, 3): (K + 5,)."""
         by_flesh, by_jaw = self._face.skin_adjoint(gradient, self._state.drive.jaw)
         return np.asarray(self.adjoint(by_flesh) + self._jaw.T @ by_jaw)
+
+    def placed(self, head: Similarity) -> PlacedSkin:
+        """Return the derivatives of the skin in the world, where a ``head`` takes it."""
+        skin = self._face.whole_skin(self._state.x, self._state.drive.jaw)
+        return PlacedSkin(self, head, head(skin))
+
+
+class PlacedSkin:
+    """The derivatives of a ``skin`` (V, 3) in the world by q and by the head, K + 11 controls.
+
+    The last six are a small motion of the head in the world, rotation vector and shift: the
+    ``head`` becomes ``head.then(small_motion(six))``.
+    """
+
+    def __init__(self, response: TrackResponse, head: Similarity, skin: Floats) -> None:
+        self._response, self._turn = response, head.scale * head.rotation
+        self._by_head = head_rates(skin)
+
+    def columns(self) -> Floats:
+        """Return the derivatives (V, 3, K + 11)."""
+        turned = self._turn @ self._response.skin_columns()
+        return np.concatenate([turned, self._by_head.reshape(-1, 3, 6)], axis=2)
+
+    def product(self, change: Floats) -> Floats:
+        """Return the skin's motion (V, 3) for a change (K + 11,) of the controls."""
+        turned = self._response.skin_product(change[:-6]) @ self._turn.T
+        return turned + (self._by_head @ change[-6:]).reshape(-1, 3)
+
+    def adjoint(self, gradient: Floats) -> Floats:
+        """Return the transpose of :meth:`product` applied to g (V, 3): (K + 11,)."""
+        by_face = self._response.skin_adjoint(gradient @ self._turn)
+        return np.concatenate([by_face, self._by_head.T @ gradient.ravel()])

@@ -10,6 +10,7 @@ from solver.contact.obstacles import Eyeball
 from solver.contact.one_sided import OneSided
 from solver.errors import SolveError
 from solver.mechanics.boundary import move_jaw_back
+from solver.similarity import Similarity, small_motion
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace
 from solver.tracks.response import TrackResponse
@@ -86,6 +87,28 @@ def test_products_and_adjoints_agree_with_the_columns(settled):
         # <g, J dq> = <J^T g, dq>
         gap = abs((gradient * moved).sum() - pulled @ change)
         assert gap <= 1e-10 * np.linalg.norm(gradient) * np.linalg.norm(moved)
+
+
+def test_a_head_adds_its_six(settled):
+    face, state, response = settled
+    head = Similarity(
+        1.1, small_motion(np.array([0.3, -0.5, 0.2, 0, 0, 0])).rotation, 30.0 * JAW[:3]
+    )
+    placed, skin = response.placed(head), head(face.skin(state))
+    columns = placed.columns()
+    assert columns.shape == (*skin.shape, face.tracks.size + 6)
+    expected = np.einsum("ij,vjk->vik", 1.1 * head.rotation, response.skin_columns())
+    np.testing.assert_allclose(columns[:, :, :-6], expected, atol=1e-12 * np.abs(expected).max())
+    for number, twist in enumerate(STEP * np.eye(6)):
+        ahead, behind = (small_motion(sign * twist)(skin) for sign in (1, -1))
+        by_head = (ahead - behind) / (2.0 * STEP)
+        np.testing.assert_allclose(columns[:, :, number - 6], by_head, atol=1e-6)
+    random = np.random.default_rng(5)
+    change, gradient = random.standard_normal(columns.shape[2]), random.standard_normal(skin.shape)
+    moved, pulled = placed.product(change), placed.adjoint(gradient)
+    np.testing.assert_allclose(moved, columns @ change, atol=1e-10 * np.abs(moved).max())
+    expected = np.einsum("vik,vi->k", columns, gradient)
+    np.testing.assert_allclose(pulled, expected, atol=1e-10 * np.abs(expected).max())
 
 
 def test_a_step_by_the_derivative_is_off_by_its_square(settled):
