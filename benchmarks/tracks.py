@@ -3,7 +3,8 @@
 `shapes` goes from rest to every shape at weight 1. `recording` plays frames of a recording, each
 from the one before. `lips` are the volumes of the tets within 5 mm of the lips' skin; those of
 the morph are what plain shapes do to flesh. A frame's target is the sum of its shapes on the skin.
-`derivatives` compares dx/dq with central differences of states, of flesh alone and of pressed lips.
+`derivatives` compares dx/dq with central differences of states, of flesh alone and of pressed lips;
+where JAX is installed, JAX checks the gradients of the face as its own function.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import logging
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -33,6 +35,7 @@ from solver.model import SubjectModel
 from solver.rig.report.systems import LipFlesh
 from solver.scans.performance import read_live_link
 from solver.surface import Floats
+from solver.tracks.autodiff import Mode, jax_function
 from solver.tracks.basis import MuscleTracks, TrackOptions
 from solver.tracks.face import TrackFace, TrackState, track_potentials
 from solver.tracks.response import TrackResponse
@@ -45,6 +48,8 @@ QUICK_SHAPES = 4
 # over that, whose distances from the linear prediction tell its order
 PRESSED = {"mouthPressLeft": 1.0, "mouthPressRight": 1.0, "mouthShrugLower": 0.9, "jawLeft": 0.1}
 FREE_MM, TOUCHING_MM, TAYLOR = 2e-3, 2e-4, (20.0, 10.0)
+# what JAX's own check, of another random direction, may be off: of the largest column, by contact
+JAX_FREE, JAX_TOUCHING = 1e-5, 1e-4
 TIMED = 7  # runs of what is timed
 MOVES_MM = 0.05
 """Controls that move the skin by less, at most, are compared with nothing."""
@@ -215,6 +220,9 @@ class _Person:
             "adjoint_gap": float(abs((gradient * moved).sum() - pulled @ way) / norms),
             **timed,
         }
+        if find_spec("jax") is not None:
+            allowed = JAX_TOUCHING if potentials else JAX_FREE
+            found["jax_check"] = _jax_agrees(face, state, columns, step_mm, allowed)
         if potentials:
             face.potentials = [_Projected(each) for each in potentials]
             rough = TrackResponse(face, state).skin_columns()
@@ -288,6 +296,27 @@ def _taylor_order(
     return float(np.log2(off[0] / off[1]) / np.log2(lengths[0] / lengths[1]))
 
 
+def _jax_agrees(
+    face: TrackFace, state: TrackState, columns: Floats, step_mm: float, allowed: float
+) -> bool:
+    """Tell whether JAX finds the derivatives of both modes where its own differences do."""
+    import jax
+    from jax.test_util import check_grads
+
+    jax.config.update("jax_enable_x64", True)
+    size = float(np.abs(columns).max())
+    within = {"eps": step_mm / size, "rtol": allowed, "atol": allowed * size}
+    try:
+        for checked in ("rev", "fwd"):
+            mode: Mode = "reverse" if checked == "rev" else "forward"
+            function = jax_function(face, mode, start=state)
+            check_grads(function, (jax.numpy.array(state.q),), 1, modes=[checked], **within)
+    except AssertionError as error:
+        log.warning("JAX finds other derivatives: %s", error)
+        return False
+    return True
+
+
 def _times(face: TrackFace, state: TrackState) -> Figures:
     """Return processor's times of all columns and of a Newton step, ms, and their ratio.
 
@@ -356,6 +385,7 @@ DERIVATIVES = {
     "minimum": "minimum",
     "taylor_order": "order of a step",
     "adjoint_gap": "adjoint off",
+    "jax_check": "JAX's check",
     "columns_ms": "all columns, ms",
     "jacobian_over_newton": "over a Newton step",
 }

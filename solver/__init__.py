@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from solver.rig import Rig as Rig
     from solver.rig.exporters import export as export
     from solver.simulation import Simulator as Simulator
+    from solver.tracks.autodiff import jax_function as jax_function
+    from solver.tracks.autodiff import torch_function as torch_function
     from solver.tracks.basis import MuscleTracks as MuscleTracks
     from solver.tracks.face import TrackFace as TrackFace
     from solver.tracks.fit import fit as fit_tracks  # noqa: F401
@@ -81,8 +83,10 @@ _PLACES = {
     "fit_expression": "solver.fitting.fallback:fit",
     "fit_geometry": "solver.fitting.geometry:fit",
     "fit_tracks": "solver.tracks.fit:fit",
+    "jax_function": "solver.tracks.autodiff:jax_function",
     "read_registered": "solver.meshio.registered:read_registered",
     "run_job": "solver.jobs:run_job",
+    "torch_function": "solver.tracks.autodiff:torch_function",
     "unseen_regulariser": "solver.fitting.activation:unseen_regulariser",
     "write_registered": "solver.meshio.registered:write_registered",
 }

@@ -47,7 +47,7 @@ class TrackState:
     pose: TrackPose  # what they ask for
     drive: Drive
     motion: FleshMotion
-    residual: float  # see Energy.residual
+    residual: float  # see Energy.residual; NaN where it was not asked for
     iterations: int
     inverted: int  # tets
     seconds: float  # that it took
@@ -124,6 +124,16 @@ class TrackFace:
         found = self._simulator.step(state.motion, state.drive, goal)
         told = found.residual, found.iterations, found.inverted, found.seconds
         return TrackState(q.copy(), pose, goal, found.motion, *told)
+
+    def state_at(self, q: Floats, x: Floats) -> TrackState:
+        """Return the state under q (K + 5,) whose flesh was found at x (p, 3) before.
+
+        Nothing is solved for. Whether it is one its derivatives tell (``tracks.no_equilibrium``).
+        """
+        pose = self.targets.at(q)
+        motion = FleshMotion(x, np.zeros_like(x), IDENTITY)
+        inverted = self.face.flesh.count_inverted(x)
+        return TrackState(q, pose, self._drive(0.0, pose), motion, np.nan, 0, inverted, 0.0)
 
     def skin(self, state: TrackState) -> Floats:
         """Return the whole skin (V, 3) of a state."""

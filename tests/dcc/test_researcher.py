@@ -66,9 +66,15 @@ def guide() -> str:
     return _python(ROOT / "docs" / "science" / "researcher.md")
 
 
-def _python(document: Path) -> str:
+def guide_in_jax() -> str:
+    """Return the guide with its snippet of JAX, which is an extra."""
+    pytest.importorskip("jax", reason="JAX is not installed: pip install 'myoface[jax]'")
+    return _python(ROOT / "docs" / "science" / "researcher.md", fences="python|py")
+
+
+def _python(document: Path, fences: str = "python") -> str:
     text = document.read_text(encoding="utf-8")
-    return "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
+    return "\n".join(re.findall(rf"```(?:{fences})\n(.*?)```", text, re.DOTALL))
 
 
 def fibres() -> str:
@@ -103,7 +109,9 @@ def notebook() -> str:
 
 
 @pytest.mark.parametrize(
-    "script", [readme, guide, fibres, anatomy, notebook], ids=lambda script: script.__name__
+    "script",
+    [readme, guide, guide_in_jax, fibres, anatomy, notebook],
+    ids=lambda script: script.__name__,
 )
 def test_the_snippets_run(script: Callable[[], str], rig: Path, tmp_path: Path) -> None:
     shutil.copytree(rig, tmp_path / "demo-output")
