@@ -45,9 +45,9 @@ PARTS = ("shapes", "recording", "derivatives")
 FRAMES, QUICK_FRAMES = 300, 4
 QUICK_SHAPES = 4
 # weights of pressed lips; how far differences move the skin, for contact is stiff; and the steps,
-# over that, whose distances from the linear prediction tell its order
+# over that, whose distances from the linear prediction tell its order: with 20 pairs come and go
 PRESSED = {"mouthPressLeft": 1.0, "mouthPressRight": 1.0, "mouthShrugLower": 0.9, "jawLeft": 0.1}
-FREE_MM, TOUCHING_MM, TAYLOR = 2e-3, 2e-4, (20.0, 10.0)
+FREE_MM, TOUCHING_MM, TAYLOR = 2e-3, 2e-4, (5.0, 2.5)
 # what JAX's own check, of another random direction, may be off: of the largest column, by contact
 JAX_FREE, JAX_TOUCHING = 1e-5, 1e-4
 TIMED = 7  # runs of what is timed
@@ -227,7 +227,8 @@ class _Person:
             face.potentials = [_Projected(each) for each in potentials]
             rough = TrackResponse(face, state).skin_columns()
             size, off = (np.abs(each).max(axis=(0, 1)) for each in (columns, rough - columns))
-            found["by_projected"] = float((off / size)[asked[size[asked] > MOVES_MM]].max())
+            moving = asked[size[asked] > MOVES_MM]
+            found["by_projected"] = float((off[moving] / size[moving]).max())
         log.info("derivatives: %s", found)
         return found
 

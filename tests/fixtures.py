@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +29,7 @@ NARROW_FACE = 6706  # ICT-FaceKit: the vertices below are the face without ears 
 BOUNDARY_CRANIUM, BOUNDARY_MANDIBLE = 1, 2
 MODEL_FILE = Path(__file__).parent / "fixtures" / "small_model.npz"
 EXPRESSIONS_FILE = MODEL_FILE.with_name("small_expressions.npz")
+JAX_FOLDER = Path(__file__).parents[1] / ".jax"
 FELUPE_FILE = MODEL_FILE.with_name("felupe_bar.npz")
 
 
@@ -61,6 +64,13 @@ def small_rig() -> Rig:
     skin, none = small_capture("ah").vertices, np.zeros(len(model.skin.vertices))
     opened = ExpressionFit("ah", "train", pose.a, pose.b, skin, skin, none, 0, 1, 0.0, 0.0)
     return Rig(model, model.weights, (opened,))
+
+
+def jax_module() -> Any:
+    """Return JAX, which `scripts/jax` puts beside the locked packages, or skip the calling test."""
+    if JAX_FOLDER.is_dir() and str(JAX_FOLDER) not in sys.path:
+        sys.path.append(str(JAX_FOLDER))
+    return pytest.importorskip("jax", reason="JAX is not installed: scripts/jax")
 
 
 def data_folder(*parts: str) -> Path:

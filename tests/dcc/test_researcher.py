@@ -22,6 +22,7 @@ from solver.model import SubjectModel
 from solver.rig import Rig
 from solver.templates.builtin.build import builtin_capture_set
 from tests.command_line import invoke
+from tests.fixtures import JAX_FOLDER, jax_module
 
 ROOT = Path(__file__).parents[2]
 GUIDES = ROOT / "docs" / "guide"
@@ -68,7 +69,7 @@ def guide() -> str:
 
 def guide_in_jax() -> str:
     """Return the guide with its snippet of JAX, which is an extra."""
-    pytest.importorskip("jax", reason="JAX is not installed: pip install 'myoface[jax]'")
+    jax_module()
     return _python(ROOT / "docs" / "science" / "researcher.md", fences="python|py")
 
 
@@ -125,7 +126,11 @@ def run(code: str, *words: str | Path, cwd: Path) -> str:
     child = subprocess.run(
         [sys.executable, "-c", code, *map(str, words)],
         cwd=cwd,
-        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "HOME": str(Path.home())},
+        env={
+            "PYTHONPATH": f"{ROOT}:{JAX_FOLDER}",
+            "PATH": "/usr/bin:/bin",
+            "HOME": str(Path.home()),
+        },
         capture_output=True,
         text=True,
         timeout=300,

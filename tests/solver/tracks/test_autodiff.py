@@ -10,6 +10,7 @@ from solver.tracks.autodiff import SkinMap, jax_function, torch_function
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace
 from solver.tracks.response import TrackResponse
+from tests.fixtures import jax_module
 from tests.solver.tracks.block import block_shapes, tracked_block
 
 EXACT = {"stiffness_pa": 1.0, "tolerance": 1e-12, "settled_mm": 0.0}
@@ -34,10 +35,7 @@ def columns(face, q):
 
 @pytest.fixture(scope="module")
 def jax():
-    jax = pytest.importorskip("jax", reason="JAX is not installed: pip install 'myoface[jax]'")
-    from jax import test_util
-
-    assert test_util.check_grads
+    jax = jax_module()
     jax.config.update("jax_enable_x64", True)
     return jax
 
@@ -105,6 +103,7 @@ def test_another_mode_is_named(face):
     assert error.value.code == "tracks.options"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("mode", "checked"), [("reverse", "rev"), ("forward", "fwd")])
 def test_jax_checks_the_gradients(jax, face, q, mode, checked):
     from jax.test_util import check_grads
@@ -113,6 +112,7 @@ def test_jax_checks_the_gradients(jax, face, q, mode, checked):
     check_grads(function, (jax.numpy.array(q),), order=1, modes=[checked], rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.long
 def test_jax_has_values_and_all_derivatives(jax, face, q, columns):
     state = face.move(face.rest(), q)
     reverse, forward = jax_function(face, "reverse"), jax_function(face, "forward")
@@ -123,6 +123,7 @@ def test_jax_has_values_and_all_derivatives(jax, face, q, columns):
         np.testing.assert_allclose(found, columns[:2], atol=1e-8 * size)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", ["reverse", "forward"])
 def test_jax_batches_states(jax, face, q, mode):
     numpy, function = jax.numpy, jax_function(face, mode)
@@ -156,6 +157,7 @@ def test_jax_does_not_nest_derivatives(jax, face, q, mode):
         assert error.value.code == "tracks.second_derivative"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", ["reverse", "forward"])
 def test_jax_in_single_precision_is_told_once(jax, face, q, columns, mode):
     function = jax_function(face, mode)
@@ -202,6 +204,7 @@ def torch():
     return pytest.importorskip("torch", reason="PyTorch is not installed")
 
 
+@pytest.mark.long
 def test_torch_checks_the_gradients(torch, face, q):
     given = torch.from_numpy(q).requires_grad_()
     check = {"eps": 1e-4, "atol": 1e-5, "check_forward_ad": True, "nondet_tol": 1e-9}
