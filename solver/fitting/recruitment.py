@@ -18,6 +18,13 @@ the part ``contraction`` u_j of their length, its volume kept, u_j being the gre
 that name it, 1 at most. r is the part of the scan's motion that the sum explains: what nobody's
 expression is, anybody may make.
 
+That price is quadratic, so that it is least where every muscle does a little. A linear one leaves
+the work to few (both are criteria of load sharing: Crowninshield and Brand 1981, "A physiologically
+based criterion of muscle force prediction in locomotion"). With its contraction k_j along the
+fibres (:class:`~solver.fitting.drives.ContractionMap`) a muscle also pays
+
+    w_a effort r (1 - c_j) (sqrt(k_j^2 + small^2) - small).
+
 A scan that is alike on both sides is made alike by both: with muscle j' on the other side of j, and
 M a_j' for its activation in the mirror,
 

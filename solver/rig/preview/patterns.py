@@ -35,9 +35,9 @@ class PatternOptions:
     """Trust in fits, and the search for contractions in full."""
 
     ridge: float = 0.01  # of fibres alone: as much as one expression with a contraction of 0.1
-    # from which contraction on, and within which limits
-    least: float = STILL.least
+    least: float = STILL.least  # contraction from which an expression counts
     within: Admissible = field(default_factory=Admissible)
+    flattest: float = 0.05  # stretch that smaller ones count as: free fits go below what is living
     steps: int = 10  # from the learned pattern to that of fibres alone
     longest: float = 3.0  # of patterns, by the contraction that is asked for
     bisections: int = 40
@@ -61,7 +61,7 @@ def contract_in_full(
     full = own(straight)
     limits = options.within.feasible(face.model, face.flesh.volumes, face.S)
     found = np.reshape([a[kept] for a in fitted], (-1, len(kept), 6))
-    by_fibres = _logarithms(straight) / np.maximum(full, options.least)[:, None]
+    by_fibres = _logarithms(straight, options) / np.maximum(full, options.least)[:, None]
     learned = _learn(own(found), found, by_fibres, options)
     left = np.ones(len(kept), bool)
     out[kept] = straight
@@ -79,7 +79,7 @@ def _learn(
 ) -> Floats:
     """Return L (k, 6) of fits (e, k, 6) with ``contractions`` (e, k); ``by_fibres`` are K."""
     used = np.where(contractions > options.least, contractions, 0.0)
-    logarithms = np.reshape([_logarithms(a) for a in fitted], fitted.shape)
+    logarithms = np.reshape([_logarithms(a, options) for a in fitted], fitted.shape)
     pulled = (used[:, :, None] * logarithms).sum(axis=0) + options.ridge * by_fibres
     pattern = pulled / ((used**2).sum(axis=0) + options.ridge)[:, None]
     trace = pattern @ IDENTITY
@@ -106,9 +106,9 @@ def _is_inside(limits: AdmissibleSet, a: Floats, parts: int = 8) -> NDArray[np.b
     return np.asarray(np.all(inside, axis=0))
 
 
-def _logarithms(a: Floats) -> Floats:
-    """Return log S(a) (k, 6); stretches are above 0 in all that is fitted."""
-    return map_stretches(a, np.log)
+def _logarithms(a: Floats, options: PatternOptions) -> Floats:
+    """Return log S(a) (k, 6)."""
+    return map_stretches(a, lambda stretches: np.log(np.maximum(stretches, options.flattest)))
 
 
 def _exponentials(entries: Floats) -> Floats:

@@ -68,6 +68,14 @@ def test_a_pattern_is_followed_as_far_as_muscles_can(face, pattern):
     assert Contraction.of_face(face)(full)[0] == pytest.approx(1.0 - STRETCH)
 
 
+def test_a_fit_that_turns_a_muscle_inside_out_does_no_harm(face):
+    inside_out = np.stack([IDENTITY, IDENTITY])[None] * 1.0
+    inside_out[0, 0] = [0.5, 0.0, 0.0, 1.2, 0.0, -0.3]
+    full = contract_in_full(face, inside_out, STRETCH)
+    assert np.isfinite(full).all()
+    assert Admissible().feasible(face.model, face.flesh.volumes, face.S).contains(full)
+
+
 def test_muscles_without_fibres_stay_at_rest(face):
     model = face.model
     bare = Face(replace(model, fibres=0.0 * model.fibres))
