@@ -44,6 +44,7 @@ from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from solver.animation.blendshapes import keep_within
 from solver.drawing.head import muscle_side
 from solver.errors import SolveError
+from solver.fitting.contraction import Contraction
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import fibre_tensors, isochoric_activation
@@ -159,7 +160,7 @@ def pull_named(
     before = face.whole_skin(rest.x, rest.pose.b)
     limits = options.within.feasible(model, face.flesh.volumes, face.S)
     fitted = [fit.activations for fit in fits]
-    pulled = contract_in_full(face, fitted, options.sliders.full_stretch)
+    pulled = contract_in_full(Contraction(limits.tensors), fitted, options.sliders.full_stretch)
     done: set[str] = set()
     for action in muscle_actions():
         numbers = named_muscles(model, action.muscle, both=action.is_ring)

@@ -222,8 +222,7 @@ def _check_mouth(
     model: SubjectModel, name: str, scan: RegisteredScan, _limits: TargetLimits
 ) -> Iterator[Finding]:
     """Find a scan with a hole where the mouth is."""
-    named = [model.regions[lip] for lip in ("upper_lip", "lower_lip") if lip in model.regions]
-    lips = np.concatenate([np.empty(0, np.int64), *named])
+    lips = np.concatenate([model.region("upper_lip"), model.region("lower_lip")])
     if len(lips) and not np.isin(lips, _seen(model, scan)).any():
         message = f"{name} shows nothing of the lips: what the fit makes of them is a guess"
         yield make_warning("target.mouth", message, {"expression": name, "region": "lips"})

@@ -17,14 +17,13 @@ L_j as lets it contract in full within what muscles can do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from solver.fitting.contraction import STILL, Contraction
-from solver.fitting.drives.admissible import Admissible, AdmissibleSet
-from solver.fitting.face import Face
+from solver.fitting.drives.admissible import ADMISSIBLE, AdmissibleLimits, AdmissibleSet
 from solver.fitting.stretches import IsochoricActivations, map_stretches
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
@@ -36,7 +35,7 @@ class PatternOptions:
 
     ridge: float = 0.01  # of fibres alone: as much as one expression with a contraction of 0.1
     least: float = STILL.least  # contraction from which an expression counts
-    within: Admissible = field(default_factory=Admissible)
+    within: AdmissibleLimits = ADMISSIBLE
     flattest: float = 0.05  # stretch that smaller ones count as: free fits go below what is living
     steps: int = 10  # from the learned pattern to that of fibres alone
     longest: float = 3.0  # of patterns, by the contraction that is asked for
@@ -44,14 +43,15 @@ class PatternOptions:
 
 
 def contract_in_full(
-    face: Face, fitted: Sequence[Floats], stretch: float, options: PatternOptions = PatternOptions()
+    contraction: Contraction,
+    fitted: Floats | Sequence[Floats],
+    stretch: float,
+    options: PatternOptions = PatternOptions(),
 ) -> Floats:
     """Return the activations (m, 6) of muscles whose parallel fibres come to ``stretch``.
 
     ``fitted`` (e, m, 6) are activations of expressions. Muscles without fibres stay at rest.
     """
-    contraction = Contraction.of_face(face)
-    assert contraction is not None, "patterns are those of muscles that S drives"
     kept = np.flatnonzero(np.isfinite(contraction.tensors).all(axis=(1, 2)))
     out = np.tile(IDENTITY, (len(contraction.tensors), 1))
     if not len(kept):
@@ -59,7 +59,7 @@ def contract_in_full(
     own = Contraction(contraction.tensors[kept])
     straight = IsochoricActivations.of(own.tensors)(np.full(len(kept), stretch))
     full = own(straight)
-    limits = options.within.feasible(face.model, face.flesh.volumes, face.S)
+    limits = AdmissibleSet(options.within, own.tensors)
     found = np.reshape([a[kept] for a in fitted], (-1, len(kept), 6))
     by_fibres = _logarithms(straight, options) / np.maximum(full, options.least)[:, None]
     learned = _learn(own(found), found, by_fibres, options)
@@ -67,9 +67,7 @@ def contract_in_full(
     out[kept] = straight
     for part in np.linspace(0.0, 1.0, options.steps, endpoint=False):
         tried, reaches = _reach(own, learned + part * (by_fibres - learned), full, options)
-        whole = out.copy()
-        whole[kept] = tried
-        taken = left & reaches & _is_inside(limits, whole)[kept]
+        taken = left & reaches & _is_inside(limits, tried)
         out[kept[taken]], left = tried[taken], left & ~taken
     return out
 
@@ -100,7 +98,7 @@ def _reach(
 
 
 def _is_inside(limits: AdmissibleSet, a: Floats, parts: int = 8) -> NDArray[np.bool_]:
-    """Tell of which muscles the line from rest to ``a`` (m, 6), which sliders go, is in the set."""
+    """Tell of which muscles the line from rest to ``a`` (k, 6), which sliders go, is in the set."""
     ways = [IDENTITY + part * (a - IDENTITY) for part in np.linspace(0.0, 1.0, parts + 1)[1:]]
     inside = [(limits.margins(way) > 0.0).all(axis=1) for way in ways]
     return np.asarray(np.all(inside, axis=0))

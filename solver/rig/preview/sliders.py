@@ -111,8 +111,12 @@ def controls_of(
     layout = face.layout
     in_a, in_b = layout["activations"], layout["jaw"]
     fitted = np.array([Pose(fit.activations, fit.jaw).vector() for fit in fits]) - layout.rest
-    muscles, changes = _muscles(face, fits, options.full_stretch)
-    contracted = _read_contraction(face, fits, muscles)
+    contraction = Contraction.of_face(face)
+    assert contraction is not None, "the sliders of a rig contract muscles by S"
+    activations = np.array([fit.activations for fit in fits])
+    muscles, changes, contracted = _muscles(
+        face.model.muscle_names, contraction, activations, options.full_stretch
+    )
     jaws, ways, opened = _jaw(fitted[:, in_b], options)
     directions = np.zeros((layout.size, len(muscles) + len(jaws)))
     directions[in_a, : len(muscles)] = changes
@@ -144,30 +148,23 @@ def controls_of_basis(face: Face, names: Sequence[str], basis: ExpressionBasis) 
 
 
 def _muscles(
-    face: Face, fits: Sequence[ExpressionFit], full_stretch: float
-) -> tuple[list[Control], Floats]:
-    """Return controls and changes of a (6 m, .) of the muscles that have fibres in S."""
-    names, contraction = face.model.muscle_names, Contraction.of_face(face)
-    assert contraction is not None, "the sliders of a rig contract muscles by S"
+    names: Sequence[str], contraction: Contraction, fitted: Floats, full_stretch: float
+) -> tuple[list[Control], Floats, Floats]:
+    """Return controls of the muscles that have fibres in S, changes (6 m, .) and values (e, .).
+
+    ``fitted`` (e, m, 6) are the activations of expressions, where a muscle that lengthens is at 0.
+    """
     kept = np.flatnonzero(np.isfinite(contraction.tensors).all(axis=(1, 2)))
-    pulled = contract_in_full(face, [fit.activations for fit in fits], full_stretch)
+    pulled = contract_in_full(contraction, fitted, full_stretch)
     changes = np.zeros((len(names), 6, len(kept)))
     changes[kept, :, np.arange(len(kept))] = pulled[kept] - IDENTITY
-    full = contraction(pulled)
-    listed = [Control(names[j], "muscle", names[j], names[j], full=float(full[j])) for j in kept]
-    return listed, changes.reshape(6 * len(names), -1)
-
-
-def _read_contraction(
-    face: Face, fits: Sequence[ExpressionFit], muscles: Sequence[Control]
-) -> Floats:
-    """Return the values (e, .) of the ``muscles`` in fitted expressions; 0 where they lengthen."""
-    numbers = [face.model.muscle_number(str(control.muscle)) for control in muscles]
-    contraction = Contraction.of_face(face)
-    assert contraction is not None, "the sliders of a rig contract muscles by S"
-    found = contraction(np.array([fit.activations for fit in fits]))[:, numbers]
-    full = np.array([control.full for control in muscles], float)
-    return np.asarray(np.clip(found / full, 0.0, 1.0))
+    full = contraction(pulled)[kept]
+    values = np.clip(contraction(fitted)[:, kept] / full, 0.0, 1.0)
+    listed = [
+        Control(name, "muscle", name, name, full=float(most))
+        for name, most in zip([names[j] for j in kept.tolist()], full, strict=True)
+    ]
+    return listed, changes.reshape(6 * len(names), -1), np.asarray(values)
 
 
 def _jaw(fitted: Floats, options: SliderOptions) -> tuple[list[Control], Floats, Floats]:

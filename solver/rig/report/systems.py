@@ -38,10 +38,7 @@ class LipFlesh:
     @classmethod
     def of(cls, model: SubjectModel, within_mm: float = 5.0) -> LipFlesh | None:
         """Return the tets whose middles are near the lips' skin; None in a model without lips."""
-        regions: Sequence[Ints] = [
-            model.regions[name] for name in ("upper_lip", "lower_lip") if name in model.regions
-        ]
-        lips = np.concatenate([np.empty(0, np.int64), *regions])
+        lips = np.concatenate([model.region("upper_lip"), model.region("lower_lip")])
         if not len(lips):
             return None
         away, _ = cKDTree(model.skin.vertices[lips]).query(model.tet_centres)
