@@ -81,7 +81,8 @@ class Jaw(Document):
     open_deg: float = Field(default=0.0, ge=-360, le=360)
     left_deg: float = Field(default=0.0, ge=-360, le=360, description="to the subject's left")
     move_mm: Vector = Field(
-        default=[0.0, 0.0, 0.0], description="to the subject's left, up, and forward"
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description="to the subject's left, up, and forward",
     )
 
 
@@ -104,22 +105,22 @@ class Keyframe(Document):
 
     time: Time
     expressions: dict[str, Annotated[float, Field(ge=0, le=1)]] = Field(
-        default={}, max_length=256, description="weights of the rig's expressions by name"
+        default_factory=dict, max_length=256, description="weights of the rig's expressions by name"
     )
     muscles: dict[str, Muscle] = Field(
-        default={},
+        default_factory=dict,
         max_length=256,
         description="by name, on top of the expressions: the length of the fibres over that at "
         "rest, or the six numbers xx, xy, xz, yy, yz, zz of an activation",
     )
     jaw: Jaw = Field(default_factory=Jaw)
     fibres: dict[str, Annotated[float, Field(ge=-1, le=1)]] = Field(
-        default={},
+        default_factory=dict,
         max_length=256,
         description="activations of fibre muscles by name, on top of what is performed",
     )
     shapes: dict[str, Annotated[float, Field(ge=0, le=1)]] = Field(
-        default={},
+        default_factory=dict,
         max_length=256,
         description="weights of the shapes of tracks by name, in a scene that these drive",
     )
@@ -129,8 +130,8 @@ class MotionKey(Document):
     """A turn and a move at one time."""
 
     time: Time
-    rotation_deg: Turn = Field(default=[0.0, 0.0, 0.0])
-    move_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    rotation_deg: Turn = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    move_mm: Vector = Field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
 class Recording(Document):
@@ -302,7 +303,8 @@ class Object(Document):
         ),
     ]
     at: Place = Field(
-        default=[0.0, 0.0, 0.0], description="where the mesh's origin is put, in the world"
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description="where the mesh's origin is put, in the world",
     )
     path: list[MotionKey] = Field(
         default=[],
