@@ -1,0 +1,1 @@
+"""Photographs: cameras, landmarks on the skin, and the fit of a face to what a picture shows."""

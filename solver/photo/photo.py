@@ -1,0 +1,33 @@
+"""A photograph as a fit sees it: pixels without distortion, and what is known of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.photo.camera import PinholeCamera
+from solver.surface import Floats
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A picture, upright and without distortion; places in it are pixels (column, row)."""
+
+    name: str
+    pixels: NDArray[np.float32]  # (h, w, 3) sRGB from 0 to 1
+    camera: PinholeCamera | None = None  # where it is known
+    focal_px: float | None = None  # that the file tells of a picture which was not cropped
+    # where landmarks are, (2,) each: by the template's names, or by a number of MediaPipe's mesh
+    # (0 to 477, the subject's right eye at 33) written as text
+    landmarks: Mapping[str, Floats] = field(default_factory=dict)
+    curves: Mapping[str, Floats] = field(default_factory=dict)  # by name, (k, 2) each
+    mask: NDArray[np.bool_] | None = None  # (h, w), true where the picture counts
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Return width and height, px."""
+        height, width = self.pixels.shape[:2]
+        return width, height

@@ -1,0 +1,42 @@
+"""Points fixed on a template's skin, such as those a detector of landmarks finds in pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from solver.surface import Floats, Ints
+
+
+@dataclass(frozen=True)
+class SkinPoints:
+    """Named points inside triangles of the skin."""
+
+    names: tuple[str, ...]  # (k,) as :class:`~solver.photo.photo.Photo` calls its landmarks
+    corners: Ints  # (k, 3) vertices of the skin
+    weights: Floats  # (k, 3) of the corners, which sum to 1
+    spread_mm: Floats  # (k,) standard deviation of what was measured of each, along the skin
+
+    def at(self, skin: Floats) -> Floats:
+        """Return where the points (k, 3) are on a skin (V, 3)."""
+        return np.asarray(np.einsum("ki,kij->kj", self.weights, skin[self.corners]))
+
+    def select(self, names: list[str]) -> SkinPoints:
+        """Return those of the points that have these names, in their order."""
+        rows = [self._rows[name] for name in names]
+        return SkinPoints(
+            tuple(names), self.corners[rows], self.weights[rows], self.spread_mm[rows]
+        )
+
+    def matrix(self, count: int) -> sp.csr_array:
+        """Return the weights (k, V) of all ``count`` vertices of a skin."""
+        rows = np.repeat(np.arange(len(self.names)), 3)
+        entries = self.weights.ravel(), (rows, self.corners.ravel())
+        return sp.csr_array(entries, shape=(len(self.names), count))
+
+    @cached_property
+    def _rows(self) -> dict[str, int]:
+        return {name: row for row, name in enumerate(self.names)}
