@@ -134,6 +134,31 @@ def bounded_step(hessian: Floats, gradient: Floats, limits: tuple[Floats, Floats
     return step
 
 
+@dataclass(frozen=True)
+class BoxModel(LinearModel):
+    """A Gauss-Newton model at q (k,) whose steps keep to bounds, and to a box around q.
+
+    The box is ``trust`` times ``reach`` (k,), the changes that a linear model is surely good for.
+    """
+
+    q: Floats
+    gradient: Floats
+    hessian: Floats
+    bounds: tuple[Floats, Floats]
+    reach: Floats
+
+    def step(self, damping: float, trust: float) -> LeastSquaresStep:
+        """See :class:`LinearModel`."""
+        low, high = (bound - self.q for bound in self.bounds)
+        box, size = trust * self.reach, 1.0 / self.reach
+        damped = self.hessian + damping * np.diag(size**2)
+        limits = np.maximum(low, -box), np.minimum(high, box)
+        change = bounded_step(damped, self.gradient, limits)
+        curvature = float(change @ self.hessian @ change)
+        reach = float(np.abs(change * size).max(initial=0.0))
+        return LeastSquaresStep(change, float(self.gradient @ change), curvature, reach)
+
+
 class LeastSquaresProblem(Protocol[Point]):
     """f, its linear models, and the way along their steps."""
 

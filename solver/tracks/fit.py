@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from typing_extensions import override
@@ -21,6 +21,7 @@ from typing_extensions import override
 from solver.errors import SolveError
 from solver.fitting.face import Face
 from solver.fitting.least_squares import (
+    BoxModel,
     DampingOptions,
     LeastSquaresProblem,
     LeastSquaresStep,
@@ -29,7 +30,6 @@ from solver.fitting.least_squares import (
     StopOptions,
     Termination,
     TrustRegion,
-    bounded_step,
     minimise,
 )
 from solver.fitting.objective import Term
@@ -98,6 +98,23 @@ class TrackFitOptions:
     stop: StopOptions = field(default_factory=lambda: StopOptions(20, 1e-4, 1e-4))
     damping: DampingOptions = field(default_factory=lambda: DampingOptions(1e-6, least=1e-9))
 
+    def price_of(self, tracks: MuscleTracks) -> Floats:
+        """Return the prices (K + 5,) of the controls."""
+        jaw = np.full(JAW_FREEDOM, self.w_j)
+        return np.concatenate([np.full(len(tracks.names), self.w_w), jaw])
+
+    def reach_of(self, tracks: MuscleTracks) -> Floats:
+        """Return the changes (K + 5,) of the controls that a linear model is good for."""
+        weights = np.full(len(tracks.names), self.weight_reach)
+        turns, shifts = 2 * [self.turn_reach], 3 * [self.shift_reach_mm]
+        return np.concatenate([weights, turns, shifts])
+
+    def bounds_of(self, tracks: MuscleTracks) -> tuple[Floats, Floats]:
+        """Return the bounds (K + 5,) of the controls; the jaw has none."""
+        free = np.full(JAW_FREEDOM, np.inf)
+        low, high = (np.full(len(tracks.names), bound) for bound in self.bounds)
+        return np.concatenate([low, -free]), np.concatenate([high, free])
+
 
 @dataclass(frozen=True)
 class TrackFit(Generic[State]):
@@ -137,24 +154,12 @@ class _Problem(LeastSquaresProblem[State]):
     @cached_property
     def prices(self) -> Floats:
         """The prices (K + 5,) of the controls."""
-        weights = np.full(len(self.face.tracks.names), self.options.w_w)
-        return np.concatenate([weights, np.full(JAW_FREEDOM, self.options.w_j)])
-
-    @cached_property
-    def reach(self) -> Floats:
-        """The changes (K + 5,) of the controls that a linear model is good for."""
-        options = self.options
-        weights = np.full(len(self.face.tracks.names), options.weight_reach)
-        turns, shifts = 2 * [options.turn_reach], 3 * [options.shift_reach_mm]
-        return np.concatenate([weights, turns, shifts])
+        return self.options.price_of(self.face.tracks)
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
         """The bounds (K + 5,) of the controls."""
-        count = len(self.face.tracks.names)
-        free = np.full(JAW_FREEDOM, np.inf)
-        low, high = (np.full(count, bound) for bound in self.options.bounds)
-        return np.concatenate([low, -free]), np.concatenate([high, free])
+        return self.options.bounds_of(self.face.tracks)
 
     @override
     def value(self, point: State) -> float:
@@ -166,7 +171,8 @@ class _Problem(LeastSquaresProblem[State]):
         gradient = columns.T @ self.data.gradient(point.x).ravel() + self.prices * point.q
         curvature = self.data.curvature(point.x)
         hessian = columns.T @ np.asarray(curvature @ columns) + np.diag(self.prices)
-        return _Model(self, point.q, gradient, hessian)
+        reach = self.options.reach_of(self.face.tracks)
+        return BoxModel(point.q, gradient, hessian, self.bounds, reach)
 
     @override
     def move(self, point: State, step: LeastSquaresStep) -> State | None:
@@ -174,24 +180,3 @@ class _Problem(LeastSquaresProblem[State]):
             return self.face.move(point, np.clip(point.q + step.change, *self.bounds))
         except SolveError:
             return None
-
-
-@dataclass(frozen=True)
-class _Model(LinearModel):
-    """The Gauss-Newton model of a problem at q."""
-
-    problem: _Problem[Any]
-    q: Floats
-    gradient: Floats
-    hessian: Floats
-
-    @override
-    def step(self, damping: float, trust: float) -> LeastSquaresStep:
-        low, high = (bound - self.q for bound in self.problem.bounds)
-        box, size = trust * self.problem.reach, 1.0 / self.problem.reach
-        damped = self.hessian + damping * np.diag(size**2)
-        limits = np.maximum(low, -box), np.minimum(high, box)
-        change = bounded_step(damped, self.gradient, limits)
-        curvature = float(change @ self.hessian @ change)
-        reach = float(np.abs(change * size).max(initial=0.0))
-        return LeastSquaresStep(change, float(self.gradient @ change), curvature, reach)
