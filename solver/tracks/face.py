@@ -143,6 +143,10 @@ class TrackFace:
         """Return dx/dq (p, 3, K + 5); raises as :class:`~solver.tracks.response.TrackResponse`."""
         return TrackResponse(self, state).columns()
 
+    def skin_columns(self, state: TrackState) -> Floats:
+        """Return the derivatives (V, 3, K + 5) of the whole skin; raises as :meth:`columns`."""
+        return TrackResponse(self, state).skin_columns()
+
     def _drive(self, time: float, pose: TrackPose) -> Drive:
         controls = self.tracked.controls(pose.activations, pose.target)
         return Drive(time, controls, pose.jaw, IDENTITY)

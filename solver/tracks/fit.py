@@ -82,6 +82,9 @@ class ShapeFace(Protocol[State]):
     def columns(self, state: State) -> Floats:
         """Return dx/dq (p, 3, K + 5)."""
 
+    def skin_columns(self, state: State) -> Floats:
+        """Return the derivatives (V, 3, K + 5) of the whole skin."""
+
 
 @dataclass(frozen=True)
 class TrackFitOptions:

@@ -63,6 +63,11 @@ class PlainFace:
         """Return dx/dq (p, 3, K + 5)."""
         return self._targets.rates(state.q).target
 
+    def skin_columns(self, state: PlainState) -> Floats:
+        """Return the derivatives (V, 3, K + 5) of the whole skin."""
+        rates = self._targets.rates(state.q)
+        return self.face.skin_rates(rates.target, state.pose.jaw, rates.jaw)
+
     def _at(self, q: Floats) -> PlainState:
         pose = self._targets.at(q)
         return PlainState(q, pose, self.face.flesh.count_inverted(pose.target))

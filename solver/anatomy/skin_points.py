@@ -15,7 +15,7 @@ from solver.surface import Floats, Ints
 class SkinPoints:
     """Named points inside triangles of the skin."""
 
-    names: tuple[str, ...]  # (k,) as :class:`~solver.photo.photo.Photo` calls its landmarks
+    names: tuple[str, ...]  # (k,) as photographs call their landmarks
     corners: Ints  # (k, 3) vertices of the skin
     weights: Floats  # (k, 3) of the corners, which sum to 1
     spread_mm: Floats  # (k,) standard deviation of what was measured of each, along the skin

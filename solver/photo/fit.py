@@ -1,0 +1,230 @@
+"""Weights of shapes, a jaw and cameras, fitted to what photographs of one moment show.
+
+    min over q, cameras    sum_p sum_terms rho(r) + w_w/2 |w|^2 + w_j/2 |j|^2
+                           + sum_p (log f_p - log f0_p)^2 / (2 sd_p^2)
+
+The face is one of :mod:`solver.tracks`: flesh under muscle tracks, or plain shapes. A camera that
+is not known has seven numbers, with the head's six among them: where a head is in front of its
+camera is all that a picture can tell of either. Gauss-Newton with a trust region, as scans are
+fitted; robust losses are weights of each step (iteratively reweighted least squares).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Generic
+
+import numpy as np
+from typing_extensions import override
+
+from solver.errors import SolveError
+from solver.fitting.least_squares import (
+    BoxModel,
+    DampingOptions,
+    LeastSquaresProblem,
+    LeastSquaresStep,
+    LinearModel,
+    Listener,
+    StopOptions,
+    Termination,
+    TrustRegion,
+    minimise,
+)
+from solver.photo.camera import CAMERA_FREEDOM, POSE_FREEDOM, PinholeCamera
+from solver.photo.terms import ImageTerm, PseudoHuber
+from solver.surface import Floats, Ints
+from solver.tracks.fit import ShapeFace, State, TrackFitOptions
+
+
+@dataclass(frozen=True)
+class FocalPrior:
+    """What is known of a focal length: its logarithm is normal about that of ``px``."""
+
+    px: float
+    deviation: float = 0.35  # of the logarithm: wide angle to portrait lens
+
+
+@dataclass(frozen=True)
+class View:
+    """A picture of a moment: its terms, and a camera to begin with."""
+
+    terms: tuple[ImageTerm, ...]
+    camera: PinholeCamera
+    is_placed: bool = False  # whether the camera is known, with its place
+    focal: FocalPrior | None = None  # None: its focal length is known
+
+    @property
+    def free(self) -> Ints:
+        """Return those of the camera's seven numbers that are fitted."""
+        if self.is_placed:
+            return np.zeros(0, np.int64)
+        return np.arange(CAMERA_FREEDOM if self.focal else POSE_FREEDOM)
+
+
+@dataclass(frozen=True)
+class PhotoFitOptions:
+    """Prices and bounds of controls, in units of the terms' noise, and the end of a fit."""
+
+    controls: TrackFitOptions = field(default_factory=lambda: TrackFitOptions(w_w=4.0, w_j=4.0))
+    loss: PseudoHuber = field(default_factory=PseudoHuber)
+    # changes that a linear model is surely good for: of a turn in rad, of a shift in mm and of a
+    # focal length's logarithm
+    turn_reach: float = 0.2
+    shift_reach_mm: float = 100.0
+    focal_reach: float = 0.2
+    stop: StopOptions = field(default_factory=lambda: StopOptions(30, 1e-4, 1e-4))
+    damping: DampingOptions = field(default_factory=lambda: DampingOptions(1e-4, least=1e-9))
+
+    @property
+    def camera_reach(self) -> Floats:
+        """Return the changes (7,) of a camera that a linear model is good for."""
+        turns, shifts = 3 * [self.turn_reach], 3 * [self.shift_reach_mm]
+        return np.array([*turns, *shifts, self.focal_reach])
+
+
+@dataclass(frozen=True)
+class PhotoPoint(Generic[State]):
+    """A face and the cameras of its pictures; ``skin`` is (V, 3)."""
+
+    state: State
+    skin: Floats
+    cameras: tuple[PinholeCamera, ...]
+
+
+@dataclass(frozen=True)
+class PhotoFit(Generic[State]):
+    """End of a fit: face and cameras, the objective in nats, the steps to it, and why."""
+
+    point: PhotoPoint[State]
+    objective: float
+    steps: int
+    termination: Termination
+
+
+def fit_photos(
+    face: ShapeFace[State],
+    views: Sequence[View],
+    start: State | None = None,
+    options: PhotoFitOptions = PhotoFitOptions(),
+    listen: Listener | None = None,
+) -> PhotoFit[State]:
+    """Fit a face and the cameras of ``views`` to them, from rest or from a ``start``.
+
+    The cameras are placed before the face may move. Raises :class:`~solver.errors.SolveError` as
+    :func:`solver.tracks.fit.fit`.
+    """
+    state = face.rest() if start is None else start
+    begun = PhotoPoint(state, face.skin(state), tuple(view.camera for view in views))
+    for moves_face in (False, True):
+        if not moves_face and not any(len(view.free) for view in views):
+            continue
+        problem = _Problem(face, tuple(views), options, moves_face)
+        search = TrustRegion(options.damping)
+        found = minimise(problem, begun, search, options.stop, listen if moves_face else None)
+        begun = found.point
+    return PhotoFit(begun, found.value, found.steps, found.termination)
+
+
+@dataclass(frozen=True)
+class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
+    face: ShapeFace[State]
+    views: tuple[View, ...]
+    options: PhotoFitOptions
+    moves_face: bool
+
+    @cached_property
+    def prices(self) -> Floats:
+        """The prices (K + 5,) of the controls."""
+        return self.options.controls.price_of(self.face.tracks)
+
+    @cached_property
+    def cameras(self) -> list[slice]:
+        """Where each view's camera is among the variables, behind the face's controls."""
+        sizes = [len(view.free) for view in self.views]
+        ends = (self.size + np.cumsum(sizes)).tolist()
+        return [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+
+    @property
+    def size(self) -> int:
+        """The number of the face's variables: none while it is held."""
+        return self.face.tracks.size if self.moves_face else 0
+
+    @override
+    def value(self, point: PhotoPoint[State]) -> float:
+        total = 0.5 * float(self.prices @ point.state.q**2)
+        for view, camera in zip(self.views, point.cameras, strict=True):
+            for term in view.terms:
+                total += self.options.loss.value(term.residual(point.skin, camera))
+            if view.focal:
+                total += 0.5 * _focal_residual(view.focal, camera) ** 2
+        return total
+
+    @override
+    def linearise(self, point: PhotoPoint[State]) -> LinearModel:
+        count = self.cameras[-1].stop
+        gradient, hessian = np.zeros(count), np.zeros((count, count))
+        face = slice(0, self.size)
+        columns = self._columns(point.state)
+        if self.moves_face:
+            gradient[face] = self.prices * point.state.q
+            hessian[face, face] = np.diag(self.prices)
+        for view, camera, place in zip(self.views, point.cameras, self.cameras, strict=True):
+            variables = np.r_[face, place]
+            for term in view.terms:
+                found = term.linearise(point.skin, camera)
+                weights = self.options.loss.weights(found.residual)
+                jacobian = np.hstack([found.by_skin @ columns, found.by_camera[:, view.free]])
+                gradient[variables] += jacobian.T @ (weights * found.residual)
+                hessian[np.ix_(variables, variables)] += jacobian.T @ (weights[:, None] * jacobian)
+            if view.focal and len(view.free):
+                last = place.stop - 1
+                gradient[last] += _focal_residual(view.focal, camera) / view.focal.deviation
+                hessian[last, last] += view.focal.deviation**-2
+        bounds, reach = self._limits()
+        q = np.concatenate([point.state.q[: self.size], np.zeros(count - self.size)])
+        return BoxModel(q, gradient, hessian, bounds, reach)
+
+    @override
+    def move(self, point: PhotoPoint[State], step: LeastSquaresStep) -> PhotoPoint[State] | None:
+        cameras = []
+        for view, camera, place in zip(self.views, point.cameras, self.cameras, strict=True):
+            change = np.zeros(CAMERA_FREEDOM)
+            change[view.free] = step.change[place]
+            cameras.append(camera.moved(change))
+        moved = replace(point, cameras=tuple(cameras))
+        if self.moves_face:
+            low, high = self.options.controls.bounds_of(self.face.tracks)
+            q = np.clip(point.state.q + step.change[: self.size], low, high)
+            try:
+                state = self.face.move(point.state, q)
+            except SolveError:
+                return None
+            moved = replace(moved, state=state, skin=self.face.skin(state))
+        ahead = [camera.project(moved.skin)[:, 2].min() for camera in moved.cameras]
+        return moved if min(ahead) > 0.0 else None
+
+    def _columns(self, state: State) -> Floats:
+        """Return the derivatives (3 V, K + 5) of the skin, or (3 V, 0) while it is held."""
+        skin = 3 * len(self.face.face.model.skin.vertices)
+        if not self.moves_face:
+            return np.zeros((skin, 0))
+        return self.face.skin_columns(state).reshape(skin, -1)
+
+    def _limits(self) -> tuple[tuple[Floats, Floats], Floats]:
+        """Return bounds and reach of all variables; cameras have no bounds."""
+        free = self.cameras[-1].stop - self.size
+        camera_reach = [self.options.camera_reach[view.free] for view in self.views]
+        low = high = reach = np.zeros(0)
+        if self.moves_face:
+            tracks, controls = self.face.tracks, self.options.controls
+            (low, high), reach = controls.bounds_of(tracks), controls.reach_of(tracks)
+        open_ = np.full(free, np.inf)
+        bounds = np.concatenate([low, -open_]), np.concatenate([high, open_])
+        return bounds, np.concatenate([reach, *camera_reach])
+
+
+def _focal_residual(prior: FocalPrior, camera: PinholeCamera) -> float:
+    """Return how far a camera's focal length is from its prior, in deviations."""
+    return float(np.log(camera.focal.mean() / prior.px) / prior.deviation)
