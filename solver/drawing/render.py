@@ -38,11 +38,21 @@ SHADOWS = Shadows()
 
 def irradiance(surface: Surface, normals: Floats, shadows: Shadows = SHADOWS) -> Floats:
     """Return the light (n, 3), linear RGB, that falls on each vertex; a bright one is about 1."""
-    directions = _sphere(shadows.directions)
+    directions = sphere(shadows.directions)
+    colours = _studio(directions) * shadows.exposure / shadows.directions
+    return gather(surface, normals, directions, colours, shadows)
+
+
+def gather(
+    surface: Surface, normals: Floats, directions: Floats, colours: Floats, shadows: Shadows
+) -> Floats:
+    """Return the sum (n, c) of ``colours`` (k, c) that fall on vertices from ``directions`` (k, 3).
+
+    Each counts by the cosine to the vertex's normal, and not at all where the surface blocks it.
+    """
     vertices = surface.vertices - (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2
     radius = float(np.linalg.norm(vertices, axis=1).max()) + 2 * shadows.lift_mm
     axes = np.stack([_axes(direction) for direction in directions])
-    colours = _studio(directions) * shadows.exposure / shadows.directions
     limits = shadows.map_pixels, shadows.lift_mm, shadows.bias_pixels
     return np.asarray(_gather(vertices, surface.faces, normals, axes, colours, radius, *limits))
 
@@ -59,9 +69,9 @@ def _gather(
     lift_mm: float,
     bias_pixels: float,
 ) -> Floats:
-    """Return the light (n, 3) along ``axes`` (k, 3, 3) on what lies within ``radius``."""
+    """Return the light (n, c) along ``axes`` (k, 3, 3) on what lies within ``radius``."""
     # no matrix products: BLAS threads would take longer to wake than these take
-    light = np.zeros((len(vertices), 3))
+    light = np.zeros((len(vertices), colours.shape[1]))
     places = np.empty((len(vertices), 3))
     scale = map_pixels / (2 * radius)
     for number in range(len(axes)):
@@ -119,7 +129,7 @@ def _studio(directions: Floats) -> Floats:
     return np.asarray(light)
 
 
-def _sphere(count: int) -> Floats:
+def sphere(count: int) -> Floats:
     """Return unit vectors (count, 3) spread evenly (Fibonacci lattice)."""
     number = np.arange(count) + 0.5
     y = 1 - 2 * number / count
@@ -199,9 +209,13 @@ class Visible:
 
 def look(camera: Camera, surface: Surface, width: int, height: int) -> Visible:
     """Return what ``camera`` sees of ``surface`` in an image of width x height pixels."""
-    points = camera.project(surface.vertices, width, height)
-    triangle, weights = _rasterise(points, surface.faces, width, height)
-    return Visible(triangle, weights, surface.faces)
+    return rasterise(camera.project(surface.vertices, width, height), surface.faces, width, height)
+
+
+def rasterise(points: Floats, faces: Ints, width: int, height: int) -> Visible:
+    """Return what is seen of triangles whose vertices (n, 3) are column, row and depth in mm."""
+    triangle, weights = _rasterise(points, faces, width, height)
+    return Visible(triangle, weights, faces)
 
 
 @njit(cache=True)

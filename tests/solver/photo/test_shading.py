@@ -1,0 +1,74 @@
+"""Shading: derivatives by differences, and light and albedo found again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from solver.photo.camera import CAMERA_FREEDOM, PinholeCamera
+from solver.photo.shading import (
+    HARMONICS,
+    ShadingTerm,
+    SkinSamples,
+    SmoothImage,
+    harmonic_rates,
+    harmonics,
+    sum_rates,
+    vertex_sums,
+)
+from solver.surface import Surface
+from tests.solver.ball import ball
+
+
+@pytest.fixture(scope="module")
+def term() -> tuple[ShadingTerm, np.ndarray, PinholeCamera]:
+    """Return a ball's shading in a picture of waves, its vertices, and a camera."""
+    random = np.random.default_rng(0)
+    surface = ball(np.zeros(3), 20.0, 2)
+    turn = Rotation.from_euler("xy", [0.2, 0.1]).as_matrix()
+    camera = PinholeCamera(np.full(2, 500.0), np.full(2, 60.0), turn, np.array([0.0, 0.0, 300.0]))
+    row, column = np.mgrid[:120, :120]
+    waves = [0.5 + 0.3 * np.sin(row / 9.0 + k) * np.cos(column / 7.0) for k in range(3)]
+    seen = surface.faces[random.choice(len(surface.faces), 40)]
+    samples = SkinSamples(seen, random.dirichlet(np.ones(3), 40))
+    light = random.normal(0.0, 0.3, (HARMONICS, 3))
+    image = SmoothImage.blurred(np.stack(waves, axis=2), 1.0)
+    albedo = random.uniform(0.3, 0.8, (40, 3))
+    blocked = random.normal(0.0, 0.1, (40, HARMONICS))
+    found = ShadingTerm(image, surface.faces, samples, albedo, blocked, light, 0.05)
+    return found, surface.vertices, camera
+
+
+def test_derivatives_are_those_of_differences(term) -> None:
+    shading, skin, camera = term
+    found, step = shading.linearise(skin, camera), 1e-5
+    random = np.random.default_rng(1)
+    for _ in range(4):
+        way = random.normal(0.0, 1.0, skin.shape)
+        ahead, behind = (shading.residual(skin + s * step * way, camera) for s in (1, -1))
+        expected = (ahead - behind) / (2 * step)
+        assert np.abs(expected).max() > 1.0
+        np.testing.assert_allclose(found.by_skin @ way.ravel(), expected, rtol=1e-5, atol=1e-5)
+    for number in range(CAMERA_FREEDOM):
+        way = step * np.eye(CAMERA_FREEDOM)[number]
+        ahead, behind = (shading.residual(skin, camera.moved(s * way)) for s in (1, -1))
+        expected = (ahead - behind) / (2 * step)
+        assert np.abs(expected).max() > 1e-2
+        np.testing.assert_allclose(found.by_camera[:, number], expected, rtol=1e-5, atol=1e-5)
+
+
+def test_harmonics_have_their_rates() -> None:
+    normals = np.random.default_rng(2).normal(size=(10, 3))
+    for axis in range(3):
+        way = 1e-6 * np.eye(3)[axis]
+        expected = (harmonics(normals + way) - harmonics(normals - way)) / 2e-6
+        np.testing.assert_allclose(harmonic_rates(normals)[..., axis], expected, atol=1e-7)
+
+
+def test_sums_of_normals_have_their_rates() -> None:
+    surface, random = ball(np.zeros(3), 20.0, 2), np.random.default_rng(3)
+    way = random.normal(size=surface.vertices.shape)
+    ahead, behind = (Surface(surface.vertices + s * 1e-5 * way, surface.faces) for s in (1, -1))
+    expected = (vertex_sums(ahead) - vertex_sums(behind)) / 2e-5
+    np.testing.assert_allclose(sum_rates(surface) @ way.ravel(), expected.ravel(), atol=1e-5)
