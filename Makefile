@@ -26,6 +26,7 @@ test: setup-dev ## what CI runs: the checks and all tests that are not slow (how
 test-all: servers ## also the slow tests: all on the servers, the browser, campaigns (30 minutes)
 	@scripts/blender-venv || echo "no Blender here: its tests skip"
 	@scripts/jax || echo "no JAX here: its tests skip"
+	@scripts/mediapipe || echo "no MediaPipe here: its tests skip"
 	@$(MAKE) --no-print-directory test
 	@$(TESTS) -m "slow and (servers or not end_to_end)"
 
@@ -78,4 +79,4 @@ setup-dev: ## make .venv ready for the tests and checks
 	@scripts/setup dev
 
 clean: ## remove what the targets made, .venv included
-	rm -rf .venv .venv-blender .jax .jax.new demo-output build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-blender .jax .jax.new .mediapipe .mediapipe.new demo-output build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

@@ -30,6 +30,7 @@ BOUNDARY_CRANIUM, BOUNDARY_MANDIBLE = 1, 2
 MODEL_FILE = Path(__file__).parent / "fixtures" / "small_model.npz"
 EXPRESSIONS_FILE = MODEL_FILE.with_name("small_expressions.npz")
 JAX_FOLDER = Path(__file__).parents[1] / ".jax"
+MEDIAPIPE_FOLDER = JAX_FOLDER.with_name(".mediapipe")
 FELUPE_FILE = MODEL_FILE.with_name("felupe_bar.npz")
 
 
@@ -68,9 +69,19 @@ def small_rig() -> Rig:
 
 def jax_module() -> Any:
     """Return JAX, which `scripts/jax` puts beside the locked packages, or skip the calling test."""
-    if JAX_FOLDER.is_dir() and str(JAX_FOLDER) not in sys.path:
-        sys.path.append(str(JAX_FOLDER))
-    return pytest.importorskip("jax", reason="JAX is not installed: scripts/jax")
+    return _module_beside(JAX_FOLDER, "jax", "JAX is not installed: scripts/jax")
+
+
+def face_landmarker() -> Path:
+    """Return the landmarker's file, with MediaPipe there to run it, or skip the calling test."""
+    _module_beside(MEDIAPIPE_FOLDER, "mediapipe", "MediaPipe is not installed: scripts/mediapipe")
+    return data_folder("face_models", "face_landmarker_v2.task")
+
+
+def _module_beside(folder: Path, name: str, reason: str) -> Any:
+    if folder.is_dir() and str(folder) not in sys.path:
+        sys.path.append(str(folder))
+    return pytest.importorskip(name, reason=reason)
 
 
 def data_folder(*parts: str) -> Path:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
+from solver.storage import Arrays
 from solver.surface import Floats, Ints
 
 
@@ -15,10 +16,10 @@ from solver.surface import Floats, Ints
 class SkinPoints:
     """Named points inside triangles of the skin."""
 
-    names: tuple[str, ...]  # (k,) as photographs call their landmarks
+    names: tuple[str, ...]  # (k,) of a detector: its numbers, 0 to 467, written as text
     corners: Ints  # (k, 3) vertices of the skin
     weights: Floats  # (k, 3) of the corners, which sum to 1
-    spread_mm: Floats  # (k,) standard deviation of what was measured of each, along the skin
+    spread_mm: Floats  # (k,) root mean square distance of what was measured of each
 
     def at(self, skin: Floats) -> Floats:
         """Return where the points (k, 3) are on a skin (V, 3)."""
@@ -36,6 +37,21 @@ class SkinPoints:
         rows = np.repeat(np.arange(len(self.names)), 3)
         entries = self.weights.ravel(), (rows, self.corners.ravel())
         return sp.csr_array(entries, shape=(len(self.names), count))
+
+    def arrays(self) -> Arrays:
+        """Return the points as named arrays, for a file."""
+        return {
+            "names": np.array(self.names, dtype=np.str_),
+            "corners": self.corners,
+            "weights": self.weights,
+            "spread_mm": self.spread_mm,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> SkinPoints:
+        """Return the points that :meth:`arrays` described."""
+        plain = {name: arrays[name] for name in ("corners", "weights", "spread_mm")}
+        return cls(tuple(str(name) for name in arrays["names"].ravel()), **plain)
 
     @cached_property
     def _rows(self) -> dict[str, int]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import rows_of, shares_in_tets
+from solver.anatomy.skin_points import SkinPoints
 from solver.errors import InputError
 from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.surface import Floats, Ints, Surface
@@ -92,6 +93,8 @@ def check_arrays(template: Template, file: str) -> None:
         shapes = template.shapes
         check.points("identity shapes", shapes.identity, (None, skin, 3))
         check.points("expressions", shapes.expressions, (len(shapes.expression_names), skin, 3))
+    if template.points is not None:
+        check.skin_points(template.points, skin)
     if mesh is not None:
         weights, count = mesh.weights, len(mesh.vertices)
         check.points("mesh vertices", mesh.vertices, (None, 3))
@@ -109,6 +112,9 @@ def check_arrays(template: Template, file: str) -> None:
         for name, wanted in (("weights", len(mesh.tets)), ("embedded_in", len(mesh.embedded))):
             if found[name] != wanted:
                 check.wrong("shape", f"mesh {name}", f"has {found[name]} rows, not {wanted}")
+
+
+SLACK = 1e-6  # of barycentric coordinates, by rounding
 
 
 class _Check:
@@ -138,6 +144,23 @@ class _Check:
         if len(outside):
             place = tuple(outside[0])
             self.wrong("range", name, f"has {array[place]} at {list(map(int, place))}, of {count}")
+
+    def skin_points(self, points: SkinPoints, skin: int) -> None:
+        names, weights = points.names, points.weights
+        if len(set(names)) < len(names):
+            self.wrong("shape", "names of points", "are no different ones")
+        self.points("weights of points", weights, (len(names), 3))
+        self.points("spread of points", points.spread_mm, (len(names),))
+        self.numbers("corners of points", points.corners, skin, columns=3)
+        if len(points.corners) != len(names):
+            found = f"has {len(points.corners)} rows, not {len(names)}"
+            self.wrong("shape", "corners of points", found)
+        off = np.maximum(-weights.min(axis=1), np.abs(weights.sum(axis=1) - 1.0))
+        if off.max(initial=0.0) > SLACK:
+            found = f"has {weights[off.argmax()].tolist()} at [{off.argmax()}]: not in a triangle"
+            self.wrong("range", "weights of points", found)
+        if points.spread_mm.min(initial=1.0) <= 0.0:
+            self.wrong("range", "spread of points", "has an entry that is not positive")
 
     def surface(self, name: str, surface: Surface) -> None:
         self.points(f"{name} vertices", surface.vertices, (None, 3))
@@ -311,6 +334,7 @@ class Template:
     licence: str = ""  # what it may be used for, by its sources; empty where nobody said
     depths: tuple[Depth, ...] = ()  # of soft tissue, that the bones were placed by
     mesh: TemplateMesh | None = None  # that every person's model shares, where it is made
+    points: SkinPoints | None = None  # that a detector marks in pictures, where they were found
 
     @property
     def parted_skin(self) -> Surface:
@@ -375,6 +399,8 @@ class Template:
             arrays["shapes_expressions"] = self.shapes.expressions
         if self.mesh is not None:
             arrays |= {f"mesh_{name}": array for name, array in self.mesh.arrays().items()}
+        if self.points is not None:  # other templates keep their hash
+            arrays |= {f"points_{name}": array for name, array in self.points.arrays().items()}
         header = {
             "format": FORMAT,
             "name": self.name,
@@ -411,7 +437,7 @@ class Template:
         if "shapes_identity" in data:
             names = tuple(header["expression_names"])
             shapes = ShapeBasis(data["shapes_identity"], data["shapes_expressions"], names)
-        mesh = with_prefix(data, "mesh_")
+        mesh, points = with_prefix(data, "mesh_"), with_prefix(data, "points_")
         back_z, bottom_y = data["planes"]
         plain: dict[str, Any] = {name: data[name] for name in PLAIN}
         plain |= {name: surface(name) for name in SURFACES}
@@ -427,4 +453,5 @@ class Template:
             licence=header.get("licence", ""),
             depths=tuple(Depth(*row) for row in header.get("depths", ())),
             mesh=TemplateMesh.from_arrays(mesh, len(muscles)) if mesh else None,
+            points=SkinPoints.from_arrays(points) if points else None,
         )

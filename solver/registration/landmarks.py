@@ -6,7 +6,6 @@ Landmarks carry a template's names (``sellion``, ``cheilion_l``; ``_l`` is the s
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 from collections.abc import Mapping
@@ -18,8 +17,9 @@ import numpy as np
 
 from solver.anatomy.data import read_table
 from solver.anatomy.template import Template
-from solver.drawing.render import Camera, DrawnBody, Lit, Pixels, Visible, look, render
+from solver.drawing.render import Camera, DrawnBody, Lit, Visible, look, render
 from solver.errors import InputError, file_error, quote, quote_names
+from solver.registration.detector import DetectorOptions, FaceDetector
 from solver.similarity import fit_similarity
 from solver.surface import Floats, Ints, Surface
 
@@ -185,8 +185,8 @@ def _point(path: Path, name: str, value: Any, **where: Any) -> Floats:
     return np.array([x, y, z])
 
 
-# Landmarks found by MediaPipe's face landmarker (optional extra), which runs offline: the scan is
-# drawn from a few sides, and what is seen in the pictures is carried back to the surface.
+# Landmarks found by a detector: the scan is drawn from a few sides, and what is seen in the
+# pictures is carried back to the surface.
 
 PIXELS = 512  # of a picture's side
 YAWS = np.radians([0.0, -25.0, 25.0])  # of the pictures
@@ -203,55 +203,23 @@ def find_landmarks(scan: Surface, face: Floats, model: Path) -> Points:
     ``face_landmarker*.task``. Raises :class:`InputError`: ``landmarks.extra`` if MediaPipe is not
     installed, ``landmarks.model`` if the file is missing or no such model.
     """
-    landmarker = _landmarker(model)
     low, high = face.min(axis=0), face.max(axis=0)
     body = DrawnBody(Lit(scan), np.broadcast_to(GREY, scan.vertices.shape))
     seen: dict[str, list[Floats]] = {}
-    for yaw in YAWS:
-        camera = Camera((low + high) / 2, span=1.6 * float(high[1] - low[1]), yaw=yaw)
-        image = render([body], camera, PIXELS, PIXELS)
-        visible = look(camera, scan, PIXELS, PIXELS)
-        for name, (column, row) in _detect(landmarker, image).items():
-            point = _on_surface(scan, visible, column, row)
-            if point is not None:
-                seen.setdefault(name, []).append(point)
-    landmarker.close()
+    with FaceDetector(model, DetectorOptions(most_faces=1)) as detector:
+        for yaw in YAWS:
+            camera = Camera((low + high) / 2, span=1.6 * float(high[1] - low[1]), yaw=yaw)
+            visible = look(camera, scan, PIXELS, PIXELS)
+            for shown in detector.faces(render([body], camera, PIXELS, PIXELS)):
+                for number, name in MEDIAPIPE.items():
+                    point = _on_surface(scan, visible, *shown.points[number])
+                    if point is not None:
+                        seen.setdefault(name, []).append(point)
     found = {}
     for name, points in seen.items():
         close = np.linalg.norm(points - np.median(points, axis=0), axis=1) < AGREE_MM
         if close.sum() > 1:
             found[name] = np.array(points)[close].mean(axis=0)
-    return found
-
-
-def _landmarker(model: Path) -> Any:
-    if importlib.util.find_spec("mediapipe") is None:
-        message = "finding landmarks needs the extra: pip install 'myoface[mediapipe]'"
-        raise InputError("landmarks.extra", message)
-    if not model.is_file():
-        message = f"there is no face landmarker file {model}"
-        raise InputError("landmarks.model", message, file=str(model))
-    from mediapipe.tasks.python import BaseOptions, vision
-
-    base = BaseOptions(model_asset_buffer=model.read_bytes())
-    try:
-        options = vision.FaceLandmarkerOptions(base_options=base)
-        return vision.FaceLandmarker.create_from_options(options)
-    except (RuntimeError, ValueError) as error:
-        message = f"{model.name} is no face landmarker: {error}"
-        raise InputError("landmarks.model", message, file=str(model)) from error
-
-
-def _detect(landmarker: Any, image: Pixels) -> dict[str, tuple[float, float]]:
-    """Return name -> pixel column and row; nothing where no face is seen."""
-    import mediapipe
-
-    pixels = np.ascontiguousarray(image * 255 + 0.5, np.uint8)
-    picture = mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
-    found = {}
-    for face in landmarker.detect(picture).face_landmarks[:1]:
-        for number, name in MEDIAPIPE.items():
-            found[name] = (PIXELS * face[number].x, PIXELS * face[number].y)
     return found
 
 

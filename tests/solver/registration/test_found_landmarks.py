@@ -9,12 +9,12 @@ from solver.errors import InputError
 from solver.meshio.raw import read_raw
 from solver.registration.landmarks import find_landmarks, read_landmarks
 from solver.surface import Surface
-from tests.fixtures import data_folder
+from tests.fixtures import data_folder, face_landmarker
 
 
+@pytest.mark.long
 def test_eyes_and_mouth_of_a_raw_scan_are_found():
-    pytest.importorskip("mediapipe", reason="the extra mediapipe is not installed")
-    model = data_folder("face_models", "face_landmarker_v2.task")
+    model = face_landmarker()
     raw = read_raw(data_folder("scans", "menpo3d", "james.obj"))
     marked = read_landmarks(data_folder("scans", "menpo3d", "james.ljson"))
     scan = Surface(raw.vertices, raw.faces)

@@ -1,0 +1,112 @@
+"""MediaPipe's face landmarker (optional extra), which runs offline: faces in pictures.
+
+Of each face it tells where 478 points of a mesh are: 468 of the skin, five about each iris. Number
+33 is the outer corner of the subject's right eye, 263 that of the left.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.errors import InputError
+from solver.surface import Floats
+
+SKIN_POINTS = 468  # the first ones; those after them are on the irises
+
+
+@dataclass(frozen=True)
+class DetectorOptions:
+    """What counts as a face."""
+
+    most_faces: int = 8  # that are looked for in a picture
+    confidence: float = 0.5  # least of a face, 0 to 1
+
+
+@dataclass(frozen=True)
+class DetectedFace:
+    """One face of a picture."""
+
+    points: Floats  # (478, 2) px
+    # (3, 3) of the face's axes (x to the subject's left, y up, z forward) into the camera's (x
+    # right, y up, z backward): the identity where it looks into the camera
+    rotation: Floats
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """Return left, top, right and bottom, px, of the face from brow to chin."""
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+    @property
+    def yaw(self) -> float:
+        """Return how far the face is turned aside from the camera, rad, to either side."""
+        right, _, towards = self.rotation[:, 2]
+        return float(np.arctan2(abs(right), towards))
+
+
+class FaceDetector:
+    """The landmarker of a file ``face_landmarker*.task``; it is closed as a context.
+
+    Raises :class:`InputError`: ``landmarks.extra`` if MediaPipe is not installed,
+    ``landmarks.model`` if the file is missing or no such model.
+    """
+
+    def __init__(self, model: Path, options: DetectorOptions | None = None) -> None:
+        given = options or DetectorOptions()
+        if importlib.util.find_spec("mediapipe") is None:
+            message = "finding landmarks needs the extra: pip install 'myoface[mediapipe]'"
+            raise InputError("landmarks.extra", message)
+        if not model.is_file():
+            message = f"there is no face landmarker file {model}"
+            raise InputError("landmarks.model", message, file=str(model))
+        from mediapipe.tasks.python import BaseOptions, vision
+
+        base = BaseOptions(model_asset_buffer=model.read_bytes())
+        try:
+            wanted = vision.FaceLandmarkerOptions(
+                base_options=base,
+                num_faces=given.most_faces,
+                min_face_detection_confidence=given.confidence,
+                min_face_presence_confidence=given.confidence,
+                output_facial_transformation_matrixes=True,
+            )
+            self._landmarker: Any = vision.FaceLandmarker.create_from_options(wanted)
+        except (RuntimeError, ValueError) as error:
+            message = f"{model.name} is no face landmarker: {error}"
+            raise InputError("landmarks.model", message, file=str(model)) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._landmarker.close()
+
+    def faces(self, picture: NDArray[np.floating]) -> list[DetectedFace]:
+        """Return the faces in a picture (h, w, 3), sRGB from 0 to 1; none where none is seen."""
+        import mediapipe
+
+        pixels = np.ascontiguousarray(picture * 255 + 0.5, np.uint8)
+        image = mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
+        seen = self._landmarker.detect(image)
+        height, width = pixels.shape[:2]
+        return [
+            DetectedFace(
+                np.array([(width * point.x, height * point.y) for point in points]),
+                np.array(motion)[:3, :3],
+            )
+            for points, motion in zip(
+                seen.face_landmarks, seen.facial_transformation_matrixes, strict=True
+            )
+        ]
