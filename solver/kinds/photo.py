@@ -27,7 +27,7 @@ Landmarks = Annotated[
     Annotated[ByName, Tag("<names>")] | Annotated[list[Pixel | None], Tag("<list>")],
     tell_forms(by_type({dict: "<names>", list: "<list>"}), "is not an object or a list of points"),
 ]
-Focal = Annotated[float, Field(gt=0, le=1e7)]
+Focal = Annotated[float, Field(ge=1, le=1e7)]
 Row = Annotated[list[Annotated[float, Field(ge=-1.01, le=1.01)]], Field(min_length=3, max_length=3)]
 
 

@@ -24,6 +24,7 @@ from PIL import Image, ImageCms, PngImagePlugin
 
 from solver.errors import InputError, file_error, quote
 
+FORMATS = ("JPEG", "PNG")
 MOST_PIXELS = 64 << 20  # 64 MP, as sensors are counted
 MOST_BYTES = 256 << 20  # of a file
 LEAST_SIDE = 64  # px; a face of which anything can be told is wider
@@ -182,7 +183,7 @@ def _open(path: Path) -> Image.Image:
     if not content.startswith((JPEG, PNG)):
         raise _other_format(path.name, content)
     try:
-        image = Image.open(io.BytesIO(content), formats=("JPEG", "PNG"))
+        image = Image.open(io.BytesIO(content), formats=FORMATS)
     except Image.DecompressionBombError as error:
         message = f"{path.name}: at most {MOST_PIXELS >> 20} megapixels can be read"
         raise InputError("photo.too_large", message, file=path.name) from error
