@@ -7,10 +7,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-Role = Literal["neutral", "expression", "performance", "markers", "activations", "asset"]
+Role = Literal["neutral", "expression", "performance", "markers", "activations", "photo", "asset"]
 ScanRole = Literal["neutral", "expression"]
 
 # Roles of what is checked and registered by nobody
-NO_SCANS: frozenset[Role] = frozenset({"performance", "markers", "activations", "asset"})
+NO_SCANS: frozenset[Role] = frozenset({"performance", "markers", "activations", "photo", "asset"})
 # Endings of files -> the one role that has them
-OWN_FORMATS: Mapping[str, Role] = {".npy": "performance", ".c3d": "markers", ".trc": "markers"}
+OWN_FORMATS: Mapping[str, Role] = {
+    ".npy": "performance",
+    ".c3d": "markers",
+    ".trc": "markers",
+    ".jpg": "photo",
+    ".jpeg": "photo",
+    ".png": "photo",
+}

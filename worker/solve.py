@@ -140,20 +140,26 @@ def _describe_error(error: Exception, memory_bytes: int) -> dict[str, Any]:
 def solve(folder: Path, progress: ProgressCallback, jobs: str = "solver.jobs") -> dict[str, Any]:
     """Do the job; returns ``{summary, expressions, formats}``, what it tells of its results."""
     job = json.loads((folder / "job.json").read_text())
-    captures: dict[str, Path] = {}
     files: dict[str, Path] = {}
+    captures: dict[str, Path] = {}
+    facts: dict[str, Path] = {}
     role = "unknown"
     for item in job["inputs"]:
         role = item.get("capture_role", role)
-        if item["role"] in ("capture", "asset"):
-            captures[item["name"]] = Path(item["path"])
+        path = Path(item["path"])
+        if item["role"] in ("capture", "photo", "asset"):
+            captures[item["name"]] = path
+        elif item["role"] == "facts":
+            facts[item["name"]] = path
         else:
-            files[item["role"]] = Path(item["path"])
+            files[item["role"]] = path
     run_job(
         job["kind"],
         folder / "out",
         options=job["options"],
         captures=captures,
+        facts=facts,
+        masks=None,  # what counts of a photograph that was uploaded is where it is opaque
         role=role,
         resume=job["resume"],
         progress=progress,

@@ -31,8 +31,12 @@ def _parts(kind: Kind) -> list[InputPart]:
     """Return what a kind's command asks for, other than its options."""
     found: list[InputPart] = []
     for each in (INPUTS[name] for name in (*kind.reads, *kind.asks)):
-        is_optional = "capture" in kind.reads and each.of_an_expression
-        found += each.of_an_expression if is_optional else each.parts
+        if "capture" in kind.reads and each.of_an_expression:
+            found += each.of_an_expression
+        elif "any_rig" in kind.reads and each.beside_a_rig:
+            found += each.beside_a_rig
+        else:
+            found += each.parts
     return found
 
 
@@ -154,7 +158,11 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
             kind.name,
             folder,
             options=options,
-            captures=name_expressions(given.get("scans") or []) | _assets(given.get("asset") or []),
+            captures=name_expressions(given.get("scans") or [])
+            | _named_files("asset", given)
+            | _named_files("photo", given),
+            facts=_named_files("facts", given),
+            masks=_named_files("mask", given),
             role=given.get("role", "unknown"),
             resume=given.get("resume", False),
             progress=view,
@@ -225,19 +233,19 @@ SUMMARIES: Mapping[str, Callable[[Mapping[str, Any], Mapping[str, Any]], None]] 
 }
 
 
-def _assets(given: list[str]) -> dict[str, Path]:
-    """Return the files ``NAME=FILE`` that a scene may name."""
+def _named_files(parameter: str, given: Mapping[str, Any]) -> dict[str, Path]:
+    """Return the files ``NAME=FILE`` that were given by an option, by their names."""
     found: dict[str, Path] = {}
-    for each in given:
+    for each in given.get(parameter) or ():
         name, _, path = each.partition("=")
         if not (name and path):
             raise UsageError(
-                f"--asset {each}: NAME=FILE is expected, such as take={each or 'FILE'}"
+                f"--{parameter} {each}: NAME=FILE is expected, such as take={each or 'FILE'}"
             )
         if not Path(path).is_file():
-            raise UsageError(f"--asset {each}: there is no file {path}")
+            raise UsageError(f"--{parameter} {each}: there is no file {path}")
         if name in found:
-            raise UsageError(f"--asset {each}: another file is called {name}, too")
+            raise UsageError(f"--{parameter} {each}: another file is called {name}, too")
         found[name] = Path(path)
     return found
 

@@ -56,8 +56,8 @@ class NewCapture(RequestBody):
     role: Role = Field(
         description="what the file is; `GET /v1/limits` has the endings of each role's files. "
         "A `performance` is frames of registered skin points, `markers` a take of them or their "
-        "set, `activations` a table of what is known of single muscles, as by EMG, an `asset` what "
-        "scenes name: a recording, a fitted sequence, a mesh, a map"
+        "set, `activations` a table of what is known of single muscles, as by EMG, `photo` a "
+        "photograph, an `asset` what scenes name: a recording, a fitted sequence, a mesh, a map"
     )
     upload_id: Id
     registered: bool = Field(
@@ -67,7 +67,9 @@ class NewCapture(RequestBody):
         "Performances are registered without being said to be",
     )
     landmarks_upload_id: Id | None = Field(
-        default=None, description="a complete upload with landmarks on this scan"
+        default=None,
+        description="a complete upload with landmarks on this scan, or of a photograph "
+        "with what is known of it",
     )
     replaces: Id | None = Field(
         default=None,

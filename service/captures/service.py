@@ -20,7 +20,6 @@ from service.subjects.service import refuse_while_busy, relabel
 from service.uploads import repository as uploads
 from solver.kinds import ROLES, SCANS
 
-LANDMARK_FORMATS = (".json", ".ljson", ".csv")
 # Windows has devices of these names, whatever follows the first dot
 DEVICES = frozenset(
     {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
@@ -97,9 +96,7 @@ def views(session: Session, captures: Sequence[Capture], settings: Settings) -> 
 def set_landmarks(session: Session, subject_id: str, capture_id: str, given: Landmarks) -> Capture:
     """Give a scan landmarks, in place of those it had; jobs submitted earlier keep theirs."""
     capture = repository.get(session, subject_id, capture_id)
-    if capture.role not in SCANS:
-        code = f"capture.is_{capture.role}"
-        raise Problem(422, code, f"{capture.name} takes no landmarks")
+    _require_landmarks(capture.name, capture.role)
     _give_landmarks(session, capture, given.upload_id)
     return capture
 
@@ -115,7 +112,8 @@ def delete(session: Session, subject_id: str, capture_id: str) -> Deletion:
 
 def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:
     upload = uploads.get_complete(session, upload_id)
-    _check_format(upload, "landmarks.format", "a file of landmarks", LANDMARK_FORMATS)
+    formats = ROLES[capture.role].landmarks
+    _check_format(upload, "landmarks.format", "a file of landmarks", formats)
     capture.landmarks_filename = upload.filename
     capture.landmarks_size, capture.landmarks_sha256 = upload.size, upload.sha256
     uploads.use(session, upload, capture.id)
@@ -135,7 +133,12 @@ def _check_role(upload: Upload, new: NewCapture) -> None:
     if new.role == "performance" and "registered" in new.model_fields_set and not new.registered:
         raise Problem(422, code, f"{new.name}: {role.noun} holds registered points")
     if new.landmarks_upload_id is not None:
-        raise Problem(422, code, f"{new.name}: {role.noun} takes no landmarks")
+        _require_landmarks(new.name, new.role)
+
+
+def _require_landmarks(name: str, role: str) -> None:
+    if not ROLES[role].landmarks:
+        raise Problem(422, f"capture.is_{role}", f"{name}: {ROLES[role].noun} takes no landmarks")
 
 
 def _check_format(upload: Upload, code: str, what: str, formats: Sequence[str]) -> None:

@@ -20,6 +20,9 @@ InputFile = dict[str, Any]  # a file of a job, as its request keeps it
 # Roles of what was made of one rig and is of no other
 OF_A_RIG = frozenset(file.role for file in FILES.values() if file.of_a_rig)
 
+# Roles of which a job may have several files, by their names
+NAMED = frozenset({"asset", "capture", "photo", "facts"})
+
 
 def input_file(role: str, name: str, filename: str, sha256: str, *, of: str) -> InputFile:
     """Return a file of a job; ``role`` is what it is to the solver, ``name`` what jobs call it.
@@ -120,4 +123,4 @@ def join(files: list[InputFile], handed: list[InputFile]) -> list[InputFile]:
 
 def _place(file: InputFile) -> tuple[str, str]:
     """Return what of a job's inputs there can be one of."""
-    return file["role"], file["name"] if file["role"] in {"asset", "capture"} else ""
+    return file["role"], file["name"] if file["role"] in NAMED else ""

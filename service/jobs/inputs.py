@@ -27,7 +27,7 @@ from service.rigs import repository as rigs
 from service.store.models import Capture, Job, Rig
 from service.subjects import repository as subjects
 from service.templates import repository as templates
-from solver.kinds import FILES, KINDS, ROLES, Kind
+from solver.kinds import FILES, KINDS, MOST_PHOTOS, ROLES, Kind
 
 
 @dataclass(frozen=True)
@@ -56,16 +56,17 @@ def _found(session: Session, kind: Kind, new: NewJob) -> Inputs:
     """Return what belongs to the subject, its rig and the captures that are named."""
     if "capture" in kind.reads:
         return _about_one_capture(session, kind, new)
-    if "any_rig" in kind.reads and new.rig_id is None:
-        return Inputs([*_markers(session, new), *_template(session, kind, new)])
     if "neutral" in kind.reads:
         return Inputs([_neutral(session, new.subject_id), *_template(session, kind, new)])
+    if {"rig", "model"}.isdisjoint(kind.reads) and new.rig_id is None:
+        read = _photos if "photos" in kind.reads else _markers
+        return Inputs([*read(session, new), *_template(session, kind, new)])
     return _of_a_model(session, kind, new)
 
 
 def _refuse_unread(kind: Kind, new: NewJob) -> None:
     for member, reads in (
-        ("captures", {"captures", "capture", "performance", "markers", "assets"}),
+        ("captures", {"captures", "capture", "performance", "markers", "photos", "assets"}),
         ("rig_id", {"rig", "any_rig"}),
     ):
         if getattr(new, member) and reads.isdisjoint(kind.reads):
@@ -84,20 +85,18 @@ def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
             capture_id=capture.id,
         )
     scan = _capture_file("scan", capture)
-    files = [{**scan, "capture_role": capture.role}]
-    if capture.landmarks_filename and capture.landmarks_sha256:
-        files.append(
-            input_file(
-                "landmarks",
-                capture.name,
-                capture.landmarks_filename,
-                capture.landmarks_sha256,
-                of=capture.id,
-            )
-        )
+    files = [{**scan, "capture_role": capture.role}, *_landmarks("landmarks", capture)]
     if "neutral" in kind.reads and capture.role != "neutral":
         files.append(_neutral(session, new.subject_id, of_an_expression=True))
     return Inputs([*files, *_template(session, kind, new)], capture_id=capture.id)
+
+
+def _landmarks(role: str, capture: Capture) -> list[InputFile]:
+    """Return the file beside a capture, if there is one."""
+    filename, sha256 = capture.landmarks_filename, capture.landmarks_sha256
+    if not (filename and sha256):
+        return []
+    return [input_file(role, capture.name, filename, sha256, of=capture.id)]
 
 
 def _the_capture(session: Session, new: NewJob) -> Capture:
@@ -149,8 +148,8 @@ def _template(session: Session, kind: Kind, new: NewJob) -> list[InputFile]:
 
 def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
     """Return a model, the rig if ``kind`` reads one, and what to fit or to play."""
-    if not {"rig", "any_rig"}.isdisjoint(kind.reads):
-        rig = _parent(session, new)
+    rig = _parent(session, new) if "rig" in kind.reads or new.rig_id is not None else None
+    if rig is not None:
         model = repository.get(session, rig.model_job_id)
         files = _files_of_rig(session, rig)
     else:
@@ -160,15 +159,17 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
         files.append(_performance(session, new))
     elif "markers" in kind.reads:
         files += _markers(session, new)
+    elif "photos" in kind.reads:
+        files += _photos(session, new)
     elif "captures" in kind.reads:
         files += _expressions(session, new, model)
     elif "assets" in kind.reads:
         files += _assets(session, new)
     files += _template(session, kind, new)
     for name, file in FILES.items():
-        if file.input not in kind.reads or not (file.of_a_rig or file.of_a_model):
+        if file.input not in kind.reads or not (file.of_a_model or (file.of_a_rig and rig)):
             continue
-        made_of = rigs.made_of_rig(rig) if file.of_a_rig else rigs.made_of_model(model)
+        made_of = rigs.made_of_rig(rig) if file.of_a_rig and rig else rigs.made_of_model(model)
         leavers = [each.name for each in KINDS.values() if name in each.hands_on]
         what = leavers, name, file.formats
         if found := rigs.left_by(session, new.subject_id, made_of, *what):
@@ -247,6 +248,24 @@ def _known_activations(session: Session, kind: Kind, new: NewJob) -> tuple[list[
     others = [each for each in new.captures if each not in ids]
     files = [_capture_file("activations", each) for each in tables]
     return files, new.model_copy(update={"captures": others})
+
+
+def _photos(session: Session, new: NewJob) -> list[InputFile]:
+    """Return photographs, each with what is known of it."""
+    found = [captures.get(session, new.subject_id, each) for each in dict.fromkeys(new.captures)]
+    for capture in found:
+        if capture.role != "photo":
+            raise Problem(
+                422,
+                "capture.not_a_photo",
+                f"{capture.name} is no photograph",
+                capture_id=capture.id,
+            )
+    if not 1 <= len(found) <= MOST_PHOTOS:
+        detail = f"{new.kind} reads 1 to {MOST_PHOTOS} photographs, not {len(found)}"
+        raise Problem(422, "job.photos", detail, member="captures", expected=MOST_PHOTOS)
+    files = [[_capture_file("photo", each), *_landmarks("facts", each)] for each in found]
+    return [file for each in files for file in each]
 
 
 def _assets(session: Session, new: NewJob) -> list[InputFile]:

@@ -8,14 +8,13 @@ from fastapi import APIRouter, Depends, Response
 from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4, CollectorRegistry, generate_latest
 
 from service.access.principal import Scope, need_scope
-from service.captures.service import LANDMARK_FORMATS
 from service.dependencies import ReadSession, SettingsDep, WholeStore, part
 from service.errors import problems
 from service.schemas import Page
 from service.store.retention import own_days
 from service.system.schemas import KindView, Limits, Readiness, Retention, RoleView, WorkerView
 from service.system.service import ReadinessCache, living_workers
-from solver.kinds import BUILTIN_VERTICES, KINDS, ROLES
+from solver.kinds import BUILTIN_VERTICES, KINDS, LANDMARKS, ROLES
 
 # RFC 9745: since when, in seconds of the epoch (2026-11-22)
 SOLVERS_DEPRECATED = "@1795305600"
@@ -40,7 +39,7 @@ def limits(session: ReadSession, settings: SettingsDep) -> Limits:
         ),
         scan_formats=list(ROLES["neutral"].registered),
         raw_scan_formats=list(ROLES["neutral"].formats),
-        landmark_formats=list(LANDMARK_FORMATS),
+        landmark_formats=list(LANDMARKS),
         roles=[RoleView.of(name, role) for name, role in ROLES.items()],
         builtin_vertices=BUILTIN_VERTICES,
         max_attempts=settings.max_attempts,

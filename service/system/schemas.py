@@ -34,6 +34,9 @@ class RoleView(View):
     own_formats: list[str] = Field(
         description="of these, those that no other role has: such a file is of this role"
     )
+    landmarks: list[str] = Field(
+        description="endings of the file beside one: landmarks, of a photograph what is known of it"
+    )
     sets: list[str] = Field(
         description="of what lies beside such files for all of a session, a marker set"
     )

@@ -37,7 +37,10 @@ class Task(Generic[Given]):
     out: Path  # the folder for what it leaves
     options: Given  # of its kind, with their defaults
     inputs: Mapping[str, Path] = field(default_factory=dict)
-    captures: Mapping[str, Path] = field(default_factory=dict)  # scans or assets by their names
+    # scans, photographs or assets by their names
+    captures: Mapping[str, Path] = field(default_factory=dict)
+    facts: Mapping[str, Path] = field(default_factory=dict)  # JSON beside photographs, by those
+    masks: Mapping[str, Path] = field(default_factory=dict)  # PNG beside photographs, by those
     role: str = "unknown"  # that its scan is meant for: neutral, expression or unknown
     resume: bool = False  # whether to go on after what an earlier attempt left in ``out``
     progress: ProgressCallback = silent
@@ -49,6 +52,8 @@ def run_job(
     *,
     options: Mapping[str, Any] | None = None,
     captures: Mapping[str, Path | str] | None = None,
+    facts: Mapping[str, Path | str] | None = None,
+    masks: Mapping[str, Path | str] | None = None,
     role: str = "unknown",
     resume: bool = False,
     progress: ProgressCallback = silent,
@@ -68,9 +73,10 @@ def run_job(
         raise InputError("job.kind", message, expected=sorted(KINDS))
     given = _read_options(KINDS[kind], options or {})
     files = _Files({name: Path(path) for name, path in inputs.items() if path is not None})
-    folder, scans = Path(out), {name: Path(path) for name, path in (captures or {}).items()}
+    folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    task = Task(folder, given, files, scans, role, resume, progress)
+    scans, beside, shown = map(_as_paths, (captures, facts, masks))
+    task = Task(folder, given, files, scans, beside, shown, role, resume, progress)
     try:
         return cast(list[Path], import_module(f"{jobs}.{kind}").run(task))
     except ValueError as error:
@@ -110,6 +116,10 @@ def hash_files(files: Mapping[str, Path]) -> dict[str, str]:
         with path.open("rb") as stream:
             hashes[name] = hashlib.file_digest(stream, "sha256").hexdigest()
     return hashes
+
+
+def _as_paths(files: Mapping[str, Path | str] | None) -> dict[str, Path]:
+    return {name: Path(path) for name, path in (files or {}).items()}
 
 
 def _read_options(kind: Kind, given: Mapping[str, Any]) -> JobOptions:

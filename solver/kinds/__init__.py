@@ -13,7 +13,17 @@ from pkgutil import iter_modules
 
 from solver.kinds.document import Fault
 from solver.kinds.formats import NOT_READABLE, check_directory, format_number, is_plainly_packed
-from solver.kinds.inputs import FILES, INPUTS, ROLES, SCANS, InputPart, LeftFile, Role
+from solver.kinds.inputs import (
+    FILES,
+    INPUTS,
+    LANDMARKS,
+    MOST_PHOTOS,
+    ROLES,
+    SCANS,
+    InputPart,
+    LeftFile,
+    Role,
+)
 from solver.kinds.kind import BUILTIN_VERTICES, JobOptions, Kind, OptionsError
 
 __all__ = [
@@ -21,6 +31,8 @@ __all__ = [
     "FILES",
     "INPUTS",
     "KINDS",
+    "LANDMARKS",
+    "MOST_PHOTOS",
     "NOT_READABLE",
     "ROLES",
     "SCANS",

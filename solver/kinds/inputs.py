@@ -34,6 +34,7 @@ class Input:
 
     parts: tuple[InputPart, ...]
     of_an_expression: tuple[InputPart, ...] = ()  # in their place where a kind reads a capture, too
+    beside_a_rig: tuple[InputPart, ...] = ()  # in their place where a kind reads any_rig, too
 
 
 def _given(parameter: str, words: str, form: Form = "file", role: str | None = None) -> InputPart:
@@ -44,6 +45,11 @@ def _given(parameter: str, words: str, form: Form = "file", role: str | None = N
 def _option(parameter: str, words: str, role: str | None = None, form: Form = "file") -> InputPart:
     """Return an option; its file has the role that is called as it is."""
     return InputPart(parameter, words, role or parameter, form)
+
+
+def _named(parameter: str, words: str) -> InputPart:
+    """Return an option that is repeated, with a name for each file."""
+    return InputPart(parameter, words, form="named files")
 
 
 RIG = "rig.npz, or a rig's folder or ZIP; to one of 0.1 copy its model.npz"
@@ -72,17 +78,21 @@ INPUTS: Mapping[str, Input] = {
     "activations": Input(
         (_option("activations", "what is known of single muscles, as of EMG: CSV"),)
     ),
-    "model": Input((_given("model", "model.npz"),)),
+    "photos": Input(
+        (
+            _named("photo", "NAME=FILE, a photograph, JPEG or PNG; repeatable"),
+            _named("facts", "NAME=FILE, what is known of the photograph of this name, JSON"),
+            _named("mask", "NAME=FILE, a PNG that is white where the photograph counts"),
+        )
+    ),
+    "model": Input(
+        (_given("model", "model.npz"),),
+        beside_a_rig=(_option("model", "model.npz, where no rig is given"),),
+    ),
     "rig": Input((_given("rig", RIG, "file or folder"),)),
     "any_rig": Input((_option("rig", RIG, form="file or folder"),)),
     "template": Input((_option("template", "template NPZ; default: built-in"),)),
-    "assets": Input(
-        (
-            InputPart(
-                "asset", "NAME=FILE, a file that the scene names; repeatable", form="named files"
-            ),
-        )
-    ),
+    "assets": Input((_named("asset", "NAME=FILE, a file that the scene names; repeatable"),)),
     "sequences": Input(()),  # a scene names them as it does assets
     "blendshapes": Input((_option("blendshapes", "blendshapes.npz of an earlier animation"),)),
     "expression_basis": Input(
@@ -135,6 +145,9 @@ FILES: Mapping[str, LeftFile] = {
 
 MESHES = (".obj", ".ply", ".stl", ".glb")
 CLOUDS = (".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
+PICTURES = (".jpg", ".jpeg", ".png")
+LANDMARKS = (".json", ".ljson", ".csv")
+MOST_PHOTOS = 16  # of one job
 
 
 @dataclass(frozen=True)
@@ -146,12 +159,13 @@ class Role:
     formats: tuple[str, ...]
     then: str  # what becomes of it, in words that follow a colon
     registered: tuple[str, ...] = ()  # formats of one in the template's topology
+    landmarks: tuple[str, ...] = ()  # formats of the file beside it with landmarks, if it takes one
     own_formats: tuple[str, ...] = ()  # of no other role: it is of this one if nobody says another
     sets: tuple[str, ...] = ()  # of what lies beside such files for all of a session, one as well
 
     @property
     def is_scan(self) -> bool:
-        """Whether it is checked and registered; others take no landmarks and stay as they are."""
+        """Whether it is checked and registered; others stay as they are."""
         return bool(self.registered)
 
 
@@ -161,6 +175,7 @@ ROLES: Mapping[str, Role] = {
         noun="the neutral capture",
         formats=(*MESHES, *CLOUDS),
         registered=MESHES,
+        landmarks=LANDMARKS,
         then="it is checked and registered, and the model is built from it",
     ),
     "expression": Role(
@@ -168,6 +183,7 @@ ROLES: Mapping[str, Role] = {
         noun="an expression",
         formats=(*MESHES, *CLOUDS),
         registered=MESHES,
+        landmarks=LANDMARKS,
         then="it is checked, registered and fitted",
     ),
     "performance": Role(
@@ -190,6 +206,14 @@ ROLES: Mapping[str, Role] = {
         noun="a table of known activations",
         formats=(".csv",),
         then="it lies beside scans, a performance or a take in a fit",
+    ),
+    "photo": Role(
+        title="Photograph",
+        noun="a photograph",
+        formats=PICTURES,
+        own_formats=PICTURES,
+        landmarks=(".json",),
+        then="faces are fitted to photographs",
     ),
     "asset": Role(
         title="File for scenes",

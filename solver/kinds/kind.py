@@ -47,7 +47,8 @@ class Kind:
         uploaded, with its landmarks; ``neutral`` and ``captures`` are registered scans, the
         subject's neutral and chosen expressions; ``performance`` is one capture of that role,
         ``markers`` a take of them with the session's marker set, if there is one, ``activations``
-        a table of what is known of single muscles beside them, if there is one, ``assets`` any
+        a table of what is known of single muscles beside them, if there is one, ``photos`` up to
+        sixteen photographs with what is known of each, ``assets`` any
         number of theirs, ``sequences`` those that fits left, named as assets are; ``template`` is
         the subject's, ``model`` its newest, ``rig`` a fitted person, ``any_rig`` one that may be
         left out, ``blendshapes``, ``expression_basis`` and calibrated ``fibre_muscles`` are those

@@ -18,7 +18,8 @@ class Photo:
 
     name: str
     pixels: NDArray[np.float32]  # (h, w, 3) sRGB from 0 to 1
-    camera: PinholeCamera | None = None  # where it is known
+    # where it is known; of one that is not placed in the world the rotation is I, the translation 0
+    camera: PinholeCamera | None = None
     focal_px: float | None = None  # that the file tells of a picture which was not cropped
     # where landmarks are, (2,) each: by the template's names, or by a number of MediaPipe's mesh
     # (0 to 477, the subject's right eye at 33) written as text

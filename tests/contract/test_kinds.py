@@ -12,6 +12,7 @@ from typing import Any, get_args
 
 import jsonschema
 import pytest
+from PIL import Image
 
 from myoface.cli.app import UNITS, EyeDistance
 from myoface.cli.commands import Command, Option
@@ -20,8 +21,10 @@ from service.queue.wakeups import QUEUES
 from solver.kinds import KINDS, ROLES, SCANS, OptionsError
 from solver.kinds.kind import FrameOptions, UnitName
 from solver.kinds.marker_set import MarkerSetDocument
+from solver.kinds.photo import PhotoDocument
 from solver.mechanics.linear import DOUBLE, SOLVERS
 from solver.meshio import raw, registered
+from solver.photo.picture import FORMATS
 from solver.registration import units
 from solver.rig import frames
 from solver.scans import performance
@@ -169,6 +172,12 @@ def test_scans_may_be_what_the_solver_reads() -> None:
     assert set(registered.REGISTERED_FORMATS) < set(ROLES["asset"].formats)
 
 
+def test_photographs_may_be_what_the_solver_reads() -> None:
+    endings = {ending for ending, name in Image.registered_extensions().items() if name in FORMATS}
+    assert set(ROLES["photo"].formats) <= endings
+    assert ROLES["photo"].landmarks == (".json",)
+
+
 def test_the_client_s_roles_are_those_declared() -> None:
     command = [sys.executable, "scripts/client_roles.py", "--check"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
@@ -218,4 +227,5 @@ def test_what_has_to_be_above_0_has_a_floor() -> None:
     """1e-320 is above 0, and its inverse is infinite."""
     schemas = {name: kind.schema for name, kind in KINDS.items()}
     schemas["marker set"] = MarkerSetDocument.model_json_schema()
+    schemas["photograph"] = PhotoDocument.model_json_schema()
     assert [name for name in schemas if "exclusiveMinimum" in set(_bounds(schemas[name]))] == []
