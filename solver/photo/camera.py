@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from solver.surface import Floats
+from solver.similarity import Similarity
+from solver.surface import Floats, skew
 
 # of a camera's six numbers: a turn (rotation vector, about the camera's axes) and a shift, mm
 POSE_FREEDOM = 6
@@ -65,6 +66,29 @@ class PinholeCamera:
             rotation=turn @ self.rotation,
             translation=self.translation + change[3:6],
         )
+
+    def with_head(self, head: Similarity) -> PinholeCamera:
+        """Return the camera of a head's own frame, which ``head`` (scale 1) takes to the world."""
+        return replace(
+            self,
+            rotation=self.rotation @ head.rotation,
+            translation=self.rotation @ head.shift + self.translation,
+        )
+
+    def head_of(self, other: PinholeCamera) -> Similarity:
+        """Return the head that makes this camera of the world the ``other``, of its own frame."""
+        turn = self.rotation.T
+        return Similarity(1.0, turn @ other.rotation, turn @ (other.translation - self.translation))
+
+    def head_rates(self, head: Similarity) -> Floats:
+        """Return the change (7, 6) of :meth:`with_head` by a small motion of the head.
+
+        A rotation vector and a shift, mm, in the world.
+        """
+        rates = np.zeros((CAMERA_FREEDOM, POSE_FREEDOM))
+        rates[:3, :3] = rates[3:6, 3:] = self.rotation
+        rates[3:6, :3] = -skew(self.rotation @ head.shift) @ self.rotation
+        return rates
 
     def scaled(self, factor: float) -> PinholeCamera:
         """Return the camera of a picture that is ``factor`` times as large."""

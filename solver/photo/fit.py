@@ -5,8 +5,9 @@
 
 The face is one of :mod:`solver.tracks`: flesh under muscle tracks, or plain shapes. A camera that
 is not known has seven numbers, with the head's six among them: where a head is in front of its
-camera is all that a picture can tell of either. Gauss-Newton with a trust region, as scans are
-fitted; robust losses are weights of each step (iteratively reweighted least squares).
+camera is all that a picture can tell of either. Where cameras are known in a world, as of a stereo
+rig, the head has six numbers there for all of their pictures. Gauss-Newton with a trust region, as
+scans are fitted; robust losses are weights of each step (iteratively reweighted least squares).
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from solver.fitting.least_squares import (
 )
 from solver.photo.camera import CAMERA_FREEDOM, POSE_FREEDOM, PinholeCamera
 from solver.photo.terms import ImageTerm, PseudoHuber
+from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.surface import Floats, Ints
 from solver.tracks.fit import ShapeFace, State, TrackFitOptions
 
@@ -51,13 +53,13 @@ class View:
     """A picture of a moment: its terms, and a camera to begin with."""
 
     terms: tuple[ImageTerm, ...]
-    camera: PinholeCamera
-    is_placed: bool = False  # whether the camera is known, with its place
+    camera: PinholeCamera  # of the head's own frame, or of the world if it is placed there
+    is_placed: bool = False  # whether the camera is known, with its place in the world
     focal: FocalPrior | None = None  # None: its focal length is known
 
     @property
     def free(self) -> Ints:
-        """Return those of the camera's seven numbers that are fitted."""
+        """Return those of the camera's seven numbers that are its own variables."""
         if self.is_placed:
             return np.zeros(0, np.int64)
         return np.arange(CAMERA_FREEDOM if self.focal else POSE_FREEDOM)
@@ -86,10 +88,11 @@ class PhotoFitOptions:
 
 @dataclass(frozen=True)
 class PhotoPoint(Generic[State]):
-    """A face and the cameras of its pictures; ``skin`` is (V, 3)."""
+    """A face, the head in the world, and the cameras of its pictures in the head's own frame."""
 
     state: State
-    skin: Floats
+    skin: Floats  # (V, 3)
+    head: Similarity
     cameras: tuple[PinholeCamera, ...]
 
 
@@ -107,19 +110,20 @@ def fit_photos(
     face: ShapeFace[State],
     views: Sequence[View],
     start: State | None = None,
+    head: Similarity = IDENTITY,
     options: PhotoFitOptions = PhotoFitOptions(),
     listen: Listener | None = None,
 ) -> PhotoFit[State]:
     """Fit a face and the cameras of ``views`` to them, from rest or from a ``start``.
 
-    The cameras are placed before the face may move. Raises :class:`~solver.errors.SolveError` as
+    ``head`` is where it begins in the world of placed cameras. Cameras and head are found before
+    the face may move. Raises :class:`~solver.errors.SolveError` as
     :func:`solver.tracks.fit.fit`.
     """
     state = face.rest() if start is None else start
-    begun = PhotoPoint(state, face.skin(state), tuple(view.camera for view in views))
+    cameras = [view.camera.with_head(head) if view.is_placed else view.camera for view in views]
+    begun = PhotoPoint(state, face.skin(state), head, tuple(cameras))
     for moves_face in (False, True):
-        if not moves_face and not any(len(view.free) for view in views):
-            continue
         problem = _Problem(face, tuple(views), options, moves_face)
         search = TrustRegion(options.damping)
         found = minimise(problem, begun, search, options.stop, listen if moves_face else None)
@@ -141,10 +145,21 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
 
     @cached_property
     def cameras(self) -> list[slice]:
-        """Where each view's camera is among the variables, behind the face's controls."""
-        sizes = [len(view.free) for view in self.views]
-        ends = (self.size + np.cumsum(sizes)).tolist()
-        return [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        """Where each view's camera is among the variables: after face and head, if one is placed.
+
+        That of a placed view is the head.
+        """
+        head = slice(self.size, self.size + (POSE_FREEDOM if self.has_head else 0))
+        places, end = [], head.stop
+        for view in self.views:
+            places.append(head if view.is_placed else slice(end, end + len(view.free)))
+            end += len(view.free)
+        return places
+
+    @property
+    def has_head(self) -> bool:
+        """Whether the head is a variable by itself."""
+        return any(view.is_placed for view in self.views)
 
     @property
     def size(self) -> int:
@@ -163,7 +178,7 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
 
     @override
     def linearise(self, point: PhotoPoint[State]) -> LinearModel:
-        count = self.cameras[-1].stop
+        count = max(place.stop for place in self.cameras)
         gradient, hessian = np.zeros(count), np.zeros((count, count))
         face = slice(0, self.size)
         columns = self._columns(point.state)
@@ -172,28 +187,36 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
             hessian[face, face] = np.diag(self.prices)
         for view, camera, place in zip(self.views, point.cameras, self.cameras, strict=True):
             variables = np.r_[face, place]
+            if view.is_placed:
+                by_variables = view.camera.head_rates(point.head)
+            else:
+                by_variables = np.eye(CAMERA_FREEDOM)[:, view.free]
             for term in view.terms:
                 found = term.linearise(point.skin, camera)
                 weights = self.options.loss.weights(found.residual)
-                jacobian = np.hstack([found.by_skin @ columns, found.by_camera[:, view.free]])
+                jacobian = np.hstack([found.by_skin @ columns, found.by_camera @ by_variables])
                 gradient[variables] += jacobian.T @ (weights * found.residual)
                 hessian[np.ix_(variables, variables)] += jacobian.T @ (weights[:, None] * jacobian)
             if view.focal and len(view.free):
                 last = place.stop - 1
                 gradient[last] += _focal_residual(view.focal, camera) / view.focal.deviation
                 hessian[last, last] += view.focal.deviation**-2
-        bounds, reach = self._limits()
+        bounds, reach = self._limits(count)
         q = np.concatenate([point.state.q[: self.size], np.zeros(count - self.size)])
         return BoxModel(q, gradient, hessian, bounds, reach)
 
     @override
     def move(self, point: PhotoPoint[State], step: LeastSquaresStep) -> PhotoPoint[State] | None:
+        head = point.head
+        if self.has_head:
+            start = self.size
+            head = head.then(small_motion(step.change[start : start + POSE_FREEDOM]))
         cameras = []
         for view, camera, place in zip(self.views, point.cameras, self.cameras, strict=True):
             change = np.zeros(CAMERA_FREEDOM)
-            change[view.free] = step.change[place]
-            cameras.append(camera.moved(change))
-        moved = replace(point, cameras=tuple(cameras))
+            change[view.free] = step.change[place][: len(view.free)]
+            cameras.append(view.camera.with_head(head) if view.is_placed else camera.moved(change))
+        moved = replace(point, head=head, cameras=tuple(cameras))
         if self.moves_face:
             low, high = self.options.controls.bounds_of(self.face.tracks)
             q = np.clip(point.state.q + step.change[: self.size], low, high)
@@ -212,17 +235,17 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
             return np.zeros((skin, 0))
         return self.face.skin_columns(state).reshape(skin, -1)
 
-    def _limits(self) -> tuple[tuple[Floats, Floats], Floats]:
-        """Return bounds and reach of all variables; cameras have no bounds."""
-        free = self.cameras[-1].stop - self.size
-        camera_reach = [self.options.camera_reach[view.free] for view in self.views]
+    def _limits(self, count: int) -> tuple[tuple[Floats, Floats], Floats]:
+        """Return bounds and reach of all ``count`` variables; head and cameras have no bounds."""
         low = high = reach = np.zeros(0)
         if self.moves_face:
             tracks, controls = self.face.tracks, self.options.controls
             (low, high), reach = controls.bounds_of(tracks), controls.reach_of(tracks)
-        open_ = np.full(free, np.inf)
+        open_ = np.full(count - self.size, np.inf)
+        head = self.options.camera_reach[: POSE_FREEDOM if self.has_head else 0]
+        own = [self.options.camera_reach[view.free] for view in self.views]
         bounds = np.concatenate([low, -open_]), np.concatenate([high, open_])
-        return bounds, np.concatenate([reach, *camera_reach])
+        return bounds, np.concatenate([reach, head, *own])
 
 
 def _focal_residual(prior: FocalPrior, camera: PinholeCamera) -> float:

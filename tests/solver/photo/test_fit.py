@@ -10,10 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from solver.anatomy.skin_points import SkinPoints
 from solver.errors import InputError
-from solver.photo.camera import CAMERA_FREEDOM, PinholeCamera
+from solver.fitting.least_squares import LeastSquaresStep
+from solver.photo.camera import CAMERA_FREEDOM, POSE_FREEDOM, PinholeCamera
 from solver.photo.fit import FocalPrior, PhotoFitOptions, PhotoPoint, View, _Problem, fit_photos
 from solver.photo.pose import place_camera
 from solver.photo.terms import LandmarkTerm, PseudoHuber
+from solver.similarity import small_motion
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace
 from solver.tracks.fit import TrackFitOptions
@@ -90,20 +92,21 @@ def test_the_gradient_is_that_of_the_objective(model, points):
     face = PlainFace(model, MuscleTracks.of(model, block_shapes(model)))
     truth = face.move(face.rest(), face.tracks.controls({"aside": 0.7, "open": 0.3}))
     view = view_of(points, model.skin.vertices, face.skin(truth), 20.0)
-    problem = _Problem(face, (view,), PhotoFitOptions(), moves_face=True)
-    state = face.move(face.rest(), face.tracks.controls({"aside": 0.2, "bulge": 0.3}))
-    point = PhotoPoint(state, face.skin(state), (view.camera,))
+    head = small_motion(np.array([0.1, -0.2, 0.05, 8.0, -5.0, 3.0]))
+    placed = replace(view, camera=camera_from(-10.0, model.skin.vertices), is_placed=True)
+    problem = _Problem(face, (view, placed), PhotoFitOptions(), moves_face=True)
+    state = face.move(face.rest(), face.tracks.controls({"aside": 0.2, "bulge": 0.3, "open": 0.1}))
+    cameras = view.camera, placed.camera.with_head(head)
+    point = PhotoPoint(state, face.skin(state), head, cameras)
     gradient = problem.linearise(point).gradient
     size, step = face.tracks.size, 1e-5
-    for number in range(size + CAMERA_FREEDOM):
-        change = step * np.eye(size + CAMERA_FREEDOM)[number]
-
-        def moved(sign: float, change: np.ndarray = change) -> float:
-            ahead = face.move(state, state.q + sign * change[:size])
-            camera = view.camera.moved(sign * change[size:])
-            return problem.value(PhotoPoint(ahead, face.skin(ahead), (camera,)))
-
-        expected = (moved(1.0) - moved(-1.0)) / (2 * step)
+    assert len(gradient) == size + POSE_FREEDOM + CAMERA_FREEDOM
+    for number in range(len(gradient)):
+        change = step * np.eye(len(gradient))[number]
+        ahead, behind = (
+            problem.move(point, LeastSquaresStep(sign * change, 0.0, 0.0)) for sign in (1.0, -1.0)
+        )
+        expected = (problem.value(ahead) - problem.value(behind)) / (2 * step)
         assert gradient[number] == pytest.approx(expected, rel=1e-4, abs=1e-3)
     assert np.abs(gradient).min() > 1e-2
 
