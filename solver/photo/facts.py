@@ -77,6 +77,7 @@ class Facts:
     lens: Lens | None = None  # None: the camera does not distort
     landmarks: Mapping[str, Floats] = field(default_factory=dict)
     curves: Mapping[str, Floats] = field(default_factory=dict)
+    is_placed: bool = False  # whether the camera's place in the world is known
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,8 @@ def read_facts(path: Path, picture: Picture, names: Collection[str] = ()) -> Fac
     if faults:
         raise _error(path.name, faults)
     places = {name: place for name, (place, _) in landmarks.items()}
-    return Facts(*_camera(read.camera, picture.size), places, curves)
+    is_placed = read.camera is not None and read.camera.rotation is not None
+    return Facts(*_camera(read.camera, picture.size), places, curves, is_placed)
 
 
 def _load(path: Path) -> Any:

@@ -26,6 +26,7 @@ class Photo:
     landmarks: Mapping[str, Floats] = field(default_factory=dict)
     curves: Mapping[str, Floats] = field(default_factory=dict)  # by name, (k, 2) each
     mask: NDArray[np.bool_] | None = None  # (h, w), true where the picture counts
+    is_placed: bool = False  # whether the camera's place in the world is known
 
     @property
     def size(self) -> tuple[int, int]:

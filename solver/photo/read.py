@@ -37,7 +37,8 @@ def read_photo(
         curves = {name: lens.undistort(curve, ROUNDS) for name, curve in curves.items()}
         places = lens.undistort(np.array([*landmarks.values()]).reshape(-1, 2), ROUNDS)
         landmarks = dict(zip(landmarks, places, strict=True))
-    return Photo(path.stem, pixels, known.camera, picture.focal_px, landmarks, curves, shown)
+    known_by_file = pixels, known.camera, picture.focal_px
+    return Photo(path.stem, *known_by_file, landmarks, curves, shown, known.is_placed)
 
 
 def _shown(path: Path, picture: Picture, mask: Path | None) -> NDArray[np.bool_] | None:

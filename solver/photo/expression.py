@@ -1,0 +1,192 @@
+"""Fit one expression to photographs of one moment: cameras, then landmarks, then shading.
+
+First what landmarks say, of head, jaw and weights; then light and albedo as that face has them,
+and the differences between picture and shaded skin beside the landmarks. Residuals of neighbours
+err together: a shadow that nine numbers of light do not hold lies on a whole cheek, a detector
+that takes a lip for open takes all of its points along. So a term counts as a stated number of
+independent residuals, however many points or pixels it has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Generic
+
+import numpy as np
+
+from solver.anatomy.skin_points import SkinPoints
+from solver.errors import InputError
+from solver.fitting.least_squares import Listener
+from solver.photo.camera import PinholeCamera
+from solver.photo.fit import FocalPrior, PhotoFit, PhotoFitOptions, View, fit_photos
+from solver.photo.light import (
+    Appearance,
+    LightOptions,
+    SampleOptions,
+    find_appearance,
+    visible_samples,
+)
+from solver.photo.photo import Photo
+from solver.photo.pose import place_camera
+from solver.photo.shading import ShadingTerm, SmoothImage, blocked_light
+from solver.photo.terms import ImageTerm, LandmarkTerm
+from solver.similarity import IDENTITY, Similarity
+from solver.surface import Floats, Ints, Surface
+from solver.tracks.fit import ShapeFace, State
+
+GAMMA = 2.2  # of sRGB, nearly
+
+
+@dataclass(frozen=True)
+class LandmarkOptions:
+    """How far landmarks of a picture may be trusted."""
+
+    noise_mm: float = 1.2  # standard deviation of a coordinate, as far as it is the detector's
+    independent: int = 60  # of so many points at most each counts by itself
+
+
+@dataclass(frozen=True)
+class ShadingOptions:
+    """The comparison of a picture with the shaded skin."""
+
+    detail_mm: float = 1.0  # what is finer in the picture is left out
+    noise: float = 0.05  # standard deviation of a channel, by the mean of the skin's
+    independent: int = 50  # of so many samples each counts by itself
+    samples: SampleOptions = field(default_factory=SampleOptions)
+    light: LightOptions = field(default_factory=LightOptions)
+
+
+@dataclass(frozen=True)
+class FocalOptions:
+    """What is supposed of a focal length that nobody knows."""
+
+    sides: float = 1.3  # times the picture's longer side, px
+    deviation: float = 0.35  # of its logarithm: wide angle to portrait lens
+    told_deviation: float = 0.05  # where the file tells it
+
+
+@dataclass(frozen=True)
+class ExpressionOptions:
+    """Options of :func:`fit_expression`."""
+
+    fit: PhotoFitOptions = field(default_factory=PhotoFitOptions)
+    landmarks: LandmarkOptions = field(default_factory=LandmarkOptions)
+    shading: ShadingOptions | None = field(default_factory=ShadingOptions)
+    focal: FocalOptions = field(default_factory=FocalOptions)
+
+
+@dataclass(frozen=True)
+class PhotoExpression(Generic[State]):
+    """A fit to photographs, and what each of them showed the skin to look like."""
+
+    fit: PhotoFit[State]
+    landmarks: PhotoFit[State]  # the fit to landmarks alone, which it begins with
+    appearances: tuple[Appearance, ...]  # one for each photograph; none without shading
+
+
+def fit_expression(
+    face: ShapeFace[State],
+    photos: Sequence[Photo],
+    points: SkinPoints,
+    start: State | None = None,
+    options: ExpressionOptions = ExpressionOptions(),
+    lights: Mapping[str, Appearance] | None = None,
+    listen: Listener | None = None,
+) -> PhotoExpression[State]:
+    """Fit a face to ``photos`` of one moment, from rest or from a ``start``.
+
+    ``points`` are where landmarks are on the skin; those of a photograph that are not among them
+    are left out. ``lights`` are known appearances by the photographs' names, as of a neutral
+    picture in the same light; others are found in the picture itself. Raises
+    :class:`InputError` (``photo.landmarks`` for too few), and as :func:`fit_photos`.
+    """
+    begun = face.rest() if start is None else start
+    views, head = _place(photos, points, face.skin(begun), options)
+    by_landmarks = fit_photos(face, views, begun, head, options.fit, listen)
+    if options.shading is None:
+        return PhotoExpression(by_landmarks, by_landmarks, ())
+    skin = face.face.model.skin.with_vertices(by_landmarks.point.skin)
+    blocked, shaded, looks = blocked_light(skin), [], []
+    for photo, view, camera in zip(photos, views, by_landmarks.point.cameras, strict=True):
+        given = (lights or {}).get(photo.name)
+        term, look = shading_of(
+            photo, camera, skin, face.face.model.face, blocked, options.shading, given
+        )
+        own = view.camera if view.is_placed else camera
+        shaded.append(replace(view, camera=own, terms=(*view.terms, term)))
+        looks.append(look)
+    point = by_landmarks.point
+    found = fit_photos(face, shaded, point.state, point.head, options.fit, listen)
+    return PhotoExpression(found, by_landmarks, tuple(looks))
+
+
+def shading_of(
+    photo: Photo,
+    camera: PinholeCamera,
+    skin: Surface,
+    vertices: Ints,
+    blocked: Floats,
+    options: ShadingOptions,
+    given: Appearance | None = None,
+) -> tuple[ImageTerm, Appearance]:
+    """Return the term of a picture's shading, and light and albedo, found unless ``given``.
+
+    ``vertices`` of the skin are compared; ``blocked`` (V, 9) is what it blocks of the light.
+    """
+    pixels = np.asarray(photo.pixels, np.float64) ** GAMMA
+    px_per_mm = camera.focal.mean() / float(np.median(camera.project(skin.vertices)[:, 2]))
+    detail = max(options.detail_mm * px_per_mm, 0.7)
+    every = max(round(detail), 1)
+    samples = visible_samples(skin, vertices, camera, pixels, every, photo.mask, options.samples)
+    image = SmoothImage.blurred(pixels, detail)
+    colours = image.at(camera.project(samples.of(skin.vertices))[:, :2])
+    look = given or find_appearance(skin, samples, colours, blocked, options.light)
+    count = max(len(samples.corners) / options.independent, 1.0)
+    noise = options.noise * float(colours.mean()) * np.sqrt(count)
+    term = ShadingTerm(
+        image, skin.faces, samples, samples.of(look.albedo), samples.of(blocked), look.light, noise
+    )
+    return term, look
+
+
+def _place(
+    photos: Sequence[Photo], points: SkinPoints, skin: Floats, options: ExpressionOptions
+) -> tuple[list[View], Similarity]:
+    """Return every photograph's landmarks with a camera to begin with, and where the head is."""
+    views, head = [], None
+    for photo in photos:
+        names = [name for name in points.names if name in photo.landmarks]
+        known = points.select(names)
+        pixels = np.array([photo.landmarks[name] for name in names]).reshape(-1, 2)
+        places, mm = known.at(skin), _noise_mm(known, options.landmarks)
+        focal, prior = _focal(photo, options.focal)
+        centre = np.array(photo.size) / 2.0 if photo.camera is None else photo.camera.centre
+        try:
+            begun = place_camera(places, pixels, mm, focal, centre)
+        except InputError as error:
+            raise InputError(error.code, f"{photo.name}: {error}", photo=photo.name) from error
+        noise = mm * begun.focal.mean() / begun.project(places)[:, 2]
+        term = LandmarkTerm(known, pixels, noise)
+        if photo.is_placed and photo.camera is not None:
+            head = photo.camera.head_of(begun) if head is None else head
+            views.append(View((term,), photo.camera, is_placed=True))
+        else:
+            views.append(View((term,), begun, focal=prior))
+    return views, head or IDENTITY
+
+
+def _noise_mm(points: SkinPoints, options: LandmarkOptions) -> Floats:
+    """Return the standard deviations (k,) of points, so that together they count as they may."""
+    each = np.hypot(options.noise_mm, points.spread_mm)
+    return np.asarray(each * np.sqrt(max(len(each) / options.independent, 1.0)))
+
+
+def _focal(photo: Photo, options: FocalOptions) -> tuple[Floats, FocalPrior | None]:
+    """Return a focal length (2,) to begin with, and what is known of it."""
+    if photo.camera is not None:
+        return photo.camera.focal, None
+    if photo.focal_px is not None:
+        return np.full(2, photo.focal_px), FocalPrior(photo.focal_px, options.told_deviation)
+    guess = options.sides * max(photo.size)
+    return np.full(2, guess), FocalPrior(guess, options.deviation)
