@@ -84,7 +84,9 @@ class Studio:
         self, subject_id: str, name: str, role: str, orders: dict[str, Any], **more: Any
     ) -> str:
         lines = [f"# {name}", *(f"#! {key} {value}" for key, value in orders.items())]
-        suffix = {"performance": "npy", "markers": "trc", "activations": "csv", "photo": "jpg"}.get(role, "obj")
+        suffix = {"performance": "npy", "markers": "trc", "activations": "csv", "photo": "jpg"}.get(
+            role, "obj"
+        )
         upload_id = self.upload(f"{name} of Alex.{suffix}", "\n".join(lines).encode())
         path = f"/v1/subjects/{subject_id}/captures"
         added = self.post(path, name=name, role=role, upload_id=upload_id, **more)
