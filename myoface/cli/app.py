@@ -50,7 +50,10 @@ EyeDistance = Annotated[
 Up = Annotated[Axis, Option(help="a raw scan's axis to the top of the head")]
 Forward = Annotated[Axis, Option(help="a raw scan's axis out of the face")]
 LandmarksFile = Annotated[
-    Path | None, Option("--landmarks", exists=True, dir_okay=False, help="JSON, LJSON or CSV")
+    Path | None,
+    Option(
+        "--landmarks", exists=True, dir_okay=False, help="JSON, LJSON or CSV; JSON of a photograph"
+    ),
 ]
 Options = Annotated[
     str, Option(metavar="JSON", help="JSON or @FILE, see `myoface jobs kinds KIND`")

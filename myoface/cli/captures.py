@@ -52,7 +52,7 @@ Files = Annotated[
     Argument(
         exists=True,
         dir_okay=False,
-        help="scans: OBJ, PLY, GLB, STL, raw also XYZ; takes of markers, performances, assets",
+        help="scans: OBJ, PLY, GLB, STL, raw also XYZ; photographs, takes of markers, assets ...",
     ),
 ]
 Results = Annotated[
@@ -240,7 +240,7 @@ def landmarks(
     file: Annotated[Path, Argument(exists=True, dir_okay=False, help="JSON, LJSON or CSV")],
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Give a scan landmarks, instead of those it had, for its next check or registration."""
+    """Give a scan landmarks, or a photograph what is known of it, instead of those it had."""
     with Client(url) as client:
         whose = find_subject(client, subject)
         (capture,) = choose(client.captures(whose), [name])

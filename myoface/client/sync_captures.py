@@ -113,9 +113,10 @@ class Captures(Access):
         """Upload a scan and add it to a subject; name and role are the file's unless given.
 
         ``registered`` scans have the template's vertices, which are counted first; others are what
-        the scanner made. ``landmarks`` is a file. The service deletes the capture ``replaces`` in
-        the same step that adds this one. :mod:`myoface.names` says what name and role a file has;
-        the title is what the file is called.
+        the scanner made. ``landmarks`` is a file, of a photograph the JSON of what is known of it.
+        The service deletes the capture ``replaces`` in the same step that adds this one.
+        :mod:`myoface.names` says what name and role a file has; the title is what the file is
+        called.
         """
         (scan,) = name_scans([path], names=[name], roles=[role])
         if registered:
@@ -225,7 +226,7 @@ class Captures(Access):
         return self._get(f"/v1/subjects/{subject_id}/captures/{capture_id}", Capture)
 
     def set_landmarks(self, subject_id: str, capture_id: str, path: Path) -> Capture:
-        """Upload landmarks on a scan, in place of those it had."""
+        """Upload landmarks on a scan, or a photograph's JSON, in place of those it had."""
         url = f"/v1/subjects/{subject_id}/captures/{capture_id}/landmarks"
         sent = self.upload(path)
         response = self._request("PUT", url, json={"upload_id": sent.id})

@@ -100,7 +100,7 @@ def change(
 
 @router.put(
     "/{capture_id}/landmarks",
-    summary="Give a scan landmarks",
+    summary="Give a scan landmarks, or a photograph what is known of it",
     responses=problems(404, 409, 410, 422),
 )
 def set_landmarks(
@@ -111,7 +111,10 @@ def set_landmarks(
     who: Writer,
     settings: SettingsDep,
 ) -> CaptureView:
-    """Make a complete upload (JSON, LJSON or CSV) the scan's landmarks, instead of earlier ones."""
+    """Make a complete upload (JSON, LJSON or CSV) the scan's landmarks, instead of earlier ones.
+
+    Of a photograph it is the JSON with what is known of it.
+    """
     capture = service.set_landmarks(session, subject_id, capture_id, given)
     record(session, who, "capture.landmarks", capture_id)
     return service.views(session, [capture], settings)[0]

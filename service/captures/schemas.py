@@ -91,7 +91,7 @@ class CaptureChange(Change):
 
 
 class Landmarks(RequestBody):
-    """Landmarks on a scan, as the file of a complete upload."""
+    """Landmarks on a scan, or what is known of a photograph, as the file of a complete upload."""
 
     upload_id: Id
 

@@ -90,8 +90,9 @@ class NewJob(RequestBody):
         default=[],
         max_length=1000,
         description="ids of expression captures; of one capture for `check_scan` and "
-        "`register_scan`, of one performance for `fit_sequence`, of the assets that a scene names; "
-        "beside what is fitted, of one table of known activations",
+        "`register_scan`, of one performance for `fit_sequence`, of the assets that a scene names, "
+        "of 1 to 16 photographs for kinds that read `photos`; beside what is "
+        "fitted, of one table of known activations",
     )
     from_jobs: list[FromJob] = Field(
         default=[],

@@ -13,7 +13,7 @@ import pytest
 
 from myoface.errors import ApiError
 from myoface.names import LEGAL, by_files, name_scans, name_session
-from solver.kinds import ROLES
+from solver.kinds import LANDMARKS, ROLES
 from tests.command_line import invoke
 
 ROOT = Path(__file__).parents[2]
@@ -46,6 +46,50 @@ def test_the_page_has_the_same_rule(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == [case["named"] for case in CASES]
+
+
+SORTED = """
+import { sorted } from "./scan_files.mjs";
+const [files, limits] = process.argv.slice(1).map(JSON.parse);
+const { scans, others } = sorted(files, limits);
+const told = scans.map((each) =>
+  [each.file.name, each.name, each.role, each.landmarks?.name ?? null]);
+console.log(JSON.stringify([told, others.map(({ name }) => name)]));
+"""
+
+
+@pytest.mark.parametrize(
+    ("files", "scans", "others"),
+    [
+        (
+            ["smile.jpg", "smile.json", "plain.PNG", "notes.txt"],
+            [["plain.PNG", "plain", "photo", None], ["smile.jpg", "smile", "photo", "smile.json"]],
+            ["notes.txt"],
+        ),
+        (  # a picture among scans is a texture
+            ["smile.obj", "smile.jpg", "smile.json", "smile.mtl"],
+            [["smile.obj", "smile", "expression", "smile.json"]],
+            ["smile.jpg", "smile.mtl"],
+        ),
+    ],
+)
+def test_the_page_tells_photographs_from_textures(
+    tmp_path: Path, files: list[str], scans: list[list[str | None]], others: list[str]
+) -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("there is no node here")
+    shutil.copy(PAGE, tmp_path / "scan_files.mjs")
+    limits = {
+        "raw_scan_formats": ROLES["expression"].registered,
+        "landmark_formats": LANDMARKS,
+        "roles": [{"role": name, **asdict(role)} for name, role in ROLES.items()],
+    }
+    named = json.dumps([{"name": name} for name in files])
+    command = [node, "--input-type=module", "-e", SORTED, named, json.dumps(limits)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == [scans, others]
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError
 from solver.photo.camera import Lens
-from solver.photo.facts import IBUG_MEDIAPIPE
+from solver.photo.facts import IBUG_MEDIAPIPE, read_facts
+from solver.photo.picture import Picture
 from solver.photo.read import read_photo
 from solver.surface import Floats
 
+ROOT = Path(__file__).parents[3]
 WIDTH, HEIGHT = 320, 240
 # A face from the front in px; the subject's left is on the right.
 FACE = {
@@ -93,6 +95,15 @@ def test_a_photograph_with_all_that_can_be_known(tmp_path: Path) -> None:
     assert {name: curve.tolist() for name, curve in photo.curves.items()} == CURVES
     assert photo.mask is not None
     assert photo.mask.sum() == WIDTH * (HEIGHT - 51)
+
+
+def test_the_guide_s_example_is_read(tmp_path: Path) -> None:
+    text = (ROOT / "docs/guide/capture-station.md").read_text(encoding="utf-8")
+    example = text[text.index("    {\n") : text.index("    }\n") + 6]
+    picture = Picture(np.zeros((3000, 4000, 3), np.float32), None, None, False, "JPEG")
+    facts = read_facts(_facts(tmp_path, json.loads(example)), picture)
+    assert facts.lens is not None
+    assert len(facts.landmarks) == 4
 
 
 def test_a_photograph_alone(tmp_path: Path) -> None:

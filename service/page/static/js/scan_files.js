@@ -41,20 +41,26 @@ async function filesIn(entry) {
 /**
  * Sort files into `scans` ({file, name, role, landmarks}) and `others`, which are no scans.
  *
- * Landmarks go with the scan that has their name. The neutral is the one that is called so, and
- * comes first.
+ * Landmarks go with the scan that has their name, and so does what is known of a photograph. The
+ * neutral is the one that is called so, and comes first.
  */
 export function sorted(files, limits) {
   const own = limits.roles.flatMap(({ own_formats: formats }) => formats);
   const isScan = (file) => [...limits.raw_scan_formats, ...own].includes(suffix(file));
   const isLandmarks = (file) => limits.landmark_formats.includes(suffix(file));
+  const pictures = limits.roles.find(({ role }) => role === "photo")?.formats ?? [];
+  const isPicture = (file) => pictures.includes(suffix(file));
   const meshes = files.filter((file) => isScan(file) && !isLandmarks(file));
   const stems = new Set(meshes.map(stem));
   // a .csv may hold either: landmarks if a scan has its name or it says so itself
   const landmarks = files.filter(
     (file) => isLandmarks(file) && (!isScan(file) || LANDMARKS.test(stem(file)) || stems.has(stem(file))),
   );
-  const scans = files.filter((file) => isScan(file) && !landmarks.includes(file));
+  // pictures among scans are the scans' textures
+  const areTextures = meshes.some((file) => limits.raw_scan_formats.includes(suffix(file)));
+  const scans = files.filter(
+    (file) => isScan(file) && !landmarks.includes(file) && !(isPicture(file) && areTextures),
+  );
   const names = named(scans.map(({ name }) => name), limits.roles);
   const of = (file) => landmarks.find((other) => stem(other).replace(LANDMARKS, "") === stem(file)) ?? null;
   const found = scans.map((file, i) => ({

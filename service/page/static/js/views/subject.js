@@ -212,7 +212,7 @@ class SubjectView {
         h("td", { class: "tight" }, CHOSEN_FOR_FITS.includes(role) ? box : null),
         h("th", { scope: "row" }, name, about),
         h("td", {}, this.roles.get(role).title),
-        h("td", {}, isScan && (capture.registered ? "Registered" : "Raw"), isTake && "Take", isMarkerSet(capture) && "Marker set"),
+        h("td", {}, isScan && (capture.registered ? "Registered" : "Raw"), isTake && "Take", isMarkerSet(capture) && "Marker set", role === "photo" && capture.landmarks && `With ${capture.landmarks}`),
         check,
         registration,
         h("td", { class: "tight" }, when(capture.created_at)),
