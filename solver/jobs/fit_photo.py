@@ -1,0 +1,217 @@
+"""The job that fits weights of muscle tracks, a jaw and cameras to photographs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.anatomy.skin_points import SkinPoints
+from solver.anatomy.template import Template
+from solver.errors import Finding, InputError, SolveError, make_warning, quote_names
+from solver.fitting.target_checks import check_held
+from solver.jobs import Task, fits, read_template
+from solver.kinds.fit_photo import FitPhoto
+from solver.mechanics.boundary import JAW_FREEDOM
+from solver.mechanics.linear import fastest
+from solver.photo.expression import (
+    ExpressionOptions,
+    PhotoExpression,
+    ShadingOptions,
+    fit_expression,
+)
+from solver.photo.fit import PhotoFitOptions
+from solver.photo.landmarks import find_landmarks, landmark_points
+from solver.photo.light import Appearance
+from solver.photo.photo import Photo
+from solver.photo.read import read_photo
+from solver.photo.report import photo_figures, photo_picture
+from solver.progress import Step, part_of
+from solver.registration.landmarks import landmark_vertices
+from solver.rig import Rig, ShapeFit, System
+from solver.rig.exporters import export
+from solver.rig.report import known_information
+from solver.rig.report.systems import SYSTEMS
+from solver.storage import write_json
+from solver.tracks.basis import MuscleTracks
+from solver.tracks.face import TrackFace, track_potentials
+from solver.tracks.fit import ShapeFace, State, TrackFitOptions
+from solver.tracks.plain import PlainFace
+
+LETTERS = {"tracks": "T", "shapes": "B"}
+
+
+def run(task: Task[FitPhoto]) -> list[Path]:
+    """Fit every moment's photographs; write the new rig's files, cameras and pictures.
+
+    Raises :class:`~solver.errors.InputError`: ``photo.*``, ``tracks.*``, ``rig.*``,
+    ``landmarks.*`` where they have to be found.
+    """
+    given, progress = task.options, task.progress
+    progress(Step("read", 0.0, message=f"{len(task.captures)} photographs"))
+    template = read_template(task)
+    rig = Rig.load(task.inputs)
+    model, linear = rig.model, given.linear_solver or fastest()
+    tracks = MuscleTracks.load(task.inputs["tracks"], model)
+    photos = _read(task, template)
+    moments = _moments(given, photos)
+    points = landmark_points(template)
+    face = rig.face(linear)
+    check_held(face)
+    letter, driven = LETTERS[given.model], _face(given, rig, tracks, linear)
+    log = fits.WarningLog(model, progress)
+    begun = time.perf_counter()
+    fitter = _Fitter(driven, points, _options(given))
+    lights = fitter.lights(photos, given.neutral)
+    fitted, shown = [], {}
+    for number, (name, taken) in enumerate(moments.items()):
+        part = fits.Span(0.1, 0.5).part(number, len(moments))
+        listen = log.listener(SYSTEMS[letter].replace(" ", "_"), name, part, given.max_iterations)
+        found = fitter.fit(name, [photos[each] for each in taken], lights, listen)
+        fitted.append(log.about(found.shape, part.end, found.shape.notices))
+        shown[name] = found
+    fits.refuse_failures(fitted)
+    scans = {fit.name: fit.target for fit in fitted}
+    systems = {name: system.without(scans) for name, system in rig.systems.items()}
+    made = System(tracks.names, tuple(fitted))
+    systems[letter] = systems[letter].replaced(made) if letter in systems else made
+    seconds = {**rig.seconds, SYSTEMS[letter]: time.perf_counter() - begun}
+    whole = replace(rig, seconds=seconds, notices=log.general, systems=systems)
+    settings = {
+        **(rig.figures or {}).get("settings", {}),
+        "photo": given.model_dump(exclude={"linear_solver"}),
+    }
+    results = {name: each.result for name, each in shown.items() if each.result is not None}
+    figures = {
+        name: photo_figures([photos[each] for each in moments[name]], result, points)
+        for name, result in results.items()
+    }
+    own = [task.out / name for name in ("photo.json", "photo.png")]
+    write_json(own[0], {"model": given.model, "expressions": figures})
+    sheets = [([photos[each] for each in moments[name]], results[name]) for name in results]
+    photo_picture(model, sheets, points, own[1])
+    ending = part_of(progress, 0.5)
+    files = fits.leave_rig(face, whole, settings, task.out, ending, known_information(rig))
+    views = [
+        export(whole, "view", task.out / f"view_{each}.bin", {"system": each}) for each in systems
+    ]
+    return [*files, *own, export(whole, "systems", task.out / "systems.glb"), *views]
+
+
+def _read(task: Task[FitPhoto], template: Template) -> dict[str, Photo]:
+    """Return the photographs by their names, each with landmarks, its own or found ones."""
+    names, photos = landmark_vertices(template).keys(), {}
+    for name, path in task.captures.items():
+        photo = read_photo(path, task.facts.get(name), task.masks.get(name), names)
+        found = photo if photo.landmarks else find_landmarks(photo)
+        photos[name] = replace(found, name=name)
+    return photos
+
+
+def _moments(given: FitPhoto, photos: Mapping[str, Photo]) -> dict[str, list[str]]:
+    """Return the names of each moment's photographs by the expression they show."""
+    known, seen = quote_names(sorted(photos)), set[str]()
+    for name, taken in given.moments.items():
+        for each in taken:
+            if each not in photos:
+                message = f"options.moments.{name}: there is no photograph {each!r}: {known} are"
+                raise InputError("photo.moment", message, expression=name, photo=each)
+            if each in seen:
+                message = f"options.moments: {each!r} is named twice, and shows one moment"
+                raise InputError("photo.moment", message, expression=name, photo=each)
+            seen.add(each)
+    if given.neutral is not None and given.neutral not in photos:
+        message = f"options.neutral: there is no photograph {given.neutral!r}: {known} are"
+        raise InputError("photo.neutral", message, photo=given.neutral)
+    alone = {name: [name] for name in photos if name not in seen}
+    return {name: list(taken) for name, taken in {**given.moments, **alone}.items()}
+
+
+def _face(given: FitPhoto, rig: Rig, tracks: MuscleTracks, linear: str) -> ShapeFace[Any]:
+    if given.model == "shapes":
+        return PlainFace(rig.model, tracks)
+    return TrackFace(rig.model, tracks, track_potentials(rig.model), linear=linear)
+
+
+def _options(given: FitPhoto) -> ExpressionOptions:
+    fit = PhotoFitOptions(controls=TrackFitOptions(w_w=given.w_w, w_j=given.w_j))
+    fit = replace(fit, stop=replace(fit.stop, iterations=given.max_iterations))
+    return ExpressionOptions(fit=fit, shading=ShadingOptions() if given.shading else None)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """An expression for the rig, and what it is made of; None where nothing was found."""
+
+    shape: ShapeFit
+    result: PhotoExpression[Any] | None
+
+
+@dataclass(frozen=True)
+class _Fitter:
+    face: ShapeFace[Any]
+    points: SkinPoints
+    options: ExpressionOptions
+
+    def lights(self, photos: Mapping[str, Photo], neutral: str | None) -> dict[str, Appearance]:
+        """Return light and albedo of a neutral photograph for all others; empty without one."""
+        if neutral is None or self.options.shading is None:
+            return {}
+        still = replace(self.options, fit=_held(self.options.fit))
+        found = fit_expression(self.face, [photos[neutral]], self.points, options=still)
+        return dict.fromkeys(photos, found.appearances[0])
+
+    def fit(
+        self,
+        name: str,
+        photos: list[Photo],
+        lights: Mapping[str, Appearance],
+        listen: fits.Listener,
+    ) -> _Fitted:
+        """Fit the photographs of one moment; at rest, and told, where the flesh finds no way."""
+        begun = time.perf_counter()
+        try:
+            found = fit_expression(
+                self.face, photos, self.points, None, self.options, lights, listen
+            )
+        except (SolveError, np.linalg.LinAlgError) as error:
+            notices = (make_warning("solve.failed", f"no fit was found ({error})"),)
+            shape = self._shape(name, self.face.rest(), notices)
+            return _Fitted(replace(shape, status="failed"), None)
+        shape = self._shape(name, found.fit.point.state, ())
+        seconds = time.perf_counter() - begun
+        steps = found.landmarks.steps + found.fit.steps
+        return _Fitted(replace(shape, seconds=seconds, iterations=steps), found)
+
+    def _shape(self, name: str, state: State, notices: tuple[Finding, ...]) -> ShapeFit:
+        """Return an expression without a scan: its target is nowhere."""
+        skin = self.face.skin(state)
+        nowhere = np.full_like(skin, np.nan)
+        return ShapeFit(
+            name,
+            "test",
+            state.pose.activations,
+            state.pose.jaw,
+            skin,
+            nowhere,
+            nowhere[:, 0].copy(),
+            state.inverted,
+            0,
+            0.0,
+            0.0,
+            state.x,
+            confidence=np.zeros(len(skin)),
+            notices=notices,
+            weights=state.q[:-JAW_FREEDOM],
+            jaw_on_top=state.q[-JAW_FREEDOM:],
+            lengths=state.pose.lengths,
+        )
+
+
+def _held(fit: PhotoFitOptions) -> PhotoFitOptions:
+    """Return options that leave the face neutral: only cameras are found."""
+    return replace(fit, controls=replace(fit.controls, bounds=(0.0, 0.0), w_j=1e9))
