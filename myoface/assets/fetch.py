@@ -14,7 +14,7 @@ import time
 import zlib
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from zipfile import BadZipFile, ZipFile
 
 import httpx
@@ -104,6 +104,19 @@ def fetch(
     (folder / "LICENCE.txt").write_text(asset.licence, encoding="utf-8")
     _record(folder, target, source, expected, found)
     return target
+
+
+def unpack(asset: PublicAsset, archive: Path) -> Path:
+    """Return the file that is laid beside the asset's fetched archive; its folder if none is."""
+    if asset.unpacked is None:
+        return archive.parent
+    target = archive.with_name(PurePosixPath(asset.unpacked).name)
+    part = target.with_name(f"{target.name}.part")
+    with ZipFile(archive) as packed:
+        member = next(name for name in packed.namelist() if name.endswith(asset.unpacked))
+        part.write_bytes(packed.read(member))
+    os.replace(part, target)
+    return target.resolve()
 
 
 @dataclass(frozen=True)

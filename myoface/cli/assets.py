@@ -10,6 +10,7 @@ import httpx
 
 from myoface.assets.catalogue import CATALOGUE, Name, PublicAsset
 from myoface.assets.fetch import fetch as fetch_asset
+from myoface.assets.fetch import unpack
 from myoface.cli.commands import Group, Option, UsageError
 from myoface.cli.console import confirm, out, show_table, transfer_bar
 from myoface.errors import ApiError
@@ -58,8 +59,8 @@ def fetch(
     except ApiError as error:
         detail = f"{error.problem['detail']}; --mirror or --file take it from elsewhere"
         raise ApiError({**error.problem, "detail": detail}) from error
-    option = "--anatomy" if name == "bodyparts3d" else "--faces"
-    out.print(f"{archive}\nUse it: myoface template build {option} {folder} ...")
+    use = asset.use.format(place=unpack(asset, archive))
+    out.print(f"{archive}\nUse it: {use}")
 
 
 def _agree(asset: PublicAsset, accepted: bool) -> None:

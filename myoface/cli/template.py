@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -53,6 +54,12 @@ def build(
     train: Annotated[
         bool, Option(help="fit its muscle geometry to its own expressions, as template train does")
     ] = False,
+    landmarker: Annotated[
+        Path | None,
+        Option(
+            exists=True, dir_okay=False, help="find its points with it, as template points does"
+        ),
+    ] = None,
 ) -> None:
     """Build a template from --anatomy and --faces, from --folder, or the --builtin one."""
     from solver.anatomy.meshing import find_or_make_mesh
@@ -64,7 +71,9 @@ def build(
     if mesh:
         with JobDisplay("template") as view:
             made = find_or_make_mesh(made, edge_mm, view)
-    _save(_train(made) if train else made, output)
+    if train:
+        made = _train(made)
+    _save(made if landmarker is None else _find_points(made, landmarker), output)
 
 
 @template.command()
@@ -82,6 +91,43 @@ def _train(made: Template) -> Template:
 
     with JobDisplay("template") as view:
         return fit(made, progress=view)
+
+
+@template.command()
+def points(
+    given: Given = None,
+    landmarker: Annotated[
+        Path | None,
+        Option(
+            exists=True,
+            dir_okay=False,
+            envvar="MYOFACE_FACE_LANDMARKER",
+            help="MediaPipe's face_landmarker*.task",
+        ),
+    ] = None,
+    output: NewFile = Path("with-points.npz"),
+) -> None:
+    """Find which points of a template's skin MediaPipe marks in pictures (3 minutes).
+
+    Fits to photographs need them. The built-in face has its own; they serve every subject.
+    """
+    if landmarker is None:
+        raise UsageError("give --landmarker, or name it in MYOFACE_FACE_LANDMARKER")
+    _save(_find_points(_load(given), landmarker), output)
+
+
+def _find_points(made: Template, landmarker: Path) -> Template:
+    from solver.photo.mesh_points import find_points
+
+    with JobDisplay("template") as view:
+        found = find_points(made, landmarker, progress=view)
+    spread_mm = sorted(found.points.spread_mm.tolist())
+    middle = spread_mm[len(spread_mm) // 2] if spread_mm else 0.0
+    out.print(
+        f"a face in {found.with_face} of {found.pictures} pictures: {len(spread_mm)} points, "
+        f"median spread {middle:.1f} mm; {len(found.left_out)} without agreement"
+    )
+    return replace(made, points=found.points)
 
 
 @template.command()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from solver.jobs import Task, read_template
@@ -10,14 +9,12 @@ from solver.kinds.kind import FrameOptions
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered, write_registered
 from solver.progress import Step
+from solver.registration.detector import landmarker_file
 from solver.registration.landmarks import match, read_landmarks
 from solver.registration.register import register
 from solver.registration.report import distance_picture, report
 from solver.registration.topology import topology
 from solver.storage import write_json
-
-# Environment variable with the path of MediaPipe's face landmarker; without it none is used.
-LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
 
 
 def run(task: Task[FrameOptions]) -> list[Path]:
@@ -40,14 +37,13 @@ def run(task: Task[FrameOptions]) -> list[Path]:
         marks = match(landmarks.name, read_landmarks(landmarks), anatomy)
     raw, _ = mend(read_raw(scan))
     known = topology(anatomy)
-    model = os.environ.get(LANDMARKER_VARIABLE)
     registered = register(
         raw,
         known,
         None if rest is None else rest.vertices,
         frame=task.options.model_dump(),
         landmarks=marks,
-        landmarker=Path(model) if model else None,
+        landmarker=landmarker_file(),
         progress=progress,
     )
     progress(Step("pictures", 0.85))

@@ -7,6 +7,7 @@ Of each face it tells where 478 points of a mesh are: 468 of the skin, five abou
 from __future__ import annotations
 
 import importlib.util
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -18,7 +19,16 @@ from numpy.typing import NDArray
 from solver.errors import InputError
 from solver.surface import Floats
 
+# environment variable with the path of the landmarker's file
+LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
 SKIN_POINTS = 468  # the first ones; those after them are on the irises
+EYE_CORNERS = 33, 263  # the outer ones, of the subject's right eye and left
+
+
+def landmarker_file() -> Path | None:
+    """Return the landmarker's file that the environment names; None where it names none."""
+    given = os.environ.get(LANDMARKER_VARIABLE)
+    return Path(given) if given else None
 
 
 @dataclass(frozen=True)
@@ -45,8 +55,17 @@ class DetectedFace:
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
     @property
+    def eyes_px(self) -> float:
+        """Return the distance between the outer corners of the eyes, px."""
+        right, left = self.points[list(EYE_CORNERS)]
+        return float(np.linalg.norm(left - right))
+
+    @property
     def yaw(self) -> float:
-        """Return how far the face is turned aside from the camera, rad, to either side."""
+        """Return how far the face is turned aside from the camera, rad, to either side.
+
+        Of 30 degrees the detector tells 25, of 60 degrees 47 to 51; beyond 70 it sees no face.
+        """
         right, _, towards = self.rotation[:, 2]
         return float(np.arctan2(abs(right), towards))
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.anatomy.muscle_weights import with_axis
+from solver.anatomy.skin_points import SkinPoints
 from solver.anatomy.template import Compartments, Depth, Muscle, ShapeBasis, Template, check_arrays
 from solver.errors import InputError
 from solver.kinds import NOT_READABLE, check_directory
@@ -25,8 +26,10 @@ from solver.meshio.raw import read_raw
 from solver.registration.units import AXES, UNITS
 from solver.surface import Floats, Surface
 from solver.templates.tables import (
+    CORNERS,
     DESCRIPTION,
     FORMAT,
+    WEIGHTS,
     Row,
     file_fault,
     parse_file,
@@ -118,6 +121,7 @@ class _TemplateFolder:
             regions=read_vertex_sets(folder / "regions.json", count),
             shapes=shapes,
             depths=self.depths(),
+            points=self.points(),
         )
         check_arrays(template, folder.name)
         return template
@@ -201,18 +205,42 @@ class _TemplateFolder:
 
     def landmarks(self) -> dict[str, int]:
         """Return name -> skin vertex."""
-        count, landmarks = len(self.skin.vertices), dict[str, int]()
+        landmarks: dict[str, int] = {}
         for row in read_table(self.folder / "landmarks.csv", ("name", "vertex")):
             name, text = row.cell("name"), row.cell("vertex")
             if name in landmarks:
                 raise row.fault(f"there is another landmark {name}")
-            if not text.isdecimal():
-                raise row.fault(f"vertex is no number: {text!r}")
-            if int(text) >= count:
-                reason = f"vertex {text} is none of the skin's {count}"
-                raise vertex_fault(row.file, name, reason, int(text))
-            landmarks[name] = int(text)
+            landmarks[name] = self._vertex(row, name, text)
         return landmarks
+
+    def points(self) -> SkinPoints | None:
+        """Return the points that a detector marks in pictures; a template may come without any."""
+        path = self.folder / "points.csv"
+        if not path.exists():
+            return None
+        rows = read_table(path, ("point", *CORNERS, *WEIGHTS, "spread_mm"))
+        names = tuple(row.cell("point") for row in rows)
+        corners = [
+            [self._vertex(row, name, row.cell(corner)) for corner in CORNERS]
+            for row, name in zip(rows, names, strict=True)
+        ]
+        weights = [[row.number(weight) for weight in WEIGHTS] for row in rows]
+        return SkinPoints(
+            names,
+            np.array(corners, dtype=np.int64).reshape(-1, 3),
+            np.array(weights).reshape(-1, 3),
+            np.array([row.number("spread_mm") for row in rows]),
+        )
+
+    def _vertex(self, row: Row, name: str, text: str) -> int:
+        """Return the number of a vertex of the skin, of an entry ``name``."""
+        count = len(self.skin.vertices)
+        if not text.isdecimal():
+            raise row.fault(f"vertex is no number: {text!r}")
+        if int(text) >= count:
+            reason = f"vertex {text} is none of the skin's {count}"
+            raise vertex_fault(row.file, name, reason, int(text))
+        return int(text)
 
     def depths(self) -> tuple[Depth, ...]:
         """Return the depths in mm, whatever the folder's unit; a template may come without any."""

@@ -18,7 +18,9 @@ import numpy as np
 from solver.anatomy.build import carry_anatomy
 from solver.anatomy.contact_regions import contact_regions, eye_corners, stomia
 from solver.anatomy.domain import MeshedFlesh
+from solver.anatomy.embedding import barycentric
 from solver.anatomy.meshing import bind_skin, find_or_make_mesh
+from solver.anatomy.skin_points import SkinPoints
 from solver.anatomy.template import ShapeBasis, Template
 from solver.anatomy.transfer import carry_muscle, guidance, relax
 from solver.errors import Finding, InputError
@@ -49,6 +51,7 @@ class RebaseOptions:
     straight_deg: float = 20.0  # a head that is turned by less keeps its axes and origin ...
     centred_mm: float = 5.0  # ... if the middle of its face is so near to the plane x = 0
     mouth_mm: float = 6.0  # about the middle of the mouth lips may not hang together
+    point_mm: float = 2.5  # most from a detector's point on the template to the head's skin
 
 
 REBASE = RebaseOptions()
@@ -100,6 +103,7 @@ def rebase(
         source=f"{template.source}; skin: {raw.file}",
         shapes=_carry_shapes(template.shapes, carry, turn),
     )
+    rebased = replace(rebased, points=_carry_points(person, rebased))
     if own_axes is None:
         message = "The head is not upright about x = 0: it was turned into the template's axes."
         findings.append(Finding("rebase.turned", "info", message))
@@ -205,6 +209,20 @@ def _carry_shapes(shapes: ShapeBasis | None, carry: Carrier, turn: Similarity) -
         for deltas in (shapes.identity, shapes.expressions)
     )
     return ShapeBasis(identity, expressions, shapes.expression_names)
+
+
+def _carry_points(person: Template, based: Template) -> SkinPoints | None:
+    """Return the detector's points of ``person`` on the skin of ``based``, where it has one there.
+
+    The lips of both are parted, so that none comes onto the other lip.
+    """
+    points, skin = person.points, based.parted_flesh
+    if points is None:
+        return None
+    face, weights, away = barycentric(points.at(person.parted_skin.vertices), skin)
+    kept = away < REBASE.point_mm
+    names = tuple(name for name, is_kept in zip(points.names, kept, strict=True) if is_kept)
+    return SkinPoints(names, skin.faces[face[kept]], weights[kept], points.spread_mm[kept])
 
 
 def _on_head(person: Template, head: Surface, found: Correspondence, carry: Carrier) -> Template:

@@ -131,6 +131,7 @@ def template_figures(template: Template) -> dict[str, Any]:
         "landmarks": len(template.landmarks),
         "regions": {name: len(ids) for name, ids in template.regions.items()},
         "depths": len(template.depths),
+        "detector_points": 0 if template.points is None else len(template.points.names),
         "identities": 0 if shapes is None else len(shapes.identity),
         "expressions": 0 if shapes is None else len(shapes.expressions),
     }

@@ -16,6 +16,7 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
+from solver.anatomy.skin_points import SkinPoints
 from solver.anatomy.template import Muscle, Template
 from solver.errors import InputError, file_error
 from solver.kinds import NOT_READABLE
@@ -25,6 +26,9 @@ from solver.surface import Floats, Ints, Surface
 
 FORMAT = 1  # of template.toml
 DESCRIPTION = "template.toml"
+# columns of points.csv: three vertices of the skin, and their weights
+CORNERS = ("vertex_a", "vertex_b", "vertex_c")
+WEIGHTS = ("weight_a", "weight_b", "weight_c")
 _RANGE = re.compile(r"(\d+)-(\d+)")
 
 
@@ -314,6 +318,8 @@ def write_template(template: Template, folder: Path) -> None:
     if template.depths:
         columns = ("landmark", "bone", "depth_mm", "sd_mm", "source")
         _write_table(folder / "depths.csv", columns, map(astuple, template.depths))
+    if template.points is not None:
+        _write_points(template.points, folder / "points.csv")
     parts = {
         "flesh": template.skin.faces[template.flesh_faces],
         "face": template.face_vertices,
@@ -368,6 +374,15 @@ def _write_muscles(muscles: Iterable[Muscle], folder: Path) -> None:
         rows.append((muscle.name, file, "yes" if muscle.ring else "no", *values, *cut))
     columns = ("name", "file", "ring", *points, "cut", "compartments")
     _write_table(folder / "muscles.csv", columns, rows)
+
+
+def _write_points(points: SkinPoints, path: Path) -> None:
+    arrays = points.names, points.corners, points.weights, points.spread_mm.tolist()
+    rows = [
+        (name, *corners.tolist(), *weights.tolist(), spread_mm)
+        for name, corners, weights, spread_mm in zip(*arrays, strict=True)
+    ]
+    _write_table(path, ("point", *CORNERS, *WEIGHTS, "spread_mm"), rows)
 
 
 def _write_shapes(

@@ -246,3 +246,21 @@ def test_nothing_is_fetched_without_the_licence(
     accepted = invoke([*command, "--accept-licence"])
     assert accepted.exit_code == 0, accepted.output
     assert (tmp_path / "to" / "asset.zip").read_bytes() == shelf.content
+
+
+def test_a_file_that_programs_read_is_laid_beside_its_archive(
+    shelf: Shelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asset = replace(CATALOGUE["landmarker"], members={"mesh.obj": None}, unpacked="mesh.obj")
+    known = {"size": len(shelf.content), "sha256": hashlib.sha256(shelf.content).hexdigest()}
+    shown = replace(asset, url=shelf.url, file="asset.zip", **known)  # type: ignore[arg-type]
+    monkeypatch.setitem(CATALOGUE, "landmarker", shown)
+    command = ["assets", "fetch", "landmarker", "--to", str(tmp_path / "to"), "--accept-licence"]
+    told = invoke(command)
+    assert told.exit_code == 0, told.output
+    assert "Apache License" in told.output
+    unpacked = tmp_path / "to" / "mesh.obj"
+    assert f"MYOFACE_FACE_LANDMARKER={unpacked}" in told.output.replace("\n", "")
+    with zipfile.ZipFile(tmp_path / "to" / "asset.zip") as archive:
+        assert unpacked.read_bytes() == archive.read("model/mesh.obj")
+    assert invoke(command).exit_code == 0

@@ -10,10 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from solver.anatomy.skin_points import SkinPoints
 from solver.anatomy.template import Template
+from solver.errors import InputError
+from solver.photo.mesh_points import FoundPoints
 from solver.templates.folder import read_template
 from tests.ball_head import ball_head
 from tests.command_line import invoke
+
+TWO_POINTS = SkinPoints(
+    ("4", "33"),
+    np.array([[0, 1, 2], [3, 4, 5]]),
+    np.array([[0.1, 0.2, 0.7], [1 / 3, 1 / 3, 1 / 3]]),
+    np.array([0.7, 1.5]),
+)
 
 
 @pytest.fixture
@@ -35,6 +45,41 @@ def test_from_file_to_folder_and_back(saved: Path, tmp_path: Path) -> None:
     assert np.array_equal(new.skin.vertices, old.skin.vertices)
     assert [muscle.name for muscle in new.muscles] == [muscle.name for muscle in old.muscles]
     assert new.sha256 == read_template(tmp_path / "folder").sha256
+
+
+def test_points_of_a_detector_go_along(tmp_path: Path) -> None:
+    replace(ball_head(), mesh=None, points=TWO_POINTS).save(tmp_path / "ball.npz")
+    assert re.search(r"detector points\s+2", run("show", tmp_path / "ball.npz"))
+    folder = tmp_path / "folder"
+    run("export", tmp_path / "ball.npz", "-o", folder)
+    read = read_template(folder).points
+    assert read is not None
+    assert read.names == TWO_POINTS.names
+    for name in ("corners", "weights", "spread_mm"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(TWO_POINTS, name))
+    table = folder / "points.csv"
+    text = table.read_text().replace("4,0,1,2,", "4,0,1,9999,")
+    table.write_text(text)
+    with pytest.raises(InputError, match=r"points\.csv, 4: vertex 9999") as caught:
+        read_template(folder)
+    assert caught.value.code == "template.vertex"
+
+
+def test_points_are_found_with_a_landmarker(
+    saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MYOFACE_FACE_LANDMARKER", raising=False)
+    assert "MYOFACE_FACE_LANDMARKER" in run("points", saved, code=2)
+    found = FoundPoints(TWO_POINTS, pictures=360, with_face=359, left_out={"58": np.inf})
+    monkeypatch.setattr("solver.photo.mesh_points.find_points", lambda *_, **__: found)
+    model, new = tmp_path / "face_landmarker.task", tmp_path / "new.npz"
+    model.touch()
+    told = run("points", saved, "--landmarker", model, "-o", new)
+    assert "a face in 359 of 360 pictures: 2 points, median spread 1.5 mm; 1 without" in told
+    loaded = Template.load(new)
+    assert loaded.points is not None
+    assert loaded.points.names == ("4", "33")
+    assert loaded.mesh is not None
 
 
 def test_check_tells_what_is_wrong(saved: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,13 @@ def test_a_person_in_cm_with_z_up_and_other_numbers_becomes_the_skin(
     off = person.vertices[was] - person.vertices[[template.landmarks[n] for n in based.landmarks]]
     assert np.median(np.linalg.norm(off, axis=1)) < 2.0
     assert based.landmarks.keys() == template.landmarks.keys()
+    assert based.points is not None
+    assert template.points is not None
+    kept = template.points.select(list(based.points.names))
+    assert len(kept.names) > 0.95 * len(template.points.names)
+    wanted = replace(kept, corners=place[kept.corners]).at(based.skin.vertices)
+    away = np.linalg.norm(based.points.at(based.skin.vertices) - wanted, axis=1)
+    assert np.median(away) < 1.0
     for name in ("upper_lip", "lower_lip", "upper_teeth", "left_eyeball"):
         both = np.intersect1d(order[based.regions[name]], template.regions[name])
         assert len(both) > 0.8 * len(template.regions[name]), name
