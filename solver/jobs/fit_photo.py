@@ -13,11 +13,13 @@ import numpy as np
 from solver.anatomy.skin_points import SkinPoints
 from solver.anatomy.template import Template
 from solver.errors import Finding, InputError, SolveError, make_warning, quote_names
+from solver.fitting.least_squares import Listener
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, fits, read_template
 from solver.kinds.fit_photo import FitPhoto
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.linear import fastest
+from solver.photo.detect import find_face
 from solver.photo.expression import (
     ExpressionOptions,
     PhotoExpression,
@@ -25,12 +27,13 @@ from solver.photo.expression import (
     fit_expression,
 )
 from solver.photo.fit import PhotoFitOptions
-from solver.photo.landmarks import find_landmarks, landmark_points
 from solver.photo.light import Appearance
+from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
 from solver.photo.read import read_photo
 from solver.photo.report import photo_figures, photo_picture
 from solver.progress import Step, part_of
+from solver.registration.detector import FaceDetector, landmarker_file
 from solver.registration.landmarks import landmark_vertices
 from solver.rig import Rig, ShapeFit, System
 from solver.rig.exporters import export
@@ -57,7 +60,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     rig = Rig.load(task.inputs)
     model, linear = rig.model, given.linear_solver or fastest()
     tracks = MuscleTracks.load(task.inputs["tracks"], model)
-    photos = _read(task, template)
+    photos, findings = _read(task, template)
     moments = _moments(given, photos)
     points = landmark_points(template)
     face = rig.face(linear)
@@ -72,7 +75,8 @@ def run(task: Task[FitPhoto]) -> list[Path]:
         part = fits.Span(0.1, 0.5).part(number, len(moments))
         listen = log.listener(SYSTEMS[letter].replace(" ", "_"), name, part, given.max_iterations)
         found = fitter.fit(name, [photos[each] for each in taken], lights, listen)
-        fitted.append(log.about(found.shape, part.end, found.shape.notices))
+        noticed = [each for photo in taken for each in findings[photo]]
+        fitted.append(log.about(found.shape, part.end, [*found.shape.notices, *noticed]))
         shown[name] = found
     fits.refuse_failures(fitted)
     scans = {fit.name: fit.target for fit in fitted}
@@ -102,14 +106,36 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     return [*files, *own, export(whole, "systems", task.out / "systems.glb"), *views]
 
 
-def _read(task: Task[FitPhoto], template: Template) -> dict[str, Photo]:
-    """Return the photographs by their names, each with landmarks, its own or found ones."""
-    names, photos = landmark_vertices(template).keys(), {}
+def _read(
+    task: Task[FitPhoto], template: Template
+) -> tuple[dict[str, Photo], dict[str, list[Finding]]]:
+    """Return the photographs by their names, and what is odd about those whose face was found."""
+    names, photos = landmark_vertices(template).keys(), dict[str, Photo]()
     for name, path in task.captures.items():
-        photo = read_photo(path, task.facts.get(name), task.masks.get(name), names)
-        found = photo if photo.landmarks else find_landmarks(photo)
-        photos[name] = replace(found, name=name)
-    return photos
+        read = read_photo(path, task.facts.get(name), task.masks.get(name), names)
+        photos[name] = replace(read, name=name)
+    findings: dict[str, list[Finding]] = {name: [] for name in photos}
+    unmarked = [name for name, photo in photos.items() if not photo.landmarks]
+    if not unmarked:
+        return photos, findings
+    with FaceDetector(_landmarker(unmarked[0])) as detector:
+        for name in unmarked:
+            face = find_face(photos[name], detector)
+            photos[name] = replace(photos[name], landmarks=face.landmarks)
+            findings[name] += face.findings
+    return photos, findings
+
+
+def _landmarker(photo: str) -> Path:
+    """Return the detector's file; ``photo`` is one that has no landmarks."""
+    file = landmarker_file()
+    if file is None:
+        message = (
+            f"{photo} has no landmarks, and nothing here finds them: give them as JSON beside it "
+            "(landmarks), or install MediaPipe's face landmarker (docs/science/photographs.md)"
+        )
+        raise InputError("landmarks.model", message, file=photo)
+    return file
 
 
 def _moments(given: FitPhoto, photos: Mapping[str, Photo]) -> dict[str, list[str]]:
@@ -166,11 +192,7 @@ class _Fitter:
         return dict.fromkeys(photos, found.appearances[0])
 
     def fit(
-        self,
-        name: str,
-        photos: list[Photo],
-        lights: Mapping[str, Appearance],
-        listen: fits.Listener,
+        self, name: str, photos: list[Photo], lights: Mapping[str, Appearance], listen: Listener
     ) -> _Fitted:
         """Fit the photographs of one moment; at rest, and told, where the flesh finds no way."""
         begun = time.perf_counter()

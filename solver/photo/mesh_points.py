@@ -25,6 +25,7 @@ from solver.drawing.render import Camera, Visible, look, render
 from solver.errors import InputError
 from solver.progress import ProgressCallback, Step, silent
 from solver.registration.detector import SKIN_POINTS, DetectorOptions, FaceDetector
+from solver.registration.landmarks import landmark_vertices
 from solver.surface import Floats, Ints, unit_rows
 
 Expression = dict[str, float]
@@ -197,3 +198,26 @@ def _largest_heap(places: Floats, radius: float, rounds: int = 10) -> _Heap:
         near = distance < radius
         middle = places[near].mean(axis=0)
     return _Heap(middle, float(np.sqrt((distance[near] ** 2).mean())), int(near.sum()))
+
+
+NAMED_MM = 2.0  # standard deviation of a landmark that a person marks by its name
+
+
+def landmark_points(template: Template) -> SkinPoints:
+    """Return where landmarks of photographs are on a template's skin.
+
+    They are its own by their names, and a detector's where the template has its points.
+    """
+    named = landmark_vertices(template)
+    corners = np.repeat(np.array([*named.values()], np.int64)[:, None], 3, axis=1)
+    weights = np.tile([1.0, 0.0, 0.0], (len(named), 1))
+    own = SkinPoints(tuple(named), corners, weights, np.full(len(named), NAMED_MM))
+    if template.points is None:
+        return own
+    found = template.points
+    return SkinPoints(
+        (*own.names, *found.names),
+        np.vstack([own.corners, found.corners]),
+        np.vstack([own.weights, found.weights]),
+        np.concatenate([own.spread_mm, found.spread_mm]),
+    )

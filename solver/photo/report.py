@@ -1,0 +1,155 @@
+"""Figures and pictures of faces fitted to photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from solver.anatomy.skin_points import SkinPoints
+from solver.drawing.head import SIDE, DrawnHead, face_camera
+from solver.drawing.render import GAMMA, Pixels, rasterise, render_bust
+from solver.drawing.sheet import HEADER, MARGIN, Sheet
+from solver.model import SubjectModel
+from solver.photo.camera import PinholeCamera
+from solver.photo.expression import PhotoExpression
+from solver.photo.light import Appearance
+from solver.photo.photo import Photo
+from solver.photo.shading import blocked_light, shade_of
+from solver.surface import Floats, Surface, vertex_normals
+
+PANEL = 320  # pixels of a picture's side on a sheet
+AROUND = 0.25  # of a face's extent in a photograph, that is shown around it
+CLEAR = 2.0  # differences of colours are drawn so many times as strong
+MARKS = {"given": (30, 110, 230), "fitted": (230, 60, 40)}  # sRGB bytes
+MARK_PX = 2  # half of a mark's side
+
+
+def photo_figures(
+    photos: Sequence[Photo], result: PhotoExpression[Any], points: SkinPoints
+) -> dict[str, Any]:
+    """Return the figures of the fit of one moment as JSON values."""
+    found = {}
+    for number, photo in enumerate(photos):
+        camera = result.fit.point.cameras[number]
+        given, fitted = marks_of(photo, camera, result.fit.point.skin, points)
+        away = np.linalg.norm(fitted - given, axis=1)
+        depth = float(np.median(camera.project(result.fit.point.skin)[:, 2]))
+        px_per_mm = float(camera.focal.mean()) / depth
+        found[photo.name] = {
+            "size": list(photo.size),
+            "camera": {
+                "fx": round(float(camera.focal[0]), 2),
+                "fy": round(float(camera.focal[1]), 2),
+                "cx": round(float(camera.centre[0]), 2),
+                "cy": round(float(camera.centre[1]), 2),
+                "rotation": camera.rotation.round(6).tolist(),
+                "translation": camera.translation.round(3).tolist(),
+            },
+            "camera_is_given": photo.camera is not None,
+            "distance_mm": round(depth, 1),
+            "landmarks": len(away),
+            "landmarks_px": round(float(away.mean()), 3),
+            "landmarks_mm": round(float(away.mean()) / px_per_mm, 3),
+        }
+    return {
+        "photos": found,
+        "iterations": {"landmarks": result.landmarks.steps, "shading": result.fit.steps},
+        "objective": round(result.fit.objective, 3),
+        "termination": str(result.fit.termination),
+    }
+
+
+def marks_of(
+    photo: Photo, camera: PinholeCamera, skin: Floats, points: SkinPoints
+) -> tuple[Floats, Floats]:
+    """Return where a photograph has its landmarks (k, 2), px, and where the fit has them."""
+    names = [name for name in points.names if name in photo.landmarks]
+    given = np.array([photo.landmarks[name] for name in names]).reshape(-1, 2)
+    return given, camera.project(points.select(names).at(skin))[:, :2]
+
+
+def photo_picture(
+    model: SubjectModel,
+    fitted: Sequence[tuple[Sequence[Photo], PhotoExpression[Any]]],
+    points: SkinPoints,
+    path: Path,
+) -> None:
+    """Draw a row for each photograph: plate, landmarks, shaded skin, difference, and from aside."""
+    head = DrawnHead(model.skin)
+    rows = [
+        (photo, result, number) for photos, result in fitted for number, photo in enumerate(photos)
+    ]
+    page = Sheet(2 * MARGIN + 5 * PANEL, HEADER + max(len(rows), 1) * (PANEL + 30) + MARGIN)
+    page.heading(
+        "Photographs", "plate; landmarks given (blue) and fitted (red); skin; difference; aside"
+    )
+    for row, (photo, result, number) in enumerate(rows):
+        point = result.fit.point
+        camera, skin = point.cameras[number], Surface(point.skin, model.skin.faces)
+        box = _box(camera.project(point.skin[model.face])[:, :2], photo.size)
+        look = result.appearances[number] if result.appearances else None
+        shaded = _shaded(photo, camera, skin, model, look)
+        difference = np.clip(0.5 + CLEAR * (shaded - photo.pixels), 0.0, 1.0)
+        marked = _marked(photo, *marks_of(photo, camera, point.skin, points))
+        aside = head.body(head.lit(point.skin))
+        bust = face_camera(point.skin, model.face, SIDE)
+        panels = [_panel(each, box) for each in (photo.pixels, marked, shaded, difference)]
+        panels.append(render_bust([aside], bust, (PANEL, PANEL)))
+        top = HEADER + row * (PANEL + 30)
+        page.text((MARGIN, top), photo.name, 17)
+        for column, pixels in enumerate(panels):
+            page.panel((MARGIN + column * PANEL, top + 26), pixels)
+    page.save(path)
+
+
+def _shaded(
+    photo: Photo, camera: PinholeCamera, skin: Surface, model: SubjectModel, look: Appearance | None
+) -> Pixels:
+    """Return the photograph with the face's skin over it, in the light that was found."""
+    if look is None:
+        look = Appearance(np.full((9, 3), 0.05), np.ones_like(skin.vertices))
+    shade = shade_of(vertex_normals(skin), blocked_light(skin), look.light)
+    colours = np.clip(look.albedo * shade, 0.0, 1.0) ** (1.0 / GAMMA)
+    within: NDArray[np.bool_] = np.asarray(np.isin(skin.faces, model.face).all(axis=1))
+    seen = rasterise(camera.project(skin.vertices), skin.faces, *photo.size)
+    pixels = photo.pixels.copy()
+    shown = seen.mask & within[np.maximum(seen.triangle, 0)]
+    pixels[shown] = seen.interpolate(colours)[within[seen.triangle[seen.mask]]]
+    return pixels
+
+
+def _marked(photo: Photo, given: Floats, fitted: Floats) -> Pixels:
+    """Return the photograph with its landmarks as they are given and as they are fitted."""
+    pixels = photo.pixels.copy()
+    size = max(1, round(MARK_PX * max(np.ptp(given, axis=0).max() / PANEL, 0.5)))
+    for name, places in (("given", given), ("fitted", fitted)):
+        for column, row in np.nan_to_num(places).round().astype(int):
+            high = slice(max(row - size, 0), max(row + size, 0))
+            pixels[high, max(column - size, 0) : max(column + size, 0)] = (
+                np.array(MARKS[name]) / 255
+            )
+    return pixels
+
+
+def _box(places: Floats, size: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Return left, top, right and bottom of a square around places (n, 2), cut to the picture."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    half = (0.5 + AROUND) * float((high - low).max())
+    middle = (low + high) / 2.0
+    left, top = np.clip(middle - half, 0, np.array(size) - 2).astype(int)
+    right, bottom = np.clip(middle + half, (left + 2, top + 2), size).astype(int)
+    return int(left), int(top), int(right), int(bottom)
+
+
+def _panel(pixels: Pixels, box: tuple[int, int, int, int]) -> Pixels:
+    """Return a part of a picture as large as fits on a panel."""
+    left, top, right, bottom = box
+    part = Image.fromarray((np.clip(pixels[top:bottom, left:right], 0, 1) * 255).astype(np.uint8))
+    scale = PANEL / max(part.size)
+    part = part.resize((max(1, int(part.width * scale)), max(1, int(part.height * scale))))
+    return np.asarray(part, np.float32) / np.float32(255)
