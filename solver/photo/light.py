@@ -24,6 +24,8 @@ from solver.photo.camera import PinholeCamera
 from solver.photo.shading import BANDS, CHANNELS, SkinSamples, harmonics
 from solver.surface import Floats, Ints, Surface
 
+FAR_MM = 1e6  # where nothing is seen
+
 
 @dataclass(frozen=True)
 class SampleOptions:
@@ -67,14 +69,14 @@ def visible_samples(
     height, width = pixels.shape[:2]
     projected = camera.project(skin.vertices)
     seen = rasterise(projected, skin.faces, width, height)
-    depth = np.full((height, width), np.inf)
+    depth = np.full((height, width), FAR_MM)
     depth[seen.mask] = seen.interpolate(projected[:, 2:])[:, 0]
     size = 2 * options.outline_px + 1
     flat = maximum_filter(depth, size) - minimum_filter(depth, size)
     # over so many pixels skin at the least cosine rises by this much
     rise = size * float(np.median(depth[seen.mask])) / camera.focal.mean() / options.least_cosine
     usable = binary_erosion(seen.mask, iterations=options.outline_px)
-    usable &= np.nan_to_num(flat, nan=np.inf) < options.step_mm + rise
+    usable &= flat < options.step_mm + rise
     low, high = options.range
     usable &= (pixels.min(axis=2) > low) & (pixels.max(axis=2) < high)
     if mask is not None:

@@ -53,7 +53,9 @@ def rounded(value: float | np.floating) -> float | None:
 
 
 def distances(error: Floats) -> dict[str, float | None]:
-    """Return mean, 95th percentile and greatest of distances in mm."""
+    """Return mean, 95th percentile and greatest of distances in mm; None of no distance at all."""
+    if not error.size:
+        return dict.fromkeys(("mean_mm", "p95_mm", "max_mm"))
     return {
         "mean_mm": rounded(error.mean()),
         "p95_mm": rounded(np.percentile(error, 95)),

@@ -1,0 +1,156 @@
+"""The job that fits photographs: what it leaves, moments of several, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from solver.drawing.head import DrawnHead
+from solver.drawing.render import rasterise
+from solver.errors import InputError
+from solver.jobs import run_job
+from solver.photo.camera import PinholeCamera
+from solver.photo.mesh_points import landmark_points
+from solver.rig import Rig
+from solver.similarity import weighted_motion
+from solver.templates.builtin.build import builtin_template
+from solver.tracks.basis import MuscleTracks
+from solver.tracks.shapes import template_shapes
+from tests.fixtures import small_model, small_rig
+
+pytestmark = pytest.mark.long
+
+MODEL = small_model()
+NEUTRAL = MODEL.skin.vertices
+WEIGHTS = {"mouthSmileLeft": 0.8, "mouthSmileRight": 0.8, "browInnerUp": 0.6}
+SIZE = (270, 360)
+
+
+@cache
+def shapes() -> dict[str, np.ndarray]:
+    """A dozen of the template's shapes, those of the face that is photographed among them."""
+    basis = builtin_template().shapes
+    assert basis is not None
+    named = template_shapes(MODEL, basis)
+    others = ("jawOpen", "mouthPucker", "browDownLeft", "browDownRight", "mouthFunnel")
+    return {name: named[name] for name in (*WEIGHTS, *others)}
+
+
+def smile() -> np.ndarray:
+    return NEUTRAL + sum(weight * shapes()[name] for name, weight in WEIGHTS.items())
+
+
+def camera(yaw: float) -> PinholeCamera:
+    """Return a camera 700 mm from the face, turned by a yaw in degrees."""
+    turn = Rotation.from_euler("xy", [3.0, yaw], degrees=True).as_matrix()
+    rotation = np.diag([1.0, -1.0, -1.0]) @ turn
+    shift = np.array([2.0, 3.0, 700.0]) - rotation @ NEUTRAL[MODEL.face].mean(axis=0)
+    return PinholeCamera(np.full(2, 700.0), np.array(SIZE) / 2.0, rotation, shift)
+
+
+def photograph(folder: Path, name: str, skin: np.ndarray, yaw: float, **more: Any) -> None:
+    """Draw a face into a JPEG, with its landmarks in the JSON beside it."""
+    seen_by, head = camera(yaw), DrawnHead(MODEL.skin)
+    body = head.body(head.lit(skin))
+    surface = body.lit.surface
+    seen = rasterise(seen_by.project(surface.vertices), surface.faces, *SIZE)
+    pixels = np.full((SIZE[1], SIZE[0], 3), 0.3)
+    pixels[seen.mask] = seen.interpolate(body.colour * body.lit.light)
+    picture = Image.fromarray((255 * np.clip(pixels, 0, 1) ** (1 / 2.2)).astype(np.uint8))
+    picture.save(folder / f"{name}.jpg", quality=95)
+    points = landmark_points(builtin_template())
+    places = seen_by.project(points.at(skin))[:, :2]
+    marks = {n: p.tolist() for n, p in zip(points.names, places, strict=True) if n.isdigit()}
+    (folder / f"{name}.json").write_text(json.dumps({"landmarks": marks, **more}))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rig, its tracks, and photographs."""
+    folder = tmp_path_factory.mktemp("photographs")
+    small_rig().save(folder / "rig.npz")
+    MuscleTracks.of(MODEL, shapes()).save(folder / "tracks.npz")
+    photograph(folder, "front", smile(), 0.0)
+    photograph(folder, "left", smile(), 30.0)
+    photograph(folder, "rest", NEUTRAL, 10.0)
+    return folder
+
+
+def fit(files: Path, out: Path, *names: str, **options: Any) -> tuple[Rig, dict[str, Any]]:
+    """Fit photographs by name; return the rig that is left, and what is told of them."""
+    run_job(
+        "fit_photo",
+        out,
+        rig=files / "rig.npz",
+        tracks=files / "tracks.npz",
+        captures={name: files / f"{name}.jpg" for name in names},
+        facts={name: files / f"{name}.json" for name in names},
+        options=options,
+    )
+    return Rig.load(out / "rig.npz"), json.loads((out / "photo.json").read_text())
+
+
+def off(skin: np.ndarray, truth: np.ndarray) -> float:
+    """Return the mean distance in mm of faces, the head's motion apart."""
+    ids = MODEL.face
+    motion = weighted_motion(skin[ids], truth[ids], np.ones(len(ids)))
+    return float(np.linalg.norm(motion(skin[ids]) - truth[ids], axis=1).mean())
+
+
+def test_a_moment_of_two_photographs_and_a_face_at_rest(files: Path, tmp_path: Path) -> None:
+    moments = {"smile": ["front", "left"]}
+    rig, told = fit(files, tmp_path, "front", "left", "rest", moments=moments)
+    found = {each.name: each for each in rig.systems["T"].expressions}
+    assert found.keys() == {"smile", "rest"} == told["expressions"].keys()
+    moved = off(NEUTRAL, smile())
+    assert off(found["smile"].skin, smile()) < 0.4 * moved
+    # a neutral face invents no expression
+    assert off(found["rest"].skin, NEUTRAL) < 0.25 * moved
+    assert all(each.inverted == 0 for each in found.values())
+    cameras = told["expressions"]["smile"]["photos"]
+    assert cameras.keys() == {"front", "left"}
+    apart = [np.array(each["camera"]["rotation"]) for each in cameras.values()]
+    turned = Rotation.from_matrix(apart[0].T @ apart[1]).magnitude()
+    assert np.degrees(turned) == pytest.approx(30.0, abs=3.0)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["systems"]["smile"]["T"]["mean_mm"] is None
+    assert Image.open(tmp_path / "photo.png").height > 1000
+
+
+def test_plain_shapes_by_landmarks_alone(files: Path, tmp_path: Path) -> None:
+    rig, told = fit(files, tmp_path, "front", model="shapes", shading=False)
+    assert off(rig.systems["B"].expressions[0].skin, smile()) < 0.5 * off(NEUTRAL, smile())
+    assert told["expressions"]["front"]["photos"]["front"]["landmarks_mm"] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        ({"moments": {"smile": ["front", "back"]}}, "photo.moment", "no photograph 'back'"),
+        ({"moments": {"a": ["front"], "b": ["front"]}}, "photo.moment", "named twice"),
+        ({"neutral": "back"}, "photo.neutral", "no photograph 'back'"),
+    ],
+)
+def test_photographs_that_are_not_there(
+    files: Path, tmp_path: Path, options: dict[str, Any], code: str, words: str
+) -> None:
+    with pytest.raises(InputError, match=words) as error:
+        fit(files, tmp_path, "front", **options)
+    assert error.value.code == code
+
+
+def test_a_photograph_without_landmarks_says_how_to_give_them(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MYOFACE_FACE_LANDMARKER", raising=False)
+    given = {"rig": files / "rig.npz", "tracks": files / "tracks.npz"}
+    with pytest.raises(InputError, match="front has no landmarks") as error:
+        run_job("fit_photo", tmp_path, captures={"front": files / "front.jpg"}, **given)
+    assert error.value.code == "landmarks.model"
