@@ -138,6 +138,7 @@ class Capture(Resource):
     registered: bool = True
     labels: dict[str, str] = field(default_factory=dict)
     landmarks: str | None = None
+    mask: str | None = None
     check: Check | None = None
     registration: Registration | None = None
     filename: str | None = None

@@ -143,6 +143,7 @@ def solve(folder: Path, progress: ProgressCallback, jobs: str = "solver.jobs") -
     files: dict[str, Path] = {}
     captures: dict[str, Path] = {}
     facts: dict[str, Path] = {}
+    masks: dict[str, Path] = {}
     role = "unknown"
     for item in job["inputs"]:
         role = item.get("capture_role", role)
@@ -151,6 +152,8 @@ def solve(folder: Path, progress: ProgressCallback, jobs: str = "solver.jobs") -
             captures[item["name"]] = path
         elif item["role"] == "facts":
             facts[item["name"]] = path
+        elif item["role"] == "mask":
+            masks[item["name"]] = path
         else:
             files[item["role"]] = path
     run_job(
@@ -159,7 +162,7 @@ def solve(folder: Path, progress: ProgressCallback, jobs: str = "solver.jobs") -
         options=job["options"],
         captures=captures,
         facts=facts,
-        masks=None,  # what counts of a photograph that was uploaded is where it is opaque
+        masks=masks,
         role=role,
         resume=job["resume"],
         progress=progress,

@@ -98,6 +98,10 @@ def add(
     ] = None,
     label: Labels = None,
     landmarks: LandmarksFile = None,
+    mask: Annotated[
+        Path | None,
+        Option(exists=True, dir_okay=False, help="PNG, white where a photograph counts"),
+    ] = None,
     check: Annotated[bool, Option("--check", help="and tell whether it can be used")] = False,
     unit: Unit = "auto",
     eye_distance: EyeDistance = None,
@@ -112,8 +116,8 @@ def add(
     ends with 3 if a scan is bad.
     """
     role = _role(role, neutral=neutral, performance=performance, markers=markers, asset=asset)
-    if len(files) > 1 and (name is not None or title or landmarks or role == "neutral"):
-        raise UsageError("--name, --title, --neutral and --landmarks take one file")
+    if len(files) > 1 and (name is not None or title or landmarks or mask or role == "neutral"):
+        raise UsageError("--name, --title, --neutral, --landmarks and --mask take one file")
     if registered and raw:
         raise UsageError("--registered and --raw exclude one another")
     scans = name_scans(files, names=[name] * len(files), roles=[role] * len(files))
@@ -128,6 +132,7 @@ def add(
     given = {
         "registered": registered,
         "landmarks": landmarks,
+        "mask": mask,
         "replace": replace,
         "title": title,
         "labels": read_labels(label),

@@ -103,6 +103,7 @@ class AsyncCaptures(AsyncAccess):
         name: str | None = None,
         registered: bool = False,
         landmarks: Path | None = None,
+        mask: Path | None = None,
         replaces: str | None = None,
         title: str | None = None,
         labels: Labels | None = None,
@@ -112,7 +113,8 @@ class AsyncCaptures(AsyncAccess):
 
         ``registered`` scans have the template's vertices, which are counted first; others are what
         the scanner made. ``landmarks`` is a file, of a photograph the JSON of what is known of it.
-        The service deletes the capture ``replaces`` in the same step that adds this one.
+        ``mask`` is a PNG that is white where a photograph counts. The service deletes the capture
+        ``replaces`` in the same step that adds this one.
         :mod:`myoface.names` says what name and role a file has; the title is what the file is
         called.
         """
@@ -120,6 +122,7 @@ class AsyncCaptures(AsyncAccess):
         if registered:
             await self._require_vertices([scan], subject_id)
         marks = None if landmarks is None else (await self.upload(landmarks)).id
+        shown = None if mask is None else (await self.upload(mask)).id
         sent = await self.upload(path, progress=progress)
         return await self._create(
             f"/v1/subjects/{subject_id}/captures",
@@ -129,6 +132,7 @@ class AsyncCaptures(AsyncAccess):
             upload_id=sent.id,
             registered=registered or scan.role in NO_SCANS,
             landmarks_upload_id=marks,
+            mask_upload_id=shown,
             replaces=replaces,
             title=title,
             labels=labels,
@@ -174,12 +178,15 @@ class AsyncCaptures(AsyncAccess):
         name: str | None = None,
         registered: bool = False,
         landmarks: Path | None = None,
+        mask: Path | None = None,
         replace: bool = False,
         title: str | None = None,
         labels: Labels | None = None,
         progress: Transferred = ignore_transfer,
     ) -> Capture:
         """Return a file's capture: the one there is of the same bytes, or see :meth:`add_capture`.
+
+        A photograph that has no ``mask`` of this name yet is another capture.
 
         ``replace`` puts the file in the place of another one's capture of this name; without it
         the service refuses the name.
@@ -191,6 +198,7 @@ class AsyncCaptures(AsyncAccess):
         is_same = before is not None and (
             (before.role, before.registered) == (scan.role, is_registered)
             and before.sha256 == await async_sha256_of(path)
+            and (mask is None or before.mask == mask.name)
         )
         if before is None or not is_same:
             return await self.add_capture(
@@ -200,6 +208,7 @@ class AsyncCaptures(AsyncAccess):
                 name=scan.name,
                 registered=is_registered,
                 landmarks=landmarks,
+                mask=mask,
                 replaces=before.id if before is not None and replace else None,
                 title=title,
                 labels=labels,

@@ -105,6 +105,7 @@ class Captures(Access):
         name: str | None = None,
         registered: bool = False,
         landmarks: Path | None = None,
+        mask: Path | None = None,
         replaces: str | None = None,
         title: str | None = None,
         labels: Labels | None = None,
@@ -114,7 +115,8 @@ class Captures(Access):
 
         ``registered`` scans have the template's vertices, which are counted first; others are what
         the scanner made. ``landmarks`` is a file, of a photograph the JSON of what is known of it.
-        The service deletes the capture ``replaces`` in the same step that adds this one.
+        ``mask`` is a PNG that is white where a photograph counts. The service deletes the capture
+        ``replaces`` in the same step that adds this one.
         :mod:`myoface.names` says what name and role a file has; the title is what the file is
         called.
         """
@@ -122,6 +124,7 @@ class Captures(Access):
         if registered:
             self._require_vertices([scan], subject_id)
         marks = None if landmarks is None else (self.upload(landmarks)).id
+        shown = None if mask is None else (self.upload(mask)).id
         sent = self.upload(path, progress=progress)
         return self._create(
             f"/v1/subjects/{subject_id}/captures",
@@ -131,6 +134,7 @@ class Captures(Access):
             upload_id=sent.id,
             registered=registered or scan.role in NO_SCANS,
             landmarks_upload_id=marks,
+            mask_upload_id=shown,
             replaces=replaces,
             title=title,
             labels=labels,
@@ -176,12 +180,15 @@ class Captures(Access):
         name: str | None = None,
         registered: bool = False,
         landmarks: Path | None = None,
+        mask: Path | None = None,
         replace: bool = False,
         title: str | None = None,
         labels: Labels | None = None,
         progress: Transferred = ignore_transfer,
     ) -> Capture:
         """Return a file's capture: the one there is of the same bytes, or see :meth:`add_capture`.
+
+        A photograph that has no ``mask`` of this name yet is another capture.
 
         ``replace`` puts the file in the place of another one's capture of this name; without it
         the service refuses the name.
@@ -193,6 +200,7 @@ class Captures(Access):
         is_same = before is not None and (
             (before.role, before.registered) == (scan.role, is_registered)
             and before.sha256 == sha256_of(path)
+            and (mask is None or before.mask == mask.name)
         )
         if before is None or not is_same:
             return self.add_capture(
@@ -202,6 +210,7 @@ class Captures(Access):
                 name=scan.name,
                 registered=is_registered,
                 landmarks=landmarks,
+                mask=mask,
                 replaces=before.id if before is not None and replace else None,
                 title=title,
                 labels=labels,

@@ -71,6 +71,10 @@ class NewCapture(RequestBody):
         description="a complete upload with landmarks on this scan, or of a photograph "
         "with what is known of it",
     )
+    mask_upload_id: Id | None = Field(
+        default=None,
+        description="a complete upload with a photograph's mask, a PNG, white where it counts",
+    )
     replaces: Id | None = Field(
         default=None,
         description="a scan of the subject that is deleted, with its checks and registrations, "
@@ -117,7 +121,7 @@ class RegistrationView(View):
 
 
 class CaptureView(View):
-    """A named scan of a subject; `landmarks` is the name of their file."""
+    """A named scan of a subject; `landmarks` is the name of their file, `mask` that of one."""
 
     id: str
     subject_id: str
@@ -130,6 +134,7 @@ class CaptureView(View):
     size: int
     sha256: str
     landmarks: str | None
+    mask: str | None
     check: CheckView | None
     registration: RegistrationView | None
     created_at: datetime
@@ -145,6 +150,7 @@ class CaptureView(View):
                 **{name: getattr(capture, name) for name in _COLUMNS},
                 "title": capture.title or PurePath(capture.filename).stem[:LONGEST_TITLE],
                 "landmarks": capture.landmarks_filename,
+                "mask": capture.mask_filename,
                 "check": check and _check(check),
                 "registration": registration and _registration(registration),
                 "retain_until": retention.until(kept.scans, capture.created_at),

@@ -55,6 +55,8 @@ def create(session: Session, subject_id: str, new: NewCapture) -> Capture:
     uploads.use(session, upload, capture.id)
     if new.landmarks_upload_id is not None:
         _give_landmarks(session, capture, new.landmarks_upload_id)
+    if new.mask_upload_id is not None:
+        _give_mask(session, capture, new.mask_upload_id)
     return capture
 
 
@@ -116,6 +118,18 @@ def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:
     _check_format(upload, "landmarks.format", "a file of landmarks", formats)
     capture.landmarks_filename = upload.filename
     capture.landmarks_size, capture.landmarks_sha256 = upload.size, upload.sha256
+    uploads.use(session, upload, capture.id)
+
+
+def _give_mask(session: Session, capture: Capture, upload_id: str) -> None:
+    formats = ROLES[capture.role].masks
+    if not formats:
+        code = f"capture.is_{capture.role}"
+        raise Problem(422, code, f"{capture.name}: {ROLES[capture.role].noun} takes no mask")
+    upload = uploads.get_complete(session, upload_id)
+    _check_format(upload, "capture.format", "a mask", formats)
+    capture.mask_filename, capture.mask_size = upload.filename, upload.size
+    capture.mask_sha256 = upload.sha256
     uploads.use(session, upload, capture.id)
 
 

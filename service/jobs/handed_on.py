@@ -21,7 +21,7 @@ InputFile = dict[str, Any]  # a file of a job, as its request keeps it
 OF_A_RIG = frozenset(file.role for file in FILES.values() if file.of_a_rig)
 
 # Roles of which a job may have several files, by their names
-NAMED = frozenset({"asset", "capture", "photo", "facts"})
+NAMED = frozenset({"asset", "capture", "photo", "facts", "mask"})
 
 
 def input_file(role: str, name: str, filename: str, sha256: str, *, of: str) -> InputFile:

@@ -251,7 +251,7 @@ def _known_activations(session: Session, kind: Kind, new: NewJob) -> tuple[list[
 
 
 def _photos(session: Session, new: NewJob) -> list[InputFile]:
-    """Return photographs, each with what is known of it."""
+    """Return photographs, each with what is known of it and with its mask."""
     found = [captures.get(session, new.subject_id, each) for each in dict.fromkeys(new.captures)]
     for capture in found:
         if capture.role != "photo":
@@ -264,8 +264,13 @@ def _photos(session: Session, new: NewJob) -> list[InputFile]:
     if not 1 <= len(found) <= MOST_PHOTOS:
         detail = f"{new.kind} reads 1 to {MOST_PHOTOS} photographs, not {len(found)}"
         raise Problem(422, "job.photos", detail, member="captures", expected=MOST_PHOTOS)
-    files = [[_capture_file("photo", each), *_landmarks("facts", each)] for each in found]
-    return [file for each in files for file in each]
+    files: list[InputFile] = []
+    for each in found:
+        files += [_capture_file("photo", each), *_landmarks("facts", each)]
+        if each.mask_filename and each.mask_sha256:
+            what = each.name, each.mask_filename, each.mask_sha256
+            files.append(input_file("mask", *what, of=each.id))
+    return files
 
 
 def _assets(session: Session, new: NewJob) -> list[InputFile]:

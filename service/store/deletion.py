@@ -44,6 +44,7 @@ REFERRING = (
     Artifact.sha256,
     Capture.sha256,
     Capture.landmarks_sha256,
+    Capture.mask_sha256,
     FrameChunk.sha256,
     Template.sha256,
     Upload.sha256,

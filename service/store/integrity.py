@@ -131,13 +131,16 @@ def holders(session: Session, files: Collection[str]) -> dict[str, list[str]]:
 
 
 def _holders(session: Session, files: Collection[str]) -> Iterator[tuple[str, str]]:
-    scans = or_(Capture.sha256.in_(files), Capture.landmarks_sha256.in_(files))
+    columns = (Capture.sha256, Capture.landmarks_sha256, Capture.mask_sha256)
+    scans = or_(*(column.in_(files) for column in columns))
     for capture in session.scalars(select(Capture).where(scans)):
         words = f"capture {capture.name} of subject {capture.subject_id}"
         if capture.sha256 in files:
             yield capture.sha256, words
         if capture.landmarks_sha256 and capture.landmarks_sha256 in files:
             yield capture.landmarks_sha256, f"landmarks of {words}"
+        if capture.mask_sha256 and capture.mask_sha256 in files:
+            yield capture.mask_sha256, f"mask of {words}"
     for template in session.scalars(select(Template).where(Template.sha256.in_(files))):
         yield template.sha256, f"template {template.id}"
     for artifact in session.scalars(select(Artifact).where(Artifact.sha256.in_(files))):

@@ -15,12 +15,16 @@ def stored_bytes(session: Session, tenant_id: str) -> int:
         select(table.sha256, table.size).where(table.tenant_id == tenant_id) for table in tables
     )
     sent = select(Upload.sha256, Upload.size).where(Upload.tenant_id == tenant_id, Upload.complete)
-    landmarks = select(Capture.landmarks_sha256, Capture.landmarks_size).where(
-        Capture.tenant_id == tenant_id
+    beside = (
+        select(sha256, size).where(Capture.tenant_id == tenant_id)
+        for sha256, size in (
+            (Capture.landmarks_sha256, Capture.landmarks_size),
+            (Capture.mask_sha256, Capture.mask_size),
+        )
     )
     frames = select(FrameChunk.sha256, FrameChunk.size).join(Job, Job.id == FrameChunk.job_id)
     frames = frames.where(Job.tenant_id == tenant_id)
-    counted = union(sent, landmarks, frames, *files).subquery()
+    counted = union(sent, frames, *beside, *files).subquery()
     stored = session.scalar(select(func.sum(counted.c.size)))
     opened = session.scalar(
         select(func.sum(Upload.size)).where(Upload.tenant_id == tenant_id, ~Upload.complete)

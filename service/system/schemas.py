@@ -37,6 +37,7 @@ class RoleView(View):
     landmarks: list[str] = Field(
         description="endings of the file beside one: landmarks, of a photograph what is known of it"
     )
+    masks: list[str] = Field(description="endings of the mask beside one, if it takes one")
     sets: list[str] = Field(
         description="of what lies beside such files for all of a session, a marker set"
     )

@@ -160,6 +160,7 @@ class Role:
     then: str  # what becomes of it, in words that follow a colon
     registered: tuple[str, ...] = ()  # formats of one in the template's topology
     landmarks: tuple[str, ...] = ()  # formats of the file beside it with landmarks, if it takes one
+    masks: tuple[str, ...] = ()  # formats of the mask beside it, if it takes one
     own_formats: tuple[str, ...] = ()  # of no other role: it is of this one if nobody says another
     sets: tuple[str, ...] = ()  # of what lies beside such files for all of a session, one as well
 
@@ -213,6 +214,7 @@ ROLES: Mapping[str, Role] = {
         formats=PICTURES,
         own_formats=PICTURES,
         landmarks=(".json",),
+        masks=(".png",),
         then="faces are fitted to photographs",
     ),
     "asset": Role(

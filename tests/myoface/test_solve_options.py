@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from myoface.cli import offline
 from solver import jobs
 from solver.jobs import Task
 from solver.kinds import KINDS, Kind
@@ -41,6 +43,11 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "start": [(["--start", "rig.npz"], {"start": "rig.npz"})],
     "assets": [(["--asset", "soft=map.npy"], {})],
     "sequences": [],
+    "photos": [
+        (["--photo", "smile=face.jpg"], {}),
+        (["--facts", "smile=face.json"], {}),
+        (["--mask", "smile=mask.png"], {}),
+    ],
     "role": [(["--role", "neutral"], {})],
 }
 NAMES = {name for words, _ in TYPED.values() for name in words} | {
@@ -105,7 +112,8 @@ def value_of(rules: Mapping[str, Any]) -> Any:
     if "boolean" in kinds:
         return not rules["default"]
     if "object" in kinds:
-        return {"side": 3}
+        of_lists = isinstance(rules.get("additionalProperties"), dict)
+        return {"side": ["smile"] if of_lists else 3}
     if "string" in kinds:
         return "smile"
     least = rules.get("minimum", rules.get("exclusiveMinimum", 0))
@@ -128,8 +136,9 @@ def test_an_option_reaches_the_job_and_nothing_else_changes(
 ) -> None:
     value, flag = value_of(kind.schema["properties"][name]), f"--{name.replace('_', '-')}"
     typed = json.dumps(value) if isinstance(value, dict) else str(value)
+    switches = {True: [flag], False: [flag.replace("--", "--no-", 1)]}
     plain = called(kind, [])
-    task = called(kind, [flag] if value is True else [flag, typed])
+    task = called(kind, switches[value] if isinstance(value, bool) else [flag, typed])
     assert getattr(task.options, name) == value
     assert task.inputs == plain.inputs
     assert set(plain.inputs) == set().union(*(TYPED[each][1] for each in arguments(kind)))
@@ -155,8 +164,22 @@ def test_an_input_reaches_the_job_by_its_role(
     assert task.inputs == {**plain.inputs, **{role: Path(name) for role, name in files.items()}}
     if "--asset" in words:
         assert task.captures == {"soft": Path("map.npy")}
+    for flag, found, file in (
+        ("--photo", task.captures, "face.jpg"),
+        ("--facts", task.facts, "face.json"),
+        ("--mask", task.masks, "mask.png"),
+    ):
+        assert (flag in words) == (found == {"smile": Path(file)})
     if "--role" in words:
         assert task.role == "neutral"
+
+
+def test_a_model_is_an_option_where_a_rig_is_one() -> None:
+    kind = replace(KINDS["fit_tracks"], reads=("any_rig", "model"))
+    assert {part.parameter: part.is_needed for part in offline._parts(kind)} == {
+        "rig": False,
+        "model": False,
+    }
 
 
 def test_every_input_of_a_contract_is_typed_somewhere() -> None:

@@ -19,6 +19,7 @@ from service.jobs.schemas import NewJob
 from service.settings import Settings
 from service.store import deletion
 from service.store.database import Store
+from service.store.integrity import holders
 from service.store.models import DEFAULT_TENANT
 from solver import jobs
 from solver.errors import InputError
@@ -48,13 +49,27 @@ def _picture(shade: int = 90) -> bytes:
     return stream.getvalue()
 
 
-def _photo(studio: Studio, subject: str, name: str, facts: str | None = FACTS) -> str:
+def _mask() -> bytes:
+    stream = BytesIO()
+    mask = Image.new("L", (96, 96))
+    mask.paste(255, (0, 0, 96, 50))
+    mask.save(stream, "PNG")
+    return stream.getvalue()
+
+
+MASK = _mask()
+
+
+def _photo(
+    studio: Studio, subject: str, name: str, facts: str | None = FACTS, mask: bytes | None = None
+) -> str:
     marks = facts and studio.upload(f"{name}.json", facts.encode())
     body = {
         "name": name,
         "role": "photo",
         "upload_id": studio.upload(f"{name}.JPG", _picture(len(name))),
         "landmarks_upload_id": marks,
+        "mask_upload_id": mask and studio.upload(f"{name}.png", mask),
     }
     return str(studio.post(f"/v1/subjects/{subject}/captures", **body)["id"])
 
@@ -72,11 +87,14 @@ def test_a_photograph_comes_with_what_is_known_of_it(studio: Studio) -> None:
     path = f"/v1/subjects/{subject}/captures/{photo}"
     seen = studio.get(path)
     assert (seen["role"], seen["registered"], seen["landmarks"]) == ("photo", True, "smile.json")
+    assert seen["mask"] is None
+    masked = _photo(studio, subject, "masked", mask=MASK)
+    assert studio.get(f"/v1/subjects/{subject}/captures/{masked}")["mask"] == "masked.png"
     other = {"upload_id": studio.upload("better.json", b"{}")}
     assert studio.http.put(f"{path}/landmarks", json=other).json()["landmarks"] == "better.json"
     (role,) = (each for each in studio.get("/v1/limits")["roles"] if each["role"] == "photo")
     assert role["formats"] == role["own_formats"] == [".jpg", ".jpeg", ".png"]
-    assert (role["landmarks"], role["is_scan"]) == ([".json"], False)
+    assert (role["landmarks"], role["masks"], role["is_scan"]) == ([".json"], [".png"], False)
 
 
 def test_what_is_no_photograph_is_refused(studio: Studio) -> None:
@@ -91,6 +109,11 @@ def test_what_is_no_photograph_is_refused(studio: Studio) -> None:
         ({**body, "role": "expression"}, "capture.format"),
         ({**body, "landmarks_upload_id": table}, "landmarks.format"),
         ({**body, "role": "markers", "landmarks_upload_id": table}, "capture.format"),
+        ({**body, "mask_upload_id": table}, "capture.format"),
+        (
+            {**body, "role": "asset", "upload_id": table, "mask_upload_id": picture},
+            "capture.is_asset",
+        ),
     ]
     for each, code in cases:
         answer = studio.http.post(path, json=each)
@@ -105,14 +128,16 @@ def test_what_is_no_photograph_is_refused(studio: Studio) -> None:
 
 def test_a_job_reads_the_photographs_that_are_chosen(studio: Studio) -> None:
     subject = studio.subject()
-    smile, plain = _photo(studio, subject, "smile"), _photo(studio, subject, "plain", None)
+    smile = _photo(studio, subject, "smile", mask=MASK)
+    plain = _photo(studio, subject, "plain", None)
     found = _resolve(studio, NEUTRAL, subject, [smile, plain, smile])
     assert [(each["role"], each["name"]) for each in found.files] == [
         ("photo", "smile"),
         ("facts", "smile"),
+        ("mask", "smile"),
         ("photo", "plain"),
     ]
-    assert [each["of"] for each in found.files] == [smile, smile, plain]
+    assert [each["of"] for each in found.files] == [smile, smile, smile, plain]
     with pytest.raises(Problem) as caught:
         _resolve(studio, FIT, subject, [smile])
     assert caught.value.code == "subject.no_model"
@@ -153,22 +178,31 @@ def test_a_fit_reads_the_rig_or_else_the_newest_model(studio: Studio) -> None:
 
 
 def test_photographs_go_with_their_person(studio: Studio) -> None:
-    """The picture, and what was known of it."""
+    """The picture, what was known of it, and its mask; until then each is known to be theirs."""
     store: Store = studio.http.app.state.store  # type: ignore[attr-defined]
     subject = studio.post("/v1/subjects", name="Alex")["id"]
-    _photo(studio, subject, "smile")
-    assert len([*store.files.list_stored()]) == 2
+    _photo(studio, subject, "smile", mask=MASK)
+    stored = [each.sha256 for each in store.files.list_stored()]
+    assert len(stored) == 3
+    assert studio.get("/v1/usage")["bytes"]["used"] == len(_picture(5)) + len(FACTS) + len(MASK)
+    with store.of(DEFAULT_TENANT).read() as session:
+        held = holders(session, stored)
+    known = {words.split(" ")[0] for each in held.values() for words in each}
+    assert known >= {"capture", "landmarks", "mask"}
     assert studio.http.delete(f"/v1/subjects/{subject}").status_code == 204
     for _ in range(2):  # uploads first, then what they had kept
         deletion.collect_garbage(store, age=-60)
     assert [*store.files.list_stored()] == []
 
 
+ENDINGS = {"photo": "jpg", "facts": "json", "mask": "png"}
+
+
 def _order(folder: Path, files: dict[tuple[str, str], bytes]) -> None:
     """Write a job as a worker does, each file in a folder of its own."""
     items = []
     for number, ((role, name), content) in enumerate(files.items()):
-        path = folder / "inputs" / str(number) / ("face.jpg" if role == "photo" else "face.json")
+        path = folder / "inputs" / str(number) / f"face.{ENDINGS[role]}"
         path.parent.mkdir(parents=True)
         path.write_bytes(content)
         items.append({"role": role, "name": name, "path": str(path)})
@@ -198,12 +232,15 @@ def test_a_worker_hands_photographs_to_their_job(tmp_path: Path, photos: list[An
             ("photo", "smile"): _picture(),
             ("facts", "smile"): FACTS.encode(),
             ("photo", "plain"): _picture(),
+            ("mask", "plain"): MASK,
         },
     )
     solve.solve(tmp_path, silent)
     assert [each.name for each in photos] == ["smile", "plain"]
     assert photos[0].landmarks["33"].tolist() == [20.0, 30.0]
     assert photos[1].landmarks == {}
+    assert photos[0].mask is None
+    assert photos[1].mask.sum() == 96 * 50
 
 
 def test_faults_of_all_photographs_are_told(tmp_path: Path, photos: list[Any]) -> None:

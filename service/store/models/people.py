@@ -104,9 +104,12 @@ class Capture(Labelled, Stored, Owned, Base):
     landmarks_filename: Mapped[str | None] = mapped_column(String(255))
     landmarks_size: Mapped[int | None] = mapped_column(BigInteger)
     landmarks_sha256: Mapped[str | None] = mapped_column(String(64), index=True)
+    mask_filename: Mapped[str | None] = mapped_column(String(255))
+    mask_size: Mapped[int | None] = mapped_column(BigInteger)
+    mask_sha256: Mapped[str | None] = mapped_column(String(64), index=True)
     created_at: Mapped[datetime] = mapped_column(default=now)
 
     @property
     def uploaded_files(self) -> list[str]:
         """The sha256 of the files that were uploaded for it."""
-        return list(filter(None, (self.sha256, self.landmarks_sha256)))
+        return list(filter(None, (self.sha256, self.landmarks_sha256, self.mask_sha256)))
