@@ -127,7 +127,7 @@ class _Person:
         self._shapes = template_shapes(self._model, subjects.shapes(options))
         self._fit_options = replace(TrackFitOptions(), w_w=options.w_w)
         names = list(MIXTURES)[: QUICK_MIXTURES if options.quick else None]
-        self._weights = {name: _both_sides(MIXTURES[name]) for name in names}
+        self._weights = {name: both_sides(MIXTURES[name]) for name in names}
         neutral = self._model.skin.vertices
         self._clean = {
             name: neutral + sum(weight * self._shapes[each] for each, weight in weights.items())
@@ -264,7 +264,7 @@ def _simulated(options: argparse.Namespace, names: Sequence[str]) -> _Truths:
     still = Drive(0.0, face.flesh.passive(), np.zeros(JAW_FREEDOM), IDENTITY)
     skins, changes = {}, {}
     for name in names:
-        given = by_muscle(_both_sides(SIMULATED[name], "lr"), model.muscle_names)
+        given = by_muscle(both_sides(SIMULATED[name], "lr"), model.muscle_names)
         stretch = np.array([given.get(muscle, 1.0) for muscle in model.muscle_names])
         a = np.tile(RELAXED, (model.muscle_count, 1))
         a[with_fibres] = shortening(stretch[with_fibres])
@@ -287,7 +287,7 @@ def _simulated(options: argparse.Namespace, names: Sequence[str]) -> _Truths:
     return _Truths(skins, changes)
 
 
-def _both_sides(mixture: Mapping[str, float], sides: Sequence[str] = BOTH) -> dict[str, float]:
+def both_sides(mixture: Mapping[str, float], sides: Sequence[str] = BOTH) -> dict[str, float]:
     """Return values by name, those with * for both sides."""
     return {
         name.replace("*", side): weight

@@ -19,7 +19,7 @@ from solver.jobs import Task, fits, read_template
 from solver.kinds.fit_photo import FitPhoto
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.linear import fastest
-from solver.photo.detect import find_face
+from solver.photo.detect import Box, find_face
 from solver.photo.expression import (
     ExpressionOptions,
     PhotoExpression,
@@ -120,10 +120,17 @@ def _read(
         return photos, findings
     with FaceDetector(_landmarker(unmarked[0])) as detector:
         for name in unmarked:
-            face = find_face(photos[name], detector)
+            face = find_face(photos[name], detector, _box(task.options.boxes.get(name)))
             photos[name] = replace(photos[name], landmarks=face.landmarks)
             findings[name] += face.findings
     return photos, findings
+
+
+def _box(given: list[float] | None) -> Box | None:
+    if given is None:
+        return None
+    left, top, right, bottom = given
+    return left, top, right, bottom
 
 
 def _landmarker(photo: str) -> Path:
@@ -150,9 +157,11 @@ def _moments(given: FitPhoto, photos: Mapping[str, Photo]) -> dict[str, list[str
                 message = f"options.moments: {each!r} is named twice, and shows one moment"
                 raise InputError("photo.moment", message, expression=name, photo=each)
             seen.add(each)
-    if given.neutral is not None and given.neutral not in photos:
-        message = f"options.neutral: there is no photograph {given.neutral!r}: {known} are"
-        raise InputError("photo.neutral", message, photo=given.neutral)
+    named = {"neutral": [given.neutral] if given.neutral else [], "boxes": [*given.boxes]}
+    for option, each in ((option, each) for option, all_ in named.items() for each in all_):
+        if each not in photos:
+            message = f"options.{option}: there is no photograph {each!r}: {known} are"
+            raise InputError("photo.neutral", message, photo=each)
     alone = {name: [name] for name in photos if name not in seen}
     return {name: list(taken) for name, taken in {**given.moments, **alone}.items()}
 

@@ -15,6 +15,8 @@ from solver.kinds.kind import JobOptions, Kind, LinearSolver
 
 Moment = Annotated[list[str], Field(min_length=1, max_length=16)]
 
+Box = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=4, max_length=4)]
+
 
 class FitPhoto(JobOptions):
     """Options of a fit to photographs."""
@@ -29,6 +31,12 @@ class FitPhoto(JobOptions):
         default=None,
         description="a photograph of the neutral face in the same light: light and the skin's "
         "colours are taken from it. null: from each photograph itself",
+    )
+    boxes: dict[str, Box] = Field(
+        default={},
+        max_length=16,
+        description="left, top, right and bottom, px, of the face that is meant, by photograph, "
+        "where it shows several and their landmarks are found",
     )
     model: Literal["tracks", "shapes"] = Field(
         default="tracks",
