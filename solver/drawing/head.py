@@ -18,6 +18,7 @@ from solver.surface import Floats, Ints, Surface, adjacency, nearest_sphere, own
 
 COLOURS = {
     "skin": (0.62, 0.43, 0.34),
+    "lips": (0.45, 0.18, 0.16),
     "teeth": (0.72, 0.66, 0.54),
     "mouth": (0.45, 0.16, 0.15),
     "eyes": (0.74, 0.72, 0.69),  # the sclera
@@ -181,6 +182,10 @@ class DrawnHead:
             )
             self.eyes = faces.astype(np.int64) + len(neutral.vertices)
             self._colour = np.vstack([self._colour, _eye_colour(fine)])
+
+    def paint(self, vertices: Ints, part: str) -> None:
+        """Give vertices of the skin the colour of a ``part`` from now on."""
+        self._colour[vertices] = COLOURS[part]
 
     def lit(self, vertices: Floats, light: Floats | None = None) -> Lit:
         """Return the head at ``vertices`` (v, 3); ``light`` may be that of another pose."""

@@ -5,6 +5,9 @@ run on the pictures, and what it finds is carried back to the triangles that are
 that lies in heaps on the template's skin with parted lips, where upper and lower lip are apart: a
 landmark is the middle of its largest heap, and how wide that is tells how well pictures agree.
 No table of vertices is made by hand.
+
+Templates have no colours, and lips of the skin's colour look ajar: the detector then has their
+inner borders too far apart. So their outline is found first, and they are painted within it.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.distance import cdist
 
@@ -24,7 +28,7 @@ from solver.drawing.head import DrawnHead, face_camera
 from solver.drawing.render import Camera, Visible, look, render
 from solver.errors import InputError
 from solver.progress import ProgressCallback, Step, silent
-from solver.registration.detector import SKIN_POINTS, DetectorOptions, FaceDetector
+from solver.registration.detector import LIP_OUTLINE, SKIN_POINTS, DetectorOptions, FaceDetector
 from solver.registration.landmarks import landmark_vertices
 from solver.surface import Floats, Ints, unit_rows
 
@@ -61,6 +65,9 @@ class MeshPointOptions:
     least_share: float = 1 / 3  # of pictures that the largest heap has to be from
     most_spread_mm: float = 4.0  # of a landmark that is kept
     seed: int = 0  # of the random people
+    # of the pictures of the template's own head by which the lips are outlined
+    outline_yaws_deg: tuple[float, ...] = (-10.0, 0.0, 10.0)
+    lip_depth_mm: float = 8.0  # further behind the corners of the mouth nothing is painted
 
 
 MESH_POINTS = MeshPointOptions()
@@ -88,29 +95,62 @@ def find_points(
     :class:`~solver.registration.detector.FaceDetector`, ``photo.no_face`` where it sees no face in
     most of the pictures.
     """
-    heads = list(_heads(template, options))
-    seen, pictures = [], 0
     with FaceDetector(model, DetectorOptions(most_faces=1)) as detector:
         drawn = DrawnHead(template.skin)
-        for number, skin in enumerate(heads):
-            progress(Step("pictures", number / len(heads)))
-            lit = drawn.lit(skin)
-            for camera in _cameras(template, skin, options):
-                picture = render([drawn.body(lit)], camera, options.pixels, options.pixels)
-                visible = look(camera, lit.surface, options.pixels, options.pixels)
-                pictures += 1
-                for face in detector.faces(picture):
-                    corners, weights = _carry_back(
-                        visible, len(drawn.skin), face.points[:SKIN_POINTS], options.slip_px
-                    )
-                    normals = np.einsum("ki,kij->kj", weights, lit.normals[corners])
-                    weights[unit_rows(normals) @ camera.axes[2] < options.facing] = np.nan
-                    seen.append((corners, weights))
+        few = replace(options, people=1, yaws_deg=options.outline_yaws_deg)
+        outline = _find(template, drawn, detector, few, silent).points
+        drawn.paint(_lips(template, outline, options.lip_depth_mm), "lips")
+        return _find(template, drawn, detector, options, progress)
+
+
+def _find(
+    template: Template,
+    drawn: DrawnHead,
+    detector: FaceDetector,
+    options: MeshPointOptions,
+    progress: ProgressCallback,
+) -> FoundPoints:
+    """Return the points that the detector marks on a head as it is painted."""
+    heads = list(_heads(template, options))
+    seen, pictures = [], 0
+    for number, skin in enumerate(heads):
+        progress(Step("pictures", number / len(heads)))
+        lit = drawn.lit(skin)
+        for camera in _cameras(template, skin, options):
+            picture = render([drawn.body(lit)], camera, options.pixels, options.pixels)
+            visible = look(camera, lit.surface, options.pixels, options.pixels)
+            pictures += 1
+            for face in detector.faces(picture):
+                corners, weights = _carry_back(
+                    visible, len(drawn.skin), face.points[:SKIN_POINTS], options.slip_px
+                )
+                normals = np.einsum("ki,kij->kj", weights, lit.normals[corners])
+                weights[unit_rows(normals) @ camera.axes[2] < options.facing] = np.nan
+                seen.append((corners, weights))
     if len(seen) < options.least_share * pictures:
         message = f"the detector sees a face in {len(seen)} of {pictures} pictures of the template"
         raise InputError("photo.no_face", message, found=len(seen), expected=pictures)
     corners, weights = (np.stack(each, axis=1) for each in zip(*seen, strict=True))
     return _agree(template, corners, weights, pictures, options)
+
+
+def _lips(template: Template, points: SkinPoints, depth_mm: float) -> Ints:
+    """Return the vertices of the flesh within the outline of the lips, as seen from the front."""
+    skin = template.skin.vertices
+    outline = points.select([str(row) for row in LIP_OUTLINE if str(row) in points.names]).at(skin)
+    flesh = np.unique(template.flesh.faces)
+    in_front = skin[flesh, 2] > outline[:, 2].min(initial=np.inf) - depth_mm
+    return np.asarray(flesh[in_front & _is_within(skin[flesh, :2], outline[:, :2])])
+
+
+def _is_within(points: Floats, polygon: Floats) -> NDArray[np.bool_]:
+    """Tell which points (n, 2) lie within a polygon (k, 2): a ray to the right leaves it once."""
+    start, end = polygon, np.roll(polygon, -1, axis=0)
+    x, y = points.T[:, :, None]
+    crosses = (start[:, 1] > y) != (end[:, 1] > y)
+    rise = np.where(crosses, end[:, 1] - start[:, 1], 1.0)
+    at = start[:, 0] + (y - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
+    return np.asarray((crosses & (x < at)).sum(axis=1) % 2 == 1)
 
 
 def _heads(template: Template, options: MeshPointOptions) -> Iterator[Floats]:

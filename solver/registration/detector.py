@@ -22,6 +22,11 @@ from solver.surface import Floats
 # environment variable with the path of the landmarker's file
 LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
 SKIN_POINTS = 468  # the first ones; those after them are on the irises
+# outline of both lips, from the subject's right corner of the mouth over the lower lip
+LIP_OUTLINE = (
+    *(61, 146, 91, 181, 84, 17, 314, 405, 321, 375),
+    *(291, 409, 270, 269, 267, 0, 37, 39, 40, 185),
+)
 EYE_CORNERS = 33, 263  # the outer ones, of the subject's right eye and left
 
 
