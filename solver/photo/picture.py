@@ -28,6 +28,7 @@ FORMATS = ("JPEG", "PNG")
 MOST_PIXELS = 64 << 20  # 64 MP, as sensors are counted
 MOST_BYTES = 256 << 20  # of a file
 LEAST_SIDE = 64  # px; a face of which anything can be told is wider
+MOST_FILL = 1024  # bytes before a JPEG's marker; Pillow reads them anew with every block of a file
 MOST_SCANS = 100  # passes of a progressive JPEG, each of which costs as much as a picture
 
 FILM_DIAGONAL_MM = 43.2666  # of a frame of 36 x 24 mm, which equivalent focal lengths are by
@@ -255,6 +256,8 @@ def _jpeg_end(file: str, content: bytes) -> int | None:
     place, scans = 2, 0
     while (found := NEXT_MARKER.search(content, place)) is not None:
         marker, place = found[1][0], found.end()
+        if place - found.start() > MOST_FILL:
+            raise _unreadable(file, "it is filled up with nothing: save it again")
         if marker == END_OF_IMAGE:
             return place
         scans += marker == START_OF_SCAN

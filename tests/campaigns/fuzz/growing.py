@@ -5,11 +5,15 @@ from __future__ import annotations
 import base64
 import io
 import json
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import PurePath
+from typing import Any
 from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
+from PIL import Image
 
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.scans.performance import ARKIT_NAMES
@@ -55,6 +59,25 @@ def _shared_glb(meshes: int, parts: int, vertices: int, name: str = "a") -> byte
 def _take(weights: int, header: str = "") -> bytes:
     rows = "".join(f"0:0:{k // 60 % 60}:{k % 60}" + ",0" * 52 + "\n" for k in range(weights))
     return ("timecode," + ",".join(ARKIT_NAMES) + header + "\n" + rows).encode()
+
+
+def _picture(form: str, size: int, **more: Any) -> bytes:
+    """Return a black picture of eight pixels for each of ``size``."""
+    stream = io.BytesIO()
+    Image.new("RGB", (2048, min(max(64, size // 256), 65_000))).save(stream, form, **more)
+    return stream.getvalue()
+
+
+def _chunks(number: int) -> bytes:
+    """Return a PNG with chunks that nobody knows."""
+    content = _picture("PNG", 64)
+    empty = struct.pack(">I4sI", 0, b"abCd", zlib.crc32(b"abCd"))
+    return content[:33] + empty * number + content[33:]
+
+
+def _zigzag(number: int) -> list[list[float]]:
+    """Return a curve that crosses itself at every step."""
+    return [[10.0 + 70.0 * (k * 0.618 % 1), 10.0 + 50.0 * (k * 0.325 % 1)] for k in range(number)]
 
 
 def _points(number: int) -> dict[str, list[int]]:
@@ -215,6 +238,24 @@ OTHERS: dict[str, dict[str, Make]] = {
         "markers": lambda n: take_files.c3d_bytes(_cloud(40, max(4, n // 20)), rate=1.0),
         "frames": lambda n: take_files.c3d_bytes(_cloud(n, 20)),
         "labels": lambda n: take_files.npz_bytes(_cloud(4, 20 + n, seen=20)),
+    },
+    "picture jpg": {
+        "pixels": lambda n: _picture("JPEG", n),
+        "passes": lambda n: _picture("JPEG", 64, progressive=True) + b"\xff\xda\0\2" * n,
+        "comments": lambda n: b"\xff\xd8" + b"\xff\xfe\0\2" * n + _picture("JPEG", 64)[2:],
+        "fill": lambda n: _picture("JPEG", 64)[:-2] + b"\xff" * n + b"\xff\xd9",
+        "tail": lambda n: _picture("JPEG", 64) + bytes(n),
+    },
+    "picture png": {
+        "pixels": lambda n: _picture("PNG", n),
+        "chunks": lambda n: _chunks(n),
+        "tail": lambda n: _picture("PNG", 64) + b"\n" * n,
+    },
+    "photograph json": {
+        "landmarks": lambda n: json.dumps({"landmarks": _points(n)}).encode(),
+        "names": lambda n: json.dumps({"landmarks": {"a" * n: [1, 2]}}).encode(),
+        "curve": lambda n: json.dumps({"curves": {"lips_outer": _zigzag(n)}}).encode(),
+        "deep": lambda n: b"[" * n,
     },
     "known activations": {
         "rows": lambda n: (

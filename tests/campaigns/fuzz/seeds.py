@@ -13,6 +13,7 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
 import trimesh
+from PIL import Image, ImageCms
 
 from solver.animation.performance import FORMATS
 from solver.mechanics.boundary import JAW_FREEDOM
@@ -145,6 +146,65 @@ def known_activations() -> list[bytes]:
     by_time = [f"frontalis,left,{0.05 * number},0.1,0.05\n" for number in range(20)]
     by_name = "muscle,expression,value,sd\nprocerus,smile,0.2,0.1\nfrontalis_l.medial,,-0.1,0.1\n"
     return ["".join(["muscle,side,time,value,sd\n", *by_time]).encode(), by_name.encode()]
+
+
+PICTURE = (96, 72)  # px
+
+
+def _picture() -> Image.Image:
+    columns, rows = np.meshgrid(*map(np.arange, PICTURE))
+    return Image.fromarray(np.stack([2 * columns, 3 * rows, columns + rows], 2).astype(np.uint8))
+
+
+def _as_file(image: Image.Image, form: str, **more: Any) -> bytes:
+    stream = io.BytesIO()
+    image.save(stream, form, **more)
+    return stream.getvalue()
+
+
+def _exif() -> Image.Exif:
+    """Return tags of a picture that lies on its side, a whole frame of a known focal length."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    exif[0x8769] = {0xA405: 50, 0xA002: PICTURE[0], 0xA003: PICTURE[1], 0x920A: 24.0}
+    return exif
+
+
+def pictures_jpg() -> list[bytes]:
+    """Return JPEGs in colour, inks and grey, in passes, and with a second picture behind."""
+    image = _picture()
+    return [
+        _as_file(image, "JPEG", exif=_exif()),
+        _as_file(image, "JPEG", progressive=True),
+        _as_file(image.convert("CMYK"), "JPEG"),
+        _as_file(image.convert("L"), "JPEG"),
+        _as_file(image, "MPO", save_all=True, append_images=[image]),
+    ]
+
+
+def pictures_png() -> list[bytes]:
+    """Return PNGs of every depth, one with a profile of colours, and one that is animated."""
+    image = _picture()
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    deep = Image.fromarray(257 * np.asarray(image.convert("L")).astype(np.uint16))
+    return [
+        _as_file(image, "PNG", exif=_exif(), icc_profile=profile),
+        *(_as_file(image.convert(mode), "PNG") for mode in ("P", "1", "LA", "RGBA")),
+        _as_file(deep, "PNG"),
+        _as_file(image, "PNG", save_all=True, append_images=[deep.convert("RGB")]),
+    ]
+
+
+def photograph_json() -> list[bytes]:
+    """Return what is known of a photograph, with landmarks by name and in a list."""
+    places = {"33": [30, 20], "263": [60, 20], "61": [38, 50], "291": [52, 50]}
+    camera = {"fx": 90.0, "fy": 91.0, "distortion": [-0.1, 0.01, 0.0, 0.0, 0.0]}
+    curve = [[38, 50], [45, 45], [52, 50], [45, 55], [38, 50]]
+    document = {"size": PICTURE, "camera": camera, "curves": {"lips_outer": curve}}
+    mesh = [[30 + 0.05 * number, 20 + 0.05 * number] for number in range(478)]
+    return [
+        json.dumps({**document, "landmarks": landmarks}).encode() for landmarks in (places, mesh)
+    ]
 
 
 def markers_motive() -> list[bytes]:

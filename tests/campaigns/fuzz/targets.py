@@ -17,6 +17,8 @@ from solver.animation.performance import FittedSequence
 from solver.errors import InputError
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
+from solver.photo.facts import read_facts
+from solver.photo.picture import Picture, read_picture
 from solver.registration.landmarks import read_landmarks
 from solver.scans.known_activations import read_known
 from solver.scans.markers.check import check_take
@@ -97,6 +99,11 @@ def _known_activations(path: Path) -> None:
         table.of_take(100, 60.0).at(0.5)
 
 
+def _facts(path: Path) -> None:
+    width, height = seeds.PICTURE
+    read_facts(path, Picture(np.zeros((height, width, 3), np.float32), None, None, False, "PNG"))
+
+
 def _archive(path: Path) -> None:
     Archive.read(path, "model", "a model", 1)
 
@@ -150,6 +157,9 @@ def targets() -> list[Target]:
         _file("landmarks json", seeds.landmarks_json(), "json", read_landmarks),
         _file("landmarks csv", seeds.landmarks_csv(), "csv", read_landmarks),
         *_markers(),
+        _file("picture jpg", seeds.pictures_jpg(), "jpg", read_picture),
+        _file("picture png", seeds.pictures_png(), "png", read_picture),
+        _file("photograph json", seeds.photograph_json(), "json", _facts),
         _file("live link", seeds.live_link(), "csv", read_live_link),
         _file("npy", seeds.npy() + seeds.npz(), "npy", _performance),
         _file("npz", seeds.npz() + seeds.npy(), "npz", _archive),

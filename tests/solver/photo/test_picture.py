@@ -266,6 +266,12 @@ def test_endless_passes_are_refused(tmp_path: Path) -> None:
     _refused(path, "photo.unreadable")
 
 
+def test_endless_filling_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.jpg"
+    path.write_bytes(_jpeg()[:-2] + b"\xff" * 2000 + b"\xff\xd9")
+    _refused(path, "photo.unreadable")
+
+
 def _mask(path: Path, values: NDArray[np.uint8]) -> Path:
     return _save(path, Image.fromarray(values))
 
