@@ -112,8 +112,10 @@ def value_of(rules: Mapping[str, Any]) -> Any:
     if "boolean" in kinds:
         return not rules["default"]
     if "object" in kinds:
-        of_lists = isinstance(rules.get("additionalProperties"), dict)
-        return {"side": ["smile"] if of_lists else 3}
+        of = rules.get("additionalProperties")
+        return {"side": value_of(of) if isinstance(of, dict) else 3}
+    if "array" in kinds:
+        return [value_of(rules["items"])] * rules.get("minItems", 1)
     if "string" in kinds:
         return "smile"
     least = rules.get("minimum", rules.get("exclusiveMinimum", 0))
