@@ -25,6 +25,10 @@ class SkinPoints:
         """Return where the points (k, 3) are on a skin (V, 3)."""
         return np.asarray(np.einsum("ki,kij->kj", self.weights, skin[self.corners]))
 
+    def has(self, name: str) -> bool:
+        """Return whether there is a point of this name."""
+        return name in self._rows
+
     def select(self, names: list[str]) -> SkinPoints:
         """Return those of the points that have these names, in their order."""
         rows = [self._rows[name] for name in names]

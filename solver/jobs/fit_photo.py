@@ -16,6 +16,7 @@ from solver.errors import Finding, InputError, SolveError, make_warning, quote_n
 from solver.fitting.least_squares import Listener
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, fits, read_template
+from solver.jobs.photos import read_photos
 from solver.kinds.fit_photo import FitPhoto
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.linear import fastest
@@ -30,7 +31,6 @@ from solver.photo.fit import PhotoFitOptions
 from solver.photo.light import Appearance
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
-from solver.photo.read import read_photo
 from solver.photo.report import photo_figures, photo_picture
 from solver.progress import Step, part_of
 from solver.registration.detector import FaceDetector, landmarker_file
@@ -110,10 +110,8 @@ def _read(
     task: Task[FitPhoto], template: Template
 ) -> tuple[dict[str, Photo], dict[str, list[Finding]]]:
     """Return the photographs by their names, and what is odd about those whose face was found."""
-    names, photos = landmark_vertices(template).keys(), dict[str, Photo]()
-    for name, path in task.captures.items():
-        read = read_photo(path, task.facts.get(name), task.masks.get(name), names)
-        photos[name] = replace(read, name=name)
+    read = read_photos(task, landmark_vertices(template).keys())
+    photos = {photo.name: photo for photo in read}
     findings: dict[str, list[Finding]] = {name: [] for name in photos}
     unmarked = [name for name, photo in photos.items() if not photo.landmarks]
     if not unmarked:

@@ -30,7 +30,8 @@ from solver.photo.light import (
 from solver.photo.photo import Photo
 from solver.photo.pose import place_camera
 from solver.photo.shading import ShadingTerm, SmoothImage, blocked_light
-from solver.photo.terms import ImageTerm, LandmarkTerm
+from solver.photo.terms import CurveTerm, ImageTerm, LandmarkTerm
+from solver.registration.detector import LINES
 from solver.similarity import IDENTITY, Similarity
 from solver.surface import Floats, Ints, Surface
 from solver.tracks.fit import ShapeFace, State
@@ -44,6 +45,16 @@ class LandmarkOptions:
 
     noise_mm: float = 1.2  # standard deviation of a coordinate, as far as it is the detector's
     independent: int = 60  # of so many points at most each counts by itself
+
+
+@dataclass(frozen=True)
+class CurveOptions:
+    """How far outlines that were traced may be trusted."""
+
+    noise_mm: float = 0.7  # standard deviation of the distance from a line of the skin
+    independent: int = 15  # of so many places on a curve each counts by itself
+    step_mm: float = 1.0  # between the places that a curve is taken at
+    least_points: int = 8  # of the skin's line, that the template has to know
 
 
 @dataclass(frozen=True)
@@ -72,6 +83,7 @@ class ExpressionOptions:
 
     fit: PhotoFitOptions = field(default_factory=PhotoFitOptions)
     landmarks: LandmarkOptions = field(default_factory=LandmarkOptions)
+    curves: CurveOptions = field(default_factory=CurveOptions)
     shading: ShadingOptions | None = field(default_factory=ShadingOptions)
     focal: FocalOptions = field(default_factory=FocalOptions)
 
@@ -167,18 +179,46 @@ def _place(
         except InputError as error:
             raise InputError(error.code, f"{photo.name}: {error}", photo=photo.name) from error
         noise = mm * begun.focal.mean() / begun.project(places)[:, 2]
+        px_per_mm = float(np.median(noise / mm))
         term = LandmarkTerm(known, pixels, noise)
+        terms = (term, *_curve_terms(photo, points, px_per_mm, options.curves))
         if photo.is_placed and photo.camera is not None:
             head = photo.camera.head_of(begun) if head is None else head
-            views.append(View((term,), photo.camera, is_placed=True))
+            views.append(View(terms, photo.camera, is_placed=True))
         else:
-            views.append(View((term,), begun, focal=prior))
+            views.append(View(terms, begun, focal=prior))
     return views, head or IDENTITY
+
+
+def _curve_terms(
+    photo: Photo, points: SkinPoints, px_per_mm: float, options: CurveOptions
+) -> list[ImageTerm]:
+    """Return the terms of a photograph's curves whose lines on the skin are known."""
+    terms: list[ImageTerm] = []
+    for name, traced in photo.curves.items():
+        line = points.select([number for number in LINES[name] if points.has(number)])
+        if len(line.names) < options.least_points:
+            continue
+        places = evenly(traced, options.step_mm * px_per_mm)
+        spread = np.hypot(options.noise_mm, float(np.median(line.spread_mm)) / np.sqrt(2.0))
+        repeated = np.sqrt(max(len(places) / options.independent, 1.0))
+        terms.append(CurveTerm(line, places, float(spread * px_per_mm * repeated)))
+    return terms
+
+
+def evenly(curve: Floats, step: float) -> Floats:
+    """Return places (n, 2) on a polyline (k, 2), about ``step`` from one to the next."""
+    lengths = np.linalg.norm(np.diff(curve, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    count = max(round(along[-1] / step), 2)
+    wanted = np.linspace(0.0, along[-1], count)
+    return np.column_stack([np.interp(wanted, along, curve[:, axis]) for axis in range(2)])
 
 
 def _noise_mm(points: SkinPoints, options: LandmarkOptions) -> Floats:
     """Return the standard deviations (k,) of points, so that together they count as they may."""
-    each = np.hypot(options.noise_mm, points.spread_mm)
+    # a spread is that of both coordinates together
+    each = np.hypot(options.noise_mm, points.spread_mm / np.sqrt(2.0))
     return np.asarray(each * np.sqrt(max(len(each) / options.independent, 1.0)))
 
 

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from solver.anatomy.skin_points import SkinPoints
 from solver.photo.camera import PinholeCamera
-from solver.surface import Floats, Ints
+from solver.surface import Floats, Ints, unit_rows
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,66 @@ class LandmarkTerm(ImageTerm):
         by_skin = by_vertices(scale * by_point, self.points.corners, self.points.weights, len(skin))
         by_seven = (scale * by_camera).reshape(-1, by_camera.shape[2])
         return LinearResidual(self.residual(skin, camera), by_skin, by_seven)
+
+
+@dataclass(frozen=True)
+class CurveTerm(ImageTerm):
+    """A closed line of the skin and places on its image, such as a lip's border that was traced.
+
+    A place (k, 2) counts by its distance to the line alone: where along it, nobody knows.
+    """
+
+    line: SkinPoints  # in their order
+    pixels: Floats  # (k, 2)
+    noise_px: float
+
+    def residual(self, skin: Floats, camera: PinholeCamera) -> Floats:
+        """See :class:`ImageTerm`: (k,)."""
+        return self._nearest(camera.project(self.line.at(skin))[:, :2]).away / self.noise_px
+
+    def linearise(self, skin: Floats, camera: PinholeCamera) -> LinearResidual:
+        """See :class:`ImageTerm`; as a place slides along the line its distance stays."""
+        points = self.line.at(skin)
+        near = self._nearest(camera.project(points)[:, :2])
+        by_point, by_camera = camera.derivatives(points)
+        ends = np.column_stack([near.segment, (near.segment + 1) % len(points)])
+        shares = np.column_stack([1.0 - near.part, near.part]) / self.noise_px
+        pulled = np.einsum("ki,ks,ksij->ksj", near.direction, shares, by_point[ends])
+        by_seven = np.einsum("ki,ks,ksij->kj", near.direction, shares, by_camera[ends])
+        count = len(skin)
+        halves = [
+            by_vertices(
+                pulled[:, side, None], self.line.corners[each], self.line.weights[each], count
+            )
+            for side, each in enumerate(ends.T)
+        ]
+        return LinearResidual(near.away / self.noise_px, halves[0] + halves[1], by_seven)
+
+    def _nearest(self, line: Floats) -> _Nearest:
+        """Return where a closed line (n, 2) is nearest to each place."""
+        along = np.roll(line, -1, axis=0) - line
+        from_start = self.pixels[:, None] - line
+        length = np.maximum((along**2).sum(axis=1), 1e-12)
+        part = np.clip(np.einsum("kni,ni->kn", from_start, along) / length, 0.0, 1.0)
+        offset = part[..., None] * along - from_start  # from the place to the line
+        rows = np.arange(len(self.pixels))
+        segment = np.linalg.norm(offset, axis=2).argmin(axis=1)
+        found = offset[rows, segment]
+        away = np.linalg.norm(found, axis=1)
+        across = unit_rows(along[segment][:, ::-1] * [1.0, -1.0])
+        is_off = (away > 1e-9)[:, None]
+        direction = np.where(is_off, found / np.maximum(away, 1e-9)[:, None], across)
+        return _Nearest(segment, part[rows, segment], away, direction)
+
+
+@dataclass(frozen=True)
+class _Nearest:
+    """Where a line is nearest to places: part (k,) of a segment (k,), and which way from them."""
+
+    segment: Ints
+    part: Floats
+    away: Floats
+    direction: Floats  # (k, 2) unit vectors
 
 
 def by_vertices(by_point: Floats, corners: Ints, weights: Floats, count: int) -> sp.csr_array:

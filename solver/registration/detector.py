@@ -22,6 +22,16 @@ from solver.surface import Floats
 # environment variable with the path of the landmarker's file
 LANDMARKER_VARIABLE = "MYOFACE_FACE_LANDMARKER"
 SKIN_POINTS = 468  # the first ones; those after them are on the irises
+# closed lines of the mesh by the names that curves of photographs have: left is the subject's
+LINES = {
+    name: tuple(numbers.split())
+    for name, numbers in {
+        "lips_outer": "61 146 91 181 84 17 314 405 321 375 291 409 270 269 267 0 37 39 40 185",
+        "lips_inner": "78 95 88 178 87 14 317 402 318 324 308 415 310 311 312 13 82 81 80 191",
+        "eye_left": "263 249 390 373 374 380 381 382 362 398 384 385 386 387 388 466",
+        "eye_right": "33 7 163 144 145 153 154 155 133 173 157 158 159 160 161 246",
+    }.items()
+}
 # outline of both lips, from the subject's right corner of the mouth over the lower lip
 LIP_OUTLINE = (
     *(61, 146, 91, 181, 84, 17, 314, 405, 321, 375),

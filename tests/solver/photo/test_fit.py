@@ -14,7 +14,7 @@ from solver.fitting.least_squares import LeastSquaresStep
 from solver.photo.camera import CAMERA_FREEDOM, POSE_FREEDOM, PinholeCamera
 from solver.photo.fit import FocalPrior, PhotoFitOptions, PhotoPoint, View, _Problem, fit_photos
 from solver.photo.pose import place_camera
-from solver.photo.terms import LandmarkTerm, PseudoHuber
+from solver.photo.terms import CurveTerm, LandmarkTerm, PseudoHuber
 from solver.similarity import small_motion
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace
@@ -130,3 +130,26 @@ def test_a_line_of_landmarks_places_no_camera():
     with pytest.raises(InputError) as error:
         place_camera(spread, line, np.ones(10), np.full(2, 900.0), np.zeros(2))
     assert error.value.code == "photo.pose"
+
+
+def test_a_curve_s_distances_have_their_derivatives(model, points):
+    random = np.random.default_rng(5)
+    skin = model.skin.vertices
+    camera = camera_from(15.0, skin)
+    # a ring, as a lip's border is: lines over one another have no one nearest place
+    seen = camera.project(points.at(skin))[:, :2] - camera.project(skin)[:, :2].mean(axis=0)
+    around = np.argsort(np.arctan2(*seen.T))[::5]
+    line = points.select([points.names[number] for number in around])
+    places = camera.project(line.at(skin))[:, :2].mean(axis=0) + random.normal(0, 60, (30, 2))
+    term = CurveTerm(line, places, 2.0)
+    found, step = term.linearise(skin, camera), 1e-6
+    way = random.normal(size=skin.shape)
+    ahead, behind = (term.residual(skin + sign * step * way, camera) for sign in (1, -1))
+    expected = (ahead - behind) / (2 * step)
+    assert np.abs(expected).max() > 0.1
+    np.testing.assert_allclose(found.by_skin @ way.ravel(), expected, rtol=1e-4, atol=1e-5)
+    for number in range(CAMERA_FREEDOM):
+        change = step * np.eye(CAMERA_FREEDOM)[number]
+        ahead, behind = (term.residual(skin, camera.moved(sign * change)) for sign in (1, -1))
+        expected = (ahead - behind) / (2 * step)
+        np.testing.assert_allclose(found.by_camera[:, number], expected, rtol=1e-4, atol=1e-4)
