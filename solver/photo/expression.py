@@ -29,7 +29,7 @@ from solver.photo.light import (
 )
 from solver.photo.photo import Photo
 from solver.photo.pose import place_camera
-from solver.photo.shading import ShadingTerm, SmoothImage, blocked_light
+from solver.photo.shading import ShadingTerm, SkinSamples, SmoothImage, blocked_light
 from solver.photo.terms import CurveTerm, ImageTerm, LandmarkTerm
 from solver.registration.detector import LINES
 from solver.similarity import IDENTITY, Similarity
@@ -45,6 +45,8 @@ class LandmarkOptions:
 
     noise_mm: float = 1.2  # standard deviation of a coordinate, as far as it is the detector's
     independent: int = 60  # of so many points at most each counts by itself
+    # least cosine between skin and camera: beyond, a detector guesses what the head hides
+    least_cosine: float = 0.15
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,8 @@ def fit_expression(
     :class:`InputError` (``photo.landmarks`` for too few), and as :func:`fit_photos`.
     """
     begun = face.rest() if start is None else start
-    views, head = _place(photos, points, face.skin(begun), options)
+    surface = face.face.model.skin.with_vertices(face.skin(begun))
+    views, head = _place(photos, points, surface, options)
     by_landmarks = fit_photos(face, views, begun, head, options.fit, listen)
     if options.shading is None:
         return PhotoExpression(by_landmarks, by_landmarks, ())
@@ -163,7 +166,7 @@ def shading_of(
 
 
 def _place(
-    photos: Sequence[Photo], points: SkinPoints, skin: Floats, options: ExpressionOptions
+    photos: Sequence[Photo], points: SkinPoints, skin: Surface, options: ExpressionOptions
 ) -> tuple[list[View], Similarity]:
     """Return every photograph's landmarks with a camera to begin with, and where the head is."""
     views, head = [], None
@@ -171,13 +174,17 @@ def _place(
         names = [name for name in points.names if name in photo.landmarks]
         known = points.select(names)
         pixels = np.array([photo.landmarks[name] for name in names]).reshape(-1, 2)
-        places, mm = known.at(skin), _noise_mm(known, options.landmarks)
+        places, mm = known.at(skin.vertices), _noise_mm(known, options.landmarks)
         focal, prior = _focal(photo, options.focal)
         centre = np.array(photo.size) / 2.0 if photo.camera is None else photo.camera.centre
         try:
             begun = place_camera(places, pixels, mm, focal, centre)
         except InputError as error:
             raise InputError(error.code, f"{photo.name}: {error}", photo=photo.name) from error
+        cosine = SkinSamples(known.corners, known.weights).facing(skin, begun)
+        shown = cosine > options.landmarks.least_cosine
+        known = known.select([name for name, is_seen in zip(names, shown, strict=True) if is_seen])
+        pixels, places, mm = pixels[shown], places[shown], _noise_mm(known, options.landmarks)
         noise = mm * begun.focal.mean() / begun.project(places)[:, 2]
         px_per_mm = float(np.median(noise / mm))
         term = LandmarkTerm(known, pixels, noise)

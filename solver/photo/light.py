@@ -88,10 +88,7 @@ def visible_samples(
     weights = seen.weights[rows, columns].astype(float)
     counts = np.isin(corners, vertices).all(axis=1)
     samples = SkinSamples(corners[counts], weights[counts])
-    normals = samples.normals(skin)
-    towards = -(samples.of(skin.vertices) @ camera.rotation.T + camera.translation)
-    cosine = np.einsum("ni,ni->n", normals @ camera.rotation.T, towards)
-    faces_us = cosine > options.least_cosine * np.linalg.norm(towards, axis=1)
+    faces_us = samples.facing(skin, camera) > options.least_cosine
     return SkinSamples(samples.corners[faces_us], samples.weights[faces_us])
 
 

@@ -119,6 +119,11 @@ class SkinSamples:
         """Return the skin's unit normals (n, 3) at the points."""
         return unit_rows(self.of(vertex_sums(skin)))
 
+    def facing(self, skin: Surface, camera: PinholeCamera) -> Floats:
+        """Return the cosines (n,) between the skin's normals and the ways to the camera."""
+        towards = -unit_rows(self.of(skin.vertices) @ camera.rotation.T + camera.translation)
+        return np.asarray((towards * (self.normals(skin) @ camera.rotation.T)).sum(axis=1))
+
 
 def vertex_sums(skin: Surface) -> Floats:
     """Return the sums (V, 3) of area normals of each vertex's triangles: normals, not unit ones."""
