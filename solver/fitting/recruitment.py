@@ -45,8 +45,8 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from typing_extensions import override
 
-from solver.anatomy.action_units import ActionUnit, actions_of, template_names
-from solver.drawing.head import both_sides, muscle_side
+from solver.anatomy.action_units import ActionUnit, actions_of, is_one_of
+from solver.drawing.head import muscle_side
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Prior, Regulariser, Target
 from solver.fitting.simplex import mirrored_pairs
@@ -111,7 +111,7 @@ class Recruitment:
         if shapes is None or face.layout.drive.penalty is None:
             return None
         named, opposed = np.array(
-            [find_called(model.muscle_groups, name) for name in shapes.names]
+            [find_called(model.muscle_names, name) for name in shapes.names]
         ).swapaxes(0, 1)
         if not named.any():
             return None
@@ -304,20 +304,20 @@ def _mirror_numbers(expressions: tuple[str, ...]) -> Ints:
 
 @cache
 def find_called(muscles: tuple[str, ...], expression: str) -> tuple[list[bool], list[bool]]:
-    """Tell of whole ``muscles`` whether a unit of an expression names them, or as antagonists.
+    """Tell of ``muscles`` whether a unit of an expression names them, or as antagonists.
 
     A unit is made on its side, by muscles of that side and of the middle.
     """
 
     def are_of(chosen: Callable[[ActionUnit], tuple[str, ...]]) -> list[bool]:
-        names = {
-            (name, side)
-            for unit, of in actions_of(expression)
-            for muscle in chosen(unit)
-            for name in template_names(muscle)
-            for side in (of, "")
-        }
-        return [(both_sides(each).lower(), muscle_side(each)) in names for each in muscles]
+        called = [(chosen(unit), side) for unit, side in actions_of(expression)]
+        return [
+            any(
+                muscle_side(name.partition(".")[0]) in (side, "") and is_one_of(name, of)
+                for of, side in called
+            )
+            for name in muscles
+        ]
 
     return are_of(lambda unit: unit.muscles), are_of(lambda unit: unit.antagonists)
 
