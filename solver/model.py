@@ -187,6 +187,13 @@ class SubjectModel:
         return self.regions.get(name, np.empty(0, np.int64))
 
     @property
+    def jaw_front(self) -> Floats:
+        """Return the foremost point (1, 3) of the lower teeth, mm; of the chin without any."""
+        teeth = self.lower_teeth
+        bone = self.skin.vertices[teeth] if len(teeth) else self.rest[self.mandible]
+        return np.asarray(bone[[(bone @ self.jaw.axes[2]).argmax()]])
+
+    @property
     def flesh_faces(self) -> Ints:
         """Return the skin's triangles (f, 3) that follow the flesh."""
         return self.skin.faces[np.isin(self.skin.faces, self.embedded).all(axis=1)]

@@ -75,7 +75,7 @@ def test_a_unit_without_its_muscle_is_not_judged_but_its_antagonist_is() -> None
     found = judged("jawOpen", masseter_deep_l=0.2, temporalis_r=-0.1)
     left, right = found.actions
     assert not left.is_judged
-    assert left.missing == ("digastric", "lateral pterygoid")
+    assert left.missing == ("digastric", "geniohyoid", "lateral pterygoid")
     [said] = found.contradictions()
     assert str(said) == "masseter_deep_l contracts by 20 %, against AU 26"
     assert right.opposed == ()
