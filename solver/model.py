@@ -91,7 +91,9 @@ def lower_teeth(regions: Mapping[str, Ints], attached_mandible: Ints) -> Ints:
 
 
 # Names of muscles. A compartment, and a strip of one, has the whole's name and its own after a dot:
-# ``frontalis_l.medial``. Sides are words: ``left`` or ``l``, ``right`` or ``r``.
+# ``frontalis_l.medial``. A compartment's parts do likewise: ``orbicularis_oris_upper_l.lateral``
+# means all parts of that name, ``orbicularis_oris_upper_l.lateral.marginal`` one of them. Sides are
+# words: ``left`` or ``l``, ``right`` or ``r``.
 
 Value = TypeVar("Value")
 OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}

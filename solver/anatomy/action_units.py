@@ -101,7 +101,7 @@ def is_one_of(name: str, muscles: Iterable[str]) -> bool:
     A muscle that is not divided into the parts of texts is as a whole what each of them is.
     """
     whole, _, part = name.lower().partition(".")
-    whole, words = both_sides(whole), part.split()
+    whole, words = both_sides(whole), re.split(r"[\s.]+", part)
     of_whole = {part for part in _parts().get(whole, ()) if part in words}
     for muscle in muscles:
         for given in template_names(muscle):

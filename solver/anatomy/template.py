@@ -239,7 +239,7 @@ class Compartments:
     muscle in the middle: to the subject's left), else from origin to insertion. Any other ``cut``
     makes strips along the fibres, side by side in that direction: ``outward`` leads from a ring's
     middle. ``names`` are in that order. Each part may be cut again, ``within`` itself: the parts of
-    that have both names, ``lateral marginal``.
+    that have both names, ``lateral.marginal``.
     """
 
     cut: Cut
@@ -276,7 +276,7 @@ class Compartments:
     def all_names(self) -> tuple[str, ...]:
         """Return the names of the parts that are not cut any more, in the order of their cuts."""
         listed = product(*(each.names for each in self.cuts))
-        return tuple(" ".join(names) for names in listed)
+        return tuple(".".join(names) for names in listed)
 
     @property
     def cells(self) -> tuple[str, str]:

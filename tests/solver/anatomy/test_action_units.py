@@ -75,12 +75,12 @@ def test_a_name_speaks_for_actions(name: str, codes: str, sides: set[str]) -> No
 @pytest.mark.parametrize(
     ("name", "of_margin"),
     [
-        ("orbicularis_oris_upper_l.lateral marginal", True),
-        ("orbicularis_oris_upper_l.lateral peripheral", False),
-        ("orbicularis oris.upper left medial marginal", True),
+        ("orbicularis_oris_upper_l.lateral.marginal", True),
+        ("orbicularis_oris_upper_l.lateral.peripheral", False),
+        ("orbicularis oris.upper left medial.marginal", True),
         ("orbicularis_oris_upper_l", True),
         ("orbicularis_oris_upper_l.lateral", True),  # as models of before divided it
-        ("orbicularis_oculi_palpebral_upper_l.medial pretarsal", False),
+        ("orbicularis_oculi_palpebral_upper_l.medial.pretarsal", False),
     ],
 )
 def test_a_part_of_a_muscle_is_told_from_the_others(name: str, of_margin: bool) -> None:

@@ -108,10 +108,10 @@ def test_parts_that_are_cut_again_have_both_names():
     parts = Compartments.read("sectors | outward", "upper; lower | inner; outer")
     muscle = Muscle("ring", None, None, None, None, compartments=parts)
     assert muscle.compartment_names == (
-        "ring.upper inner",
-        "ring.upper outer",
-        "ring.lower inner",
-        "ring.lower outer",
+        "ring.upper.inner",
+        "ring.upper.outer",
+        "ring.lower.inner",
+        "ring.lower.outer",
     )
     assert Compartments.read(*parts.cells) == parts
 
