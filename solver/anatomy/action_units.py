@@ -95,6 +95,11 @@ def template_names(muscle: str) -> frozenset[str]:
     return _template_names()[muscle]
 
 
+def template_wholes(muscle: str) -> frozenset[str]:
+    """Return what templates call the whole of a muscle, or of a part, of anatomy texts."""
+    return frozenset(name.partition(".")[0] for name in template_names(muscle))
+
+
 def is_one_of(name: str, muscles: Iterable[str]) -> bool:
     """Tell whether a template's muscle, or compartment, is one of ``muscles`` of anatomy texts.
 
