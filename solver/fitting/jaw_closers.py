@@ -29,9 +29,8 @@ from solver.surface import Floats, Ints
 class CloserOptions:
     """What closers of the jaw may do while it is open.
 
-    Masseter's EMG in free opening is a small part of that in clenching (van Eijden, Blanksma and
-    Brugman, Journal of Dental Research 72, 1993). No source has it as a shortening: the number is
-    ours.
+    Masseter has EMG while a jaw opens and closes freely (van Eijden, Blanksma and Brugman, Journal
+    of Dental Research 72, 1993, 599-606). No source has that as a shortening: the number is ours.
     """
 
     cocontraction: float = 0.03  # part of their length by which they contract for nothing
