@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.documents import Figures
-from solver.anatomy.action_units import template_names
+from solver.anatomy.action_units import is_one_of
 from solver.anatomy.data import read_table, split_cell
-from solver.drawing.head import both_sides, muscle_side
+from solver.drawing.head import muscle_side
 from solver.model import SubjectModel
 from solver.surface import Floats, Ints
 
@@ -70,12 +70,10 @@ def named_muscles(model: SubjectModel, muscle: str, *, both: bool = False) -> In
 
     They are those of the left and the middle unless of ``both`` sides.
     """
-    names, sides = template_names(muscle), {SIDE, ""} | ({"right"} if both else set())
+    sides = {SIDE, ""} | ({"right"} if both else set())
+    named = zip(model.muscle_names, model.muscle_groups, strict=True)
     return np.flatnonzero(
-        [
-            both_sides(whole).lower() in names and muscle_side(whole) in sides
-            for whole in model.muscle_groups
-        ]
+        [is_one_of(name, [muscle]) and muscle_side(whole) in sides for name, whole in named]
     )
 
 

@@ -37,19 +37,20 @@ from benchmarks.documents import Figures, Section, Table
 from benchmarks.rig_figures import pulling_closers
 from benchmarks.strong import DrawOptions, called_actions, draw_mixtures, mixed, strong_mixtures
 from benchmarks.subject_fits import Fits
-from solver.anatomy.action_units import Action, action_units, actions_of, joined_codes, units_of
+from solver.anatomy.action_units import (
+    Action,
+    action_units,
+    actions_of,
+    is_one_of,
+    joined_codes,
+    units_of,
+)
 from solver.anatomy.template import CORRECTED, ShapeBasis, Template, split_side
 from solver.animation.blendshapes import expression_targets
 from solver.fitting.face import Face
 from solver.model import SubjectModel
 from solver.rig.report.certificate import Muscles, jaw_motion, muscles
-from solver.rig.report.prime_movers import (
-    MoverOptions,
-    Movers,
-    is_one_of,
-    movers,
-    rank_contractions,
-)
+from solver.rig.report.prime_movers import MoverOptions, Movers, movers, rank_contractions
 from solver.surface import Surface
 
 QUICK_MIXTURES = 6

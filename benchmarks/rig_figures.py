@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.documents import Figures
 from benchmarks.strong import HARD_REGIONS, LIPS
 from benchmarks.subject_fits import Fits, Method, rig_of
+from solver.anatomy.action_units import is_one_of
 from solver.contact.crossing import Crossing, crossing
 from solver.contact.mouth import Mouth
 from solver.fitting.contraction import STILL
@@ -29,7 +30,7 @@ from solver.rig.report.certificate import (
     muscles,
 )
 from solver.rig.report.checks import Judgement, expression_verdict, judge
-from solver.rig.report.prime_movers import is_one_of, rank_contractions
+from solver.rig.report.prime_movers import rank_contractions
 from solver.rig.round_trip import activation_error
 from solver.surface import Floats
 

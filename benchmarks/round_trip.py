@@ -33,6 +33,7 @@ from benchmarks.prime_movers import drawn_shapes
 from benchmarks.strong import DrawOptions, called_actions, draw_mixtures
 from benchmarks.subject_fits import Fits
 from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
+from solver.anatomy.action_units import is_one_of
 from solver.animation.blendshapes import keep_within
 from solver.drawing.head import both_sides, muscle_side
 from solver.errors import SolveError
@@ -44,7 +45,6 @@ from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.stretches import fibre_tensors, isochoric_activation
 from solver.mechanics.flesh import IDENTITY
 from solver.rig.report.certificate import muscles
-from solver.rig.report.prime_movers import is_one_of
 from solver.rig.round_trip import round_trip
 from solver.scans.known_activations import KnownMuscles
 from solver.surface import Floats, Surface
@@ -314,7 +314,8 @@ def named_pose(
     for muscle, whole in enumerate(model.muscle_groups):
         side = muscle_side(whole)
         named = [unit.muscles for unit, of in actions if side in (of, "")]
-        if not any(is_one_of(whole, each) for each in named) or np.isnan(tensors[muscle]).any():
+        name = model.muscle_names[muscle]
+        if not any(is_one_of(name, each) for each in named) or np.isnan(tensors[muscle]).any():
             continue
         kind = both_sides(whole)
         depth.setdefault(kind, rng.uniform(*trip.contraction))

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
-from solver.anatomy.action_units import Action, actions_of, units_of
+from solver.anatomy.action_units import Action, actions_of, template_wholes, units_of
 from solver.anatomy.template import ShapeBasis, Template, split_side
 from solver.errors import InputError
 from solver.surface import Surface
@@ -148,8 +149,10 @@ def draw_mixtures(
 def _go_together(bases: Sequence[str]) -> bool:
     """Tell whether one face can make all shapes, given without sides, at once."""
     units = [unit for base in bases for unit in units_of(base)]
-    made = {muscle for unit in units for muscle in unit.muscles}
-    hindered = {muscle for unit in units for muscle in unit.antagonists}
+    made, hindered = (
+        {whole for muscle in chain.from_iterable(muscles) for whole in template_wholes(muscle)}
+        for muscles in ([each.muscles for each in units], [each.antagonists for each in units])
+    )
     return len(set(units)) == len(units) and not made & hindered
 
 

@@ -91,7 +91,9 @@ def lower_teeth(regions: Mapping[str, Ints], attached_mandible: Ints) -> Ints:
 
 
 # Names of muscles. A compartment, and a strip of one, has the whole's name and its own after a dot:
-# ``frontalis_l.medial``. Sides are words: ``left`` or ``l``, ``right`` or ``r``.
+# ``frontalis_l.medial``. A compartment's parts do likewise: ``orbicularis_oris_upper_l.lateral``
+# means all parts of that name, ``orbicularis_oris_upper_l.lateral.marginal`` one of them. Sides are
+# words: ``left`` or ``l``, ``right`` or ``r``.
 
 Value = TypeVar("Value")
 OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
@@ -185,6 +187,13 @@ class SubjectModel:
     def region(self, name: str) -> Ints:
         """Return the skin vertices (k,) of a region; none if the model does not name it."""
         return self.regions.get(name, np.empty(0, np.int64))
+
+    @property
+    def jaw_front(self) -> Floats:
+        """Return the foremost point (1, 3) of the lower teeth, mm; of the chin without any."""
+        teeth = self.lower_teeth
+        bone = self.skin.vertices[teeth] if len(teeth) else self.rest[self.mandible]
+        return np.asarray(bone[[(bone @ self.jaw.axes[2]).argmax()]])
 
     @property
     def flesh_faces(self) -> Ints:

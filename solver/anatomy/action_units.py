@@ -87,8 +87,33 @@ def joined_codes(units: Iterable[ActionUnit]) -> str:
 
 
 def template_names(muscle: str) -> frozenset[str]:
-    """Return what templates call a muscle of anatomy texts, without sides, in small letters."""
+    """Return what templates call a muscle of anatomy texts, without sides, in small letters.
+
+    Of a part of a muscle they are the whole's name and a word of its compartments' names, with a
+    dot between them.
+    """
     return _template_names()[muscle]
+
+
+def template_wholes(muscle: str) -> frozenset[str]:
+    """Return what templates call the whole of a muscle, or of a part, of anatomy texts."""
+    return frozenset(name.partition(".")[0] for name in template_names(muscle))
+
+
+def is_one_of(name: str, muscles: Iterable[str]) -> bool:
+    """Tell whether a template's muscle, or compartment, is one of ``muscles`` of anatomy texts.
+
+    A muscle that is not divided into the parts of texts is as a whole what each of them is.
+    """
+    whole, _, part = name.lower().partition(".")
+    whole, words = both_sides(whole), re.split(r"[\s.]+", part)
+    of_whole = {part for part in _parts().get(whole, ()) if part in words}
+    for muscle in muscles:
+        for given in template_names(muscle):
+            named, _, part = given.partition(".")
+            if named == whole and (not part or not of_whole or part in of_whole):
+                return True
+    return False
 
 
 @cache
@@ -96,7 +121,19 @@ def _template_names() -> dict[str, frozenset[str]]:
     found = {}
     for row in read_table("muscle_names"):
         names = [row["muscle"], *split_cell(row["builtin"]), *split_cell(row["bodyparts3d"])]
-        found[row["muscle"]] = frozenset(both_sides(name) for name in names)
+        pairs = (name.partition(".") for name in names)
+        found[row["muscle"]] = frozenset(both_sides(name) + dot + part for name, dot, part in pairs)
+    return found
+
+
+@cache
+def _parts() -> dict[str, set[str]]:
+    """Return whole muscle of a template -> the parts of it that anatomy texts name."""
+    found: dict[str, set[str]] = {}
+    for name in frozenset().union(*_template_names().values()):
+        whole, _, part = name.partition(".")
+        if part:
+            found.setdefault(whole, set()).add(part)
     return found
 
 

@@ -16,7 +16,7 @@ from solver.anatomy.bones import gliding, jaw_frame
 from solver.anatomy.embedding import barycentric
 from solver.anatomy.meshing import EDGE_MM, make_mesh
 from solver.anatomy.muscle_weights import enclosed_volume, fibre_directions, muscle_volumes
-from solver.anatomy.template import Muscle, Template, TemplateMesh
+from solver.anatomy.template import Cut, Muscle, Template, TemplateMesh
 from solver.anatomy.tetrahedra import dihedral_angles, volumes
 from solver.anatomy.transfer import carry, skin_warp, transport
 from solver.errors import InputError, SolveError
@@ -237,7 +237,8 @@ def model_summary(model: SubjectModel) -> dict[str, Any]:
 #
 #     min int (f . grad u)^2 + slip |grad u - d'|^2 + pull (u - d . x)^2
 #
-# in linear elements of the muscle's tets.
+# in linear elements of the muscle's tets. Outwards of a ring d leads from its middle, and |x| from
+# there is in the place of d . x.
 
 
 @dataclass(frozen=True)
@@ -301,15 +302,19 @@ def number_compartments(
         if muscle.compartments is None or not len(own):
             continue
         rows = entries.row[own]
-        places = centres[rows] - [middle_x, 0.0, 0.0]
-        cut, names = muscle.compartments.cut, muscle.compartments.names
-        if cut == "sectors":
-            order = _around(places) if muscle.ring else places @ muscle.fibre
-        else:
-            length = _outward(places) if cut == "lateral" else 1.0
-            direction = length * np.eye(3)[("lateral", "superior", "anterior").index(cut)]
-            order = _across(vertices, tets[rows], fibres[own], direction)
-        part = _equal_parts(order, sizes[rows] * entries.data[own], len(names))
+        places, flesh = centres[rows] - [middle_x, 0.0, 0.0], sizes[rows] * entries.data[own]
+        part = np.zeros(len(own), dtype=np.int64)
+        for each in muscle.compartments.cuts:
+            if each.cut == "sectors":
+                order = _around(places) if muscle.ring else places @ muscle.fibre
+            else:
+                length = _outward(places) if each.cut == "lateral" else 1.0
+                order = _across(vertices, tets[rows], fibres[own], each.cut, length)
+            finer = len(each.names) * part
+            for number in np.unique(part):
+                mine = part == number
+                finer[mine] += _equal_parts(order[mine], flesh[mine], len(each.names))
+            part = finer
         numbers[every] = part[cKDTree(centres[rows]).query(centres[entries.row[every]])[1]]
     return numbers
 
@@ -328,18 +333,32 @@ def fibre_laplacian(
     return sp.csc_array(((sizes[:, None, None] * local).ravel(), pairs))
 
 
-def _across(vertices: Floats, tets: Ints, fibres: Floats, direction: Floats) -> Floats:
-    """Return u (k,) in tets (k, 4) of a muscle with unit ``fibres`` (k, 3), in mm."""
+def _across(vertices: Floats, tets: Ints, fibres: Floats, cut: Cut, length: float) -> Floats:
+    """Return u (k,) in tets (k, 4) of a muscle with unit ``fibres`` (k, 3), in mm.
+
+    ``length`` is that of d, -1 to turn it around.
+    """
     gradients, sizes = shape_gradients(vertices, tets)
     used, corners = own_numbers(tets)
+    place, direction = _way(vertices[used], corners, cut)
+    place, direction = length * place, length * direction
     K = fibre_laplacian(gradients, sizes, corners, fibres, CUTTING.slip)
-    wanted = unit_rows(direction - (fibres @ direction)[:, None] * fibres)
+    along = (fibres * direction).sum(axis=1, keepdims=True)
+    wanted = unit_rows(direction - along * fibres)
     load = CUTTING.slip * sizes[:, None] * np.einsum("evi,ei->ev", gradients, wanted)
     pull = CUTTING.pull * np.bincount(corners.ravel(), np.repeat(sizes / 4.0, 4), len(used))
-    place = vertices[used] @ direction
     right = pull * place + np.bincount(corners.ravel(), load.ravel(), len(used))
     u = splu((K + sp.diags_array(pull)).tocsc()).solve(right)
     return np.asarray(u[corners].mean(axis=1))
+
+
+def _way(points: Floats, corners: Ints, cut: Cut) -> tuple[Floats, Floats]:
+    """Return how far points (p, 3) are the way of a cut, and that way (k, 3) in tets (k, 4)."""
+    if cut == "outward":
+        arms = points - (points.min(axis=0) + points.max(axis=0)) / 2
+        return np.linalg.norm(arms, axis=1), unit_rows(arms[corners].mean(axis=1))
+    direction = np.eye(3)[("lateral", "superior", "anterior").index(cut)]
+    return points @ direction, np.tile(direction, (len(corners), 1))
 
 
 def _outward(places: Floats) -> float:

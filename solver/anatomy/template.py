@@ -8,6 +8,7 @@ one NPZ file without pickles.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, field, fields, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
@@ -248,8 +249,9 @@ VERTEX_SETS = ("face_vertices", "attached_cranium", "attached_mandible")
 PLAIN = ("flesh_faces", *VERTEX_SETS, "parting", "condyles")  # arrays that are stored as they are
 
 
-Cut = Literal["sectors", "lateral", "superior", "anterior"]
+Cut = Literal["sectors", "lateral", "superior", "anterior", "outward"]
 CUTS = get_args(Cut)
+AGAIN = " | "  # in the cells of a table, between a cut and the next one
 
 
 @dataclass(frozen=True)
@@ -258,28 +260,52 @@ class Compartments:
 
     ``sectors`` follow each other along the fibres: around a ring from its top outwards (of a
     muscle in the middle: to the subject's left), else from origin to insertion. Any other ``cut``
-    makes strips along the fibres, side by side in that direction. ``names`` are in that order.
+    makes strips along the fibres, side by side in that direction: ``outward`` leads from a ring's
+    middle. ``names`` are in that order. Each part may be cut again, ``within`` itself: the parts of
+    that have both names, ``lateral.marginal``.
     """
 
     cut: Cut
     names: tuple[str, ...]
+    within: Compartments | None = None
 
     @classmethod
     def read(cls, cut: str, names: str) -> Compartments | None:
         """Return those of two cells of a table, names between semicolons; None if both are empty.
 
-        Raises :class:`ValueError` in words.
+        :data:`AGAIN` stands between cuts, and between their names. Raises :class:`ValueError` in
+        words.
         """
         if not cut and not names:
             return None
+        (cut, *cuts), (listed, *more) = cut.split(AGAIN), names.split(AGAIN)
+        if len(cuts) != len(more):
+            raise ValueError(f"there are {len(cuts) + 1} cuts, and names of {len(more) + 1}")
         if cut not in CUTS:
             raise ValueError(f"cut is none of {', '.join(CUTS)}: {cut!r}")
-        given = tuple(name.strip() for name in names.split(";"))
+        given = tuple(name.strip() for name in listed.split(";"))
         if len(given) < 2 or len(set(given)) < len(given) or not all(given):
-            raise ValueError(f"compartments are no different names, at least two: {names!r}")
+            raise ValueError(f"compartments are no different names, at least two: {listed!r}")
         if any("." in name for name in given):
-            raise ValueError(f"a compartment's name has a dot: {names!r}")
-        return cls(cast(Cut, cut), given)
+            raise ValueError(f"a compartment's name has a dot: {listed!r}")
+        return cls(cast(Cut, cut), given, cls.read(AGAIN.join(cuts), AGAIN.join(more)))
+
+    @property
+    def cuts(self) -> tuple[Compartments, ...]:
+        """Return these, and those within each of them."""
+        return (self, *(self.within.cuts if self.within else ()))
+
+    @property
+    def all_names(self) -> tuple[str, ...]:
+        """Return the names of the parts that are not cut any more, in the order of their cuts."""
+        listed = product(*(each.names for each in self.cuts))
+        return tuple(".".join(names) for names in listed)
+
+    @property
+    def cells(self) -> tuple[str, str]:
+        """Return the two cells of a table that :meth:`read` has them from."""
+        cuts = AGAIN.join(each.cut for each in self.cuts)
+        return cuts, AGAIN.join("; ".join(each.names) for each in self.cuts)
 
 
 @dataclass(frozen=True)
@@ -299,7 +325,7 @@ class Muscle:
         """Return the names of the compartments after the muscle's, or that of the whole."""
         if self.compartments is None:
             return (self.name,)
-        return tuple(f"{self.name}.{part}" for part in self.compartments.names)
+        return tuple(f"{self.name}.{part}" for part in self.compartments.all_names)
 
     @property
     def axis(self) -> Floats:
@@ -413,7 +439,11 @@ class Template:
             "licence": self.licence,
             "depths": [astuple(depth) for depth in self.depths],
         }
-        divided = {m.name: astuple(m.compartments) for m in self.muscles if m.compartments}
+        divided = {}
+        for muscle in self.muscles:
+            if muscle.compartments:
+                cut, names = muscle.compartments.cells
+                divided[muscle.name] = cut, names.split("; ")
         if divided:  # other templates keep their hash
             header["compartments"] = divided
         return Archive(header, arrays)

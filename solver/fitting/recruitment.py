@@ -31,12 +31,15 @@ M a_j' for its activation in the mirror,
     w_a/2 even r v sum_jj' |a_j - M a_j'|^2,    v = 1 - sum_e |u_e - u_e'| / sum_e u_e,
 
 e' being the same expression of the other side, and v 0 at least.
+
+What closes the jaw is silent while it is open, whatever a scan calls for
+(:mod:`solver.fitting.jaw_closers`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -45,9 +48,10 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from typing_extensions import override
 
-from solver.anatomy.action_units import ActionUnit, actions_of, template_names
-from solver.drawing.head import both_sides, muscle_side
+from solver.anatomy.action_units import ActionUnit, actions_of, is_one_of
+from solver.drawing.head import muscle_side
 from solver.fitting.face import Face, Pose
+from solver.fitting.jaw_closers import CloserOptions, SilentClosers
 from solver.fitting.objective import Prior, Regulariser, Target
 from solver.fitting.simplex import mirrored_pairs
 from solver.fitting.stretches import fibre_tensors, isochoric_activation
@@ -67,6 +71,9 @@ class RecruitmentOptions:
     even: float = 20.0  # by which what both sides do otherwise costs more than w_a
     effort: float = 0.0  # slope of the price of contraction that nobody calls for, by w_a
     small: float = 0.02  # contraction below which that price is quadratic
+    closers: CloserOptions = field(
+        default_factory=CloserOptions
+    )  # what closes the jaw, while it is open
 
 
 # A trained S (:mod:`solver.fitting.training`) leaves the work to the right muscles by itself, so
@@ -98,6 +105,7 @@ class Recruitment:
     mirrored: Ints
     sides: EvenSides
     effort: Effort
+    closers: SilentClosers
     options: RecruitmentOptions = RecruitmentOptions()
 
     @classmethod
@@ -111,7 +119,7 @@ class Recruitment:
         if shapes is None or face.layout.drive.penalty is None:
             return None
         named, opposed = np.array(
-            [find_called(model.muscle_groups, name) for name in shapes.names]
+            [find_called(model.muscle_names, name) for name in shapes.names]
         ).swapaxes(0, 1)
         if not named.any():
             return None
@@ -120,7 +128,9 @@ class Recruitment:
         mirrored, sides = _mirror_numbers(shapes.names), EvenSides.of_face(face)
         chosen = options or usual_options(model)
         effort = Effort.of_face(face, chosen.small)
-        return cls(shapes.motions, named, opposed, rest, tensors, mirrored, sides, effort, chosen)
+        closers = SilentClosers.of_face(face, chosen.closers)
+        expected = named, opposed, rest, tensors, mirrored, sides, effort, closers
+        return cls(shapes.motions, *expected, chosen)
 
     def of_target(self, target: Target) -> Recruited:
         """Return what a target calls for."""
@@ -135,7 +145,7 @@ class Recruitment:
             mean[muscle] = isochoric_activation(self.tensors[muscle], 1.0 - contraction[muscle])
         sides = replace(self.sides, weight=options.even * explained * self.evenness(amounts))
         effort = replace(self.effort, weights=options.effort * explained * (1.0 - called))
-        return Recruited((price**explained)[:, None], mean, sides, effort)
+        return Recruited((price**explained)[:, None], mean, sides, effort, self.closers)
 
     def evenness(self, amounts: Floats) -> float:
         """Return how alike both sides of expressions by their ``amounts`` (e,) are, from 0 to 1."""
@@ -179,19 +189,22 @@ class Recruited:
     mean: Floats  # (m, 6) of their activations
     sides: EvenSides  # its weight by w_a
     effort: Effort  # its weights by w_a
+    closers: SilentClosers  # its weight by w_a
 
     def without(self, muscles: Ints) -> Recruited:
         """Return what is expected if nothing is of ``muscles`` (k,), as a table knows of them."""
         price, mean, weights = self.price.copy(), self.mean.copy(), self.effort.weights.copy()
         price[muscles], mean[muscles], weights[muscles] = 1.0, IDENTITY, 0.0
-        return replace(self, price=price, mean=mean, effort=replace(self.effort, weights=weights))
+        effort, closers = replace(self.effort, weights=weights), self.closers.without(muscles)
+        return replace(self, price=price, mean=mean, effort=effort, closers=closers)
 
     def regularise(self, plain: Regulariser) -> Regulariser:
         """Return a regulariser that expects this of muscles, from one that expects them at rest."""
         prior, unit = replace(plain.prior, a=self.mean), float(np.min(plain.w_a))
         sides = replace(self.sides, weight=unit * self.sides.weight)
         effort = replace(self.effort, weights=unit * self.effort.weights)
-        others = (*plain.others, sides, effort)
+        closers = replace(self.closers, weight=unit * self.closers.weight)
+        others = (*plain.others, sides, effort, closers)
         return replace(plain, w_a=plain.w_a * self.price, prior=prior, others=others)
 
 
@@ -304,20 +317,20 @@ def _mirror_numbers(expressions: tuple[str, ...]) -> Ints:
 
 @cache
 def find_called(muscles: tuple[str, ...], expression: str) -> tuple[list[bool], list[bool]]:
-    """Tell of whole ``muscles`` whether a unit of an expression names them, or as antagonists.
+    """Tell of ``muscles`` whether a unit of an expression names them, or as antagonists.
 
     A unit is made on its side, by muscles of that side and of the middle.
     """
 
     def are_of(chosen: Callable[[ActionUnit], tuple[str, ...]]) -> list[bool]:
-        names = {
-            (name, side)
-            for unit, of in actions_of(expression)
-            for muscle in chosen(unit)
-            for name in template_names(muscle)
-            for side in (of, "")
-        }
-        return [(both_sides(each).lower(), muscle_side(each)) in names for each in muscles]
+        called = [(chosen(unit), side) for unit, side in actions_of(expression)]
+        return [
+            any(
+                muscle_side(name.partition(".")[0]) in (side, "") and is_one_of(name, of)
+                for of, side in called
+            )
+            for name in muscles
+        ]
 
     return are_of(lambda unit: unit.muscles), are_of(lambda unit: unit.antagonists)
 

@@ -370,7 +370,7 @@ def _write_muscles(muscles: Iterable[Muscle], folder: Path) -> None:
         file = f"muscles/{re.sub(r'[^A-Za-z0-9]+', '_', muscle.name)}.ply"
         write_ply(folder / file, muscle.surface)
         values, parts = muscle.axis[[1, 2, 0]].ravel().tolist(), muscle.compartments
-        cut = (parts.cut, "; ".join(parts.names)) if parts else ("", "")
+        cut = parts.cells if parts else ("", "")
         rows.append((muscle.name, file, "yes" if muscle.ring else "no", *values, *cut))
     columns = ("name", "file", "ring", *points, "cut", "compartments")
     _write_table(folder / "muscles.csv", columns, rows)

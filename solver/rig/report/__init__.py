@@ -137,13 +137,18 @@ def _expression(
         "flesh": flesh and {**_plain_fields(flesh), "residual": float(f"{flesh.residual:.3e}")},
         "crossing": _crossing(check.crossing),
         "scan_crossing": _crossing(check.scan_crossing),
-        "jaw_motion": {**_plain_fields(check.jaw), "faults": check.jaw.faults()},
+        "jaw_motion": _jaw(check.jaw),
         "muscles": _muscles(model, check.muscles),
         "movers": _movers(check),
         "known": [each.as_dict() for each in fit.known],
         "asymmetry_mm": None if check.asymmetry_mm is None else rounded(check.asymmetry_mm),
         "round_trip": trip and {"reached": trip.is_reached, **_plain_fields(trip)},
     }
+
+
+def _jaw(found: JawFigures) -> dict[str, Any]:
+    openers = {muscle: rounded(by) for muscle, by in found.openers.items()}
+    return {**_plain_fields(found), "openers": openers, "faults": found.faults()}
 
 
 def _crossing(found: Crossing | None) -> dict[str, float | None] | None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from solver.anatomy.action_units import actions_of
 from solver.anatomy.embedding import at_nearest
+from solver.anatomy.jaw_openers import opener_contractions
 from solver.anatomy.muscle_weights import is_within, volumes_by_muscle
 from solver.anatomy.physiology import JAW_RANGES, SHORTEST, THICKEST
 from solver.contact.crossing import Crossing, crossing
@@ -150,7 +151,8 @@ class JawFigures:
     """The mandible's motion from rest: rotation in degrees, ``point`` and condyles in mm.
 
     ``opening_mm`` (down) and ``sideways_mm`` (to the subject's left) are taken at ``point``, the
-    ``lower incisors`` where the model names lower teeth, else the ``chin``.
+    ``lower incisors`` where the model names lower teeth, else the ``chin``. ``openers`` are
+    the muscles that open the jaw -> the part of their length by which they shorten for that.
     """
 
     point: str
@@ -159,6 +161,7 @@ class JawFigures:
     sideways_mm: float
     condyles_forward_mm: float
     condyles_down_mm: float
+    openers: dict[str, float] = field(default_factory=dict)
 
     def faults(self) -> list[str]:
         """Return in plain words what the jaw does that jaws cannot do."""
@@ -172,18 +175,17 @@ class JawFigures:
 def jaw_motion(model: SubjectModel, mandible: Floats) -> JawFigures:
     """Return what a rigid motion (4, 4) of the mandible comes to."""
     b = five_numbers(model.jaw, mandible)
-    teeth = model.lower_teeth
-    bone = model.skin.vertices[teeth] if len(teeth) else model.rest[model.mandible]
-    front = bone[(bone @ model.jaw.axes[2]).argmax()][None]
+    front = model.jaw_front
     moved = front @ mandible[:3, :3].T + mandible[:3, 3]
     motion = (moved - front)[0] @ model.jaw.axes.T
     return JawFigures(
-        point="lower incisors" if len(teeth) else "chin",
+        point="lower incisors" if len(model.lower_teeth) else "chin",
         opening_deg=float(np.degrees(b[0])),
         opening_mm=float(-motion[1]),
         sideways_mm=float(motion[0]),
         condyles_forward_mm=float(b[4]),
         condyles_down_mm=float(-b[3]),
+        openers=opener_contractions(model.jaw, mandible),
     )
 
 

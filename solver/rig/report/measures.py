@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from solver.anatomy.action_units import action_units
+from solver.anatomy.action_units import action_units, is_one_of
 from solver.contact.crossing import Crossing
 from solver.errors import Finding, make_warning
 from solver.fitting.face import Face
@@ -28,7 +28,7 @@ from solver.rig.report.certificate import (
     jaw_motion,
     muscles,
 )
-from solver.rig.report.prime_movers import MoverOptions, Said, is_one_of
+from solver.rig.report.prime_movers import MoverOptions, Said
 from solver.rig.rig import ExpressionFit, Rig
 from solver.rig.round_trip import RoundTrip
 from solver.surface import Floats, Ints

@@ -1,11 +1,12 @@
 """Prime movers: the muscles that contract in an expression, against those that literature names.
 
 A muscle's contraction is that of :mod:`solver.fitting.contraction`; a whole one counts by the
-compartment that contracts most. An action unit of the expression is judged on its side of the face,
-with the muscles of that side and of the middle: the first of its muscles should be among the few
-that contract most, apart from those that other units of the expression call for. A unit none of
-whose muscles contracts is not what the expression's name says. A muscle of the unit that lengthens
-contradicts it, and so does an antagonist that contracts more than its muscles do.
+compartment that contracts most, of those that a unit names if it names a part. An action unit of
+the expression is judged on its side of the face, with the muscles of that side and of the middle:
+the first of its muscles should be among the few that contract most, apart from those that other
+units of the expression call for. A unit none of whose muscles contracts is not what the
+expression's name says. A muscle of the unit that lengthens contradicts it, and so does an
+antagonist that contracts more than its muscles do.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.anatomy.action_units import Action, template_names
-from solver.drawing.head import both_sides, muscle_side, other_side
+from solver.anatomy.action_units import Action, is_one_of
+from solver.drawing.head import muscle_side, other_side
 from solver.fitting.contraction import STILL
 from solver.surface import Floats
 
@@ -135,13 +136,10 @@ def movers(
 ) -> Movers:
     """Judge the ``actions`` of an expression by the ``contractions`` of :func:`ranked`."""
     actions = tuple(actions)
-    strongest: dict[str, tuple[str, float]] = {}
-    for name, by in contractions.items():
-        strongest.setdefault(wholes[name], (name, by))
+    found = dict(contractions)
+    own = {name: wholes[name] for name in found}
     return Movers(
-        dict(contractions),
-        {name: wholes[name] for name in contractions},
-        tuple(_check(strongest, action, actions, options) for action in actions),
+        found, own, tuple(_check(found, own, action, actions, options) for action in actions)
     )
 
 
@@ -159,48 +157,44 @@ def rank_contractions(
 
 
 def _check(
-    strongest: Mapping[str, tuple[str, float]],
+    contractions: Mapping[str, float],
+    wholes: Mapping[str, str],
     action: Action,
     actions: tuple[Action, ...],
     options: MoverOptions,
 ) -> ActionCheck:
-    """Judge an action by whole muscle -> its strongest compartment and that one's contraction."""
+    """Judge an action by muscle or compartment -> contraction, most first, and its whole muscle."""
     unit = action.unit
-    near = {
-        whole: each for whole, each in strongest.items() if muscle_side(whole) in (action.side, "")
-    }
-    mine = [each for whole, each in near.items() if is_one_of(whole, unit.muscles)]
+    near = [name for name in contractions if muscle_side(wholes[name]) in (action.side, "")]
+
+    def strongest(names: Iterable[str]) -> list[tuple[str, float]]:
+        """Return the one of each whole that contracts most, with its contraction."""
+        first: dict[str, str] = {}
+        for name in names:
+            first.setdefault(wholes[name], name)
+        return [(name, contractions[name]) for name in first.values()]
+
+    mine = strongest(name for name in near if is_one_of(name, unit.muscles))
     called = [muscle for unit, side in actions if side == action.side for muscle in unit.muscles]
     most = max((by for _, by in mine), default=0.0)
-    ahead = {
-        whole: each
-        for whole, each in near.items()
-        if each[1] > max(most, options.least) and not is_one_of(whole, called)
-    }
+    others = strongest(name for name in near if not is_one_of(name, called))
+    ahead = [(name, by) for name, by in others if by > max(most, options.least)]
     lengthened = tuple(name for name, by in mine if by <= -options.lengthened)
     holds = most < options.least and not lengthened and not unit.by_relaxing
     return ActionCheck(
         action,
         muscles=tuple(name for name, _ in mine),
         missing=tuple(
-            muscle
-            for muscle in unit.muscles
-            if not any(is_one_of(whole, [muscle]) for whole in near)
+            muscle for muscle in unit.muscles if not any(is_one_of(name, [muscle]) for name in near)
         ),
         rank=len(ahead) + 1 if most >= options.least else None,
-        ahead=tuple(name for name, _ in ahead.values()),
+        ahead=tuple(name for name, _ in ahead),
         idle=tuple(name for name, _ in mine) if holds else (),
         lengthened=lengthened,
         opposed=tuple(
             name
-            for whole, (name, by) in ahead.items()
-            if by >= options.opposed and is_one_of(whole, unit.antagonists)
+            for name, by in ahead
+            if by >= options.opposed and is_one_of(name, unit.antagonists)
         ),
         places=options.places,
     )
-
-
-def is_one_of(whole: str, muscles: Iterable[str]) -> bool:
-    """Tell whether a template's whole muscle is one of ``muscles`` of anatomy texts."""
-    bare = both_sides(whole).lower()
-    return any(bare in template_names(muscle) for muscle in muscles)

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from solver.anatomy.action_units import action_units, actions_of, joined_codes, template_names
+from solver.anatomy.action_units import (
+    action_units,
+    actions_of,
+    is_one_of,
+    joined_codes,
+    template_names,
+)
 from solver.anatomy.data import read_table
 from solver.scans.performance import ARKIT_NAMES
 
@@ -28,8 +34,16 @@ def test_the_tables_know_each_other() -> None:
 
 
 def test_the_templates_have_the_muscles_that_they_are_said_to_have() -> None:
-    assert set(cells("muscle_names", "builtin")) <= set(cells("muscles", "name"))
-    assert set(cells("muscle_names", "bodyparts3d")) <= set(cells("bodyparts3d_muscles", "muscle"))
+    for template, table, column in (
+        ("builtin", "muscles", "name"),
+        ("bodyparts3d", "bodyparts3d_muscles", "muscle"),
+    ):
+        parts = {
+            f"{row[column]}.{part.strip()}"
+            for row in read_table(table)
+            for part in row["compartments"].replace("|", ";").split(";")
+        }
+        assert set(cells("muscle_names", template)) <= parts | set(cells(table, column))
 
 
 def test_every_shape_of_arkit_has_its_units() -> None:
@@ -56,3 +70,19 @@ def test_a_name_speaks_for_actions(name: str, codes: str, sides: set[str]) -> No
     found = actions_of(name)
     assert joined_codes(action.unit for action in found) == codes
     assert {action.side for action in found} == sides
+
+
+@pytest.mark.parametrize(
+    ("name", "of_margin"),
+    [
+        ("orbicularis_oris_upper_l.lateral.marginal", True),
+        ("orbicularis_oris_upper_l.lateral.peripheral", False),
+        ("orbicularis oris.upper left medial.marginal", True),
+        ("orbicularis_oris_upper_l", True),
+        ("orbicularis_oris_upper_l.lateral", True),  # as models of before divided it
+        ("orbicularis_oculi_palpebral_upper_l.medial.pretarsal", False),
+    ],
+)
+def test_a_part_of_a_muscle_is_told_from_the_others(name: str, of_margin: bool) -> None:
+    assert is_one_of(name, ["marginal part of orbicularis oris"]) is of_margin
+    assert is_one_of(name, ["orbicularis oris"]) is ("oris" in name)

@@ -68,6 +68,26 @@ def test_left_and_right_have_the_same_compartments(template, divided):
         assert np.linalg.norm(mirrored - centres[other]) < MOST_APART_MM, names[one]
 
 
+@pytest.mark.parametrize(
+    ("ring", "inner", "outer"),
+    [("orbicularis oris", "marginal", "peripheral"), ("palpebral", "pretarsal", "preseptal")],
+)
+def test_rings_have_an_inner_and_an_outer_part(template, divided, ring, inner, outer):
+    """The outer one lies further up or down from the slit of the mouth or the lids."""
+    mesh, inside = template.mesh, divided.weights.toarray()[:, 1:]
+    heights = mesh.vertices[mesh.tets].mean(axis=1)[:, 1]
+    mine = [ring in both_sides(whole) for whole in divided.wholes]
+    names = [name for name, own in zip(divided.names, mine, strict=True) if own]
+    pairs = [(name, name.replace(inner, outer)) for name in names if name.endswith(inner)]
+    assert len(names) == 2 * len(pairs) == 16
+    flesh = inside[:, mine].sum(axis=1)
+    slit = flesh @ heights / flesh.sum()
+    for pair in pairs:
+        parts = [inside[:, divided.names.index(name)] for name in pair]
+        near, far = (abs(part @ heights / part.sum() - slit) for part in parts)
+        assert far > near + 0.2, pair
+
+
 def test_strips_lie_side_by_side_and_sectors_behind_each_other():
     model = divided_block((12, 8, 2))
     assert model.muscle_names == ("left.lower", "left.upper", "right.lower", "right.upper")
@@ -82,6 +102,18 @@ def test_strips_lie_side_by_side_and_sectors_behind_each_other():
     assert centres[numbers == 0, 0].min() > centres[numbers == 1, 0].max() - 5.0
     assert np.abs(numbers.mean() - 0.5) < 0.1
     assert (number_of(Muscle("whole", nothing, y, x, y), model) == 0).all()
+
+
+def test_parts_that_are_cut_again_have_both_names():
+    parts = Compartments.read("sectors | outward", "upper; lower | inner; outer")
+    muscle = Muscle("ring", None, None, None, None, compartments=parts)
+    assert muscle.compartment_names == (
+        "ring.upper.inner",
+        "ring.upper.outer",
+        "ring.lower.inner",
+        "ring.lower.outer",
+    )
+    assert Compartments.read(*parts.cells) == parts
 
 
 @pytest.mark.parametrize(("side", "corner"), [(1.0, "left"), (-1.0, "right")])
@@ -121,6 +153,8 @@ def number_of(muscle, model):
         ("sectors", "a; a", "no different names"),
         ("", "a; b", "cut is none of"),
         ("lateral", "a.1; b", "has a dot"),
+        ("sectors | outward", "a; b", "2 cuts, and names of 1"),
+        ("sectors | upwards", "a; b | c; d", "cut is none of"),
     ],
 )
 def test_a_table_that_is_wrong_is_told(cut, names, match):

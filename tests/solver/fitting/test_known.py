@@ -13,6 +13,7 @@ from solver.fitting.contraction import Contraction
 from solver.fitting.drives.admissible import Admissible
 from solver.fitting.drives.fibre_contraction import FibreContraction
 from solver.fitting.face import Face
+from solver.fitting.jaw_closers import SilentClosers
 from solver.fitting.known import FaceMuscles, KnownFit, compare_frames, find_disagreements
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.per_tet.tissue import of_face
@@ -75,7 +76,8 @@ def test_a_whole_muscle_contracts_by_the_mean_over_its_compartments(face):
 def test_what_is_known_takes_the_place_of_what_is_expected(face):
     rest = face.rest_pose().a
     effort = Effort.of_face(face, 0.02)
-    expected = Recruited(np.full((4, 1), 30.0), rest + 0.1, EvenSides.of_face(face), effort)
+    others = EvenSides.of_face(face), effort, SilentClosers.of_face(face)
+    expected = Recruited(np.full((4, 1), 30.0), rest + 0.1, *others)
     plain = Regulariser(1e-3, 1e-2, 1e-6, face.rest_pose())
     muscles = FaceMuscles.of(face)
     np.testing.assert_array_equal(muscles.numbers(KNOWN), [0, 1, 3])

@@ -40,7 +40,7 @@ def template() -> Template:
         np.array([0.6, 0.0, 0.8]),
         np.array([30.0, 0.0, 32.0]),
         np.array([30.1, 0.0, 48.0]),
-        compartments=Compartments("lateral", ("inner", "outer")),
+        compartments=Compartments.read("lateral | superior", "inner; outer | lower; upper"),
     )
     return Template(
         name="ball",

@@ -75,7 +75,7 @@ def test_a_unit_without_its_muscle_is_not_judged_but_its_antagonist_is() -> None
     found = judged("jawOpen", masseter_deep_l=0.2, temporalis_r=-0.1)
     left, right = found.actions
     assert not left.is_judged
-    assert left.missing == ("digastric", "lateral pterygoid")
+    assert left.missing == ("digastric", "geniohyoid", "lateral pterygoid")
     [said] = found.contradictions()
     assert str(said) == "masseter_deep_l contracts by 20 %, against AU 26"
     assert right.opposed == ()
@@ -130,3 +130,15 @@ def test_left_is_told_against_right() -> None:
         "orbicularis_oris_upper_r.medial contracts by 37 %, orbicularis_oris_upper_l.medial by 13 %"
     )
     assert [round(each.amount, 3) for each in uneven] == [0.24, 0.02]
+
+
+def test_of_a_muscle_whose_part_is_named_that_part_counts() -> None:
+    lips = {f"orbicularis_oris_{lip}_{side}" for lip in ("upper", "lower") for side in "lr"}
+    wrong = judged("mouthFunnel", **{f"{lip}__marginal": 0.3 for lip in lips})
+    assert [check.rank for check in wrong.actions] == [None, None]
+    both = {f"{lip}__{part}": by for lip in lips for part, by in OF_LIPS.items()}
+    ranks = [check.rank for check in judged("mouthFunnel", **both).actions]
+    assert ranks == [3, 3]  # behind the margins of both lips
+
+
+OF_LIPS = {"peripheral": 0.2, "marginal": 0.3}
