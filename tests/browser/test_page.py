@@ -398,6 +398,30 @@ def test_a_table_of_known_activations_is_chosen_for_fits(show: Show, studio: Stu
     assert next(job for job in jobs if job["kind"] == "fit_sequence")["rig_id"] == rig_id
 
 
+def test_chosen_photographs_are_fitted_with_a_rig(show: Show, studio: Studio) -> None:
+    subject_id, rig_id = studio.rigged()
+    page = show(f"/subjects/{subject_id}")
+    fit = page.get_by_role("button", name="Fit photographs")
+    eventually(lambda: fit.get_attribute("title") == "Upload photographs first")
+    plate = studio._add(subject_id, "plate", "photo", {})
+    page.reload()
+    eventually(lambda: fit.get_attribute("title") == "Build tracks first")
+    studio.done("build_tracks", subject_id)
+    page.reload()
+    choose = "Choose photographs in the list of scans first"
+    eventually(lambda: fit.get_attribute("title") == choose)
+    assert fit.is_disabled()
+    page.get_by_label("Choose smile for a fit").check()  # what is fitted elsewhere stays out
+    page.get_by_label("Choose plate for a fit").check()
+    fit.click()
+    page.get_by_role("dialog").get_by_role("button", name="Submit").click()
+    picture = page.get_by_role("img", name="Photographs beside the fitted face")
+    eventually(lambda: picture.evaluate("image => image.naturalWidth") == 480)
+    assert page.get_by_role("button", name="Download photo.json").is_visible()
+    job = studio.job(page.url.rsplit("/", 1)[1])
+    assert (job["kind"], job["rig_id"], job["captures"]) == ("fit_photo", rig_id, [plate])
+
+
 def test_a_subject_is_worked_with_and_deleted(show: Show, studio: Studio) -> None:
     subject_id = studio.modelled()
     studio.capture(subject_id, "smile")

@@ -22,21 +22,29 @@ import { bytes, count, figure, labelWords, plain, short, when } from "../words.j
 
 const EVERY_MS = 5_000;
 
-/** Roles of captures that are chosen for fits: scans, and a table of known activations beside them. */
-const CHOSEN_FOR_FITS = ["expression", "activations"];
+/** Roles of captures that are chosen for fits: scans, a table of known activations beside them, photographs. */
+const CHOSEN_FOR_FITS = ["expression", "activations", "photo"];
+
+/** How many photographs a job reads at most. */
+const MOST_PHOTOS = 16;
 
 /** What the state of the newest build says of the model. */
 const MODEL = { succeeded: "Built", queued: "Waits to be built", running: "Being built", failed: "Not built" };
 
 /** Return the kinds of job that need nothing but a rig and, maybe, assets. */
 function kindsOfRigs(kinds) {
-  const needless = ({ reads }) => !["captures", "performance", "markers"].some((each) => reads.includes(each));
+  const needless = ({ reads }) => !["captures", "performance", "markers", "photos"].some((each) => reads.includes(each));
   return [...kinds.values()].filter((kind) => kind.reads.includes("rig") && needless(kind));
 }
 
 /** Return the kinds of job that fit chosen expressions with a rig. */
 function kindsOfFits(kinds) {
   return [...kinds.values()].filter(({ reads }) => ["rig", "captures"].every((each) => reads.includes(each)));
+}
+
+/** Return the kinds of job that fit a rig to chosen photographs. */
+function kindsOfPhotos(kinds) {
+  return [...kinds.values()].filter(({ reads }) => ["rig", "photos"].every((each) => reads.includes(each)));
 }
 
 export async function mount(root, { id }) {
@@ -63,6 +71,7 @@ class SubjectView {
     this.subject = subject;
     this.kindsOfRigs = kindsOfRigs(kinds);
     this.kindsOfFits = kindsOfFits(kinds);
+    this.kindsOfPhotos = kindsOfPhotos(kinds);
     this.roles = roles;
     this.signal = signal;
     this.chosen = new Set();
@@ -74,7 +83,7 @@ class SubjectView {
     this.build = button("Build the model", () => this.order("build_model"));
     this.tracks = button("Build tracks", () => this.order("build_tracks"));
     this.fit = button("Fit the chosen expressions", () =>
-      this.order("fit_geometry", { captures: [...this.chosen] }),
+      this.order("fit_geometry", { captures: this.chosenOf("expression", "activations") }),
     );
     this.noScans = h("p", { class: "empty", hidden: true }, "No scans yet.");
     this.noRigs = h(
@@ -111,13 +120,14 @@ class SubjectView {
 
   async refresh() {
     const of = { subject_id: this.subject.id };
-    const [captures, rigs, models, checks, proposals, markerChecks] = await Promise.all([
+    const [captures, rigs, models, checks, proposals, markerChecks, tracks] = await Promise.all([
       all(`/v1/subjects/${this.subject.id}/captures`, {}, this.signal),
       all("/v1/rigs", of, this.signal),
       get("/v1/jobs", { ...of, kind: "build_model", limit: 1 }, this.signal),
       get("/v1/jobs", { ...of, kind: "check_scan", limit: 200 }, this.signal),
       get("/v1/jobs", { ...of, kind: "next_scan", state: "succeeded", limit: 1 }, this.signal),
       get("/v1/jobs", { ...of, kind: "check_markers", limit: 200 }, this.signal),
+      get("/v1/jobs", { ...of, has: "tracks.npz", limit: 1 }, this.signal),
     ]);
     // newest first, so the last one written is the newest
     this.checks = new Map(checks.items.reverse().map((job) => [job.captures[0], job]));
@@ -125,6 +135,7 @@ class SubjectView {
     this.sets = captures.filter(isMarkerSet).sort((a, b) => b.created_at.localeCompare(a.created_at));
     captures.sort((a, b) => (b.role === "neutral") - (a.role === "neutral") || a.name.localeCompare(b.name));
     this.rigs = rigs;
+    this.hasTracks = tracks.items.length > 0;
     this.assets = captures.filter(({ role }) => role === "asset").map(({ id }) => id);
     this.captures = new Map(captures.map((capture) => [capture.id, capture]));
     this.chosen = new Set([...this.chosen].filter((id) => CHOSEN_FOR_FITS.includes(this.captures.get(id)?.role)));
@@ -167,11 +178,22 @@ class SubjectView {
     refuse(this.fit, why);
     setText(this.fit, expressions ? `Fit ${count(expressions, "expression")}` : "Fit the chosen expressions");
     for (const more of this.rigBody.querySelectorAll("button[data-more]")) refuse(more, why);
+    const whyNoPhotos = this.whyNoPhotos();
+    for (const photos of this.rigBody.querySelectorAll("button[data-photos]")) refuse(photos, whyNoPhotos);
   }
 
-  /** Return the ids of the chosen captures of a role. */
-  chosenOf(role) {
-    return [...this.chosen].filter((id) => this.captures.get(id).role === role);
+  /** Return why the chosen photographs cannot be fitted with a rig; null if they can. */
+  whyNoPhotos() {
+    const chosen = this.chosenOf("photo").length;
+    if (![...this.captures.values()].some(({ role }) => role === "photo")) return "Upload photographs first";
+    if (!this.hasTracks) return "Build tracks first";
+    if (!chosen) return "Choose photographs in the list of scans first";
+    return chosen > MOST_PHOTOS ? `Choose at most ${MOST_PHOTOS} photographs` : null;
+  }
+
+  /** Return the ids of the chosen captures of some roles. */
+  chosenOf(...roles) {
+    return [...this.chosen].filter((id) => roles.includes(this.captures.get(id).role));
   }
 
   captureRow(capture) {
@@ -257,12 +279,17 @@ class SubjectView {
               button(
                 kind === "fit_activations" ? "Fit more to it" : plain(kind),
                 () => {
-                  const captures = reads.includes("activations") ? [...this.chosen] : this.chosenOf("expression");
-                  return this.order(kind, { rig_id: rig.id, captures });
+                  const tables = reads.includes("activations") ? ["activations"] : [];
+                  return this.order(kind, { rig_id: rig.id, captures: this.chosenOf("expression", ...tables) });
                 },
                 null,
                 { "data-more": true },
               ),
+            ),
+            this.kindsOfPhotos.map(({ kind, title }) =>
+              button(title, () => this.order(kind, { rig_id: rig.id, captures: this.chosenOf("photo") }), null, {
+                "data-photos": true,
+              }),
             ),
             this.kindsOfRigs.map(({ kind, reads }) =>
               button(plain(kind), () =>

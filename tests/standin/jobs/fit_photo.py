@@ -1,0 +1,13 @@
+import json
+
+from solver.jobs import Task
+from tests.standin.orders import draw, work
+from tests.standin.rig import leave_rig, read_rig
+
+
+def run(task: Task) -> None:
+    assert task.inputs["tracks"].name == "tracks.npz"
+    work(task.captures.values(), task.progress, ["landmarks", "shading"])
+    leave_rig(task.out, task.captures, read_rig(task.inputs))
+    (task.out / "photo.json").write_text(json.dumps({"expressions": {}}))
+    draw(task.out / "photo.png", ", ".join(task.captures))
