@@ -12,6 +12,7 @@ import { verdictOf } from "../parts/certificate.js";
 import { askForJob } from "../parts/new_job.js";
 import { toldBeforeDeletion } from "../parts/readers.js";
 import { refuse } from "../parts/refuse.js";
+import { kindsOfFits, kindsOfPhotos, kindsOfRigs } from "../parts/rig_kinds.js";
 import { state, verdictState } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
@@ -30,22 +31,6 @@ const MOST_PHOTOS = 16;
 
 /** What the state of the newest build says of the model. */
 const MODEL = { succeeded: "Built", queued: "Waits to be built", running: "Being built", failed: "Not built" };
-
-/** Return the kinds of job that need nothing but a rig and, maybe, assets. */
-function kindsOfRigs(kinds) {
-  const needless = ({ reads }) => !["captures", "performance", "markers", "photos"].some((each) => reads.includes(each));
-  return [...kinds.values()].filter((kind) => kind.reads.includes("rig") && needless(kind));
-}
-
-/** Return the kinds of job that fit chosen expressions with a rig. */
-function kindsOfFits(kinds) {
-  return [...kinds.values()].filter(({ reads }) => ["rig", "captures"].every((each) => reads.includes(each)));
-}
-
-/** Return the kinds of job that fit a rig to chosen photographs. */
-function kindsOfPhotos(kinds) {
-  return [...kinds.values()].filter(({ reads }) => ["rig", "photos"].every((each) => reads.includes(each)));
-}
 
 export async function mount(root, { id }) {
   const ending = new AbortController();

@@ -1,0 +1,17 @@
+// Which kinds of job are offered beside a rig, by what they read with it.
+
+/** Return the kinds of job that need nothing but a rig and, maybe, assets. */
+export function kindsOfRigs(kinds) {
+  const needless = ({ reads }) => !["captures", "performance", "markers", "photos"].some((each) => reads.includes(each));
+  return [...kinds.values()].filter((kind) => kind.reads.includes("rig") && needless(kind));
+}
+
+/** Return the kinds of job that fit chosen expressions with a rig. */
+export function kindsOfFits(kinds) {
+  return [...kinds.values()].filter(({ reads }) => ["rig", "captures"].every((each) => reads.includes(each)));
+}
+
+/** Return the kinds of job that fit a rig to chosen photographs. */
+export function kindsOfPhotos(kinds) {
+  return [...kinds.values()].filter(({ reads }) => ["rig", "photos"].every((each) => reads.includes(each)));
+}
