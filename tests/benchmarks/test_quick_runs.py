@@ -61,6 +61,7 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "markers": by_default,
     "odd_units": None,
     "peers": no_peer,
+    "photo": None,
     "physics": None,
     "plausibility": None,
     "preview": None,
