@@ -47,13 +47,17 @@ class FitPhoto(JobOptions):
         default=True, description="fit the light on the skin, too; false: landmarks alone"
     )
     w_w: float = Field(
-        default=4.0,
+        default=6.0,
         ge=0,
         le=1e6,
         description="price of the weights: a prior of standard deviation 1 / sqrt(w_w) about zero",
     )
     w_j: float = Field(
-        default=4.0, ge=0, le=1e6, description="the same of the jaw on top of the shapes'"
+        default=1e4,
+        ge=0,
+        le=1e6,
+        description="the same of the jaw on top of the shapes', by rad^2 and mm^2: one picture "
+        "hardly tells it from them",
     )
     max_iterations: Whole = Field(
         default=30, ge=1, le=500, description="Gauss-Newton iterations of each stage at most"

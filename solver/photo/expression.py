@@ -64,8 +64,9 @@ class ShadingOptions:
     """The comparison of a picture with the shaded skin."""
 
     detail_mm: float = 1.0  # what is finer in the picture is left out
-    noise: float = 0.05  # standard deviation of a channel, by the mean of the skin's
-    independent: int = 50  # of so many samples each counts by itself
+    # standard deviation of a channel, by the mean of the skin's: brows, a beard and gloss included
+    noise: float = 0.3
+    independent: int = 20  # of so many samples each counts by itself
     samples: SampleOptions = field(default_factory=SampleOptions)
     light: LightOptions = field(default_factory=LightOptions)
 

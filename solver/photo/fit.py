@@ -69,7 +69,7 @@ class View:
 class PhotoFitOptions:
     """Prices and bounds of controls, in units of the terms' noise, and the end of a fit."""
 
-    controls: TrackFitOptions = field(default_factory=lambda: TrackFitOptions(w_w=4.0, w_j=4.0))
+    controls: TrackFitOptions = field(default_factory=lambda: TrackFitOptions(w_w=6.0, w_j=1e4))
     loss: PseudoHuber = field(default_factory=PseudoHuber)
     # changes that a linear model is surely good for: of a turn in rad, of a shift in mm and of a
     # focal length's logarithm
