@@ -252,15 +252,7 @@ def _known_activations(session: Session, kind: Kind, new: NewJob) -> tuple[list[
 
 def _photos(session: Session, new: NewJob) -> list[InputFile]:
     """Return photographs, each with what is known of it and with its mask."""
-    found = [captures.get(session, new.subject_id, each) for each in dict.fromkeys(new.captures)]
-    for capture in found:
-        if capture.role != "photo":
-            raise Problem(
-                422,
-                "capture.not_a_photo",
-                f"{capture.name} is no photograph",
-                capture_id=capture.id,
-            )
+    found = _of_role(session, new, "photo", "capture.not_a_photo", "photograph")
     if not 1 <= len(found) <= MOST_PHOTOS:
         detail = f"{new.kind} reads 1 to {MOST_PHOTOS} photographs, not {len(found)}"
         raise Problem(422, "job.photos", detail, member="captures", expected=MOST_PHOTOS)
@@ -275,16 +267,18 @@ def _photos(session: Session, new: NewJob) -> list[InputFile]:
 
 def _assets(session: Session, new: NewJob) -> list[InputFile]:
     """Return the files that a scene may name, by their captures' names."""
+    what = "asset, which is a file that scenes name"
+    found = _of_role(session, new, "asset", "capture.not_an_asset", what)
+    return [_capture_file("asset", each) for each in found]
+
+
+def _of_role(session: Session, new: NewJob, role: str, code: str, noun: str) -> list[Capture]:
+    """Return the captures that a job names, each once; refuse those of another role by a code."""
     found = [captures.get(session, new.subject_id, each) for each in dict.fromkeys(new.captures)]
     for capture in found:
-        if capture.role != "asset":
-            raise Problem(
-                422,
-                "capture.not_an_asset",
-                f"{capture.name} is no asset, which is a file that scenes name",
-                capture_id=capture.id,
-            )
-    return [_capture_file("asset", each) for each in found]
+        if capture.role != role:
+            raise Problem(422, code, f"{capture.name} is no {noun}", capture_id=capture.id)
+    return found
 
 
 def _refuse_unnamed(new: NewJob, files: list[InputFile]) -> None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
 from solver.storage import Arrays
 from solver.surface import Floats, Ints
@@ -35,12 +34,6 @@ class SkinPoints:
         return SkinPoints(
             tuple(names), self.corners[rows], self.weights[rows], self.spread_mm[rows]
         )
-
-    def matrix(self, count: int) -> sp.csr_array:
-        """Return the weights (k, V) of all ``count`` vertices of a skin."""
-        rows = np.repeat(np.arange(len(self.names)), 3)
-        entries = self.weights.ravel(), (rows, self.corners.ravel())
-        return sp.csr_array(entries, shape=(len(self.names), count))
 
     def arrays(self) -> Arrays:
         """Return the points as named arrays, for a file."""

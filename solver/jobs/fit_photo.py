@@ -36,7 +36,6 @@ from solver.progress import Step, part_of
 from solver.registration.detector import FaceDetector, landmarker_file
 from solver.registration.landmarks import landmark_vertices
 from solver.rig import Rig, ShapeFit, System
-from solver.rig.exporters import export
 from solver.rig.report import known_information
 from solver.rig.report.systems import SYSTEMS
 from solver.storage import write_json
@@ -99,11 +98,9 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     sheets = [([photos[each] for each in moments[name]], results[name]) for name in results]
     photo_picture(model, sheets, points, own[1])
     ending = part_of(progress, 0.5)
-    files = fits.leave_rig(face, whole, settings, task.out, ending, known_information(rig))
-    views = [
-        export(whole, "view", task.out / f"view_{each}.bin", {"system": each}) for each in systems
-    ]
-    return [*files, *own, export(whole, "systems", task.out / "systems.glb"), *views]
+    information = known_information(rig)
+    files = fits.leave_systems(face, whole, settings, task.out, ending, information)
+    return [*files, *own]
 
 
 def _read(

@@ -20,7 +20,6 @@ from solver.mechanics.linear import fastest
 from solver.meshio.registered import RegisteredScan
 from solver.progress import Step, part_of
 from solver.rig import Rig, System
-from solver.rig.exporters import export
 from solver.rig.report import known_information
 from solver.rig.report.systems import SYSTEMS
 from solver.rig.systems import find_crossed, fit_scan
@@ -72,12 +71,7 @@ def run(task: Task[FitTracks]) -> list[Path]:
     whole = replace(rig, seconds=seconds, notices=log.general, systems=systems)
     information = known_information(parent) if _trained(rig) == _trained(parent) else None
     ending = part_of(progress, 0.5)
-    files = fits.leave_rig(face, whole, settings, task.out, ending, information)
-    views = [
-        export(whole, "view", task.out / f"view_{letter}.bin", {"system": letter})
-        for letter in systems
-    ]
-    return [*files, export(whole, "systems", task.out / "systems.glb"), *views]
+    return fits.leave_systems(face, whole, settings, task.out, ending, information)
 
 
 def _trained(rig: Rig) -> list[str]:

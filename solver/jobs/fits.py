@@ -35,7 +35,7 @@ from solver.meshio.registered import RegisteredScan, read_registered
 from solver.model import SubjectModel
 from solver.progress import ProgressCallback, Step
 from solver.rig import ExpressionFit, Rig, System
-from solver.rig.exporters import write_rig
+from solver.rig.exporters import export, write_rig
 from solver.rig.report.certificate import certify, with_round_trips
 from solver.scans.known_activations import NOTHING, KnownMuscles, read_known
 from solver.surface import Floats, Ints, Surface, vertex_normals
@@ -221,6 +221,23 @@ def leave_rig(
     files = write_rig(rig, certify(face, rig, settings, information), out)
     progress(Step("done", 1.0))
     return files
+
+
+def leave_systems(
+    face: Face,
+    rig: Rig,
+    settings: dict[str, Any],
+    out: Path,
+    progress: ProgressCallback,
+    information: MuscleInformation | None = None,
+) -> list[Path]:
+    """Write a rig's files as :func:`leave_rig`, and those that show its systems."""
+    files = leave_rig(face, rig, settings, out, progress, information)
+    views = [
+        export(rig, "view", out / f"view_{letter}.bin", {"system": letter})
+        for letter in rig.systems
+    ]
+    return [*files, export(rig, "systems", out / "systems.glb"), *views]
 
 
 # Registered scans as targets: the distance to their points, or to their surface.

@@ -16,6 +16,7 @@ from typing import Generic
 import numpy as np
 
 from solver.anatomy.skin_points import SkinPoints
+from solver.drawing.render import GAMMA
 from solver.errors import InputError
 from solver.fitting.least_squares import Listener
 from solver.photo.camera import PinholeCamera
@@ -35,8 +36,6 @@ from solver.registration.detector import LINES
 from solver.similarity import IDENTITY, Similarity
 from solver.surface import Floats, Ints, Surface
 from solver.tracks.fit import ShapeFace, State
-
-GAMMA = 2.2  # of sRGB, nearly
 
 
 @dataclass(frozen=True)
@@ -172,9 +171,7 @@ def _place(
     """Return every photograph's landmarks with a camera to begin with, and where the head is."""
     views, head = [], None
     for photo in photos:
-        names = [name for name in points.names if name in photo.landmarks]
-        known = points.select(names)
-        pixels = np.array([photo.landmarks[name] for name in names]).reshape(-1, 2)
+        known, pixels = marks_of(photo, points)
         places, mm = known.at(skin.vertices), _noise_mm(known, options.landmarks)
         focal, prior = _focal(photo, options.focal)
         centre = np.array(photo.size) / 2.0 if photo.camera is None else photo.camera.centre
@@ -184,7 +181,9 @@ def _place(
             raise InputError(error.code, f"{photo.name}: {error}", photo=photo.name) from error
         cosine = SkinSamples(known.corners, known.weights).facing(skin, begun)
         shown = cosine > options.landmarks.least_cosine
-        known = known.select([name for name, is_seen in zip(names, shown, strict=True) if is_seen])
+        known = known.select(
+            [name for name, is_seen in zip(known.names, shown, strict=True) if is_seen]
+        )
         pixels, places, mm = pixels[shown], places[shown], _noise_mm(known, options.landmarks)
         noise = mm * begun.focal.mean() / begun.project(places)[:, 2]
         px_per_mm = float(np.median(noise / mm))
@@ -196,6 +195,12 @@ def _place(
         else:
             views.append(View(terms, begun, focal=prior))
     return views, head or IDENTITY
+
+
+def marks_of(photo: Photo, points: SkinPoints) -> tuple[SkinPoints, Floats]:
+    """Return those of ``points`` that a photograph has, and where it has them (k, 2), px."""
+    names = [name for name in points.names if name in photo.landmarks]
+    return points.select(names), np.array([photo.landmarks[n] for n in names]).reshape(-1, 2)
 
 
 def _curve_terms(

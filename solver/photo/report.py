@@ -16,7 +16,7 @@ from solver.drawing.render import GAMMA, Pixels, rasterise, render_bust
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.model import SubjectModel
 from solver.photo.camera import PinholeCamera
-from solver.photo.expression import PhotoExpression
+from solver.photo.expression import PhotoExpression, marks_of
 from solver.photo.light import Appearance
 from solver.photo.photo import Photo
 from solver.photo.shading import blocked_light, shade_of
@@ -36,7 +36,8 @@ def photo_figures(
     found = {}
     for number, photo in enumerate(photos):
         camera = result.fit.point.cameras[number]
-        given, fitted = marks_of(photo, camera, result.fit.point.skin, points)
+        known, given = marks_of(photo, points)
+        fitted = camera.project(known.at(result.fit.point.skin))[:, :2]
         away = np.linalg.norm(fitted - given, axis=1)
         depth = float(np.median(camera.project(result.fit.point.skin)[:, 2]))
         px_per_mm = float(camera.focal.mean()) / depth
@@ -64,15 +65,6 @@ def photo_figures(
     }
 
 
-def marks_of(
-    photo: Photo, camera: PinholeCamera, skin: Floats, points: SkinPoints
-) -> tuple[Floats, Floats]:
-    """Return where a photograph has its landmarks (k, 2), px, and where the fit has them."""
-    names = [name for name in points.names if name in photo.landmarks]
-    given = np.array([photo.landmarks[name] for name in names]).reshape(-1, 2)
-    return given, camera.project(points.select(names).at(skin))[:, :2]
-
-
 def photo_picture(
     model: SubjectModel,
     fitted: Sequence[tuple[Sequence[Photo], PhotoExpression[Any]]],
@@ -95,7 +87,8 @@ def photo_picture(
         look = result.appearances[number] if result.appearances else None
         shaded = _shaded(photo, camera, skin, model, look)
         difference = np.clip(0.5 + CLEAR * (shaded - photo.pixels), 0.0, 1.0)
-        marked = _marked(photo, *marks_of(photo, camera, point.skin, points))
+        known, given = marks_of(photo, points)
+        marked = _marked(photo, given, camera.project(known.at(point.skin))[:, :2])
         aside = head.body(head.lit(point.skin))
         bust = face_camera(point.skin, model.face, SIDE)
         panels = [_panel(each, box) for each in (photo.pixels, marked, shaded, difference)]

@@ -6,9 +6,9 @@ Points x_i of the skin keep their albedo, n_i is the skin's normal there, Y are 
 harmonics up to the second degree, which hold all but a percent of what a Lambertian surface shows
 of any light (Ramamoorthi and Hanrahan 2001), gamma (9, 3) is the light by channel, s what the face
 blocks of it (held while the face moves), p the camera and I the picture, a cubic spline, all in
-linear RGB. Published renderers compare pixel by pixel
-and have to differentiate what is seen in each; points that stay on the skin give the same sum,
-exact derivatives, and as many residuals after a step as before.
+linear RGB. Published renderers compare pixel by pixel and have to differentiate what is seen in
+each; points that stay on the skin give the same sum, exact derivatives, and as many residuals after
+a step as before.
 """
 
 from __future__ import annotations
