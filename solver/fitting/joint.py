@@ -135,7 +135,6 @@ class Iterate:
     damping: float = JointOptions().damping.start
     pose_damping: dict[str, float] = field(default_factory=dict)
 
-
 @dataclass(frozen=True)
 class RoundOptions:
     """Ends of rounds."""
@@ -288,14 +287,11 @@ class _Linearised:
         gradient = data.gradient(state.estimate)
         curvature = sparse(data.curvature(state.estimate))
         self._by_x = gradient.ravel()[jacobian.free]
-        rows = curvature[jacobian.free]
-        self._curvature = rows[:, jacobian.free]
-        self._touched = np.flatnonzero(np.diff(rows.indptr))
-        self._coupling = self._curvature[self._touched] @ jacobian.flesh
-        direct = sp.coo_array(rows[self._touched] @ jacobian.held)
-        self._coupling[direct.row, direct.col] += direct.data
+        self._curvature = curvature[jacobian.free][:, jacobian.free]
+        image = jacobian.image(curvature)
+        self._touched, self._coupling = image.free, image.rows
         self._by_pose = jacobian.adjoint(gradient) + regulariser.gradient(state.pose)
-        self._hessian = jacobian.contract(curvature) + regulariser.gauss_newton(state.pose)
+        self._hessian = image.contracted + regulariser.gauss_newton(state.pose)
         self._layout, self._q = state.pose.layout, state.pose.vector()
         damped = self._hessian + damping * np.diag(self._layout.damping)
         # at a bound that the step would leave, the pose does not follow

@@ -19,7 +19,7 @@ import scipy.linalg
 from scipy.optimize import lsq_linear
 
 from solver.errors import SolveError
-from solver.surface import Floats
+from solver.surface import Floats, Ints
 
 Point = TypeVar("Point")  # where a fit is: its variables and what follows from them
 
@@ -117,21 +117,52 @@ class LinearModel(Protocol):
 def bounded_step(hessian: Floats, gradient: Floats, limits: tuple[Floats, Floats]) -> Floats:
     """Return the s that minimises g . s + s . H s / 2 within ``limits``, which it keeps exactly.
 
-    The active set is found by bounded least squares (Stark and Parker 1995). Raises
-    :class:`SolveError` (``solve.not_finite``) where H is not positive definite.
+    Few of many entries meet their limits as a rule. Those that do are found by bounded least
+    squares (Stark and Parker 1995) on H's Schur complement, as the others follow; what these break
+    of their own limits joins. Raises :class:`SolveError` (``solve.not_finite``) where H is not
+    positive definite.
     """
-    try:
-        root = scipy.linalg.cholesky(hessian, lower=True)
-        right = -scipy.linalg.solve_triangular(root, gradient, lower=True)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
     lower, upper = limits
     step = np.zeros_like(gradient)
     # what its bounds leave nowhere to go stays
     open_ = np.flatnonzero(upper - lower > 0.0)
-    found = lsq_linear(root.T[:, open_], right, (lower[open_], upper[open_]), method="bvls")
-    step[open_] = np.clip(found.x, lower[open_], upper[open_])
+    lower, upper = lower[open_], upper[open_]
+    try:
+        root = scipy.linalg.cholesky(hessian[np.ix_(open_, open_)], lower=True)
+        free = -scipy.linalg.cho_solve((root, True), gradient[open_])
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
+    found, meeting = free, np.zeros(0, np.int64)
+    while True:
+        outside = np.flatnonzero((found < lower) | (found > upper))
+        joining = np.setdiff1d(outside, meeting)
+        if len(joining) == 0:
+            break
+        meeting = np.concatenate([meeting, joining])
+        found = _meet_limits(root, free, meeting, (lower[meeting], upper[meeting]))
+    step[open_] = np.clip(found, lower, upper)
     return step
+
+
+def _meet_limits(
+    root: Floats, free: Floats, meeting: Ints, limits: tuple[Floats, Floats]
+) -> Floats:
+    """Return the best step whose ``meeting`` (k,) entries are within ``limits``, the others free.
+
+    ``root`` is L of H = L L^T, ``free`` the best step without limits.
+    """
+    units = np.zeros((len(free), len(meeting)))
+    units[meeting, np.arange(len(meeting))] = 1.0
+    columns = scipy.linalg.solve_triangular(root, units, lower=True)
+    # the Schur complement is the inverse of R^T R
+    triangle = np.linalg.qr(columns, mode="r")
+    scaled = scipy.linalg.solve_triangular(triangle, np.eye(len(meeting)), trans="T")
+    right = scaled @ free[meeting]
+    kept = lsq_linear(scaled, right, limits, method="bvls").x
+    pull = columns @ (scaled.T @ (scaled @ kept - right))
+    found = free + scipy.linalg.solve_triangular(root, pull, lower=True, trans="T")
+    found[meeting] = kept
+    return np.asarray(found)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,15 @@ BLOCK = 64  # columns that a symmetric product takes at once
 
 
 @dataclass(frozen=True)
+class CurvatureImage:
+    """C J of a curvature C (3 p, 3 p) and a Jacobian J, and J^T C J."""
+
+    free: Ints  # (r,) those free coordinates whose rows of C are not zero
+    rows: Floats  # (r, k) of C J
+    contracted: Floats  # (k, k)
+
+
+@dataclass(frozen=True)
 class Jacobian:
     """dx/dq (3 p, k) of the free coordinates and of the others."""
 
@@ -63,20 +72,26 @@ class Jacobian:
         if isinstance(curvature, GramCurvature):
             moved = self.motion(curvature.rows)
             return np.asarray(moved.T @ (curvature.inner @ moved))
+        return self.image(curvature).contracted
+
+    def image(self, curvature: sp.csr_array) -> CurvatureImage:
+        """Return C dx/dq for C (3 p, 3 p), and what it contracts to."""
         touched = np.flatnonzero(np.diff(curvature.indptr))
         rows = self.held[touched].toarray()
         _, place, number = np.intersect1d(touched, self.free, return_indices=True)
         rows[place] = self.flesh[number]
         inner = curvature[touched][:, touched]
+        image = np.empty(rows.shape, order="F")
         out = np.empty((rows.shape[1], rows.shape[1]))
 
         def fill(first: int) -> None:
             block = slice(first, first + BLOCK)
-            out[first:, block] = rows[:, first:].T @ (inner @ rows[:, block])
+            image[:, block] = inner @ rows[:, block]
+            out[first:, block] = rows[:, first:].T @ image[:, block]
             out[block, first:] = out[first:, block].T
 
         in_threads(fill, range(0, len(out), BLOCK))
-        return out
+        return CurvatureImage(number, image[place], out)
 
 
 class PoseRates:

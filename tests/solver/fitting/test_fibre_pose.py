@@ -114,11 +114,13 @@ def test_frames_are_followed(face):
         assert left.mean() < 0.05 * moved.mean()
 
 
-def test_bounded_steps_are_the_least_of_all_within_bounds():
+@pytest.mark.parametrize("count", [5, 60])
+def test_bounded_steps_are_the_least_of_all_within_bounds(count):
     rng = np.random.default_rng(8)
-    root = rng.standard_normal((5, 5))
-    hessian, gradient = root @ root.T + 0.1 * np.eye(5), rng.standard_normal(5)
-    limits = np.array([-0.1, 0.0, -np.inf, -0.05, 0.0]), np.array([0.1, 0.0, np.inf, 0.4, 0.3])
+    root = rng.standard_normal((count, count))
+    hessian, gradient = root @ root.T + 0.1 * np.eye(count), rng.standard_normal(count)
+    low, high = [-0.1, 0.0, -np.inf, -0.05, 0.0], [0.1, 0.0, np.inf, 0.4, 0.3]
+    limits = np.resize(low, count), np.resize(high, count)
     step = bounded_step(hessian, gradient, limits)
     assert (step >= limits[0]).all()
     assert (step <= limits[1]).all()
