@@ -6,6 +6,8 @@ fits tracks (T) and plain shapes (B) by landmarks alone and by shading, too; the
 The head's motion is taken out of the distances: a picture does not tell how far away a head is.
 `held_out` fits the photographs of a folder, each with every fourth landmark that was found left
 out, and tells how far off these are, in parts of the distance of the outer corners of the eyes.
+`pair` fits a real pair of photographs of a face at rest whose scan is known, with that scan's own
+model: whatever moves is invented.
 """
 
 from __future__ import annotations
@@ -22,11 +24,15 @@ import numpy as np
 
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
+from benchmarks.photo_pair import pair_figures, read_pair
 from benchmarks.subjects import COARSE_EDGE_MM, Subject
 from benchmarks.systems import MIXTURES, QUICK_MIXTURES, both_sides
 from solver.anatomy.skin_points import SkinPoints
+from solver.anatomy.template import Template
 from solver.drawing.render import GAMMA, irradiance, rasterise
+from solver.errors import InputError
 from solver.mechanics.linear import fastest
+from solver.model import SubjectModel
 from solver.photo.camera import PinholeCamera
 from solver.photo.detect import find_face
 from solver.photo.expression import ExpressionOptions, fit_expression
@@ -43,7 +49,7 @@ from solver.tracks.fit import ShapeFace
 from solver.tracks.plain import PlainFace
 from solver.tracks.shapes import template_shapes
 
-PARTS = ("known", "held_out")
+PARTS = ("known", "pair")
 SYSTEMS = ("B", "T")
 EYE_CORNERS = ("33", "263")
 HELD_OUT = 4  # one landmark of so many
@@ -76,8 +82,11 @@ def main() -> None:
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
     parser.add_argument("--edge-mm", type=float, default=COARSE_EDGE_MM, help="of the tets")
+    parser.add_argument(
+        "--scan", type=Path, help="OBJ of a pair, its picture beside it, for `pair`"
+    )
     parser.add_argument("--photos", type=Path, help="a folder of pictures, for `held_out`")
-    report.add_list(parser, "--parts", PARTS[:1])
+    report.add_list(parser, "--parts", PARTS)
     report.add_list(parser, "--systems", SYSTEMS)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
@@ -87,9 +96,10 @@ def main() -> None:
 def run(options: argparse.Namespace) -> Figures:
     """Return the figures of the chosen subject."""
     subject = next(subjects.each(options, [options.subject], options.edge_mm))
-    points = landmark_points(subjects.chosen_template(options, options.edge_mm))
+    template = subjects.chosen_template(options, options.edge_mm)
+    points = landmark_points(template)
     shapes = template_shapes(subject.model, subjects.shapes(options))
-    faces = {name: _face(name, subject, shapes) for name in options.systems}
+    faces = {name: _face(name, subject.model, shapes) for name in options.systems}
     found: Figures = {
         "edge_mm": options.edge_mm,
         "subject": subject.name,
@@ -97,17 +107,18 @@ def run(options: argparse.Namespace) -> Figures:
     }
     if "known" in options.parts:
         found["known"] = _known(subject, shapes, faces, points, quick=options.quick)
+    if "pair" in options.parts:
+        found["pair"] = _pair(options.scan, template, points, options)
     if options.photos is not None:
         found["held_out"] = _held_out(options.photos, faces, points)
     return found
 
 
-def _face(system: str, subject: Subject, shapes: Mapping[str, Floats]) -> ShapeFace[Any]:
-    tracks = MuscleTracks.of(subject.model, shapes)
+def _face(system: str, model: SubjectModel, shapes: Mapping[str, Floats]) -> ShapeFace[Any]:
+    tracks = MuscleTracks.of(model, shapes)
     if system == "B":
-        return PlainFace(subject.model, tracks)
-    potentials = track_potentials(subject.model)
-    return TrackFace(subject.model, tracks, potentials, linear=fastest())
+        return PlainFace(model, tracks)
+    return TrackFace(model, tracks, track_potentials(model), linear=fastest())
 
 
 def _known(
@@ -222,6 +233,21 @@ def _held_out(
     return found
 
 
+def _pair(
+    scan: Path | None, template: Template, points: SkinPoints, options: argparse.Namespace
+) -> Figures:
+    """Return the figures of a real pair, or why there are none."""
+    file = landmarker_file()
+    if scan is None or not scan.is_file() or file is None:
+        log.info("pair skipped: it asks for --scan and MYOFACE_FACE_LANDMARKER")
+        return {"skipped": "no scan of a pair, or no face landmarker"}
+    with FaceDetector(file) as detector:
+        pair = read_pair(scan, template, options.edge_mm, detector)
+    shapes = template_shapes(pair.model, template.shapes)
+    faces = {name: _face(name, pair.model, shapes) for name in options.systems}
+    return pair_figures(pair, faces, points)
+
+
 def _pixels_off(point: PhotoPoint[Any], given: Floats, points: SkinPoints) -> float:
     places = point.cameras[0].project(points.at(point.skin))[:, :2]
     return float(np.linalg.norm(places - given, axis=1).mean())
@@ -236,7 +262,12 @@ def _read(folder: Path) -> Iterator[Photo]:
         for path in sorted(folder.iterdir()):
             if path.suffix.lower() in (".jpg", ".jpeg", ".png"):
                 photo = read_photo(path)
-                yield replace(photo, landmarks=find_face(photo, detector).landmarks)
+                try:
+                    face = find_face(photo, detector)
+                except InputError as error:
+                    log.info("%s left out: %s", path.name, error)
+                    continue
+                yield replace(photo, landmarks=face.landmarks)
 
 
 COLUMNS = {
@@ -244,6 +275,12 @@ COLUMNS = {
     "landmarks_mm": "landmarks, mm",
     "shading_mm": "with shading, mm",
     "seconds": "s",
+}
+
+PAIR_COLUMNS = {
+    "shading_mm": "moved, mm",
+    "shading_grown_mm": "further from the scan, mm",
+    "shading_weights": "sum of weights",
 }
 
 
@@ -256,6 +293,12 @@ def section(figures: Figures) -> Section:
             for system, each in figures["known"].items()
         ]
         parts.append(Table(["", *COLUMNS.values()], rows))
+    if fits := figures.get("pair", {}).get("fits"):
+        rows = [
+            [name, *(round(float(each[key]), 2) for key in PAIR_COLUMNS)]
+            for name, each in fits.items()
+        ]
+        parts.append(Table(["pair at rest", *PAIR_COLUMNS.values()], rows))
     for system, each in figures.get("held_out", {}).items():
         rows = [[name, *(round(float(v), 2) for v in one.values())] for name, one in each.items()]
         parts.append(Table([system, "landmarks, %", "with shading, %", "s"], rows))
@@ -263,7 +306,7 @@ def section(figures: Figures) -> Section:
         "Photographs",
         "Distances of the face to the one that was drawn, the head's motion apart, means of the "
         "mixtures (`known`); distances of landmarks left out, in parts of the distance of the "
-        "outer corners of the eyes (`held_out`).",
+        "outer corners of the eyes (`held_out`); what fits make of a real face at rest (`pair`).",
         parts,
     )
 

@@ -1,4 +1,4 @@
-"""A real pair of photographs of a face at rest whose scan is known: what do fits invent?
+"""A real pair of photographs of a face at rest whose scan is known, and what fits invent there.
 
 A stereo rig's picture has both photographs side by side, and the scan's texture coordinates are the
 projections into them, so that two linear fits are its cameras. A model is made of the scan itself:
@@ -8,8 +8,9 @@ the neutral face is the truth, and every weight that a fit finds is an error.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +26,13 @@ from solver.meshio.raw import mend, read_raw
 from solver.model import SubjectModel
 from solver.photo.camera import PinholeCamera
 from solver.photo.detect import find_face
-from solver.photo.expression import ExpressionOptions, PhotoExpression, fit_expression
+from solver.photo.expression import PhotoExpression, fit_expression, read_neutral
 from solver.photo.photo import Photo
 from solver.photo.read import read_photo
 from solver.registration.detector import FaceDetector
 from solver.registration.register import RegisteredFace, register
 from solver.registration.topology import topology
-from solver.similarity import Similarity, weighted_motion
+from solver.similarity import weighted_motion
 from solver.surface import Floats
 from solver.tracks.fit import ShapeFace
 
@@ -73,21 +74,18 @@ def read_pair(path: Path, template: Template, edge_mm: float, detector: FaceDete
     return Pair(tuple(photos), tuple(off), scan, model)
 
 
-def pair_figures(
-    pair: Pair,
-    face_of: Callable[[str], ShapeFace[Any]],
-    systems: Sequence[str],
-    points: SkinPoints,
-    options: ExpressionOptions = ExpressionOptions(),
-) -> Figures:
+def pair_figures(pair: Pair, faces: Mapping[str, ShapeFace[Any]], points: SkinPoints) -> Figures:
     """Return how far each system takes the face from its scan, by one photograph and by both."""
     sets = {photo.name: [photo] for photo in pair.photos} | {"both": list(pair.photos)}
     found: dict[str, Figures] = {}
-    for system in systems:
-        face = face_of(system)
+    for system, face in faces.items():
         for name, photos in sets.items():
-            fitted = fit_expression(face, photos, points, options=options)
+            fitted = fit_expression(face, photos, points)
             found[f"{system} {name}"] = _off(pair, fitted)
+        for still, photo in permutations(pair.photos):
+            look = read_neutral(face, still, points)
+            fitted = fit_expression(face, [photo], look.points)
+            found[f"{system} {photo.name}, {still.name} as its neutral"] = _off(pair, fitted)
     return {"camera_px": max(pair.camera_px), "fits": found}
 
 

@@ -26,6 +26,7 @@ from solver.photo.expression import (
     PhotoExpression,
     ShadingOptions,
     fit_expression,
+    read_neutral,
 )
 from solver.photo.fit import PhotoFitOptions
 from solver.photo.light import Appearance
@@ -68,7 +69,11 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     log = fits.WarningLog(model, progress)
     begun = time.perf_counter()
     fitter = _Fitter(driven, points, _options(given))
-    lights = fitter.lights(photos, given.neutral)
+    lights: dict[str, Appearance] = {}
+    if given.neutral:
+        look = read_neutral(driven, photos[given.neutral], points, fitter.options)
+        points, fitter = look.points, replace(fitter, points=look.points)
+        lights = dict.fromkeys(photos, look.appearance) if look.appearance else {}
     fitted, shown = [], {}
     for number, (name, taken) in enumerate(moments.items()):
         part = fits.Span(0.1, 0.5).part(number, len(moments))
@@ -168,7 +173,8 @@ def _face(given: FitPhoto, rig: Rig, tracks: MuscleTracks, linear: str) -> Shape
 
 
 def _options(given: FitPhoto) -> ExpressionOptions:
-    fit = PhotoFitOptions(controls=TrackFitOptions(w_w=given.w_w, w_j=given.w_j))
+    controls = TrackFitOptions(w_w=given.w_w, w_j=given.w_j)
+    fit = PhotoFitOptions(controls=controls, w_l=given.w_l)
     fit = replace(fit, stop=replace(fit.stop, iterations=given.max_iterations))
     return ExpressionOptions(fit=fit, shading=ShadingOptions() if given.shading else None)
 
@@ -186,14 +192,6 @@ class _Fitter:
     face: ShapeFace[Any]
     points: SkinPoints
     options: ExpressionOptions
-
-    def lights(self, photos: Mapping[str, Photo], neutral: str | None) -> dict[str, Appearance]:
-        """Return light and albedo of a neutral photograph for all others; empty without one."""
-        if neutral is None or self.options.shading is None:
-            return {}
-        still = replace(self.options, fit=_held(self.options.fit))
-        found = fit_expression(self.face, [photos[neutral]], self.points, options=still)
-        return dict.fromkeys(photos, found.appearances[0])
 
     def fit(
         self, name: str, photos: list[Photo], lights: Mapping[str, Appearance], listen: Listener
@@ -236,8 +234,3 @@ class _Fitter:
             jaw_on_top=state.q[-JAW_FREEDOM:],
             lengths=state.pose.lengths,
         )
-
-
-def _held(fit: PhotoFitOptions) -> PhotoFitOptions:
-    """Return options that leave the face neutral: only cameras are found."""
-    return replace(fit, controls=replace(fit.controls, bounds=(0.0, 0.0), w_j=1e9))

@@ -46,14 +46,20 @@ class FitPhoto(JobOptions):
     shading: bool = Field(
         default=True, description="fit the light on the skin, too; false: landmarks alone"
     )
-    w_w: float = Field(
-        default=6.0,
+    w_l: float = Field(
+        default=3.0,
         ge=0,
         le=1e6,
-        description="price of the weights: a prior of standard deviation 1 / sqrt(w_w) about zero",
+        description="price of each weight, linear: shapes that a picture hardly tells stay out",
+    )
+    w_w: float = Field(
+        default=0.5,
+        ge=0,
+        le=1e6,
+        description="price of the weights' squares: a prior of standard deviation 1 / sqrt(w_w)",
     )
     w_j: float = Field(
-        default=1e4,
+        default=1e5,
         ge=0,
         le=1e6,
         description="the same of the jaw on top of the shapes', by rad^2 and mm^2: one picture "

@@ -1,13 +1,15 @@
 """Weights of shapes, a jaw and cameras, fitted to what photographs of one moment show.
 
-    min over q, cameras    sum_p sum_terms rho(r) + w_w/2 |w|^2 + w_j/2 |j|^2
+    min over q, cameras    sum_p sum_terms rho(r) + w_l sum w + w_w/2 |w|^2 + w_j/2 |j|^2
                            + sum_p (log f_p - log f0_p)^2 / (2 sd_p^2)
 
-The face is one of :mod:`solver.tracks`: flesh under muscle tracks, or plain shapes. A camera that
-is not known has seven numbers, with the head's six among them: where a head is in front of its
-camera is all that a picture can tell of either. Where cameras are known in a world, as of a stereo
-rig, the head has six numbers there for all of their pictures. Gauss-Newton with a trust region, as
-scans are fitted; robust losses are weights of each step (iteratively reweighted least squares).
+The weights w are at least 0, so that their linear price is one of |w|_1: what a picture hardly
+tells stays out, and what it does tell is made less by little (Tibshirani 1996). The face is one of
+:mod:`solver.tracks`: flesh under muscle tracks, or plain shapes. A camera that is not known has
+seven numbers, with the head's six among them: where a head is in front of its camera is all that a
+picture can tell of either. Where cameras are known in a world, as of a stereo rig, the head has six
+numbers there for all of their pictures. Gauss-Newton with a trust region, as scans are fitted;
+robust losses are weights of each step (iteratively reweighted least squares).
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from typing import Generic
 import numpy as np
 from typing_extensions import override
 
+from solver.anatomy.template import CORRECTED
 from solver.errors import SolveError
 from solver.fitting.least_squares import (
     BoxModel,
@@ -69,7 +72,9 @@ class View:
 class PhotoFitOptions:
     """Prices and bounds of controls, in units of the terms' noise, and the end of a fit."""
 
-    controls: TrackFitOptions = field(default_factory=lambda: TrackFitOptions(w_w=6.0, w_j=1e4))
+    controls: TrackFitOptions = field(default_factory=lambda: TrackFitOptions(w_w=0.5, w_j=1e5))
+    # a linear price of each weight: what a picture hardly tells is none, not a little of all
+    w_l: float = 3.0
     loss: PseudoHuber = field(default_factory=PseudoHuber)
     # changes that a linear model is surely good for: of a turn in rad, of a shift in mm and of a
     # focal length's logarithm
@@ -144,6 +149,26 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
         return self.options.controls.price_of(self.face.tracks)
 
     @cached_property
+    def alone(self) -> Floats:
+        """The matrix (K + 5, K + 5) from controls q to the variables of a fit.
+
+        A corrective is a variable together with what it corrects, of which the fit varies what is
+        not corrected: lips that close are those of a jaw that opens.
+        """
+        names = self.face.tracks.names
+        matrix = np.eye(self.face.tracks.size)
+        for corrective, corrected in CORRECTED.items():
+            if corrective in names and corrected in names:
+                matrix[names.index(corrected), names.index(corrective)] = -1.0
+        return matrix
+
+    @cached_property
+    def linear_prices(self) -> Floats:
+        """The linear prices (K + 5,) of the controls: none of the jaw's."""
+        tracks = self.face.tracks
+        return np.where(np.arange(tracks.size) < len(tracks.names), self.options.w_l, 0.0)
+
+    @cached_property
     def cameras(self) -> list[slice]:
         """Where each view's camera is among the variables: after face and head, if one is placed.
 
@@ -168,7 +193,8 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
 
     @override
     def value(self, point: PhotoPoint[State]) -> float:
-        total = 0.5 * float(self.prices @ point.state.q**2)
+        own = self.alone @ point.state.q
+        total = float((0.5 * self.prices * own + self.linear_prices) @ own)
         for view, camera in zip(self.views, point.cameras, strict=True):
             for term in view.terms:
                 total += self.options.loss.value(term.residual(point.skin, camera))
@@ -183,7 +209,7 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
         face = slice(0, self.size)
         columns = self._columns(point.state)
         if self.moves_face:
-            gradient[face] = self.prices * point.state.q
+            gradient[face] = self.prices * (self.alone @ point.state.q) + self.linear_prices
             hessian[face, face] = np.diag(self.prices)
         for view, camera, place in zip(self.views, point.cameras, self.cameras, strict=True):
             variables = np.r_[face, place]
@@ -202,7 +228,8 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
                 gradient[last] += _focal_residual(view.focal, camera) / view.focal.deviation
                 hessian[last, last] += view.focal.deviation**-2
         bounds, reach = self._limits(count)
-        q = np.concatenate([point.state.q[: self.size], np.zeros(count - self.size)])
+        own = self.alone @ point.state.q
+        q = np.concatenate([own[: self.size], np.zeros(count - self.size)])
         return BoxModel(q, gradient, hessian, bounds, reach)
 
     @override
@@ -219,7 +246,8 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
         moved = replace(point, head=head, cameras=tuple(cameras))
         if self.moves_face:
             low, high = self.options.controls.bounds_of(self.face.tracks)
-            q = np.clip(point.state.q + step.change[: self.size], low, high)
+            own = np.clip(self.alone @ point.state.q + step.change[: self.size], low, high)
+            q = np.clip(np.linalg.solve(self.alone, own), low, high)
             try:
                 state = self.face.move(point.state, q)
             except SolveError:
@@ -233,7 +261,7 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
         skin = 3 * len(self.face.face.model.skin.vertices)
         if not self.moves_face:
             return np.zeros((skin, 0))
-        return self.face.skin_columns(state).reshape(skin, -1)
+        return self.face.skin_columns(state).reshape(skin, -1) @ np.linalg.inv(self.alone)
 
     def _limits(self, count: int) -> tuple[tuple[Floats, Floats], Floats]:
         """Return bounds and reach of all ``count`` variables; head and cameras have no bounds."""
