@@ -199,7 +199,7 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
             for term in view.terms:
                 total += self.options.loss.value(term.residual(point.skin, camera))
             if view.focal:
-                total += 0.5 * _focal_residual(view.focal, camera) ** 2
+                total += 0.5 * focal_residual(view.focal, camera) ** 2
         return total
 
     @override
@@ -225,7 +225,7 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
                 hessian[np.ix_(variables, variables)] += jacobian.T @ (weights[:, None] * jacobian)
             if view.focal and len(view.free):
                 last = place.stop - 1
-                gradient[last] += _focal_residual(view.focal, camera) / view.focal.deviation
+                gradient[last] += focal_residual(view.focal, camera) / view.focal.deviation
                 hessian[last, last] += view.focal.deviation**-2
         bounds, reach = self._limits(count)
         own = self.alone @ point.state.q
@@ -276,6 +276,6 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
         return bounds, np.concatenate([reach, head, *own])
 
 
-def _focal_residual(prior: FocalPrior, camera: PinholeCamera) -> float:
+def focal_residual(prior: FocalPrior, camera: PinholeCamera) -> float:
     """Return how far a camera's focal length is from its prior, in deviations."""
     return float(np.log(camera.focal.mean() / prior.px) / prior.deviation)

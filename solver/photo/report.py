@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from solver.anatomy.skin_points import SkinPoints
+from solver.anatomy.template import Template
 from solver.drawing.head import SIDE, DrawnHead, face_camera
 from solver.drawing.render import GAMMA, Pixels, rasterise, render_bust
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.model import SubjectModel
 from solver.photo.camera import PinholeCamera
 from solver.photo.expression import PhotoExpression, marks_of
+from solver.photo.identity import IdentityFit
 from solver.photo.light import Appearance
 from solver.photo.photo import Photo
 from solver.photo.shading import blocked_light, shade_of
@@ -93,6 +95,36 @@ def photo_picture(
         bust = face_camera(point.skin, model.face, SIDE)
         panels = [_panel(each, box) for each in (photo.pixels, marked, shaded, difference)]
         panels.append(render_bust([aside], bust, (PANEL, PANEL)))
+        top = HEADER + row * (PANEL + 30)
+        page.text((MARGIN, top), photo.name, 17)
+        for column, pixels in enumerate(panels):
+            page.panel((MARGIN + column * PANEL, top + 26), pixels)
+    page.save(path)
+
+
+def identity_picture(
+    template: Template,
+    photos: Sequence[Photo],
+    found: IdentityFit,
+    points: SkinPoints,
+    path: Path,
+) -> None:
+    """Draw a row for each photograph: plate, landmarks, the person then, and at rest from two sides."""
+    head = DrawnHead(template.skin)
+    page = Sheet(2 * MARGIN + 5 * PANEL, HEADER + len(photos) * (PANEL + 30) + MARGIN)
+    page.heading(
+        "A person from photographs",
+        "plate; landmarks given (blue) and fitted (red); the person in it; at rest; aside",
+    )
+    for row, photo in enumerate(photos):
+        camera, skin = found.cameras[row], found.skins[row]
+        box = _box(camera.project(skin[template.face_vertices])[:, :2], photo.size)
+        known, given = marks_of(photo, points)
+        marked = _marked(photo, given, camera.project(known.at(skin))[:, :2])
+        panels = [_panel(each, box) for each in (photo.pixels, marked)]
+        for shown, view in ((skin, 0.0), (found.neutral, 0.0), (found.neutral, SIDE)):
+            bust = face_camera(shown, template.face_vertices, view)
+            panels.append(render_bust([head.body(head.lit(shown))], bust, (PANEL, PANEL)))
         top = HEADER + row * (PANEL + 30)
         page.text((MARGIN, top), photo.name, 17)
         for column, pixels in enumerate(panels):
