@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.skin_points import SkinPoints
-from solver.anatomy.template import Template
 from solver.errors import Finding, InputError, SolveError, make_warning, quote_names
 from solver.fitting.least_squares import Listener
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, fits, read_template
-from solver.jobs.photos import read_photos
+from solver.jobs.photos import read_faces
 from solver.kinds.fit_photo import FitPhoto
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.linear import fastest
-from solver.photo.detect import Box, find_face
 from solver.photo.expression import (
     ExpressionOptions,
     PhotoExpression,
@@ -34,8 +32,6 @@ from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
 from solver.photo.report import photo_figures, photo_picture
 from solver.progress import Step, part_of
-from solver.registration.detector import FaceDetector, landmarker_file
-from solver.registration.landmarks import landmark_vertices
 from solver.rig import Rig, ShapeFit, System
 from solver.rig.report import known_information
 from solver.rig.report.systems import SYSTEMS
@@ -60,7 +56,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     rig = Rig.load(task.inputs)
     model, linear = rig.model, given.linear_solver or fastest()
     tracks = MuscleTracks.load(task.inputs["tracks"], model)
-    photos, findings = _read(task, template)
+    photos, findings = read_faces(task, template, given.boxes)
     moments = _moments(given, photos)
     points = landmark_points(template)
     face = rig.face(linear)
@@ -106,43 +102,6 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     information = known_information(rig)
     files = fits.leave_systems(face, whole, settings, task.out, ending, information)
     return [*files, *own]
-
-
-def _read(
-    task: Task[FitPhoto], template: Template
-) -> tuple[dict[str, Photo], dict[str, list[Finding]]]:
-    """Return the photographs by their names, and what is odd about those whose face was found."""
-    read = read_photos(task, landmark_vertices(template).keys())
-    photos = {photo.name: photo for photo in read}
-    findings: dict[str, list[Finding]] = {name: [] for name in photos}
-    unmarked = [name for name, photo in photos.items() if not photo.landmarks]
-    if not unmarked:
-        return photos, findings
-    with FaceDetector(_landmarker(unmarked[0])) as detector:
-        for name in unmarked:
-            face = find_face(photos[name], detector, _box(task.options.boxes.get(name)))
-            photos[name] = replace(photos[name], landmarks=face.landmarks)
-            findings[name] += face.findings
-    return photos, findings
-
-
-def _box(given: list[float] | None) -> Box | None:
-    if given is None:
-        return None
-    left, top, right, bottom = given
-    return left, top, right, bottom
-
-
-def _landmarker(photo: str) -> Path:
-    """Return the detector's file; ``photo`` is one that has no landmarks."""
-    file = landmarker_file()
-    if file is None:
-        message = (
-            f"{photo} has no landmarks, and nothing here finds them: give them as JSON beside it "
-            "(landmarks), or install MediaPipe's face landmarker (docs/science/photographs.md)"
-        )
-        raise InputError("landmarks.model", message, file=photo)
-    return file
 
 
 def _moments(given: FitPhoto, photos: Mapping[str, Photo]) -> dict[str, list[str]]:

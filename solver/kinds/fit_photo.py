@@ -11,11 +11,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from solver.kinds.document import Name, Whole
-from solver.kinds.kind import JobOptions, Kind, LinearSolver
+from solver.kinds.kind import Box, JobOptions, Kind, LinearSolver
 
 Moment = Annotated[list[str], Field(min_length=1, max_length=16)]
-
-Box = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=4, max_length=4)]
 
 
 class FitPhoto(JobOptions):

@@ -208,6 +208,8 @@ class PlayOptions(JobOptions):
     linear_solver: LinearSolver = None
 
 
+Box = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=4, max_length=4)]
+
 MM_A_UNIT = (1e-6, 1e6)  # least and most
 UnitName = Literal["auto", "mm", "cm", "m", "inch", "foot"]
 

@@ -35,35 +35,42 @@ def photo_figures(
     photos: Sequence[Photo], result: PhotoExpression[Any], points: SkinPoints
 ) -> dict[str, Any]:
     """Return the figures of the fit of one moment as JSON values."""
-    found = {}
-    for number, photo in enumerate(photos):
-        camera = result.fit.point.cameras[number]
-        known, given = marks_of(photo, points)
-        fitted = camera.project(known.at(result.fit.point.skin))[:, :2]
-        away = np.linalg.norm(fitted - given, axis=1)
-        depth = float(np.median(camera.project(result.fit.point.skin)[:, 2]))
-        px_per_mm = float(camera.focal.mean()) / depth
-        found[photo.name] = {
-            "size": list(photo.size),
-            "camera": {
-                "fx": round(float(camera.focal[0]), 2),
-                "fy": round(float(camera.focal[1]), 2),
-                "cx": round(float(camera.centre[0]), 2),
-                "cy": round(float(camera.centre[1]), 2),
-                "rotation": camera.rotation.round(6).tolist(),
-                "translation": camera.translation.round(3).tolist(),
-            },
-            "camera_is_given": photo.camera is not None,
-            "distance_mm": round(depth, 1),
-            "landmarks": len(away),
-            "landmarks_px": round(float(away.mean()), 3),
-            "landmarks_mm": round(float(away.mean()) / px_per_mm, 3),
-        }
+    point = result.fit.point
+    found = {
+        photo.name: camera_figures(photo, camera, point.skin, points)
+        for photo, camera in zip(photos, point.cameras, strict=True)
+    }
     return {
         "photos": found,
         "iterations": {"landmarks": result.landmarks.steps, "shading": result.fit.steps},
         "objective": round(result.fit.objective, 3),
         "termination": str(result.fit.termination),
+    }
+
+
+def camera_figures(
+    photo: Photo, camera: PinholeCamera, skin: Floats, points: SkinPoints
+) -> dict[str, Any]:
+    """Return the figures of a photograph's camera and landmarks as JSON values."""
+    known, given = marks_of(photo, points)
+    away = np.linalg.norm(camera.project(known.at(skin))[:, :2] - given, axis=1)
+    depth = float(np.median(camera.project(skin)[:, 2]))
+    px_per_mm = float(camera.focal.mean()) / depth
+    return {
+        "size": list(photo.size),
+        "camera": {
+            "fx": round(float(camera.focal[0]), 2),
+            "fy": round(float(camera.focal[1]), 2),
+            "cx": round(float(camera.centre[0]), 2),
+            "cy": round(float(camera.centre[1]), 2),
+            "rotation": camera.rotation.round(6).tolist(),
+            "translation": camera.translation.round(3).tolist(),
+        },
+        "camera_is_given": photo.camera is not None,
+        "distance_mm": round(depth, 1),
+        "landmarks": len(away),
+        "landmarks_px": round(float(away.mean()), 3),
+        "landmarks_mm": round(float(away.mean()) / px_per_mm, 3),
     }
 
 
@@ -103,13 +110,9 @@ def photo_picture(
 
 
 def identity_picture(
-    template: Template,
-    photos: Sequence[Photo],
-    found: IdentityFit,
-    points: SkinPoints,
-    path: Path,
+    template: Template, photos: Sequence[Photo], found: IdentityFit, points: SkinPoints, path: Path
 ) -> None:
-    """Draw a row for each photograph: plate, landmarks, the person then, and at rest from two sides."""
+    """Draw a row for each photograph: plate, landmarks, the face in it, at rest, and aside."""
     head = DrawnHead(template.skin)
     page = Sheet(2 * MARGIN + 5 * PANEL, HEADER + len(photos) * (PANEL + 30) + MARGIN)
     page.heading(
