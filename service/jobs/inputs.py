@@ -119,6 +119,8 @@ def _refuse_no_scan(capture: Capture) -> None:
 
 def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = False) -> InputFile:
     neutral = captures.neutral(session, subject_id)
+    if neutral is None and (estimate := captures.estimated_neutral(session, subject_id)):
+        return artifact_file("neutral", estimate)
     if neutral is None:
         raise Problem(
             409, "subject.no_neutral", "the subject has no neutral capture", subject_id=subject_id

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.skin_points import SkinPoints
-from solver.errors import Finding, InputError
+from solver.errors import Finding, InputError, make_warning
 from solver.jobs import Task, read_template
 from solver.jobs.photos import read_faces
 from solver.kinds.neutral_from_photos import NeutralFromPhotos
@@ -68,6 +68,8 @@ def _report(
     photos: list[Photo], found: IdentityFit, points: SkinPoints, findings: dict[str, list[Finding]]
 ) -> dict[str, Any]:
     """Return what is told of an estimate as JSON values."""
+    odd = [each for name in findings for each in findings[name]]
+    notices = [make_warning("model.estimated", SIZE_WORDS["photographs"]), *odd]
     told = {}
     for row, photo in enumerate(photos):
         weights = {
@@ -78,10 +80,9 @@ def _report(
         told[photo.name] = {
             **camera_figures(photo, found.cameras[row], found.skins[row], points),
             "weights": weights,
-            "findings": [each.as_dict() for each in findings[photo.name]],
         }
     return {
-        "words": SIZE_WORDS["photographs"],
+        "notices": [each.as_dict() for each in notices],
         "size_from": "photographs",
         "photos": told,
         "coefficients": found.coefficients.round(4).tolist(),

@@ -17,6 +17,7 @@ const PICTURES = {
   "distance.png": "How far the registered face lies from the scan",
   "anatomy.png": "Skull and muscles inside the scan",
   "certificate.png": "The certificate of the fit",
+  "neutral.png": "Photographs and the person that they were made into",
   "photo.png": "Photographs beside the fitted face, and where they differ",
   "animation.png": "Moments of the animation",
   "edit.png": "The person before and after the edits",

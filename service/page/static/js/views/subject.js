@@ -12,7 +12,7 @@ import { verdictOf } from "../parts/certificate.js";
 import { askForJob } from "../parts/new_job.js";
 import { toldBeforeDeletion } from "../parts/readers.js";
 import { refuse } from "../parts/refuse.js";
-import { kindsOfFits, kindsOfPhotos, kindsOfRigs } from "../parts/rig_kinds.js";
+import { kindsOfEstimates, kindsOfFits, kindsOfPhotos, kindsOfRigs } from "../parts/rig_kinds.js";
 import { state, verdictState } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
@@ -57,6 +57,9 @@ class SubjectView {
     this.kindsOfRigs = kindsOfRigs(kinds);
     this.kindsOfFits = kindsOfFits(kinds);
     this.kindsOfPhotos = kindsOfPhotos(kinds);
+    this.estimates = kindsOfEstimates(kinds).map(({ kind, title }) =>
+      button(title, () => this.order(kind, { captures: this.chosenOf("photo") })),
+    );
     this.roles = roles;
     this.signal = signal;
     this.chosen = new Set();
@@ -98,7 +101,7 @@ class SubjectView {
         h("button", { type: "button", class: "danger", onclick: () => this.delete() }, "Delete subject"),
       ),
       panel("scans", "Scans", this.captureTable, this.noScans, this.next),
-      panel("model", "Model", h("div", { class: "row" }, this.model, this.build, this.tracks, this.fit)),
+      panel("model", "Model", h("div", { class: "row" }, this.model, this.estimates, this.build, this.tracks, this.fit)),
       panel("rigs", "Rigs", this.rigTable, this.noRigs),
     ];
   }
@@ -163,15 +166,16 @@ class SubjectView {
     refuse(this.fit, why);
     setText(this.fit, expressions ? `Fit ${count(expressions, "expression")}` : "Fit the chosen expressions");
     for (const more of this.rigBody.querySelectorAll("button[data-more]")) refuse(more, why);
-    const whyNoPhotos = this.whyNoPhotos();
+    for (const estimate of this.estimates) refuse(estimate, this.whyNoPhotos());
+    const whyNoPhotos = this.whyNoPhotos(this.hasTracks ? null : "Build tracks first");
     for (const photos of this.rigBody.querySelectorAll("button[data-photos]")) refuse(photos, whyNoPhotos);
   }
 
-  /** Return why the chosen photographs cannot be fitted with a rig; null if they can. */
-  whyNoPhotos() {
+  /** Return why the chosen photographs are none for a job, or why it cannot be yet; null if they are. */
+  whyNoPhotos(whyNotYet = null) {
     const chosen = this.chosenOf("photo").length;
     if (![...this.captures.values()].some(({ role }) => role === "photo")) return "Upload photographs first";
-    if (!this.hasTracks) return "Build tracks first";
+    if (whyNotYet) return whyNotYet;
     if (!chosen) return "Choose photographs in the list of scans first";
     return chosen > MOST_PHOTOS ? `Choose at most ${MOST_PHOTOS} photographs` : null;
   }
