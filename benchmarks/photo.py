@@ -5,7 +5,8 @@ and their shadows, skin with blotches and freckles), spoils pixels and landmarks
 fits tracks (T) and plain shapes (B) by landmarks alone and by shading, too; the camera is unknown.
 The head's motion is taken out of the distances: a picture does not tell how far away a head is.
 `held_out` fits the photographs of a folder, each with every fourth landmark that was found left
-out, and tells how far off these are, in parts of the distance of the outer corners of the eyes.
+out, and tells how far off these are, in parts of the distance of the outer corners of the eyes:
+on the subject's face, and on one that is estimated from the same landmarks (`estimated`).
 `pair` fits a real pair of photographs of a face at rest whose scan is known, with that scan's own
 model: whatever moves is invented.
 """
@@ -27,6 +28,7 @@ from benchmarks.documents import Figures, Section, Table
 from benchmarks.photo_pair import pair_figures, read_pair
 from benchmarks.subjects import COARSE_EDGE_MM, Subject
 from benchmarks.systems import MIXTURES, QUICK_MIXTURES, both_sides
+from solver.anatomy.build import build_subject_model
 from solver.anatomy.skin_points import SkinPoints
 from solver.anatomy.template import Template
 from solver.drawing.render import GAMMA, irradiance, rasterise
@@ -35,8 +37,9 @@ from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.photo.camera import PinholeCamera
 from solver.photo.detect import find_face
-from solver.photo.expression import ExpressionOptions, fit_expression
+from solver.photo.expression import fit_expression
 from solver.photo.fit import PhotoPoint
+from solver.photo.identity import fit_identity
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
 from solver.photo.read import read_photo
@@ -110,7 +113,7 @@ def run(options: argparse.Namespace) -> Figures:
     if "pair" in options.parts:
         found["pair"] = _pair(options.scan, template, points, options)
     if options.photos is not None:
-        found["held_out"] = _held_out(options.photos, faces, points)
+        found["held_out"] = _held_out(options, template, faces, points)
     return found
 
 
@@ -205,11 +208,15 @@ def _off(skin: Floats, truth: Floats, face: np.ndarray) -> float:
 
 
 def _held_out(
-    folder: Path, faces: Mapping[str, ShapeFace[Any]], points: SkinPoints
+    options: argparse.Namespace,
+    template: Template,
+    faces: Mapping[str, ShapeFace[Any]],
+    points: SkinPoints,
 ) -> dict[str, dict[str, Figures]]:
     """Return system -> photograph -> figures; those in which no face can be used are told."""
     found: dict[str, dict[str, Figures]] = {}
-    for photo in _read(folder):
+    shapes = subjects.shapes(options)
+    for photo in _read(options.photos):
         names = [name for name in points.names if name in photo.landmarks]
         hidden = names[::HELD_OUT]
         shown = replace(
@@ -217,16 +224,25 @@ def _held_out(
         )
         eyes = float(np.linalg.norm(np.subtract(*(photo.landmarks[n] for n in EYE_CORNERS))))
         given = np.array([photo.landmarks[name] for name in hidden])
+        neutral = fit_identity(template, [shown], points).neutral
+        estimate = build_subject_model(template, neutral, edge_mm=options.edge_mm)
         for system, face in faces.items():
             begun = time.perf_counter()
-            fitted = fit_expression(face, [shown], points, options=ExpressionOptions())
+            fitted = fit_expression(face, [shown], points)
+            seconds = time.perf_counter() - begun
+            own = _face(system, estimate, template_shapes(estimate, shapes))
+            estimated = fit_expression(own, [shown], points).fit.point
             off = {
-                stage: 100 * _pixels_off(each.point, given, points.select(hidden)) / eyes
-                for stage, each in (("landmarks", fitted.landmarks), ("shading", fitted.fit))
+                stage: 100 * _pixels_off(each, given, points.select(hidden)) / eyes
+                for stage, each in (
+                    ("landmarks", fitted.landmarks.point),
+                    ("shading", fitted.fit.point),
+                    ("estimated", estimated),
+                )
             }
             figures = {
                 **{f"{stage}_percent": value for stage, value in off.items()},
-                "seconds": time.perf_counter() - begun,
+                "seconds": seconds,
             }
             log.info("%s by %s: %s", photo.name, system, figures)
             found.setdefault(system, {})[photo.name] = figures
@@ -301,7 +317,9 @@ def section(figures: Figures) -> Section:
         parts.append(Table(["pair at rest", *PAIR_COLUMNS.values()], rows))
     for system, each in figures.get("held_out", {}).items():
         rows = [[name, *(round(float(v), 2) for v in one.values())] for name, one in each.items()]
-        parts.append(Table([system, "landmarks, %", "with shading, %", "s"], rows))
+        parts.append(
+            Table([system, "landmarks, %", "with shading, %", "face estimated, %", "s"], rows)
+        )
     return Section(
         "Photographs",
         "Distances of the face to the one that was drawn, the head's motion apart, means of the "

@@ -126,6 +126,21 @@ def test_what_is_no_photograph_is_refused(studio: Studio) -> None:
     assert (answer.status_code, answer.json()["code"]) == (422, "capture.is_photo")
 
 
+def test_a_model_goes_on_from_photographs_where_there_is_no_scan(studio: Studio) -> None:
+    subject = studio.post("/v1/subjects", name="Alex")["id"]
+    with pytest.raises(Problem) as caught:
+        _resolve(studio, KINDS["build_model"], subject, [])
+    assert caught.value.code == "subject.no_neutral"
+    photo = _photo(studio, subject, "smile")
+    job = studio.submit("neutral_from_photos", subject, captures=[photo])
+    studio.pretend(job, {"neutral.ply": "a" * 64, "neutral.json": "b" * 64})
+    (neutral,) = _resolve(studio, KINDS["build_model"], subject, []).files
+    assert (neutral["role"], neutral["sha256"], neutral["of"]) == ("neutral", "a" * 64, job)
+    scan = studio.capture(subject, "neutral", "neutral")
+    (neutral,) = _resolve(studio, KINDS["build_model"], subject, []).files
+    assert neutral["of"] == scan
+
+
 def test_a_job_reads_the_photographs_that_are_chosen(studio: Studio) -> None:
     subject = studio.subject()
     smile = _photo(studio, subject, "smile", mask=MASK)
