@@ -317,9 +317,8 @@ def section(figures: Figures) -> Section:
         parts.append(Table(["pair at rest", *PAIR_COLUMNS.values()], rows))
     for system, each in figures.get("held_out", {}).items():
         rows = [[name, *(round(float(v), 2) for v in one.values())] for name, one in each.items()]
-        parts.append(
-            Table([system, "landmarks, %", "with shading, %", "face estimated, %", "s"], rows)
-        )
+        columns = ["landmarks, %", "with shading, %", "face estimated, %", "s"]
+        parts.append(Table([system, *columns], rows))
     return Section(
         "Photographs",
         "Distances of the face to the one that was drawn, the head's motion apart, means of the "
