@@ -261,7 +261,7 @@ def _pair(
         pair = read_pair(scan, template, options.edge_mm, detector)
     shapes = template_shapes(pair.model, template.shapes)
     faces = {name: _face(name, pair.model, shapes) for name in options.systems}
-    return pair_figures(pair, faces, points)
+    return pair_figures(pair, template, faces, points)
 
 
 def _pixels_off(point: PhotoPoint[Any], given: Floats, points: SkinPoints) -> float:
@@ -315,6 +315,10 @@ def section(figures: Figures) -> Section:
             for name, each in fits.items()
         ]
         parts.append(Table(["pair at rest", *PAIR_COLUMNS.values()], rows))
+    if estimates := figures.get("pair", {}).get("estimates"):
+        rows = [[name, *(round(v, 2) for v in one.values())] for name, one in estimates.items()]
+        columns = ["median to the scan, mm", "resized, mm"]
+        parts.append(Table(["face estimated from the pair", *columns], rows))
     for system, each in figures.get("held_out", {}).items():
         rows = [[name, *(round(float(v), 2) for v in one.values())] for name, one in each.items()]
         columns = ["landmarks, %", "with shading, %", "face estimated, %", "s"]

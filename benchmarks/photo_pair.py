@@ -2,7 +2,8 @@
 
 A stereo rig's picture has both photographs side by side, and the scan's texture coordinates are the
 projections into them, so that two linear fits are its cameras. A model is made of the scan itself:
-the neutral face is the truth, and every weight that a fit finds is an error.
+the neutral face is the truth, and every weight that a fit finds is an error. A face that is
+estimated from the photographs alone is compared with the scan as well.
 """
 
 from __future__ import annotations
@@ -27,12 +28,13 @@ from solver.model import SubjectModel
 from solver.photo.camera import PinholeCamera
 from solver.photo.detect import find_face
 from solver.photo.expression import PhotoExpression, fit_expression, read_neutral
+from solver.photo.identity import fit_identity
 from solver.photo.photo import Photo
 from solver.photo.read import read_photo
 from solver.registration.detector import FaceDetector
 from solver.registration.register import RegisteredFace, register
 from solver.registration.topology import topology
-from solver.similarity import weighted_motion
+from solver.similarity import fit_similarity, weighted_motion
 from solver.surface import Floats
 from solver.tracks.fit import ShapeFace
 
@@ -74,8 +76,10 @@ def read_pair(path: Path, template: Template, edge_mm: float, detector: FaceDete
     return Pair(tuple(photos), tuple(off), scan, model)
 
 
-def pair_figures(pair: Pair, faces: Mapping[str, ShapeFace[Any]], points: SkinPoints) -> Figures:
-    """Return how far each system takes the face from its scan, by one photograph and by both."""
+def pair_figures(
+    pair: Pair, template: Template, faces: Mapping[str, ShapeFace[Any]], points: SkinPoints
+) -> Figures:
+    """Return how far each system takes the face from its scan, and how near an estimate comes."""
     sets = {photo.name: [photo] for photo in pair.photos} | {"both": list(pair.photos)}
     found: dict[str, Figures] = {}
     for system, face in faces.items():
@@ -86,7 +90,23 @@ def pair_figures(pair: Pair, faces: Mapping[str, ShapeFace[Any]], points: SkinPo
             look = read_neutral(face, still, points)
             fitted = fit_expression(face, [photo], look.points)
             found[f"{system} {photo.name}, {still.name} as its neutral"] = _off(pair, fitted)
-    return {"camera_px": max(pair.camera_px), "fits": found}
+    estimates = {
+        name: _estimate_off(pair, fit_identity(template, photos, points).neutral)
+        for name, photos in sets.items()
+    }
+    estimates["mean face"] = _estimate_off(pair, template.skin.vertices)
+    return {"camera_px": max(pair.camera_px), "fits": found, "estimates": estimates}
+
+
+def _estimate_off(pair: Pair, skin: Floats) -> dict[str, float]:
+    """Return the median distance to the scan of a face that is laid on it, as large and resized."""
+    face, rest = pair.model.face, pair.model.skin.vertices
+    rigid = weighted_motion(skin[face], rest[face], np.ones(len(face)))
+    resized = fit_similarity(skin[face], rest[face])
+    return {
+        "aligned_median_mm": float(np.median(_distances(pair, rigid(skin)))),
+        "resized_median_mm": float(np.median(_distances(pair, resized(skin)))),
+    }
 
 
 def _off(pair: Pair, fitted: PhotoExpression[Any]) -> dict[str, float]:
@@ -97,18 +117,19 @@ def _off(pair: Pair, fitted: PhotoExpression[Any]) -> dict[str, float]:
         still = weighted_motion(skin[face], rest[face], np.ones(len(face)))(skin)
         moved = np.linalg.norm(still[face] - rest[face], axis=1)
         figures[f"{stage}_mm"] = float(moved.mean())
-        figures[f"{stage}_grown_mm"] = _from_scan(pair, still) - _from_scan(pair, rest)
+        further = _distances(pair, still).mean() - _distances(pair, rest).mean()
+        figures[f"{stage}_grown_mm"] = float(further)
         figures[f"{stage}_weights"] = float(fit.point.state.q[:-JAW_FREEDOM].sum())
     return figures
 
 
-def _from_scan(pair: Pair, skin: Floats) -> float:
-    """Return the mean distance to the scan of the face's vertices that it shows."""
+def _distances(pair: Pair, skin: Floats) -> Floats:
+    """Return the distances to the scan, mm, of the face's vertices that it shows."""
     face, trust = pair.model.face, pair.scan.trust
     seen = face[trust.covered[face]]
     back = pair.scan.motion.inverse()
     found = pair.scan.scan.closest(back(skin[seen]))
-    return float(found.distance[~found.at_edge].mean())
+    return np.asarray(found.distance[~found.at_edge])
 
 
 def _texture(path: Path) -> tuple[Floats, Floats]:
