@@ -117,7 +117,7 @@ def fit_expression(
     """
     begun = face.rest() if start is None else start
     surface = face.face.model.skin.with_vertices(face.skin(begun))
-    views, head = _place(photos, points, surface, options)
+    views, head = place_views(photos, points, surface, options)
     by_landmarks = fit_photos(face, views, begun, head, options.fit, listen)
     if options.shading is None:
         return PhotoExpression(by_landmarks, by_landmarks, ())
@@ -165,10 +165,13 @@ def shading_of(
     return term, look
 
 
-def _place(
+def place_views(
     photos: Sequence[Photo], points: SkinPoints, skin: Surface, options: ExpressionOptions
 ) -> tuple[list[View], Similarity]:
-    """Return every photograph's landmarks with a camera to begin with, and where the head is."""
+    """Return every photograph's landmarks with a camera to begin with, and where the head is.
+
+    Cameras are those that see the ``skin`` so. Raises as :func:`fit_expression`.
+    """
     views, head = [], None
     for photo in photos:
         known, pixels = marks_of(photo, points)
