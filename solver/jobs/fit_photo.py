@@ -16,6 +16,7 @@ from solver.errors import Finding, InputError, SolveError, make_warning, quote_n
 from solver.fitting.least_squares import Listener
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, fits, read_template
+from solver.jobs.films import fit_film
 from solver.jobs.photos import read_photos
 from solver.kinds.fit_photo import FitPhoto
 from solver.mechanics.boundary import JAW_FREEDOM
@@ -26,7 +27,9 @@ from solver.photo.expression import (
     PhotoExpression,
     ShadingOptions,
     fit_expression,
+    look_of_neutral,
 )
+from solver.photo.film import FilmOptions
 from solver.photo.fit import PhotoFitOptions
 from solver.photo.light import Appearance
 from solver.photo.mesh_points import landmark_points
@@ -50,15 +53,22 @@ LETTERS = {"tracks": "T", "shapes": "B"}
 def run(task: Task[FitPhoto]) -> list[Path]:
     """Fit every moment's photographs; write the new rig's files, cameras and pictures.
 
-    Raises :class:`~solver.errors.InputError`: ``photo.*``, ``tracks.*``, ``rig.*``,
+    Of a film it writes what sequences leave (:func:`~solver.jobs.films.fit_film`). Raises
+    :class:`~solver.errors.InputError`: ``photo.*``, ``film.*``, ``tracks.*``, ``rig.*``,
     ``landmarks.*`` where they have to be found.
     """
     given, progress = task.options, task.progress
-    progress(Step("read", 0.0, message=f"{len(task.captures)} photographs"))
+    what = "a film" if given.sequence else f"{len(task.captures)} photographs"
+    progress(Step("read", 0.0, message=what))
     template = read_template(task)
     rig = Rig.load(task.inputs)
     model, linear = rig.model, given.linear_solver or fastest()
     tracks = MuscleTracks.load(task.inputs["tracks"], model)
+    if given.sequence:
+        face = rig.face(linear)
+        check_held(face)
+        driven, film = _face(given, rig, tracks, linear), FilmOptions(_options(given))
+        return fit_film(task, driven, face, _landmarker, film)
     photos, findings = _read(task, template)
     moments = _moments(given, photos)
     points = landmark_points(template)
@@ -170,7 +180,7 @@ def _face(given: FitPhoto, rig: Rig, tracks: MuscleTracks, linear: str) -> Shape
 def _options(given: FitPhoto) -> ExpressionOptions:
     fit = PhotoFitOptions(controls=TrackFitOptions(w_w=given.w_w, w_j=given.w_j))
     fit = replace(fit, stop=replace(fit.stop, iterations=given.max_iterations))
-    return ExpressionOptions(fit=fit, shading=ShadingOptions() if given.shading else None)
+    return ExpressionOptions(fit=fit, shading=ShadingOptions() if given.by_shading else None)
 
 
 @dataclass(frozen=True)
@@ -191,9 +201,8 @@ class _Fitter:
         """Return light and albedo of a neutral photograph for all others; empty without one."""
         if neutral is None or self.options.shading is None:
             return {}
-        still = replace(self.options, fit=_held(self.options.fit))
-        found = fit_expression(self.face, [photos[neutral]], self.points, options=still)
-        return dict.fromkeys(photos, found.appearances[0])
+        look = look_of_neutral(self.face, photos[neutral], self.points, self.options)
+        return dict.fromkeys(photos, look)
 
     def fit(
         self, name: str, photos: list[Photo], lights: Mapping[str, Appearance], listen: Listener
@@ -236,8 +245,3 @@ class _Fitter:
             jaw_on_top=state.q[-JAW_FREEDOM:],
             lengths=state.pose.lengths,
         )
-
-
-def _held(fit: PhotoFitOptions) -> PhotoFitOptions:
-    """Return options that leave the face neutral: only cameras are found."""
-    return replace(fit, controls=replace(fit.controls, bounds=(0.0, 0.0), w_j=1e9))

@@ -246,3 +246,15 @@ def _focal(photo: Photo, options: FocalOptions) -> tuple[Floats, FocalPrior | No
         return np.full(2, photo.focal_px), FocalPrior(photo.focal_px, options.told_deviation)
     guess = options.sides * max(photo.size)
     return np.full(2, guess), FocalPrior(guess, options.deviation)
+
+
+def look_of_neutral(
+    face: ShapeFace[State], photo: Photo, points: SkinPoints, options: ExpressionOptions
+) -> Appearance:
+    """Return light and albedo of a neutral face, which is held so: only its camera is found.
+
+    Raises as :func:`fit_expression`.
+    """
+    held = replace(options.fit.controls, bounds=(0.0, 0.0), w_j=1e9)
+    still = replace(options, fit=replace(options.fit, controls=held))
+    return fit_expression(face, [photo], points, options=still).appearances[0]

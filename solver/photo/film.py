@@ -123,7 +123,12 @@ class FilmTracker(Generic[State]):
         self.point: PhotoPoint[State] | None = None
         self._frames = 0  # since then
 
-    def begin(self, q: Floats, camera: PinholeCamera) -> None:
+    @property
+    def needs_look(self) -> bool:
+        """Whether light and albedo are still to be found in a first frame."""
+        return self.options.expression.shading is not None and self.look is None
+
+    def begin(self, q: Floats, camera: PinholeCamera) -> FilmFrame[State]:
         """Go on from controls q (K + 5,) and a camera that a frame was fitted with before.
 
         Raises :class:`~solver.errors.SolveError` where the flesh finds no way to them; all stays as
@@ -132,6 +137,7 @@ class FilmTracker(Generic[State]):
         state = self.face.move(self.face.rest() if self.point is None else self.point.state, q)
         self.point = PhotoPoint(state, self.face.skin(state), IDENTITY, (camera,))
         self._frames = 0
+        return FilmFrame(self.point, 0, 0.0)
 
     def pause(self) -> None:
         """Pass over a frame in which no face is seen."""

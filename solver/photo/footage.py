@@ -37,6 +37,9 @@ class Footage(Protocol):
     def photo(self, number: int) -> Photo:
         """Return a frame; raises what is wrong with it."""
 
+    def number(self, name: str) -> int | None:
+        """Return the number of the frame that is called so; None if none is."""
+
 
 def natural_order(names: Collection[str]) -> list[str]:
     """Return names with the numbers in them in order: ``a2`` before ``a10``."""
@@ -64,6 +67,10 @@ class Pictures:
     def __len__(self) -> int:
         """Return how many frames there are."""
         return len(self.paths)
+
+    def number(self, name: str) -> int | None:
+        """Return the number of the picture of this name; None if there is none."""
+        return self.order.index(name) if name in self.paths else None
 
     def photo(self, number: int) -> Photo:
         """Return a frame; raises :class:`InputError` as :func:`~solver.photo.read.read_photo`."""
@@ -95,6 +102,10 @@ class FilmFile:
     def __len__(self) -> int:
         """Return how many frames it has."""
         return self._count
+
+    def number(self, name: str) -> int | None:
+        """Return the number that the name is; None if there is no such frame."""
+        return int(name) if name.isdecimal() and int(name) < self._count else None
 
     def photo(self, number: int) -> Photo:
         """Return a frame; raises :class:`InputError` (``film.unreadable``)."""

@@ -1,4 +1,4 @@
-"""A performance of a block of flesh, fitted by the weights of its tracks, whole and in two parts."""
+"""A performance of a block of flesh, fitted by the weights of its tracks, whole and in parts."""
 
 from __future__ import annotations
 
