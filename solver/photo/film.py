@@ -187,8 +187,8 @@ class FilmTracker(Generic[State]):
         placed = minimise(held, begun, TrustRegion(fit.damping), self.options.stop).point
         if options.shading is not None and self.look is not None:
             view = self._shaded(photo, view, placed, options.shading)
-        walk = _Walk(before, noise, sd, follows_head=not is_cut)
-        problem = _FrameProblem(PhotoProblem(self.face, (view,), fit, moves_face=True), walk)
+        walk = RandomWalk(before, noise, sd, follows_head=not is_cut)
+        problem = FrameProblem(PhotoProblem(self.face, (view,), fit, moves_face=True), walk)
         found = minimise(problem, placed, TrustRegion(fit.damping), self.options.stop)
         return FilmFrame(found.point, found.steps, found.value)
 
@@ -217,13 +217,13 @@ def turn_and_shift(before: PinholeCamera, after: PinholeCamera) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Walk(Generic[State]):
+class RandomWalk(Generic[State]):
     """What a frame supposes by the one before; ``sd`` is what grows with the frames between."""
 
     before: PhotoPoint[State]
     noise: StepNoise
     sd: float
-    follows_head: bool  # false: it was filmed anew, and may be anywhere
+    follows_head: bool = True  # false: it was filmed anew, and may be anywhere
 
     @cached_property
     def prices(self) -> Floats:
@@ -240,14 +240,14 @@ class _Walk(Generic[State]):
 
 
 @dataclass(frozen=True)
-class _FrameProblem(LeastSquaresProblem[PhotoPoint[State]]):
+class FrameProblem(LeastSquaresProblem[PhotoPoint[State]]):
     """A picture beside what the frame before supposes.
 
     A head's turn since then is small: its derivative by a further one is taken for one.
     """
 
     picture: PhotoProblem[State]
-    walk: _Walk[State]
+    walk: RandomWalk[State]
 
     @override
     def value(self, point: PhotoPoint[State]) -> float:
