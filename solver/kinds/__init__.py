@@ -65,7 +65,7 @@ def _complete(name: str, kind: Kind, words: str) -> Kind:
     """Return a kind with what its module's name and docstring say of it, and what follows."""
     title, _, description = words.partition("\n\n")
     report = kind.report or f"{kind.leaves}.json"
-    variants = {option: _complete(name, each, words) for option, each in kind.variants.items()}
+    variants = tuple((option, _complete(name, each, words)) for option, each in kind.variants)
     return replace(
         kind,
         name=name,

@@ -99,15 +99,18 @@ KIND = Kind(
     options=FitPhoto,
     frames=True,
     hands_on=("sequence.npz",),
-    variants={
-        "sequence": Kind(
-            queue="long",
-            reads=READS,
-            leaves="sequence",
-            result="sequence.npz",
-            options=FitPhoto,
-            frames=True,
-            hands_on=("sequence.npz",),
-        )
-    },
+    variants=(
+        (
+            "sequence",
+            Kind(
+                queue="long",
+                reads=READS,
+                leaves="sequence",
+                result="sequence.npz",
+                options=FitPhoto,
+                frames=True,
+                hands_on=("sequence.npz",),
+            ),
+        ),
+    ),
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Annotated, Any, Literal, get_args
 
@@ -81,8 +81,8 @@ class Kind:
     folder: str = ""  # that a command line fills by default; not given: leaves
     frames: bool = False
     hands_on: tuple[str, ...] = ()
-    # what it is where an option of this name is true, where that leaves something else
-    variants: Mapping[str, Kind] = field(default_factory=dict)
+    # options that make another job of it where they are true, with what it is then
+    variants: tuple[tuple[str, Kind], ...] = ()
     seconds: int | None = None  # that it may last, where others of its queue last much longer
     name: str = ""  # the module's, whose docstring has title and description
     title: str = ""
@@ -97,7 +97,7 @@ class Kind:
 
     def given(self, options: Mapping[str, Any]) -> Kind:
         """Return the kind as ``options`` make it: a fit of photographs that are a film, say."""
-        chosen = (kind for option, kind in self.variants.items() if options.get(option) is True)
+        chosen = (kind for option, kind in self.variants if options.get(option) is True)
         return next(chosen, self)
 
     @property

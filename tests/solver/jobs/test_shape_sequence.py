@@ -88,6 +88,29 @@ def test_weights_come_back_and_a_job_that_was_killed_goes_on(
     assert (tmp_path / "parts" / "sequence.glb").is_file()
 
 
+def test_a_scene_plays_the_weights(files: Path, tmp_path: Path) -> None:
+    fit(files, tmp_path / "take", options={"fps": 10.0})
+    inputs = {name: files / f"{name}.npz" for name in ("rig", "tracks")}
+    scene = {"drive": "tracks", "fps": 10, "performance": {"asset": "take"}}
+    given = {"captures": {"take": tmp_path / "take" / "sequence.npz"}, **inputs}
+    run_job("simulate", tmp_path / "played", options={"scene": scene}, **given)
+    with np.load(tmp_path / "played" / "animation.npz") as found:
+        wanted = np.load(files / "take.npy")[:, MODEL.face]
+        assert np.linalg.norm(found["skin"] - wanted, axis=2).mean() < 0.05
+    more = {"performance": {"asset": "take", "gain": 0.0}}
+    run_job("simulate", tmp_path / "still", options={"scene": scene | more}, **given)
+    with np.load(tmp_path / "still" / "animation.npz") as found:
+        assert np.abs(found["skin"] - MODEL.skin.vertices[MODEL.face]).max() < 0.01
+    for wrong in (
+        {"drive": "muscles"},
+        {"performance": {"asset": "take", "mask": ["left"]}},
+        {"performance": [{"asset": "take"}, {"asset": "take"}]},
+    ):
+        with pytest.raises(InputError) as refused:
+            run_job("simulate", tmp_path / "wrong", options={"scene": scene | wrong}, **given)
+        assert refused.value.code == "scene.shapes"
+
+
 def test_changes_cost_and_what_is_hidden_keeps_the_pose(files: Path, tmp_path: Path) -> None:
     frames = np.load(files / "take.npy")
     frames[2] = np.nan
