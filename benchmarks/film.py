@@ -291,6 +291,7 @@ class _Repeated(Footage):
         return self.count
 
     def number(self, name: str) -> int | None:
+        del name
         return None
 
     def photo(self, number: int) -> Photo:
