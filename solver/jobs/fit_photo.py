@@ -58,6 +58,10 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     ``landmarks.*`` where they have to be found.
     """
     given, progress = task.options, task.progress
+    if "film" in task.inputs and not given.sequence:
+        raise InputError(
+            "options.sequence", "a film is given, which is fitted by sequence: ask for it"
+        )
     what = "a film" if given.sequence else f"{len(task.captures)} photographs"
     progress(Step("read", 0.0, message=what))
     template = read_template(task)

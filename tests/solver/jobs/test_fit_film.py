@@ -134,6 +134,7 @@ def test_frames_without_a_face_are_bridged(files: Path, tmp_path: Path) -> None:
     ("more", "code", "words"),
     [
         ({}, "job.missing", "needs a film"),
+        ({"options": {"sequence": False}}, "options.sequence", "by sequence: ask for it"),
         ({"options": {"neutral": "back"}}, "photo.neutral", "no frame 'back'"),
         ({"options": {"start": 9}}, "options.frames", "0 to 5"),
     ],
