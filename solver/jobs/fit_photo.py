@@ -15,7 +15,8 @@ from solver.errors import Finding, InputError, SolveError, make_warning, quote_n
 from solver.fitting.least_squares import Listener
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, fits, read_template
-from solver.jobs.photos import read_faces
+from solver.jobs.films import fit_film
+from solver.jobs.photos import find_landmarker, read_faces
 from solver.kinds.fit_photo import FitPhoto
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.linear import fastest
@@ -26,6 +27,7 @@ from solver.photo.expression import (
     fit_expression,
     read_neutral,
 )
+from solver.photo.film import FilmOptions
 from solver.photo.fit import PhotoFitOptions
 from solver.photo.light import Appearance
 from solver.photo.mesh_points import landmark_points
@@ -47,15 +49,26 @@ LETTERS = {"tracks": "T", "shapes": "B"}
 def run(task: Task[FitPhoto]) -> list[Path]:
     """Fit every moment's photographs; write the new rig's files, cameras and pictures.
 
-    Raises :class:`~solver.errors.InputError`: ``photo.*``, ``tracks.*``, ``rig.*``,
+    Of a film it writes what sequences leave (:func:`~solver.jobs.films.fit_film`). Raises
+    :class:`~solver.errors.InputError`: ``photo.*``, ``film.*``, ``tracks.*``, ``rig.*``,
     ``landmarks.*`` where they have to be found.
     """
     given, progress = task.options, task.progress
-    progress(Step("read", 0.0, message=f"{len(task.captures)} photographs"))
+    if "film" in task.inputs and not given.sequence:
+        raise InputError(
+            "options.sequence", "a film is given, which is fitted by sequence: ask for it"
+        )
+    what = "a film" if given.sequence else f"{len(task.captures)} photographs"
+    progress(Step("read", 0.0, message=what))
     template = read_template(task)
     rig = Rig.load(task.inputs)
     model, linear = rig.model, given.linear_solver or fastest()
     tracks = MuscleTracks.load(task.inputs["tracks"], model)
+    if given.sequence:
+        face = rig.face(linear)
+        check_held(face)
+        driven, film = _face(given, rig, tracks, linear), FilmOptions(_options(given))
+        return fit_film(task, driven, face, find_landmarker, film)
     photos, findings = read_faces(task, template, given.boxes)
     moments = _moments(given, photos)
     points = landmark_points(template)
@@ -135,7 +148,7 @@ def _options(given: FitPhoto) -> ExpressionOptions:
     controls = TrackFitOptions(w_w=given.w_w, w_j=given.w_j)
     fit = PhotoFitOptions(controls=controls, w_l=given.w_l)
     fit = replace(fit, stop=replace(fit.stop, iterations=given.max_iterations))
-    return ExpressionOptions(fit=fit, shading=ShadingOptions() if given.shading else None)
+    return ExpressionOptions(fit=fit, shading=ShadingOptions() if given.by_shading else None)
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def read_faces(
     unmarked = [name for name, photo in photos.items() if not photo.landmarks]
     if not unmarked:
         return photos, findings
-    with FaceDetector(_landmarker(unmarked[0])) as detector:
+    with FaceDetector(find_landmarker(unmarked[0])) as detector:
         for name in unmarked:
             face = find_face(photos[name], detector, _box(boxes.get(name)))
             photos[name] = replace(photos[name], landmarks=face.landmarks)
@@ -83,7 +83,7 @@ def _box(given: Sequence[float] | None) -> Box | None:
     return left, top, right, bottom
 
 
-def _landmarker(photo: str) -> Path:
+def find_landmarker(photo: str) -> Path:
     """Return the detector's file; ``photo`` is one that has no landmarks."""
     file = landmarker_file()
     if file is None:

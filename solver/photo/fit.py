@@ -29,7 +29,6 @@ from solver.fitting.least_squares import (
     DampingOptions,
     LeastSquaresProblem,
     LeastSquaresStep,
-    LinearModel,
     Listener,
     StopOptions,
     Termination,
@@ -129,7 +128,7 @@ def fit_photos(
     cameras = [view.camera.with_head(head) if view.is_placed else view.camera for view in views]
     begun = PhotoPoint(state, face.skin(state), head, tuple(cameras))
     for moves_face in (False, True):
-        problem = _Problem(face, tuple(views), options, moves_face)
+        problem = PhotoProblem(face, tuple(views), options, moves_face)
         search = TrustRegion(options.damping)
         found = minimise(problem, begun, search, options.stop, listen if moves_face else None)
         begun = found.point
@@ -137,7 +136,9 @@ def fit_photos(
 
 
 @dataclass(frozen=True)
-class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
+class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
+    """What :func:`fit_photos` minimises; its variables are face, head, and cameras in turn."""
+
     face: ShapeFace[State]
     views: tuple[View, ...]
     options: PhotoFitOptions
@@ -203,7 +204,7 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
         return total
 
     @override
-    def linearise(self, point: PhotoPoint[State]) -> LinearModel:
+    def linearise(self, point: PhotoPoint[State]) -> BoxModel:
         count = max(place.stop for place in self.cameras)
         gradient, hessian = np.zeros(count), np.zeros((count, count))
         face = slice(0, self.size)

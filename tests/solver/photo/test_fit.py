@@ -12,7 +12,7 @@ from solver.anatomy.skin_points import SkinPoints
 from solver.errors import InputError
 from solver.fitting.least_squares import LeastSquaresStep
 from solver.photo.camera import CAMERA_FREEDOM, POSE_FREEDOM, PinholeCamera
-from solver.photo.fit import FocalPrior, PhotoFitOptions, PhotoPoint, View, _Problem, fit_photos
+from solver.photo.fit import FocalPrior, PhotoFitOptions, PhotoPoint, PhotoProblem, View, fit_photos
 from solver.photo.pose import place_camera
 from solver.photo.terms import CurveTerm, LandmarkTerm, PseudoHuber
 from solver.similarity import small_motion
@@ -122,7 +122,7 @@ def test_the_gradient_is_that_of_the_objective(model, points):
     view = view_of(points, model.skin.vertices, face.skin(truth), 20.0)
     head = small_motion(np.array([0.1, -0.2, 0.05, 8.0, -5.0, 3.0]))
     placed = replace(view, camera=camera_from(-10.0, model.skin.vertices), is_placed=True)
-    problem = _Problem(face, (view, placed), PhotoFitOptions(), moves_face=True)
+    problem = PhotoProblem(face, (view, placed), PhotoFitOptions(), moves_face=True)
     begun = {"mouthClose": 0.2, "bulge": 0.3, "jawOpen": 0.4}
     state = face.move(face.rest(), face.tracks.controls(begun))
     cameras = view.camera, placed.camera.with_head(head)

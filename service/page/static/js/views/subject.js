@@ -26,7 +26,7 @@ const EVERY_MS = 5_000;
 /** Roles of captures that are chosen for fits: scans, a table of known activations beside them, photographs. */
 const CHOSEN_FOR_FITS = ["expression", "activations", "photo"];
 
-/** How many photographs a job reads at most. */
+/** How many photographs a job reads at most; more of them are a film. */
 const MOST_PHOTOS = 16;
 
 /** What the state of the newest build says of the model. */
@@ -176,8 +176,7 @@ class SubjectView {
     const chosen = this.chosenOf("photo").length;
     if (![...this.captures.values()].some(({ role }) => role === "photo")) return "Upload photographs first";
     if (whyNotYet) return whyNotYet;
-    if (!chosen) return "Choose photographs in the list of scans first";
-    return chosen > MOST_PHOTOS ? `Choose at most ${MOST_PHOTOS} photographs` : null;
+    return chosen ? null : "Choose photographs in the list of scans first";
   }
 
   /** Return the ids of the chosen captures of some roles. */
@@ -212,6 +211,7 @@ class SubjectView {
       isTake && act("Check", () => this.checkMarkers(id)),
       isTake && act("Fit", () => this.fitTake("fit_markers", [id], { marker_set: this.sets[0]?.id })),
       role === "performance" && act("Fit", () => this.fitTake("fit_sequence", [id])),
+      role === "film" && act("Fit", () => this.fitFilm([id])),
       act("Edit", () => this.edit(askToEditCapture(this.captures.get(id)))),
       act("Delete", () => this.deleteCapture(capture), "plain danger"),
     );
@@ -276,9 +276,7 @@ class SubjectView {
               ),
             ),
             this.kindsOfPhotos.map(({ kind, title }) =>
-              button(title, () => this.order(kind, { rig_id: rig.id, captures: this.chosenOf("photo") }), null, {
-                "data-photos": true,
-              }),
+              button(title, () => this.fitPhotos(kind, rig.id), null, { "data-photos": true }),
             ),
             this.kindsOfRigs.map(({ kind, reads }) =>
               button(plain(kind), () =>
@@ -338,6 +336,18 @@ class SubjectView {
     }
     const tables = this.chosenOf("activations");
     await this.order(kind, { rig_id: this.rigs[0].id, captures: [...captures, ...tables], ...more });
+  }
+
+  /** Fit chosen photographs with a rig; so many are a film, which the options say. */
+  async fitPhotos(kind, rigId) {
+    const captures = this.chosenOf("photo");
+    const options = captures.length > MOST_PHOTOS ? { sequence: true } : {};
+    await this.order(kind, { rig_id: rigId, captures, options });
+  }
+
+  async fitFilm(captures) {
+    if (!this.rigs.length) toast("There is no rig yet to fit it with: build the model and fit expressions first.", "bad");
+    else await this.order("fit_photo", { rig_id: this.rigs[0].id, captures, options: { sequence: true } });
   }
 
   async deleteCapture(capture) {
