@@ -20,3 +20,9 @@ export function kindsOfPhotos(kinds) {
 export function kindsOfEstimates(kinds) {
   return [...kinds.values()].filter(({ reads }) => reads.includes("photos") && !reads.includes("rig"));
 }
+
+/** Return why no job can have the chosen photographs of some captures, or not yet; null if one can. */
+export function whyNoPhotos(captures, chosen, whyNotYet = null) {
+  if (!captures.some(({ role }) => role === "photo")) return "Upload photographs first";
+  return whyNotYet ?? (chosen.length ? null : "Choose photographs in the list of scans first");
+}

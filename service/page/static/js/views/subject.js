@@ -12,7 +12,7 @@ import { verdictOf } from "../parts/certificate.js";
 import { askForJob } from "../parts/new_job.js";
 import { toldBeforeDeletion } from "../parts/readers.js";
 import { refuse } from "../parts/refuse.js";
-import { kindsOfEstimates, kindsOfFits, kindsOfPhotos, kindsOfRigs } from "../parts/rig_kinds.js";
+import { kindsOfEstimates, kindsOfFits, kindsOfPhotos, kindsOfRigs, whyNoPhotos } from "../parts/rig_kinds.js";
 import { state, verdictState } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
@@ -166,17 +166,10 @@ class SubjectView {
     refuse(this.fit, why);
     setText(this.fit, expressions ? `Fit ${count(expressions, "expression")}` : "Fit the chosen expressions");
     for (const more of this.rigBody.querySelectorAll("button[data-more]")) refuse(more, why);
-    for (const estimate of this.estimates) refuse(estimate, this.whyNoPhotos());
-    const whyNoPhotos = this.whyNoPhotos(this.hasTracks ? null : "Build tracks first");
-    for (const photos of this.rigBody.querySelectorAll("button[data-photos]")) refuse(photos, whyNoPhotos);
-  }
-
-  /** Return why the chosen photographs are none for a job, or why it cannot be yet; null if they are. */
-  whyNoPhotos(whyNotYet = null) {
-    const chosen = this.chosenOf("photo").length;
-    if (![...this.captures.values()].some(({ role }) => role === "photo")) return "Upload photographs first";
-    if (whyNotYet) return whyNotYet;
-    return chosen ? null : "Choose photographs in the list of scans first";
+    const photos = [[...this.captures.values()], this.chosenOf("photo")];
+    for (const estimate of this.estimates) refuse(estimate, whyNoPhotos(...photos));
+    const whyNoFit = whyNoPhotos(...photos, this.hasTracks ? null : "Build tracks first");
+    for (const fit of this.rigBody.querySelectorAll("button[data-photos]")) refuse(fit, whyNoFit);
   }
 
   /** Return the ids of the chosen captures of some roles. */
