@@ -5,7 +5,10 @@ and their shadows, skin with blotches and freckles), spoils pixels and landmarks
 fits tracks (T) and plain shapes (B) by landmarks alone and by shading, too; the camera is unknown.
 The head's motion is taken out of the distances: a picture does not tell how far away a head is.
 `held_out` fits the photographs of a folder, each with every fourth landmark that was found left
-out, and tells how far off these are, in parts of the distance of the outer corners of the eyes.
+out, and tells how far off these are, in parts of the distance of the outer corners of the eyes:
+on the subject's face, and on one that is estimated from the same landmarks (`estimated`).
+`pair` fits a real pair of photographs of a face at rest whose scan is known, with that scan's own
+model: whatever moves is invented.
 """
 
 from __future__ import annotations
@@ -22,15 +25,21 @@ import numpy as np
 
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
+from benchmarks.photo_pair import pair_figures, read_pair
 from benchmarks.subjects import COARSE_EDGE_MM, Subject
 from benchmarks.systems import MIXTURES, QUICK_MIXTURES, both_sides
+from solver.anatomy.build import build_subject_model
 from solver.anatomy.skin_points import SkinPoints
+from solver.anatomy.template import Template
 from solver.drawing.render import GAMMA, irradiance, rasterise
+from solver.errors import InputError
 from solver.mechanics.linear import fastest
+from solver.model import SubjectModel
 from solver.photo.camera import PinholeCamera
 from solver.photo.detect import find_face
-from solver.photo.expression import ExpressionOptions, fit_expression
+from solver.photo.expression import fit_expression
 from solver.photo.fit import PhotoPoint
+from solver.photo.identity import fit_identity
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
 from solver.photo.read import read_photo
@@ -43,7 +52,7 @@ from solver.tracks.fit import ShapeFace
 from solver.tracks.plain import PlainFace
 from solver.tracks.shapes import template_shapes
 
-PARTS = ("known", "held_out")
+PARTS = ("known", "pair")
 SYSTEMS = ("B", "T")
 EYE_CORNERS = ("33", "263")
 HELD_OUT = 4  # one landmark of so many
@@ -76,8 +85,11 @@ def main() -> None:
     parser = report.parser(__doc__ or "")
     subjects.add_options(parser)
     parser.add_argument("--edge-mm", type=float, default=COARSE_EDGE_MM, help="of the tets")
+    parser.add_argument(
+        "--scan", type=Path, help="OBJ of a pair, its picture beside it, for `pair`"
+    )
     parser.add_argument("--photos", type=Path, help="a folder of pictures, for `held_out`")
-    report.add_list(parser, "--parts", PARTS[:1])
+    report.add_list(parser, "--parts", PARTS)
     report.add_list(parser, "--systems", SYSTEMS)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
@@ -87,9 +99,10 @@ def main() -> None:
 def run(options: argparse.Namespace) -> Figures:
     """Return the figures of the chosen subject."""
     subject = next(subjects.each(options, [options.subject], options.edge_mm))
-    points = landmark_points(subjects.chosen_template(options, options.edge_mm))
+    template = subjects.chosen_template(options, options.edge_mm)
+    points = landmark_points(template)
     shapes = template_shapes(subject.model, subjects.shapes(options))
-    faces = {name: _face(name, subject, shapes) for name in options.systems}
+    faces = {name: _face(name, subject.model, shapes) for name in options.systems}
     found: Figures = {
         "edge_mm": options.edge_mm,
         "subject": subject.name,
@@ -97,17 +110,18 @@ def run(options: argparse.Namespace) -> Figures:
     }
     if "known" in options.parts:
         found["known"] = _known(subject, shapes, faces, points, quick=options.quick)
+    if "pair" in options.parts:
+        found["pair"] = _pair(options.scan, template, points, options)
     if options.photos is not None:
-        found["held_out"] = _held_out(options.photos, faces, points)
+        found["held_out"] = _held_out(options, template, faces, points)
     return found
 
 
-def _face(system: str, subject: Subject, shapes: Mapping[str, Floats]) -> ShapeFace[Any]:
-    tracks = MuscleTracks.of(subject.model, shapes)
+def _face(system: str, model: SubjectModel, shapes: Mapping[str, Floats]) -> ShapeFace[Any]:
+    tracks = MuscleTracks.of(model, shapes)
     if system == "B":
-        return PlainFace(subject.model, tracks)
-    potentials = track_potentials(subject.model)
-    return TrackFace(subject.model, tracks, potentials, linear=fastest())
+        return PlainFace(model, tracks)
+    return TrackFace(model, tracks, track_potentials(model), linear=fastest())
 
 
 def _known(
@@ -194,11 +208,15 @@ def _off(skin: Floats, truth: Floats, face: np.ndarray) -> float:
 
 
 def _held_out(
-    folder: Path, faces: Mapping[str, ShapeFace[Any]], points: SkinPoints
+    options: argparse.Namespace,
+    template: Template,
+    faces: Mapping[str, ShapeFace[Any]],
+    points: SkinPoints,
 ) -> dict[str, dict[str, Figures]]:
     """Return system -> photograph -> figures; those in which no face can be used are told."""
     found: dict[str, dict[str, Figures]] = {}
-    for photo in _read(folder):
+    shapes = subjects.shapes(options)
+    for photo in _read(options.photos):
         names = [name for name in points.names if name in photo.landmarks]
         hidden = names[::HELD_OUT]
         shown = replace(
@@ -206,20 +224,44 @@ def _held_out(
         )
         eyes = float(np.linalg.norm(np.subtract(*(photo.landmarks[n] for n in EYE_CORNERS))))
         given = np.array([photo.landmarks[name] for name in hidden])
+        neutral = fit_identity(template, [shown], points).neutral
+        estimate = build_subject_model(template, neutral, edge_mm=options.edge_mm)
         for system, face in faces.items():
             begun = time.perf_counter()
-            fitted = fit_expression(face, [shown], points, options=ExpressionOptions())
+            fitted = fit_expression(face, [shown], points)
+            seconds = time.perf_counter() - begun
+            own = _face(system, estimate, template_shapes(estimate, shapes))
+            estimated = fit_expression(own, [shown], points).fit.point
             off = {
-                stage: 100 * _pixels_off(each.point, given, points.select(hidden)) / eyes
-                for stage, each in (("landmarks", fitted.landmarks), ("shading", fitted.fit))
+                stage: 100 * _pixels_off(each, given, points.select(hidden)) / eyes
+                for stage, each in (
+                    ("landmarks", fitted.landmarks.point),
+                    ("shading", fitted.fit.point),
+                    ("estimated", estimated),
+                )
             }
             figures = {
                 **{f"{stage}_percent": value for stage, value in off.items()},
-                "seconds": time.perf_counter() - begun,
+                "seconds": seconds,
             }
             log.info("%s by %s: %s", photo.name, system, figures)
             found.setdefault(system, {})[photo.name] = figures
     return found
+
+
+def _pair(
+    scan: Path | None, template: Template, points: SkinPoints, options: argparse.Namespace
+) -> Figures:
+    """Return the figures of a real pair, or why there are none."""
+    file = landmarker_file()
+    if scan is None or not scan.is_file() or file is None:
+        log.info("pair skipped: it asks for --scan and MYOFACE_FACE_LANDMARKER")
+        return {"skipped": "no scan of a pair, or no face landmarker"}
+    with FaceDetector(file) as detector:
+        pair = read_pair(scan, template, options.edge_mm, detector)
+    shapes = template_shapes(pair.model, template.shapes)
+    faces = {name: _face(name, pair.model, shapes) for name in options.systems}
+    return pair_figures(pair, template, faces, points)
 
 
 def _pixels_off(point: PhotoPoint[Any], given: Floats, points: SkinPoints) -> float:
@@ -236,7 +278,12 @@ def _read(folder: Path) -> Iterator[Photo]:
         for path in sorted(folder.iterdir()):
             if path.suffix.lower() in (".jpg", ".jpeg", ".png"):
                 photo = read_photo(path)
-                yield replace(photo, landmarks=find_face(photo, detector).landmarks)
+                try:
+                    face = find_face(photo, detector)
+                except InputError as error:
+                    log.info("%s left out: %s", path.name, error)
+                    continue
+                yield replace(photo, landmarks=face.landmarks)
 
 
 COLUMNS = {
@@ -244,6 +291,12 @@ COLUMNS = {
     "landmarks_mm": "landmarks, mm",
     "shading_mm": "with shading, mm",
     "seconds": "s",
+}
+
+PAIR_COLUMNS = {
+    "shading_mm": "moved, mm",
+    "shading_grown_mm": "further from the scan, mm",
+    "shading_weights": "sum of weights",
 }
 
 
@@ -256,14 +309,25 @@ def section(figures: Figures) -> Section:
             for system, each in figures["known"].items()
         ]
         parts.append(Table(["", *COLUMNS.values()], rows))
+    if fits := figures.get("pair", {}).get("fits"):
+        rows = [
+            [name, *(round(float(each[key]), 2) for key in PAIR_COLUMNS)]
+            for name, each in fits.items()
+        ]
+        parts.append(Table(["pair at rest", *PAIR_COLUMNS.values()], rows))
+    if estimates := figures.get("pair", {}).get("estimates"):
+        rows = [[name, *(round(v, 2) for v in one.values())] for name, one in estimates.items()]
+        columns = ["median to the scan, mm", "resized, mm"]
+        parts.append(Table(["face estimated from the pair", *columns], rows))
     for system, each in figures.get("held_out", {}).items():
         rows = [[name, *(round(float(v), 2) for v in one.values())] for name, one in each.items()]
-        parts.append(Table([system, "landmarks, %", "with shading, %", "s"], rows))
+        columns = ["landmarks, %", "with shading, %", "face estimated, %", "s"]
+        parts.append(Table([system, *columns], rows))
     return Section(
         "Photographs",
         "Distances of the face to the one that was drawn, the head's motion apart, means of the "
         "mixtures (`known`); distances of landmarks left out, in parts of the distance of the "
-        "outer corners of the eyes (`held_out`).",
+        "outer corners of the eyes (`held_out`); what fits make of a real face at rest (`pair`).",
         parts,
     )
 

@@ -7,11 +7,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-Role = Literal["neutral", "expression", "performance", "markers", "activations", "photo", "asset"]
+Role = Literal[
+    "neutral", "expression", "performance", "markers", "activations", "photo", "film", "asset"
+]
 ScanRole = Literal["neutral", "expression"]
 
 # Roles of what is checked and registered by nobody
-NO_SCANS: frozenset[Role] = frozenset({"performance", "markers", "activations", "photo", "asset"})
+NO_SCANS: frozenset[Role] = frozenset(
+    {"performance", "markers", "activations", "photo", "film", "asset"}
+)
 # Endings of files -> the one role that has them
 OWN_FORMATS: Mapping[str, Role] = {
     ".npy": "performance",
@@ -20,4 +24,6 @@ OWN_FORMATS: Mapping[str, Role] = {
     ".jpg": "photo",
     ".jpeg": "photo",
     ".png": "photo",
+    ".mp4": "film",
+    ".mov": "film",
 }

@@ -25,11 +25,13 @@ from solver.surface import Floats, Ints, Surface, part_of
 
 FORMAT = FILES["model.npz"].format
 # Where a person's size comes from: the scan; the template, as the scan was in no known unit; the
-# face, by which the scan's unit was guessed.
-SizeFrom = Literal["scan", "template", "guess"]
+# face, by which the scan's unit was guessed; photographs, where there is no scan at all.
+SizeFrom = Literal["scan", "template", "guess", "photographs"]
 SIZE_WORDS: dict[SizeFrom, str] = {
     "template": "size unknown: taken from the template, millimetres are estimates",
     "guess": "size guessed: no unit was given, and the face alone does not tell it for sure",
+    "photographs": "estimated from photographs, not scanned: the face is the likeliest of its "
+    "template's people, and millimetres are estimates",
 }
 # fields of a model that are arrays, stored as they are
 ARRAYS = (

@@ -85,6 +85,7 @@ class Studio:
     ) -> str:
         lines = [f"# {name}", *(f"#! {key} {value}" for key, value in orders.items())]
         others = {"performance": "npy", "markers": "trc", "activations": "csv", "photo": "jpg"}
+        others["film"] = "mp4"
         suffix = others.get(role, "obj")
         upload_id = self.upload(f"{name} of Alex.{suffix}", "\n".join(lines).encode())
         path = f"/v1/subjects/{subject_id}/captures"

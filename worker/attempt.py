@@ -213,7 +213,7 @@ class AttemptFolder:
 
     def rig(self, result: dict[str, Any]) -> Rig | None:
         """Return the rig, if this kind of job leaves one."""
-        if KINDS[self._claim.kind].leaves != "rig":
+        if KINDS[self._claim.kind].given(self._claim.options).leaves != "rig":
             return None
         return Rig(
             tenant_id=self._claim.tenant_id,

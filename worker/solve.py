@@ -169,7 +169,7 @@ def solve(folder: Path, progress: ProgressCallback, jobs: str = "solver.jobs") -
         jobs=jobs,
         **files,
     )
-    kind, out = KINDS[job["kind"]], folder / "out"
+    kind, out = KINDS[job["kind"]].given(job["options"]), folder / "out"
     formats = {name: format_number(out / name) for name in FILES if (out / name).is_file()}
     return {**_describe(out / kind.report, is_rig=kind.leaves == "rig"), "formats": formats}
 

@@ -162,7 +162,9 @@ class Supervisor:
 
     def _limit(self, claim: Claim, folder: AttemptFolder) -> float:
         """Return the seconds that an attempt may last."""
-        most = self._settings.max_seconds(KINDS[claim.kind], folder.input_bytes)
+        most = self._settings.max_seconds(
+            KINDS[claim.kind].given(claim.options), folder.input_bytes
+        )
         return min(most, claim.deadline_s or most)
 
     def _watch(

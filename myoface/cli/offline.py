@@ -168,6 +168,7 @@ def _run(kind: Kind, given: dict[str, Any]) -> None:
             progress=view,
             **files,
         )
+    kind = kind.given(options)
     report = json.loads((folder / kind.report).read_text(encoding="utf-8"))
     judged = files.get("scan") or files.get("markers")
     code = show_outcome(kind.name, report, judged and judged.name)

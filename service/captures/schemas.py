@@ -57,7 +57,8 @@ class NewCapture(RequestBody):
         description="what the file is; `GET /v1/limits` has the endings of each role's files. "
         "A `performance` is frames of registered skin points, `markers` a take of them or their "
         "set, `activations` a table of what is known of single muscles, as by EMG, `photo` a "
-        "photograph, an `asset` what scenes name: a recording, a fitted sequence, a mesh, a map"
+        "photograph, `film` a film of a face, an `asset` what scenes name: a recording, a fitted "
+        "sequence, a mesh, a map"
     )
     upload_id: Id
     registered: bool = Field(

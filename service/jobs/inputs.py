@@ -27,7 +27,7 @@ from service.rigs import repository as rigs
 from service.store.models import Capture, Job, Rig
 from service.subjects import repository as subjects
 from service.templates import repository as templates
-from solver.kinds import FILES, KINDS, MOST_PHOTOS, ROLES, Kind
+from solver.kinds import FILES, KINDS, MOST_FILM_FRAMES, MOST_PHOTOS, ROLES, Kind
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,8 @@ def _refuse_no_scan(capture: Capture) -> None:
 
 def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = False) -> InputFile:
     neutral = captures.neutral(session, subject_id)
+    if neutral is None and (estimate := captures.estimated_neutral(session, subject_id)):
+        return artifact_file("neutral", estimate)
     if neutral is None:
         raise Problem(
             409, "subject.no_neutral", "the subject has no neutral capture", subject_id=subject_id
@@ -251,11 +253,17 @@ def _known_activations(session: Session, kind: Kind, new: NewJob) -> tuple[list[
 
 
 def _photos(session: Session, new: NewJob) -> list[InputFile]:
-    """Return photographs, each with what is known of it and with its mask."""
+    """Return photographs, each with what is known of it and with its mask; or a film's file."""
+    is_film = new.options.get("sequence") is True
+    if is_film and len(new.captures) == 1:
+        capture = _the_capture(session, new)
+        if capture.role == "film":
+            return [_capture_file("film", capture)]
     found = _of_role(session, new, "photo", "capture.not_a_photo", "photograph")
-    if not 1 <= len(found) <= MOST_PHOTOS:
-        detail = f"{new.kind} reads 1 to {MOST_PHOTOS} photographs, not {len(found)}"
-        raise Problem(422, "job.photos", detail, member="captures", expected=MOST_PHOTOS)
+    most = MOST_FILM_FRAMES if is_film else MOST_PHOTOS
+    if not 1 <= len(found) <= most:
+        detail = f"{new.kind} reads 1 to {most} photographs, not {len(found)}"
+        raise Problem(422, "job.photos", detail, member="captures", expected=most)
     files: list[InputFile] = []
     for each in found:
         files += [_capture_file("photo", each), *_landmarks("facts", each)]

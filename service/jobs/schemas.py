@@ -15,6 +15,7 @@ from service.schemas import FileName, Id, Line, Moment, Name, RequestBody, Retai
 from service.store import retention
 from service.store.deletion import is_read_by
 from service.store.models import Artifact, Job
+from solver.kinds import MOST_FILM_FRAMES
 
 Priority = Annotated[
     int, Field(ge=-9, le=9, description="order among your own jobs of a queue: 9 first, -9 last")
@@ -88,11 +89,12 @@ class NewJob(RequestBody):
     subject_id: Id
     captures: list[Id] = Field(
         default=[],
-        max_length=1000,
+        max_length=MOST_FILM_FRAMES,
         description="ids of expression captures; of one capture for `check_scan` and "
         "`register_scan`, of one performance for `fit_sequence`, of the assets that a scene names, "
-        "of 1 to 16 photographs for kinds that read `photos`; beside what is "
-        "fitted, of one table of known activations",
+        "of 1 to 16 photographs for kinds that read `photos`, of all pictures of a film or of its "
+        "one file where their option `sequence` is true; beside what is fitted, of one table of "
+        "known activations",
     )
     from_jobs: list[FromJob] = Field(
         default=[],
@@ -110,7 +112,7 @@ class NewJob(RequestBody):
 class Retry(RequestBody):
     """Changes for a job that is made again; the rest stays as it was."""
 
-    captures: list[Id] | None = Field(default=None, max_length=1000)
+    captures: list[Id] | None = Field(default=None, max_length=MOST_FILM_FRAMES)
     from_jobs: list[FromJob] | None = Field(default=None, max_length=100)
     rig_id: Id | None = None
     options: dict[str, Any] = Field(

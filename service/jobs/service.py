@@ -71,7 +71,7 @@ def submit(
         id=job_id or new_id(),
         subject_id=new.subject_id,
         kind=kind.name,
-        queue=kind.queue,
+        queue=kind.given(new.options).queue,
         request=new.model_dump(),
         inputs=inputs.files,
         capture_id=inputs.capture_id,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,10 +20,13 @@ class SkinPoints:
     corners: Ints  # (k, 3) vertices of the skin
     weights: Floats  # (k, 3) of the corners, which sum to 1
     spread_mm: Floats  # (k,) root mean square distance of what was measured of each
+    # (k, 3) mm from each to where it is marked on one person; None: they are as they are
+    offsets: Floats | None = None
 
     def at(self, skin: Floats) -> Floats:
-        """Return where the points (k, 3) are on a skin (V, 3)."""
-        return np.asarray(np.einsum("ki,kij->kj", self.weights, skin[self.corners]))
+        """Return where the points (k, 3) are on a skin (V, 3), offsets included."""
+        places = np.asarray(np.einsum("ki,kij->kj", self.weights, skin[self.corners]))
+        return places if self.offsets is None else places + self.offsets
 
     def has(self, name: str) -> bool:
         """Return whether there is a point of this name."""
@@ -31,9 +35,16 @@ class SkinPoints:
     def select(self, names: list[str]) -> SkinPoints:
         """Return those of the points that have these names, in their order."""
         rows = [self._rows[name] for name in names]
-        return SkinPoints(
-            tuple(names), self.corners[rows], self.weights[rows], self.spread_mm[rows]
-        )
+        offsets = None if self.offsets is None else self.offsets[rows]
+        arrays = self.corners[rows], self.weights[rows], self.spread_mm[rows], offsets
+        return SkinPoints(tuple(names), *arrays)
+
+    def moved(self, offsets: Mapping[str, Floats]) -> SkinPoints:
+        """Return the points with ``offsets`` (3,), mm, of those that have these names."""
+        own = np.zeros((len(self.names), 3))
+        for name, offset in offsets.items():
+            own[self._rows[name]] = offset
+        return replace(self, offsets=own)
 
     def arrays(self) -> Arrays:
         """Return the points as named arrays, for a file."""

@@ -11,7 +11,7 @@ frame, so that it moves rigidly in between.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,9 @@ class FittedSequence:
     """A fitted performance, the scene's ``asset``: f frames of m muscles.
 
     ``frames`` (f,) are their numbers and ``times`` (f,) in s; ``fitted`` (f,) is false where there
-    was no data to fit. ``activations`` (f, m, 6), or (f, m) of fibre muscles, ``jaw`` (f, 5) and
+    was no data to fit. ``shapes`` (K,) are the names of what weights were fitted of, none of
+    muscles; ``controls`` (f, K + 5), or (f, 0), are these weights and the jaw on top of theirs.
+    ``activations`` (f, m, 6), or (f, m) of fibre muscles, ``jaw`` (f, 5) and
     ``head`` (f, 6) are as in :class:`solver.rig.frames.SequenceFrame`.
     """
 
@@ -65,6 +67,8 @@ class FittedSequence:
     activations: Floats
     jaw: Floats
     head: Floats
+    shapes: tuple[str, ...]
+    controls: Floats
 
     @property
     def of_fibres(self) -> bool:
@@ -96,8 +100,8 @@ class FittedSequence:
 
     def part(self, chosen: Any) -> FittedSequence:
         """Return some of the frames."""
-        arrays = (self.frames, self.times, self.fitted, self.activations, self.jaw, self.head)
-        return FittedSequence(self.asset, self.muscles, *(each[chosen] for each in arrays))
+        names = ("frames", "times", "fitted", "activations", "jaw", "head", "controls")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def between(self, start: int | None, end: int | None) -> FittedSequence:
         """Return the frames from number ``start`` to before ``end``; None is where it has its ends.
@@ -129,8 +133,7 @@ class FittedSequence:
             raise InputError("sequence.muscles", message, **more)
         place = {name: number for number, name in enumerate(self.muscles)}
         order = [place[name] for name in names]
-        parts = (self.frames, self.times, self.fitted, self.activations[:, order])
-        return FittedSequence(self.asset, tuple(names), *parts, self.jaw, self.head)
+        return replace(self, muscles=tuple(names), activations=self.activations[:, order])
 
     def check_values(self) -> None:
         """Raise :class:`InputError` (``sequence.values``) for a number that is none."""
@@ -138,6 +141,7 @@ class FittedSequence:
             ("activations", self.activations),
             ("jaw", self.jaw),
             ("head", self.head),
+            ("weights", self.controls),
         ):
             bad = np.argwhere(~np.isfinite(values))
             if len(bad):
@@ -167,9 +171,16 @@ def _sequence(asset: str, data: dict[str, np.ndarray]) -> FittedSequence:
     # a bound on times, as differences of huge ones are none
     if not ((np.abs(times) < 1e9).all() and is_later):
         raise ValueError("its frames are not one after the other in number and time")
-    values = [data[name].astype(np.float64) for name in ("activations", "jaw", "head")]
+    values = {name: data[name].astype(np.float64) for name in ("activations", "jaw", "head")}
     fitted = np.isin(data["status"].astype(np.str_), ("fitted", "smoothed"))
-    return FittedSequence(asset, muscles, frames, times, fitted, *values)
+    names = tuple(str(name) for name in np.atleast_1d(data.get("shapes", [])))
+    controls = np.zeros((count, 0))
+    if "weights" in data:
+        controls = np.hstack([data["weights"], data["jaw_on_top"]]).astype(np.float64)
+        if controls.shape != (count, len(names) + JAW_FREEDOM):
+            raise ValueError(f"its weights are not of the {len(names)} shapes that it names")
+    more: dict[str, Any] = {"shapes": names, "controls": controls, **values}
+    return FittedSequence(asset, muscles, frames, times, fitted, **more)
 
 
 def to_logarithms(a: Floats) -> Floats:
@@ -190,7 +201,7 @@ class PlayedPerformance(Drives):
     fitted, with their ``jaw`` (f, 5); the ``bridged`` (b,) between them are blended over. A
     sequence of fibre muscles is one of ``fibres``, the person's; ``curve`` (m,) are the factors of
     their force-length curves. Raises :class:`InputError`: ``scene.frames``, ``scene.muscle``,
-    ``scene.curve``, ``scene.fibres``, ``scene.bridges``, ``sequence.muscles`` and
+    ``scene.shapes``, ``scene.curve``, ``scene.fibres``, ``scene.bridges``, ``sequence.muscles`` and
     ``sequence.values``.
     """
 
@@ -203,21 +214,21 @@ class PlayedPerformance(Drives):
         fibres: FibreMuscles | None = None,
     ) -> None:
         self.entry, self.of_fibres = entry, sequence.of_fibres
+        if sequence.shapes:
+            reason = f"the performance {entry.asset!r} was fitted by weights of shapes"
+            raise InputError("scene.shapes", f'{reason}: set "drive" to "tracks"')
         self.muscles = _muscles_of(sequence, model, fibres)
         gains = _factors(entry.muscles, "muscles", entry, self.muscles) * entry.gain
         self.curve = _curve(entry, self.muscles, of_fibres=self.of_fibres)
         played = sequence.of_muscles(self.muscles).between(entry.start, entry.end)
-        kept = ~_find_bridges(played, entry)
-        if not kept.any():
-            reason = f"nothing is left of the performance {entry.asset!r}: every frame is bridged"
-            raise InputError("scene.bridges", reason, asset=entry.asset)
+        kept = ~find_bridges(played, entry)
         self.times: Floats = (played.times - played.times[0]) / entry.speed
         self.bridged = played.frames[~kept]
         left = played.part(kept)
         left.check_values()
         self.frames, self.jaw = left.frames, left.jaw
         self._neck = neck(model)
-        self._start, turns, moves = _head(left.head, self._neck, entry)
+        self._start, turns, moves = played_head(left.head, self._neck, entry)
         moments = self.times[kept]
         if self.of_fibres:
             strong = np.minimum(gains * left.activations, 1.0)
@@ -269,8 +280,8 @@ def _curve(entry: PerformanceEntry, muscles: Sequence[str], *, of_fibres: bool) 
     return factors
 
 
-def _find_bridges(played: FittedSequence, entry: PerformanceEntry) -> np.ndarray:
-    """Return which frames (f,) are blended over."""
+def find_bridges(played: FittedSequence, entry: PerformanceEntry) -> np.ndarray:
+    """Return which frames (f,) are blended over; raises ``scene.bridges`` where all would be."""
     frames = played.frames
     bridged = ~played.fitted if entry.bridges.missing else np.zeros(len(frames), bool)
     for number, span in enumerate(entry.bridges.spans):
@@ -281,10 +292,15 @@ def _find_bridges(played: FittedSequence, entry: PerformanceEntry) -> np.ndarray
             more = {"asset": entry.asset, "start": span.start, "end": span.end}
             raise InputError("scene.bridges", f"{where}: {reason}", **more)
         bridged = bridged | inside
+    if bridged.all():
+        reason = f"nothing is left of the performance {entry.asset!r}: every frame is bridged"
+        raise InputError("scene.bridges", reason, asset=entry.asset)
     return bridged
 
 
-def _head(head: Floats, pivot: Floats, entry: PerformanceEntry) -> tuple[Rotation, Floats, Floats]:
+def played_head(
+    head: Floats, pivot: Floats, entry: PerformanceEntry
+) -> tuple[Rotation, Floats, Floats]:
     """Return the first turn, those from it on (f, 3), and how far the ``pivot`` moves (f, 3), mm.
 
     From the first one on a head never turns by half a circle, where rotation vectors jump.

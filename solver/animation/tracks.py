@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
 from solver.animation import (
@@ -17,11 +19,15 @@ from solver.animation import (
     head_motion,
     neck,
     track,
+    turn_about,
 )
 from solver.animation.blendshapes import DrivenShapes, ShapedPose
-from solver.errors import InputError
+from solver.animation.performance import FittedSequence, find_bridges, played_head
+from solver.errors import InputError, quote, quote_names
 from solver.fitting.interior_point import FeasibleSet
+from solver.kinds.scene import PerformanceEntry
 from solver.model import SubjectModel
+from solver.similarity import Similarity
 from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks, TrackTargets
 
@@ -55,10 +61,81 @@ class TrackedShapes(DrivenShapes):
         return ShapedPose(pose.activations, pose.jaw, 0, pose.target)
 
 
-class KeyedTracks(Drives):
+class ShapeDrives(Drives, Protocol):
+    """:class:`Drives` of the shapes of tracks."""
+
+    def controls(self, time: float) -> Floats:
+        """Return weights and jaw (K + 5,)."""
+
+    def head(self, time: float) -> Similarity:
+        """Return the head's motion into the world."""
+
+
+class PlayedShapes(ShapeDrives):
+    """A fitted ``sequence`` of shapes, played by a scene's ``entry``.
+
+    Its first frame is at time 0; ``frames`` (f,) are the numbers of those that are played, those
+    ``bridged`` (b,) are blended over. The gain is that of the weights. Raises :class:`InputError`:
+    ``scene.shapes`` for a sequence of muscles and for what an entry asks of these,
+    ``sequence.shapes`` for other shapes than the tracks', ``scene.frames``, ``scene.bridges`` and
+    ``sequence.values``.
+    """
+
+    def __init__(
+        self,
+        sequence: FittedSequence,
+        entry: PerformanceEntry,
+        shapes: TrackedShapes,
+        model: SubjectModel,
+        interpolation: Interpolation = "smooth",
+    ) -> None:
+        self.entry, self._shapes, self._neck = entry, shapes, neck(model)
+        if not sequence.shapes:
+            reason = "was fitted by muscles, and the scene's face is driven by tracks"
+            raise InputError("scene.shapes", f"the performance {entry.asset!r} {reason}")
+        if entry.muscles or entry.curve or entry.mask is not None:
+            reason = "muscles, curve and mask are of muscles, and shapes drive the face"
+            raise InputError("scene.shapes", f"the performance {entry.asset!r}: {reason}")
+        if other := sorted(set(sequence.shapes) ^ set(shapes.names)):
+            whose = "of the performance" if other[0] in sequence.shapes else "of the tracks"
+            reason = f"was fitted with other shapes: {quote(other[0])!r} is only one {whose}"
+            message = f"the performance {entry.asset!r} {reason}"
+            raise InputError("sequence.shapes", message, found=quote_names(other))
+        played = sequence.between(entry.start, entry.end)
+        kept = ~find_bridges(played, entry)
+        self.times: Floats = (played.times - played.times[0]) / entry.speed
+        self.bridged = played.frames[~kept]
+        left = played.part(kept)
+        left.check_values()
+        self.frames = left.frames
+        order = [sequence.shapes.index(name) for name in shapes.names]
+        jaw = left.controls[:, len(order) :]
+        self._start, turns, moves = played_head(left.head, self._neck, entry)
+        values = np.hstack([entry.gain * left.controls[:, order], jaw, turns, moves])
+        name = f"performance {entry.asset}"
+        self._track = track(self.times[kept].tolist(), values, name, interpolation)
+
+    @override
+    def controls(self, time: float) -> Floats:
+        return self._track(time)[:-6]
+
+    @override
+    def head(self, time: float) -> Similarity:
+        turn, move = np.split(self._track(time)[-6:], 2)
+        turned = (self._start * Rotation.from_rotvec(turn)).as_rotvec()
+        return turn_about(self._neck, turned, move)
+
+    @override
+    def __call__(self, time: float) -> PosedFrame:
+        still = PosedFrame.of(self._shapes.at(self.controls(time)))
+        return replace(still, head=self.head(time))
+
+
+class KeyedTracks(ShapeDrives):
     """:class:`Drives` of tracks by ``keys`` of shapes and jaw, with frames at ``times`` (f,) in s.
 
-    Weights are interpolated, each by itself, and the ``head`` turns about the neck. Raises
+    Weights are interpolated, each by itself, and the ``head`` turns about the neck. What the keys
+    ask for is added to other drives, ``under`` them, if there are any. Raises
     :class:`InputError`: as :func:`solver.animation.track`, ``tracks.name`` for a shape that there
     is not, and ``scene.shapes`` for what else than shapes and a jaw a key has.
     """
@@ -72,8 +149,9 @@ class KeyedTracks(Drives):
         *,
         head: Sequence[HeadKey] = (),
         interpolation: Interpolation = "smooth",
+        under: ShapeDrives | None = None,
     ) -> None:
-        self.times, self._shapes = times, shapes
+        self.times, self._shapes, self._under = times, shapes, under
         for number, key in enumerate(keys):
             if key.expressions or key.activations or key.fibres:
                 reason = "the face is driven by its tracks, and these by shapes alone"
@@ -85,6 +163,16 @@ class KeyedTracks(Drives):
         self._head = head_motion(head, neck(model), interpolation)
 
     @override
+    def controls(self, time: float) -> Floats:
+        own = self._track(time)
+        return own if self._under is None else self._under.controls(time) + own
+
+    @override
+    def head(self, time: float) -> Similarity:
+        own = self._head(time)
+        return own if self._under is None else self._under.head(time).then(own)
+
+    @override
     def __call__(self, time: float) -> PosedFrame:
-        still = PosedFrame.of(self._shapes.at(self._track(time)))
-        return replace(still, head=self._head(time))
+        still = PosedFrame.of(self._shapes.at(self.controls(time)))
+        return replace(still, head=self.head(time))

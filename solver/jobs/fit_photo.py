@@ -11,30 +11,29 @@ from typing import Any
 import numpy as np
 
 from solver.anatomy.skin_points import SkinPoints
-from solver.anatomy.template import Template
 from solver.errors import Finding, InputError, SolveError, make_warning, quote_names
 from solver.fitting.least_squares import Listener
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, fits, read_template
-from solver.jobs.photos import read_photos
+from solver.jobs.films import fit_film
+from solver.jobs.photos import find_landmarker, read_faces
 from solver.kinds.fit_photo import FitPhoto
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.linear import fastest
-from solver.photo.detect import Box, find_face
 from solver.photo.expression import (
     ExpressionOptions,
     PhotoExpression,
     ShadingOptions,
     fit_expression,
+    read_neutral,
 )
+from solver.photo.film import FilmOptions
 from solver.photo.fit import PhotoFitOptions
 from solver.photo.light import Appearance
 from solver.photo.mesh_points import landmark_points
 from solver.photo.photo import Photo
 from solver.photo.report import photo_figures, photo_picture
 from solver.progress import Step, part_of
-from solver.registration.detector import FaceDetector, landmarker_file
-from solver.registration.landmarks import landmark_vertices
 from solver.rig import Rig, ShapeFit, System
 from solver.rig.report import known_information
 from solver.rig.report.systems import SYSTEMS
@@ -50,16 +49,27 @@ LETTERS = {"tracks": "T", "shapes": "B"}
 def run(task: Task[FitPhoto]) -> list[Path]:
     """Fit every moment's photographs; write the new rig's files, cameras and pictures.
 
-    Raises :class:`~solver.errors.InputError`: ``photo.*``, ``tracks.*``, ``rig.*``,
+    Of a film it writes what sequences leave (:func:`~solver.jobs.films.fit_film`). Raises
+    :class:`~solver.errors.InputError`: ``photo.*``, ``film.*``, ``tracks.*``, ``rig.*``,
     ``landmarks.*`` where they have to be found.
     """
     given, progress = task.options, task.progress
-    progress(Step("read", 0.0, message=f"{len(task.captures)} photographs"))
+    if "film" in task.inputs and not given.sequence:
+        raise InputError(
+            "options.sequence", "a film is given, which is fitted by sequence: ask for it"
+        )
+    what = "a film" if given.sequence else f"{len(task.captures)} photographs"
+    progress(Step("read", 0.0, message=what))
     template = read_template(task)
     rig = Rig.load(task.inputs)
     model, linear = rig.model, given.linear_solver or fastest()
     tracks = MuscleTracks.load(task.inputs["tracks"], model)
-    photos, findings = _read(task, template)
+    if given.sequence:
+        face = rig.face(linear)
+        check_held(face)
+        driven, film = _face(given, rig, tracks, linear), FilmOptions(_options(given))
+        return fit_film(task, driven, face, find_landmarker, film)
+    photos, findings = read_faces(task, template, given.boxes)
     moments = _moments(given, photos)
     points = landmark_points(template)
     face = rig.face(linear)
@@ -68,7 +78,11 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     log = fits.WarningLog(model, progress)
     begun = time.perf_counter()
     fitter = _Fitter(driven, points, _options(given))
-    lights = fitter.lights(photos, given.neutral)
+    lights: dict[str, Appearance] = {}
+    if given.neutral:
+        look = read_neutral(driven, photos[given.neutral], points, fitter.options)
+        points, fitter = look.points, replace(fitter, points=look.points)
+        lights = dict.fromkeys(photos, look.appearance) if look.appearance else {}
     fitted, shown = [], {}
     for number, (name, taken) in enumerate(moments.items()):
         part = fits.Span(0.1, 0.5).part(number, len(moments))
@@ -103,43 +117,6 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     return [*files, *own]
 
 
-def _read(
-    task: Task[FitPhoto], template: Template
-) -> tuple[dict[str, Photo], dict[str, list[Finding]]]:
-    """Return the photographs by their names, and what is odd about those whose face was found."""
-    read = read_photos(task, landmark_vertices(template).keys())
-    photos = {photo.name: photo for photo in read}
-    findings: dict[str, list[Finding]] = {name: [] for name in photos}
-    unmarked = [name for name, photo in photos.items() if not photo.landmarks]
-    if not unmarked:
-        return photos, findings
-    with FaceDetector(_landmarker(unmarked[0])) as detector:
-        for name in unmarked:
-            face = find_face(photos[name], detector, _box(task.options.boxes.get(name)))
-            photos[name] = replace(photos[name], landmarks=face.landmarks)
-            findings[name] += face.findings
-    return photos, findings
-
-
-def _box(given: list[float] | None) -> Box | None:
-    if given is None:
-        return None
-    left, top, right, bottom = given
-    return left, top, right, bottom
-
-
-def _landmarker(photo: str) -> Path:
-    """Return the detector's file; ``photo`` is one that has no landmarks."""
-    file = landmarker_file()
-    if file is None:
-        message = (
-            f"{photo} has no landmarks, and nothing here finds them: give them as JSON beside it "
-            "(landmarks), or install MediaPipe's face landmarker (docs/science/photographs.md)"
-        )
-        raise InputError("landmarks.model", message, file=photo)
-    return file
-
-
 def _moments(given: FitPhoto, photos: Mapping[str, Photo]) -> dict[str, list[str]]:
     """Return the names of each moment's photographs by the expression they show."""
     known, seen = quote_names(sorted(photos)), set[str]()
@@ -168,9 +145,10 @@ def _face(given: FitPhoto, rig: Rig, tracks: MuscleTracks, linear: str) -> Shape
 
 
 def _options(given: FitPhoto) -> ExpressionOptions:
-    fit = PhotoFitOptions(controls=TrackFitOptions(w_w=given.w_w, w_j=given.w_j))
+    controls = TrackFitOptions(w_w=given.w_w, w_j=given.w_j)
+    fit = PhotoFitOptions(controls=controls, w_l=given.w_l)
     fit = replace(fit, stop=replace(fit.stop, iterations=given.max_iterations))
-    return ExpressionOptions(fit=fit, shading=ShadingOptions() if given.shading else None)
+    return ExpressionOptions(fit=fit, shading=ShadingOptions() if given.by_shading else None)
 
 
 @dataclass(frozen=True)
@@ -186,14 +164,6 @@ class _Fitter:
     face: ShapeFace[Any]
     points: SkinPoints
     options: ExpressionOptions
-
-    def lights(self, photos: Mapping[str, Photo], neutral: str | None) -> dict[str, Appearance]:
-        """Return light and albedo of a neutral photograph for all others; empty without one."""
-        if neutral is None or self.options.shading is None:
-            return {}
-        still = replace(self.options, fit=_held(self.options.fit))
-        found = fit_expression(self.face, [photos[neutral]], self.points, options=still)
-        return dict.fromkeys(photos, found.appearances[0])
 
     def fit(
         self, name: str, photos: list[Photo], lights: Mapping[str, Appearance], listen: Listener
@@ -236,8 +206,3 @@ class _Fitter:
             jaw_on_top=state.q[-JAW_FREEDOM:],
             lengths=state.pose.lengths,
         )
-
-
-def _held(fit: PhotoFitOptions) -> PhotoFitOptions:
-    """Return options that leave the face neutral: only cameras are found."""
-    return replace(fit, controls=replace(fit.controls, bounds=(0.0, 0.0), w_j=1e9))

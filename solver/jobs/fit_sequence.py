@@ -1,4 +1,4 @@
-"""The job that fits a performance: activations, jaw and head motion, frame after frame."""
+"""The job that fits a performance: muscles or shapes, jaw and head motion, frame after frame."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from typing_extensions import override
@@ -18,19 +19,28 @@ from solver.fitting.known import FaceMuscles
 from solver.fitting.objective import Target
 from solver.fitting.target_checks import check_held
 from solver.fitting.tracking import Tracker
-from solver.fitting.tracking.dense import DenseFit, DenseOptions, DensePoints, SeenPoints, stillness
+from solver.fitting.tracking.dense import (
+    DenseFit,
+    DenseOptions,
+    DensePoints,
+    HeadAndFace,
+    SeenPoints,
+    stillness,
+)
 from solver.fitting.tracking.frame_solver import TrackingOptions
 from solver.jobs import Task
 from solver.jobs.fits import Targets
 from solver.jobs.sequences import (
     DECIMALS,
     UNLIKE_MM,
+    Fitted,
     FrameFitter,
     KnownFrames,
     distance_figures,
     fit_frames,
     frame_numbers,
     refuse_unfitted,
+    shape_controls,
     write_animated,
 )
 from solver.kinds.fit_sequence import FitSequence
@@ -47,86 +57,171 @@ from solver.rig.frames import (
     write_sequence,
 )
 from solver.rig.frames.animation_gltf import AnimatedSkin
+from solver.rig.frames.shape_frames import ShapeFrame, read_shape_frames
 from solver.rig.pictures import SequenceShot, sequence_picture
 from solver.scans.performance import Performance, open_performance
 from solver.similarity import small_motion
 from solver.surface import Floats, Ints
+from solver.tracks.basis import MuscleTracks
+from solver.tracks.face import TrackFace, track_potentials
+from solver.tracks.fit import TrackFitOptions
+from solver.tracks.track import ShapeTracker
 
 CHUNKS = ChunkOptions(frames=30)
 MOST_SHOTS = 6  # frames in the picture
 
 
-class PerformanceFitter(FrameFitter[SequenceFrame]):
+class PerformanceFitter(FrameFitter[Fitted]):
     """Fits and draws frames ``numbers``: all as a skin, a few as a shot."""
 
-    def __init__(
-        self, source: Performance, points: DensePoints, numbers: range, known: KnownFrames
-    ) -> None:
+    def __init__(self, source: Performance, model: SubjectModel, numbers: range) -> None:
         self.chunks = CHUNKS
-        self._source, self._points, self._numbers = source, points, numbers
-        self._known = known
-        self._tracker, self._face = Tracker(points), points.face
-        self.skin = AnimatedSkin(self._face.model.skin)
+        self._source, self._model, self._numbers = source, model, numbers
+        self.skin = AnimatedSkin(model.skin)
         last = len(numbers) - 1
         self._shown = set(np.linspace(0, last, MOST_SHOTS).round().astype(int).tolist())
         self._target: Target | None = None  # of the frame that was fitted or taken up last
         self.shots: list[SequenceShot] = []
 
-    @override
-    def read(self, folder: Path) -> list[SequenceFrame]:
-        return read_frames(folder, self._face.model.muscle_count)
+    def target_of(self, points: Floats, confidence: Floats) -> Target:
+        """Return the target of the face's points (k, 3) in the skull's axes."""
+        raise NotImplementedError
+
+    def go_to(self, frame: Fitted) -> None:
+        """Go to a frame that was fitted before; raises :class:`SolveError` if it cannot."""
+        raise NotImplementedError
+
+    def step(self, seen: SeenPoints, number: int) -> tuple[Fitted, Target | None]:
+        """Fit the next frame; the target is that of one which could be fitted."""
+        raise NotImplementedError
+
+    def skin_now(self) -> Floats:
+        """Return the whole skin (V, 3) of the last frame."""
+        raise NotImplementedError
 
     @override
-    def take_up(self, frame: SequenceFrame, position: int) -> None:
+    def take_up(self, frame: Fitted, position: int) -> None:
         if frame.status != "fitted":
             return  # and kept what the frame before had
-        self._tracker.memory = head = small_motion(frame.head)
         with suppress(SolveError):  # out of reach: the next frame begins where this one did
-            self._tracker.go_to(self._face.pose_of(frame.activations, frame.jaw))
+            self.go_to(frame)
         if position in self._shown:
-            scan = self._source.frame(frame.frame)
-            self._target = self._points.target(head.inverse()(scan.vertices), scan.confidence)
+            scan, head = self._source.frame(frame.frame), small_motion(frame.head)
+            self._target = self.target_of(head.inverse()(scan.vertices), scan.confidence)
 
     @override
-    def fit(self, number: int) -> SequenceFrame:
+    def fit(self, number: int) -> Fitted:
         """Fit a frame; raises ``performance.unlike`` at the first."""
         start = time.perf_counter()
         scan = self._source.frame(number)
-        seen = SeenPoints(scan.vertices, scan.confidence, self._known.at(number))
-        found = self._tracker.step(seen)
-        self._target = found.target
-        frame = _frame(number, found, self._face, time.perf_counter() - start)
+        frame, self._target = self.step(SeenPoints(scan.vertices, scan.confidence), number)
+        frame = replace(frame, seconds=round(time.perf_counter() - start, 4))
         if number == self._numbers[0]:
             _check_likeness(self._source, frame)
         return frame
 
     @override
-    def show(self, frame: SequenceFrame, position: int) -> None:
-        state = self._tracker.state
-        skin = self._face.whole_skin(state.x, state.pose.b)
+    def show(self, frame: Fitted, position: int) -> None:
+        skin = self.skin_now()
         self.skin.add(frame, skin)
         if position in self._shown and frame.status == "fitted":
             assert self._target is not None, "the frame was fitted"
-            self.shots.append(_shot(frame, skin, self._target, self._face.model.face))
+            self.shots.append(_shot(frame, skin, self._target, self._model.face))
 
 
-def _frame(number: int, fit: DenseFit, face: Face, seconds: float) -> SequenceFrame:
-    """Return the record of a frame."""
-    pose, error = fit.state.pose, np.zeros(0)
+class MuscleFitter(PerformanceFitter[SequenceFrame]):
+    """Fits activations and jaw, with what a table knows of them."""
+
+    def __init__(
+        self, source: Performance, points: DensePoints, numbers: range, known: KnownFrames
+    ) -> None:
+        super().__init__(source, points.face.model, numbers)
+        self._points, self._known, self._tracker = points, known, Tracker(points)
+
+    @override
+    def read(self, folder: Path) -> list[SequenceFrame]:
+        return read_frames(folder, self._model.muscle_count)
+
+    @override
+    def target_of(self, points: Floats, confidence: Floats) -> Target:
+        return self._points.points.target(points, confidence)
+
+    @override
+    def go_to(self, frame: SequenceFrame) -> None:
+        self._tracker.memory = small_motion(frame.head)
+        self._tracker.go_to(self._points.face.pose_of(frame.activations, frame.jaw))
+
+    @override
+    def step(self, seen: SeenPoints, number: int) -> tuple[SequenceFrame, Target | None]:
+        found = self._tracker.step(replace(seen, known=self._known.at(number)))
+        face, pose = self._points.face, found.state.pose
+        figures = _figures(found, face, found.state.x)
+        inverted = face.flesh.count_inverted(found.state.x)
+        jaw = face.five_jaw_numbers(pose.b).round(DECIMALS)
+        controls: dict[str, Any] = {
+            "activations": pose.a.round(DECIMALS),
+            "jaw": jaw,
+            "inverted": inverted,
+        }
+        return SequenceFrame(frame=number, **controls, **figures), found.target
+
+    @override
+    def skin_now(self) -> Floats:
+        state = self._tracker.state
+        return self._points.face.whole_skin(state.x, state.pose.b)
+
+
+class ShapeFitter(PerformanceFitter[ShapeFrame]):
+    """Fits weights of the shapes of tracks."""
+
+    def __init__(
+        self,
+        source: Performance,
+        face: TrackFace,
+        points: HeadAndFace,
+        options: TrackFitOptions,
+        numbers: range,
+    ) -> None:
+        super().__init__(source, face.model, numbers)
+        self._face, self._points = face, points
+        self._tracker = ShapeTracker(face, points, options)
+
+    @override
+    def read(self, folder: Path) -> list[ShapeFrame]:
+        return read_shape_frames(folder, len(self._face.tracks.names), self._model.muscle_count)
+
+    @override
+    def target_of(self, points: Floats, confidence: Floats) -> Target:
+        return self._points.target(points, confidence)
+
+    @override
+    def go_to(self, frame: ShapeFrame) -> None:
+        self._tracker.begin(frame.controls, small_motion(frame.head))
+
+    @override
+    def step(self, seen: SeenPoints, number: int) -> tuple[ShapeFrame, Target | None]:
+        found = self._tracker.step(seen)
+        figures = _figures(found, self._face.face, found.state.x)
+        return ShapeFrame(frame=number, **shape_controls(found.state), **figures), found.target
+
+    @override
+    def skin_now(self) -> Floats:
+        return self._face.skin(self._tracker.state)
+
+
+def _figures(fit: DenseFit[Any], face: Face, x: Floats) -> dict[str, Any]:
+    """Return what the record of a frame has beside controls; its seconds are not known yet."""
+    error = np.zeros(0)
     if fit.target is not None:
-        error = fit.target.distances(face.face_points(fit.state.x))
-    return SequenceFrame(
-        frame=number,
-        status=fit.status,
-        activations=pose.a.round(DECIMALS),
-        jaw=face.five_jaw_numbers(pose.b).round(DECIMALS),
-        head=fit.head.twist.round(DECIMALS),
+        error = fit.target.distances(face.face_points(x))
+    return {
+        "status": fit.status,
+        "head": fit.head.twist.round(DECIMALS),
         **distance_figures(error[np.isfinite(error)]),
-        coverage=round(fit.coverage, 4),
-        inverted=face.flesh.count_inverted(fit.state.x),
-        iterations=fit.steps,
-        seconds=round(seconds, 4),
-    )
+        "coverage": round(fit.coverage, 4),
+        "iterations": fit.steps,
+        "seconds": 0.0,
+    }
 
 
 def _shot(frame: SequenceFrame, skin: Floats, target: Target, vertices: Ints) -> SequenceShot:
@@ -139,7 +234,7 @@ def _shot(frame: SequenceFrame, skin: Floats, target: Target, vertices: Ints) ->
 
 
 def run(task: Task[FitSequence]) -> list[Path]:
-    """Fit the frames of a performance with the S of ``rig``, each from the one before.
+    """Fit the frames of a performance with the S of ``rig``, or its tracks, each from the last.
 
     Frames that are ready are in ``out/frames``; with ``resume`` those that are there already are
     kept, the face is put into their poses for the animation, and the fit goes on after them. A
@@ -159,18 +254,18 @@ def run(task: Task[FitSequence]) -> list[Path]:
     check_held(face)
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
     known = KnownFrames(task, FaceMuscles.of(face), range(len(source)), given.fps)
-    fitter = PerformanceFitter(source, _points(face, given), numbers, known)
-    done = fit_frames(task, numbers, fitter)
+    fitter, beside = _fitter(task, source, face, numbers, known)
+    done: list[SequenceFrame] = fit_frames(task, numbers, fitter)
     refuse_unfitted(done, source.name)
     progress(Step("export", 0.96))
     figures, notices = known.report(done)
     for notice in notices:
         progress(Step("warning", 0.96, message=notice.message))
-    report = sequence_report(done, given.fps, source.name)
+    report = sequence_report(done, given.fps, source.name) | {"system": given.system}
     report |= figures | {"notices": [notice.as_dict() for notice in notices]}
     animated, report["files"] = write_animated(out, fitter.skin, subject, given.fps)
-    contraction = Contraction.of_face(face)
-    files = write_sequence(out, done, subject.muscle_names, given.fps, report, contraction)
+    of_all = Contraction.of_face(face), 0, beside
+    files = write_sequence(out, done, subject.muscle_names, given.fps, report, *of_all)
     files += animated
     if fitter.shots:
         files.append(out / "sequence.png")
@@ -181,13 +276,41 @@ def run(task: Task[FitSequence]) -> list[Path]:
     return files
 
 
-def _points(face: Face, given: FitSequence) -> DensePoints:
-    """Return what is seen of the face, as options have it."""
+def _fitter(
+    task: Task[FitSequence], source: Performance, face: Face, numbers: range, known: KnownFrames
+) -> tuple[PerformanceFitter[Any], dict[str, Any]]:
+    """Return what fits frames, and the arrays that the sequence has beside theirs."""
+    points = _points(face, task.options)
+    if task.options.system == "S":
+        dense = DensePoints(face, unseen_regulariser(face), points)
+        return MuscleFitter(source, dense, numbers, known), {}
+    driven = _track_face(task, face.model)
+    fitter = ShapeFitter(source, driven, points, _shape_options(task.options), numbers)
+    return fitter, {"shapes": driven.tracks.names}
+
+
+def _track_face(task: Task[FitSequence], model: SubjectModel) -> TrackFace:
+    """Return the face under the job's tracks."""
+    if "activations" in task.inputs:
+        message = "a table of known activations says nothing of shapes: leave it out, or fit S"
+        raise InputError("options.system", message)
+    tracks = MuscleTracks.load(task.inputs["tracks"], model)
+    linear = task.options.linear_solver or fastest()
+    return TrackFace(model, tracks, track_potentials(model), linear=linear)
+
+
+def _shape_options(given: FitSequence) -> TrackFitOptions:
+    options = TrackFitOptions(w_t=given.temporal)
+    return replace(options, stop=replace(options.stop, iterations=given.max_iterations))
+
+
+def _points(face: Face, given: FitSequence) -> HeadAndFace:
+    """Return how the face's points are seen, as options have it."""
     whole = replace(TrackingOptions().whole, max_iterations=given.max_iterations)
     options = DenseOptions(temporal=given.temporal, tracking=TrackingOptions(whole=whole))
     target = Targets(face.model, given.distance).of_points
     still = stillness(face) if given.head_motion else None
-    return DensePoints(face, unseen_regulariser(face), target, still, options)
+    return HeadAndFace(target, still, options)
 
 
 def _check_place(source: Performance, number: int, model: SubjectModel) -> None:

@@ -1,16 +1,21 @@
-"""The photographs of a job: read with what lies beside each, faults of all told at once."""
+"""The photographs of a job: read with what lies beside each, and the face of each found."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-from solver.errors import InputError
+from solver.anatomy.template import Template
+from solver.errors import Finding, InputError
 from solver.jobs import Task
 from solver.kinds import MOST_PHOTOS
+from solver.photo.detect import Box, find_face
 from solver.photo.photo import Photo
 from solver.photo.read import read_photo
+from solver.registration.detector import FaceDetector, landmarker_file
+from solver.registration.landmarks import landmark_vertices
 
 
 def read_photos(task: Task[Any], names: Collection[str] = ()) -> list[Photo]:
@@ -48,3 +53,43 @@ def read_photos(task: Task[Any], names: Collection[str] = ()) -> list[Photo]:
         )
         raise InputError("photo.several", message, faults=[each.as_dict() for each in faults])
     return photos
+
+
+def read_faces(
+    task: Task[Any], template: Template, boxes: Mapping[str, Sequence[float]]
+) -> tuple[dict[str, Photo], dict[str, list[Finding]]]:
+    """Return the photographs by their names, and what is odd about those whose face was found.
+
+    ``boxes`` say which face is meant. Raises :class:`InputError` as :func:`read_photos`, and
+    ``landmarks.*`` and ``photo.*`` where landmarks have to be found.
+    """
+    photos = {photo.name: photo for photo in read_photos(task, landmark_vertices(template).keys())}
+    findings: dict[str, list[Finding]] = {name: [] for name in photos}
+    unmarked = [name for name, photo in photos.items() if not photo.landmarks]
+    if not unmarked:
+        return photos, findings
+    with FaceDetector(find_landmarker(unmarked[0])) as detector:
+        for name in unmarked:
+            face = find_face(photos[name], detector, _box(boxes.get(name)))
+            photos[name] = replace(photos[name], landmarks=face.landmarks)
+            findings[name] += face.findings
+    return photos, findings
+
+
+def _box(given: Sequence[float] | None) -> Box | None:
+    if given is None:
+        return None
+    left, top, right, bottom = given
+    return left, top, right, bottom
+
+
+def find_landmarker(photo: str) -> Path:
+    """Return the detector's file; ``photo`` is one that has no landmarks."""
+    file = landmarker_file()
+    if file is None:
+        message = (
+            f"{photo} has no landmarks, and nothing here finds them: give them as JSON beside it "
+            "(landmarks), or install MediaPipe's face landmarker (docs/science/photographs.md)"
+        )
+        raise InputError("landmarks.model", message, file=photo)
+    return file

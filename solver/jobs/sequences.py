@@ -15,13 +15,15 @@ from solver.errors import Finding, InputError
 from solver.fitting.known import MARKERS_WORTH, FaceMuscles, KnownTerm, compare_frames
 from solver.jobs import Task
 from solver.kinds.fit_markers import FitMarkers
-from solver.kinds.fit_sequence import FitSequence
+from solver.kinds.kind import SequenceOptions
+from solver.mechanics.boundary import JAW_FREEDOM
 from solver.model import SubjectModel
 from solver.progress import Step
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter, SequenceFrame
 from solver.rig.frames.animation_gltf import AnimatedSkin
 from solver.scans.known_activations import NOTHING, KnownCourse, KnownMuscles, read_known
 from solver.surface import Floats
+from solver.tracks.fit import ShapeState
 
 DECIMALS = 9  # frames are stored as text: digits beyond say nothing
 UNLIKE_MM = 5.0  # mean distance of another person's face: a fit leaves less than 2
@@ -132,7 +134,7 @@ class KnownFrames:
         return {"known": figures}, findings
 
 
-def frame_numbers(name: str, frames: range, given: FitMarkers | FitSequence) -> range:
+def frame_numbers(name: str, frames: range, given: FitMarkers | SequenceOptions) -> range:
     """Return the numbers of the frames that options choose; ``options.frames`` if there is none.
 
     ``name`` is the file's, ``frames`` are the numbers that it has.
@@ -181,6 +183,19 @@ def distance_figures(distances: Floats) -> dict[str, Any]:
     p95 = np.percentile(distances, 95)
     figures = {"mean_mm": distances.mean(), "p95_mm": p95, "max_mm": distances.max()}
     return {name: round(float(value), 4) for name, value in figures.items()}
+
+
+def shape_controls(state: ShapeState) -> dict[str, Any]:
+    """Return what a frame holds of a face that shapes drive."""
+    pose = state.pose
+    return {
+        "activations": pose.activations.round(DECIMALS),
+        "jaw": pose.jaw.round(DECIMALS),
+        "weights": state.q[:-JAW_FREEDOM].round(DECIMALS),
+        "jaw_on_top": state.q[-JAW_FREEDOM:].round(DECIMALS),
+        "lengths": pose.lengths.round(DECIMALS),
+        "inverted": state.inverted,
+    }
 
 
 def _part(count: int, total: int) -> float:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from solver.animation.tracks import TrackedShapes
+from solver.animation.performance import PlayedPerformance
+from solver.animation.tracks import PlayedShapes, TrackedShapes
 from solver.fitting.calibration import read_muscles
 from solver.fitting.face import Pose
 from solver.fitting.strips import strip_names
@@ -16,7 +17,13 @@ from solver.progress import part_of
 from solver.rig import Rig
 from solver.rig.frames.animation import check_video
 from solver.scene import Stage
-from solver.scene.document import drives_of, moving_fibres, performances_of, track_drives_of
+from solver.scene.document import (
+    drives_of,
+    moving_fibres,
+    performances_of,
+    shape_performance_of,
+    track_drives_of,
+)
 from solver.scene.places import Places
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackContact
@@ -25,7 +32,8 @@ from solver.tracks.face import TrackContact
 def run(task: Task[Simulate]) -> list[Path]:
     """Play performances and keys of a rig's expressions, of muscles and jaw on a fitted face.
 
-    Where the scene says so, tracks drive the face by keys of their shapes, instead.
+    Where the scene says so, tracks drive the face by keys of their shapes, instead, and by one
+    performance that was fitted by these.
 
     Frames that are ready are in ``out/frames``; with ``resume`` those that are there are kept and
     the simulation goes on after them. Raises :class:`InputError` (``scene.*``) for a scene that
@@ -57,18 +65,23 @@ def _by_muscles(task: Task[Simulate], rig: Rig, places: Places) -> tuple[Stage, 
     firmer = 1.0 if performances is None else max(float(performances.curve.max()), 1.0)
     stage = Stage(given.scene, places, rig.weights, drives, given.linear_solver, fibres, firmer)
     played = performances.performances if performances else ()
-    told = [
-        {"asset": each.entry.asset, "frames": len(each.times), "bridged": each.bridged.tolist()}
-        for each in played
-    ]
-    return stage, {"performances": told}
+    return stage, {"performances": [*map(_told, played)]}
 
 
 def _by_tracks(task: Task[Simulate], rig: Rig, places: Places) -> tuple[Stage, dict[str, Any]]:
     """Return a scene that the shapes of tracks play, and its figures."""
     given = task.options
     tracks = MuscleTracks.load(task.inputs["tracks"], rig.model)
-    drives = track_drives_of(given.scene, TrackedShapes.of(rig.model, tracks), rig.model)
+    shapes = TrackedShapes.of(rig.model, tracks)
+    played = shape_performance_of(given.scene, shapes, places)
+    drives = track_drives_of(given.scene, shapes, places, played)
     driven = rig.weights, drives, given.linear_solver
     stage = Stage(given.scene, places, *driven, firmer=TrackContact.firmer, tracks=tracks)
-    return stage, {"shapes": len(tracks.names)}
+    told = [_told(played)] if played else []
+    return stage, {"shapes": len(tracks.names), "performances": told}
+
+
+def _told(played: PlayedPerformance | PlayedShapes) -> dict[str, Any]:
+    """Return the figures of a performance."""
+    times, bridged = len(played.times), played.bridged.tolist()
+    return {"asset": played.entry.asset, "frames": times, "bridged": bridged}

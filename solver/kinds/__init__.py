@@ -17,6 +17,7 @@ from solver.kinds.inputs import (
     FILES,
     INPUTS,
     LANDMARKS,
+    MOST_FILM_FRAMES,
     MOST_PHOTOS,
     ROLES,
     SCANS,
@@ -32,6 +33,7 @@ __all__ = [
     "INPUTS",
     "KINDS",
     "LANDMARKS",
+    "MOST_FILM_FRAMES",
     "MOST_PHOTOS",
     "NOT_READABLE",
     "ROLES",
@@ -63,6 +65,7 @@ def _complete(name: str, kind: Kind, words: str) -> Kind:
     """Return a kind with what its module's name and docstring say of it, and what follows."""
     title, _, description = words.partition("\n\n")
     report = kind.report or f"{kind.leaves}.json"
+    variants = tuple((option, _complete(name, each, words)) for option, each in kind.variants)
     return replace(
         kind,
         name=name,
@@ -71,6 +74,7 @@ def _complete(name: str, kind: Kind, words: str) -> Kind:
         report=report,
         result=kind.result or report,
         folder=kind.folder or kind.leaves,
+        variants=variants,
     )
 
 

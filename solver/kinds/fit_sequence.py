@@ -1,34 +1,33 @@
 """Fit a performance.
 
 Activations and jaw of every frame of a performance with the rig's muscle weights, within the limits
-that it was fitted in, each frame from the one before; frames can be read while the job runs.
+that it was fitted in, or weights of the shapes of its tracks, each frame from the one before;
+frames can be read while the job runs.
 """
 
-from typing import Annotated
+from typing import Literal
 
 from pydantic import Field
 
-from solver.kinds.document import Integral, Whole
-from solver.kinds.kind import FitOptions, Kind, LinearSolver
+from solver.kinds.document import Whole
+from solver.kinds.kind import FitOptions, Kind, LinearSolver, SequenceOptions
 
 
-class FitSequence(FitOptions):
+class FitSequence(SequenceOptions, FitOptions):
     """Options of a fit of frames."""
 
-    fps: float = Field(
-        default=30.0, ge=0.01, le=1000, description="frames of the performance per second"
+    system: Literal["S", "T"] = Field(
+        default="S",
+        description="what is fitted: S, activations of the muscles; T, weights of the shapes of "
+        "build_tracks, which a scene that tracks drive plays",
     )
-    start: Whole = Field(default=0, ge=0, description="first frame to fit")
-    end: Annotated[int, Field(ge=1), Integral] | None = Field(
-        default=None, description="the frame after the last to fit; null: all to the end"
-    )
-    step: Whole = Field(default=1, ge=1, description="fit every frame, every second ...")
     temporal: float = Field(
         default=0.0,
         ge=0,
         le=1000,
         description="weight of the activations' change from frame to frame, beside 0.001 for "
-        "their size, not a time as of fit_markers; 0: none",
+        "their size, not a time as of fit_markers; of T that of the shapes' weights, beside 0.0001 "
+        "for theirs; 0: none",
     )
     head_motion: bool = Field(
         default=False, description="solve the rigid motion of the head and take it out"
@@ -41,7 +40,7 @@ class FitSequence(FitOptions):
 
 KIND = Kind(
     queue="long",
-    reads=("rig", "performance", "activations"),
+    reads=("rig", "performance", "activations", "tracks"),
     leaves="sequence",
     result="sequence.npz",
     hands_on=("sequence.npz",),

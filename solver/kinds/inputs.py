@@ -83,6 +83,7 @@ INPUTS: Mapping[str, Input] = {
             _named("photo", "NAME=FILE, a photograph, JPEG or PNG; repeatable"),
             _named("facts", "NAME=FILE, what is known of the photograph of this name, JSON"),
             _named("mask", "NAME=FILE, a PNG that is white where the photograph counts"),
+            _option("film", "MP4 or MOV, or a folder of pictures", form="file or folder"),
         )
     ),
     "model": Input(
@@ -131,7 +132,11 @@ FILES: Mapping[str, LeftFile] = {
     "tracks.npz": LeftFile("tracks", "tracks", of_a_model=True),
     "rig.npz": LeftFile("rig", "rig"),
     "markers.json": LeftFile("markers", "marker_set"),
-    "sequence.npz": LeftFile("sequences", "asset", formats=(1, 2)),  # 2 has what markers add
+    "sequence.npz": LeftFile(
+        "sequences",
+        "asset",
+        formats=(1, 2, 3),  # 2 has what markers add, 3 weights of shapes
+    ),
     "blendshapes.npz": LeftFile("blendshapes", "blendshapes", of_a_rig=True, is_kept=True),
     "expression_basis.npz": LeftFile(
         "expression_basis", "expression_basis", of_a_rig=True, is_kept=True
@@ -148,6 +153,8 @@ CLOUDS = (".xyz", ".pts", ".asc", ".csv", ".txt", ".xyzn", ".xyzrgb")
 PICTURES = (".jpg", ".jpeg", ".png")
 LANDMARKS = (".json", ".ljson", ".csv")
 MOST_PHOTOS = 16  # of one job
+FILMS = (".mp4", ".mov")
+MOST_FILM_FRAMES = 2000  # of one job
 
 
 @dataclass(frozen=True)
@@ -216,6 +223,13 @@ ROLES: Mapping[str, Role] = {
         landmarks=(".json",),
         masks=(".png",),
         then="faces are fitted to photographs",
+    ),
+    "film": Role(
+        title="Film",
+        noun="a film",
+        formats=FILMS,
+        own_formats=FILMS,
+        then="a face is fitted to its frames (fit_photo with sequence)",
     ),
     "asset": Role(
         title="File for scenes",

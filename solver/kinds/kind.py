@@ -10,7 +10,15 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Field, Tag, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
-from solver.kinds.document import Document, Fault, find_faults, json_schema, tell_forms
+from solver.kinds.document import (
+    Document,
+    Fault,
+    Integral,
+    Whole,
+    find_faults,
+    json_schema,
+    tell_forms,
+)
 from solver.kinds.inputs import FILES, INPUTS
 
 Queue = Literal["ingest", "short", "long"]  # while a person waits, minutes, hours
@@ -48,7 +56,7 @@ class Kind:
         subject's neutral and chosen expressions; ``performance`` is one capture of that role,
         ``markers`` a take of them with the session's marker set, if there is one, ``activations``
         a table of what is known of single muscles beside them, if there is one, ``photos`` up to
-        sixteen photographs with what is known of each, ``assets`` any
+        sixteen photographs with what is known of each, or a film, ``assets`` any
         number of theirs, ``sequences`` those that fits left, named as assets are; ``template`` is
         the subject's, ``model`` its newest, ``rig`` a fitted person, ``any_rig`` one that may be
         left out, ``blendshapes``, ``expression_basis`` and calibrated ``fibre_muscles`` are those
@@ -73,6 +81,8 @@ class Kind:
     folder: str = ""  # that a command line fills by default; not given: leaves
     frames: bool = False
     hands_on: tuple[str, ...] = ()
+    # options that make another job of it where they are true, with what it is then
+    variants: tuple[tuple[str, Kind], ...] = ()
     seconds: int | None = None  # that it may last, where others of its queue last much longer
     name: str = ""  # the module's, whose docstring has title and description
     title: str = ""
@@ -84,6 +94,11 @@ class Kind:
             raise ValueError(f"{self.leaves}: no input is called {name}: {', '.join(INPUTS)} are")
         for name in set(self.hands_on) - FILES.keys():
             raise ValueError(f"{self.leaves}: no file {name} is handed on: {', '.join(FILES)} are")
+
+    def given(self, options: Mapping[str, Any]) -> Kind:
+        """Return the kind as ``options`` make it: a fit of photographs that are a film, say."""
+        chosen = (kind for option, kind in self.variants if options.get(option) is True)
+        return next(chosen, self)
 
     @property
     def max_seconds(self) -> int:
@@ -158,6 +173,17 @@ class FitOptions(JobOptions):
     )
 
 
+class SequenceOptions(JobOptions):
+    """Options of every fit of frames that a file counts from 0."""
+
+    fps: float = Field(default=30.0, ge=0.01, le=1000, description="frames per second")
+    start: Whole = Field(default=0, ge=0, description="first frame to fit")
+    end: Annotated[int, Field(ge=1), Integral] | None = Field(
+        default=None, description="the frame after the last to fit; null: all to the end"
+    )
+    step: Whole = Field(default=1, ge=1, description="fit every frame, every second ...")
+
+
 class ExpressionFitOptions(FitOptions):
     """Options of fits of expressions by six numbers a muscle."""
 
@@ -207,6 +233,8 @@ class PlayOptions(JobOptions):
     video: bool = Field(default=False, description="write a film, animation.mp4, too")
     linear_solver: LinearSolver = None
 
+
+Box = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=4, max_length=4)]
 
 MM_A_UNIT = (1e-6, 1e6)  # least and most
 UnitName = Literal["auto", "mm", "cm", "m", "inch", "foot"]

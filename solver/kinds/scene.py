@@ -181,8 +181,8 @@ class PerformanceEntry(Document):
     gain: Gain = Field(
         default=1.0,
         description="of all activations, S to this power: 0 is rest, 1 as fitted, above it "
-        "exaggerates, with stretches from 0.1 to 10; those of fibre muscles times it, up to 1; "
-        "the jaw and the head stay as they are",
+        "exaggerates, with stretches from 0.1 to 10; those of fibre muscles times it, up to 1, "
+        "weights of shapes times it; the jaw and the head stay as they are",
     )
     muscles: dict[str, Gain] = Field(
         default={}, max_length=256, description="gains of muscles by name, times that of all"

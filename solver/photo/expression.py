@@ -117,7 +117,7 @@ def fit_expression(
     """
     begun = face.rest() if start is None else start
     surface = face.face.model.skin.with_vertices(face.skin(begun))
-    views, head = _place(photos, points, surface, options)
+    views, head = place_views(photos, points, surface, options)
     by_landmarks = fit_photos(face, views, begun, head, options.fit, listen)
     if options.shading is None:
         return PhotoExpression(by_landmarks, by_landmarks, ())
@@ -134,6 +134,47 @@ def fit_expression(
     point = by_landmarks.point
     found = fit_photos(face, shaded, point.state, point.head, options.fit, listen)
     return PhotoExpression(found, by_landmarks, tuple(looks))
+
+
+@dataclass(frozen=True)
+class NeutralLook:
+    """What a photograph of the neutral face tells of all others of the same person.
+
+    ``points`` are where the detector marks them on this person; ``appearance`` is light and albedo,
+    None without shading.
+    """
+
+    points: SkinPoints
+    appearance: Appearance | None
+
+
+def read_neutral(
+    face: ShapeFace[State],
+    photo: Photo,
+    points: SkinPoints,
+    options: ExpressionOptions = ExpressionOptions(),
+) -> NeutralLook:
+    """Return what a photograph of the face at rest tells; raises as :func:`fit_expression`.
+
+    A detector marks a person's points at places of that person's own, alike in all expressions:
+    what landmarks are off in this picture is the person's, and no expression.
+    """
+    controls = replace(options.fit.controls, bounds=(0.0, 0.0), w_j=1e9)
+    still = replace(options, fit=replace(options.fit, controls=controls))
+    found = fit_expression(face, [photo], points, options=still)
+    camera, skin = found.fit.point.cameras[0], found.fit.point.skin
+    known, pixels = marks_of(photo, points)
+    seen = camera.project(known.at(skin))
+    # in the camera's plane: how deep a place lies, a picture does not tell
+    offsets = (pixels - seen[:, :2]) / camera.focal * seen[:, 2:] @ camera.rotation[:2]
+    surface = face.face.model.skin.with_vertices(skin)
+    shown = SkinSamples(known.corners, known.weights).facing(surface, camera)
+    own = {
+        name: offset
+        for name, offset, cosine in zip(known.names, offsets, shown, strict=True)
+        if cosine > options.landmarks.least_cosine
+    }
+    return NeutralLook(points.moved(own), next(iter(found.appearances), None))
 
 
 def shading_of(
@@ -165,10 +206,13 @@ def shading_of(
     return term, look
 
 
-def _place(
+def place_views(
     photos: Sequence[Photo], points: SkinPoints, skin: Surface, options: ExpressionOptions
 ) -> tuple[list[View], Similarity]:
-    """Return every photograph's landmarks with a camera to begin with, and where the head is."""
+    """Return every photograph's landmarks with a camera to begin with, and where the head is.
+
+    Cameras are those that see the ``skin`` so. Raises as :func:`fit_expression`.
+    """
     views, head = [], None
     for photo in photos:
         known, pixels = marks_of(photo, points)

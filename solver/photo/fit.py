@@ -1,13 +1,15 @@
 """Weights of shapes, a jaw and cameras, fitted to what photographs of one moment show.
 
-    min over q, cameras    sum_p sum_terms rho(r) + w_w/2 |w|^2 + w_j/2 |j|^2
+    min over q, cameras    sum_p sum_terms rho(r) + w_l sum w + w_w/2 |w|^2 + w_j/2 |j|^2
                            + sum_p (log f_p - log f0_p)^2 / (2 sd_p^2)
 
-The face is one of :mod:`solver.tracks`: flesh under muscle tracks, or plain shapes. A camera that
-is not known has seven numbers, with the head's six among them: where a head is in front of its
-camera is all that a picture can tell of either. Where cameras are known in a world, as of a stereo
-rig, the head has six numbers there for all of their pictures. Gauss-Newton with a trust region, as
-scans are fitted; robust losses are weights of each step (iteratively reweighted least squares).
+The weights w are at least 0, so that their linear price is one of |w|_1: what a picture hardly
+tells stays out, and what it does tell is made less by little (Tibshirani 1996). The face is one of
+:mod:`solver.tracks`: flesh under muscle tracks, or plain shapes. A camera that is not known has
+seven numbers, with the head's six among them: where a head is in front of its camera is all that a
+picture can tell of either. Where cameras are known in a world, as of a stereo rig, the head has six
+numbers there for all of their pictures. Gauss-Newton with a trust region, as scans are fitted;
+robust losses are weights of each step (iteratively reweighted least squares).
 """
 
 from __future__ import annotations
@@ -20,13 +22,13 @@ from typing import Generic
 import numpy as np
 from typing_extensions import override
 
+from solver.anatomy.template import CORRECTED
 from solver.errors import SolveError
 from solver.fitting.least_squares import (
     BoxModel,
     DampingOptions,
     LeastSquaresProblem,
     LeastSquaresStep,
-    LinearModel,
     Listener,
     StopOptions,
     Termination,
@@ -69,7 +71,9 @@ class View:
 class PhotoFitOptions:
     """Prices and bounds of controls, in units of the terms' noise, and the end of a fit."""
 
-    controls: TrackFitOptions = field(default_factory=lambda: TrackFitOptions(w_w=6.0, w_j=1e4))
+    controls: TrackFitOptions = field(default_factory=lambda: TrackFitOptions(w_w=0.5, w_j=1e5))
+    # a linear price of each weight: what a picture hardly tells is none, not a little of all
+    w_l: float = 3.0
     loss: PseudoHuber = field(default_factory=PseudoHuber)
     # changes that a linear model is surely good for: of a turn in rad, of a shift in mm and of a
     # focal length's logarithm
@@ -124,7 +128,7 @@ def fit_photos(
     cameras = [view.camera.with_head(head) if view.is_placed else view.camera for view in views]
     begun = PhotoPoint(state, face.skin(state), head, tuple(cameras))
     for moves_face in (False, True):
-        problem = _Problem(face, tuple(views), options, moves_face)
+        problem = PhotoProblem(face, tuple(views), options, moves_face)
         search = TrustRegion(options.damping)
         found = minimise(problem, begun, search, options.stop, listen if moves_face else None)
         begun = found.point
@@ -132,7 +136,9 @@ def fit_photos(
 
 
 @dataclass(frozen=True)
-class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
+class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
+    """What :func:`fit_photos` minimises; its variables are face, head, and cameras in turn."""
+
     face: ShapeFace[State]
     views: tuple[View, ...]
     options: PhotoFitOptions
@@ -142,6 +148,26 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
     def prices(self) -> Floats:
         """The prices (K + 5,) of the controls."""
         return self.options.controls.price_of(self.face.tracks)
+
+    @cached_property
+    def alone(self) -> Floats:
+        """The matrix (K + 5, K + 5) from controls q to the variables of a fit.
+
+        A corrective is a variable together with what it corrects, of which the fit varies what is
+        not corrected: lips that close are those of a jaw that opens.
+        """
+        names = self.face.tracks.names
+        matrix = np.eye(self.face.tracks.size)
+        for corrective, corrected in CORRECTED.items():
+            if corrective in names and corrected in names:
+                matrix[names.index(corrected), names.index(corrective)] = -1.0
+        return matrix
+
+    @cached_property
+    def linear_prices(self) -> Floats:
+        """The linear prices (K + 5,) of the controls: none of the jaw's."""
+        tracks = self.face.tracks
+        return np.where(np.arange(tracks.size) < len(tracks.names), self.options.w_l, 0.0)
 
     @cached_property
     def cameras(self) -> list[slice]:
@@ -168,22 +194,23 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
 
     @override
     def value(self, point: PhotoPoint[State]) -> float:
-        total = 0.5 * float(self.prices @ point.state.q**2)
+        own = self.alone @ point.state.q
+        total = float((0.5 * self.prices * own + self.linear_prices) @ own)
         for view, camera in zip(self.views, point.cameras, strict=True):
             for term in view.terms:
                 total += self.options.loss.value(term.residual(point.skin, camera))
             if view.focal:
-                total += 0.5 * _focal_residual(view.focal, camera) ** 2
+                total += 0.5 * focal_residual(view.focal, camera) ** 2
         return total
 
     @override
-    def linearise(self, point: PhotoPoint[State]) -> LinearModel:
+    def linearise(self, point: PhotoPoint[State]) -> BoxModel:
         count = max(place.stop for place in self.cameras)
         gradient, hessian = np.zeros(count), np.zeros((count, count))
         face = slice(0, self.size)
         columns = self._columns(point.state)
         if self.moves_face:
-            gradient[face] = self.prices * point.state.q
+            gradient[face] = self.prices * (self.alone @ point.state.q) + self.linear_prices
             hessian[face, face] = np.diag(self.prices)
         for view, camera, place in zip(self.views, point.cameras, self.cameras, strict=True):
             variables = np.r_[face, place]
@@ -199,10 +226,11 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
                 hessian[np.ix_(variables, variables)] += jacobian.T @ (weights[:, None] * jacobian)
             if view.focal and len(view.free):
                 last = place.stop - 1
-                gradient[last] += _focal_residual(view.focal, camera) / view.focal.deviation
+                gradient[last] += focal_residual(view.focal, camera) / view.focal.deviation
                 hessian[last, last] += view.focal.deviation**-2
         bounds, reach = self._limits(count)
-        q = np.concatenate([point.state.q[: self.size], np.zeros(count - self.size)])
+        own = self.alone @ point.state.q
+        q = np.concatenate([own[: self.size], np.zeros(count - self.size)])
         return BoxModel(q, gradient, hessian, bounds, reach)
 
     @override
@@ -219,7 +247,8 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
         moved = replace(point, head=head, cameras=tuple(cameras))
         if self.moves_face:
             low, high = self.options.controls.bounds_of(self.face.tracks)
-            q = np.clip(point.state.q + step.change[: self.size], low, high)
+            own = np.clip(self.alone @ point.state.q + step.change[: self.size], low, high)
+            q = np.clip(np.linalg.solve(self.alone, own), low, high)
             try:
                 state = self.face.move(point.state, q)
             except SolveError:
@@ -233,7 +262,7 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
         skin = 3 * len(self.face.face.model.skin.vertices)
         if not self.moves_face:
             return np.zeros((skin, 0))
-        return self.face.skin_columns(state).reshape(skin, -1)
+        return self.face.skin_columns(state).reshape(skin, -1) @ np.linalg.inv(self.alone)
 
     def _limits(self, count: int) -> tuple[tuple[Floats, Floats], Floats]:
         """Return bounds and reach of all ``count`` variables; head and cameras have no bounds."""
@@ -248,6 +277,6 @@ class _Problem(LeastSquaresProblem[PhotoPoint[State]]):
         return bounds, np.concatenate([reach, head, *own])
 
 
-def _focal_residual(prior: FocalPrior, camera: PinholeCamera) -> float:
+def focal_residual(prior: FocalPrior, camera: PinholeCamera) -> float:
     """Return how far a camera's focal length is from its prior, in deviations."""
     return float(np.log(camera.focal.mean() / prior.px) / prior.deviation)

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from solver.anatomy.skin_points import SkinPoints
+from solver.anatomy.template import Template
 from solver.drawing.head import SIDE, DrawnHead, face_camera
 from solver.drawing.render import GAMMA, Pixels, rasterise, render_bust
 from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.model import SubjectModel
 from solver.photo.camera import PinholeCamera
 from solver.photo.expression import PhotoExpression, marks_of
+from solver.photo.identity import IdentityFit
 from solver.photo.light import Appearance
 from solver.photo.photo import Photo
 from solver.photo.shading import blocked_light, shade_of
@@ -33,35 +35,42 @@ def photo_figures(
     photos: Sequence[Photo], result: PhotoExpression[Any], points: SkinPoints
 ) -> dict[str, Any]:
     """Return the figures of the fit of one moment as JSON values."""
-    found = {}
-    for number, photo in enumerate(photos):
-        camera = result.fit.point.cameras[number]
-        known, given = marks_of(photo, points)
-        fitted = camera.project(known.at(result.fit.point.skin))[:, :2]
-        away = np.linalg.norm(fitted - given, axis=1)
-        depth = float(np.median(camera.project(result.fit.point.skin)[:, 2]))
-        px_per_mm = float(camera.focal.mean()) / depth
-        found[photo.name] = {
-            "size": list(photo.size),
-            "camera": {
-                "fx": round(float(camera.focal[0]), 2),
-                "fy": round(float(camera.focal[1]), 2),
-                "cx": round(float(camera.centre[0]), 2),
-                "cy": round(float(camera.centre[1]), 2),
-                "rotation": camera.rotation.round(6).tolist(),
-                "translation": camera.translation.round(3).tolist(),
-            },
-            "camera_is_given": photo.camera is not None,
-            "distance_mm": round(depth, 1),
-            "landmarks": len(away),
-            "landmarks_px": round(float(away.mean()), 3),
-            "landmarks_mm": round(float(away.mean()) / px_per_mm, 3),
-        }
+    point = result.fit.point
+    found = {
+        photo.name: camera_figures(photo, camera, point.skin, points)
+        for photo, camera in zip(photos, point.cameras, strict=True)
+    }
     return {
         "photos": found,
         "iterations": {"landmarks": result.landmarks.steps, "shading": result.fit.steps},
         "objective": round(result.fit.objective, 3),
         "termination": str(result.fit.termination),
+    }
+
+
+def camera_figures(
+    photo: Photo, camera: PinholeCamera, skin: Floats, points: SkinPoints
+) -> dict[str, Any]:
+    """Return the figures of a photograph's camera and landmarks as JSON values."""
+    known, given = marks_of(photo, points)
+    away = np.linalg.norm(camera.project(known.at(skin))[:, :2] - given, axis=1)
+    depth = float(np.median(camera.project(skin)[:, 2]))
+    px_per_mm = float(camera.focal.mean()) / depth
+    return {
+        "size": list(photo.size),
+        "camera": {
+            "fx": round(float(camera.focal[0]), 2),
+            "fy": round(float(camera.focal[1]), 2),
+            "cx": round(float(camera.centre[0]), 2),
+            "cy": round(float(camera.centre[1]), 2),
+            "rotation": camera.rotation.round(6).tolist(),
+            "translation": camera.translation.round(3).tolist(),
+        },
+        "camera_is_given": photo.camera is not None,
+        "distance_mm": round(depth, 1),
+        "landmarks": len(away),
+        "landmarks_px": round(float(away.mean()), 3),
+        "landmarks_mm": round(float(away.mean()) / px_per_mm, 3),
     }
 
 
@@ -93,6 +102,32 @@ def photo_picture(
         bust = face_camera(point.skin, model.face, SIDE)
         panels = [_panel(each, box) for each in (photo.pixels, marked, shaded, difference)]
         panels.append(render_bust([aside], bust, (PANEL, PANEL)))
+        top = HEADER + row * (PANEL + 30)
+        page.text((MARGIN, top), photo.name, 17)
+        for column, pixels in enumerate(panels):
+            page.panel((MARGIN + column * PANEL, top + 26), pixels)
+    page.save(path)
+
+
+def identity_picture(
+    template: Template, photos: Sequence[Photo], found: IdentityFit, points: SkinPoints, path: Path
+) -> None:
+    """Draw a row for each photograph: plate, landmarks, the face in it, at rest, and aside."""
+    head = DrawnHead(template.skin)
+    page = Sheet(2 * MARGIN + 5 * PANEL, HEADER + len(photos) * (PANEL + 30) + MARGIN)
+    page.heading(
+        "A person from photographs",
+        "plate; landmarks given (blue) and fitted (red); the person in it; at rest; aside",
+    )
+    for row, photo in enumerate(photos):
+        camera, skin = found.cameras[row], found.skins[row]
+        box = _box(camera.project(skin[template.face_vertices])[:, :2], photo.size)
+        known, given = marks_of(photo, points)
+        marked = _marked(photo, given, camera.project(known.at(skin))[:, :2])
+        panels = [_panel(each, box) for each in (photo.pixels, marked)]
+        for shown, view in ((skin, 0.0), (found.neutral, 0.0), (found.neutral, SIDE)):
+            bust = face_camera(shown, template.face_vertices, view)
+            panels.append(render_bust([head.body(head.lit(shown))], bust, (PANEL, PANEL)))
         top = HEADER + row * (PANEL + 30)
         page.text((MARGIN, top), photo.name, 17)
         for column, pixels in enumerate(panels):

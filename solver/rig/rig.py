@@ -166,10 +166,12 @@ class Rig:
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
-        """Return what is odd about the rig as a whole: its size, and what was noticed."""
+        """Return what is odd about the rig as a whole: its origin, and what was noticed."""
         if self.model.size_from == "scan":
             return self.notices
-        return (make_warning("model.size", SIZE_WORDS[self.model.size_from]), *self.notices)
+        origin = self.model.size_from
+        code = "model.estimated" if origin == "photographs" else "model.size"
+        return (make_warning(code, SIZE_WORDS[origin]), *self.notices)
 
     def skins(self) -> dict[str, Floats]:
         """Return the skin at rest, ``neutral``, and in every expression, (v, 3), mm."""

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from solver.anatomy.physiology import JAW_FREEDOM
 from solver.animation import Drives, HeadKey, KeyedDrives, PoseKey
 from solver.animation.performance import FittedSequence, MixedPerformances, PlayedPerformance
-from solver.animation.tracks import KeyedTracks, TrackedShapes
+from solver.animation.tracks import KeyedTracks, PlayedShapes, TrackedShapes
 from solver.errors import InputError
 from solver.fitting.face import Pose
 from solver.fitting.interior_point import FeasibleSet
@@ -104,23 +104,53 @@ def _frame_times(scene: SimulateScene, ends: Sequence[float]) -> Floats:
 
 
 def track_drives_of(
-    scene: SimulateScene, shapes: TrackedShapes, model: SubjectModel
+    scene: SimulateScene, shapes: TrackedShapes, places: Places, played: PlayedShapes | None
 ) -> KeyedTracks:
-    """Return what the keys of a scene make a face do that tracks drive.
+    """Return what the keys of a scene make a face do that tracks drive, on top of what is played.
 
-    Raises :class:`InputError`: as :class:`KeyedTracks`, ``scene.shapes`` for a scene with
-    performances, and ``scene.jaw`` where no jaw can be.
+    ``played`` is from :func:`shape_performance_of`. Raises :class:`InputError`: as
+    :class:`KeyedTracks`, and ``scene.jaw`` where no jaw can be.
     """
-    if scene.performance is not None:
-        reason = "a scene that tracks drive plays no performances, whose muscles are a rig's"
-        raise InputError("scene.shapes", reason)
-    keys = _KeyReader(model, model.weights)(scene.keys)
-    times = _frame_times(scene, [key.time for key in keys])
-    head, interpolation = head_of(scene.head), scene.interpolation
-    drives = KeyedTracks(keys, shapes, model, times, head=head, interpolation=interpolation)
+    model, interpolation = places.model, scene.interpolation
+    read, under = _KeyReader(model, model.weights), None
+    if played is not None:
+        own = read(played.entry.keys)
+        under = KeyedTracks(
+            own, shapes, model, played.times, interpolation=interpolation, under=played
+        )
+    keys = read(scene.keys)
+    ends = [] if under is None else [float(under.times[-1])]
+    times = _frame_times(scene, [*ends, *(key.time for key in keys)])
+    head = head_of(scene.head)
+    drives = KeyedTracks(
+        keys, shapes, model, times, head=head, interpolation=interpolation, under=under
+    )
     for number, key in enumerate(keys):
         check_jaw(drives(key.time).jaw, f"keys[{number}]")
     return drives
+
+
+def shape_performance_of(
+    scene: SimulateScene, shapes: TrackedShapes, places: Places
+) -> PlayedShapes | None:
+    """Return the one performance of a scene that tracks drive; None if it has none.
+
+    Raises :class:`InputError`: as :class:`FittedSequence` and :class:`PlayedShapes`,
+    ``scene.shapes`` for several, ``scene.jaw`` and ``scene.asset``.
+    """
+    given = scene.performance
+    if given is None:
+        return None
+    entries = given if isinstance(given, list) else [given]
+    if len(entries) > 1:
+        reason = f"a scene that tracks drive plays one performance, not {len(entries)}"
+        raise InputError("scene.shapes", f"{reason}: masks are of muscles")
+    entry = entries[0]
+    sequence = FittedSequence.load(places.asset(entry.asset), entry.asset)
+    played = PlayedShapes(sequence, entry, shapes, places.model, scene.interpolation)
+    for time in played.times:
+        check_jaw(played(float(time)).jaw, f"the performance {entry.asset!r} at {time:.3f} s")
+    return played
 
 
 def moving_fibres(

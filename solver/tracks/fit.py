@@ -1,6 +1,8 @@
 """Weights of shapes and a jaw, fitted to a scan through the flesh under its muscle tracks.
 
-    min over q = (w, j)    data(x(q)) + w_w/2 |w|^2 + w_j/2 |j|^2    with 0 <= w <= 1
+    min over q = (w, j)    data(x(q)) + w_w/2 |w|^2 + w_j/2 |j|^2 + w_t/2 |q - q_0|^2
+
+with 0 <= w <= 1, q_0 being the frame before in a sequence; else w_t is 0.
 
 x(q) is the flesh at rest between its tracks, bones and whatever touches, and dx/dq is exact
 (:mod:`solver.tracks.response`); or x(q) is that of plain shapes (:mod:`solver.tracks.plain`), which
@@ -94,6 +96,7 @@ class TrackFitOptions:
     w_j: float = 1e-4  # of the jaw on top of theirs, by rad^2 and mm^2
     # of every weight; infinite ones leave them free, as published
     bounds: tuple[float, float] = (0.0, 1.0)
+    w_t: float = 0.0  # price of all controls' change from the frame before
     # changes that a linear model is surely good for: of a weight, of the jaw in rad and in mm
     weight_reach: float = 0.5
     turn_reach: float = 0.1
@@ -135,15 +138,18 @@ def fit(
     start: State | None = None,
     options: TrackFitOptions = TrackFitOptions(),
     listen: Listener | None = None,
+    before: Floats | None = None,
 ) -> TrackFit[State]:
     """Fit weights and jaw to what ``data`` asks of the flesh, from rest or from a ``start``.
+
+    ``before`` (K + 5,) are the controls that changes count from, if not the start's.
 
     ``data`` is a term of ``face.face``, such as
     :class:`~solver.fitting.objective.SkinDistance`. Raises :class:`~solver.errors.SolveError` as
     :class:`~solver.tracks.response.TrackResponse`, where the start is no equilibrium.
     """
-    problem = _Problem(face, data, options)
     begun = face.rest() if start is None else start
+    problem = _Problem(face, data, options, begun.q if before is None else before)
     found = minimise(problem, begun, TrustRegion(options.damping), options.stop, listen)
     return TrackFit(found.point, found.value, found.steps, found.termination)
 
@@ -153,6 +159,7 @@ class _Problem(LeastSquaresProblem[State]):
     face: ShapeFace[State]
     data: Term
     options: TrackFitOptions
+    before: Floats  # (K + 5,) the controls that changes count from
 
     @cached_property
     def prices(self) -> Floats:
@@ -166,14 +173,17 @@ class _Problem(LeastSquaresProblem[State]):
 
     @override
     def value(self, point: State) -> float:
-        return self.data.value(point.x) + 0.5 * float(self.prices @ point.q**2)
+        change = self.options.w_t * float(np.sum((point.q - self.before) ** 2))
+        return self.data.value(point.x) + 0.5 * (float(self.prices @ point.q**2) + change)
 
     @override
     def linearise(self, point: State) -> LinearModel:
         columns = self.face.columns(point).reshape(-1, len(point.q))
-        gradient = columns.T @ self.data.gradient(point.x).ravel() + self.prices * point.q
+        w_t = self.options.w_t
+        prior = self.prices * point.q + w_t * (point.q - self.before)
+        gradient = columns.T @ self.data.gradient(point.x).ravel() + prior
         curvature = self.data.curvature(point.x)
-        hessian = columns.T @ np.asarray(curvature @ columns) + np.diag(self.prices)
+        hessian = columns.T @ np.asarray(curvature @ columns) + np.diag(self.prices + w_t)
         reach = self.options.reach_of(self.face.tracks)
         return BoxModel(point.q, gradient, hessian, self.bounds, reach)
 

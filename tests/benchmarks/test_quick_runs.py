@@ -53,6 +53,7 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "check_service": None,
     "convergence": None,
     "fibres": by_default,
+    "film": None,
     "fit_quality": None,
     "fit_speed": None,
     "information": None,

@@ -422,6 +422,43 @@ def test_chosen_photographs_are_fitted_with_a_rig(show: Show, studio: Studio) ->
     assert (job["kind"], job["rig_id"], job["captures"]) == ("fit_photo", rig_id, [plate])
 
 
+def test_a_person_without_a_scan_begins_with_photographs(show: Show, studio: Studio) -> None:
+    subject_id = studio.post("/v1/subjects", name="Ada")["id"]
+    plate = studio._add(subject_id, "plate", "photo", {})
+    page = show(f"/subjects/{subject_id}")
+    estimate = page.get_by_role("button", name="Estimate a neutral from photographs")
+    choose = "Choose photographs in the list of scans first"
+    eventually(lambda: estimate.get_attribute("title") == choose)
+    page.get_by_label("Choose plate for a fit").check()
+    estimate.click()
+    page.get_by_role("dialog").get_by_role("button", name="Submit").click()
+    picture = page.get_by_role("img", name="Photographs and the person that they were made into")
+    eventually(lambda: picture.evaluate("image => image.naturalWidth") == 480)
+    job = studio.job(page.url.rsplit("/", 1)[1])
+    assert (job["kind"], job["captures"]) == ("neutral_from_photos", [plate])
+    studio.done("build_model", subject_id)
+
+
+def test_a_film_is_fitted_and_leaves_a_sequence(show: Show, studio: Studio) -> None:
+    subject_id, rig_id = studio.rigged()
+    studio.done("build_tracks", subject_id)
+    film = studio._add(subject_id, "clip", "film", {"frames": 4})
+    page = show(f"/subjects/{subject_id}")
+    page.get_by_role("row", name="clip").get_by_role("button", name="Fit").click()
+    dialog = page.get_by_role("dialog")
+    assert dialog.get_by_role("checkbox", name="sequence").is_checked()
+    dialog.get_by_role("button", name="Submit").click()
+    play = page.get_by_role("link", name="Play it on the rig")
+    eventually(play.is_visible)
+    job = studio.job(page.url.rsplit("/", 1)[1])
+    assert (job["kind"], job["captures"], job["rig_id"]) == ("fit_photo", [film], rig_id)
+    # it leaves frames, and no rig
+    assert job["result"]["rig_id"] is None
+    assert len(studio.get(f"/v1/jobs/{job['id']}/frames")["frames"]) == 4
+    page.get_by_role("button", name="Play it in a scene").click()
+    page.get_by_role("dialog").get_by_text("Simulate a scene").wait_for()
+
+
 def test_a_subject_is_worked_with_and_deleted(show: Show, studio: Studio) -> None:
     subject_id = studio.modelled()
     studio.capture(subject_id, "smile")

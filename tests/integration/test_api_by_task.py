@@ -33,7 +33,9 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     session = tmp_path / "session"
     session.mkdir()
     (tmp_path / "take.trc").write_text("# take\n")
-    for path in (tmp_path / "neutral.obj", tmp_path / "smile.obj", session / "frown.obj"):
+    (tmp_path / "clip.mp4").write_text("#! frames 2\n")
+    scans = (tmp_path / "neutral.obj", tmp_path / "smile.obj", session / "frown.obj")
+    for path in (*scans, tmp_path / "front.jpg"):
         path.write_text(f"# {path.stem}\n")
     with running(tmp_path / "data") as (stack, _):
         monkeypatch.setenv(KEY_VARIABLE, stack.key)

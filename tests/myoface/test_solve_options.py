@@ -47,6 +47,7 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
         (["--photo", "smile=face.jpg"], {}),
         (["--facts", "smile=face.json"], {}),
         (["--mask", "smile=mask.png"], {}),
+        (["--film", "film.mov"], {"film": "film.mov"}),
     ],
     "role": [(["--role", "neutral"], {})],
 }

@@ -97,6 +97,27 @@ def test_a_photograph_comes_with_what_is_known_of_it(studio: Studio) -> None:
     assert (role["landmarks"], role["masks"], role["is_scan"]) == ([".json"], [".png"], False)
 
 
+def test_a_film_is_one_file_or_many_pictures(studio: Studio) -> None:
+    subject = studio.post("/v1/subjects", name="Alex")["id"]
+    upload = studio.upload("clip.MP4", b"a film")
+    path = f"/v1/subjects/{subject}/captures"
+    film = studio.post(path, name="clip", role="film", upload_id=upload)["id"]
+    as_film: dict[str, Any] = {"options": {"sequence": True}}
+    (file,) = _resolve(studio, NEUTRAL, subject, [film], **as_film).files
+    assert (file["role"], file["filename"]) == ("film", "clip.MP4")
+    pictures = [_photo(studio, subject, f"p{number:02d}", None) for number in range(17)]
+    files = _resolve(studio, NEUTRAL, subject, pictures, **as_film).files
+    assert [each["role"] for each in files] == 17 * ["photo"]
+    for captures, more, code in (
+        (pictures, {}, "job.photos"),
+        ([film], {}, "capture.not_a_photo"),
+        ([film, pictures[0]], as_film, "capture.not_a_photo"),
+    ):
+        with pytest.raises(Problem) as refused:
+            _resolve(studio, NEUTRAL, subject, captures, **more)
+        assert refused.value.code == code
+
+
 def test_what_is_no_photograph_is_refused(studio: Studio) -> None:
     subject = studio.post("/v1/subjects", name="Alex")["id"]
     path = f"/v1/subjects/{subject}/captures"
@@ -124,6 +145,21 @@ def test_what_is_no_photograph_is_refused(studio: Studio) -> None:
     body = {"kind": "check_scan", "subject_id": subject, "captures": [photo]}
     answer = studio.http.post("/v1/jobs", json=body)
     assert (answer.status_code, answer.json()["code"]) == (422, "capture.is_photo")
+
+
+def test_a_model_goes_on_from_photographs_where_there_is_no_scan(studio: Studio) -> None:
+    subject = studio.post("/v1/subjects", name="Alex")["id"]
+    with pytest.raises(Problem) as caught:
+        _resolve(studio, KINDS["build_model"], subject, [])
+    assert caught.value.code == "subject.no_neutral"
+    photo = _photo(studio, subject, "smile")
+    job = studio.submit("neutral_from_photos", subject, captures=[photo])
+    studio.pretend(job, {"neutral.ply": "a" * 64, "neutral.json": "b" * 64})
+    (neutral,) = _resolve(studio, KINDS["build_model"], subject, []).files
+    assert (neutral["role"], neutral["sha256"], neutral["of"]) == ("neutral", "a" * 64, job)
+    scan = studio.capture(subject, "neutral", "neutral")
+    (neutral,) = _resolve(studio, KINDS["build_model"], subject, []).files
+    assert neutral["of"] == scan
 
 
 def test_a_job_reads_the_photographs_that_are_chosen(studio: Studio) -> None:

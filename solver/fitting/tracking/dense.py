@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 from typing_extensions import override
@@ -41,15 +41,18 @@ class DenseOptions:
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
 
 
+StateT = TypeVar("StateT")
+
+
 @dataclass(frozen=True)
-class DenseFit:
+class DenseFit(Generic[StateT]):
     """One frame of a performance, fitted, the ``target`` being in the skull's axes.
 
     ``kept`` is one that could not be, ``unseen`` one of which too little was seen: the face and the
     ``head`` are as in the frame before.
     """
 
-    state: PosedFace
+    state: StateT
     head: Similarity  # its motion into the studio
     status: Literal["fitted", "kept", "unseen"]
     coverage: float  # share of the face's points that were seen
@@ -69,33 +72,93 @@ class SeenPoints:
     known: KnownMuscles = NOTHING
 
 
-class DensePoints(Observation[SeenPoints, Similarity, DenseFit]):
-    """Points of a performance: an :class:`~.tracker.Observation`, whose memory is the head.
+class HeadAndFace:
+    """The points of a performance's frames, fitted in turns with the head, whatever moves the face.
 
     A frame has the face's points with their confidence; ``target`` makes the fit's target of
     both. ``still`` (k,) says how still each point lies on the skull (:func:`stillness`) and asks
-    for the head's rigid motion. ``regulariser`` is the one of muscles of which nothing is expected
-    (:mod:`solver.fitting.recruitment`). Raises :class:`InputError` (``sequence.no_still_points``)
+    for the head's rigid motion. Raises :class:`InputError` (``sequence.no_still_points``)
     if nothing of the face lies still.
     """
 
     def __init__(
         self,
-        face: Face,
-        regulariser: Regulariser,
         target: Callable[[Floats, Floats], Target] = Target.from_points,
         still: Floats | None = None,
         options: DenseOptions = DenseOptions(),
     ) -> None:
-        self.face, self.tracking, self.target = face, options.tracking, target
-        self._regulariser, self._still, self._options = regulariser, still, options
-        self._recruitment, self._muscles = Recruitment.of_face(face), FaceMuscles.of(face)
+        self.target, self.options, self._still = target, options, still
         if still is not None and np.sum(still > options.still) < options.still_points:
             message = (
                 "the head's motion cannot be told from the face's: muscles or the jaw move every "
                 "point of the model's face"
             )
             raise InputError("sequence.no_still_points", message)
+
+    def sees(self, seen: SeenPoints) -> bool:
+        """Return whether a frame shows enough of the face, and of the head if that moves."""
+        if coverage_of(seen) < self.options.coverage:
+            return False
+        if self._still is None:
+            return True
+        visible = np.sum(self._still * seen.confidence > self.options.still)
+        return bool(visible >= self.options.still_points)
+
+    def fit(
+        self,
+        seen: SeenPoints,
+        head: Similarity,
+        fitted: Callable[[], Floats],
+        fit: Callable[[Target], int],
+    ) -> tuple[Target, Similarity, int]:
+        """Fit a frame; return its target, the head's motion and the steps that were taken.
+
+        ``fitted`` gives the points (k, 3) as the face has them now, and ``fit`` moves it to a
+        target. The face is fitted with the head where that is; again if that moves the head.
+        """
+        if self._still is None:
+            target = self.target(seen.vertices, seen.confidence)
+            return target, head, fit(target)
+        head = self._place_head(seen, self._still, fitted())
+        points = head.inverse()(seen.vertices)
+        target = self.target(points, seen.confidence)
+        steps = fit(target)
+        for _ in range(self.options.placings - 1):
+            head = self._place_head(seen, self._still, fitted())
+            moved = head.inverse()(seen.vertices)
+            if np.nanmax(np.abs(moved - points)) < self.options.restless_mm:
+                break
+            points, target = moved, self.target(moved, seen.confidence)
+            steps += fit(target)
+        return target, head, steps
+
+    def _place_head(self, seen: SeenPoints, still: Floats, fitted: Floats) -> Similarity:
+        """Return the motion of the fitted face's still points to where they were seen."""
+        weights = still * seen.confidence
+        used = weights > self.options.still
+        there, weights = seen.vertices[used], weights[used]
+        roughly = weighted_motion(fitted[used], there, weights)
+        return roughly.then(head_motion(roughly(fitted[used]), there, weights))
+
+
+def coverage_of(seen: SeenPoints) -> float:
+    """Return the share of the face's points that a frame shows."""
+    return float(np.mean(seen.confidence > 0))
+
+
+class DensePoints(Observation[SeenPoints, Similarity, DenseFit[PosedFace]]):
+    """Points of a performance: an :class:`~.tracker.Observation`, whose memory is the head.
+
+    ``regulariser`` is the one of muscles of which nothing is expected
+    (:mod:`solver.fitting.recruitment`).
+    """
+
+    def __init__(
+        self, face: Face, regulariser: Regulariser, points: HeadAndFace | None = None
+    ) -> None:
+        self.face, self.points, self._regulariser = face, points or HeadAndFace(), regulariser
+        self.tracking = self.points.options.tracking
+        self._recruitment, self._muscles = Recruitment.of_face(face), FaceMuscles.of(face)
 
     @override
     def begin(self, solver: FrameSolver) -> None:
@@ -104,53 +167,22 @@ class DensePoints(Observation[SeenPoints, Similarity, DenseFit]):
     @override
     def fit(
         self, seen: SeenPoints, solver: FrameSolver, memory: Similarity | None
-    ) -> tuple[DenseFit, Similarity]:
-        before, head = solver.state, memory or IDENTITY
-        coverage = float(np.mean(seen.confidence > 0))
-        if coverage < self._options.coverage or not self._sees_the_head(seen):
+    ) -> tuple[DenseFit[PosedFace], Similarity]:
+        before, head, coverage = solver.state, memory or IDENTITY, coverage_of(seen)
+        if not self.points.sees(seen):
             return DenseFit(before, head, "unseen", coverage), head
+
+        def fit(target: Target) -> int:
+            return self._fit(target, solver, before.pose, seen.known)
+
         try:
-            if self._still is None:
-                target, placed = self.target(seen.vertices, seen.confidence), head
-                steps = self._fit(target, solver, before.pose, seen.known)
-            else:
-                target, placed, steps = self._fit_in_turns(seen, self._still, solver)
+            target, placed, steps = self.points.fit(
+                seen, head, lambda: self.face.face_points(solver.state.x), fit
+            )
         except SolveError:
             solver.state = before
             return DenseFit(before, head, "kept", coverage), head
         return DenseFit(solver.state, placed, "fitted", coverage, steps, target), placed
-
-    def _sees_the_head(self, seen: SeenPoints) -> bool:
-        if self._still is None:
-            return True
-        visible = np.sum(self._still * seen.confidence > self._options.still)
-        return bool(visible >= self._options.still_points)
-
-    def _fit_in_turns(
-        self, seen: SeenPoints, still: Floats, solver: FrameSolver
-    ) -> tuple[Target, Similarity, int]:
-        """Fit the face with the head where it is; again if that moves the head."""
-        pose, head = solver.state.pose, self._place_head(seen, still, solver.state)
-        points = head.inverse()(seen.vertices)
-        target = self.target(points, seen.confidence)
-        steps = self._fit(target, solver, pose, seen.known)
-        for _ in range(self._options.placings - 1):
-            head = self._place_head(seen, still, solver.state)
-            moved = head.inverse()(seen.vertices)
-            if np.nanmax(np.abs(moved - points)) < self._options.restless_mm:
-                break
-            points, target = moved, self.target(moved, seen.confidence)
-            steps += self._fit(target, solver, pose, seen.known)
-        return target, head, steps
-
-    def _place_head(self, seen: SeenPoints, still: Floats, state: PosedFace) -> Similarity:
-        """Return the motion of the fitted face's still points to where they were seen."""
-        weights = still * seen.confidence
-        used = weights > self._options.still
-        fitted = self.face.face_points(state.x)[used]
-        there, weights = seen.vertices[used], weights[used]
-        roughly = weighted_motion(fitted, there, weights)
-        return roughly.then(head_motion(roughly(fitted), there, weights))
 
     def _fit(self, target: Target, solver: FrameSolver, before: Pose, known: KnownMuscles) -> int:
         prior = self._regulariser
@@ -158,7 +190,7 @@ class DensePoints(Observation[SeenPoints, Similarity, DenseFit]):
             expected = self._recruitment.of_target(target).without(self._muscles.numbers(known))
             prior = expected.regularise(prior)
         prior = self._muscles.regularise(known, prior)
-        prior = prior.with_proximal_term(before, self._options.temporal)
+        prior = prior.with_proximal_term(before, self.points.options.temporal)
         return solver.fit(SkinDistance(self.face, target), target.weights, prior)
 
 

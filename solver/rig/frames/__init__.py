@@ -219,7 +219,7 @@ class MarkerFrame(SequenceFrame):
     tracks: Floats  # (3,) of a jaw on its tracks, (0,) of a free one
     mandible: Floats  # (4, 4) its motion in the head's frame: x -> R x + t, mm
 
-    FORMAT: ClassVar[int] = FILES["sequence.npz"].format
+    FORMAT: ClassVar[int] = FILES["sequence.npz"].formats[1]
     ARRAYS: ClassVar[tuple[str, ...]] = (
         *FrameRecord.ARRAYS,
         *("marker_mm", "marker_weight", "sd", "information", "contraction_sd", "held"),
@@ -251,11 +251,13 @@ def write_sequence(
     report: dict[str, Any],
     contraction: Contraction | None = None,
     first: int = 0,
+    beside: Mapping[str, Any] = {},
 ) -> list[Path]:
     """Write ``sequence.npz``, ``activations.csv`` and ``sequence.json``; returns their paths.
 
     With ``contraction``, that of blended muscles, there is ``contractions.bin``, too. The frame
-    with the number ``first`` is at 0 s. ``report``, which has the ``files`` that were compared,
+    with the number ``first`` is at 0 s; ``beside`` are arrays of all frames together, of frames
+    with weights the ``shapes``. ``report``, which has the ``files`` that were compared,
     gets these: how far their activations are off, read back. Raises
     :class:`~solver.errors.SolveError` (``file.differs``).
     """
@@ -274,6 +276,7 @@ def write_sequence(
         "muscles": muscles,
         "fps": fps,
         "time": (arrays["frame"] - first) / fps,
+        **beside,
     }
     if contraction is not None:
         arrays["contraction"] = contraction(arrays["activations"])
@@ -358,6 +361,9 @@ def _columns(muscles: Sequence[str], arrays: Mapping[str, Any]) -> dict[str, Flo
         first = _by_name(own, arrays["contraction"])
         if spread:
             first |= _by_name(_spread_of(own), arrays["contraction_sd"])
+    if "weights" in arrays:
+        shapes = [f"shape.{name}" for name in arrays["shapes"]]
+        first = _by_name(shapes, arrays["weights"]) | first
     placed = _by_name(jaw, arrays["jaw"]) | _by_name(head, arrays["head"])
     return first | placed | controls | spread
 

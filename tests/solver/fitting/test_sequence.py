@@ -8,7 +8,7 @@ from solver.fitting.activation import ActivationOptions
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser, SkinDistance, Target
 from solver.fitting.tracking import Tracker
-from solver.fitting.tracking.dense import DenseOptions, DensePoints, SeenPoints
+from solver.fitting.tracking.dense import DenseOptions, DensePoints, HeadAndFace, SeenPoints
 from tests.solver.block import block_model
 
 FRAMES = 40
@@ -74,7 +74,7 @@ def test_a_temporal_weight_holds_the_pose(face, targets):
     moved = []
     for weight in (0.0, 1e3):
         options = DenseOptions(temporal=weight)
-        tracker = Tracker(DensePoints(face, regulariser(face), options=options))
+        tracker = Tracker(DensePoints(face, regulariser(face), HeadAndFace(options=options)))
         a = []
         for target in targets[10:16]:
             tracker.step(seen(target))

@@ -55,8 +55,13 @@ def camera(yaw: float) -> PinholeCamera:
     return PinholeCamera(np.full(2, 700.0), np.array(SIZE) / 2.0, rotation, shift)
 
 
-def photograph(folder: Path, name: str, skin: np.ndarray, yaw: float, **more: Any) -> None:
-    """Draw a face into a JPEG, with its landmarks in the JSON beside it."""
+def photograph(
+    folder: Path, name: str, skin: np.ndarray, yaw: float, raised_mm: float = 0.0, **more: Any
+) -> None:
+    """Draw a face into a JPEG, with its landmarks in the JSON beside it.
+
+    Those of the lower face are marked ``raised_mm`` above their places.
+    """
     seen_by, head = camera(yaw), DrawnHead(MODEL.skin)
     body = head.body(head.lit(skin))
     surface = body.lit.surface
@@ -66,7 +71,9 @@ def photograph(folder: Path, name: str, skin: np.ndarray, yaw: float, **more: An
     picture = Image.fromarray((255 * np.clip(pixels, 0, 1) ** (1 / 2.2)).astype(np.uint8))
     picture.save(folder / f"{name}.jpg", quality=95)
     points = landmark_points(builtin_template())
-    places = seen_by.project(points.at(skin))[:, :2]
+    known = points.at(skin)
+    known[known[:, 1] < NEUTRAL[MODEL.face, 1].mean(), 1] += raised_mm
+    places = seen_by.project(known)[:, :2]
     marks = {n: p.tolist() for n, p in zip(points.names, places, strict=True) if n.isdigit()}
     (folder / f"{name}.json").write_text(json.dumps({"landmarks": marks, **more}))
 
@@ -80,11 +87,14 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     photograph(folder, "front", smile(), 0.0)
     photograph(folder, "left", smile(), 30.0)
     photograph(folder, "rest", NEUTRAL, 10.0)
+    photograph(folder, "own_rest", NEUTRAL, 10.0, raised_mm=4.0)
+    photograph(folder, "own_still", NEUTRAL, -10.0, raised_mm=4.0)
     return folder
 
 
 def fit(files: Path, out: Path, *names: str, **options: Any) -> tuple[Rig, dict[str, Any]]:
     """Fit photographs by name; return the rig that is left, and what is told of them."""
+    out.mkdir(exist_ok=True)
     run_job(
         "fit_photo",
         out,
@@ -128,6 +138,19 @@ def test_plain_shapes_by_landmarks_alone(files: Path, tmp_path: Path) -> None:
     rig, told = fit(files, tmp_path, "front", model="shapes", shading=False)
     assert off(rig.systems["B"].expressions[0].skin, smile()) < 0.5 * off(NEUTRAL, smile())
     assert told["expressions"]["front"]["photos"]["front"]["landmarks_mm"] < 1.0
+
+
+def test_a_neutral_photograph_tells_where_a_person_s_landmarks_are(
+    files: Path, tmp_path: Path
+) -> None:
+    given: dict[str, Any] = {"model": "shapes", "shading": False}
+    moved = []
+    for number, options in enumerate((given, {**given, "neutral": "own_rest"})):
+        rig, _ = fit(files, tmp_path / str(number), "own_rest", "own_still", **options)
+        found = {each.name: each for each in rig.systems["B"].expressions}
+        moved.append(off(found["own_still"].skin, NEUTRAL))
+    assert moved[0] > 0.3
+    assert moved[1] < 0.3 * moved[0]
 
 
 @pytest.mark.parametrize(

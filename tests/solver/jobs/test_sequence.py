@@ -19,7 +19,7 @@ from solver.fitting.drives.six_numbers import SixNumbers
 from solver.fitting.face import Face, Pose
 from solver.fitting.objective import Regulariser
 from solver.fitting.tracking import Tracker
-from solver.fitting.tracking.dense import DensePoints, SeenPoints, stillness
+from solver.fitting.tracking.dense import DensePoints, HeadAndFace, SeenPoints, stillness
 from solver.fitting.tracking.frame_solver import FrameSolver
 from solver.jobs import run_job
 from solver.mechanics.equilibrium import CorrectorOptions
@@ -275,7 +275,7 @@ def test_the_head_s_motion_is_told_from_the_face_s() -> None:
     rest, state = face.rest_pose(), face.rest
     change = np.random.default_rng(2).normal(0.0, 0.1, rest.a.shape)
     regulariser = Regulariser(w_a=2e-3, w_v=1e-2, w_b=1e-6, prior=rest)
-    tracker = Tracker(DensePoints(face, regulariser, still=stillness(face)))
+    tracker = Tracker(DensePoints(face, regulariser, HeadAndFace(still=stillness(face))))
     for number in range(1, 3):
         pose = Pose(rest.a + number * change, number * np.array([0.06, 0.0, 0.0, 0.0, 0.5]))
         state = face.continuation(state, pose)

@@ -101,7 +101,7 @@ def test_a_recording_needs_no_solved_shapes(files: dict[str, Path], tmp_path: Pa
         ({"keys": [{"time": 0, "shapes": {"mouthPuker": 1.0}}]}, "tracks.name"),
         ({"keys": [{"time": 0, "muscles": {"left": 0.8}}]}, "scene.shapes"),
         ({"keys": [{"time": 0, "expressions": {"smile": 1.0}}]}, "scene.shapes"),
-        ({"performance": {"asset": "take"}}, "scene.shapes"),
+        ({"performance": {"asset": "take"}}, "scene.asset"),
         ({"keys": KEYS, "drive": "muscles"}, "scene.shapes"),
         ({"keys": [{"time": 0, "shapes": {"jawOpen": 1.0}, "jaw": {"open_deg": 90}}]}, "scene.jaw"),
     ],

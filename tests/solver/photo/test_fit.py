@@ -12,7 +12,7 @@ from solver.anatomy.skin_points import SkinPoints
 from solver.errors import InputError
 from solver.fitting.least_squares import LeastSquaresStep
 from solver.photo.camera import CAMERA_FREEDOM, POSE_FREEDOM, PinholeCamera
-from solver.photo.fit import FocalPrior, PhotoFitOptions, PhotoPoint, View, _Problem, fit_photos
+from solver.photo.fit import FocalPrior, PhotoFitOptions, PhotoPoint, PhotoProblem, View, fit_photos
 from solver.photo.pose import place_camera
 from solver.photo.terms import CurveTerm, LandmarkTerm, PseudoHuber
 from solver.similarity import small_motion
@@ -22,7 +22,7 @@ from solver.tracks.fit import TrackFitOptions
 from solver.tracks.plain import PlainFace
 from tests.solver.tracks.block import block_shapes, tracked_block
 
-CHEAP = PhotoFitOptions(controls=TrackFitOptions(w_w=1e-3, w_j=1.0))
+CHEAP = PhotoFitOptions(controls=TrackFitOptions(w_w=1e-3, w_j=1.0), w_l=0.0)
 NOISE_PX = 0.5
 
 
@@ -71,6 +71,32 @@ def test_weights_are_found_again_with_the_head_and_the_focal_length(model, point
     assert found.point.state.q[:3] == pytest.approx(truth.q[:3], abs=0.1)
 
 
+def test_a_corrective_comes_with_what_it_corrects_alone(model, points):
+    names = {"aside": "mouthClose", "open": "jawOpen", "bulge": "bulge"}
+    shapes = {names[name]: motion for name, motion in block_shapes(model).items()}
+    face = PlainFace(model, MuscleTracks.of(model, shapes))
+    for weights in ({"mouthClose": 0.6}, {"mouthClose": 0.5, "jawOpen": 0.7}):
+        truth = face.move(face.rest(), face.tracks.controls(weights))
+        view = view_of(points, model.skin.vertices, face.skin(truth), 20.0)
+        q = fit_photos(face, [view], options=CHEAP).point.state.q
+        found = dict(zip(face.tracks.names, q, strict=False))
+        assert found["mouthClose"] <= found["jawOpen"] + 1e-9
+    assert found["jawOpen"] == pytest.approx(0.7, abs=0.1)
+    assert found["mouthClose"] == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_linear_price_leaves_out_what_a_picture_hardly_tells(model, points):
+    face = PlainFace(model, MuscleTracks.of(model, block_shapes(model)))
+    truth = face.move(face.rest(), face.tracks.controls({"aside": 0.7, "bulge": 0.2}))
+    view = view_of(points, model.skin.vertices, face.skin(truth), 45.0)
+    dear = replace(CHEAP, w_l=12.0)
+    free, sparse = (fit_photos(face, [view], options=each).point.state.q for each in (CHEAP, dear))
+    others = [number for number, name in enumerate(face.tracks.names) if name != "aside"]
+    assert free[others].max() > 0.0
+    assert sparse[others].max() == 0.0
+    assert sparse[face.tracks.names.index("aside")] == pytest.approx(0.7, abs=0.15)
+
+
 def test_landmarks_that_a_hand_hides_do_not_pull(model, points):
     face = PlainFace(model, MuscleTracks.of(model, block_shapes(model)))
     truth = face.move(face.rest(), face.tracks.controls({"aside": 0.7, "bulge": 0.5}))
@@ -89,13 +115,16 @@ def test_landmarks_that_a_hand_hides_do_not_pull(model, points):
 
 
 def test_the_gradient_is_that_of_the_objective(model, points):
-    face = PlainFace(model, MuscleTracks.of(model, block_shapes(model)))
-    truth = face.move(face.rest(), face.tracks.controls({"aside": 0.7, "open": 0.3}))
+    names = {"aside": "mouthClose", "open": "jawOpen", "bulge": "bulge"}
+    shapes = {names[name]: motion for name, motion in block_shapes(model).items()}
+    face = PlainFace(model, MuscleTracks.of(model, shapes))
+    truth = face.move(face.rest(), face.tracks.controls({"mouthClose": 0.7, "jawOpen": 0.8}))
     view = view_of(points, model.skin.vertices, face.skin(truth), 20.0)
     head = small_motion(np.array([0.1, -0.2, 0.05, 8.0, -5.0, 3.0]))
     placed = replace(view, camera=camera_from(-10.0, model.skin.vertices), is_placed=True)
-    problem = _Problem(face, (view, placed), PhotoFitOptions(), moves_face=True)
-    state = face.move(face.rest(), face.tracks.controls({"aside": 0.2, "bulge": 0.3, "open": 0.1}))
+    problem = PhotoProblem(face, (view, placed), PhotoFitOptions(), moves_face=True)
+    begun = {"mouthClose": 0.2, "bulge": 0.3, "jawOpen": 0.4}
+    state = face.move(face.rest(), face.tracks.controls(begun))
     cameras = view.camera, placed.camera.with_head(head)
     point = PhotoPoint(state, face.skin(state), head, cameras)
     gradient = problem.linearise(point).gradient

@@ -1,12 +1,16 @@
 import json
 
 from solver.jobs import Task
+from tests.standin.jobs.fit_sequence import fit_frames
 from tests.standin.orders import draw, work
 from tests.standin.rig import leave_rig, read_rig
 
 
 def run(task: Task) -> None:
     assert task.inputs["tracks"].name == "tracks.npz"
+    if task.options.sequence:
+        fit_frames(task, task.inputs["film"])
+        return
     work(task.captures.values(), task.progress, ["landmarks", "shading"])
     leave_rig(task.out, task.captures, read_rig(task.inputs))
     (task.out / "photo.json").write_text(json.dumps({"expressions": {}}))

@@ -2,6 +2,7 @@
 
 import json
 import time
+from pathlib import Path
 
 from solver.jobs import Task
 from solver.progress import Step
@@ -22,7 +23,11 @@ FRAME = {
 
 
 def run(task: Task) -> None:
-    performance = task.inputs["performance"]
+    fit_frames(task, task.inputs["performance"])
+
+
+def fit_frames(task: Task, performance: Path) -> None:
+    """Leave the frames and the sequence that the orders in a file ask for."""
     orders = orders_of(performance)
     folder, total = task.out / "frames", int(orders["frames"])
     assert task.resume == folder.exists()

@@ -17,6 +17,7 @@ const PICTURES = {
   "distance.png": "How far the registered face lies from the scan",
   "anatomy.png": "Skull and muscles inside the scan",
   "certificate.png": "The certificate of the fit",
+  "neutral.png": "Photographs and the person that they were made into",
   "photo.png": "Photographs beside the fitted face, and where they differ",
   "animation.png": "Moments of the animation",
   "edit.png": "The person before and after the edits",
@@ -43,7 +44,7 @@ export function resultPanel(job, signal) {
     rigId && summary?.checks && findingList(rigFindings(summary)),
     rigId && h("p", {}, h("a", { class: "button", href: `/rigs/${rigId}` }, "Open the rig")),
     isPlaced && h("p", {}, h("a", { class: "button", href: `/markers/${job.id}` }, "Place the markers"), " ", goOn("Fit the take", () => fitTake(job))),
-    ["fit_sequence", "fit_markers"].includes(job.kind) &&
+    artifacts.some(({ name }) => name === "sequence.npz") &&
       h(
         "p",
         {},
@@ -92,7 +93,9 @@ async function fitTake(job) {
 
 function playInScene(job) {
   const left = [{ job: job.id, artifact: "sequence.npz" }];
-  const options = { scene: { performance: { asset: "sequence" } } };
+  // weights of shapes are played by tracks
+  const drive = ["T", "B"].includes(job.result.summary?.system) ? { drive: "tracks" } : {};
+  const options = { scene: { ...drive, performance: { asset: "sequence" } } };
   return { kind: "simulate", ...of(job), from_jobs: left, options };
 }
 

@@ -1,4 +1,4 @@
-// Which kinds of job are offered beside a rig, by what they read with it.
+// Which kinds of job are offered beside a rig or for a person without one, by what they read.
 
 /** Return the kinds of job that need nothing but a rig and, maybe, assets. */
 export function kindsOfRigs(kinds) {
@@ -14,4 +14,15 @@ export function kindsOfFits(kinds) {
 /** Return the kinds of job that fit a rig to chosen photographs. */
 export function kindsOfPhotos(kinds) {
   return [...kinds.values()].filter(({ reads }) => ["rig", "photos"].every((each) => reads.includes(each)));
+}
+
+/** Return the kinds of job that need chosen photographs and no rig. */
+export function kindsOfEstimates(kinds) {
+  return [...kinds.values()].filter(({ reads }) => reads.includes("photos") && !reads.includes("rig"));
+}
+
+/** Return why no job can have the chosen photographs of some captures, or not yet; null if one can. */
+export function whyNoPhotos(captures, chosen, whyNotYet = null) {
+  if (!captures.some(({ role }) => role === "photo")) return "Upload photographs first";
+  return whyNotYet ?? (chosen.length ? null : "Choose photographs in the list of scans first");
 }

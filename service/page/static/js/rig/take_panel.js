@@ -10,7 +10,7 @@ import { MarkerTake } from "./marker_take.js";
 import { artifactsOfJobs } from "./read.js";
 import { Take } from "./take.js";
 
-const KINDS = ["fit_sequence", "fit_markers"];
+const KINDS = ["fit_sequence", "fit_markers", "fit_photo"];
 const FILE = "sequence.glb";
 const MARKERS = "markers.bin";
 const CONTRACTIONS = "contractions.bin";

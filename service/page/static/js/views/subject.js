@@ -12,7 +12,7 @@ import { verdictOf } from "../parts/certificate.js";
 import { askForJob } from "../parts/new_job.js";
 import { toldBeforeDeletion } from "../parts/readers.js";
 import { refuse } from "../parts/refuse.js";
-import { kindsOfFits, kindsOfPhotos, kindsOfRigs } from "../parts/rig_kinds.js";
+import { kindsOfEstimates, kindsOfFits, kindsOfPhotos, kindsOfRigs, whyNoPhotos } from "../parts/rig_kinds.js";
 import { state, verdictState } from "../parts/state.js";
 import { doing, toast } from "../parts/toast.js";
 import { sentence } from "../parts/trouble.js";
@@ -26,7 +26,7 @@ const EVERY_MS = 5_000;
 /** Roles of captures that are chosen for fits: scans, a table of known activations beside them, photographs. */
 const CHOSEN_FOR_FITS = ["expression", "activations", "photo"];
 
-/** How many photographs a job reads at most. */
+/** How many photographs a job reads at most; more of them are a film. */
 const MOST_PHOTOS = 16;
 
 /** What the state of the newest build says of the model. */
@@ -57,6 +57,9 @@ class SubjectView {
     this.kindsOfRigs = kindsOfRigs(kinds);
     this.kindsOfFits = kindsOfFits(kinds);
     this.kindsOfPhotos = kindsOfPhotos(kinds);
+    this.estimates = kindsOfEstimates(kinds).map(({ kind, title }) =>
+      button(title, () => this.order(kind, { captures: this.chosenOf("photo") })),
+    );
     this.roles = roles;
     this.signal = signal;
     this.chosen = new Set();
@@ -98,7 +101,7 @@ class SubjectView {
         h("button", { type: "button", class: "danger", onclick: () => this.delete() }, "Delete subject"),
       ),
       panel("scans", "Scans", this.captureTable, this.noScans, this.next),
-      panel("model", "Model", h("div", { class: "row" }, this.model, this.build, this.tracks, this.fit)),
+      panel("model", "Model", h("div", { class: "row" }, this.model, this.estimates, this.build, this.tracks, this.fit)),
       panel("rigs", "Rigs", this.rigTable, this.noRigs),
     ];
   }
@@ -163,17 +166,10 @@ class SubjectView {
     refuse(this.fit, why);
     setText(this.fit, expressions ? `Fit ${count(expressions, "expression")}` : "Fit the chosen expressions");
     for (const more of this.rigBody.querySelectorAll("button[data-more]")) refuse(more, why);
-    const whyNoPhotos = this.whyNoPhotos();
-    for (const photos of this.rigBody.querySelectorAll("button[data-photos]")) refuse(photos, whyNoPhotos);
-  }
-
-  /** Return why the chosen photographs cannot be fitted with a rig; null if they can. */
-  whyNoPhotos() {
-    const chosen = this.chosenOf("photo").length;
-    if (![...this.captures.values()].some(({ role }) => role === "photo")) return "Upload photographs first";
-    if (!this.hasTracks) return "Build tracks first";
-    if (!chosen) return "Choose photographs in the list of scans first";
-    return chosen > MOST_PHOTOS ? `Choose at most ${MOST_PHOTOS} photographs` : null;
+    const photos = [[...this.captures.values()], this.chosenOf("photo")];
+    for (const estimate of this.estimates) refuse(estimate, whyNoPhotos(...photos));
+    const whyNoFit = whyNoPhotos(...photos, this.hasTracks ? null : "Build tracks first");
+    for (const fit of this.rigBody.querySelectorAll("button[data-photos]")) refuse(fit, whyNoFit);
   }
 
   /** Return the ids of the chosen captures of some roles. */
@@ -208,6 +204,7 @@ class SubjectView {
       isTake && act("Check", () => this.checkMarkers(id)),
       isTake && act("Fit", () => this.fitTake("fit_markers", [id], { marker_set: this.sets[0]?.id })),
       role === "performance" && act("Fit", () => this.fitTake("fit_sequence", [id])),
+      role === "film" && act("Fit", () => this.fitFilm([id])),
       act("Edit", () => this.edit(askToEditCapture(this.captures.get(id)))),
       act("Delete", () => this.deleteCapture(capture), "plain danger"),
     );
@@ -272,9 +269,7 @@ class SubjectView {
               ),
             ),
             this.kindsOfPhotos.map(({ kind, title }) =>
-              button(title, () => this.order(kind, { rig_id: rig.id, captures: this.chosenOf("photo") }), null, {
-                "data-photos": true,
-              }),
+              button(title, () => this.fitPhotos(kind, rig.id), null, { "data-photos": true }),
             ),
             this.kindsOfRigs.map(({ kind, reads }) =>
               button(plain(kind), () =>
@@ -334,6 +329,18 @@ class SubjectView {
     }
     const tables = this.chosenOf("activations");
     await this.order(kind, { rig_id: this.rigs[0].id, captures: [...captures, ...tables], ...more });
+  }
+
+  /** Fit chosen photographs with a rig; so many are a film, which the options say. */
+  async fitPhotos(kind, rigId) {
+    const captures = this.chosenOf("photo");
+    const options = captures.length > MOST_PHOTOS ? { sequence: true } : {};
+    await this.order(kind, { rig_id: rigId, captures, options });
+  }
+
+  async fitFilm(captures) {
+    if (!this.rigs.length) toast("There is no rig yet to fit it with: build the model and fit expressions first.", "bad");
+    else await this.order("fit_photo", { rig_id: this.rigs[0].id, captures, options: { sequence: true } });
   }
 
   async deleteCapture(capture) {

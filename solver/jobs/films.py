@@ -1,0 +1,284 @@
+"""The job that fits a film: weights of shapes and a head, frame after frame of its pictures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from typing_extensions import override
+
+from solver.anatomy.skin_points import SkinPoints
+from solver.errors import InputError, SolveError
+from solver.fitting.contraction import Contraction
+from solver.fitting.face import Face
+from solver.jobs import Task, read_template
+from solver.jobs.sequences import (
+    DECIMALS,
+    FrameFitter,
+    distance_figures,
+    fit_frames,
+    frame_numbers,
+    refuse_unfitted,
+    shape_controls,
+    write_animated,
+)
+from solver.kinds.fit_photo import FitPhoto
+from solver.photo.camera import PinholeCamera
+from solver.photo.detect import Box
+from solver.photo.expression import PhotoExpression, marks_of, read_neutral
+from solver.photo.film import FilmFrame, FilmOptions, FilmTracker, as_expression, find_focal
+from solver.photo.film_marks import FilmMarks, find_marks
+from solver.photo.footage import Footage, Pictures, open_film
+from solver.photo.mesh_points import landmark_points
+from solver.photo.photo import Photo
+from solver.photo.report import photo_picture
+from solver.progress import Step, part_of
+from solver.registration.landmarks import landmark_vertices
+from solver.rig.frames import ChunkOptions, Status, sequence_report, write_sequence
+from solver.rig.frames.animation_gltf import AnimatedSkin
+from solver.rig.frames.shape_frames import ShapeFrame, read_shape_frames
+from solver.similarity import IDENTITY, small_motion
+from solver.tracks.fit import ShapeFace, State
+from solver.tracks.plain import PlainFace
+
+CHUNKS = ChunkOptions(frames=30)
+MOST_SHOTS = 6  # frames in the picture
+FOUND = 0.1  # part of a job after which landmarks are found
+# of a camera's axes (x right, y down, z into the picture) in the world: y up, z to the camera
+UPRIGHT = np.diag([1.0, -1.0, -1.0])
+
+
+CAMERA = ("focal", "centre", "rotation", "translation")  # arrays of a camera
+
+
+class FilmFitter(FrameFitter[ShapeFrame]):
+    """Fits and draws the frames of a film.
+
+    The world is that of the first frame that is fitted: the head is at its place there, y is up
+    and z leads to the camera, which stands still.
+    """
+
+    def __init__(
+        self, source: Footage, marks: FilmMarks, tracker: FilmTracker[Any], numbers: range
+    ) -> None:
+        self.chunks = CHUNKS
+        self._source, self._marks, self._tracker = source, marks, tracker
+        self._face: ShapeFace[Any] = tracker.face
+        self._state = self._face.rest()
+        self.camera: PinholeCamera | None = None  # in the world
+        self.skin = AnimatedSkin(self._face.face.model.skin)
+        self._shown = {numbers[k] for k in np.linspace(0, len(numbers) - 1, MOST_SHOTS).astype(int)}
+        self._last: tuple[Photo, FilmFrame[Any]] | None = None  # what was fitted or taken up last
+        self.shots: list[tuple[list[Photo], PhotoExpression[Any]]] = []
+
+    @override
+    def read(self, folder: Path) -> list[ShapeFrame]:
+        def take(values: Mapping[str, Any], _frames: Sequence[ShapeFrame]) -> None:
+            if stored := values["camera"]:
+                parts = {name: np.array(stored[name], np.float64) for name in CAMERA}
+                self.camera = PinholeCamera(**parts)
+
+        sizes = len(self._face.tracks.names), self._face.face.model.muscle_count
+        return read_shape_frames(folder, *sizes, take)
+
+    @override
+    def take_up(self, frame: ShapeFrame, position: int) -> None:
+        self._last = None
+        if frame.status != "fitted" or self.camera is None:
+            self._tracker.pause()
+            return
+        photo = self._photo(frame.frame)
+        tracker, head = self._tracker, small_motion(frame.head)
+        if tracker.needs_look and photo is not None:
+            tracker.step(photo)  # light and albedo are those of the first frame
+        with suppress(SolveError):  # out of reach: the next frame begins where this one did
+            found = tracker.begin(frame.controls, self.camera.with_head(head))
+            self._state = found.point.state
+            if photo is not None and frame.frame in self._shown:
+                self._last = photo, found
+
+    @override
+    def fit(self, number: int) -> ShapeFrame:
+        begun = time.perf_counter()
+        photo = self._photo(number)
+        self._last, found = None, None
+        status: Status = "unseen"
+        if photo is not None:
+            try:
+                found, status = self._tracker.step(photo), "fitted"
+            except (SolveError, np.linalg.LinAlgError):
+                status = "kept"
+        else:
+            self._tracker.pause()
+        if found is not None and photo is not None:
+            self._state, self._last = found.point.state, (photo, found)
+            seen_by = found.point.cameras[0]
+            self.camera = self.camera or replace(seen_by, rotation=UPRIGHT)
+        return self._frame(number, status, found, photo, time.perf_counter() - begun)
+
+    def _photo(self, number: int) -> Photo | None:
+        """Return a frame with its landmarks; None where no face is seen."""
+        if number not in self._marks.landmarks:
+            return None
+        found = self._source.photo(number)
+        return replace(found, landmarks=self._marks.landmarks[number])
+
+    def _frame(
+        self,
+        number: int,
+        status: Status,
+        found: FilmFrame[Any] | None,
+        photo: Photo | None,
+        seconds: float,
+    ) -> ShapeFrame:
+        """Return the record of a frame."""
+        points, shown, off = self._tracker.points, 0.0, np.zeros(0)
+        head = IDENTITY
+        if self._tracker.point is not None and self.camera is not None:
+            head = self.camera.head_of(self._tracker.point.cameras[0])
+        if photo is not None:
+            known, given = marks_of(photo, points)
+            shown = len(given) / len(points.names)
+            if found is not None:
+                camera, places = found.point.cameras[0], known.at(found.point.skin)
+                seen = camera.project(places)
+                apart = np.linalg.norm(seen[:, :2] - given, axis=1)
+                off = apart * seen[:, 2] / camera.focal.mean()
+        return ShapeFrame(
+            frame=number,
+            status=status,
+            **shape_controls(self._state),
+            head=head.twist.round(DECIMALS),
+            **distance_figures(off),
+            coverage=round(shown, 4),
+            iterations=0 if found is None else found.steps,
+            seconds=round(seconds, 4),
+        )
+
+    @override
+    def show(self, frame: ShapeFrame, position: int) -> None:
+        self.skin.add(frame, self._face.skin(self._state))
+        if self._last is not None and frame.frame in self._shown:
+            photo, found = self._last
+            self.shots.append(([photo], as_expression(found, self._tracker.look)))
+
+    @override
+    def beside(self) -> dict[str, Any]:
+        """Return the film's camera, once there is one."""
+        return {"camera": None if self.camera is None else self.camera_values}
+
+    @property
+    def camera_values(self) -> dict[str, list[Any]]:
+        """The film's camera as JSON values."""
+        assert self.camera is not None, "a frame was fitted"
+        return {name: getattr(self.camera, name).tolist() for name in CAMERA}
+
+
+def fit_film(
+    task: Task[FitPhoto],
+    driven: ShapeFace[Any],
+    face: Face,
+    landmarker: Callable[[str], Path],
+    options: FilmOptions,
+) -> list[Path]:
+    """Fit the frames of a film and write what sequences leave, and ``photo.png``.
+
+    ``driven`` is the face that is fitted, ``face`` that of the rig's muscles.
+    Frames that are ready are in ``out/frames``; with ``resume`` the fit goes on after those that
+    are there. ``landmarker`` gives the detector's file. Raises
+    :class:`~solver.errors.InputError`: ``film.*``, ``photo.*``, ``options.frames``, and
+    ``sequence.nothing`` where no frame could be fitted.
+    """
+    given, out, progress = task.options, task.out, task.progress
+    model, template = face.model, read_template(task)
+    points = landmark_points(template)
+    source = _open(task, [*landmark_vertices(template)])
+    numbers = frame_numbers(source.name, range(len(source)), given)
+    neutral = _neutral(given, source)
+    searched = sorted({*numbers, *([] if neutral is None else [neutral])})
+    looking = part_of(progress, 0.0, FOUND)
+
+    def show(number: int) -> None:
+        looking(Step("landmarks", searched.index(number) / len(searched)))
+
+    marks = find_marks(source, searched, landmarker, _box(given), show)
+    tracker = _tracker(driven, source, marks, points, options, neutral)
+    fitter = FilmFitter(source, marks, tracker, numbers)
+    done = fit_frames(task, numbers, fitter)
+    refuse_unfitted(done, source.name)
+    progress(Step("export", 0.96))
+    report = sequence_report(done, given.fps, source.name)
+    report |= {
+        "system": "T" if given.model == "tracks" else "B",
+        "film": {"size": list(marks.size), "camera": fitter.camera_values},
+        "missing": {str(number): code for number, code in marks.missing.items()},
+        "notices": [],
+    }
+    animated, report["files"] = write_animated(out, fitter.skin, model, given.fps)
+    beside: dict[str, Any] = {"shapes": driven.tracks.names, "picture": marks.size}
+    beside |= {f"camera_{name}": values for name, values in fitter.camera_values.items()}
+    contraction = Contraction.of_face(face)
+    files = write_sequence(out, done, model.muscle_names, given.fps, report, contraction, 0, beside)
+    picture = out / "photo.png"
+    photo_picture(model, fitter.shots, points, picture)
+    progress(Step("done", 1.0))
+    return [*files, *animated, picture]
+
+
+def _open(task: Task[FitPhoto], landmarks: Sequence[str]) -> Footage:
+    """Return the job's pictures: a film's file or folder, or photographs in their order."""
+    if "film" in task.inputs:
+        return open_film(task.inputs["film"], landmarks)
+    if not task.captures:
+        raise InputError("job.missing", "the job needs a film, or its pictures", expected="film")
+    return Pictures("the film", task.captures, task.facts, task.masks, landmarks)
+
+
+def _neutral(given: FitPhoto, source: Footage) -> int | None:
+    """Return the number of the frame with the neutral face, if one is named."""
+    if given.neutral is None:
+        return None
+    number = source.number(given.neutral)
+    if number is None:
+        message = f"options.neutral: {source.name} has no frame {given.neutral!r}"
+        raise InputError("photo.neutral", message, photo=given.neutral)
+    return number
+
+
+def _box(given: FitPhoto) -> Box | None:
+    """Return where the face is in the first frame that shows it: the one box that is given."""
+    for left, top, right, bottom in given.boxes.values():
+        return left, top, right, bottom
+    return None
+
+
+def _tracker(
+    face: ShapeFace[State],
+    source: Footage,
+    marks: FilmMarks,
+    points: SkinPoints,
+    options: FilmOptions,
+    neutral: int | None,
+) -> FilmTracker[State]:
+    """Return what fits the frames: its focal length is known by then, and its neutral."""
+    seen = [*marks.landmarks]
+    chosen = np.linspace(0, len(seen) - 1, min(options.focal_frames, len(seen))).astype(int)
+
+    def photo(number: int) -> Photo:
+        return replace(source.photo(number), landmarks=marks.landmarks[number])
+
+    told = [photo(seen[place]) for place in chosen]
+    known = next((each.camera for each in told if each.camera is not None), None)
+    plain = PlainFace(face.face.model, face.tracks)
+    focal = find_focal(plain, told, points, options) if known is None else known.focal
+    tracker = FilmTracker(face, points, focal, options)
+    if neutral is not None and neutral in marks.landmarks:
+        at_rest = tracker.known(photo(neutral))
+        look = read_neutral(face, at_rest, points, options.expression)
+        tracker.points, tracker.look = look.points, look.appearance
+    return tracker
