@@ -135,6 +135,7 @@ class Iterate:
     damping: float = JointOptions().damping.start
     pose_damping: dict[str, float] = field(default_factory=dict)
 
+
 @dataclass(frozen=True)
 class RoundOptions:
     """Ends of rounds."""
