@@ -122,7 +122,7 @@ class _Table:
     def error(self, code: str, reason: str, row: int | None = None, **more: Any) -> InputError:
         """Return an error about the file, or one of its rows."""
         where = more if row is None else {"line": int(self.lines[row]), **more}
-        return file_error(f"openface.{code}", self.file, reason, **where)
+        return file_error(code, self.file, reason, **where)
 
     def of_face(self, face: int | None) -> _Table:
         """Return the rows of a face, the only one for None; raises ``openface.faces``."""
@@ -131,13 +131,13 @@ class _Table:
         if face is None and len(found) > 1:
             known = ", ".join(f"{each:g}" for each in found[:20])
             reason = f'it has the faces {known}: choose one with "face"'
-            raise self.error("faces", reason, found=quote_names(found))
+            raise self.error("openface.faces", reason, found=quote_names(found))
         if face is None:
             return self
         if face not in found:
             known = ", ".join(f"{each:g}" for each in found[:20])
             reason = f"it has no face {face}, but {known}"
-            raise self.error("faces", reason, expected=quote_names(found), found=face)
+            raise self.error("openface.faces", reason, expected=quote_names(found), found=face)
         columns = {name: values[ids == face] for name, values in self.columns.items()}
         return replace(self, columns=columns, lines=self.lines[ids == face])
 
@@ -205,10 +205,10 @@ def _times(table: _Table, fps: float | None, options: OpenFaceOptions) -> Floats
         clock = table.columns[name]
         bad = np.flatnonzero(~np.isfinite(clock))
         if len(bad):
-            raise table.error("value", f"{name} is not a number", int(bad[0]), column=name)
+            raise table.error("openface.value", f"{name} is not a number", int(bad[0]), column=name)
     elif fps is None:
         reason = 'it has no column "timestamp": give the frames a second as "fps"'
-        raise table.error("clock", reason)
+        raise table.error("openface.clock", reason)
     else:
         clock = np.arange(count, dtype=np.float64)
     if fps is not None:
@@ -220,12 +220,12 @@ def _times(table: _Table, fps: float | None, options: OpenFaceOptions) -> Floats
         if rate > options.most_fps:
             told = f"{rate:.0f} frames a second" if len(forward) else "all frames at one time"
             reason = f'its timestamps make {told}, so they count pictures: give the rate as "fps"'
-            raise table.error("clock", reason, found=rate if len(forward) else None)
+            raise table.error("openface.clock", reason, found=rate if len(forward) else None)
     late = np.flatnonzero(steps < options.least_step_s)
     if len(late):
         row = int(late[0]) + 1
         reason = f"{name} {table.columns[name][row]:g} is not later than the frame before"
-        raise table.error("time_order", reason, row, column=name)
+        raise table.error("openface.time_order", reason, row, column=name)
     return np.asarray(clock - clock[0])
 
 
@@ -238,7 +238,7 @@ def _seen(table: _Table, options: OpenFaceOptions) -> np.ndarray:
             seen &= table.columns[name] >= least
     if not seen.any():
         reason = f"no face is seen in any of its {len(seen)} frames"
-        raise table.error("no_face", reason)
+        raise table.error("openface.no_face", reason)
     return seen
 
 
@@ -248,7 +248,7 @@ def _check_angles(table: _Table, seen: np.ndarray) -> None:
         if len(bad):
             row = int(bad[0])
             reason = f"{name} is {table.columns[name][row]:g}, which is no angle in radians"
-            raise table.error("value", reason, row, column=name)
+            raise table.error("openface.value", reason, row, column=name)
 
 
 def _rest_frame(table: _Table, seen: np.ndarray, neutral: int | str) -> int | None:
@@ -257,10 +257,10 @@ def _rest_frame(table: _Table, seen: np.ndarray, neutral: int | str) -> int | No
         return None
     if neutral >= len(seen):
         reason = f"it has the frames 0 to {len(seen) - 1}, and none {neutral} to be neutral"
-        raise table.error("neutral", reason, found=neutral, expected=len(seen))
+        raise table.error("openface.neutral", reason, found=neutral, expected=len(seen))
     if not seen[neutral]:
         reason = f"no face is seen in the frame {neutral}, which is to be neutral"
-        raise table.error("neutral", reason, neutral, found=neutral)
+        raise table.error("openface.neutral", reason, neutral, found=neutral)
     return neutral
 
 
