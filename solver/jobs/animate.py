@@ -116,11 +116,11 @@ def read_recording(path: Path, entry: Recording) -> FaceTake:
 
 def _told_of(take: FaceTake) -> dict[str, Any]:
     """Return the figures of a whole recording."""
-    steps = np.diff(take.times)
+    whole = float(take.times[-1])
     is_still = np.ptp(take.weights, axis=0) == 0.0
     transfer = {
         "format": take.source,
-        "fps": round(1.0 / float(np.median(steps)), 3) if len(steps) else None,
+        "fps": round((len(take.times) - 1) / whole, 3) if whole else None,
         "seen": int(take.seen.sum()),
         "gaps": len(take.gaps),
         "longest_gap_s": round(max(take.gaps, default=0.0), 3),
