@@ -30,7 +30,7 @@ from solver.jobs.scenes import finish, play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.progress import silent
 from solver.rig.frames.animation import MotionRecord
-from solver.scans.performance import LiveLinkTake
+from solver.scans.performance import FaceTake
 from solver.scene import Stage
 from solver.scene.places import Places
 from solver.surface import Floats
@@ -62,7 +62,7 @@ class Played:
 def run(
     person: Fitted,
     basis: ShapeBasis,
-    take: LiveLinkTake,
+    take: FaceTake,
     out: Path,
     *,
     start: int = START,

@@ -1,4 +1,4 @@
-"""Motion of a face over time: between keys of a scene, and of a Live Link Face recording."""
+"""Motion of a face over time: between keys of a scene, and of a recording."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from solver.fitting.face import Pose
 from solver.fitting.interior_point import FeasibleSet
 from solver.mechanics.flesh import IDENTITY
 from solver.model import SubjectModel, by_muscle, find_muscles, tell_muscles
-from solver.scans.performance import ARKIT_NAMES, LiveLinkTake
+from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.similarity import IDENTITY as HEAD_AT_REST
 from solver.similarity import Similarity
 from solver.surface import Floats, nearest_sphere
@@ -305,7 +305,7 @@ def check_muscles(names: Iterable[str], muscles: Sequence[str], where: str, **co
             raise InputError("scene.muscle", reason, found=name, expected=list(muscles), **context)
 
 
-def shape_weights(take: LiveLinkTake, names: Sequence[str]) -> Floats:
+def shape_weights(take: FaceTake, names: Sequence[str]) -> Floats:
     """Return a recording's weights (f, e), from 0 to 1, of the shapes ``names`` of a template.
 
     Shapes that ARKit does not drive (tracks have some) stay zero.
@@ -317,7 +317,7 @@ def shape_weights(take: LiveLinkTake, names: Sequence[str]) -> Floats:
 
 
 class RecordedDrives(Drives):
-    """:class:`Drives` of a recording of Live Link Face, from frame ``start`` to before ``end``.
+    """:class:`Drives` of a recording, from frame ``start`` to before ``end``.
 
     ``weights`` (f, e) are what drives each of the ``shapes`` in these frames. Times begin at 0.
     Weights and turns between frames lie on straight lines. The recorded head turns about the neck;
@@ -327,7 +327,7 @@ class RecordedDrives(Drives):
 
     def __init__(
         self,
-        take: LiveLinkTake,
+        take: FaceTake,
         shapes: DrivenShapes,
         model: SubjectModel,
         start: int = 0,

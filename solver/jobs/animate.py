@@ -1,4 +1,4 @@
-"""The job that plays a recording of Live Link Face."""
+"""The job that plays a recording of Live Link Face or OpenFace."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from solver.animation.blendshapes import (
     solve_blendshapes,
 )
 from solver.animation.tracks import TrackedShapes
+from solver.errors import InputError
 from solver.fitting.expression_basis import FILE as BASIS_FILE
 from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
@@ -24,11 +25,13 @@ from solver.jobs import Task, read_template
 from solver.jobs.fits import solve_basis
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.animate import Animate
+from solver.kinds.scene import Recording
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
 from solver.rig import Rig
 from solver.rig.frames.animation import check_video
-from solver.scans.performance import read_live_link
+from solver.scans.openface import is_openface, read_openface
+from solver.scans.performance import ARKIT_NAMES, FaceTake, read_live_link
 from solver.scene import Stage
 from solver.scene.document import head_of
 from solver.surface import Floats
@@ -41,14 +44,14 @@ SAVED_EVERY = 5  # blendshapes that are solved between two writings of their fil
 
 
 def run(task: Task[Animate]) -> list[Path]:
-    """Play a recording of Live Link Face on a fitted face, as :func:`solver.jobs.simulate.run`.
+    """Play a recording on a fitted face, as :func:`solver.jobs.simulate.run`.
 
     Activations and jaw of every expression of the template are solved first, once for a rig: the
     ``blendshapes.npz`` that this leaves is taken as it is if it is given, and of muscles within
     the limits of the rig's. They begin with the rig's basis of expressions, which is solved and
     left where no earlier job has. Where the scene says so tracks drive the face, whose shapes are
     the recording's, and nothing is solved before. Raises, besides, ``basis.*``, ``blendshapes.*``,
-    ``tracks.*`` and ``live_link.*``.
+    ``tracks.*``, ``live_link.*`` and ``openface.*``.
     """
     given, out, progress = task.options, task.out, task.progress
     if given.video:
@@ -57,7 +60,9 @@ def run(task: Task[Animate]) -> list[Path]:
     rig, places = read_person(task)
     model, S = rig.model, rig.weights
     recording = scene.recording
-    recorded = read_live_link(places.asset(recording.asset))
+    recorded = read_recording(places.asset(recording.asset), recording)
+    for notice in recorded.notices:
+        progress(Step("warning", READ, message=notice.message))
 
     def stage_of(shapes: DrivenShapes, tracks: MuscleTracks | None = None) -> Stage:
         head = head_of(scene.head)
@@ -83,12 +88,45 @@ def run(task: Task[Animate]) -> list[Path]:
         shapes.save(kept, model, S)
         stage, begun = stage_of(shapes), SOLVED
         told = _told(shapes)
-    more = {"timecode": recorded.timecodes[recording.start or 0], **told}
+    more = {**_told_of(recorded), **told}
+    if recorded.timecodes:
+        more["timecode"] = recorded.timecodes[recording.start]
     playing = part_of(progress, begun, EXPORT)
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
     written = finish(stage, frames, out, progress, title="Animation", video=given.video, more=more)
     solved = [] if stage.tracks else [kept, out / BASIS_FILE]
     return [*written, *(file for file in solved if file.is_file())]
+
+
+def read_recording(path: Path, entry: Recording) -> FaceTake:
+    """Return a recording of Live Link Face or OpenFace, which its content tells apart.
+
+    Raises as their readers, and ``live_link.options`` for what is OpenFace's alone.
+    """
+    if is_openface(path):
+        return read_openface(path, entry)
+    plain = Recording(asset=entry.asset, start=entry.start, end=entry.end)
+    other = [name for name, value in plain if getattr(entry, name) != value]
+    if other:
+        reason = f"{other[0]} is an option of recordings of OpenFace, and this is of Live Link Face"
+        message = f"{path.name}: {reason}"
+        raise InputError("live_link.options", message, file=path.name, found=other)
+    return read_live_link(path)
+
+
+def _told_of(take: FaceTake) -> dict[str, Any]:
+    """Return the figures of a whole recording."""
+    whole = float(take.times[-1])
+    is_still = np.ptp(take.weights, axis=0) == 0.0
+    transfer = {
+        "format": take.source,
+        "fps": round((len(take.times) - 1) / whole, 3) if whole else None,
+        "seen": int(take.seen.sum()),
+        "gaps": len(take.gaps),
+        "longest_gap_s": round(max(take.gaps, default=0.0), 3),
+        "unseen_shapes": [name for name, still in zip(ARKIT_NAMES, is_still, strict=True) if still],
+    }
+    return {"transfer": transfer, "notices": [notice.as_dict() for notice in take.notices]}
 
 
 def _told(shapes: Blendshapes) -> dict[str, Any]:

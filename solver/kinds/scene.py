@@ -134,17 +134,56 @@ class MotionKey(Document):
     move_mm: Vector = Field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
+Gain = Annotated[float, Field(ge=0, le=10)]
+NeutralFrame = Annotated[
+    Annotated[Literal["auto"], Tag("<auto>")]
+    | Annotated[int, Field(ge=0), Integral, Tag("<frame>")],
+    tell_forms(
+        by_type({str: "<auto>", int: "<frame>", float: "<frame>"}),
+        "is not auto or a frame's number",
+    ),
+]
+RecordingGain = Annotated[
+    Annotated[Gain, Tag("<factor>")] | Annotated[Literal["range"], Tag("<range>")],
+    tell_forms(
+        by_type({str: "<range>", int: "<factor>", float: "<factor>"}), "is not range or a number"
+    ),
+]
+
+
 class Recording(Document):
     """Frames of a recording."""
 
-    asset: str = Field(description="a CSV file of Live Link Face")
+    asset: str = Field(description="a CSV file of Live Link Face or OpenFace")
     start: Whole = Field(default=0, ge=0, description="first frame")
     end: Annotated[int, Field(ge=1), Integral] | None = Field(
         default=None, description="the frame after the last; null: to the end"
     )
-
-
-Gain = Annotated[float, Field(ge=0, le=10)]
+    fps: float | None = Field(
+        default=None,
+        ge=1,
+        le=1000,
+        description="frames a second, in the place of the file's clock (OpenFace)",
+    )
+    face: Annotated[int, Field(ge=0), Integral] | None = Field(
+        default=None, description="the face_id to play where there are several (OpenFace)"
+    )
+    au_scale: float | None = Field(
+        default=None,
+        ge=0.1,
+        le=100,
+        description="the full intensity of an action unit; null: 5 (OpenFace)",
+    )
+    neutral: NeutralFrame = Field(
+        default="auto",
+        description="the frame in which the face is at rest, counted as start is; auto: what is "
+        "low in the take (OpenFace)",
+    )
+    gain: RecordingGain = Field(
+        default=1.0,
+        description="factor of all weights; range: each action unit by its range in the take "
+        "(OpenFace)",
+    )
 
 
 class FrameSpan(Document):
@@ -509,7 +548,7 @@ class SimulateScene(PlayedScene):
 
 
 class AnimateScene(PlayedScene):
-    """A recording of Live Link Face, played by the flesh."""
+    """A recording of Live Link Face or OpenFace, played by the flesh."""
 
     recording: Recording
 

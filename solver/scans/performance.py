@@ -10,12 +10,12 @@ import csv
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Literal, NoReturn
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from solver.errors import InputError, file_error, quote
+from solver.errors import Finding, InputError, file_error, quote
 from solver.meshio.registered import REGISTERED_FORMATS as SCAN_FORMATS
 from solver.meshio.registered import RegisteredScan, read_registered
 from solver.storage import map_array
@@ -193,8 +193,8 @@ DAY = 86400.0  # s
 
 
 @dataclass(frozen=True)
-class LiveLinkTake:
-    """A recording of f frames; turns are rotation vectors in radians.
+class FaceTake:
+    """A recording of f frames, whatever wrote it; turns are rotation vectors in radians.
 
     Their x is to the subject's left, y up, z forward; zero where the file has no columns for them.
     """
@@ -203,10 +203,16 @@ class LiveLinkTake:
     weights: Floats  # (f, 52), named ARKIT_NAMES
     head: Floats  # (f, 3)
     eyes: Floats  # (f, 2, 3) in the head, the subject's left one first
-    timecodes: tuple[str, ...]  # (f,) as the file has them
+    seen: np.ndarray  # (f,) whether there was a face; what others have is filled in
+    source: Literal["live_link", "openface"]
+    timecodes: tuple[str, ...] = ()  # (f,) as the file has them, or none
+    gaps: tuple[
+        float, ...
+    ] = ()  # s from one seen frame to the next, where there are others between
+    notices: tuple[Finding, ...] = ()  # what was mended or is doubtful
 
 
-def read_live_link(path: Path) -> LiveLinkTake:
+def read_live_link(path: Path) -> FaceTake:
     """Return a recording; columns may come in any order, others are not read.
 
     Raises :class:`InputError`: ``live_link.unreadable``, ``live_link.columns`` (one is missing),
@@ -246,7 +252,9 @@ def read_live_link(path: Path) -> LiveLinkTake:
     head, *eyes = (_rotations(turns.get(bone), len(times)) for bone in ANGLES)
     since = np.array(times) - times[0]
     turned = np.stack(eyes, axis=1)
-    return LiveLinkTake(since, np.array(weights), head, turned, tuple(timecodes))
+    seen = np.ones(len(times), bool)
+    codes = tuple(timecodes)
+    return FaceTake(since, np.array(weights), head, turned, seen, "live_link", codes)
 
 
 def _check_columns(path: Path, header: Sequence[str]) -> None:

@@ -20,7 +20,7 @@ from solver.anatomy.domain import split_quads
 from solver.anatomy.template import ShapeBasis
 from solver.errors import InputError
 from solver.model import SubjectModel
-from solver.scans.performance import ARKIT_NAMES, LiveLinkTake, read_live_link
+from solver.scans.performance import ARKIT_NAMES, FaceTake, read_live_link
 from solver.storage import read_arrays
 from solver.surface import Floats, Ints, Surface
 from solver.templates.tables import (
@@ -307,7 +307,7 @@ class IctPerformance:
         return np.asarray(self.neutral + (self.weights[number] @ self.shapes).reshape(-1, 3))
 
 
-def drive(kit: FaceKit, neutral: Floats, take: LiveLinkTake) -> IctPerformance:
+def drive(kit: FaceKit, neutral: Floats, take: FaceTake) -> IctPerformance:
     """Return the performance of a person with the skin ``neutral`` (V, 3), mm."""
     sources = {name: arkit_source(name) for name in kit.deltas}
     driven = {name: source for name, source in sources.items() if source in ARKIT_NAMES}

@@ -20,6 +20,7 @@ from solver.mechanics.boundary import JAW_FREEDOM
 from solver.model import SubjectModel
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.scans.markers.readers.take import Take
+from solver.scans.openface import GAZE, INTENSITIES, POSE
 from solver.scans.performance import ARKIT_NAMES
 from solver.similarity import IDENTITY
 from tests import take_files
@@ -122,6 +123,19 @@ def live_link() -> list[bytes]:
     angles = ["HeadYaw", "HeadPitch", "HeadRoll"], ["0.1", "-0.2", "0.3"], ["0", "1e-9", "-0.0"]
     turned = [row + more for row, more in zip(rows, angles, strict=True)]
     return ["\r\n".join(",".join(row) for row in table).encode() for table in (rows, turned)]
+
+
+def openface() -> list[bytes]:
+    """Return recordings of three frames, of one face, and of those in pictures."""
+    clock = ["frame", "face_id", "timestamp", "confidence", "success"]
+    frames = [row.split() for row in ("1 0 0 0.98 1", "2 0 0.03 0.4 0", "3 0 0.07 1 1")]
+    found = []
+    for first in (0, 2):
+        header = [*clock[first:], *POSE, *GAZE, *INTENSITIES]
+        rest = ["0.1", *["-0.5"] * 8, *["1.5"] * len(INTENSITIES)]
+        table = [header, *([*frame[first:], *rest] for frame in frames)]
+        found.append("\r\n".join(", ".join(row) for row in table).encode())
+    return found
 
 
 def markers_c3d() -> list[bytes]:

@@ -15,6 +15,7 @@ from service.uploads.schemas import parse_checksum, parse_metadata
 from solver.anatomy.template import Template
 from solver.animation.performance import FittedSequence
 from solver.errors import InputError
+from solver.kinds.scene import Recording
 from solver.meshio.raw import mend, read_raw
 from solver.meshio.registered import read_registered
 from solver.photo.facts import read_facts
@@ -27,6 +28,7 @@ from solver.scans.markers.places.face_take import USUAL_RATE, living_labels
 from solver.scans.markers.places.marker_set import MarkerSet
 from solver.scans.markers.readers.take import read_take
 from solver.scans.markers.signal.faults import find_faults
+from solver.scans.openface import read_openface
 from solver.scans.performance import open_performance, read_live_link
 from solver.storage import Archive
 from solver.surface import Surface
@@ -150,6 +152,10 @@ def _markers() -> list[Target]:
     ]
 
 
+def _openface(path: Path) -> None:
+    read_openface(path, Recording(asset=path.stem))
+
+
 def targets() -> list[Target]:
     """Return all targets."""
     return [
@@ -161,6 +167,7 @@ def targets() -> list[Target]:
         _file("picture png", seeds.pictures_png(), "png", read_picture),
         _file("photograph json", seeds.photograph_json(), "json", _facts),
         _file("live link", seeds.live_link(), "csv", read_live_link),
+        _file("openface", seeds.openface(), "csv", _openface),
         _file("npy", seeds.npy() + seeds.npz(), "npy", _performance),
         _file("npz", seeds.npz() + seeds.npy(), "npz", _archive),
         _file("template", seeds.template(), "zip", read_template),

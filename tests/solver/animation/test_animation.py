@@ -35,7 +35,7 @@ from solver.fitting.drives.six_numbers import LEAST_STRETCH
 from solver.fitting.face import Face, Pose
 from solver.fitting.stretches import matrices
 from solver.mechanics.flesh import IDENTITY
-from solver.scans.performance import ARKIT_NAMES, LiveLinkTake
+from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.storage import Archive
 from solver.surface import Floats
 from tests.solver.block import block_model, divided_block, head_block
@@ -138,7 +138,7 @@ def test_the_head_turns_about_the_neck() -> None:
     assert np.degrees(0.4) == pytest.approx(moved.degrees)
 
 
-def take(**weights: float) -> LiveLinkTake:
+def take(**weights: float) -> FaceTake:
     """Return three frames: at rest, with the weights, and with the weights again."""
     rows = np.zeros((3, len(ARKIT_NAMES)))
     for name, weight in weights.items():
@@ -146,7 +146,7 @@ def take(**weights: float) -> LiveLinkTake:
     head, eyes = np.zeros((3, 3)), np.zeros((3, 2, 3))
     head[1:, 1], eyes[1:, 1, 0] = 0.2, -0.1
     times = np.array([0.0, 0.04, 0.07])
-    return LiveLinkTake(times, rows, head, eyes, ("13:00:00:00.0",) * 3)
+    return FaceTake(times, rows, head, eyes, np.ones(3, bool), "live_link")
 
 
 def test_a_recording_drives_the_shapes_that_its_weights_are_called_after() -> None:

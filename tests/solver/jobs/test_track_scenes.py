@@ -12,6 +12,7 @@ import pytest
 
 from solver.errors import InputError
 from solver.jobs import run_job
+from solver.progress import Step
 from solver.rig import Rig
 from solver.scans.performance import ARKIT_NAMES
 from solver.tracks.basis import MuscleTracks, TrackOptions
@@ -93,6 +94,37 @@ def test_a_recording_needs_no_solved_shapes(files: dict[str, Path], tmp_path: Pa
         assert np.allclose(data["jaw"][-1], 0.6 * OPEN, atol=1e-6)
         bulged = np.abs(data["skin"][-1] - data["skin"][0]).max()
     assert bulged > 0.5
+
+
+def test_a_recording_is_known_by_what_it_holds(files: dict[str, Path], tmp_path: Path) -> None:
+    """OpenFace's is played by its own options, which Live Link's refuses."""
+    take, other = tmp_path / "take.txt", tmp_path / "other.csv"
+    rows = ["timestamp, success, pose_Rx, pose_Ry, pose_Rz, AU17_r, AU26_r"]
+    rows += [f"{frame / 10},{int(frame != 1)},0,{0.1 * frame},0,0,{frame}" for frame in range(4)]
+    take.write_text("\n".join(rows))
+    options = {"neutral": 0, "gain": 1.5, "end": 4}
+    scene = {"drive": "tracks", "recording": {"asset": "take", **options}}
+    how: dict[str, Any] = {"options": {"scene": scene}}
+    steps: list[Step] = []
+    out = tmp_path / "out"
+    run_job("animate", out, captures={"take": take}, progress=steps.append, **how, **files)
+    with np.load(out / "animation.npz") as data:
+        # 0.6 of the shape at full intensity; what was not seen is between its neighbours
+        opened = 1.5 * 0.6 / 5.0 * np.arange(4)
+        assert np.allclose(data["jaw"], opened[:, None] * OPEN, atol=1e-6)
+        assert np.allclose(data["head"][-1, :3], [0.0, -0.3, 0.0], atol=1e-6)
+    report = json.loads((out / "animation.json").read_text())
+    told = {"format": "openface", "seen": 3, "gaps": 1, "longest_gap_s": 0.2}
+    assert report["transfer"].items() >= told.items()
+    assert "jawOpen" not in report["transfer"]["unseen_shapes"]
+    assert [notice["code"] for notice in report["notices"]] == ["openface.gaps"]
+    assert [step.message for step in steps if step.phase == "warning"] == [
+        report["notices"][0]["message"]
+    ]
+    other.write_text(",".join(["Timecode", "BlendShapeCount", *ARKIT_NAMES]))
+    with pytest.raises(InputError, match="neutral") as error:
+        run_job("animate", tmp_path / "no", captures={"take": other}, **how, **files)
+    assert error.value.code == "live_link.options"
 
 
 @pytest.mark.parametrize(
