@@ -16,8 +16,6 @@ from service.store.models import Artifact, Capture, Job
 
 REGISTRATION = "register_scan"
 REGISTERED_MESH = "registered.ply"
-ESTIMATION = "neutral_from_photos"
-ESTIMATED_MESH = "neutral.ply"
 
 
 def get(session: Session, subject_id: str, capture_id: str) -> Capture:
@@ -97,22 +95,6 @@ def registered_form(
             name = f"{capture.name}.{REGISTERED_MESH}"
             return RegisteredForm(name, registered_mesh(job).sha256, job.id)
     return None
-
-
-def estimated_neutral(session: Session, subject_id: str) -> Artifact | None:
-    """Return the newest neutral that a subject's photographs were made into, if there is one."""
-    return session.scalars(
-        select(Artifact)
-        .join(Job, Job.id == Artifact.job_id)
-        .where(
-            Job.subject_id == subject_id,
-            Job.state == State.SUCCEEDED,
-            Job.kind == ESTIMATION,
-            Artifact.name == ESTIMATED_MESH,
-        )
-        .order_by(Job.created_at.desc(), Job.id.desc())
-        .limit(1)
-    ).one_or_none()
 
 
 def neutral_of(job: Job) -> str | None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
-from sqlalchemy import select
+from sqlalchemy import select, true
 from sqlalchemy.orm import Session
 
 from service.bounds import shorten
@@ -28,6 +28,9 @@ from service.store.models import Capture, Job, Rig
 from service.subjects import repository as subjects
 from service.templates import repository as templates
 from solver.kinds import FILES, KINDS, MOST_FILM_FRAMES, MOST_PHOTOS, ROLES, Kind
+
+ESTIMATION = "neutral_from_photos"
+ESTIMATED_MESH = "neutral.ply"
 
 
 @dataclass(frozen=True)
@@ -119,9 +122,11 @@ def _refuse_no_scan(capture: Capture) -> None:
 
 def _neutral(session: Session, subject_id: str, *, of_an_expression: bool = False) -> InputFile:
     neutral = captures.neutral(session, subject_id)
-    if neutral is None and (estimate := captures.estimated_neutral(session, subject_id)):
-        return artifact_file("neutral", estimate)
     if neutral is None:
+        # the newest that photographs were made into
+        made = true(), [ESTIMATION], ESTIMATED_MESH, ()
+        if estimate := rigs.left_by(session, subject_id, *made):
+            return artifact_file("neutral", estimate)
         raise Problem(
             409, "subject.no_neutral", "the subject has no neutral capture", subject_id=subject_id
         )

@@ -116,7 +116,7 @@ def left_by(
             Artifact.name == name,
             or_(Artifact.format.is_(None), Artifact.format.in_(formats)),
         )
-        .order_by(Job.created_at.desc())
+        .order_by(Job.created_at.desc(), Job.id.desc())
         .limit(1)
     ).one_or_none()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +13,12 @@ import numpy as np
 from typing_extensions import override
 
 from solver.anatomy.skin_points import SkinPoints
+from solver.anatomy.template import Template
 from solver.errors import InputError, SolveError
 from solver.fitting.contraction import Contraction
 from solver.fitting.face import Face
-from solver.jobs import Task, read_template
+from solver.jobs import Task
+from solver.jobs.photos import as_box, find_landmarker
 from solver.jobs.sequences import (
     DECIMALS,
     FrameFitter,
@@ -29,7 +31,6 @@ from solver.jobs.sequences import (
 )
 from solver.kinds.fit_photo import FitPhoto
 from solver.photo.camera import PinholeCamera
-from solver.photo.detect import Box
 from solver.photo.expression import PhotoExpression, marks_of, read_neutral
 from solver.photo.film import FilmFrame, FilmOptions, FilmTracker, as_expression, find_focal
 from solver.photo.film_marks import FilmMarks, find_marks
@@ -183,20 +184,18 @@ def fit_film(
     task: Task[FitPhoto],
     driven: ShapeFace[Any],
     face: Face,
-    landmarker: Callable[[str], Path],
+    template: Template,
     options: FilmOptions,
 ) -> list[Path]:
     """Fit the frames of a film and write what sequences leave, and ``photo.png``.
 
     ``driven`` is the face that is fitted, ``face`` that of the rig's muscles.
     Frames that are ready are in ``out/frames``; with ``resume`` the fit goes on after those that
-    are there. ``landmarker`` gives the detector's file. Raises
-    :class:`~solver.errors.InputError`: ``film.*``, ``photo.*``, ``options.frames``, and
-    ``sequence.nothing`` where no frame could be fitted.
+    are there. Raises :class:`~solver.errors.InputError`: ``film.*``, ``photo.*``,
+    ``options.frames``, and ``sequence.nothing`` where no frame could be fitted.
     """
     given, out, progress = task.options, task.out, task.progress
-    model, template = face.model, read_template(task)
-    points = landmark_points(template)
+    model, points = face.model, landmark_points(template)
     source = _open(task, [*landmark_vertices(template)])
     numbers = frame_numbers(source.name, range(len(source)), given)
     neutral = _neutral(given, source)
@@ -206,7 +205,9 @@ def fit_film(
     def show(number: int) -> None:
         looking(Step("landmarks", searched.index(number) / len(searched)))
 
-    marks = find_marks(source, searched, landmarker, _box(given), show)
+    # the one box that is given is of the first frame that shows the face
+    box = as_box(next(iter(given.boxes.values()), None))
+    marks = find_marks(source, searched, find_landmarker, box, show)
     tracker = _tracker(driven, source, marks, points, options, neutral)
     fitter = FilmFitter(source, marks, tracker, numbers)
     done = fit_frames(task, numbers, fitter)
@@ -248,13 +249,6 @@ def _neutral(given: FitPhoto, source: Footage) -> int | None:
         message = f"options.neutral: {source.name} has no frame {given.neutral!r}"
         raise InputError("photo.neutral", message, photo=given.neutral)
     return number
-
-
-def _box(given: FitPhoto) -> Box | None:
-    """Return where the face is in the first frame that shows it: the one box that is given."""
-    for left, top, right, bottom in given.boxes.values():
-        return left, top, right, bottom
-    return None
 
 
 def _tracker(

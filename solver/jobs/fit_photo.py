@@ -16,7 +16,7 @@ from solver.fitting.least_squares import Listener
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, fits, read_template
 from solver.jobs.films import fit_film
-from solver.jobs.photos import find_landmarker, read_faces
+from solver.jobs.photos import read_faces
 from solver.kinds.fit_photo import FitPhoto
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.mechanics.linear import fastest
@@ -68,7 +68,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
         face = rig.face(linear)
         check_held(face)
         driven, film = _face(given, rig, tracks, linear), FilmOptions(_options(given))
-        return fit_film(task, driven, face, find_landmarker, film)
+        return fit_film(task, driven, face, template, film)
     photos, findings = read_faces(task, template, given.boxes)
     moments = _moments(given, photos)
     points = landmark_points(template)

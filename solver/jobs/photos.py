@@ -70,13 +70,14 @@ def read_faces(
         return photos, findings
     with FaceDetector(find_landmarker(unmarked[0])) as detector:
         for name in unmarked:
-            face = find_face(photos[name], detector, _box(boxes.get(name)))
+            face = find_face(photos[name], detector, as_box(boxes.get(name)))
             photos[name] = replace(photos[name], landmarks=face.landmarks)
             findings[name] += face.findings
     return photos, findings
 
 
-def _box(given: Sequence[float] | None) -> Box | None:
+def as_box(given: Sequence[float] | None) -> Box | None:
+    """Return the box that an option gives; None without one."""
     if given is None:
         return None
     left, top, right, bottom = given

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
@@ -43,11 +43,6 @@ class FilmMarks:
     landmarks: Mapping[int, Mapping[str, Floats]]
     missing: Mapping[int, str]
     size: tuple[int, int]  # of the pictures, px
-
-    def of(self, photo: Photo, number: int) -> Photo | None:
-        """Return a frame's photograph with its landmarks; None where it has none."""
-        found = self.landmarks.get(number)
-        return None if found is None else replace(photo, landmarks=found)
 
 
 def find_marks(

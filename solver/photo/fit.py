@@ -49,6 +49,10 @@ class FocalPrior:
     px: float
     deviation: float = 0.35  # of the logarithm: wide angle to portrait lens
 
+    def residual(self, camera: PinholeCamera) -> float:
+        """Return how far a camera's focal length is from it, in deviations."""
+        return float(np.log(camera.focal.mean() / self.px) / self.deviation)
+
 
 @dataclass(frozen=True)
 class View:
@@ -65,6 +69,37 @@ class View:
         if self.is_placed:
             return np.zeros(0, np.int64)
         return np.arange(CAMERA_FREEDOM if self.focal else POSE_FREEDOM)
+
+    def value(self, skin: Floats, camera: PinholeCamera, loss: PseudoHuber) -> float:
+        """Return what a skin (V, 3) costs in this picture, seen by ``camera``, in nats."""
+        total = sum(loss.value(term.residual(skin, camera)) for term in self.terms)
+        return total + (0.5 * self.focal.residual(camera) ** 2 if self.focal else 0.0)
+
+    def normal_equations(
+        self,
+        skin: Floats,
+        camera: PinholeCamera,
+        columns: Floats,
+        by_variables: Floats,
+        loss: PseudoHuber,
+    ) -> tuple[Floats, Floats]:
+        """Return the gradient (n,) and Gauss-Newton's Hessian (n, n) of :meth:`value`.
+
+        ``columns`` (3 V, k) are the derivatives of the skin by what moves it, and ``by_variables``
+        (7, n - k) those of the camera by its variables, of which a free focal length is the last.
+        """
+        count = columns.shape[1] + by_variables.shape[1]
+        gradient, hessian = np.zeros(count), np.zeros((count, count))
+        for term in self.terms:
+            found = term.linearise(skin, camera)
+            weights = loss.weights(found.residual)
+            jacobian = np.hstack([found.by_skin @ columns, found.by_camera @ by_variables])
+            gradient += jacobian.T @ (weights * found.residual)
+            hessian += jacobian.T @ (weights[:, None] * jacobian)
+        if self.focal and len(self.free):
+            gradient[-1] += self.focal.residual(camera) / self.focal.deviation
+            hessian[-1, -1] += self.focal.deviation**-2
+        return gradient, hessian
 
 
 @dataclass(frozen=True)
@@ -164,6 +199,11 @@ class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
         return matrix
 
     @cached_property
+    def together(self) -> Floats:
+        """The matrix (K + 5, K + 5) from the variables of a fit to controls q."""
+        return np.asarray(np.linalg.inv(self.alone))
+
+    @cached_property
     def linear_prices(self) -> Floats:
         """The linear prices (K + 5,) of the controls: none of the jaw's."""
         tracks = self.face.tracks
@@ -197,10 +237,7 @@ class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
         own = self.alone @ point.state.q
         total = float((0.5 * self.prices * own + self.linear_prices) @ own)
         for view, camera in zip(self.views, point.cameras, strict=True):
-            for term in view.terms:
-                total += self.options.loss.value(term.residual(point.skin, camera))
-            if view.focal:
-                total += 0.5 * focal_residual(view.focal, camera) ** 2
+            total += view.value(point.skin, camera, self.options.loss)
         return total
 
     @override
@@ -208,9 +245,9 @@ class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
         count = max(place.stop for place in self.cameras)
         gradient, hessian = np.zeros(count), np.zeros((count, count))
         face = slice(0, self.size)
-        columns = self._columns(point.state)
+        columns, own = self._columns(point.state), self.alone @ point.state.q
         if self.moves_face:
-            gradient[face] = self.prices * (self.alone @ point.state.q) + self.linear_prices
+            gradient[face] = self.prices * own + self.linear_prices
             hessian[face, face] = np.diag(self.prices)
         for view, camera, place in zip(self.views, point.cameras, self.cameras, strict=True):
             variables = np.r_[face, place]
@@ -218,18 +255,12 @@ class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
                 by_variables = view.camera.head_rates(point.head)
             else:
                 by_variables = np.eye(CAMERA_FREEDOM)[:, view.free]
-            for term in view.terms:
-                found = term.linearise(point.skin, camera)
-                weights = self.options.loss.weights(found.residual)
-                jacobian = np.hstack([found.by_skin @ columns, found.by_camera @ by_variables])
-                gradient[variables] += jacobian.T @ (weights * found.residual)
-                hessian[np.ix_(variables, variables)] += jacobian.T @ (weights[:, None] * jacobian)
-            if view.focal and len(view.free):
-                last = place.stop - 1
-                gradient[last] += focal_residual(view.focal, camera) / view.focal.deviation
-                hessian[last, last] += view.focal.deviation**-2
+            slope, curvature = view.normal_equations(
+                point.skin, camera, columns, by_variables, self.options.loss
+            )
+            gradient[variables] += slope
+            hessian[np.ix_(variables, variables)] += curvature
         bounds, reach = self._limits(count)
-        own = self.alone @ point.state.q
         q = np.concatenate([own[: self.size], np.zeros(count - self.size)])
         return BoxModel(q, gradient, hessian, bounds, reach)
 
@@ -248,7 +279,7 @@ class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
         if self.moves_face:
             low, high = self.options.controls.bounds_of(self.face.tracks)
             own = np.clip(self.alone @ point.state.q + step.change[: self.size], low, high)
-            q = np.clip(np.linalg.solve(self.alone, own), low, high)
+            q = np.clip(self.together @ own, low, high)
             try:
                 state = self.face.move(point.state, q)
             except SolveError:
@@ -262,7 +293,7 @@ class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
         skin = 3 * len(self.face.face.model.skin.vertices)
         if not self.moves_face:
             return np.zeros((skin, 0))
-        return self.face.skin_columns(state).reshape(skin, -1) @ np.linalg.inv(self.alone)
+        return self.face.skin_columns(state).reshape(skin, -1) @ self.together
 
     def _limits(self, count: int) -> tuple[tuple[Floats, Floats], Floats]:
         """Return bounds and reach of all ``count`` variables; head and cameras have no bounds."""
@@ -275,8 +306,3 @@ class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
         own = [self.options.camera_reach[view.free] for view in self.views]
         bounds = np.concatenate([low, -open_]), np.concatenate([high, open_])
         return bounds, np.concatenate([reach, head, *own])
-
-
-def focal_residual(prior: FocalPrior, camera: PinholeCamera) -> float:
-    """Return how far a camera's focal length is from its prior, in deviations."""
-    return float(np.log(camera.focal.mean() / prior.px) / prior.deviation)

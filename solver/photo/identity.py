@@ -33,7 +33,7 @@ from solver.fitting.least_squares import (
 )
 from solver.photo.camera import CAMERA_FREEDOM, PinholeCamera
 from solver.photo.expression import ExpressionOptions, place_views
-from solver.photo.fit import PhotoFitOptions, View, focal_residual
+from solver.photo.fit import PhotoFitOptions, View
 from solver.photo.photo import Photo
 from solver.registration.shape_fit import IGNORED, identity_model
 from solver.registration.topology import topology
@@ -189,10 +189,7 @@ class _Problem(LeastSquaresProblem[_Point]):
             self.views, point.weights, point.skins, point.cameras, strict=True
         ):
             total += float((0.5 * fit.controls.w_w * weights + fit.w_l) @ weights)
-            for term in view.terms:
-                total += fit.loss.value(term.residual(skin, camera))
-            if view.focal:
-                total += 0.5 * focal_residual(view.focal, camera) ** 2
+            total += view.value(skin, camera, fit.loss)
         return total
 
     @override
@@ -208,18 +205,12 @@ class _Problem(LeastSquaresProblem[_Point]):
             reach[self.person] = self.options.identity_reach
         for number, (view, (own, place)) in enumerate(zip(self.views, self.places, strict=True)):
             variables = np.r_[self.person, own, place]
-            camera = point.cameras[number]
-            for term in view.terms:
-                found = term.linearise(point.skins[number], camera)
-                trust = fit.loss.weights(found.residual)
-                by_camera = found.by_camera[:, view.free]
-                jacobian = np.hstack([found.by_skin @ columns, by_camera])
-                gradient[variables] += jacobian.T @ (trust * found.residual)
-                hessian[np.ix_(variables, variables)] += jacobian.T @ (trust[:, None] * jacobian)
-            if view.focal:
-                last = place.stop - 1
-                gradient[last] += focal_residual(view.focal, camera) / view.focal.deviation
-                hessian[last, last] += view.focal.deviation**-2
+            by_variables = np.eye(CAMERA_FREEDOM)[:, view.free]
+            slope, curvature = view.normal_equations(
+                point.skins[number], point.cameras[number], columns, by_variables, fit.loss
+            )
+            gradient[variables] += slope
+            hessian[np.ix_(variables, variables)] += curvature
             reach[place] = fit.camera_reach[view.free]
             if self.moves_face:
                 q[own] = point.weights[number]
