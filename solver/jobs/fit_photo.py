@@ -31,6 +31,7 @@ from solver.photo.film import FilmOptions
 from solver.photo.fit import PhotoFitOptions
 from solver.photo.light import Appearance
 from solver.photo.mesh_points import landmark_points
+from solver.photo.oddities import find_closed_eyes
 from solver.photo.photo import Photo
 from solver.photo.report import photo_figures, photo_picture
 from solver.progress import Step, part_of
@@ -80,6 +81,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     fitter = _Fitter(driven, points, _options(given))
     lights: dict[str, Appearance] = {}
     if given.neutral:
+        findings[given.neutral] += find_closed_eyes(photos[given.neutral])
         look = read_neutral(driven, photos[given.neutral], points, fitter.options)
         points, fitter = look.points, replace(fitter, points=look.points)
         lights = dict.fromkeys(photos, look.appearance) if look.appearance else {}

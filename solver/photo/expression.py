@@ -216,13 +216,8 @@ def place_views(
     views, head = [], None
     for photo in photos:
         known, pixels = marks_of(photo, points)
-        places, mm = known.at(skin.vertices), _noise_mm(known, options.landmarks)
-        focal, prior = _focal(photo, options.focal)
-        centre = np.array(photo.size) / 2.0 if photo.camera is None else photo.camera.centre
-        try:
-            begun = place_camera(places, pixels, mm, focal, centre)
-        except InputError as error:
-            raise InputError(error.code, f"{photo.name}: {error}", photo=photo.name) from error
+        places = known.at(skin.vertices)
+        begun, prior = begin_camera(photo, points, skin.vertices, options)
         cosine = SkinSamples(known.corners, known.weights).facing(skin, begun)
         shown = cosine > options.landmarks.least_cosine
         known = known.select(
@@ -239,6 +234,23 @@ def place_views(
         else:
             views.append(View(terms, begun, focal=prior))
     return views, head or IDENTITY
+
+
+def begin_camera(
+    photo: Photo, points: SkinPoints, skin: Floats, options: ExpressionOptions = ExpressionOptions()
+) -> tuple[PinholeCamera, FocalPrior | None]:
+    """Return a camera that sees a skin (V, 3) about so, and what is known of its focal length.
+
+    Raises :class:`InputError` (``photo.pose``) where the landmarks place none.
+    """
+    known, pixels = marks_of(photo, points)
+    focal, prior = _focal(photo, options.focal)
+    centre = np.array(photo.size) / 2.0 if photo.camera is None else photo.camera.centre
+    noise = _noise_mm(known, options.landmarks)
+    try:
+        return place_camera(known.at(skin), pixels, noise, focal, centre), prior
+    except InputError as error:
+        raise InputError(error.code, f"{photo.name}: {error}", photo=photo.name) from error
 
 
 def marks_of(photo: Photo, points: SkinPoints) -> tuple[SkinPoints, Floats]:
