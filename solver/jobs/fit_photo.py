@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from solver.photo.light import Appearance
 from solver.photo.mesh_points import landmark_points
 from solver.photo.oddities import find_closed_eyes
 from solver.photo.photo import Photo
+from solver.photo.placed import Reprojection, find_contradiction, reprojections
 from solver.photo.report import photo_figures, photo_picture
 from solver.progress import Step, part_of
 from solver.rig import Rig, ShapeFit, System
@@ -106,7 +107,9 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     }
     results = {name: each.result for name, each in shown.items() if each.result is not None}
     figures = {
-        name: photo_figures([photos[each] for each in moments[name]], result, points)
+        name: photo_figures(
+            [photos[each] for each in moments[name]], result, points, shown[name].placed
+        )
         for name, result in results.items()
     }
     own = [task.out / name for name in ("photo.json", "photo.png")]
@@ -159,6 +162,7 @@ class _Fitted:
 
     shape: ShapeFit
     result: PhotoExpression[Any] | None
+    placed: Mapping[str, Reprojection] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -180,10 +184,13 @@ class _Fitter:
             notices = (make_warning("solve.failed", f"no fit was found ({error})"),)
             shape = self._shape(name, self.face.rest(), notices)
             return _Fitted(replace(shape, status="failed"), None)
-        shape = self._shape(name, found.fit.point.state, ())
+        end = found.landmarks.point
+        placed = reprojections(self.face, photos, self.points, end, self.options)
+        told = tuple(find_contradiction(placed))
+        shape = self._shape(name, found.fit.point.state, told)
         seconds = time.perf_counter() - begun
         steps = found.landmarks.steps + found.fit.steps
-        return _Fitted(replace(shape, seconds=seconds, iterations=steps), found)
+        return _Fitted(replace(shape, seconds=seconds, iterations=steps), found, placed)
 
     def _shape(self, name: str, state: State, notices: tuple[Finding, ...]) -> ShapeFit:
         """Return an expression without a scan: its target is nowhere."""

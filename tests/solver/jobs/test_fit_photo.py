@@ -153,6 +153,30 @@ def test_a_neutral_photograph_tells_where_a_person_s_landmarks_are(
     assert moved[1] < 0.3 * moved[0]
 
 
+def placed(yaw: float) -> dict[str, Any]:
+    """Return what facts say of a camera, with its place in the world."""
+    known = camera(yaw)
+    named = dict(zip(("fx", "fy", "cx", "cy"), [*known.focal, *known.centre], strict=True))
+    return named | {"rotation": known.rotation.tolist(), "translation": known.translation.tolist()}
+
+
+@pytest.mark.parametrize(("yaw", "is_told"), [(30.0, False), (-30.0, True)])
+def test_cameras_that_contradict_are_told(
+    files: Path, tmp_path: Path, yaw: float, is_told: bool
+) -> None:
+    photograph(files, "placed", smile(), 0.0, camera=placed(0.0))
+    photograph(files, "aside", smile(), 30.0, camera=placed(yaw))
+    options: dict[str, Any] = {"model": "shapes", "shading": False}
+    rig, told = fit(
+        files, tmp_path, "placed", "aside", moments={"a": ["placed", "aside"]}, **options
+    )
+    (found,) = rig.systems["B"].expressions
+    assert ("photo.cameras" in [each.code for each in found.notices]) == is_told
+    figures = told["expressions"]["a"]["photos"]
+    assert (figures["aside"]["reprojection"]["given_px"] > 5.0) == is_told
+    assert figures["placed"]["reprojection"]["alone_px"] < 3.0
+
+
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
