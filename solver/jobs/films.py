@@ -112,7 +112,7 @@ class FilmFitter(FrameFitter[ShapeFrame]):
         if photo is not None:
             try:
                 found, status = self._tracker.step(photo), "fitted"
-            except (SolveError, np.linalg.LinAlgError):
+            except (InputError, SolveError, np.linalg.LinAlgError):
                 status = "kept"
         else:
             self._tracker.pause()

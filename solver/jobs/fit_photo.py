@@ -134,11 +134,9 @@ def _moments(given: FitPhoto, photos: Mapping[str, Photo]) -> dict[str, list[str
                 message = f"options.moments: {each!r} is named twice, and shows one moment"
                 raise InputError("photo.moment", message, expression=name, photo=each)
             seen.add(each)
-    named = {"neutral": [given.neutral] if given.neutral else [], "boxes": [*given.boxes]}
-    for option, each in ((option, each) for option, all_ in named.items() for each in all_):
-        if each not in photos:
-            message = f"options.{option}: there is no photograph {each!r}: {known} are"
-            raise InputError("photo.neutral", message, photo=each)
+    if given.neutral and given.neutral not in photos:
+        message = f"options.neutral: there is no photograph {given.neutral!r}: {known} are"
+        raise InputError("photo.neutral", message, photo=given.neutral)
     alone = {name: [name] for name in photos if name not in seen}
     return {name: list(taken) for name, taken in {**given.moments, **alone}.items()}
 

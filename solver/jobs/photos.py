@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from solver.anatomy.template import Template
-from solver.errors import Finding, InputError
+from solver.errors import Finding, InputError, quote_names
 from solver.jobs import Task
 from solver.kinds import MOST_PHOTOS
 from solver.photo.detect import Box, find_face, judge_size
@@ -63,10 +63,16 @@ def read_faces(
 ) -> tuple[dict[str, Photo], dict[str, list[Finding]]]:
     """Return the photographs by their names, and what is odd about each.
 
-    ``boxes`` say which face is meant. Raises :class:`InputError` as :func:`read_photos`, and
-    ``landmarks.*`` and ``photo.*`` where landmarks have to be found, and ``photo.small``.
+    ``boxes`` say which face is meant. Raises :class:`InputError` as :func:`read_photos`,
+    ``landmarks.*`` and ``photo.*`` where landmarks have to be found, ``photo.small``, and
+    ``photo.neutral`` for a box of no photograph.
     """
     photos = {photo.name: photo for photo in read_photos(task, landmark_vertices(template).keys())}
+    for name in boxes:
+        if name not in photos:
+            known = quote_names(sorted(photos))
+            message = f"options.boxes: there is no photograph {name!r}: {known} are"
+            raise InputError("photo.neutral", message, photo=name)
     findings: dict[str, list[Finding]] = {name: [] for name in photos}
     unmarked = [name for name, photo in photos.items() if not photo.landmarks]
     points = landmark_points(template)

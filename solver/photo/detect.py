@@ -53,8 +53,8 @@ def find_face(
 
     Landmarks where the photograph does not count are left out. Raises :class:`InputError` with
     the ``file``: ``photo.no_face``; ``photo.faces``, with the ``boxes`` of all, where there are
-    several and no box; ``photo.small``, ``photo.profile`` and ``photo.cut_off``, whose milder
-    cases are the warnings.
+    several and no box; ``photo.mask_empty`` where a mask hides it; ``photo.small``,
+    ``photo.profile`` and ``photo.cut_off``, whose milder cases are the warnings.
     """
     faces = detect(photo.pixels, detector, box, limits)
     if not faces:
@@ -70,6 +70,9 @@ def find_face(
         raise InputError("photo.faces", message, file=photo.name, boxes=boxes)
     face, shown = faces[0], _shown(photo, faces[0].points)
     findings = tuple(_judge(photo, face, limits))
+    if not shown.any():
+        message = f"{photo.name}: the mask hides all of the face: white is what counts"
+        raise InputError("photo.mask_empty", message, file=photo.name)
     landmarks = {str(row): face.points[row] for row in np.flatnonzero(shown)}
     return PhotoFace(landmarks, face.box, findings)
 
