@@ -82,7 +82,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     fitter = _Fitter(driven, points, _options(given))
     lights: dict[str, Appearance] = {}
     if given.neutral:
-        findings[given.neutral] += find_closed_eyes(photos[given.neutral])
+        findings[given.neutral] += find_closed_eyes(given.neutral, photos[given.neutral].landmarks)
         look = read_neutral(driven, photos[given.neutral], points, fitter.options)
         points, fitter = look.points, replace(fitter, points=look.points)
         lights = dict.fromkeys(photos, look.appearance) if look.appearance else {}

@@ -7,7 +7,7 @@ all sizes, and figures alike for MediaPipe's landmarks and 68.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,15 +74,17 @@ def find_oddities(photo: Photo, options: OddityOptions = ODDITY_OPTIONS) -> Iter
             yield make_warning("photo.exposure", message, about)
 
 
-def find_closed_eyes(photo: Photo, options: OddityOptions = ODDITY_OPTIONS) -> Iterator[Finding]:
-    """Yield the warning ``photo.eyes_closed`` about a photograph of a face at rest.
+def find_closed_eyes(
+    name: str, landmarks: Mapping[str, Floats], options: OddityOptions = ODDITY_OPTIONS
+) -> Iterator[Finding]:
+    """Yield the warning ``photo.eyes_closed`` about the photograph ``name`` of a face at rest.
 
     It is told where both eyes are closed, and nothing where their lids are not marked.
     """
-    openings = [each for each in (_opening(photo, *eye) for eye in EYES) if each is not None]
+    openings = [each for each in (_opening(landmarks, *eye) for eye in EYES) if each is not None]
     if openings and max(openings) < options.open_eyes:
-        message = f"{photo.name}: the eyes are closed, in the photograph of the face at rest"
-        yield make_warning("photo.eyes_closed", message, {"file": photo.name})
+        message = f"{name}: the eyes are closed, in the photograph of the face at rest"
+        yield make_warning("photo.eyes_closed", message, {"file": name})
 
 
 def sharpness_of(
@@ -156,10 +158,9 @@ def _within_hull(places: Floats, size: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def _opening(
-    photo: Photo, outer: str, inner: str, lids: tuple[tuple[str, str], ...]
+    known: Mapping[str, Floats], outer: str, inner: str, lids: tuple[tuple[str, str], ...]
 ) -> float | None:
     """Return how far lids are apart by the eye's width; None where they are not marked."""
-    known = photo.landmarks
     if not {outer, inner, *(name for pair in lids for name in pair)} <= known.keys():
         return None
     heights = [float(np.linalg.norm(known[upper] - known[lower])) for upper, lower in lids]

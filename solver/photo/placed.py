@@ -1,8 +1,8 @@
 """Whether the places that cameras of one moment were given agree about the face.
 
 Cameras that are placed in a world share one head. Each of them is let go of by itself, the face
-held: where its landmarks then come much nearer, all of the given places cannot be right. What a
-face can be, tells the cameras apart: how it may be turned or grown, it does not.
+held: where its landmarks then come much nearer, not all of the given places are right. What
+another place of the head or another expression explains stays unseen.
 """
 
 from __future__ import annotations
