@@ -316,13 +316,22 @@ def shape_weights(take: FaceTake, names: Sequence[str]) -> Floats:
     return np.asarray(np.clip(take.weights[:, columns], 0.0, 1.0) * driven)
 
 
+@dataclass(frozen=True, eq=False)
+class FrameChanges:
+    """Changes of frames' poses: ``activations`` (f, m, 6), and ``jaw`` (f, 5)."""
+
+    activations: Floats
+    jaw: Floats
+
+
 class RecordedDrives(Drives):
     """:class:`Drives` of a recording, from frame ``start`` to before ``end``.
 
     ``weights`` (f, e) are what drives each of the ``shapes`` in these frames. Times begin at 0.
     Weights and turns between frames lie on straight lines. The recorded head turns about the neck;
     keys of the ``head`` come on top of that. Muscles stay within ``limits``, if they have some.
-    Raises ``scene.frames`` if there are no such frames.
+    ``changes`` are what fits of the frames add to the shapes' poses. Raises ``scene.frames`` if
+    there are no such frames.
     """
 
     def __init__(
@@ -335,6 +344,7 @@ class RecordedDrives(Drives):
         *,
         head: Sequence[HeadKey] = (),
         limits: FeasibleSet | None = None,
+        changes: FrameChanges | None = None,
     ) -> None:
         self._limits = limits
         count = len(take.times)
@@ -352,6 +362,10 @@ class RecordedDrives(Drives):
         turns = np.hstack([take.head[frames], take.eyes[frames].reshape(-1, 6)])
         values = np.hstack([self.weights, turns])
         self._track = track(self.times, values, "frames", "linear")
+        self._changes: Track | None = None
+        if changes is not None:
+            rows = np.hstack([changes.activations.reshape(len(changes.jaw), -1), changes.jaw])
+            self._changes = track(self.times, rows, "frames", "linear")
         self._neck = neck(model)
         self._head = head_motion(head, self._neck)
 
@@ -359,6 +373,10 @@ class RecordedDrives(Drives):
     def __call__(self, time: float) -> PosedFrame:
         weights, head, eyes = np.split(self._track(time), [-9, -6])
         still = PosedFrame.of(self._shapes.pose_of(weights, self._limits))
+        if self._changes is not None:
+            a, jaw = np.split(self._changes(time), [-5])
+            kept, clamped = keep_within(still.a + a.reshape(-1, 6), self._limits)
+            still = replace(still, a=kept, jaw=still.jaw + jaw, clamped=max(clamped, still.clamped))
         motion = turn_about(self._neck, head, np.zeros(3)).then(self._head(time))
         return replace(still, head=motion, eyes=eyes.reshape(2, 3))
 

@@ -228,12 +228,11 @@ def _is_of(header: Mapping[str, Any], model: SubjectModel, S: sp.csr_array) -> b
     return bool(header.get("rig") == digest.hexdigest())
 
 
-def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
-    """Return name -> the places (k, 3) of the face's points in every shape that ARKit drives.
+def driven_motions(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
+    """Return name -> the motions (k, 3) of the face's points of every shape that ARKit drives, mm.
 
-    ``basis`` are the template's shapes. A corrective comes after the shape it corrects, and has its
-    motion too. Raises :class:`InputError`: ``blendshapes.none`` if ARKit drives no expression of
-    the template, ``blendshapes.topology`` if they are of another skin.
+    ``basis`` are the template's shapes. Raises :class:`InputError`: ``blendshapes.none`` if ARKit
+    drives no expression of the template, ``blendshapes.topology`` if they are of another skin.
     """
     names, shapes = (basis.expression_names, basis.expressions) if basis else ((), ())
     expected = len(model.skin.vertices)
@@ -251,6 +250,16 @@ def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[st
         reason = "has no expressions that a recording could drive"
         name = model.template.get("name", "")
         raise InputError("blendshapes.none", f"the template {name} {reason}")
+    return motions
+
+
+def expression_targets(model: SubjectModel, basis: ShapeBasis | None) -> dict[str, Floats]:
+    """Return name -> the places (k, 3) of the face's points in every shape that ARKit drives.
+
+    A corrective comes after the shape it corrects, and has its motion too. Raises as
+    :func:`driven_motions`.
+    """
+    motions = driven_motions(model, basis)
     neutral = model.skin.vertices[model.face]
     targets = {name: neutral + motion for name, motion in motions.items() if name not in CORRECTED}
     for name in motions.keys() - targets.keys():

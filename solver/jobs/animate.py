@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from solver.anatomy.template import ShapeBasis
-from solver.animation import RecordedDrives
+from solver.animation import FrameChanges, RecordedDrives
 from solver.animation.blendshapes import (
     Blendshapes,
     DrivenShapes,
     Solved,
+    driven_motions,
     expression_targets,
     solve_blendshapes,
 )
+from solver.animation.controls import Controls
+from solver.animation.controls.exact import ShapesAtRest, fit_frames
 from solver.animation.tracks import TrackedShapes
 from solver.errors import InputError
 from solver.fitting.expression_basis import FILE as BASIS_FILE
@@ -46,6 +51,8 @@ SAVED_EVERY = 5  # blendshapes that are solved between two writings of their fil
 def run(task: Task[Animate]) -> list[Path]:
     """Play a recording on a fitted face, as :func:`solver.jobs.simulate.run`.
 
+    Learned controls say what the muscles do, where the rig has them, and frames that they doubt are
+    fitted exactly before; the scene may ask for another way. Else expressions are blended.
     Activations and jaw of every expression of the template are solved first, once for a rig: the
     ``blendshapes.npz`` that this leaves is taken as it is if it is given, and of muscles within
     the limits of the rig's. They begin with the rig's basis of expressions, which is solved and
@@ -64,38 +71,48 @@ def run(task: Task[Animate]) -> list[Path]:
     for notice in recorded.notices:
         progress(Step("warning", READ, message=notice.message))
 
-    def stage_of(shapes: DrivenShapes, tracks: MuscleTracks | None = None) -> Stage:
-        head = head_of(scene.head)
-        start, end = recording.start, recording.end
-        of_take = recorded, shapes, model, start, end
-        drives = RecordedDrives(*of_take, head=head, limits=rig.limits)
+    def stage_of(drives: RecordedDrives, tracks: MuscleTracks | None = None) -> Stage:
         firmer = 1.0 if tracks is None else TrackContact.firmer
         return Stage(scene, places, S, drives, given.linear_solver, firmer=firmer, tracks=tracks)
 
-    kept = out / "blendshapes.npz"
+    def drives_of(shapes: DrivenShapes, changes: FrameChanges | None = None) -> RecordedDrives:
+        return RecordedDrives(
+            recorded,
+            shapes,
+            model,
+            recording.start,
+            recording.end,
+            head=head_of(scene.head),
+            limits=rig.limits,
+            changes=changes,
+        )
+
+    played = _Played()
     if scene.drive == "tracks":
+        if scene.controls is not None:
+            reason = "controls are of muscles, and tracks drive the face: leave one of both out"
+            raise InputError("scene.controls", reason)
         tracks = MuscleTracks.load(task.inputs["tracks"], model)
-        stage, begun = stage_of(TrackedShapes.of(model, tracks), tracks), READ
-        told: dict[str, Any] = {"shapes": len(tracks.names)}
+        drives, begun = drives_of(TrackedShapes.of(model, tracks)), READ
+        stage = stage_of(drives, tracks)
+        played.figures["shapes"] = len(tracks.names)
     else:
-        shapes = None
-        if "blendshapes" in task.inputs:
-            shapes = Blendshapes.load(task.inputs["blendshapes"], model, S)
-        if shapes is None or shapes.drive != rig.drive:  # solved by a release without limits
-            # the shapes take minutes: what is wrong with the scene is told before
-            stage_of(Blendshapes(model.muscle_names, {}))
-            shapes = _solve_shapes(rig, kept, task)
-        shapes.save(kept, model, S)
-        stage, begun = stage_of(shapes), SOLVED
-        told = _told(shapes)
-    more = {**_told_of(recorded), **told}
+        # what moves the muscles may take minutes: what is wrong with the scene is told before
+        stage_of(drives_of(Blendshapes(model.muscle_names, {})))
+        shapes = _shapes_of(task, rig, played)
+        drives, begun = drives_of(shapes), SOLVED
+        drives = drives_of(shapes, _fit_frames(task, rig, shapes, drives.weights, played))
+        stage = stage_of(drives)
+    more = {**_told_of(recorded, played.transfer), **played.figures}
     if recorded.timecodes:
         more["timecode"] = recorded.timecodes[recording.start]
     playing = part_of(progress, begun, EXPORT)
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
-    written = finish(stage, frames, out, progress, title="Animation", video=given.video, more=more)
-    solved = [] if stage.tracks else [kept, out / BASIS_FILE]
-    return [*written, *(file for file in solved if file.is_file())]
+    arrays = {"weights": drives.weights, **played.arrays}
+    written = finish(
+        stage, frames, out, progress, title="Animation", video=given.video, more=more, arrays=arrays
+    )
+    return [*written, *(file for file in played.files if file.is_file())]
 
 
 def read_recording(path: Path, entry: Recording) -> FaceTake:
@@ -114,8 +131,8 @@ def read_recording(path: Path, entry: Recording) -> FaceTake:
     return read_live_link(path)
 
 
-def _told_of(take: FaceTake) -> dict[str, Any]:
-    """Return the figures of a whole recording."""
+def _told_of(take: FaceTake, played: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of a whole recording, and of how it was ``played``."""
     whole = float(take.times[-1])
     is_still = np.ptp(take.weights, axis=0) == 0.0
     transfer = {
@@ -125,18 +142,88 @@ def _told_of(take: FaceTake) -> dict[str, Any]:
         "gaps": len(take.gaps),
         "longest_gap_s": round(max(take.gaps, default=0.0), 3),
         "unseen_shapes": [name for name, still in zip(ARKIT_NAMES, is_still, strict=True) if still],
+        **played,
     }
     return {"transfer": transfer, "notices": [notice.as_dict() for notice in take.notices]}
 
 
-def _told(shapes: Blendshapes) -> dict[str, Any]:
-    """Return the figures of solved blendshapes."""
+@dataclass
+class _Played:
+    """What is left and told of how frames are played."""
+
+    files: list[Path] = field(default_factory=list)
+    figures: dict[str, Any] = field(default_factory=dict)
+    transfer: dict[str, Any] = field(default_factory=dict)
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+def _shapes_of(task: Task[Animate], rig: Rig, played: _Played) -> DrivenShapes:
+    """Return what a frame's weights make the muscles do, as the scene asks for it."""
+    asked, model = task.options.scene.controls, rig.model
+    if asked == "exact":
+        motions = driven_motions(model, read_template(task).shapes)
+        return ShapesAtRest(tuple(motions), model.muscle_count)
+    if asked == "learned" and "controls" not in task.inputs:
+        reason = "the rig has no learned controls: run learn_controls first, or leave controls out"
+        raise InputError("controls.missing", reason)
+    if asked != "blended" and "controls" in task.inputs:
+        learned = Controls.load(task.inputs["controls"], model, rig.weights)
+        if learned.drive == rig.drive:
+            played.transfer["controls"] = "learned"
+            return learned
+        reason = "its muscles were kept to other limits than the rig's: learn its controls again"
+        if asked == "learned":
+            raise InputError("controls.model", reason)
+        task.progress(Step("warning", READ, message=f"controls.npz is not used: {reason}"))
+    return _blended(task, rig, played)
+
+
+def _fit_frames(
+    task: Task[Animate], rig: Rig, shapes: DrivenShapes, weights: Floats, played: _Played
+) -> FrameChanges | None:
+    """Fit the frames that learned controls doubt, or all where the scene says exact."""
+    if isinstance(shapes, Blendshapes):
+        return None
+    chosen = np.ones(len(weights), bool)
+    if isinstance(shapes, Controls):
+        doubt = shapes.doubt_mm(weights)
+        chosen = doubt > task.options.scene.exact_above_mm
+        played.arrays["doubt_mm"] = doubt.astype(np.float32)
+    played.transfer["flagged"] = int(chosen.sum())
+    played.arrays["exact"] = chosen
+    if not chosen.any():
+        played.transfer["exact"] = 0
+        return None
+    face, count = rig.face(fastest()), int(chosen.sum())
+    check_held(face)
+
+    def listen(done: int) -> None:
+        part, words = READ + (SOLVED - READ) * done / count, f"frame {done} of {count}"
+        task.progress(Step("exact", part, done, message=words))
+
+    motions = driven_motions(rig.model, read_template(task).shapes)
+    changes, fitted = fit_frames(face, shapes, motions, weights, chosen, listen)
+    played.transfer["exact"], played.arrays["exact"] = int(fitted.sum()), fitted
+    return changes
+
+
+def _blended(task: Task[Animate], rig: Rig, played: _Played) -> Blendshapes:
+    """Return the person's blendshapes: those that were given, else solved now."""
+    model, S, kept = rig.model, rig.weights, task.out / "blendshapes.npz"
+    shapes = None
+    if "blendshapes" in task.inputs:
+        shapes = Blendshapes.load(task.inputs["blendshapes"], model, S)
+    if shapes is None or shapes.drive != rig.drive:  # solved by a release without limits
+        shapes = _solve_shapes(rig, kept, task)
+    shapes.save(kept, model, S)
     solved = shapes.shapes
-    return {
+    played.files += [kept, task.out / BASIS_FILE]
+    played.figures |= {
         "blendshapes": len(solved),
         "blendshapes_mean_mm": float(np.mean([shape.mean_mm for shape in solved.values()])),
         "not_settled": [name for name, shape in solved.items() if not shape.settled],
     }
+    return shapes
 
 
 def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:

@@ -25,6 +25,7 @@ from solver.progress import ProgressCallback, Step, silent
 from solver.rig import Rig
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
 from solver.rig.frames.animation import (
+    NO_ARRAYS,
     Filming,
     MotionRecord,
     motion_report,
@@ -131,10 +132,15 @@ def finish(
     title: str,
     video: bool,
     more: Mapping[str, Any],
+    arrays: Mapping[str, np.ndarray] = NO_ARRAYS,
 ) -> list[Path]:
-    """Write what a scene leaves; ``more`` figures are for ``animation.json``."""
+    """Write what a scene leaves.
+
+    ``more`` figures are for ``animation.json``, and ``arrays`` with a row for each frame for
+    ``animation.npz``.
+    """
     progress(Step("export", EXPORT))
-    model, arrays = stage.model, {}
+    model, arrays = stage.model, dict(arrays)
     if stage.tracks is not None:
         lines = stage.tracks.lines
         arrays["lengths"] = np.array([lines.lengths(model.rest + frame.moved) for frame in frames])

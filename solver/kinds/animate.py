@@ -18,7 +18,7 @@ class Animate(PlayOptions):
 
 KIND = Kind(
     queue="long",
-    reads=("rig", "template", "assets", "blendshapes", "expression_basis", "tracks"),
+    reads=("rig", "template", "assets", "blendshapes", "expression_basis", "controls", "tracks"),
     leaves="animation",
     result="animation.glb",
     hands_on=("blendshapes.npz", "expression_basis.npz"),

@@ -99,6 +99,10 @@ INPUTS: Mapping[str, Input] = {
     "expression_basis": Input(
         (_option("basis", "expression_basis.npz of an earlier job", "expression_basis"),)
     ),
+    "control_pairs": Input(
+        (_option("known", "control_pairs.npz of an earlier learn-controls", "control_pairs"),)
+    ),
+    "controls": Input((_option("controls", "controls.npz of learn-controls"),)),
     "fibre_muscles": Input(
         (_option("fibres", "fibre_muscles.npz of fit-fibres", "fibre_muscles"),)
     ),
@@ -141,6 +145,8 @@ FILES: Mapping[str, LeftFile] = {
     "expression_basis.npz": LeftFile(
         "expression_basis", "expression_basis", of_a_rig=True, is_kept=True
     ),
+    "control_pairs.npz": LeftFile("control_pairs", "control_pairs", of_a_rig=True, is_kept=True),
+    "controls.npz": LeftFile("controls", "controls", of_a_rig=True),
     "fibre_muscles.npz": LeftFile("fibre_muscles", "fibre_muscles", of_a_rig=True),
 }
 

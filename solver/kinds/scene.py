@@ -551,6 +551,19 @@ class AnimateScene(PlayedScene):
     """A recording of Live Link Face or OpenFace, played by the flesh."""
 
     recording: Recording
+    controls: Literal["learned", "blended", "exact"] | None = Field(
+        default=None,
+        description="what a frame's weights make the muscles do: learned, by controls.npz of "
+        "learn_controls; blended, by adding up what makes each shape alone; exact, fitted frame "
+        "after frame; null: learned where the rig has controls, else blended",
+    )
+    exact_above_mm: float = Field(
+        default=0.3,
+        ge=0,
+        le=100,
+        description="doubt of learned controls, mm on the skin, above which a frame is fitted "
+        "exactly",
+    )
 
 
 class EditScene(FleshEntry):

@@ -297,11 +297,11 @@ def _weights(
         notices.append(make_warning("openface.range", words, named))
     else:
         above *= entry.gain / scale
-    return above @ _shapes_of_units(), notices
+    return above @ shapes_of_units(), notices
 
 
 @cache
-def _shapes_of_units() -> Floats:
+def shapes_of_units() -> Floats:
     """Return the weight of each of ARKit's shapes at a unit's full intensity (17, 52)."""
     table = np.zeros((len(UNITS), len(ARKIT_NAMES)))
     for column, name in enumerate(ARKIT_NAMES):

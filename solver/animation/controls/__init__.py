@@ -1,0 +1,141 @@
+"""Controls learned from exact solves: activations, jaw and skin of weights of shapes.
+
+Blending fitted shapes linearly is half a millimetre off where they meet. Here two maps are learned
+of thousands of mixtures that were fitted exactly (:mod:`.pairs`), in the measure of the skin that
+they move (:mod:`.metric`): a polynomial and a network (:mod:`.maps`). What lies between both is
+what the face does; where they disagree it is in doubt (:mod:`.doubt`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from solver.animation.blendshapes import ShapedPose, keep_within
+from solver.animation.controls.doubt import Doubt
+from solver.animation.controls.maps import Network, PolynomialMap
+from solver.animation.controls.skin import SkinModes
+from solver.errors import InputError
+from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives.stored import restore, store
+from solver.fitting.face import Pose
+from solver.fitting.interior_point import FeasibleSet
+from solver.kinds import FILES
+from solver.mechanics.flesh import IDENTITY
+from solver.model import SubjectModel, identity
+from solver.storage import Archive, with_prefix
+from solver.surface import Floats
+
+FILE = "controls.npz"
+FORMAT = FILES[FILE].format
+
+
+@dataclass(frozen=True, eq=False)
+class Controls:
+    """Controls of a person's rig by weights (e,) of the shapes ``names``, from 0 to 1.
+
+    The maps give r coordinates: those of the muscles and the jaw, whose ``directions`` (a, 6 m + 5)
+    are changes off the rest, and then those of the skin's modes. ``share`` is the polynomial's
+    part in them, from 0 to 1. ``drive`` is what the muscles kept to. ``figures`` tell how they were
+    learned, and of unseen mixtures how well.
+    """
+
+    names: tuple[str, ...]
+    muscles: tuple[str, ...]
+    drive: MuscleDrive
+    polynomial: PolynomialMap
+    network: Network
+    share: float
+    directions: NDArray[np.float32]
+    skin_modes: SkinModes
+    doubt: Doubt
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+    def pose_of(self, weights: Floats, limits: FeasibleSet | None = None) -> ShapedPose:
+        """Return the pose of ``weights`` (e,), its muscles within ``limits`` if there are some."""
+        pose = self.pose(weights)
+        a, clamped = keep_within(pose.a, limits)
+        return ShapedPose(a, pose.b, clamped)
+
+    def pose(self, weights: Floats) -> Pose:
+        """Return activations and the free jaw of ``weights`` (e,), cut to 0 to 1."""
+        changes = self.changes(weights)
+        return Pose(IDENTITY + changes[:-5].reshape(-1, 6), changes[-5:])
+
+    def changes(self, weights: Floats) -> Floats:
+        """Return the changes (..., 6 m + 5) off the rest of ``weights`` (..., e)."""
+        found = self._between(weights)[..., : len(self.directions)]
+        return np.asarray(found @ self.directions, float)
+
+    def skin(self, weights: Floats) -> NDArray[np.float32]:
+        """Return the skin (..., v, 3) of ``weights`` (..., e) without simulation or contact, mm."""
+        return self.skin_modes.expand(self._between(weights)[..., len(self.directions) :])
+
+    def doubt_mm(self, weights: Floats) -> Floats:
+        """Return how far off the face of ``weights`` (..., e) may be, mm on the mean."""
+        first, second = (each[..., : len(self.directions)] for each in self._both(weights))
+        return self.doubt.of(np.linalg.norm(first - second, axis=-1))
+
+    def _between(self, weights: Floats) -> NDArray[np.float32]:
+        first, second = self._both(weights)
+        return second + np.float32(self.share) * (first - second)
+
+    def _both(self, weights: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        c = np.clip(weights, 0.0, 1.0).astype(np.float32)
+        return self.polynomial(c), self.network(c)
+
+    def save(self, path: Path, model: SubjectModel, S: sp.csr_array) -> None:
+        """Write the controls as NPZ; they are of ``model`` with S."""
+        arrays = {
+            **{f"polynomial_{name}": array for name, array in self.polynomial.arrays().items()},
+            **{f"network_{name}": array for name, array in self.network.arrays().items()},
+            "directions": self.directions,
+            "skin_rest": self.skin_modes.rest,
+            "skin_modes": self.skin_modes.modes,
+        }
+        header = {
+            "format": FORMAT,
+            "of": identity(model, S),
+            "names": self.names,
+            "muscles": self.muscles,
+            "drive": store(self.drive),
+            "share": self.share,
+            "doubt": asdict(self.doubt),
+            "figures": self.figures,
+        }
+        Archive(header, arrays).write(path)
+
+    @classmethod
+    def load(cls, path: Path, model: SubjectModel, S: sp.csr_array) -> Controls:
+        """Read controls that :meth:`save` wrote of ``model`` with S.
+
+        Raises :class:`InputError`: ``controls.unreadable``, ``controls.format``, or
+        ``controls.model`` if they are another model's or another S's.
+        """
+        archive = Archive.read(path, "controls", "a file of learned controls", FORMAT)
+        header, data = archive.header, archive.arrays
+        if header.get("of") != identity(model, S):
+            reason = f"{path.name} belongs to another rig"
+            raise InputError("controls.model", reason, file=path.name)
+        try:
+            return cls(
+                tuple(header["names"]),
+                tuple(header["muscles"]),
+                restore(header["drive"]),
+                PolynomialMap.of(with_prefix(data, "polynomial_")),
+                Network.of(with_prefix(data, "network_")),
+                float(header["share"]),
+                data["directions"],
+                SkinModes(data["skin_rest"], data["skin_modes"]),
+                Doubt(**header["doubt"]),
+                header["figures"],
+            )
+        except (LookupError, TypeError, ValueError) as error:
+            reason = f"{path.name} is not a file of learned controls: {error}"
+            raise InputError("controls.unreadable", reason, file=path.name) from error

@@ -1,0 +1,105 @@
+"""Frames of a recording that are fitted exactly: as dense points of the shapes' own skin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.animation import FrameChanges
+from solver.animation.blendshapes import DrivenShapes, ShapedPose
+from solver.errors import SolveError
+from solver.fitting.activation import unseen_regulariser
+from solver.fitting.face import Face
+from solver.fitting.interior_point import FeasibleSet
+from solver.fitting.tracking import Tracker
+from solver.fitting.tracking.dense import DensePoints, SeenPoints
+from solver.mechanics.flesh import IDENTITY
+from solver.surface import Floats
+
+
+@dataclass(frozen=True)
+class ShapesAtRest:
+    """Shapes by ``names`` that move nothing: frames that are all fitted are played upon these."""
+
+    names: tuple[str, ...]
+    muscles: int
+
+    def pose_of(self, _weights: Floats, _limits: FeasibleSet | None = None) -> ShapedPose:
+        """Return the rest, whatever the weights are."""
+        return ShapedPose(np.tile(IDENTITY, (self.muscles, 1)), np.zeros(5))
+
+
+class MixtureTracker:
+    """Fits mixtures of shapes, ``motions`` (e, k, 3) of the face's points in mm, one after another.
+
+    There is no contact in them: a simulation adds it.
+    """
+
+    def __init__(self, face: Face, motions: Floats) -> None:
+        self.face, self._motions = face, motions
+        self._neutral = face.model.skin.vertices[face.model.face]
+        self._everywhere = np.ones(len(face.model.face))
+        self.tracker = Tracker(DensePoints(face, unseen_regulariser(face)))
+
+    def fit(self, weights: Floats) -> MixtureFit | None:
+        """Return the fit of a mixture (e,), from the last one; None if it cannot be fitted."""
+        points = self._neutral + np.tensordot(weights, self._motions, 1)
+        fit = self.tracker.step(SeenPoints(points, self._everywhere))
+        if fit.status != "fitted" or fit.target is None:
+            return None
+        face, state = self.face, fit.state
+        off = fit.target.distances(face.face_points(state.x))
+        skin = face.whole_skin(state.x, state.pose.b)
+        jaw = face.five_jaw_numbers(state.pose.b)
+        return MixtureFit(state.pose.a, jaw, skin, float(off.mean()))
+
+
+@dataclass(frozen=True, eq=False)
+class MixtureFit:
+    """A mixture, fitted: ``activations`` (m, 6), the free ``jaw`` (5,), and the ``skin`` (v, 3).
+
+    ``off_mm`` is the mean distance of the face to what the shapes add up to.
+    """
+
+    activations: Floats
+    jaw: Floats
+    skin: Floats
+    off_mm: float
+
+
+def fit_frames(
+    face: Face,
+    shapes: DrivenShapes,
+    motions: Mapping[str, Floats],
+    weights: Floats,
+    chosen: NDArray[np.bool_],
+    listen: Callable[[int], None] = lambda _count: None,
+) -> tuple[FrameChanges, NDArray[np.bool_]]:
+    """Fit the ``chosen`` (f,) of frames with ``weights`` (f, e) of ``shapes``.
+
+    Return what that adds to the shapes' own poses, and which frames (f,) were fitted: the others
+    stay as the shapes have them.
+
+    ``motions`` are the shapes' (k, 3) on the face, mm. A fit begins at the frame before where that
+    was fitted as well, else at the shapes' own pose. ``listen`` hears of the number that are done.
+    """
+    tracker = MixtureTracker(face, np.array([motions[name] for name in shapes.names]))
+    muscles = len(face.model.muscle_names)
+    activations, jaws = np.zeros((len(weights), muscles, 6)), np.zeros((len(weights), 5))
+    fitted = np.zeros(len(weights), bool)
+    for count, frame in enumerate(np.flatnonzero(chosen).tolist()):
+        begin = shapes.pose_of(weights[frame])
+        if not (frame and fitted[frame - 1]):
+            with suppress(SolveError):
+                tracker.tracker.go_to(face.pose_of(begin.a, begin.jaw))
+        found = tracker.fit(weights[frame])
+        if found is not None:
+            fitted[frame] = True
+            activations[frame] = found.activations - begin.a
+            jaws[frame] = found.jaw - begin.jaw
+        listen(count + 1)
+    return FrameChanges(activations, jaws), fitted

@@ -1,0 +1,41 @@
+"""A reduced skin: rest and modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.surface import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class SkinModes:
+    """A skin at ``rest`` (v, 3) in mm, and ``modes`` (r, 3 v) of its motion, orthonormal rows."""
+
+    rest: NDArray[np.float32]
+    modes: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, rest: Floats, skins: NDArray[np.floating], count: int) -> SkinModes:
+        """Return the main modes of ``skins`` (n, v, 3), at most ``count``."""
+        moved = (skins - rest).reshape(len(skins), -1)
+        values, vectors = np.linalg.eigh(np.asarray(moved @ moved.T, np.float64))
+        main = np.flatnonzero(values > 1e-9 * values[-1])[-count:][::-1]
+        modes = (vectors[:, main] / np.sqrt(values[main])).T @ moved
+        return cls(rest.astype(np.float32), np.asarray(modes, np.float32))
+
+    def reduce(self, skin: Floats) -> Floats:
+        """Return the coordinates (r,) of a skin (v, 3)."""
+        return np.asarray(self.modes @ (skin - self.rest).ravel(), np.float64)
+
+    def expand(self, coordinates: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return the skin (..., v, 3) of coordinates (..., r)."""
+        moved = coordinates.astype(np.float32) @ self.modes
+        return np.asarray(self.rest + moved.reshape(*coordinates.shape[:-1], -1, 3))
+
+    @property
+    def millimetres(self) -> float:
+        """The root mean square motion in mm of a coordinate of 1."""
+        return float(1.0 / np.sqrt(len(self.rest)))
