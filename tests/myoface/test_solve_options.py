@@ -38,6 +38,8 @@ ASKED: Mapping[str, list[tuple[list[str], dict[str, str]]]] = {
     "activations": [(["--activations", "emg.csv"], {"activations": "emg.csv"})],
     "blendshapes": [(["--blendshapes", "shapes.npz"], {"blendshapes": "shapes.npz"})],
     "expression_basis": [(["--basis", "basis.npz"], {"expression_basis": "basis.npz"})],
+    "control_pairs": [(["--known", "pairs.npz"], {"control_pairs": "pairs.npz"})],
+    "controls": [(["--controls", "controls.npz"], {"controls": "controls.npz"})],
     "fibre_muscles": [(["--fibres", "fibres.npz"], {"fibre_muscles": "fibres.npz"})],
     "tracks": [(["--tracks", "tracks.npz"], {"tracks": "tracks.npz"})],
     "start": [(["--start", "rig.npz"], {"start": "rig.npz"})],
