@@ -12,11 +12,11 @@ from PIL import Image
 
 from solver.errors import InputError
 from solver.jobs import run_job
-from solver.progress import Step
 from solver.rig.frames import ChunkOptions
 from solver.rig.frames.animation import write_video
 from solver.tracks.basis import MuscleTracks
 from tests.fixtures import face_landmarker, small_rig
+from tests.solver.jobs.killed import killed_after
 from tests.solver.jobs.test_fit_photo import MODEL, NEUTRAL, WEIGHTS, photograph, shapes, smile
 
 pytestmark = pytest.mark.long
@@ -89,15 +89,8 @@ def test_a_film_in_flesh_goes_on_where_it_was_killed(
     whole = fit(files, tmp_path / "whole", **given)
     assert whole["inverted"].max() == 0
 
-    class DiedError(Exception):
-        pass
-
-    def die(step: Step) -> None:
-        if step.message == "frame 3 of 4":
-            raise DiedError
-
-    with pytest.raises(DiedError):
-        fit(files, tmp_path / "parts", progress=die, **given)
+    with killed_after(3, 4) as progress:
+        fit(files, tmp_path / "parts", progress=progress, **given)
     parts = fit(files, tmp_path / "parts", resume=True, **given)
     np.testing.assert_array_equal(parts["weights"][:3], whole["weights"][:3])
     np.testing.assert_allclose(parts["weights"], whole["weights"], atol=0.02)
