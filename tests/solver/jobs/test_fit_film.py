@@ -84,7 +84,7 @@ def test_a_smile_grows_while_the_head_turns(files: Path, tmp_path: Path) -> None
 def test_a_film_in_flesh_goes_on_where_it_was_killed(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("solver.jobs.films.CHUNKS", ChunkOptions(frames=1))
+    monkeypatch.setattr("solver.jobs.sequences.FrameFitter.chunks", ChunkOptions(frames=1))
     given = {"film": files / "pictures", "options": {"model": "tracks", "end": 4}}
     whole = fit(files, tmp_path / "whole", **given)
     assert whole["inverted"].max() == 0

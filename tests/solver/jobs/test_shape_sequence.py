@@ -62,7 +62,7 @@ def fit(files: Path, out: Path, take: str = "take.npy", **more: Any) -> dict[str
 def test_weights_come_back_and_a_job_that_was_killed_goes_on(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("solver.jobs.fit_sequence.CHUNKS", ChunkOptions(frames=2))
+    monkeypatch.setattr("solver.jobs.sequences.FrameFitter.chunks", ChunkOptions(frames=2))
     whole = fit(files, tmp_path / "whole")
     assert (int(whole["format"]), whole["shapes"].tolist()) == (3, ["aside", "bulge"])
     np.testing.assert_allclose(whole["weights"], WEIGHTS, atol=0.03)
