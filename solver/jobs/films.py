@@ -35,6 +35,7 @@ from solver.photo.film import FilmFrame, FilmOptions, FilmTracker, as_expression
 from solver.photo.film_marks import FilmMarks, find_marks
 from solver.photo.footage import Footage, Pictures, open_film
 from solver.photo.mesh_points import landmark_points
+from solver.photo.oddities import find_closed_eyes
 from solver.photo.photo import Photo
 from solver.photo.report import photo_picture
 from solver.progress import Step, part_of
@@ -109,7 +110,7 @@ class FilmFitter(FrameFitter[ShapeFrame]):
         if photo is not None:
             try:
                 found, status = self._tracker.step(photo), "fitted"
-            except (SolveError, np.linalg.LinAlgError):
+            except (InputError, SolveError, np.linalg.LinAlgError):
                 status = "kept"
         else:
             self._tracker.pause()
@@ -210,11 +211,13 @@ def fit_film(
     done = fit_frames(task, numbers, fitter, source.name)
     progress(Step("export", 0.96))
     report = sequence_report(done, given.fps, source.name)
+    at_rest = {} if neutral is None else marks.landmarks.get(neutral, {})
+    closed = find_closed_eyes(given.neutral or source.name, at_rest)
     report |= {
         "system": "T" if given.model == "tracks" else "B",
         "film": {"size": list(marks.size), "camera": fitter.camera_values},
         "missing": {str(number): code for number, code in marks.missing.items()},
-        "notices": [],
+        "notices": [each.as_dict() for each in closed],
     }
     animated, report["files"] = write_animated(out, fitter.skin, model, given.fps)
     beside: dict[str, Any] = {"shapes": driven.tracks.names, "picture": marks.size}

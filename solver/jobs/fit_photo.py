@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,9 @@ from solver.photo.film import FilmOptions
 from solver.photo.fit import PhotoFitOptions
 from solver.photo.light import Appearance
 from solver.photo.mesh_points import landmark_points
+from solver.photo.oddities import find_closed_eyes
 from solver.photo.photo import Photo
+from solver.photo.placed import Reprojection, find_contradiction, reprojections
 from solver.photo.report import photo_figures, photo_picture
 from solver.progress import Step, part_of
 from solver.rig import Rig, ShapeFit, System
@@ -80,6 +82,7 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     fitter = _Fitter(driven, points, _options(given))
     lights: dict[str, Appearance] = {}
     if given.neutral:
+        findings[given.neutral] += find_closed_eyes(given.neutral, photos[given.neutral].landmarks)
         look = read_neutral(driven, photos[given.neutral], points, fitter.options)
         points, fitter = look.points, replace(fitter, points=look.points)
         lights = dict.fromkeys(photos, look.appearance) if look.appearance else {}
@@ -104,7 +107,9 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     }
     results = {name: each.result for name, each in shown.items() if each.result is not None}
     figures = {
-        name: photo_figures([photos[each] for each in moments[name]], result, points)
+        name: photo_figures(
+            [photos[each] for each in moments[name]], result, points, shown[name].placed
+        )
         for name, result in results.items()
     }
     own = [task.out / name for name in ("photo.json", "photo.png")]
@@ -129,11 +134,9 @@ def _moments(given: FitPhoto, photos: Mapping[str, Photo]) -> dict[str, list[str
                 message = f"options.moments: {each!r} is named twice, and shows one moment"
                 raise InputError("photo.moment", message, expression=name, photo=each)
             seen.add(each)
-    named = {"neutral": [given.neutral] if given.neutral else [], "boxes": [*given.boxes]}
-    for option, each in ((option, each) for option, all_ in named.items() for each in all_):
-        if each not in photos:
-            message = f"options.{option}: there is no photograph {each!r}: {known} are"
-            raise InputError("photo.neutral", message, photo=each)
+    if given.neutral and given.neutral not in photos:
+        message = f"options.neutral: there is no photograph {given.neutral!r}: {known} are"
+        raise InputError("photo.neutral", message, photo=given.neutral)
     alone = {name: [name] for name in photos if name not in seen}
     return {name: list(taken) for name, taken in {**given.moments, **alone}.items()}
 
@@ -157,6 +160,7 @@ class _Fitted:
 
     shape: ShapeFit
     result: PhotoExpression[Any] | None
+    placed: Mapping[str, Reprojection] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -178,10 +182,13 @@ class _Fitter:
             notices = (make_warning("solve.failed", f"no fit was found ({error})"),)
             shape = self._shape(name, self.face.rest(), notices)
             return _Fitted(replace(shape, status="failed"), None)
-        shape = self._shape(name, found.fit.point.state, ())
+        end = found.landmarks.point
+        placed = reprojections(self.face, photos, self.points, end, self.options)
+        told = tuple(find_contradiction(placed))
+        shape = self._shape(name, found.fit.point.state, told)
         seconds = time.perf_counter() - begun
         steps = found.landmarks.steps + found.fit.steps
-        return _Fitted(replace(shape, seconds=seconds, iterations=steps), found)
+        return _Fitted(replace(shape, seconds=seconds, iterations=steps), found, placed)
 
     def _shape(self, name: str, state: State, notices: tuple[Finding, ...]) -> ShapeFit:
         """Return an expression without a scan: its target is nowhere."""

@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from solver.anatomy.template import Template
-from solver.errors import Finding, InputError
+from solver.errors import Finding, InputError, quote_names
 from solver.jobs import Task
 from solver.kinds import MOST_PHOTOS
-from solver.photo.detect import Box, find_face
+from solver.photo.detect import Box, find_face, judge_size
+from solver.photo.expression import begin_camera
+from solver.photo.mesh_points import landmark_points
+from solver.photo.oddities import find_oddities
 from solver.photo.photo import Photo
 from solver.photo.read import read_photo
 from solver.registration.detector import FaceDetector, landmarker_file
@@ -58,21 +61,33 @@ def read_photos(task: Task[Any], names: Collection[str] = ()) -> list[Photo]:
 def read_faces(
     task: Task[Any], template: Template, boxes: Mapping[str, Sequence[float]]
 ) -> tuple[dict[str, Photo], dict[str, list[Finding]]]:
-    """Return the photographs by their names, and what is odd about those whose face was found.
+    """Return the photographs by their names, and what is odd about each.
 
-    ``boxes`` say which face is meant. Raises :class:`InputError` as :func:`read_photos`, and
-    ``landmarks.*`` and ``photo.*`` where landmarks have to be found.
+    ``boxes`` say which face is meant. Raises :class:`InputError` as :func:`read_photos`,
+    ``landmarks.*`` and ``photo.*`` where landmarks have to be found, ``photo.small``, and
+    ``photo.neutral`` for a box of no photograph.
     """
     photos = {photo.name: photo for photo in read_photos(task, landmark_vertices(template).keys())}
+    for name in boxes:
+        if name not in photos:
+            known = quote_names(sorted(photos))
+            message = f"options.boxes: there is no photograph {name!r}: {known} are"
+            raise InputError("photo.neutral", message, photo=name)
     findings: dict[str, list[Finding]] = {name: [] for name in photos}
     unmarked = [name for name, photo in photos.items() if not photo.landmarks]
-    if not unmarked:
-        return photos, findings
-    with FaceDetector(find_landmarker(unmarked[0])) as detector:
-        for name in unmarked:
-            face = find_face(photos[name], detector, as_box(boxes.get(name)))
-            photos[name] = replace(photos[name], landmarks=face.landmarks)
-            findings[name] += face.findings
+    points = landmark_points(template)
+    for name, photo in photos.items():
+        if photo.eyes_px is not None:
+            camera, _ = begin_camera(photo, points, template.skin.vertices)
+            findings[name] += judge_size(name, photo.eyes_px, camera.yaw)
+    if unmarked:
+        with FaceDetector(find_landmarker(unmarked[0])) as detector:
+            for name in unmarked:
+                face = find_face(photos[name], detector, as_box(boxes.get(name)))
+                photos[name] = replace(photos[name], landmarks=face.landmarks)
+                findings[name] += face.findings
+    for name, photo in photos.items():
+        findings[name] += find_oddities(photo)
     return photos, findings
 
 

@@ -31,6 +31,12 @@ class PinholeCamera:
     rotation: Floats  # (3, 3) of the world into the camera's axes
     translation: Floats  # (3,) mm
 
+    @property
+    def yaw(self) -> float:
+        """Return how far a face in the world's frame is turned aside from it, rad, to any side."""
+        right, _, away = self.rotation[:, 2]
+        return float(np.arctan2(abs(right), -away))
+
     def project(self, points: Floats) -> Floats:
         """Return pixel column, pixel row and depth in mm (n, 3) of points (n, 3) of the world."""
         seen = points @ self.rotation.T + self.translation

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +53,8 @@ def find_face(
 
     Landmarks where the photograph does not count are left out. Raises :class:`InputError` with
     the ``file``: ``photo.no_face``; ``photo.faces``, with the ``boxes`` of all, where there are
-    several and no box; ``photo.small``, ``photo.profile`` and ``photo.cut_off``, whose milder
-    cases are the warnings.
+    several and no box; ``photo.mask_empty`` where a mask hides it; ``photo.small``,
+    ``photo.profile`` and ``photo.cut_off``, whose milder cases are the warnings.
     """
     faces = detect(photo.pixels, detector, box, limits)
     if not faces:
@@ -69,6 +70,9 @@ def find_face(
         raise InputError("photo.faces", message, file=photo.name, boxes=boxes)
     face, shown = faces[0], _shown(photo, faces[0].points)
     findings = tuple(_judge(photo, face, limits))
+    if not shown.any():
+        message = f"{photo.name}: the mask hides all of the face: white is what counts"
+        raise InputError("photo.mask_empty", message, file=photo.name)
     landmarks = {str(row): face.points[row] for row in np.flatnonzero(shown)}
     return PhotoFace(landmarks, face.box, findings)
 
@@ -162,16 +166,12 @@ def _shown(photo: Photo, points: Floats) -> NDArray[np.bool_]:
 
 def _judge(photo: Photo, face: DetectedFace, limits: FaceLimits) -> Iterator[Finding]:
     """Yield warnings about a face; raise where it is of no use."""
-    eyes, turned = face.eyes_px / float(np.cos(face.yaw)), float(np.degrees(face.yaw))
+    turned = float(np.degrees(face.yaw))
     outside = 1.0 - float(_shown(replace(photo, mask=None), face.points).mean())
-    small, turn, cut = limits.eyes_px, limits.turned_deg, limits.outside
+    turn, cut = limits.turned_deg, limits.outside
+    about = {"box": [round(side) for side in face.box]}
+    yield from judge_size(photo.name, face.eyes_px, face.yaw, limits, **about)
     cases = (
-        (
-            "photo.small",
-            (eyes < small[0], eyes < small[1]),
-            f"the face is small: {eyes:.0f} px between the outer corners of the eyes, where "
-            f"{small[0]:.0f} are wanted and {small[1]:.0f} needed",
-        ),
         (
             "photo.profile",
             (turned > turn[0], turned > turn[1]),
@@ -183,10 +183,30 @@ def _judge(photo: Photo, face: DetectedFace, limits: FaceLimits) -> Iterator[Fin
             f"{100 * outside:.0f} % of the face are outside the picture",
         ),
     )
-    about = {"file": photo.name, "box": [round(side) for side in face.box]}
-    for code, (is_warned, is_refused), what in cases:
-        message = f"{photo.name}: {what}"
-        if is_refused:
-            raise InputError(code, message, **about)
-        if is_warned:
-            yield make_warning(code, message, about)
+    for code, marks, what in cases:
+        yield from _grade(code, marks, f"{photo.name}: {what}", file=photo.name, **about)
+
+
+def judge_size(
+    name: str, eyes_px: float, yaw: float, limits: FaceLimits = FACE_LIMITS, **about: Any
+) -> Iterator[Finding]:
+    """Yield the warning ``photo.small`` about the face of a photograph ``name``; or raise it.
+
+    ``eyes_px`` lie between the outer corners of the eyes of a face that is turned aside by ``yaw``,
+    rad: what counts is how many they were from the front. ``about`` is told beside the name.
+    """
+    eyes, (wanted, needed) = eyes_px / max(float(np.cos(yaw)), 1e-6), limits.eyes_px
+    message = (
+        f"{name}: the face is small: {eyes:.0f} px between the outer corners of the eyes, where "
+        f"{wanted:.0f} are wanted and {needed:.0f} needed"
+    )
+    yield from _grade("photo.small", (eyes < wanted, eyes < needed), message, file=name, **about)
+
+
+def _grade(code: str, marks: tuple[bool, bool], message: str, **about: Any) -> Iterator[Finding]:
+    """Yield a warning if it is to be warned (the first mark); raise it if refused (the second)."""
+    is_warned, is_refused = marks
+    if is_refused:
+        raise InputError(code, message, **about)
+    if is_warned:
+        yield make_warning(code, message, about)

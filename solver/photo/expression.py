@@ -56,6 +56,7 @@ class CurveOptions:
     independent: int = 15  # of so many places on a curve each counts by itself
     step_mm: float = 1.0  # between the places that a curve is taken at
     least_points: int = 8  # of the skin's line, that the template has to know
+    far_mm: float = 30.0  # from the middle of that line's landmarks: it was traced somewhere else
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,8 @@ def fit_expression(
     ``points`` are where landmarks are on the skin; those of a photograph that are not among them
     are left out. ``lights`` are known appearances by the photographs' names, as of a neutral
     picture in the same light; others are found in the picture itself. Raises
-    :class:`InputError` (``photo.landmarks`` for too few), and as :func:`fit_photos`.
+    :class:`InputError` (``photo.pose`` for too few landmarks, ``photo.curve``, ``photo.no_skin``),
+    and as :func:`fit_photos`.
     """
     begun = face.rest() if start is None else start
     surface = face.face.model.skin.with_vertices(face.skin(begun))
@@ -189,12 +191,20 @@ def shading_of(
     """Return the term of a picture's shading, and light and albedo, found unless ``given``.
 
     ``vertices`` of the skin are compared; ``blocked`` (V, 9) is what it blocks of the light.
+    Raises :class:`InputError` (``photo.no_skin``) where the picture shows none of it.
     """
     pixels = np.asarray(photo.pixels, np.float64) ** GAMMA
     px_per_mm = camera.focal.mean() / float(np.median(camera.project(skin.vertices)[:, 2]))
     detail = max(options.detail_mm * px_per_mm, 0.7)
     every = max(round(detail), 1)
     samples = visible_samples(skin, vertices, camera, pixels, every, photo.mask, options.samples)
+    if len(samples.corners) < options.samples.least:
+        message = (
+            f"{photo.name}: too little skin is left to compare with the picture: what of the face "
+            "is not hidden or masked is black or white; landmarks alone can be fitted without "
+            "shading"
+        )
+        raise InputError("photo.no_skin", message, photo=photo.name)
     image = SmoothImage.blurred(pixels, detail)
     colours = image.at(camera.project(samples.of(skin.vertices))[:, :2])
     look = given or find_appearance(skin, samples, colours, blocked, options.light)
@@ -216,13 +226,8 @@ def place_views(
     views, head = [], None
     for photo in photos:
         known, pixels = marks_of(photo, points)
-        places, mm = known.at(skin.vertices), _noise_mm(known, options.landmarks)
-        focal, prior = _focal(photo, options.focal)
-        centre = np.array(photo.size) / 2.0 if photo.camera is None else photo.camera.centre
-        try:
-            begun = place_camera(places, pixels, mm, focal, centre)
-        except InputError as error:
-            raise InputError(error.code, f"{photo.name}: {error}", photo=photo.name) from error
+        places = known.at(skin.vertices)
+        begun, prior = begin_camera(photo, points, skin.vertices, options)
         cosine = facing(known, skin, begun)
         shown = cosine > options.landmarks.least_cosine
         known = known.select(
@@ -241,6 +246,23 @@ def place_views(
     return views, head or IDENTITY
 
 
+def begin_camera(
+    photo: Photo, points: SkinPoints, skin: Floats, options: ExpressionOptions = ExpressionOptions()
+) -> tuple[PinholeCamera, FocalPrior | None]:
+    """Return a camera that sees a skin (V, 3) about so, and what is known of its focal length.
+
+    Raises :class:`InputError` (``photo.pose``) where the landmarks place none.
+    """
+    known, pixels = marks_of(photo, points)
+    focal, prior = _focal(photo, options.focal)
+    centre = np.array(photo.size) / 2.0 if photo.camera is None else photo.camera.centre
+    noise = _noise_mm(known, options.landmarks)
+    try:
+        return place_camera(known.at(skin), pixels, noise, focal, centre), prior
+    except InputError as error:
+        raise InputError(error.code, f"{photo.name}: {error}", photo=photo.name) from error
+
+
 def marks_of(photo: Photo, points: SkinPoints) -> tuple[SkinPoints, Floats]:
     """Return those of ``points`` that a photograph has, and where it has them (k, 2), px."""
     names = [name for name in points.names if name in photo.landmarks]
@@ -250,12 +272,21 @@ def marks_of(photo: Photo, points: SkinPoints) -> tuple[SkinPoints, Floats]:
 def _curve_terms(
     photo: Photo, points: SkinPoints, px_per_mm: float, options: CurveOptions
 ) -> list[ImageTerm]:
-    """Return the terms of a photograph's curves whose lines on the skin are known."""
+    """Return the terms of a photograph's curves whose lines on the skin are known.
+
+    Raises :class:`InputError` (``photo.curve``) for one that is elsewhere than its landmarks.
+    """
     terms: list[ImageTerm] = []
     for name, traced in photo.curves.items():
         line = points.select([number for number in LINES[name] if points.has(number)])
         if len(line.names) < options.least_points:
             continue
+        marked = [photo.landmarks[each] for each in line.names if each in photo.landmarks]
+        if marked:
+            away = np.linalg.norm(np.mean(marked, axis=0) - traced.mean(axis=0)) / px_per_mm
+            if away > options.far_mm:
+                message = f"{photo.name}: the curve {name} is {away:.0f} mm from its landmarks"
+                raise InputError("photo.curve", message, photo=photo.name, where=name)
         places = evenly(traced, options.step_mm * px_per_mm)
         spread = np.hypot(options.noise_mm, float(np.median(line.spread_mm)) / np.sqrt(2.0))
         repeated = np.sqrt(max(len(places) / options.independent, 1.0))

@@ -20,7 +20,10 @@ from solver.registration.detector import FaceDetector
 from solver.surface import Floats
 
 # why a frame has no face that can be fitted: what is wrong with its picture is told
-UNSEEN = ("photo.no_face", "photo.faces", "photo.small", "photo.profile", "photo.cut_off")
+UNSEEN = (
+    *("photo.no_face", "photo.faces", "photo.small", "photo.profile", "photo.cut_off"),
+    "photo.mask_empty",
+)
 BRIEF = "photo.brief"  # of a frame whose face is seen for a moment alone
 
 

@@ -36,6 +36,7 @@ class SampleOptions:
     step_mm: float = 4.0  # of depth between neighbouring pixels, that is a step
     least_cosine: float = 0.3  # between normal and view: at grazing angles errors of shape win
     range: tuple[float, float] = (0.01, 0.97)  # linear RGB; beyond, a sensor tells nothing
+    least: int = 50  # samples of which light and colours can be made
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.photo.camera import PinholeCamera
+from solver.registration.detector import EYE_CORNERS
+from solver.registration.landmarks import MEDIAPIPE
 from solver.surface import Floats
 
 
@@ -33,3 +35,12 @@ class Photo:
         """Return width and height, px."""
         height, width = self.pixels.shape[:2]
         return width, height
+
+    @property
+    def eyes_px(self) -> float | None:
+        """Return the distance between the outer corners of the eyes; None if one is not marked."""
+        right, left = (
+            self.landmarks.get(str(number), self.landmarks.get(MEDIAPIPE[number]))
+            for number in EYE_CORNERS
+        )
+        return None if right is None or left is None else float(np.linalg.norm(right - left))

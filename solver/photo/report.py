@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from solver.photo.expression import PhotoExpression, marks_of
 from solver.photo.identity import IdentityFit
 from solver.photo.light import Appearance
 from solver.photo.photo import Photo
+from solver.photo.placed import Reprojection
 from solver.photo.shading import blocked_light, shade_of
 from solver.surface import Floats, Surface, vertex_normals
 
@@ -32,14 +33,22 @@ MARK_PX = 2  # half of a mark's side
 
 
 def photo_figures(
-    photos: Sequence[Photo], result: PhotoExpression[Any], points: SkinPoints
+    photos: Sequence[Photo],
+    result: PhotoExpression[Any],
+    points: SkinPoints,
+    placed: Mapping[str, Reprojection],
 ) -> dict[str, Any]:
-    """Return the figures of the fit of one moment as JSON values."""
+    """Return the figures of the fit of one moment as JSON values.
+
+    ``placed`` has those of its photographs whose cameras were placed beside others.
+    """
     point = result.fit.point
     found = {
         photo.name: camera_figures(photo, camera, point.skin, points)
         for photo, camera in zip(photos, point.cameras, strict=True)
     }
+    for name, each in placed.items():
+        found[name]["reprojection"] = each.as_dict()
     return {
         "photos": found,
         "iterations": {"landmarks": result.landmarks.steps, "shading": result.fit.steps},

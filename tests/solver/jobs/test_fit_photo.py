@@ -153,12 +153,53 @@ def test_a_neutral_photograph_tells_where_a_person_s_landmarks_are(
     assert moved[1] < 0.3 * moved[0]
 
 
+def test_a_photograph_that_shows_no_skin_is_refused(files: Path, tmp_path: Path) -> None:
+    photograph(files, "night", smile(), 0.0)
+    Image.new("RGB", SIZE).save(files / "night.jpg")
+    with pytest.raises(InputError, match="night: too little skin is left") as error:
+        fit(files, tmp_path, "front", "night", model="shapes")
+    assert error.value.code == "photo.no_skin"
+
+
+def test_a_curve_of_another_place_is_refused(files: Path, tmp_path: Path) -> None:
+    corner = [[5, 5], [60, 5], [60, 40], [5, 40], [5, 5]]
+    photograph(files, "traced", smile(), 0.0, curves={"lips_outer": corner})
+    with pytest.raises(InputError, match="the curve lips_outer is") as error:
+        fit(files, tmp_path, "traced", model="shapes")
+    assert (error.value.code, error.value.context["where"]) == ("photo.curve", "lips_outer")
+
+
+def placed(yaw: float) -> dict[str, Any]:
+    """Return what facts say of a camera, with its place in the world."""
+    known = camera(yaw)
+    named = dict(zip(("fx", "fy", "cx", "cy"), [*known.focal, *known.centre], strict=True))
+    return named | {"rotation": known.rotation.tolist(), "translation": known.translation.tolist()}
+
+
+@pytest.mark.parametrize(("yaw", "is_told"), [(30.0, False), (-30.0, True)])
+def test_cameras_that_contradict_are_told(
+    files: Path, tmp_path: Path, yaw: float, is_told: bool
+) -> None:
+    photograph(files, "placed", smile(), 0.0, camera=placed(0.0))
+    photograph(files, "aside", smile(), 30.0, camera=placed(yaw))
+    options: dict[str, Any] = {"model": "shapes", "shading": False}
+    rig, told = fit(
+        files, tmp_path, "placed", "aside", moments={"a": ["placed", "aside"]}, **options
+    )
+    (found,) = rig.systems["B"].expressions
+    assert ("photo.cameras" in [each.code for each in found.notices]) == is_told
+    figures = told["expressions"]["a"]["photos"]
+    assert (figures["aside"]["reprojection"]["given_px"] > 5.0) == is_told
+    assert figures["placed"]["reprojection"]["alone_px"] < 3.0
+
+
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
         ({"moments": {"smile": ["front", "back"]}}, "photo.moment", "no photograph 'back'"),
         ({"moments": {"a": ["front"], "b": ["front"]}}, "photo.moment", "named twice"),
         ({"neutral": "back"}, "photo.neutral", "no photograph 'back'"),
+        ({"boxes": {"back": [0, 0, 9, 9]}}, "photo.neutral", "no photograph 'back'"),
     ],
 )
 def test_photographs_that_are_not_there(

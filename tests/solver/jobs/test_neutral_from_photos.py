@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from solver.errors import InputError
 from solver.jobs import run_job
@@ -55,6 +56,28 @@ def test_every_rig_of_an_estimate_says_so(tmp_path: Path) -> None:
     rig = small_rig()
     replace(rig, model=replace(rig.model, size_from="photographs")).save(tmp_path / "rig.npz")
     assert "model.estimated" in [each.code for each in Rig.load(tmp_path / "rig.npz").warnings]
+
+
+@pytest.mark.parametrize(("scale", "is_refused"), [(0.5, False), (0.25, True)])
+def test_a_small_face_is_told_whose_landmarks_are_given(
+    tmp_path: Path, scale: float, is_refused: bool
+) -> None:
+    photograph(tmp_path, "far", NEUTRAL, 0.0)
+    picture, facts = tmp_path / "far.jpg", tmp_path / "far.json"
+    whole = Image.open(picture)
+    whole.resize((round(scale * whole.width), round(scale * whole.height))).save(picture)
+    marks = json.loads(facts.read_text())["landmarks"]
+    reduced = {name: [scale * each for each in place] for name, place in marks.items()}
+    facts.write_text(json.dumps({"landmarks": reduced}))
+    files = {"captures": {"far": picture}, "facts": {"far": facts}}
+    if is_refused:
+        with pytest.raises(InputError) as error:
+            run_job("neutral_from_photos", tmp_path, **files)
+        assert (error.value.code, error.value.context["file"]) == ("photo.small", "far")
+        return
+    run_job("neutral_from_photos", tmp_path, **files)
+    told = json.loads((tmp_path / "neutral.json").read_text())
+    assert "photo.small" in [each["code"] for each in told["notices"]]
 
 
 def test_more_photographs_than_it_reads_are_refused(tmp_path: Path) -> None:

@@ -118,6 +118,10 @@ def test_what_the_photograph_does_not_show_has_no_landmarks() -> None:
     landmarks = found(replace(photo, mask=mask)).landmarks
     assert 150 < len(landmarks) < 330
     assert all(column < 600 for column, _ in landmarks.values())
+    mask[:] = False
+    with pytest.raises(InputError, match="hides all of the face") as caught:
+        found(replace(photo, mask=mask))
+    assert caught.value.code == "photo.mask_empty"
     cut = found(marked((100, 400, 200, 0))).landmarks
     assert len(cut) < 478
     assert all(column >= 0 for column, _ in cut.values())
