@@ -37,8 +37,8 @@ from solver.scans.performance import read_live_link
 from solver.surface import Floats
 from solver.tracks.autodiff import Mode, jax_function
 from solver.tracks.basis import MuscleTracks, TrackOptions
-from solver.tracks.face import TrackFace, TrackState, track_potentials
-from solver.tracks.response import TrackResponse
+from solver.tracks.face import TrackFace, track_potentials
+from solver.tracks.response import TrackResponse, TrackState
 from solver.tracks.shapes import template_shapes
 
 PARTS = ("shapes", "recording", "derivatives")

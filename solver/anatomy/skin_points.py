@@ -7,26 +7,42 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
 from solver.storage import Arrays
 from solver.surface import Floats, Ints
 
 
 @dataclass(frozen=True)
-class SkinPoints:
-    """Named points inside triangles of the skin."""
+class SkinSamples:
+    """Points inside triangles of the skin."""
 
-    names: tuple[str, ...]  # (k,) of a detector: its numbers, 0 to 467, written as text
     corners: Ints  # (k, 3) vertices of the skin
     weights: Floats  # (k, 3) of the corners, which sum to 1
+
+    def of(self, values: Floats) -> Floats:
+        """Return vertex values (V, d) at the points (k, d)."""
+        return np.asarray(np.einsum("nk,nkd->nd", self.weights, values[self.corners]))
+
+    def matrix(self, count: int) -> sp.csr_array:
+        """Return the weights (k, V) of all ``count`` vertices of a skin."""
+        rows = np.repeat(np.arange(len(self.corners)), 3)
+        entries = self.weights.ravel(), (rows, self.corners.ravel())
+        return sp.csr_array(entries, shape=(len(self.corners), count))
+
+
+@dataclass(frozen=True)
+class SkinPoints(SkinSamples):
+    """Named points of the skin."""
+
+    names: tuple[str, ...]  # (k,) of a detector: its numbers, 0 to 467, written as text
     spread_mm: Floats  # (k,) root mean square distance of what was measured of each
     # (k, 3) mm from each to where it is marked on one person; None: they are as they are
     offsets: Floats | None = None
 
     def at(self, skin: Floats) -> Floats:
         """Return where the points (k, 3) are on a skin (V, 3), offsets included."""
-        places = np.asarray(np.einsum("ki,kij->kj", self.weights, skin[self.corners]))
-        return places if self.offsets is None else places + self.offsets
+        return self.of(skin) if self.offsets is None else self.of(skin) + self.offsets
 
     def has(self, name: str) -> bool:
         """Return whether there is a point of this name."""
@@ -36,8 +52,8 @@ class SkinPoints:
         """Return those of the points that have these names, in their order."""
         rows = [self._rows[name] for name in names]
         offsets = None if self.offsets is None else self.offsets[rows]
-        arrays = self.corners[rows], self.weights[rows], self.spread_mm[rows], offsets
-        return SkinPoints(tuple(names), *arrays)
+        samples, spread = (self.corners[rows], self.weights[rows]), self.spread_mm[rows]
+        return SkinPoints(*samples, tuple(names), spread, offsets)
 
     def moved(self, offsets: Mapping[str, Floats]) -> SkinPoints:
         """Return the points with ``offsets`` (3,), mm, of those that have these names."""
@@ -59,7 +75,7 @@ class SkinPoints:
     def from_arrays(cls, arrays: Arrays) -> SkinPoints:
         """Return the points that :meth:`arrays` described."""
         plain = {name: arrays[name] for name in ("corners", "weights", "spread_mm")}
-        return cls(tuple(str(name) for name in arrays["names"].ravel()), **plain)
+        return cls(names=tuple(str(name) for name in arrays["names"].ravel()), **plain)
 
     @cached_property
     def _rows(self) -> dict[str, int]:

@@ -32,7 +32,7 @@ from solver.animation.blendshapes import unfold
 from solver.errors import InputError, quote, quote_names
 from solver.fitting.drives import are_fibres
 from solver.fitting.drives.six_numbers import LEAST_STRETCH
-from solver.fitting.stretches import map_stretches
+from solver.fitting.stretches import map_stretches, to_logarithms
 from solver.fitting.strips import strip_names
 from solver.kinds import FILES
 from solver.kinds.scene import PerformanceEntry
@@ -183,11 +183,6 @@ def _sequence(asset: str, data: dict[str, np.ndarray]) -> FittedSequence:
     return FittedSequence(asset, muscles, frames, times, fitted, **more)
 
 
-def to_logarithms(a: Floats) -> Floats:
-    """Return log S(a) as entries (n, 6), of stretches within what a muscle can have."""
-    return map_stretches(a, lambda values: np.log(np.clip(values, LEAST_STRETCH, MOST_STRETCH)))
-
-
 def from_logarithms(logarithms: Floats) -> tuple[Floats, int]:
     """Return the activations (n, 6) of logarithms, and how many muscles were kept from folding."""
     most = np.log(MOST_STRETCH)
@@ -233,8 +228,10 @@ class PlayedPerformance(Drives):
         if self.of_fibres:
             strong = np.minimum(gains * left.activations, 1.0)
         else:
-            logarithms = to_logarithms(left.activations.reshape(-1, 6)).reshape(len(moments), -1, 6)
-            strong = (gains[:, None] * logarithms).reshape(len(moments), -1)
+            entries = left.activations.reshape(-1, 6)
+            logarithms = to_logarithms(entries, LEAST_STRETCH, MOST_STRETCH)
+            by_muscle = logarithms.reshape(len(moments), -1, 6)
+            strong = (gains[:, None] * by_muscle).reshape(len(moments), -1)
         values = np.hstack([strong, left.jaw, turns, moves])
         name = f"performance {entry.asset}"
         self._track = track(moments.tolist(), values, name, interpolation)

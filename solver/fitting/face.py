@@ -14,7 +14,7 @@ from solver.anatomy.bones import skull_planes
 from solver.anatomy.embedding import LooseSkin
 from solver.errors import SolveError
 from solver.fitting.controls import Joint, Layout, check_pose, free_jaw, jaw_block, jaw_on_tracks
-from solver.fitting.drives import MuscleDrive
+from solver.fitting.drives import ContractionMap, MuscleDrive
 from solver.fitting.drives.six_numbers import SixNumbers, activation_block
 from solver.fitting.simplex import check_weights
 from solver.fitting.tet_forces import TetForces
@@ -213,7 +213,7 @@ class Face:
 
     def _with(self, **changes: sp.csr_array | Flesh | MuscleDrive | Joint) -> Face:
         other = copy.copy(self)
-        for known in ("rest", "layout"):
+        for known in ("rest", "layout", "contractions"):
             other.__dict__.pop(known, None)
         other.__dict__.update(changes)
         return other
@@ -228,6 +228,11 @@ class Face:
         """Places of the controls of the muscles and the jaw in one vector."""
         muscles = self.drive.block(self.model, self.flesh, self.S)
         return Layout((muscles, self.joint.block))
+
+    @cached_property
+    def contractions(self) -> ContractionMap | None:
+        """The muscles' contractions by their values; None where these do not tell them."""
+        return self.drive.contraction_map(self.model, self.flesh.volumes, self.S)
 
     def rest_pose(self) -> Pose:
         """Return the pose of the neutral face."""

@@ -19,7 +19,7 @@ from typing_extensions import override
 
 from solver.anatomy.action_units import action_units, is_one_of
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Prior
+from solver.fitting.objective import SquaredPrior
 from solver.mechanics.boundary import JawMotion
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats, Ints
@@ -41,7 +41,7 @@ class CloserOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class SilentClosers(Prior):
+class SilentClosers(SquaredPrior):
     """The price of k closers' contraction.
 
     ``numbers`` (k,) are those of the muscles, ``places`` (k, 6) are those of their activations
@@ -64,7 +64,7 @@ class SilentClosers(Prior):
     def of_face(cls, face: Face, options: CloserOptions = CloserOptions()) -> SilentClosers:
         """Return that of a face's muscles, at its price; without fibres none is kept silent."""
         model, closers = face.model, action_units()[options.closed_by].antagonists
-        found = face.drive.contraction_map(model, face.flesh.volumes, face.S)
+        found = face.contractions
         rates = np.full(face.layout.muscles.shape, np.nan) if found is None else found.rates
         named = np.array([is_one_of(name, closers) for name in model.muscle_names], dtype=bool)
         numbers = np.flatnonzero(named & np.isfinite(rates).all(axis=1))
@@ -88,9 +88,8 @@ class SilentClosers(Prior):
         )
 
     @override
-    def value(self, pose: Pose) -> float:
-        left = self._open(pose)[0] * self._beyond(pose)
-        return float(0.5 * self.weight * left @ left)
+    def residuals(self, pose: Pose) -> Floats:
+        return self._open(pose)[0] * self._beyond(pose)
 
     @override
     def gradient(self, pose: Pose) -> Floats:

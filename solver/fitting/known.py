@@ -28,7 +28,7 @@ from typing_extensions import override
 from solver.errors import Finding, InputError, make_warning
 from solver.fitting.drives import ContractionMap
 from solver.fitting.face import Face, Pose
-from solver.fitting.objective import Prior, Regulariser
+from solver.fitting.objective import Regulariser, SquaredPrior
 from solver.model import find_muscles
 from solver.scans.known_activations import KnownMuscles
 from solver.surface import Floats, Ints
@@ -59,7 +59,7 @@ OWN_SD = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class KnownTerm(Prior):
+class KnownTerm(SquaredPrior):
     """The term of r known contractions: ``rates`` (r, q) are their derivatives by the controls.
 
     ``rest`` (q,) are the controls at rest, where contractions are 0.
@@ -72,13 +72,8 @@ class KnownTerm(Prior):
     weight: float
 
     @override
-    def value(self, pose: Pose) -> float:
-        off = self._off(pose)
-        return float(0.5 * self.weight * off @ off)
-
-    @override
     def gradient(self, pose: Pose) -> Floats:
-        return np.asarray(self.weight * (self._off(pose) / self.sd) @ self.rates)
+        return np.asarray(self.weight * (self.residuals(pose) / self.sd) @ self.rates)
 
     @override
     def gauss_newton(self, pose: Pose) -> Floats:
@@ -97,7 +92,8 @@ class KnownTerm(Prior):
         root = np.sqrt(self.weight) / self.sd[:, None] * self.rates
         return np.asarray(root.T @ root)
 
-    def _off(self, pose: Pose) -> Floats:
+    @override
+    def residuals(self, pose: Pose) -> Floats:
         """Return how far the contractions (r,) are off the known ones, in their sd."""
         found = self.rates @ (pose.vector() - self.rest)
         return np.asarray((found - self.values) / self.sd)
@@ -183,8 +179,7 @@ class FaceMuscles:
 
     @cached_property
     def _contractions(self) -> ContractionMap:
-        face = self.face
-        found = face.drive.contraction_map(face.model, face.flesh.volumes, face.S)
+        found = self.face.contractions
         if found is None or len(found.rates) != len(self.names):
             message = "the muscles of this fit have no contraction that a table could know"
             raise InputError("activations.drive", message)

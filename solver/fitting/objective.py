@@ -17,6 +17,7 @@ others do not depend on the scan's resolution (the published sums differ by that
 from __future__ import annotations
 
 import operator
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
@@ -180,6 +181,21 @@ class Regulariser(Prior):
         joints = layout.joint_places
         out[joints, joints] = diagonal
         return sum((other.gauss_newton(pose) for other in self.others), out)
+
+
+class SquaredPrior(Prior):
+    """The price w/2 |r|^2 of residuals r by the controls, w being its ``weight``."""
+
+    weight: float
+
+    @abstractmethod
+    def residuals(self, pose: Pose) -> Floats:
+        """Return r."""
+
+    @override
+    def value(self, pose: Pose) -> float:
+        left = self.residuals(pose)
+        return float(0.5 * self.weight * left @ left)
 
 
 @dataclass(frozen=True)

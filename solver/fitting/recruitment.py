@@ -52,7 +52,7 @@ from solver.anatomy.action_units import ActionUnit, actions_of, is_one_of
 from solver.drawing.head import muscle_side
 from solver.fitting.face import Face, Pose
 from solver.fitting.jaw_closers import CloserOptions, SilentClosers
-from solver.fitting.objective import Prior, Regulariser, Target
+from solver.fitting.objective import Prior, Regulariser, SquaredPrior, Target
 from solver.fitting.simplex import mirrored_pairs
 from solver.fitting.stretches import fibre_tensors, isochoric_activation
 from solver.mechanics.flesh import IDENTITY
@@ -223,8 +223,7 @@ class Effort(Prior):
     @classmethod
     def of_face(cls, face: Face, small: float) -> Effort:
         """Return that of a face's muscles, which costs nothing yet; without fibres none does."""
-        found = face.drive.contraction_map(face.model, face.flesh.volumes, face.S)
-        places = face.layout.muscles
+        places, found = face.layout.muscles, face.contractions
         rates = np.zeros(places.shape) if found is None else np.nan_to_num(found.rates)
         return cls(places, rates, small, np.zeros(len(places)))
 
@@ -260,7 +259,7 @@ MIRROR = np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class EvenSides(Prior):
+class EvenSides(SquaredPrior):
     """The price of what both sides do otherwise: weight/2 sum |a_j - M a_j'|^2 of the pairs j, j'.
 
     ``left`` and ``right`` (r,) are the places of a_j and a_j' among the controls, ``signs`` (r,) M.
@@ -279,13 +278,8 @@ class EvenSides(Prior):
         return cls(left, right, np.tile(MIRROR, len(pairs)))
 
     @override
-    def value(self, pose: Pose) -> float:
-        off = self._off(pose)
-        return float(0.5 * self.weight * off @ off)
-
-    @override
     def gradient(self, pose: Pose) -> Floats:
-        out, pull = np.zeros(pose.layout.size), self.weight * self._off(pose)
+        out, pull = np.zeros(pose.layout.size), self.weight * self.residuals(pose)
         out[self.left], out[self.right] = pull, -self.signs * pull
         return out
 
@@ -296,7 +290,8 @@ class EvenSides(Prior):
         out[self.left, self.right] = out[self.right, self.left] = -self.weight * self.signs
         return out
 
-    def _off(self, pose: Pose) -> Floats:
+    @override
+    def residuals(self, pose: Pose) -> Floats:
         q = pose.vector()
         return np.asarray(q[self.left] - self.signs * q[self.right])
 

@@ -283,7 +283,7 @@ def check_weights(S: sp.csr_array, model: SubjectModel) -> None:
         muscles = f"passive flesh and {model.muscle_count} muscles"
         expected = f"{own.shape}: a row for each tet, columns for {muscles}"
         raise _weights(f"S has the shape {S.shape}, not {expected}")
-    row = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
+    row = _rows(S)
     names = ("passive flesh", *model.muscle_names)
     for wrong, fault in ((~np.isfinite(S.data), "not finite"), (S.data < 0.0, "negative")):
         for k in np.flatnonzero(wrong & ~(np.abs(S.data) <= WEIGHTS_TOLERANCE))[:1]:
@@ -295,7 +295,7 @@ def check_weights(S: sp.csr_array, model: SubjectModel) -> None:
         raise _weights(f"row {k} of S sums to {total[k]:.6g}, not to 1", row=int(k))
     same = np.array_equal(S.indptr, own.indptr) and np.array_equal(S.indices, own.indices)
     if not same:
-        own_row = np.repeat(np.arange(own.shape[0]), np.diff(own.indptr))
+        own_row = _rows(own)
         places = [each * own.shape[1] for each in (row, own_row)]
         known = np.isin(places[0] + S.indices, places[1] + own.indices) | (S.data == 0.0)
         for k in np.flatnonzero(~known)[:1]:

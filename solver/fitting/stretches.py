@@ -42,6 +42,11 @@ def map_stretches(a: Floats, function: Callable[[Floats], Floats]) -> Floats:
     return with_stretches(function(np.asarray(values)), np.asarray(axes))
 
 
+def to_logarithms(a: Floats, least: float, most: float = np.inf) -> Floats:
+    """Return log S(a) as entries (n, 6), of stretches within ``least`` and ``most``."""
+    return map_stretches(a, lambda stretches: np.log(np.clip(stretches, least, most)))
+
+
 def with_stretches(stretches: Floats, axes: Floats) -> Floats:
     """Return the entries (n, 6) of matrices with values (n, 3) along ``axes`` (n, 3, 3)."""
     return np.asarray(((axes * stretches[:, None]) @ axes.transpose(0, 2, 1))[:, ROW, COLUMN])

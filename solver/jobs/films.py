@@ -25,7 +25,6 @@ from solver.jobs.sequences import (
     distance_figures,
     fit_frames,
     frame_numbers,
-    refuse_unfitted,
     shape_controls,
     write_animated,
 )
@@ -41,14 +40,13 @@ from solver.photo.photo import Photo
 from solver.photo.report import photo_picture
 from solver.progress import Step, part_of
 from solver.registration.landmarks import landmark_vertices
-from solver.rig.frames import ChunkOptions, Status, sequence_report, write_sequence
+from solver.rig.frames import Status, sequence_report, write_sequence
 from solver.rig.frames.animation_gltf import AnimatedSkin
 from solver.rig.frames.shape_frames import ShapeFrame, read_shape_frames
 from solver.similarity import IDENTITY, small_motion
 from solver.tracks.fit import ShapeFace, State
 from solver.tracks.plain import PlainFace
 
-CHUNKS = ChunkOptions(frames=30)
 MOST_SHOTS = 6  # frames in the picture
 FOUND = 0.1  # part of a job after which landmarks are found
 # of a camera's axes (x right, y down, z into the picture) in the world: y up, z to the camera
@@ -68,7 +66,6 @@ class FilmFitter(FrameFitter[ShapeFrame]):
     def __init__(
         self, source: Footage, marks: FilmMarks, tracker: FilmTracker[Any], numbers: range
     ) -> None:
-        self.chunks = CHUNKS
         self._source, self._marks, self._tracker = source, marks, tracker
         self._face: ShapeFace[Any] = tracker.face
         self._state = self._face.rest()
@@ -211,8 +208,7 @@ def fit_film(
     marks = find_marks(source, searched, find_landmarker, box, show)
     tracker = _tracker(driven, source, marks, points, options, neutral)
     fitter = FilmFitter(source, marks, tracker, numbers)
-    done = fit_frames(task, numbers, fitter)
-    refuse_unfitted(done, source.name)
+    done = fit_frames(task, numbers, fitter, source.name)
     progress(Step("export", 0.96))
     report = sequence_report(done, given.fps, source.name)
     at_rest = {} if neutral is None else marks.landmarks.get(neutral, {})

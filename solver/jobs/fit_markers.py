@@ -36,13 +36,7 @@ from solver.jobs.marker_frames import (
     marker_report,
     smooth_frames,
 )
-from solver.jobs.sequences import (
-    KnownFrames,
-    fit_frames,
-    frame_numbers,
-    refuse_unfitted,
-    write_animated,
-)
+from solver.jobs.sequences import KnownFrames, fit_frames, frame_numbers, write_animated
 from solver.kinds.fit_markers import FitMarkers
 from solver.mechanics.flesh import MOONEY_RIVLIN
 from solver.mechanics.jaw_tracks import JawTracks
@@ -91,8 +85,8 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(take)}"))
     markers = _markers(task, source, _prior(task, rig, face), face, rate)
     drawing = TakeDrawing(markers, source, muscles)
-    done = fit_frames(task, numbers, _fitter(task, markers, source, drawing, known))
-    refuse_unfitted(done, take.file)
+    fitter = _fitter(task, markers, source, drawing, known)
+    done = fit_frames(task, numbers, fitter, take.file)
     if given.smooth:
         progress(Step("smooth", 0.93))
         drawing = TakeDrawing(markers, source, muscles)

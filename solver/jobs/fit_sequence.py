@@ -39,7 +39,6 @@ from solver.jobs.sequences import (
     distance_figures,
     fit_frames,
     frame_numbers,
-    refuse_unfitted,
     shape_controls,
     write_animated,
 )
@@ -49,13 +48,7 @@ from solver.meshio.registered import PLAUSIBLE
 from solver.model import SubjectModel
 from solver.progress import Step
 from solver.rig import Rig
-from solver.rig.frames import (
-    ChunkOptions,
-    SequenceFrame,
-    read_frames,
-    sequence_report,
-    write_sequence,
-)
+from solver.rig.frames import SequenceFrame, read_frames, sequence_report, write_sequence
 from solver.rig.frames.animation_gltf import AnimatedSkin
 from solver.rig.frames.shape_frames import ShapeFrame, read_shape_frames
 from solver.rig.pictures import SequenceShot, sequence_picture
@@ -67,7 +60,6 @@ from solver.tracks.face import TrackFace, track_potentials
 from solver.tracks.fit import TrackFitOptions
 from solver.tracks.track import ShapeTracker
 
-CHUNKS = ChunkOptions(frames=30)
 MOST_SHOTS = 6  # frames in the picture
 
 
@@ -75,7 +67,6 @@ class PerformanceFitter(FrameFitter[Fitted]):
     """Fits and draws frames ``numbers``: all as a skin, a few as a shot."""
 
     def __init__(self, source: Performance, model: SubjectModel, numbers: range) -> None:
-        self.chunks = CHUNKS
         self._source, self._model, self._numbers = source, model, numbers
         self.skin = AnimatedSkin(model.skin)
         last = len(numbers) - 1
@@ -255,8 +246,7 @@ def run(task: Task[FitSequence]) -> list[Path]:
     progress(Step("read", 0.01, message=f"{len(numbers)} frames of {len(source)}"))
     known = KnownFrames(task, FaceMuscles.of(face), range(len(source)), given.fps)
     fitter, beside = _fitter(task, source, face, numbers, known)
-    done: list[SequenceFrame] = fit_frames(task, numbers, fitter)
-    refuse_unfitted(done, source.name)
+    done: list[SequenceFrame] = fit_frames(task, numbers, fitter, source.name)
     progress(Step("export", 0.96))
     figures, notices = known.report(done)
     for notice in notices:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -34,7 +34,7 @@ Fitted = TypeVar("Fitted", bound=SequenceFrame)
 class FrameFitter(Protocol[Fitted]):
     """Fits frames in their order, each from the one before; its face is as in the last."""
 
-    chunks: ChunkOptions
+    chunks: ChunkOptions = ChunkOptions(frames=30)
     # whether a file of frames ends only where it is full, and not where a job breaks off
     whole_files: bool = False
 
@@ -59,11 +59,14 @@ class FrameFitter(Protocol[Fitted]):
         return
 
 
-def fit_frames(task: Task[Any], numbers: range, fitter: FrameFitter[Fitted]) -> list[Fitted]:
-    """Fit frames and return them; they are in ``out/frames`` as they come.
+def fit_frames(
+    task: Task[Any], numbers: range, fitter: FrameFitter[Fitted], name: str
+) -> list[Fitted]:
+    """Fit frames of the file ``name`` and return them; they are in ``out/frames`` as they come.
 
     With ``task.resume`` those that are there already are kept, and the fit goes on after them.
-    Raises :class:`InputError` ``sequence.resume`` where these are others.
+    Raises :class:`InputError`: ``sequence.resume`` where these are others, ``sequence.nothing`` if
+    no frame could be fitted.
     """
     folder, progress = task.out / FRAMES, task.progress
     if not task.resume:
@@ -94,6 +97,9 @@ def fit_frames(task: Task[Any], numbers: range, fitter: FrameFitter[Fitted]) -> 
     finally:
         if not fitter.whole_files or len(done) == len(numbers):
             writer.flush()
+    if all(frame.status != "fitted" for frame in done):
+        message = f"none of the {len(done)} frames of {name} could be fitted"
+        raise InputError("sequence.nothing", message, file=name)
     return done
 
 
@@ -150,13 +156,6 @@ def frame_numbers(name: str, frames: range, given: FitMarkers | SequenceOptions)
         expected = {"expected": len(frames), "start": start, "end": end}
         raise InputError("options.frames", message, **expected)
     return numbers
-
-
-def refuse_unfitted(frames: Sequence[SequenceFrame], name: str) -> None:
-    """Raise ``sequence.nothing`` if no frame of the file ``name`` could be fitted."""
-    if all(frame.status != "fitted" for frame in frames):
-        message = f"none of the {len(frames)} frames of {name} could be fitted"
-        raise InputError("sequence.nothing", message, file=name)
 
 
 def write_animated(

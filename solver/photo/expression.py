@@ -30,7 +30,7 @@ from solver.photo.light import (
 )
 from solver.photo.photo import Photo
 from solver.photo.pose import place_camera
-from solver.photo.shading import ShadingTerm, SkinSamples, SmoothImage, blocked_light
+from solver.photo.shading import ShadingTerm, SmoothImage, blocked_light, facing
 from solver.photo.terms import CurveTerm, ImageTerm, LandmarkTerm
 from solver.registration.detector import LINES
 from solver.similarity import IDENTITY, Similarity
@@ -170,7 +170,7 @@ def read_neutral(
     # in the camera's plane: how deep a place lies, a picture does not tell
     offsets = (pixels - seen[:, :2]) / camera.focal * seen[:, 2:] @ camera.rotation[:2]
     surface = face.face.model.skin.with_vertices(skin)
-    shown = SkinSamples(known.corners, known.weights).facing(surface, camera)
+    shown = facing(known, surface, camera)
     own = {
         name: offset
         for name, offset, cosine in zip(known.names, offsets, shown, strict=True)
@@ -228,7 +228,7 @@ def place_views(
         known, pixels = marks_of(photo, points)
         places = known.at(skin.vertices)
         begun, prior = begin_camera(photo, points, skin.vertices, options)
-        cosine = SkinSamples(known.corners, known.weights).facing(skin, begun)
+        cosine = facing(known, skin, begun)
         shown = cosine > options.landmarks.least_cosine
         known = known.select(
             [name for name, is_seen in zip(known.names, shown, strict=True) if is_seen]

@@ -12,7 +12,7 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -80,14 +80,10 @@ class Facts:
     is_placed: bool = False  # whether the camera's place in the world is known
 
 
-@dataclass(frozen=True)
-class _Fault:
+class _Fault(NamedTuple):
     code: str
     where: str
     message: str
-
-    def as_dict(self) -> dict[str, str]:
-        return {"code": self.code, "where": self.where, "message": self.message}
 
 
 def read_facts(path: Path, picture: Picture, names: Collection[str] = ()) -> Facts:
@@ -146,7 +142,7 @@ def _load(path: Path) -> Any:
 
 def _error(file: str, faults: Sequence[_Fault]) -> InputError:
     """Return one error for all faults; its code and place are the first one's."""
-    first, told = faults[0], [fault.as_dict() for fault in faults[:MOST_FAULTS]]
+    first, told = faults[0], [fault._asdict() for fault in faults[:MOST_FAULTS]]
     more = f", and {len(faults) - 1} more" if len(faults) > 1 else ""
     message = f"{file}: {first.where}: {first.message}{more}"
     return InputError(first.code, message, file=file, where=first.where, faults=told)

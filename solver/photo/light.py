@@ -19,9 +19,10 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 
+from solver.anatomy.skin_points import SkinSamples
 from solver.drawing.render import rasterise
 from solver.photo.camera import PinholeCamera
-from solver.photo.shading import BANDS, CHANNELS, SkinSamples, harmonics
+from solver.photo.shading import BANDS, CHANNELS, facing, harmonics, normals_at
 from solver.surface import Floats, Ints, Surface
 
 FAR_MM = 1e6  # where nothing is seen
@@ -89,7 +90,7 @@ def visible_samples(
     weights = seen.weights[rows, columns].astype(float)
     counts = np.isin(corners, vertices).all(axis=1)
     samples = SkinSamples(corners[counts], weights[counts])
-    faces_us = samples.facing(skin, camera) > options.least_cosine
+    faces_us = facing(samples, skin, camera) > options.least_cosine
     return SkinSamples(samples.corners[faces_us], samples.weights[faces_us])
 
 
@@ -104,7 +105,7 @@ def find_appearance(
 
     ``blocked`` (V, 9) is what the skin blocks of the light.
     """
-    basis = BANDS * harmonics(samples.normals(skin)) - samples.of(blocked)
+    basis = BANDS * harmonics(normals_at(samples, skin)) - samples.of(blocked)
     matrix = samples.matrix(len(skin.vertices))
     roughness = sp.csr_array(-igl.cotmatrix(skin.vertices, skin.faces))
     # what is not seen is as what is next to it; far parts without any link are at the mean

@@ -211,7 +211,7 @@ def _agree(
     kept = np.flatnonzero(spread_mm <= options.most_spread_mm)
     face, shares, _ = barycentric(middles[kept], surface)
     points = SkinPoints(
-        tuple(str(row) for row in kept), surface.faces[face], shares, spread_mm[kept]
+        surface.faces[face], shares, tuple(str(row) for row in kept), spread_mm[kept]
     )
     others = np.flatnonzero(spread_mm > options.most_spread_mm)
     left_out = {str(row): float(spread_mm[row]) for row in others}
@@ -251,13 +251,13 @@ def landmark_points(template: Template) -> SkinPoints:
     named = landmark_vertices(template)
     corners = np.repeat(np.array([*named.values()], np.int64)[:, None], 3, axis=1)
     weights = np.tile([1.0, 0.0, 0.0], (len(named), 1))
-    own = SkinPoints(tuple(named), corners, weights, np.full(len(named), NAMED_MM))
+    own = SkinPoints(corners, weights, tuple(named), np.full(len(named), NAMED_MM))
     if template.points is None:
         return own
     found = template.points
     return SkinPoints(
-        (*own.names, *found.names),
         np.vstack([own.corners, found.corners]),
         np.vstack([own.weights, found.weights]),
+        (*own.names, *found.names),
         np.concatenate([own.spread_mm, found.spread_mm]),
     )

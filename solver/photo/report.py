@@ -94,11 +94,8 @@ def photo_picture(
     rows = [
         (photo, result, number) for photos, result in fitted for number, photo in enumerate(photos)
     ]
-    page = Sheet(2 * MARGIN + 5 * PANEL, HEADER + max(len(rows), 1) * (PANEL + 30) + MARGIN)
-    page.heading(
-        "Photographs", "plate; landmarks given (blue) and fitted (red); skin; difference; aside"
-    )
-    for row, (photo, result, number) in enumerate(rows):
+    drawn = []
+    for photo, result, number in rows:
         point = result.fit.point
         camera, skin = point.cameras[number], Surface(point.skin, model.skin.faces)
         box = _box(camera.project(point.skin[model.face])[:, :2], photo.size)
@@ -111,11 +108,9 @@ def photo_picture(
         bust = face_camera(point.skin, model.face, SIDE)
         panels = [_panel(each, box) for each in (photo.pixels, marked, shaded, difference)]
         panels.append(render_bust([aside], bust, (PANEL, PANEL)))
-        top = HEADER + row * (PANEL + 30)
-        page.text((MARGIN, top), photo.name, 17)
-        for column, pixels in enumerate(panels):
-            page.panel((MARGIN + column * PANEL, top + 26), pixels)
-    page.save(path)
+        drawn.append((photo.name, panels))
+    detail = "plate; landmarks given (blue) and fitted (red); skin; difference; aside"
+    _draw_rows("Photographs", detail, drawn, path)
 
 
 def identity_picture(
@@ -123,11 +118,7 @@ def identity_picture(
 ) -> None:
     """Draw a row for each photograph: plate, landmarks, the face in it, at rest, and aside."""
     head = DrawnHead(template.skin)
-    page = Sheet(2 * MARGIN + 5 * PANEL, HEADER + len(photos) * (PANEL + 30) + MARGIN)
-    page.heading(
-        "A person from photographs",
-        "plate; landmarks given (blue) and fitted (red); the person in it; at rest; aside",
-    )
+    drawn = []
     for row, photo in enumerate(photos):
         camera, skin = found.cameras[row], found.skins[row]
         box = _box(camera.project(skin[template.face_vertices])[:, :2], photo.size)
@@ -137,8 +128,20 @@ def identity_picture(
         for shown, view in ((skin, 0.0), (found.neutral, 0.0), (found.neutral, SIDE)):
             bust = face_camera(shown, template.face_vertices, view)
             panels.append(render_bust([head.body(head.lit(shown))], bust, (PANEL, PANEL)))
+        drawn.append((photo.name, panels))
+    detail = "plate; landmarks given (blue) and fitted (red); the person in it; at rest; aside"
+    _draw_rows("A person from photographs", detail, drawn, path)
+
+
+def _draw_rows(
+    title: str, detail: str, rows: Sequence[tuple[str, Sequence[Pixels]]], path: Path
+) -> None:
+    """Draw rows of five panels, each row under its name."""
+    page = Sheet(2 * MARGIN + 5 * PANEL, HEADER + max(len(rows), 1) * (PANEL + 30) + MARGIN)
+    page.heading(title, detail)
+    for row, (name, panels) in enumerate(rows):
         top = HEADER + row * (PANEL + 30)
-        page.text((MARGIN, top), photo.name, 17)
+        page.text((MARGIN, top), name, 17)
         for column, pixels in enumerate(panels):
             page.panel((MARGIN + column * PANEL, top + 26), pixels)
     page.save(path)

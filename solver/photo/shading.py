@@ -22,6 +22,7 @@ import scipy.sparse as sp
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter
 
+from solver.anatomy.skin_points import SkinSamples
 from solver.drawing.render import SHADOWS, Shadows, gather, sphere
 from solver.photo.camera import PinholeCamera
 from solver.photo.terms import ImageTerm, LinearResidual, by_vertices
@@ -98,31 +99,15 @@ class SmoothImage:
         return np.stack(found, axis=1)
 
 
-@dataclass(frozen=True)
-class SkinSamples:
-    """Points inside triangles of the skin: ``weights`` (n, 3) of ``corners`` (n, 3)."""
+def normals_at(samples: SkinSamples, skin: Surface) -> Floats:
+    """Return the skin's unit normals (n, 3) at points."""
+    return unit_rows(samples.of(vertex_sums(skin)))
 
-    corners: Ints
-    weights: Floats
 
-    def of(self, values: Floats) -> Floats:
-        """Return vertex values (V, d) at the points (n, d)."""
-        return np.asarray(np.einsum("nk,nkd->nd", self.weights, values[self.corners]))
-
-    def matrix(self, count: int) -> sp.csr_array:
-        """Return the weights (n, V) of all ``count`` vertices of a skin."""
-        rows = np.repeat(np.arange(len(self.corners)), 3)
-        entries = self.weights.ravel(), (rows, self.corners.ravel())
-        return sp.csr_array(entries, shape=(len(self.corners), count))
-
-    def normals(self, skin: Surface) -> Floats:
-        """Return the skin's unit normals (n, 3) at the points."""
-        return unit_rows(self.of(vertex_sums(skin)))
-
-    def facing(self, skin: Surface, camera: PinholeCamera) -> Floats:
-        """Return the cosines (n,) between the skin's normals and the ways to the camera."""
-        towards = -unit_rows(self.of(skin.vertices) @ camera.rotation.T + camera.translation)
-        return np.asarray((towards * (self.normals(skin) @ camera.rotation.T)).sum(axis=1))
+def facing(samples: SkinSamples, skin: Surface, camera: PinholeCamera) -> Floats:
+    """Return the cosines (n,) between the skin's normals at points and the ways to the camera."""
+    towards = -unit_rows(samples.of(skin.vertices) @ camera.rotation.T + camera.translation)
+    return np.asarray((towards * (normals_at(samples, skin) @ camera.rotation.T)).sum(axis=1))
 
 
 def vertex_sums(skin: Surface) -> Floats:
@@ -166,7 +151,7 @@ class ShadingTerm(ImageTerm):
     def residual(self, skin: Floats, camera: PinholeCamera) -> Floats:
         """See :class:`ImageTerm`: (3 n,), the channels of each sample in turn."""
         surface = Surface(skin, self.faces)
-        shade = shade_of(self.samples.normals(surface), self.blocked, self.light)
+        shade = shade_of(normals_at(self.samples, surface), self.blocked, self.light)
         seen = self.image.at(camera.project(self.samples.of(skin))[:, :2])
         return np.asarray(((self.albedo * shade - seen) / self.noise).ravel())
 

@@ -178,35 +178,28 @@ def near_face(samples: Samples, motion: Similarity, face: Surface) -> Samples:
     return Samples(samples.points[near], samples.normals[near], samples.oriented)
 
 
-def fit_likeness(
-    samples: Samples, motion: Similarity, template: Template, face: Surface
-) -> ShapeFit:
-    """Return the template's likeness to the person; a template without shapes as it is."""
-    skin = template.skin.vertices
-    if template.shapes is None:
-        return ShapeFit(np.zeros(0), skin, motion)
-    shapes = full_model(skin, face, template.shapes)
-    match = match_samples(samples, vertex_areas(skin, face.faces)[shapes.used])
-    return fit_shapes(match, motion, shapes, options=LIKENESS, sizes=True)
-
-
 def _judge_likeness(
     pose: FacePose, samples: Samples, template: Template, face: Surface, *, certain: bool
 ) -> tuple[ShapeFit | None, bool]:
     """Return the likeness to what is at a pose, and whether it is a face; it may be ``certain``.
 
-    A doubtful pose is a face's if it is one once the template looks like the person.
+    A doubtful pose is a face's if it is one once the template looks like the person. A template
+    without shapes stays as it is.
     """
     if not (certain or pose.is_face or pose.cost <= SECOND.most_cost):
         return None, False
     near = near_face(samples, pose.motion, face)
     if len(near.points) < REFINEMENT.least_points:  # landmarks may lie off the scan
         return None, False
-    fitted = fit_likeness(near, pose.motion, template, face)
-    if certain or pose.is_face:
-        return fitted, True
+    is_face, skin = certain or pose.is_face, template.skin.vertices
     if template.shapes is None:
-        return fitted, pose.cost < SECOND.shapeless_cost
+        as_it_is = ShapeFit(np.zeros(0), skin, pose.motion)
+        return as_it_is, is_face or pose.cost < SECOND.shapeless_cost
+    shapes = full_model(skin, face, template.shapes)
+    match = match_samples(near, vertex_areas(skin, face.faces)[shapes.used])
+    fitted = fit_shapes(match, pose.motion, shapes, options=LIKENESS, sizes=True)
+    if is_face:
+        return fitted, True
     points = face_points(Surface(fitted.vertices, face.faces))
     again = judge_pose(points, samples, KDTree(samples.points), fitted.motion)
     return fitted, again.cost < SECOND.likeness_cost

@@ -185,6 +185,11 @@ class _Poses:
     turns: Floats
     shifts: Floats
 
+    def place(self, points: Floats) -> Floats:
+        """Return where ``points`` (n, 3) of the face are, (p, n, 3)."""
+        turned = np.einsum("pij,nj->pni", self.turns, points)
+        return np.asarray(self.sizes[:, None, None] * turned + self.shifts[:, None, :])
+
     def take(self, chosen: Ints) -> _Poses:
         return _Poses(self.sizes[chosen], self.turns[chosen], self.shifts[chosen])
 
@@ -247,8 +252,7 @@ def _improve(
 def _keep_apart(poses: _Poses, points: Floats, options: SearchOptions) -> _Poses:
     """Return the first poses that put the face somewhere else than those before them."""
     corners = points[[*points.argmin(axis=0), *points.argmax(axis=0)]]
-    turned = np.einsum("pij,nj->pni", poses.turns, corners)
-    placed = poses.sizes[:, None, None] * turned + poses.shifts[:, None, :]
+    placed = poses.place(corners)
     kept: list[int] = []
     for number, here in enumerate(placed):
         off = np.linalg.norm(placed[kept] - here, axis=2).mean(axis=1)
@@ -264,10 +268,8 @@ def _match(
 
     A point whose closest one faces elsewhere counts as far away.
     """
-    turned, normals = (
-        np.einsum("pij,nj->pni", poses.turns, each) for each in (face.points, face.normals)
-    )
-    placed = poses.sizes[:, None, None] * turned + poses.shifts[:, None, :]
+    placed = poses.place(face.points)
+    normals = np.einsum("pij,nj->pni", poses.turns, face.normals)
     distance, near = cloud.tree.query(placed.reshape(-1, 3))
     distance, near = distance.reshape(placed.shape[:2]), near.reshape(placed.shape[:2])
     agree = np.einsum("pni,pni->pn", normals, cloud.normals[near]) > options.least_cosine

@@ -68,11 +68,9 @@ class Places:
         """
         count = len(self.model.skin.vertices)
         if isinstance(place, str):
-            if place not in self.landmarks:
-                known = sorted(self.landmarks)
-                listed = ", ".join(known) or "none without the template of the model"
-                reason = f"there is no landmark {place!r}; there are {listed}"
-                raise InputError("scene.landmark", reason, found=place, expected=known)
+            reason = f"there is no landmark {place!r}; there are"
+            none = "none without the template of the model"
+            _check_name(place, sorted(self.landmarks), "scene.landmark", reason, none)
             return self.landmarks[place]
         if isinstance(place, int):
             if not 0 <= place < count:
@@ -90,11 +88,8 @@ class Places:
 
     def asset(self, name: str) -> Path:
         """Return the file of an asset; raises ``scene.asset`` if the job was given none."""
-        if name not in self.assets:
-            known = sorted(self.assets)
-            given = ", ".join(known) or "none"
-            reason = f"the job was given no asset {name!r}; it was given {given}"
-            raise InputError("scene.asset", reason, found=name, expected=known)
+        reason = f"the job was given no asset {name!r}; it was given"
+        _check_name(name, sorted(self.assets), "scene.asset", reason)
         return self.assets[name]
 
     def map_of(self, given: SkinMap | None) -> Floats | None:
@@ -134,12 +129,18 @@ class Places:
     def _regions(self, names: Sequence[str]) -> Floats:
         regions = self.model.regions
         for name in names:
-            if name not in regions:
-                reason = f"the subject has no region {name!r}; it has {', '.join(regions)}"
-                raise InputError("scene.region", reason, found=name, expected=list(regions))
+            reason = f"the subject has no region {name!r}; it has"
+            _check_name(name, list(regions), "scene.region", reason)
         vertices = [np.zeros(0, np.int64), *(regions[name] for name in names)]
         numbers = np.arange(len(self.model.skin.vertices))
         return np.isin(numbers, np.concatenate(vertices)).astype(np.float64)
+
+
+def _check_name(name: str, known: list[str], code: str, reason: str, none: str = "none") -> None:
+    """Raise ``code`` for a name that is not ``known``; the ``reason`` ends with those that are."""
+    if name not in known:
+        listed = ", ".join(known) or none
+        raise InputError(code, f"{reason} {listed}", found=name, expected=known)
 
 
 # Objects: closed meshes from outside, and where they are at any time.

@@ -226,9 +226,9 @@ class _TemplateFolder:
         ]
         weights = [[row.number(weight) for weight in WEIGHTS] for row in rows]
         return SkinPoints(
-            names,
             np.array(corners, dtype=np.int64).reshape(-1, 3),
             np.array(weights).reshape(-1, 3),
+            names,
             np.array([row.number("spread_mm") for row in rows]),
         )
 

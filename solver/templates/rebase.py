@@ -222,7 +222,7 @@ def _carry_points(person: Template, based: Template) -> SkinPoints | None:
     face, weights, away = barycentric(points.at(person.parted_skin.vertices), skin)
     kept = away < REBASE.point_mm
     names = tuple(name for name, is_kept in zip(points.names, kept, strict=True) if is_kept)
-    return SkinPoints(names, skin.faces[face[kept]], weights[kept], points.spread_mm[kept])
+    return SkinPoints(skin.faces[face[kept]], weights[kept], names, points.spread_mm[kept])
 
 
 def _on_head(person: Template, head: Surface, found: Correspondence, carry: Carrier) -> Template:

@@ -25,8 +25,8 @@ import numpy as np
 
 from solver.errors import InputError, SolveError
 from solver.surface import Floats
-from solver.tracks.face import TrackFace, TrackState
-from solver.tracks.response import TrackResponse
+from solver.tracks.face import TrackFace
+from solver.tracks.response import TrackResponse, TrackState
 
 Mode = Literal["reverse", "forward"]
 Array = Any  # of JAX

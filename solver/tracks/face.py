@@ -20,7 +20,7 @@ from solver.simulation import MOMENT, Simulator
 from solver.simulation.forces import Drive, FleshMotion
 from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks, TrackPose, TrackTargets
-from solver.tracks.response import TrackResponse
+from solver.tracks.response import TrackResponse, TrackState
 from solver.tracks.springs import TrackedFlesh
 
 
@@ -37,25 +37,6 @@ def track_potentials(
 ) -> list[Potential]:
     """Return what a face under tracks touches: lips, teeth and eyes; raises as contact does."""
     return contact_potentials(model, options.firmer * stiffness_pa)
-
-
-@dataclass(frozen=True)
-class TrackState:
-    """Flesh at rest under controls."""
-
-    q: Floats  # (K + 5,) weights of the shapes and the jaw on top of theirs, rad and mm
-    pose: TrackPose  # what they ask for
-    drive: Drive
-    motion: FleshMotion
-    residual: float  # see Energy.residual; NaN where it was not asked for
-    iterations: int
-    inverted: int  # tets
-    seconds: float  # that it took
-
-    @property
-    def x(self) -> Floats:
-        """Return the vertices (p, 3)."""
-        return self.motion.x
 
 
 class TrackFace:

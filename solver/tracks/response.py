@@ -9,22 +9,58 @@ step which led to the last state: what it remembers is taken as it is.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
 from solver.errors import SolveError
+from solver.fitting.face import Face
 from solver.fitting.markers.term import head_rates
-from solver.mechanics.boundary import Boundary, BoundaryRates, curvature
+from solver.mechanics.boundary import Boundary, BoundaryRates, Potential, curvature
+from solver.mechanics.linear import GrowingSolver
 from solver.mechanics.newton import Energy
 from solver.mechanics.response import ChainedControls, Response, boundary_forces
 from solver.similarity import Similarity
 from solver.simulation import MOMENT
+from solver.simulation.forces import Drive, FleshMotion
 from solver.surface import Floats
+from solver.tracks.basis import TrackPose, TrackTargets
+from solver.tracks.springs import TrackedFlesh
 
-if TYPE_CHECKING:  # the face asks for these derivatives
-    from solver.tracks.face import TrackFace, TrackState
+
+@dataclass(frozen=True)
+class TrackState:
+    """Flesh at rest under controls."""
+
+    q: Floats  # (K + 5,) weights of the shapes and the jaw on top of theirs, rad and mm
+    pose: TrackPose  # what they ask for
+    drive: Drive
+    motion: FleshMotion
+    residual: float  # see Energy.residual; NaN where it was not asked for
+    iterations: int
+    inverted: int  # tets
+    seconds: float  # that it took
+
+    @property
+    def x(self) -> Floats:
+        """Return the vertices (p, 3)."""
+        return self.motion.x
+
+
+class TrackedFace(Protocol):
+    """What derivatives ask of a :class:`~solver.tracks.face.TrackFace`."""
+
+    face: Face
+    potentials: Sequence[Potential]
+    targets: TrackTargets
+    tracked: TrackedFlesh
+
+    @property
+    def exact_solver(self) -> GrowingSolver:
+        """Return what factorises exact Hessians, in double precision."""
 
 
 class TrackResponse:
@@ -37,7 +73,7 @@ class TrackResponse:
     ``solve.singular`` where a part of the flesh is held by nothing.
     """
 
-    def __init__(self, face: TrackFace, state: TrackState) -> None:
+    def __init__(self, face: TrackedFace, state: TrackState) -> None:
         self._face, self._state = face.face, state
         flesh, x, controls, b = face.face.flesh, state.x, state.drive.A, state.drive.jaw
         now = Boundary(face.face.held_positions(b), b)

@@ -19,9 +19,9 @@ from tests.ball_head import ball_head
 from tests.command_line import invoke
 
 TWO_POINTS = SkinPoints(
-    ("4", "33"),
     np.array([[0, 1, 2], [3, 4, 5]]),
     np.array([[0.1, 0.2, 0.7], [1 / 3, 1 / 3, 1 / 3]]),
+    ("4", "33"),
     np.array([0.7, 1.5]),
 )
 

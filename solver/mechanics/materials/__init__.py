@@ -1,6 +1,9 @@
-"""The laws of flesh, a module each, of one tetrahedron; here the volume's part, common to all.
+"""The laws of flesh, a module each, of one tetrahedron; here what several have in common.
 
-A law has four functions, those of :mod:`solver.mechanics.laws`.
+A law has four functions, those of :mod:`solver.mechanics.laws`. All keep their volume by the same
+barrier. Laws of a shape to come to rest in share how activations grow it,
+
+    psi(F, A) = det A w(G),   G = F A^-1,   d psi/dF = P cof A,   P = w'(G).
 """
 
 from __future__ import annotations
@@ -10,6 +13,21 @@ from typing import NamedTuple
 
 import numba as nb
 
+from solver.mechanics.linalg3 import (
+    Matrix,
+    Symmetric,
+    determinant,
+    dot,
+    full,
+    product,
+    symmetric_cofactor,
+    symmetric_determinant,
+    symmetric_inverse,
+    symmetric_product,
+    symmetric_scale,
+    symmetric_unit,
+    times,
+)
 from solver.surface import Floats
 
 Moduli = tuple[float, float, float, float]  # mu, lambda, kappa and the barrier's weight: stresses
@@ -53,3 +71,31 @@ def volumetric(J: float, target: float, kappa: float, weight: float) -> tuple[fl
     value, first, second = barrier(J, weight)
     d = J - target
     return value + kappa * d * d, first + 2.0 * kappa * d, second + 2.0 * kappa
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def elastic_part(F: Matrix, A: Symmetric) -> tuple[float, Matrix, float]:
+    """Return det A, G and det G; the last two mean nothing where det A <= 0."""
+    G = times(F, symmetric_inverse(A))
+    return symmetric_determinant(A), G, determinant(G)
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def grown_metric(m: float, inverse: Symmetric) -> Symmetric:
+    """Return B of <dF, dF B> = m |dG|^2; ``inverse`` is A^-1."""
+    return symmetric_scale(m, symmetric_product(full(inverse), full(inverse)))
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def write_growth(
+    column: int, P: Matrix, dP: Matrix, A: Symmetric, inverse: Symmetric, out: Floats
+) -> None:
+    """Write the change of P cof A by one entry of A, shape (6, 9), in its row of ``out``.
+
+    It is dP cof A + P d(cof A), d(cof A) = <cof A, dA> A^-1 - cof A dA A^-1; ``inverse`` is A^-1.
+    """
+    dA, C = symmetric_unit(column), symmetric_cofactor(A)
+    change, whole = times(dP, C), dot(full(C), dA)
+    by_pressure, by_shape = times(P, inverse), product(times(P, C), times(dA, inverse))
+    for k in range(9):
+        out[column, k] = change[k] + whole * by_pressure[k] - by_shape[k]

@@ -28,22 +28,24 @@ from solver.mechanics.linalg3 import (
     Symmetric,
     add,
     cofactor,
-    determinant,
     dot,
-    full,
     product,
     scale,
     subtract,
     symmetric_cofactor,
-    symmetric_determinant,
     symmetric_inverse,
-    symmetric_product,
-    symmetric_scale,
     symmetric_unit,
     times,
     unit,
 )
-from solver.mechanics.materials import Modes, Moduli, volumetric
+from solver.mechanics.materials import (
+    Modes,
+    Moduli,
+    elastic_part,
+    grown_metric,
+    volumetric,
+    write_growth,
+)
 from solver.surface import Floats
 
 SECOND = 0.5  # mu01 / (mu10 + mu01): what the second invariant has of the shear modulus
@@ -71,12 +73,8 @@ def from_lame(mu: Floats, lam: Floats) -> tuple[Floats, Floats]:
 def density(F: Matrix, A: Symmetric, moduli: Moduli) -> float:
     """Return psi(F, A); infinite where det F <= 0 or det A <= 0."""
     mu, lam, kappa, barrier = moduli
-    volume = symmetric_determinant(A)
-    if volume <= 0.0:
-        return math.inf
-    G = times(F, symmetric_inverse(A))
-    J = determinant(G)
-    if J <= 0.0:
+    volume, G, J = elastic_part(F, A)
+    if volume <= 0.0 or J <= 0.0:
         return math.inf
     C = cofactor(G)
     value, _, _ = volumetric(J, 1.0, kappa + 0.5 * lam, barrier)
@@ -89,7 +87,8 @@ def density(F: Matrix, A: Symmetric, moduli: Moduli) -> float:
 @nb.njit(cache=True, error_model="numpy")
 def stress(F: Matrix, A: Symmetric, moduli: Moduli) -> Matrix:
     """Return d psi/dF = w'(G) cof A."""
-    at = _shape(times(F, symmetric_inverse(A)), moduli)
+    _, G, J = elastic_part(F, A)
+    at = _shape(G, J, moduli)
     return times(_elastic_stress(at), symmetric_cofactor(A))
 
 
@@ -101,9 +100,10 @@ def hessian_modes(
 
     Nine are of the cofactor's change, two of c^2 and of its products.
     """
-    volume, inverse = symmetric_determinant(A), symmetric_inverse(A)
+    inverse = symmetric_inverse(A)
+    volume, G, J = elastic_part(F, A)
     left, right = modes.left, modes.right
-    at = _shape(times(F, inverse), moduli)
+    at = _shape(G, J, moduli)
     p, q = -2.0 / (3.0 * at.J), -4.0 / (3.0 * at.J)
     for mode in range(9):
         # the cross product is symmetric: <E, G x dG> = <G x E, dG>
@@ -121,7 +121,7 @@ def hessian_modes(
     for entry in range(9):
         right[9, entry], left[9, entry] = C[entry], volume * (square * C[entry] + mixed[entry])
         right[10, entry], left[10, entry] = mixed[entry], volume * C[entry]
-    metric = symmetric_scale(volume * at.first, symmetric_product(full(inverse), full(inverse)))
+    metric = grown_metric(volume * at.first, inverse)
     bent = add(scale(at.pressure, at.G), scale(at.second, at.C))
     return 11, metric, scale(1.0 - project, times(bent, A))
 
@@ -134,28 +134,20 @@ def stress_by_activation(
     modes: Modes,  # noqa: ARG001 - of laws that need room
     out: Floats,
 ) -> None:
-    """Write d(stress)/da, shape (6, 9).
-
-    The stress P cof A, P = w'(G), changes by dP[dG] cof A + P d(cof A), where dG = -G dA A^-1 and
-    d(cof A) = <cof A, dA> A^-1 - cof A dA A^-1.
-    """
-    inverse, cof = symmetric_inverse(A), symmetric_cofactor(A)
-    at = _shape(times(F, inverse), moduli)
+    """Write d(stress)/da, shape (6, 9): P = w'(G) changes by dP[dG], where dG = -G dA A^-1."""
+    inverse = symmetric_inverse(A)
+    _, G, J = elastic_part(F, A)
+    at = _shape(G, J, moduli)
     P = _elastic_stress(at)
     for column in range(6):
-        dA = symmetric_unit(column)
-        turned = times(dA, inverse)
-        by_shape = times(_stress_change(at, scale(-1.0, product(at.G, turned))), cof)
-        whole = dot(full(cof), dA)
-        by_pressure, by_turn = times(P, inverse), product(times(P, cof), turned)
-        for k in range(9):
-            out[column, k] = by_shape[k] + whole * by_pressure[k] - by_turn[k]
+        dG = scale(-1.0, product(at.G, times(symmetric_unit(column), inverse)))
+        write_growth(column, P, _stress_change(at, dG), A, inverse, out)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _shape(G: Matrix, moduli: Moduli) -> _Shape:
+def _shape(G: Matrix, J: float, moduli: Moduli) -> _Shape:
     mu, lam, kappa, barrier = moduli
-    C, J = cofactor(G), determinant(G)
+    C = cofactor(G)
     _, slope, bulk = volumetric(J, 1.0, kappa + 0.5 * lam, barrier)
     shrunk = math.pow(J, -2.0 / 3.0)
     first, second = mu * (1.0 - SECOND) * shrunk, mu * SECOND * shrunk * shrunk

@@ -21,21 +21,23 @@ from solver.mechanics.linalg3 import (
     Symmetric,
     add,
     cofactor,
-    determinant,
     dot,
-    full,
     product,
     scale,
     subtract,
     symmetric_cofactor,
-    symmetric_determinant,
     symmetric_inverse,
-    symmetric_product,
-    symmetric_scale,
     symmetric_unit,
     times,
 )
-from solver.mechanics.materials import Modes, Moduli, volumetric
+from solver.mechanics.materials import (
+    Modes,
+    Moduli,
+    elastic_part,
+    grown_metric,
+    volumetric,
+    write_growth,
+)
 from solver.surface import Floats
 
 
@@ -48,12 +50,8 @@ def from_lame(mu: Floats, lam: Floats) -> tuple[Floats, Floats]:
 def density(F: Matrix, A: Symmetric, moduli: Moduli) -> float:
     """Return psi(F, A); infinite where det F <= 0 or det A <= 0."""
     mu, lam, kappa, barrier = moduli
-    volume = symmetric_determinant(A)
-    if volume <= 0.0:
-        return math.inf
-    G = times(F, symmetric_inverse(A))
-    J = determinant(G)
-    if J <= 0.0:
+    volume, G, J = elastic_part(F, A)
+    if volume <= 0.0 or J <= 0.0:
         return math.inf
     value, _, _ = volumetric(J, 1.0, kappa, barrier)
     # lambda/2 ((J - alpha)^2 - (1 - alpha)^2), alpha put in: lambda need not be apart from zero
@@ -65,7 +63,8 @@ def density(F: Matrix, A: Symmetric, moduli: Moduli) -> float:
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def stress(F: Matrix, A: Symmetric, moduli: Moduli) -> Matrix:
     """Return d psi/dF = w'(G) cof A."""
-    P, _, _ = _elastic_stress(times(F, symmetric_inverse(A)), moduli)
+    _, G, J = elastic_part(F, A)
+    P, _, _ = _elastic_stress(G, J, moduli)
     return times(P, symmetric_cofactor(A))
 
 
@@ -78,9 +77,9 @@ def hessian_modes(
     All but the determinant's curvature is positive semi-definite, so that ``project`` takes that.
     """
     mu = moduli[0]
-    volume, inverse = symmetric_determinant(A), symmetric_inverse(A)
-    G = times(F, inverse)
-    _, first, second = _elastic_stress(G, moduli)
+    inverse = symmetric_inverse(A)
+    volume, G, J = elastic_part(F, A)
+    _, first, second = _elastic_stress(G, J, moduli)
     shrunk = 1.0 / (dot(G, G) + 1.0)
     W, C = times(G, inverse), times(cofactor(G), inverse)
     for entry in range(9):
@@ -89,8 +88,7 @@ def hessian_modes(
         modes.right[1, entry] = C[entry]
         modes.left[1, entry] = volume * second * C[entry]
     m, g = volume * mu * (1.0 - shrunk), (1.0 - project) * first
-    metric = symmetric_scale(m, symmetric_product(full(inverse), full(inverse)))
-    return 2, metric, scale(g, F)
+    return 2, grown_metric(m, inverse), scale(g, F)
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
@@ -103,38 +101,30 @@ def stress_by_activation(
 ) -> None:
     """Write d(stress)/da, shape (6, 9).
 
-    The stress P cof A, P = w'(G), changes by dP[dG] cof A + P d(cof A), where dG = -G dA A^-1,
-    d(cof A) = <cof A, dA> A^-1 - cof A dA A^-1, and
+    P = w'(G) changes by dP[dG], where dG = -G dA A^-1 and
 
         dP[D] = m D + 2 mu <G, D> / (I_C + 1)^2 G + w_JJ <cof G, D> cof G + w_J d(cof G)[D].
     """
     mu = moduli[0]
-    inverse, C = symmetric_inverse(A), symmetric_cofactor(A)
-    G = times(F, inverse)
-    P, first, second = _elastic_stress(G, moduli)
+    inverse = symmetric_inverse(A)
+    _, G, J = elastic_part(F, A)
+    P, first, second = _elastic_stress(G, J, moduli)
     K = cofactor(G)
     shrunk = 1.0 / (dot(G, G) + 1.0)
     m, s = mu * (1.0 - shrunk), 2.0 * mu * shrunk * shrunk
     for column in range(6):
-        dA = symmetric_unit(column)
-        turned = times(dA, inverse)
-        D = product(G, turned)
+        D = product(G, times(symmetric_unit(column), inverse))
         # d(cof G)[G dA A^-1]: the cofactor is quadratic
         turning = subtract(subtract(cofactor(add(G, D)), K), cofactor(D))
         dP = add(scale(-s * dot(G, D), G), scale(-second * dot(K, D), K))
         dP = subtract(subtract(dP, scale(m, D)), scale(first, turning))
-        whole = dot(full(C), dA)
-        by_pressure, by_shape = times(P, inverse), product(times(P, C), turned)
-        change = times(dP, C)
-        for k in range(9):
-            out[column, k] = change[k] + whole * by_pressure[k] - by_shape[k]
+        write_growth(column, P, dP, A, inverse, out)
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _elastic_stress(G: Matrix, moduli: Moduli) -> tuple[Matrix, float, float]:
+def _elastic_stress(G: Matrix, J: float, moduli: Moduli) -> tuple[Matrix, float, float]:
     """Return w'(G), and the first and second derivative of w by J alone."""
     mu, lam, kappa, barrier = moduli
-    J = determinant(G)
     _, first, second = volumetric(J, 1.0, kappa, barrier)
     first += lam * (J - 1.0) - 0.75 * mu
     C = cofactor(G)

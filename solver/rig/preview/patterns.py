@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from solver.fitting.contraction import STILL, Contraction
 from solver.fitting.drives.admissible import ADMISSIBLE, AdmissibleLimits, AdmissibleSet
-from solver.fitting.stretches import IsochoricActivations, map_stretches
+from solver.fitting.stretches import IsochoricActivations, map_stretches, to_logarithms
 from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
 
@@ -61,7 +61,7 @@ def contract_in_full(
     full = own(straight)
     limits = AdmissibleSet(options.within, own.tensors)
     found = np.reshape([a[kept] for a in fitted], (-1, len(kept), 6))
-    by_fibres = _logarithms(straight, options) / np.maximum(full, options.least)[:, None]
+    by_fibres = to_logarithms(straight, options.flattest) / np.maximum(full, options.least)[:, None]
     learned = _learn(own(found), found, by_fibres, options)
     left = np.ones(len(kept), bool)
     out[kept] = straight
@@ -77,7 +77,7 @@ def _learn(
 ) -> Floats:
     """Return L (k, 6) of fits (e, k, 6) with ``contractions`` (e, k); ``by_fibres`` are K."""
     used = np.where(contractions > options.least, contractions, 0.0)
-    logarithms = np.reshape([_logarithms(a, options) for a in fitted], fitted.shape)
+    logarithms = np.reshape([to_logarithms(a, options.flattest) for a in fitted], fitted.shape)
     pulled = (used[:, :, None] * logarithms).sum(axis=0) + options.ridge * by_fibres
     pattern = pulled / ((used**2).sum(axis=0) + options.ridge)[:, None]
     trace = pattern @ IDENTITY
@@ -102,11 +102,6 @@ def _is_inside(limits: AdmissibleSet, a: Floats, parts: int = 8) -> NDArray[np.b
     ways = [IDENTITY + part * (a - IDENTITY) for part in np.linspace(0.0, 1.0, parts + 1)[1:]]
     inside = [(limits.margins(way) > 0.0).all(axis=1) for way in ways]
     return np.asarray(np.all(inside, axis=0))
-
-
-def _logarithms(a: Floats, options: PatternOptions) -> Floats:
-    """Return log S(a) (k, 6)."""
-    return map_stretches(a, lambda stretches: np.log(np.maximum(stretches, options.flattest)))
 
 
 def _exponentials(entries: Floats) -> Floats:

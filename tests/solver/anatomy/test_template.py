@@ -41,9 +41,9 @@ def test_what_a_template_has_learned_goes_with_its_tets(tmp_path: Path) -> None:
 
 def two_points() -> SkinPoints:
     return SkinPoints(
-        ("4", "33"),
         np.array([[0, 1, 2], [3, 4, 5]]),
         np.array([[0.5, 0.25, 0.25], [0.0, 0.0, 1.0]]),
+        ("4", "33"),
         np.array([0.7, 1.5]),
     )
 

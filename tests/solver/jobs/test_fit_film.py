@@ -12,11 +12,11 @@ from PIL import Image
 
 from solver.errors import InputError
 from solver.jobs import run_job
-from solver.progress import Step
 from solver.rig.frames import ChunkOptions
 from solver.rig.frames.animation import write_video
 from solver.tracks.basis import MuscleTracks
 from tests.fixtures import face_landmarker, small_rig
+from tests.solver.jobs.killed import killed_after
 from tests.solver.jobs.test_fit_photo import MODEL, NEUTRAL, WEIGHTS, photograph, shapes, smile
 
 pytestmark = pytest.mark.long
@@ -84,20 +84,13 @@ def test_a_smile_grows_while_the_head_turns(files: Path, tmp_path: Path) -> None
 def test_a_film_in_flesh_goes_on_where_it_was_killed(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("solver.jobs.films.CHUNKS", ChunkOptions(frames=1))
+    monkeypatch.setattr("solver.jobs.sequences.FrameFitter.chunks", ChunkOptions(frames=1))
     given = {"film": files / "pictures", "options": {"model": "tracks", "end": 4}}
     whole = fit(files, tmp_path / "whole", **given)
     assert whole["inverted"].max() == 0
 
-    class DiedError(Exception):
-        pass
-
-    def die(step: Step) -> None:
-        if step.message == "frame 3 of 4":
-            raise DiedError
-
-    with pytest.raises(DiedError):
-        fit(files, tmp_path / "parts", progress=die, **given)
+    with killed_after(3, 4) as progress:
+        fit(files, tmp_path / "parts", progress=progress, **given)
     parts = fit(files, tmp_path / "parts", resume=True, **given)
     np.testing.assert_array_equal(parts["weights"][:3], whole["weights"][:3])
     np.testing.assert_allclose(parts["weights"], whole["weights"], atol=0.02)

@@ -20,7 +20,6 @@ from solver.fitting.markers.term import MarkerPlaces
 from solver.jobs import fit_markers, run_job
 from solver.mechanics.boundary import move_jaw
 from solver.model import CondyleTracks, SubjectModel
-from solver.progress import Step
 from solver.rig import ExpressionFit, Rig
 from solver.rig.frames import MarkerFrame, read_chunks
 from solver.rig.frames.read_back import LIMIT_MM
@@ -30,6 +29,7 @@ from solver.similarity import Similarity, small_motion
 from solver.storage import read_container
 from tests.fixtures import small_capture, small_model
 from tests.solver.glb import shown_skins
+from tests.solver.jobs.killed import killed_after
 from tests.solver.scans.markers.made_actor import SIZE, actor_model
 from tests.solver.usd import played
 
@@ -173,18 +173,9 @@ def test_killed_three_times_it_comes_to_the_same(
     whole: tuple[Path, dict], files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fit_markers, "OPTIONS", replace(fit_markers.OPTIONS, frames=3))
-
-    class KilledError(Exception):
-        pass
-
     for last in (5, 6, 8):
-
-        def stop(step: Step, last: int = last) -> None:
-            if step.phase == "frames" and step.message == f"frame {last} of {FRAMES}":
-                raise KilledError
-
-        with pytest.raises(KilledError):
-            fit(files, tmp_path, resume=True, progress=stop)
+        with killed_after(last, FRAMES) as progress:
+            fit(files, tmp_path, resume=True, progress=progress)
     assert len(read_chunks(tmp_path / "frames", MarkerFrame, "", lambda _: True)) == 6
     found = fit(files, tmp_path, resume=True)
     for name, values in whole[1].items():

@@ -88,7 +88,7 @@ def test_a_simulated_performance_is_followed(files: Path, tmp_path: Path) -> Non
 def test_frames_are_there_before_the_end_and_a_fit_goes_on_after_them(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("solver.jobs.fit_sequence.CHUNKS", ChunkOptions(frames=2))
+    monkeypatch.setattr("solver.jobs.sequences.FrameFitter.chunks", ChunkOptions(frames=2))
     fit(files, tmp_path / "whole", step=2)
 
     class DiedError(Exception):

@@ -13,7 +13,6 @@ import pytest
 from solver.errors import InputError
 from solver.fitting.tracking.dense import HeadAndFace, SeenPoints, stillness
 from solver.jobs import run_job
-from solver.progress import Step
 from solver.rig import Rig
 from solver.rig.frames import ChunkOptions
 from solver.similarity import small_motion
@@ -23,6 +22,7 @@ from solver.tracks.fit import TrackFitOptions
 from solver.tracks.plain import PlainFace
 from solver.tracks.track import ShapeTracker
 from tests.fixtures import small_model
+from tests.solver.jobs.killed import killed_after
 from tests.solver.jobs.test_fit_photo import shapes as photo_shapes
 from tests.solver.jobs.test_fit_tracks import MODEL, shapes
 
@@ -62,7 +62,7 @@ def fit(files: Path, out: Path, take: str = "take.npy", **more: Any) -> dict[str
 def test_weights_come_back_and_a_job_that_was_killed_goes_on(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("solver.jobs.fit_sequence.CHUNKS", ChunkOptions(frames=2))
+    monkeypatch.setattr("solver.jobs.sequences.FrameFitter.chunks", ChunkOptions(frames=2))
     whole = fit(files, tmp_path / "whole")
     assert (int(whole["format"]), whole["shapes"].tolist()) == (3, ["aside", "bulge"])
     np.testing.assert_allclose(whole["weights"], WEIGHTS, atol=0.03)
@@ -73,15 +73,8 @@ def test_weights_come_back_and_a_job_that_was_killed_goes_on(
     rows = list(csv.DictReader((tmp_path / "whole" / "activations.csv").open()))
     assert float(rows[4]["shape.aside"]) == pytest.approx(whole["weights"][4, 0], abs=1e-6)
 
-    class DiedError(Exception):
-        pass
-
-    def die(step: Step) -> None:
-        if step.message == f"frame 3 of {FRAMES}":
-            raise DiedError
-
-    with pytest.raises(DiedError):
-        fit(files, tmp_path / "parts", progress=die)
+    with killed_after(3, FRAMES) as progress:
+        fit(files, tmp_path / "parts", progress=progress)
     parts = fit(files, tmp_path / "parts", resume=True)
     np.testing.assert_array_equal(parts["weights"][:3], whole["weights"][:3])
     np.testing.assert_allclose(parts["weights"], whole["weights"], atol=0.01)

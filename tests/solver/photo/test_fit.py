@@ -20,6 +20,7 @@ from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackFace
 from solver.tracks.fit import TrackFitOptions
 from solver.tracks.plain import PlainFace
+from tests.solver.photo.derivatives import check_derivatives
 from tests.solver.tracks.block import block_shapes, tracked_block
 
 CHEAP = PhotoFitOptions(controls=TrackFitOptions(w_w=1e-3, w_j=1.0), w_l=0.0)
@@ -45,7 +46,7 @@ def points(model):
     random = np.random.default_rng(0)
     corners = random.choice(model.skin.faces, 60)
     weights = random.dirichlet(np.ones(3), 60)
-    return SkinPoints(tuple(map(str, range(60))), corners, weights, np.zeros(60))
+    return SkinPoints(corners, weights, tuple(map(str, range(60))), np.zeros(60))
 
 
 def view_of(points: SkinPoints, middle: np.ndarray, skin: np.ndarray, yaw: float) -> View:
@@ -171,14 +172,4 @@ def test_a_curve_s_distances_have_their_derivatives(model, points):
     line = points.select([points.names[number] for number in around])
     places = camera.project(line.at(skin))[:, :2].mean(axis=0) + random.normal(0, 60, (30, 2))
     term = CurveTerm(line, places, 2.0)
-    found, step = term.linearise(skin, camera), 1e-6
-    way = random.normal(size=skin.shape)
-    ahead, behind = (term.residual(skin + sign * step * way, camera) for sign in (1, -1))
-    expected = (ahead - behind) / (2 * step)
-    assert np.abs(expected).max() > 0.1
-    np.testing.assert_allclose(found.by_skin @ way.ravel(), expected, rtol=1e-4, atol=1e-5)
-    for number in range(CAMERA_FREEDOM):
-        change = step * np.eye(CAMERA_FREEDOM)[number]
-        ahead, behind = (term.residual(skin, camera.moved(sign * change)) for sign in (1, -1))
-        expected = (ahead - behind) / (2 * step)
-        np.testing.assert_allclose(found.by_camera[:, number], expected, rtol=1e-4, atol=1e-4)
+    check_derivatives(term, skin, camera, step=1e-6, tolerance=1e-4)

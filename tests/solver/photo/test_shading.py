@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from solver.photo.camera import CAMERA_FREEDOM, PinholeCamera
+from solver.anatomy.skin_points import SkinSamples
+from solver.photo.camera import PinholeCamera
 from solver.photo.shading import (
     HARMONICS,
     ShadingTerm,
-    SkinSamples,
     SmoothImage,
     harmonic_rates,
     harmonics,
@@ -19,6 +19,7 @@ from solver.photo.shading import (
 )
 from solver.surface import Surface
 from tests.solver.ball import ball
+from tests.solver.photo.derivatives import check_derivatives
 
 
 @pytest.fixture(scope="module")
@@ -41,21 +42,7 @@ def term() -> tuple[ShadingTerm, np.ndarray, PinholeCamera]:
 
 
 def test_derivatives_are_those_of_differences(term) -> None:
-    shading, skin, camera = term
-    found, step = shading.linearise(skin, camera), 1e-5
-    random = np.random.default_rng(1)
-    for _ in range(4):
-        way = random.normal(0.0, 1.0, skin.shape)
-        ahead, behind = (shading.residual(skin + s * step * way, camera) for s in (1, -1))
-        expected = (ahead - behind) / (2 * step)
-        assert np.abs(expected).max() > 1.0
-        np.testing.assert_allclose(found.by_skin @ way.ravel(), expected, rtol=1e-5, atol=1e-5)
-    for number in range(CAMERA_FREEDOM):
-        way = step * np.eye(CAMERA_FREEDOM)[number]
-        ahead, behind = (shading.residual(skin, camera.moved(s * way)) for s in (1, -1))
-        expected = (ahead - behind) / (2 * step)
-        assert np.abs(expected).max() > 1e-2
-        np.testing.assert_allclose(found.by_camera[:, number], expected, rtol=1e-5, atol=1e-5)
+    check_derivatives(*term, step=1e-5, tolerance=1e-5)
 
 
 def test_harmonics_have_their_rates() -> None:
