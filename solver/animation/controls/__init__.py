@@ -41,9 +41,10 @@ class Controls:
     """Controls of a person's rig by weights (e,) of the shapes ``names``, from 0 to 1.
 
     The maps give r coordinates: those of the muscles and the jaw, whose ``directions`` (a, 6 m + 5)
-    are changes off the rest, and then those of the skin's modes. ``share`` is the polynomial's
-    part in them, from 0 to 1. ``drive`` is what the muscles kept to. ``figures`` tell how they were
-    learned, and of unseen mixtures how well.
+    are changes off the rest, those of the skin's modes, and how far an exact solve is off the
+    mixture's own skin in mm. ``share`` is the polynomial's part in them, from 0 to 1. ``drive`` is
+    what the muscles kept to. ``figures`` tell how they were learned, and of unseen mixtures how
+    well.
     """
 
     names: tuple[str, ...]
@@ -75,15 +76,19 @@ class Controls:
 
     def skin(self, weights: Floats) -> NDArray[np.float32]:
         """Return the skin (..., v, 3) of ``weights`` (..., e) without simulation or contact, mm."""
-        return self.skin_modes.expand(self._between(weights)[..., len(self.directions) :])
+        return self.skin_modes.expand(self._between(weights)[..., len(self.directions) : -1])
 
     def doubt_mm(self, weights: Floats) -> Floats:
         """Return how far off the face of ``weights`` (..., e) may be, mm on the mean."""
-        first, second = (each[..., : len(self.directions)] for each in self._both(weights))
-        return self.doubt.of(np.linalg.norm(first - second, axis=-1))
+        first, second = self._both(weights)
+        ours = slice(len(self.directions))
+        apart = np.asarray(np.linalg.norm(first[..., ours] - second[..., ours], axis=-1), float)
+        return self.doubt.of(apart, np.asarray(self._mix(first, second)[..., -1], float))
 
     def _between(self, weights: Floats) -> NDArray[np.float32]:
-        first, second = self._both(weights)
+        return self._mix(*self._both(weights))
+
+    def _mix(self, first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:
         return second + np.float32(self.share) * (first - second)
 
     def _both(self, weights: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -1,4 +1,8 @@
-"""How far off a face may be, by how far two maps that were learned apart disagree."""
+"""How far off a face may be, where two maps that were learned apart disagree, or none can follow.
+
+Mixtures that the muscles cannot make well are those in which an exact solve jumps most, and are
+known worst.
+"""
 
 from __future__ import annotations
 
@@ -8,29 +12,35 @@ import numpy as np
 
 from solver.surface import Floats
 
-SURE = 0.9  # part of unseen mixtures that are no further off than their doubt says
-LEAST = 1e-6  # mm
+SURE = 0.96  # part of unseen mixtures that are no further off than their doubt says
+LEAST = 1e-4  # mm
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """doubt = scale d^power mm of a disagreement d in mm, both fitted to unseen mixtures."""
+    """doubt = scale d^apart o^target mm, fitted to unseen mixtures.
+
+    d mm is how far two maps disagree, o mm how far an exact solve is off the mixture's own skin,
+    as the maps have learned it.
+    """
 
     scale: float
-    power: float
+    apart: float
+    target: float
 
     @classmethod
-    def calibrate(cls, disagreements: Floats, errors: Floats, sure: float = SURE) -> Doubt:
-        """Fit errors (n,) by disagreements (n,), in logarithms; most are no greater then."""
-        x, y = (np.log(np.maximum(each, LEAST)) for each in (disagreements, errors))
-        spread = float(np.var(x))
-        power = float(np.cov(x, y, bias=True)[0, 1] / spread) if spread else 0.0
-        power = min(max(power, 0.0), 2.0)
-        return cls(float(np.exp(np.quantile(y - power * x, sure))), power)
+    def calibrate(cls, apart: Floats, target: Floats, errors: Floats, sure: float = SURE) -> Doubt:
+        """Fit errors (n,) mm by d (n,) and o (n,), in logarithms; most are no greater then."""
+        logs = np.log(np.maximum([apart, target], LEAST)).T
+        known, y = np.column_stack([logs, np.ones(len(logs))]), np.log(np.maximum(errors, LEAST))
+        powers = np.maximum(np.linalg.lstsq(known, y, rcond=None)[0][:2], 0.0)
+        scale = np.exp(np.quantile(y - logs @ powers, sure))
+        return cls(float(scale), *(float(power) for power in powers))
 
-    def of(self, disagreements: Floats) -> Floats:
+    def of(self, apart: Floats, target: Floats) -> Floats:
         """Return the doubt (...,) in mm."""
-        return np.asarray(self.scale * np.maximum(disagreements, LEAST) ** self.power)
+        d, o = np.maximum(apart, LEAST), np.maximum(target, LEAST)
+        return np.asarray(self.scale * d**self.apart * o**self.target)
 
 
 def discrimination(scores: Floats, wrong: np.ndarray) -> float | None:

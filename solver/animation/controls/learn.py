@@ -70,7 +70,7 @@ def learn(
     begin, rows = time.perf_counter(), pairs.rows
     metric = Metric.of_face(face)
     main = metric.main_directions(rows.changes, options.modes)
-    goals = np.hstack([main.coordinates, rows.skins * pairs.modes.millimetres])
+    goals = np.hstack([main.coordinates, rows.skins, rows.off_mm[:, None]])
     numbers = np.unique(rows.walks)
     judging = np.isin(rows.walks, numbers[numbers > 0][:: options.held_out])
 
@@ -82,11 +82,12 @@ def learn(
     maps = learn_maps(~judging, lambda done: listen(0.5 * done))
     unseen = rows[judging]
     ours = slice(main.coordinates.shape[1])
-    first, second = (each(unseen.weights)[:, ours].astype(float) for each in maps)
-    share = _best_share(first, second, goals[judging][:, ours])
-    off = np.linalg.norm(second + share * (first - second) - goals[judging][:, ours], axis=1)
-    apart = np.linalg.norm(first - second, axis=1)
-    doubt = Doubt.calibrate(apart, off)
+    first, second = (each(unseen.weights).astype(float) for each in maps)
+    share = _best_share(first[:, ours], second[:, ours], goals[judging][:, ours])
+    between = second + share * (first - second)
+    off = np.linalg.norm((between - goals[judging])[:, ours], axis=1)
+    told = np.linalg.norm((first - second)[:, ours], axis=1), between[:, -1]
+    doubt = Doubt.calibrate(*told, off)
     blend = blend_of(pairs)
     whole = np.hstack([(blend.activations - IDENTITY).reshape(len(blend.jaw), -1), blend.jaw])
     blended = np.linalg.norm((unseen.weights @ whole - unseen.changes) @ metric.root, axis=1)
@@ -98,7 +99,7 @@ def learn(
         "off_target_mm": _spread(rows.off_mm),
         "unseen_mm": _spread(off),
         "blended_mm": _spread(blended),
-        **_judge_doubt(doubt.of(apart), off, options),
+        **_judge_doubt(doubt.of(*told), off, options),
     }
     maps = learn_maps(np.ones(len(pairs), bool), lambda done: listen(0.5 + 0.5 * done))
     figures = {**judged, "learn_seconds": round(time.perf_counter() - begin, 1)}

@@ -12,7 +12,10 @@ from solver.surface import Floats
 
 @dataclass(frozen=True, eq=False)
 class SkinModes:
-    """A skin at ``rest`` (v, 3) in mm, and ``modes`` (r, 3 v) of its motion, orthonormal rows."""
+    """A skin at ``rest`` (v, 3) in mm, and ``modes`` (r, 3 v) of its motion.
+
+    A coordinate of 1 moves the skin by 1 mm, in root mean squares; modes are orthogonal.
+    """
 
     rest: NDArray[np.float32]
     modes: NDArray[np.float32]
@@ -23,19 +26,15 @@ class SkinModes:
         moved = (skins - rest).reshape(len(skins), -1)
         values, vectors = np.linalg.eigh(np.asarray(moved @ moved.T, np.float64))
         main = np.flatnonzero(values > 1e-9 * values[-1])[-count:][::-1]
-        modes = (vectors[:, main] / np.sqrt(values[main])).T @ moved
+        modes = (vectors[:, main] * np.sqrt(len(rest) / values[main])).T @ moved
         return cls(rest.astype(np.float32), np.asarray(modes, np.float32))
 
     def reduce(self, skin: Floats) -> Floats:
         """Return the coordinates (r,) of a skin (v, 3)."""
-        return np.asarray(self.modes @ (skin - self.rest).ravel(), np.float64)
+        moved = (skin - self.rest).ravel()
+        return np.asarray(self.modes @ moved, np.float64) / len(self.rest)
 
     def expand(self, coordinates: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the skin (..., v, 3) of coordinates (..., r)."""
         moved = coordinates.astype(np.float32) @ self.modes
         return np.asarray(self.rest + moved.reshape(*coordinates.shape[:-1], -1, 3))
-
-    @property
-    def millimetres(self) -> float:
-        """The root mean square motion in mm of a coordinate of 1."""
-        return float(1.0 / np.sqrt(len(self.rest)))
