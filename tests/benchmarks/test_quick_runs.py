@@ -51,6 +51,7 @@ def take() -> list[str]:
 NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "anatomy": folders,
     "check_service": None,
+    "controls": None,
     "convergence": None,
     "fibres": by_default,
     "film": None,

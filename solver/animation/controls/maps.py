@@ -115,6 +115,7 @@ class NetworkOptions:
     momentum: float = 0.9
     second_momentum: float = 0.999
     decay: float = 1e-5  # of the weights
+    on_linear: bool = True  # whether the network learns what a linear map leaves
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +142,7 @@ class Network:
         """Learn from weights (n, e) and their coordinates (n, r): B first, then N of the rest."""
         random = np.random.default_rng(seed)
         scale = sizes.alone / sizes.alone.mean()
-        linear = np.linalg.lstsq(weights, goals, rcond=None)[0]
+        linear = np.linalg.lstsq(weights, goals, rcond=None)[0] * float(options.on_linear)
         inputs = np.asarray(weights * scale, np.float32)
         outputs = np.asarray(goals - weights @ linear, np.float32)
         unit = np.float32(np.sqrt(np.mean(outputs**2))) or np.float32(1.0)

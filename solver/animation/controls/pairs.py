@@ -68,7 +68,7 @@ class Mixtures:
         if kind < given.rest:
             return weights
         if kind < given.rest + given.units:
-            return self.draw_units(random)
+            return self.of_units(self.draw_units(random))
         dense = kind > 1.0 - given.dense
         most = min(given.most_dense if dense else given.most_shapes, len(self.names))
         least = min(given.most_shapes, most) if dense else 1
@@ -84,11 +84,17 @@ class Mixtures:
         return self.possible(weights)
 
     def draw_units(self, random: np.random.Generator, least: int = 1) -> Floats:
-        """Return weights (e,) of so many action units or more, both sides alike."""
-        table = self._units
+        """Return intensities (17,) from 0 to 1 of so many action units or more."""
+        moving = np.flatnonzero(self._units.any(axis=1))
         count = int(random.integers(least, self.options.most_units + 1))
-        chosen = random.choice(len(table), min(count, len(table)), replace=False)
-        return self.possible(random.random(len(chosen)) @ table[chosen])
+        chosen = random.choice(moving, min(count, len(moving)), replace=False)
+        intensities = np.zeros(len(self._units))
+        intensities[chosen] = random.random(len(chosen))
+        return intensities
+
+    def of_units(self, intensities: Floats) -> Floats:
+        """Return the weights (e,) of action units (17,), both sides alike."""
+        return self.possible(intensities @ self._units)
 
     def possible(self, weights: Floats) -> Floats:
         """Return weights from 0 to 1, a corrective's no greater than that of what it corrects."""
@@ -112,10 +118,9 @@ class Mixtures:
 
     @property
     def _units(self) -> Floats:
-        """Weights (u, e) of each action unit that moves something, at full intensity."""
+        """Weights (17, e) of each action unit at full intensity; some move nothing."""
         columns = [ARKIT_NAMES.index(arkit_source(name)) for name in self.names]
-        table = shapes_of_units()[:, columns]
-        return table[table.any(axis=1)]
+        return shapes_of_units()[:, columns]
 
     @property
     def _sides(self) -> list[tuple[int, int]]:
