@@ -15,17 +15,19 @@ from __future__ import annotations
 import argparse
 import logging
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks import report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.subjects import EDGE_MM
-from solver.animation.blendshapes import driven_motions, keep_within
+from solver.animation.blendshapes import driven_motions
 from solver.animation.controls import Controls
 from solver.animation.controls.doubt import discrimination
 from solver.animation.controls.learn import LearnOptions, blend_of, learn
@@ -189,8 +191,8 @@ class _Bench:
         rows = np.repeat(np.arange(len(EMOTIONS)), self.options.count // len(EMOTIONS))
         strength, open_ = random.random((2, len(rows), 1))
         units = strength * still[rows] + open_ * alone
-        # the printed pairs have hand-set muscles on each ray; here they are the emotion's exact solve
-        goals = strength * made[rows] + open_ * opened
+        # printed pairs have hand-set muscles on each ray; here they are the emotion's exact solve
+        goals = strength * np.array(made)[rows] + open_ * opened
         even = ShapeSizes(np.ones(len(UNITS)), np.eye(len(UNITS)))
         return Network.learn(units, goals, even, 0, self._epochs(PUBLISHED))
 
@@ -220,13 +222,11 @@ class _Bench:
     def simulated(self, mixed: _Mixed, changes: Floats) -> tuple[Floats, int]:
         """Return the points (k, 3) of the face by changes of its controls, and inverted tets."""
         face, a = self.face, IDENTITY + changes[:-5].reshape(-1, 6)
-        limits = face.drive.feasible(face.model, face.flesh.volumes, face.S)
-        pose = face.pose_of(keep_within(a, limits)[0], changes[-5:])
-        state = face.continuation(mixed.state, pose)
+        state = face.continuation(mixed.state, face.pose_of(a, changes[-5:]))
         return face.face_points(state.x), face.flesh.count_inverted(state.x)
 
     def _compare(self, mixtures: list[Floats], units: list[Floats] | None = None) -> Figures:
-        makers = {
+        makers: dict[str, Callable[[Floats], NDArray[np.floating]]] = {
             "learned": self.controls.changes,
             "blend": lambda weights: _vector(self.blend.pose(weights)),
             "published_here": self.published_here,
@@ -289,8 +289,8 @@ def section(figures: Figures) -> Section:
     told = f"{figures['pairs']} pairs" + ("" if seconds is None else f" in {seconds:.0f} s")
     return Section(
         title="Learned controls",
-        compared="The skin by learned activations, simulated, against exact solves of mixtures that "
-        f"were not learned from; {told}, learned in {figures['learn_seconds']:.0f} s.",
+        compared="The skin by learned activations, simulated, against exact solves of mixtures "
+        f"that were not learned from; {told}, learned in {figures['learn_seconds']:.0f} s.",
         parts=[Table(heads, rows)] if rows else [],
     )
 
