@@ -199,11 +199,14 @@ Values = list[Singles]  # W and b of each layer, one after the other
 
 
 def _gradients(values: Values, inputs: Singles, goals: Singles) -> Values:
-    """Return the derivatives of half the mean squared error by ``values``."""
-    seen: Values = [inputs]
+    """Return the derivatives by ``values`` of half the mean squared error of N(inputs) - N(0)."""
+    at_rest = np.zeros((1, inputs.shape[1]), inputs.dtype)
+    seen: Values = [np.concatenate([inputs, at_rest])]
     for matrix, shift in zip(values[:-2:2], values[1:-2:2], strict=True):
         seen.append(np.maximum(seen[-1] @ matrix + shift, 0.0))
-    error = (seen[-1] @ values[-2] + values[-1] - goals) / goals.size
+    outputs = seen[-1] @ values[-2] + values[-1]
+    error = (outputs[:-1] - outputs[-1] - goals) / goals.size
+    error = np.concatenate([error, -error.sum(axis=0, keepdims=True)])
     found: Values = []
     for number in range(len(seen) - 1, -1, -1):
         found[:0] = [np.asarray(seen[number].T @ error, np.float32), error.sum(axis=0)]

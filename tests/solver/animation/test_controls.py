@@ -1,0 +1,160 @@
+"""Learned controls: the maps, their doubt, the mixtures that they are learned from, and files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from solver.animation.controls.doubt import Doubt, discrimination
+from solver.animation.controls.maps import (
+    Network,
+    NetworkOptions,
+    PolynomialMap,
+    PolynomialOptions,
+    ShapeSizes,
+    _gradients,
+)
+from solver.animation.controls.metric import Metric
+from solver.animation.controls.pairs import LEVELS, Mixtures, WalkOptions
+from solver.animation.controls.skin import SkinModes
+from solver.fitting.activation import rest_curvature
+from solver.fitting.face import Face
+from solver.scans.performance import ARKIT_NAMES
+from tests.solver.block import head_block
+
+RANDOM = np.random.default_rng(3)
+SIZES = ShapeSizes(np.array([2.0, 1.0, 0.5]), np.ones((3, 3)))
+WEIGHTS = RANDOM.random((400, 3))
+
+
+def curved(c: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return what a polynomial of the map's kind makes of weights (..., 3)."""
+    first, second, third = np.moveaxis(np.asarray(c, float), -1, 0)
+    parts = (first - 0.5 * first * second, third + 0.3 * third**3 + 0.2 * second**2)
+    return np.stack(parts, axis=-1)
+
+
+def bent(c: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return what no polynomial of the kind makes: a muscle that stops at its bound."""
+    return np.stack([np.minimum(c[..., 0] + c[..., 1], 0.8), c[..., 2]], axis=-1)
+
+
+def test_a_polynomial_is_found_again() -> None:
+    least = PolynomialOptions(1e-12, 1e-12, 1e-12)
+    found = PolynomialMap.learn(WEIGHTS, curved(WEIGHTS), SIZES, least)
+    fresh = RANDOM.random((50, 3))
+    np.testing.assert_allclose(found(fresh), curved(fresh), atol=2e-5)
+    assert not found(np.zeros(3)).any()
+    again = PolynomialMap.of(found.arrays())
+    np.testing.assert_array_equal(again(fresh), found(fresh))
+
+
+def test_shapes_that_move_other_parts_have_no_product() -> None:
+    motions = np.zeros((3, 4, 3))
+    motions[0, :2, 0], motions[1, 1:3, 1], motions[2, 3, 2] = 2.0, 2.0, 1.0
+    sizes = ShapeSizes.of(motions)
+    np.testing.assert_allclose(sizes.alone, [np.sqrt(2.0), np.sqrt(2.0), 0.5])
+    products = PolynomialMap.learn(WEIGHTS, curved(WEIGHTS), sizes).products
+    assert products.tolist() == [[0, 0], [0, 1], [1, 1], [2, 2]]
+
+
+def test_the_network_s_gradients_are_those_of_differences() -> None:
+    sizes = (3, 5, 4, 2)
+    values = []
+    for ins, outs in zip(sizes, sizes[1:], strict=False):
+        values += [RANDOM.normal(size=(ins, outs)), RANDOM.normal(size=outs)]
+    inputs, goals = RANDOM.normal(size=(6, 3)), RANDOM.normal(size=(6, 2))
+
+    def cost() -> float:
+        seen = np.vstack([inputs, np.zeros(3)])
+        for matrix, shift in zip(values[:-2:2], values[1:-2:2], strict=True):
+            seen = np.maximum(seen @ matrix + shift, 0.0)
+        outputs = seen @ values[-2]
+        return float(0.5 * np.mean((outputs[:-1] - outputs[-1] - goals) ** 2))
+
+    # the last layer's shift goes out again with N(0)
+    for value, slope in zip(values[:-1], _gradients(values, inputs, goals)[:-1], strict=True):
+        assert np.abs(slope).max() > 1e-3
+        for place in np.ndindex(value.shape):
+            value[place] += 1e-6
+            above = cost()
+            value[place] -= 2e-6
+            below = cost()
+            value[place] += 1e-6
+            assert (above - below) / 2e-6 == pytest.approx(slope[place], abs=1e-7)
+
+
+def test_a_network_learns_what_bends() -> None:
+    fresh, effort = RANDOM.random((200, 3)), NetworkOptions(layers=(64,), epochs=400)
+    network = Network.learn(WEIGHTS, bent(WEIGHTS), SIZES, 1, effort)
+    linear = fresh @ np.linalg.lstsq(WEIGHTS, bent(WEIGHTS), rcond=None)[0]
+    off = [np.abs(each - bent(fresh)).mean() for each in (network(fresh), linear)]
+    assert off[0] < 0.25 * off[1]
+    assert not network(np.zeros(3)).any()
+    same = Network.learn(WEIGHTS, bent(WEIGHTS), SIZES, 1, effort)
+    np.testing.assert_array_equal(same(fresh), network(fresh))
+    np.testing.assert_array_equal(Network.of(network.arrays())(fresh), network(fresh))
+
+
+def test_doubt_is_found_again_and_covers_most_errors() -> None:
+    apart, target = RANDOM.lognormal(-3.0, 0.5, (2, 4000))
+    errors = 0.7 * apart**0.8 * target**0.3 * RANDOM.lognormal(0.0, 0.2, 4000)
+    doubt = Doubt.calibrate(apart, target, errors, 0.9)
+    assert (doubt.apart, doubt.target) == pytest.approx((0.8, 0.3), abs=0.03)
+    assert np.mean(errors <= doubt.of(apart, target)) == pytest.approx(0.9, abs=0.01)
+
+
+def test_discrimination_counts_pairs_in_order() -> None:
+    wrong = np.array([False, True, False, True])
+    assert discrimination(np.array([0.1, 0.2, 0.3, 0.4]), wrong) == 0.75
+    assert discrimination(np.array([0.1, 0.3, 0.2, 0.4]), wrong) == 1.0
+    assert discrimination(np.ones(4), np.zeros(4, bool)) is None
+
+
+def test_mixtures_are_possible() -> None:
+    mixtures = Mixtures(tuple(ARKIT_NAMES[:51]))
+    place = {name: number for number, name in enumerate(mixtures.names)}
+    random = np.random.default_rng(0)
+    drawn = np.array([mixtures.draw(random) for _ in range(400)])
+    assert drawn.min() == 0.0
+    assert 0.9 < drawn.max() <= 1.0
+    assert (drawn[:, place["mouthClose"]] <= drawn[:, place["jawOpen"]]).all()
+    assert (drawn > 0.0).any(axis=0).all()
+    assert not drawn.any(axis=1).all()  # rest is among them
+    units = mixtures.of_units(mixtures.draw_units(random, 3))
+    assert (units > 0.0).sum() >= 2
+    for name, number in place.items():
+        if name.endswith("Left") and name.startswith(("brow", "cheek", "mouthSmile")):
+            assert units[number] == units[place[name.removesuffix("Left") + "Right"]]
+
+
+def test_every_shape_is_alone_at_every_level() -> None:
+    alone = np.array(Mixtures(("jawOpen", "mouthClose"), WalkOptions()).alone())
+    levels = np.array(LEVELS)
+    np.testing.assert_array_equal(alone[:4], np.stack([levels, 0.0 * levels], axis=1))
+    np.testing.assert_array_equal(alone[4:], np.stack([levels, levels], axis=1))
+
+
+def test_the_metric_is_the_skin_s_motion_at_rest() -> None:
+    face = Face(head_block((5, 4, 1)))
+    metric = Metric.of_face(face, unseen=1e-9)
+    change = 0.01 * RANDOM.standard_normal(len(metric.root))
+    assert np.sum((change @ metric.root) ** 2) == pytest.approx(
+        0.5 * change @ rest_curvature(face) @ change, rel=1e-4
+    )
+    changes = RANDOM.standard_normal((20, 4)) @ RANDOM.standard_normal((4, len(change)))
+    main = metric.main_directions(changes, 8)
+    assert main.coordinates.shape == (20, 4)
+    np.testing.assert_allclose(main.coordinates @ main.directions, changes, atol=1e-4)
+
+
+def test_modes_give_back_a_skin() -> None:
+    rest = RANDOM.standard_normal((30, 3))
+    skins = rest + np.einsum("nm,mvi->nvi", RANDOM.random((9, 2)), RANDOM.random((2, 30, 3)))
+    modes = SkinModes.of(rest, skins, 5)
+    reduced = np.array([modes.reduce(skin) for skin in skins])
+    assert reduced.shape == (9, 2)
+    np.testing.assert_allclose(modes.expand(reduced), skins, atol=1e-5)
+    moved = np.sqrt(np.mean(np.sum((skins - rest) ** 2, axis=2), axis=1))
+    np.testing.assert_allclose(np.linalg.norm(reduced, axis=1), moved, rtol=1e-5)

@@ -1,0 +1,194 @@
+"""Controls of a block of flesh: learned, kept, and played beside blended and exact ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from solver.anatomy.template import ShapeBasis
+from solver.animation.controls import Controls
+from solver.animation.controls.pairs import Walks
+from solver.errors import InputError
+from solver.fitting.face import Face, Pose
+from solver.jobs import animate, learn_controls, run_job
+from solver.mechanics.flesh import IDENTITY
+from solver.rig import ExpressionFit, Rig
+from solver.scans.performance import ARKIT_NAMES
+from tests.solver.block import head_block, thinner
+from tests.solver.jobs.test_scenes import skins
+
+pytestmark = pytest.mark.long
+
+MODEL = head_block((7, 5, 1))
+LEFT = np.array([[0.8, 0.02, 0.0, 1.1, 0.0, 1.1], IDENTITY])
+RIGHT = LEFT[::-1]
+OPEN = np.array([0.06, 0.0, 0.0, 0.0, 0.0])
+NAMES = ("mouthSmileLeft", "mouthSmileRight", "jawOpen")
+
+
+@pytest.fixture(scope="module")
+def template() -> SimpleNamespace:
+    """A template whose shapes are what the muscles of either side and the jaw do."""
+    face = Face(MODEL)
+    poses = [Pose(LEFT, 0.0 * OPEN), Pose(RIGHT, 0.0 * OPEN), Pose(np.array([IDENTITY] * 2), OPEN)]
+    states = [face.continuation(face.rest, pose) for pose in poses]
+    moved = [face.whole_skin(state.x, state.pose.b) for state in states] - MODEL.skin.vertices
+    none = np.zeros((0, *moved.shape[1:]), np.float32)
+    return SimpleNamespace(shapes=ShapeBasis(none, moved.astype(np.float32), NAMES))
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rig of the block at rest."""
+    file = tmp_path_factory.mktemp("rig") / "rig.npz"
+    face, skin = Face(MODEL), MODEL.skin.vertices
+    rest, error = face.rest, np.zeros(len(skin))
+    pose = rest.pose.a, rest.pose.b
+    fit = ExpressionFit("rest", "train", *pose, skin, skin, error, 0, 1, 0.0, 0.0, rest.x)
+    Rig(MODEL, MODEL.weights, (fit,)).save(file)
+    return file
+
+
+@pytest.fixture
+def played(template: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    for job in (animate, learn_controls):
+        monkeypatch.setattr(job, "read_template", lambda _: template)
+
+
+@pytest.fixture(scope="module")
+def learned(rig: Path, template: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that a job of learned controls left."""
+    out = tmp_path_factory.mktemp("controls")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(learn_controls, "read_template", lambda _: template)
+        learn(out, rig)
+    return out
+
+
+def learn(out: Path, rig: Path, **more: Any) -> list[Path]:
+    return run_job("learn_controls", out, options={"pairs": 500, "modes": 16}, rig=rig, **more)
+
+
+def test_controls_are_learned_and_tell_how_well(learned: Path) -> None:
+    told = json.loads((learned / "controls.json").read_text())
+    assert told["pairs"] >= 500
+    assert told["failed"] == 0
+    assert told["unseen_mm"]["mean"] < 0.25 * told["blended_mm"]["mean"]
+    assert (learned / "controls.png").stat().st_size > 10_000
+    controls = Controls.load(learned / "controls.npz", MODEL, MODEL.weights)
+    assert controls.names == NAMES
+    assert not controls.changes(np.zeros(3)).any()
+    skin = controls.skin(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(skin[0], MODEL.skin.vertices, atol=1e-3)
+    assert np.abs(skin[1] - skin[0]).max() > 1.0
+
+
+def test_what_is_learned_is_what_a_fit_finds(learned: Path, template: SimpleNamespace) -> None:
+    controls = Controls.load(learned / "controls.npz", MODEL, MODEL.weights)
+    weights = np.array([0.7, 0.4, 0.5])
+    face = Face(MODEL)
+    state = face.continuation(face.rest, controls.pose(weights))
+    goal = MODEL.skin.vertices + np.tensordot(weights, template.shapes.expressions, 1)
+    off = np.linalg.norm(face.face_points(state.x) - goal[MODEL.face], axis=1).mean()
+    moved = np.linalg.norm(goal - MODEL.skin.vertices, axis=1)[MODEL.face].mean()
+    assert off < 0.15 * moved
+
+
+def take(path: Path, weights: Sequence[Sequence[float]]) -> Path:
+    """Write a Live Link recording of weights of NAMES."""
+    rows = ["Timecode," + ",".join(ARKIT_NAMES)]
+    for number, each in enumerate(weights):
+        named = dict(zip(NAMES, each, strict=True))
+        values = ",".join(str(named.get(name, 0.0)) for name in ARKIT_NAMES)
+        rows.append(f"00:00:00:{2 * number:02d}.000,{values}")
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+FRAMES = [(0.0, 0.0, 0.0), (0.6, 0.0, 0.0), (0.8, 0.5, 0.3), (0.2, 0.9, 0.8)]
+
+
+def animated(out: Path, rig: Path, scene: dict[str, Any], **left: Path) -> dict[str, Any]:
+    recording = take(out.with_suffix(".csv"), FRAMES)
+    options = {"scene": {"recording": {"asset": "take"}, **scene}}
+    run_job("animate", out, options=options, captures={"take": recording}, rig=rig, **left)
+    told: dict[str, Any] = json.loads((out / "animation.json").read_text())
+    return told
+
+
+@pytest.mark.usefixtures("played")
+def test_a_recording_plays_by_learned_exact_and_doubted_controls(
+    rig: Path, learned: Path, tmp_path: Path
+) -> None:
+    controls = learned / "controls.npz"
+    told = animated(tmp_path / "learned", rig, {"exact_above_mm": 100.0}, controls=controls)
+    assert told["transfer"]["controls"] == "learned"
+    assert (told["transfer"]["flagged"], told["transfer"]["exact"]) == (0, 0)
+    assert "blendshapes" not in told
+    told = animated(tmp_path / "exact", rig, {"controls": "exact"})
+    assert told["transfer"]["exact"] == len(FRAMES)
+    told = animated(tmp_path / "doubted", rig, {"exact_above_mm": 0.0}, controls=controls)
+    assert told["transfer"]["flagged"] == told["transfer"]["exact"] > 0
+    by_learning, exact, doubted = (
+        skins(tmp_path / name) for name in ("learned", "exact", "doubted")
+    )
+    assert np.abs(exact[3] - exact[0]).max() > 1.0
+    # every frame was doubted, so that all were fitted; learned ones are near
+    np.testing.assert_allclose(doubted, exact, atol=0.1)
+    assert np.linalg.norm(by_learning - exact, axis=2).mean() < 0.1
+    with np.load(tmp_path / "learned" / "animation.npz") as arrays:
+        np.testing.assert_allclose(arrays["weights"], FRAMES, atol=1e-6)
+        assert arrays["doubt_mm"].shape == arrays["exact"].shape == (len(FRAMES),)
+        assert (arrays["doubt_mm"][1:] > 0.0).all()
+
+
+@pytest.mark.usefixtures("played")
+def test_pairs_that_are_there_are_not_solved_again(
+    rig: Path, learned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("a walk began")
+
+    monkeypatch.setattr(Walks, "walk", refuse)
+    pairs = learned / "control_pairs.npz"
+    learn(tmp_path / "later", rig, control_pairs=pairs)
+    (tmp_path / "killed").mkdir()
+    (tmp_path / "killed" / pairs.name).write_bytes(pairs.read_bytes())
+    learn(tmp_path / "killed", rig, resume=True)
+    for name in ("later", "killed"):
+        again = Controls.load(tmp_path / name / "controls.npz", MODEL, MODEL.weights)
+        before = Controls.load(learned / "controls.npz", MODEL, MODEL.weights)
+        weights = np.array([0.3, 0.2, 0.9])
+        np.testing.assert_allclose(again.changes(weights), before.changes(weights), atol=1e-3)
+
+
+@pytest.mark.usefixtures("played")
+def test_files_of_another_rig_and_what_is_missing_are_refused(
+    rig: Path, learned: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.npz"
+    replace(Rig.load({"rig": rig}), weights=thinner(MODEL.weights, 2)).save(other)
+    pairs, controls = learned / "control_pairs.npz", learned / "controls.npz"
+
+    def code(job: Any, *given: Any, **how: Any) -> str:
+        with pytest.raises(InputError) as raised:
+            job(*given, **how)
+        return raised.value.code
+
+    out = tmp_path / "out"
+    assert code(learn, out, other, control_pairs=pairs) == "control_pairs.model"
+    assert code(learn, out, rig, control_pairs=controls) == "control_pairs.model"
+    assert code(animated, out, other, {}, controls=controls) == "controls.model"
+    assert code(animated, out, rig, {}, controls=pairs) == "controls.model"
+    assert code(animated, out, rig, {"controls": "learned"}) == "controls.missing"
+    scene = {"controls": "exact", "drive": "tracks"}
+    assert code(animated, out, rig, scene, tracks=controls) == "scene.controls"
+    (tmp_path / "torn.npz").write_bytes(controls.read_bytes()[:2000])
+    assert code(animated, out, rig, {}, controls=tmp_path / "torn.npz") == "controls.unreadable"
