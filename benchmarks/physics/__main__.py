@@ -23,6 +23,7 @@ from benchmarks.subjects import COARSE_EDGE_MM, EDGE_MM
 from myoface.client import Client
 from solver.anatomy.template import Template
 from solver.animation import RecordedDrives
+from solver.animation.controls import Controls
 from solver.model import SubjectModel
 from solver.rig import Rig
 from solver.scans.performance import read_live_link
@@ -39,6 +40,7 @@ def main() -> None:
     parser.add_argument("--rig", type=Path, help="rig.npz, or a rig's folder")
     parser.add_argument("--template", type=Path, help="the model's")
     parser.add_argument("--blendshapes", type=Path, help="blendshapes.npz of the rig")
+    parser.add_argument("--controls", type=Path, help="controls.npz of the rig")
     parser.add_argument("--recording", type=Path, help="CSV of Live Link Face")
     parser.add_argument(
         "--size", action="append", default=[], metavar="MM=MODEL", help="a model of another size"
@@ -144,6 +146,12 @@ def _performance(options: argparse.Namespace) -> Figures:
     figures, played = performance.run(
         person, basis, take, options.out / "performance", frames=frames
     )
+    if options.controls:
+        controls = Controls.load(options.controls, person.model, person.S)
+        folder = options.out / "controls"
+        figures["controls"] = performance.compare_controls(
+            person, basis, take, controls, folder, frames=frames
+        )
     performance.picture(options.out / "performance.png", person, played)
     gallery(person, options.template, options.out / "gallery.png")
     return figures

@@ -10,8 +10,10 @@ import scipy.sparse as sp
 
 from solver.animation.blendshapes import Blendshapes
 from solver.fitting.face import Face, Pose
+from solver.fitting.interior_point import FeasibleSet
 from solver.kinds.scene import STIFFNESS_PA
 from solver.mechanics.flesh import COROTATED_TRACE
+from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
 from solver.rig import Rig
 from solver.similarity import IDENTITY, Similarity
@@ -26,6 +28,7 @@ class Fitted:
     S: sp.csr_array
     poses: dict[str, Pose]
     shapes: Blendshapes
+    rig: Rig
 
     @classmethod
     def load(cls, rig: Path, shapes: Path) -> Fitted:
@@ -36,7 +39,17 @@ class Fitted:
             found.weights,
             {fit.name: Pose(fit.activations, fit.jaw) for fit in found.expressions},
             Blendshapes.load(shapes, found.model, found.weights),
+            found,
         )
+
+    @property
+    def limits(self) -> FeasibleSet | None:
+        """What the muscles of the rig can do."""
+        return self.rig.limits
+
+    def rig_face(self) -> Face:
+        """Return the face as the rig was fitted."""
+        return self.rig.face(fastest())
 
     def face(self, *, pinned: bool = False) -> Face:
         """Return the face in the material of its fits, in Pa."""

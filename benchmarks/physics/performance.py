@@ -22,6 +22,9 @@ from benchmarks.physics.fitted import Fitted
 from myoface.demo.outcome import khronos_validation
 from solver.anatomy.template import ShapeBasis
 from solver.animation import RecordedDrives
+from solver.animation.blendshapes import driven_motions
+from solver.animation.controls import Controls
+from solver.animation.controls.exact import ShapesAtRest, fit_frames
 from solver.cache import cache_directory
 from solver.drawing.head import DrawnHead, face_camera
 from solver.drawing.render import render_bust
@@ -29,7 +32,7 @@ from solver.drawing.sheet import HEADER, MARGIN, Sheet
 from solver.jobs.scenes import finish, play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.progress import silent
-from solver.rig.frames.animation import MotionRecord
+from solver.rig.frames.animation import MotionRecord, motion_report
 from solver.scans.performance import FaceTake
 from solver.scene import Stage
 from solver.scene.places import Places
@@ -72,12 +75,10 @@ def run(
 
     ``basis`` are the shapes that the person's blendshapes were solved for.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    drives = RecordedDrives(take, person.shapes, person.model, start, start + frames)
-    stage = Stage(SimulateScene(), Places(person.model, {}), person.S, drives)
-    done = play(stage, out, TITLE)
-    skins = np.array([skin_of(stage, frame) for frame in done])
-    played = Played(done, skins, _direct(person, basis, drives))
+    span = start, start + frames
+    drives = RecordedDrives(take, person.shapes, person.model, *span, limits=person.limits)
+    stage, played = _play(person, basis, drives, out)
+    done, skins = played.frames, played.skins
     off = played.distances(person).mean(axis=1)
     shapes = [shape.mean_mm for shape in person.shapes.shapes.values()]
     figures = {
@@ -92,10 +93,48 @@ def run(
     return told, played
 
 
+def compare_controls(
+    person: Fitted,
+    basis: ShapeBasis,
+    take: FaceTake,
+    controls: Controls,
+    out: Path,
+    *,
+    start: int = START,
+    frames: int = FRAMES,
+) -> Figures:
+    """Return the figures of frames by learned controls, and of frames that are all fitted."""
+    span, model = (start, start + frames), person.model
+    learned = RecordedDrives(take, controls, model, *span, limits=person.limits)
+    still = ShapesAtRest(controls.names, model.muscle_count)
+    motions, chosen = driven_motions(model, basis), np.ones(frames, bool)
+    changes, _ = fit_frames(person.rig_face(), still, motions, learned.weights, chosen)
+    exact = RecordedDrives(take, still, model, *span, limits=person.limits, changes=changes)
+    figures: Figures = {"doubtful": float(np.mean(controls.doubt_mm(learned.weights) > 0.3))}
+    for name, drives in (("learned", learned), ("exact", exact)):
+        _, played = _play(person, basis, drives, out / name)
+        off = played.distances(person).mean(axis=1)
+        told = motion_report(played.frames, model)
+        keys = ("frame_ms", "penetration_max_mm", "inverted")
+        direct = {"mean": float(off.mean()), "worst_frame": float(off.max())}
+        figures[name] = {"direct_mm": direct, **{key: told[key] for key in keys}}
+    return figures
+
+
+def _play(
+    person: Fitted, basis: ShapeBasis, drives: RecordedDrives, out: Path
+) -> tuple[Stage, Played]:
+    out.mkdir(parents=True, exist_ok=True)
+    stage = Stage(SimulateScene(), Places(person.model, {}), person.S, drives)
+    done = play(stage, out, TITLE)
+    skins = np.array([skin_of(stage, frame) for frame in done])
+    return stage, Played(done, skins, _direct(person, basis, drives))
+
+
 def _direct(person: Fitted, basis: ShapeBasis, drives: RecordedDrives) -> Floats:
     """Return the face's points (f, k, 3) of the shapes' own blend."""
     face = person.model.face
-    rows = [basis.expression_names.index(name) for name in person.shapes.blend.names]
+    rows = [basis.expression_names.index(name) for name in drives.names]
     shapes = basis.expressions[rows][:, face].astype(np.float64)
     return np.asarray(person.model.skin.vertices[face] + np.tensordot(drives.weights, shapes, 1))
 

@@ -327,7 +327,7 @@ class FrameChanges:
 class RecordedDrives(Drives):
     """:class:`Drives` of a recording, from frame ``start`` to before ``end``.
 
-    ``weights`` (f, e) are what drives each of the ``shapes`` in these frames. Times begin at 0.
+    ``weights`` (f, e) are what drives each of the ``shapes``, by ``names``, in these frames. Times begin at 0.
     Weights and turns between frames lie on straight lines. The recorded head turns about the neck;
     keys of the ``head`` come on top of that. Muscles stay within ``limits``, if they have some.
     ``changes`` are what fits of the frames add to the shapes' poses. Raises ``scene.frames`` if
@@ -356,7 +356,7 @@ class RecordedDrives(Drives):
             reason = f"the recording has the frames 0 to {count - 1}: {asked}"
             raise InputError("scene.frames", reason, expected=count, start=start, end=last)
         frames = slice(start, last)
-        self._shapes = shapes
+        self._shapes, self.names = shapes, shapes.names
         self.times: Floats = take.times[frames] - take.times[start]
         self.weights: Floats = shape_weights(take, shapes.names)[frames]
         turns = np.hstack([take.head[frames], take.eyes[frames].reshape(-1, 6)])

@@ -108,7 +108,7 @@ def _features(weights: NDArray[np.floating], products: Ints) -> NDArray[np.float
 class NetworkOptions:
     """Layers, and their training by Adam (Kingma and Ba 2015)."""
 
-    layers: tuple[int, ...] = (256,)  # of ReLU
+    layers: tuple[int, ...] = (512,)  # of ReLU
     epochs: int = 100
     batch: int = 64
     rate: float = 3e-3  # of learning, at first; it falls to nothing along half a cosine

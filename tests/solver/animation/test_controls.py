@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -62,7 +64,7 @@ def test_shapes_that_move_other_parts_have_no_product() -> None:
 def test_the_network_s_gradients_are_those_of_differences() -> None:
     sizes = (3, 5, 4, 2)
     values = []
-    for ins, outs in zip(sizes, sizes[1:], strict=False):
+    for ins, outs in pairwise(sizes):
         values += [RANDOM.normal(size=(ins, outs)), RANDOM.normal(size=outs)]
     inputs, goals = RANDOM.normal(size=(6, 3)), RANDOM.normal(size=(6, 2))
 
