@@ -78,7 +78,7 @@ def run(
     span = start, start + frames
     drives = RecordedDrives(take, person.shapes, person.model, *span, limits=person.limits)
     stage, played = _play(person, basis, drives, out)
-    done, skins = played.frames, played.skins
+    done = played.frames
     off = played.distances(person).mean(axis=1)
     shapes = [shape.mean_mm for shape in person.shapes.shapes.values()]
     figures = {

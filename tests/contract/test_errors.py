@@ -27,6 +27,7 @@ HELPERS = {"unauthorized_problem": 0, "_check_format": 1}
 MADE_OF_PARTS = (
     *("http.", "live_link.", "options.", "template.", "model.", "basis."),
     *("capture.format", "blendshapes.format", "fibres.format", "markers.format", "tracks.format"),
+    *("controls.format", "control_pairs.format"),
 )
 """Codes that the source puts together, or passes on."""
 STATUS = {"CHECKSUM_MISMATCH": "460"}
