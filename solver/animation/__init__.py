@@ -329,9 +329,9 @@ class RecordedDrives(Drives):
 
     ``weights`` (f, e) are what drives each of the ``shapes``, by ``names``, in these frames. Times
     begin at 0. Weights and turns between frames lie on straight lines. The recorded head turns
-    about the neck; keys of the ``head`` come on top of that. Muscles stay within ``limits``, if they have some.
-    ``changes`` are what fits of the frames add to the shapes' poses. Raises ``scene.frames`` if
-    there are no such frames.
+    about the neck; keys of the ``head`` come on top of that. Muscles stay within ``limits``, if
+    they have some. ``changes`` are what fits of the frames add to the shapes' poses. Raises
+    ``scene.frames`` if there are no such frames.
     """
 
     def __init__(
