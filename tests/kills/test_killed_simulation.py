@@ -16,6 +16,7 @@ import pytest
 from myoface.stack import Stack
 from service.settings import Settings
 from solver.anatomy.template import ShapeBasis
+from solver.animation.controls.pairs import FIRST_WALKS, LEVELS, WalkOptions
 from solver.jobs import run_job
 from solver.jobs.animate import SAVED_EVERY
 from solver.model import SubjectModel
@@ -128,6 +129,47 @@ def test_killed_processes_cost_no_blendshape_that_is_kept(
         again = studio.finished(studio.submit("animate", subject, **how), seconds=240)
         assert again["result"]["summary"]["blendshapes"] == len(EXPRESSIONS)
         assert "blendshapes" not in {data.get("phase") for *_, data in studio.events(again["id"])}
+
+
+@pytest.mark.slow
+def test_a_killed_solver_costs_no_pair_that_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The solver is killed among the pairs of controls, which later animations find."""
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    settings = Settings(data_dir=tmp_path / "data", **{**QUICK, "max_attempts": 5})
+    model = head_block((7, 5, 1))
+    template = with_bumps(tmp_path / "template.npz", model)
+    subject, rig = fitted(settings, tmp_path, model, template)
+    take = recording(tmp_path / "take.csv", [0.0, 1.0]).read_bytes()
+    walks = WalkOptions()
+    first = (FIRST_WALKS - 1) * walks.stops + len(LEVELS) * len(EXPRESSIONS)
+    with Stack(settings) as stack, httpx.Client(base_url=stack.url, timeout=30) as http:
+        studio = Studio(http, stack.key)
+        options = {"pairs": first + 8 * walks.stops, "modes": 16}
+        job = studio.submit("learn_controls", subject, rig_id=rig, options=options)
+
+        def solved() -> int:
+            step = studio.job(job)["progress"] or {"phase": ""}
+            return int(step["iteration"]) if step["phase"] == "pairs" else 0
+
+        eventually(lambda: solved() > first + walks.stops, seconds=240)
+        [solver] = studio.solvers(stack)
+        os.kill(solver, signal.SIGKILL)
+        done = studio.finished(job, seconds=240)
+        assert done["state"] == "succeeded", done
+        assert [attempt["outcome"] for attempt in done["attempts"]] == ["lost", "succeeded"]
+        told = [data for *_, data in studio.events(job) if data.get("phase") == "pairs"]
+        again = [data["iteration"] for data in told if data["attempt"] == 2]
+        assert again[0] > 0.9 * first
+        names = [each["name"] for each in done["result"]["artifacts"]]
+        assert names.count("control_pairs.npz") == names.count("controls.npz") == 1
+        path = f"/v1/subjects/{subject}/captures"
+        upload = studio.upload("take.csv", take)
+        asset = studio.post(path, name="take", role="asset", upload_id=upload)
+        how = {"rig_id": rig, "captures": [asset["id"]], "options": {"scene": TAKE}}
+        played = studio.finished(studio.submit("animate", subject, **how), seconds=240)
+        assert played["result"]["summary"]["transfer"]["controls"] == "learned"
 
 
 def with_bumps(path: Path, model: SubjectModel) -> Path:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from solver.anatomy.template import CORRECTED
 from solver.animation.controls.exact import MixtureTracker
 from solver.animation.controls.skin import SkinModes
-from solver.errors import InputError
+from solver.errors import InputError, SolveError
 from solver.fitting.drives.stored import store
 from solver.fitting.face import Face
 from solver.kinds import FILES
@@ -279,7 +279,10 @@ class Walks:
         return found[: given.stops]
 
     def walk(self, number: int, tell: Callable[[], None] = lambda: None) -> Walked:
-        """Fit a walk's stops; ``tell`` is called at each. Those that cannot be are left out."""
+        """Fit a walk's stops; ``tell`` is called at each. Those that cannot be are left out.
+
+        Raises :class:`SolveError` (``controls.few``) if none can be.
+        """
         tracker, rest = MixtureTracker(self.face, self.motions), self.face.rest_pose().a
         rows, failed = list[tuple[Floats, Floats, Floats, float]](), 0
         for weights in self.stops(number):
@@ -291,6 +294,9 @@ class Walks:
             change = np.concatenate([(found.activations - rest).ravel(), found.jaw])
             seen = found.skin if self.modes is None else self.modes.reduce(found.skin)
             rows.append((weights, change, seen.astype(np.float32), found.off_mm))
+        if not rows:
+            reason = "no mixture of the template's shapes can be fitted on this rig"
+            raise SolveError("controls.few", reason)
         weights, changes, skins, off = (np.array(column) for column in zip(*rows, strict=True))
         walks = np.full(len(rows), number)
         return Walked(PairRows(weights, changes, skins, off, walks), failed)
