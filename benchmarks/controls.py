@@ -7,8 +7,8 @@ units, pairs on six rays), and that network on the pairs that controls learn fro
 which ``--parts`` names some: ``au``: action units, both sides alike; ``shapes``: a few shapes, left
 and right apart; ``dense``: six shapes or more; ``single``: each shape alone at four levels; and
 ``speed``. Rig and pairs are made unless ``--rig`` and ``--pairs`` are there; else they are left in
-them, for the pieces of a run to share. ``played_mm`` counts frames in doubt, which an animation fits
-exactly, as 0.
+them, for the pieces of a run to share. ``played_mm`` counts frames in doubt, which an animation
+fits exactly, as 0.
 """
 
 from __future__ import annotations
