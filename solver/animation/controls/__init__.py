@@ -79,7 +79,7 @@ class Controls:
         return self.skin_modes.expand(self._between(weights)[..., len(self.directions) : -1])
 
     def doubt_mm(self, weights: Floats) -> Floats:
-        """Return how far off the face of ``weights`` (..., e) may be, mm on the mean."""
+        """Return how far off the face of ``weights`` (..., e) may be, root mean squares in mm."""
         first, second = self._both(weights)
         ours = slice(len(self.directions))
         apart = np.asarray(np.linalg.norm(first[..., ours] - second[..., ours], axis=-1), float)
@@ -129,7 +129,7 @@ class Controls:
             reason = f"{path.name} belongs to another rig"
             raise InputError("controls.model", reason, file=path.name)
         try:
-            return cls(
+            found = cls(
                 tuple(header["names"]),
                 tuple(header["muscles"]),
                 restore(header["drive"]),
@@ -141,6 +141,10 @@ class Controls:
                 Doubt(**header["doubt"]),
                 header["figures"],
             )
+            at_rest = found.changes(np.zeros(len(found.names)))
+            if at_rest.shape != (6 * model.muscle_count + 5,) or not np.isfinite(at_rest).all():
+                raise ValueError("its arrays do not fit each other")
         except (LookupError, TypeError, ValueError) as error:
             reason = f"{path.name} is not a file of learned controls: {error}"
             raise InputError("controls.unreadable", reason, file=path.name) from error
+        return found

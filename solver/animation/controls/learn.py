@@ -48,7 +48,7 @@ class Learned:
 
     controls: Controls
     unseen: PairRows
-    off_mm: Floats  # (n,) of each of these, on the mean of the face
+    off_mm: Floats  # (n,) of each of these, root mean squares over the face
 
 
 def learn(
@@ -81,34 +81,61 @@ def learn(
 
     maps = learn_maps(~judging, lambda done: listen(0.5 * done))
     unseen = rows[judging]
-    ours = slice(main.coordinates.shape[1])
-    first, second = (each(unseen.weights).astype(float) for each in maps)
-    share = _best_share(first[:, ours], second[:, ours], goals[judging][:, ours])
-    between = second + share * (first - second)
-    off = np.linalg.norm((between - goals[judging])[:, ours], axis=1)
-    told = np.linalg.norm((first - second)[:, ours], axis=1), between[:, -1]
-    doubt = Doubt.calibrate(*told, off)
+    judged = _judge(maps, unseen, goals[judging], len(main.directions), options)
     blend = blend_of(pairs)
     whole = np.hstack([(blend.activations - IDENTITY).reshape(len(blend.jaw), -1), blend.jaw])
     blended = np.linalg.norm((unseen.weights @ whole - unseen.changes) @ metric.root, axis=1)
-    judged = {
+    maps = learn_maps(np.ones(len(pairs), bool), lambda done: listen(0.5 + 0.5 * done))
+    figures = {
         "pairs": len(pairs),
         "failed": pairs.failed,
         "shapes": len(pairs.names),
-        "share": round(share, 3),
         "off_target_mm": _spread(rows.off_mm),
-        "unseen_mm": _spread(off),
         "blended_mm": _spread(blended),
-        **_judge_doubt(doubt.of(*told), off, options),
+        **judged.figures,
+        "learn_seconds": round(time.perf_counter() - begin, 1),
     }
-    maps = learn_maps(np.ones(len(pairs), bool), lambda done: listen(0.5 + 0.5 * done))
-    figures = {**judged, "learn_seconds": round(time.perf_counter() - begin, 1)}
-    model = face.model
-    of_model = model.muscle_names, face.drive
     controls = Controls(
-        pairs.names, *of_model, *maps, share, main.directions, pairs.modes, doubt, figures
+        pairs.names,
+        face.model.muscle_names,
+        face.drive,
+        *maps,
+        judged.share,
+        main.directions,
+        pairs.modes,
+        judged.doubt,
+        figures,
     )
-    return Learned(controls, unseen, off)
+    return Learned(controls, unseen, judged.off_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """The polynomial's best share, and the doubt, of mixtures that maps have not seen."""
+
+    share: float
+    doubt: Doubt
+    off_mm: Floats
+    figures: dict[str, Any]
+
+
+def _judge(
+    maps: tuple[PolynomialMap, Network],
+    unseen: PairRows,
+    goals: Floats,
+    directions: int,
+    options: LearnOptions,
+) -> _Judged:
+    """Judge maps by ``goals`` (n, r), whose first ``directions`` are those of the controls."""
+    ours = slice(directions)
+    first, second = (each(unseen.weights).astype(float) for each in maps)
+    share = _best_share(first[:, ours], second[:, ours], goals[:, ours])
+    between = second + share * (first - second)
+    off = np.asarray(np.linalg.norm((between - goals)[:, ours], axis=1), float)
+    told = np.asarray(np.linalg.norm((first - second)[:, ours], axis=1), float), between[:, -1]
+    doubt = Doubt.calibrate(*told, off)
+    figures = {"share": round(share, 3), "unseen_mm": _spread(off)}
+    return _Judged(share, doubt, off, figures | _judge_doubt(doubt.of(*told), off, options))
 
 
 def _best_share(first: Floats, second: Floats, goals: Floats) -> float:
