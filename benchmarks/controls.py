@@ -33,6 +33,7 @@ from solver.animation.controls import Controls
 from solver.animation.controls.doubt import discrimination
 from solver.animation.controls.learn import LearnOptions, blend_of, learn
 from solver.animation.controls.maps import Network, NetworkOptions, ShapeSizes
+from solver.animation.controls.metric import changes_of
 from solver.animation.controls.pairs import LEVELS, Mixtures, Pairs, Walks, solve_pairs
 from solver.errors import SolveError
 from solver.fitting.activation import UNSEEN_STOP, fit, unseen_regulariser
@@ -218,7 +219,7 @@ class _Bench:
 
     def _changes(self, state: PosedFace) -> Floats:
         jaw = self.face.five_jaw_numbers(state.pose.b)
-        return np.concatenate([(state.pose.a - IDENTITY).ravel(), jaw])
+        return changes_of(state.pose.a, jaw)
 
     def simulated(self, mixed: _Mixed, changes: Floats) -> tuple[Floats, int]:
         """Return the points (k, 3) of the face by changes of its controls, and inverted tets."""
@@ -272,7 +273,7 @@ class _Bench:
 
 
 def _vector(pose: Pose) -> Floats:
-    return np.concatenate([(pose.a - IDENTITY).ravel(), pose.b])
+    return changes_of(pose.a, pose.b)
 
 
 def section(figures: Figures) -> Section:

@@ -25,6 +25,7 @@ from solver.animation import RecordedDrives
 from solver.animation.blendshapes import driven_motions
 from solver.animation.controls import Controls
 from solver.animation.controls.exact import ShapesAtRest, fit_frames
+from solver.animation.controls.learn import LearnOptions
 from solver.cache import cache_directory
 from solver.drawing.head import DrawnHead, face_camera
 from solver.drawing.render import render_bust
@@ -110,7 +111,8 @@ def compare_controls(
     motions, chosen = driven_motions(model, basis), np.ones(frames, bool)
     changes, _ = fit_frames(person.rig_face(), still, motions, learned.weights, chosen)
     exact = RecordedDrives(take, still, model, *span, limits=person.limits, changes=changes)
-    figures: Figures = {"doubtful": float(np.mean(controls.doubt_mm(learned.weights) > 0.3))}
+    limit = LearnOptions().exact_above_mm
+    figures: Figures = {"doubtful": float(np.mean(controls.doubt_mm(learned.weights) > limit))}
     for name, drives in (("learned", learned), ("exact", exact)):
         _, played = _play(person, basis, drives, out / name)
         off = played.distances(person).mean(axis=1)

@@ -142,12 +142,19 @@ def begin_at(face: Face, change: Floats, value: Callable[[PosedFace], float]) ->
     return min(found, key=value, default=None)
 
 
-def _of(face: Face, shapes: NDArray[np.floating]) -> dict[str, Any]:
-    """Return what a basis is of: the person with S, its drive and joints, and the shapes."""
+def face_identity(face: Face) -> dict[str, Any]:
+    """Return what controls are of: the person with S, its drive and joints."""
     return {
         **identity(face.model, face.S),
         "drive": store(face.drive),
         "joints": [joint.name for joint in face.layout.joints],
+    }
+
+
+def _of(face: Face, shapes: NDArray[np.floating]) -> dict[str, Any]:
+    """Return what a basis is of: a face, and the shapes."""
+    return {
+        **face_identity(face),
         "shapes": hashlib.sha256(np.ascontiguousarray(shapes, "<f4").tobytes()).hexdigest(),
     }
 

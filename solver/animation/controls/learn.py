@@ -20,7 +20,7 @@ from solver.animation.controls.maps import (
     PolynomialOptions,
     ShapeSizes,
 )
-from solver.animation.controls.metric import Metric
+from solver.animation.controls.metric import Metric, changes_of
 from solver.animation.controls.pairs import PairRows, Pairs
 from solver.errors import SolveError
 from solver.fitting.face import Face
@@ -83,7 +83,7 @@ def learn(
     unseen = rows[judging]
     judged = _judge(maps, unseen, goals[judging], len(main.directions), options)
     blend = blend_of(pairs)
-    whole = np.hstack([(blend.activations - IDENTITY).reshape(len(blend.jaw), -1), blend.jaw])
+    whole = changes_of(blend.activations, blend.jaw)
     blended = np.linalg.norm((unseen.weights @ whole - unseen.changes) @ metric.root, axis=1)
     maps = learn_maps(np.ones(len(pairs), bool), lambda done: listen(0.5 + 0.5 * done))
     figures = {

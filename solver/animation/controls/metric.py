@@ -10,11 +10,18 @@ from numpy.typing import NDArray
 
 from solver.fitting.activation import rest_curvature
 from solver.fitting.face import Face
+from solver.mechanics.flesh import IDENTITY
 from solver.surface import Floats
 
 # mm^2 of mean square skin motion that a unit of any control counts for besides what it moves, so
 # that muscles which nobody sees are learned as well
 UNSEEN = 1e-4
+
+
+def changes_of(activations: Floats, jaw: Floats) -> Floats:
+    """Return the changes (..., 6 m + 5) off the rest of activations (..., m, 6) and a free jaw."""
+    changes = (activations - IDENTITY).reshape(*jaw.shape[:-1], -1)
+    return np.concatenate([changes, jaw], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)

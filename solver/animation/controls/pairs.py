@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from solver.anatomy.template import CORRECTED
 from solver.animation.controls.exact import MixtureTracker
+from solver.animation.controls.metric import changes_of
 from solver.animation.controls.skin import SkinModes
 from solver.errors import InputError, SolveError
-from solver.fitting.drives.stored import store
+from solver.fitting.expression_basis import face_identity
 from solver.fitting.face import Face
 from solver.kinds import FILES
 from solver.mechanics.linear import in_threads
-from solver.model import identity
 from solver.scans.openface import shapes_of_units
 from solver.scans.performance import ARKIT_NAMES
 from solver.storage import Archive
@@ -232,15 +232,6 @@ class Pairs:
             raise InputError("control_pairs.unreadable", reason, file=path.name) from error
 
 
-def face_identity(face: Face) -> Mapping[str, Any]:
-    """Return what controls are of: the person with S, and its drive and joints."""
-    return {
-        **identity(face.model, face.S),
-        "drive": store(face.drive),
-        "joints": [joint.name for joint in face.layout.joints],
-    }
-
-
 @dataclass(frozen=True, eq=False)
 class Walked:
     """What one walk found, and how many of its stops could not be fitted."""
@@ -283,7 +274,7 @@ class Walks:
 
         Raises :class:`SolveError` (``controls.few``) if none can be.
         """
-        tracker, rest = MixtureTracker(self.face, self.motions), self.face.rest_pose().a
+        tracker = MixtureTracker(self.face, self.motions)
         rows, failed = list[tuple[Floats, Floats, Floats, float]](), 0
         for weights in self.stops(number):
             found = tracker.fit(weights)
@@ -291,7 +282,7 @@ class Walks:
             if found is None:
                 failed += 1
                 continue
-            change = np.concatenate([(found.activations - rest).ravel(), found.jaw])
+            change = changes_of(found.activations, found.jaw)
             seen = found.skin if self.modes is None else self.modes.reduce(found.skin)
             rows.append((weights, change, seen.astype(np.float32), found.off_mm))
         if not rows:
