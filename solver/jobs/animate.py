@@ -60,12 +60,15 @@ def run(task: Task[Animate]) -> list[Path]:
     the recording's, and nothing is solved before. Raises, besides, ``basis.*``, ``blendshapes.*``,
     ``tracks.*``, ``live_link.*`` and ``openface.*``.
     """
-    given, out, progress = task.options, task.out, task.progress
+    given = task.options
+    out = task.out
+    progress = task.progress
     if given.video:
         check_video()
     scene = given.scene
     rig, places = read_person(task)
-    model, S = rig.model, rig.weights
+    model = rig.model
+    S = rig.weights
     recording = scene.recording
     recorded = read_recording(places.asset(recording.asset), recording)
     for notice in recorded.notices:
@@ -93,14 +96,16 @@ def run(task: Task[Animate]) -> list[Path]:
             reason = "controls are of muscles, and tracks drive the face: leave one of both out"
             raise InputError("scene.controls", reason)
         tracks = MuscleTracks.load(task.inputs["tracks"], model)
-        drives, begun = drives_of(TrackedShapes.of(model, tracks)), READ
+        drives = drives_of(TrackedShapes.of(model, tracks))
+        begun = READ
         stage = stage_of(drives, tracks)
         played.figures["shapes"] = len(tracks.names)
     else:
         # what moves the muscles may take minutes: what is wrong with the scene is told before
         stage_of(drives_of(Blendshapes(model.muscle_names, {})))
         shapes = _shapes_of(task, rig, played)
-        drives, begun = drives_of(shapes), SOLVED
+        drives = drives_of(shapes)
+        begun = SOLVED
         drives = drives_of(shapes, _fit_frames(task, rig, shapes, drives.weights, played))
         stage = stage_of(drives)
     more = {**_told_of(recorded, played.transfer), **played.figures}
@@ -159,7 +164,8 @@ class _Played:
 
 def _shapes_of(task: Task[Animate], rig: Rig, played: _Played) -> DrivenShapes:
     """Return what a frame's weights make the muscles do, as the scene asks for it."""
-    asked, model = task.options.scene.controls, rig.model
+    asked = task.options.scene.controls
+    model = rig.model
     if asked == "exact":
         motions = driven_motions(model, read_template(task).shapes)
         return ShapesAtRest(tuple(motions), model.muscle_count)
@@ -194,22 +200,27 @@ def _fit_frames(
     if not chosen.any():
         played.transfer["exact"] = 0
         return None
-    face, count = rig.face(fastest()), int(chosen.sum())
+    face = rig.face(fastest())
+    count = int(chosen.sum())
     check_held(face)
 
     def listen(done: int) -> None:
-        part, words = READ + (SOLVED - READ) * done / count, f"frame {done} of {count}"
+        part = READ + (SOLVED - READ) * done / count
+        words = f"frame {done} of {count}"
         task.progress(Step("exact", part, done, message=words))
 
     motions = driven_motions(rig.model, read_template(task).shapes)
     changes, fitted = fit_frames(face, shapes, motions, weights, chosen, listen)
-    played.transfer["exact"], played.arrays["exact"] = int(fitted.sum()), fitted
+    played.transfer["exact"] = int(fitted.sum())
+    played.arrays["exact"] = fitted
     return changes
 
 
 def _blended(task: Task[Animate], rig: Rig, played: _Played) -> Blendshapes:
     """Return the person's blendshapes: those that were given, else solved now."""
-    model, S, kept = rig.model, rig.weights, task.out / "blendshapes.npz"
+    model = rig.model
+    S = rig.weights
+    kept = task.out / "blendshapes.npz"
     shapes = None
     if "blendshapes" in task.inputs:
         shapes = Blendshapes.load(task.inputs["blendshapes"], model, S)
@@ -228,7 +239,8 @@ def _blended(task: Task[Animate], rig: Rig, played: _Played) -> Blendshapes:
 
 def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:
     """Solve the person's blendshapes, those left of a resumed job; the file is ``kept`` up."""
-    model, S = rig.model, rig.weights
+    model = rig.model
+    S = rig.weights
     anatomy = read_template(task)
     targets = expression_targets(model, anatomy.shapes)
     done: dict[str, Solved] = {}
@@ -240,7 +252,8 @@ def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:
         done[name] = solved
         if len(done) % SAVED_EVERY == 0:
             Blendshapes(model.muscle_names, done, rig.drive).save(kept, model, S)
-        count, error = len(done), solved.mean_mm
+        count = len(done)
+        error = solved.mean_mm
         fraction = BASIS + (SOLVED - BASIS) * count / len(targets)
         words = f"{name}, {count} of {len(targets)}"
         task.progress(Step("blendshapes", fraction, count, mean_error_mm=error, message=words))

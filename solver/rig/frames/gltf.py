@@ -98,14 +98,16 @@ def write_faces(
     vertices, normals and triangles. ``errors`` are the values (v,) of each that
     :func:`write_face` has as an attribute. Shapes of one name are shown at one time.
     """
-    buffer, normals = Buffer(), vertex_normals(neutral)
+    buffer = Buffer()
+    normals = vertex_normals(neutral)
     base = _base(buffer, neutral, normals)
     parts = _parts(neutral)
     triangles = [buffer.indices(neutral.faces[part]) for part in parts.values()]
     names = list(dict.fromkeys(name for shapes in faces.values() for name in shapes))
     times, weights = options.keys(len(names))
     at_keys = buffer.dense(times, gl.SCALAR, bounds=True)
-    meshes, tracks = list[gl.Mesh](), list[Tracks]()
+    meshes = list[gl.Mesh]()
+    tracks = list[Tracks]()
     for name, shapes in faces.items():
         error = buffer.dense(errors[name], gl.SCALAR, gl.ARRAY_BUFFER)
         of_vertices = gl.Attributes(**{**base, ERROR_ATTRIBUTE: error})

@@ -48,8 +48,10 @@ def template() -> SimpleNamespace:
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rig of the block at rest."""
     file = tmp_path_factory.mktemp("rig") / "rig.npz"
-    face, skin = Face(MODEL), MODEL.skin.vertices
-    rest, error = face.rest, np.zeros(len(skin))
+    face = Face(MODEL)
+    skin = MODEL.skin.vertices
+    rest = face.rest
+    error = np.zeros(len(skin))
     pose = rest.pose.a, rest.pose.b
     fit = ExpressionFit("rest", "train", *pose, skin, skin, error, 0, 1, 0.0, 0.0, rest.x)
     Rig(MODEL, MODEL.weights, (fit,)).save(file)
@@ -175,7 +177,8 @@ def test_files_of_another_rig_and_what_is_missing_are_refused(
 ) -> None:
     other = tmp_path / "other.npz"
     replace(Rig.load({"rig": rig}), weights=thinner(MODEL.weights, 2)).save(other)
-    pairs, controls = learned / "control_pairs.npz", learned / "controls.npz"
+    pairs = learned / "control_pairs.npz"
+    controls = learned / "controls.npz"
 
     def code(job: Any, *given: Any, **how: Any) -> str:
         with pytest.raises(InputError) as raised:
