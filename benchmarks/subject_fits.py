@@ -237,24 +237,34 @@ def rig_of(train: Fits, test: Fits) -> Rig:
     return Rig(face.model, face.S, fits, seconds)
 
 
-def face_of_rig(
+def subject_rig(
     options: argparse.Namespace,
     path: Path | None,
     change: Callable[[SubjectModel], SubjectModel] = lambda model: model,
-) -> Face:
-    """Return the face of a rig file with the controls of the options.
+) -> Rig:
+    """Return a rig file's rig.
 
     Where there is none S is fitted to the standard scans of the chosen subject, whose model goes
     through ``change`` first, and left there.
     """
     if path is not None and path.is_file():
-        rig = Rig.load(path)
-        return subjects.bounded(Face(rig.model, rig.weights), options)
+        return Rig.load(path)
     edge = subjects.COARSE_EDGE_MM if options.quick else subjects.EDGE_MM
     model, captures = subjects.load(options, edge)
     schedule = subjects.schedule(options, model, quick=options.quick)
     fits = by_geometry(Face(change(model)), captures.train, schedule)
     face = fits.face
+    rig = Rig(face.model, face.S, tuple(fits.expressions("train")), drive=face.drive)
     if path is not None:
-        Rig(face.model, face.S, tuple(fits.expressions("train")), drive=face.drive).save(path)
-    return face
+        rig.save(path)
+    return rig
+
+
+def face_of_rig(
+    options: argparse.Namespace,
+    path: Path | None,
+    change: Callable[[SubjectModel], SubjectModel] = lambda model: model,
+) -> Face:
+    """Return the face of :func:`subject_rig` with the controls of the options."""
+    rig = subject_rig(options, path, change)
+    return subjects.bounded(Face(rig.model, rig.weights), options)

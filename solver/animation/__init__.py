@@ -392,11 +392,12 @@ class Gaze:
     def __init__(self, model: SubjectModel) -> None:
         skin = model.skin.vertices
         regions = [model.region(f"{side}_eyeball") for side in ("left", "right")]
-        self._balls = [(ids, nearest_sphere(skin[ids])[0]) for ids in regions]
+        # vertices of each eyeball, and its centre
+        self.balls = [(ids, nearest_sphere(skin[ids])[0]) for ids in regions]
 
     def turn(self, skin: Floats, eyes: Floats) -> Floats:
         """Return a skin (V, 3) in the head's frame with eyes turned by vectors (2, 3) in rad."""
         turned = skin.copy()
-        for (ids, centre), vector in zip(self._balls, eyes, strict=True):
+        for (ids, centre), vector in zip(self.balls, eyes, strict=True):
             turned[ids] = centre + Rotation.from_rotvec(vector).apply(skin[ids] - centre)
         return turned

@@ -74,6 +74,7 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "registration": data,
     "round_trip": None,
     "single_muscles": None,
+    "studio_rig": None,
     "systems": None,
     "take_scenes": take,
     "tracks": None,

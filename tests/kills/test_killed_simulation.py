@@ -18,7 +18,7 @@ from service.settings import Settings
 from solver.anatomy.template import ShapeBasis
 from solver.animation.controls.pairs import FIRST_WALKS, LEVELS, WalkOptions
 from solver.jobs import run_job
-from solver.jobs.animate import SAVED_EVERY
+from solver.jobs.blendshapes import SAVED_EVERY
 from solver.model import SubjectModel
 from solver.rig import ExpressionFit, Rig
 from solver.scans.performance import ARKIT_NAMES

@@ -247,7 +247,7 @@ def _save(
         scene=0,
         scenes=[gl.Scene(name="face", nodes=list(range(len(nodes))))],
         nodes=nodes,
-        materials=[_material(part) for part in materials],
+        materials=[material_of(part) for part in materials],
         meshes=meshes,
         animations=[] if animation is None else [animation],
         accessors=buffer.accessors,
@@ -289,7 +289,8 @@ def worst_error(expressions: Sequence[ExpressionFit], vertices: int) -> Floats:
     return np.asarray(np.fmax.reduce([np.zeros(vertices), *errors]))
 
 
-def _material(part: str) -> gl.Material:
+def material_of(part: str) -> gl.Material:
+    """Return the material of a part of a head."""
     colour, roughness = MATERIALS[part]
     return gl.Material(
         name=part,
@@ -374,6 +375,11 @@ class Buffer:
         """Add triangles and return the accessor's number."""
         view = self._view(np.ascontiguousarray(faces, "<u4"), gl.ELEMENT_ARRAY_BUFFER)
         return self._add(gl.UNSIGNED_INT, faces.size, gl.SCALAR, None, view)
+
+    def joints(self, numbers: Ints) -> int:
+        """Add the numbers (v, 4) of the joints that move each vertex."""
+        view = self._view(np.ascontiguousarray(numbers, "<u1"), gl.ARRAY_BUFFER)
+        return self._add(gl.UNSIGNED_BYTE, len(numbers), gl.VEC4, None, view)
 
     def morph(self, change: Floats, still: float, *, bounds: bool = False) -> int:
         """Add a change (v, 3) of an attribute, sparse where that is smaller."""

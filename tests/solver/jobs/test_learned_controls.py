@@ -17,7 +17,7 @@ from solver.animation.controls import Controls
 from solver.animation.controls.pairs import Walks
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
-from solver.jobs import animate, learn_controls, run_job
+from solver.jobs import animate, blendshapes, learn_controls, run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.rig import ExpressionFit, Rig
 from solver.scans.performance import ARKIT_NAMES
@@ -60,7 +60,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def played(template: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
-    for job in (animate, learn_controls):
+    for job in (animate, blendshapes, learn_controls):
         monkeypatch.setattr(job, "read_template", lambda _: template)
 
 

@@ -20,7 +20,7 @@ from solver.animation.blendshapes import Blendshapes, Solved
 from solver.errors import InputError, SolveError
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
-from solver.jobs import animate, run_job
+from solver.jobs import blendshapes, run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
 from solver.rig import ExpressionFit, Rig
@@ -233,7 +233,7 @@ def test_the_rig_s_basis_is_solved_once_and_left(
     wide = np.array([Rig.load({"rig": rig}).expressions[0].skin - MODEL.skin.vertices], np.float32)
     none = np.zeros((0, *wide.shape[1:]), np.float32)
     template = SimpleNamespace(shapes=ShapeBasis(none, wide, ("mouthSmileLeft",)))
-    monkeypatch.setattr(animate, "read_template", lambda _: template)
+    monkeypatch.setattr(blendshapes, "read_template", lambda _: template)
     take = recording(tmp_path / "take.csv", [0.0, 1.0])
     solve = ExpressionBasis.solve
     solved = []
