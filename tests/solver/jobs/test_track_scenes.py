@@ -97,7 +97,7 @@ def test_a_recording_needs_no_solved_shapes(files: dict[str, Path], tmp_path: Pa
 
 
 def test_a_recording_is_known_by_what_it_holds(files: dict[str, Path], tmp_path: Path) -> None:
-    """OpenFace's is played by its own options, which Live Link's refuses."""
+    """OpenFace's is played by its own options, of which Live Link's refuses some."""
     take, other = tmp_path / "take.txt", tmp_path / "other.csv"
     rows = ["timestamp, success, pose_Rx, pose_Ry, pose_Rz, AU17_r, AU26_r"]
     rows += [f"{frame / 10},{int(frame != 1)},0,{0.1 * frame},0,0,{frame}" for frame in range(4)]
@@ -121,8 +121,10 @@ def test_a_recording_is_known_by_what_it_holds(files: dict[str, Path], tmp_path:
     assert [step.message for step in steps if step.phase == "warning"] == [
         report["notices"][0]["message"]
     ]
-    other.write_text(",".join(["Timecode", "BlendShapeCount", *ARKIT_NAMES]))
-    with pytest.raises(InputError, match="neutral") as error:
+    row = ["00:00:00:01", "0", *("0" for _ in ARKIT_NAMES)]
+    other.write_text("\n".join([",".join(["Timecode", "Count", *ARKIT_NAMES]), ",".join(row)]))
+    scene["recording"] = {"asset": "take", "au_scale": 1.0}
+    with pytest.raises(InputError, match="au_scale") as error:
         run_job("animate", tmp_path / "no", captures={"take": other}, **how, **files)
     assert error.value.code == "live_link.options"
 
