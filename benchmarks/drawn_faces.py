@@ -46,10 +46,9 @@ class DrawnFaces:
     def __init__(
         self, model: SubjectModel, points: SkinPoints, options: DrawnFaceOptions = DRAWN
     ) -> None:
-        self._options = options
+        self.options = options
         skin = model.skin
         self._head = DrawnHead(skin)
-        self._fine = [self._head.skin]
         neutral = skin.vertices
         fine, faces = igl.upsample(neutral, self._head.skin, options.finer)
         self._faces = faces.astype(np.int64)
@@ -64,14 +63,16 @@ class DrawnFaces:
         face = neutral[model.face]
         low, high = face.min(axis=0), face.max(axis=0)
         height = float(high[1] - low[1])
-        self._camera = Camera((low + high) / 2, span=options.span * height)
+        self._camera = Camera(
+            (low + high) / 2, span=options.span * height, distance=options.distance_mm
+        )
 
     def picture(self, skin: Floats) -> Pixels:
         """Return a skin (v, 3) from the front, sRGB (h, w, 3) from 0 to 1."""
-        size = self._options.pixels
+        size = self.options.pixels
         lit = self._head.lit(skin)
         inner = np.vstack([self._head.teeth, self._head.mouth, self._head.eyes])
-        fine, _ = igl.upsample(skin, self._head.skin, self._options.finer)
+        fine, _ = igl.upsample(skin, self._head.skin, self.options.finer)
         vertices = np.vstack([fine, lit.surface.vertices])
         faces = np.vstack([self._faces, inner + len(fine)])
         colour = np.vstack([self._colour, self._head.body(lit).colour])

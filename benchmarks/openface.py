@@ -1,4 +1,4 @@
-"""Recordings of OpenFace: does the face that plays one open and widen as its landmarks do?
+"""Recordings of OpenFace: whether a face that plays one opens and widens as its landmarks do.
 
 OpenFace finds 68 landmarks beside its action units, and nothing is driven by them. Four distances
 between them, by that of the eyes, are compared over time with the same distances on the skin that
