@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from solver.animation.controls.pairs import Mixtures, Walks, solve_pairs
 from solver.fitting.activation import UNSEEN_STOP, fit, unseen_regulariser
 from solver.fitting.face import Face, PosedFace
 from solver.fitting.objective import SkinDistance, Target
+from solver.registration.detector import landmarker_file
 from solver.rig import Rig
 from solver.surface import Floats
 
@@ -29,6 +31,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     subjects.add_controls(parser)
     parser.add_argument("--rig", type=Path, help="rig.npz: read if there, else left in it")
     parser.add_argument("--learned", type=Path, help="controls.npz of the rig, likewise")
+
+
+SKIPPED = {"skipped": "no MediaPipe, or no MYOFACE_FACE_LANDMARKER"}
+
+
+def detector_file() -> Path | None:
+    """Return the file of MediaPipe's landmarker; None where it or MediaPipe is not there."""
+    return landmarker_file() if find_spec("mediapipe") else None
 
 
 def exact_fit(face: Face, motions: Floats, weights: Floats) -> PosedFace:

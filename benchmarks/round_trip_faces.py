@@ -11,7 +11,6 @@ move in flesh as FACS says, and at least three times as far as the median landma
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import logging
 from pathlib import Path
 
@@ -20,15 +19,9 @@ from PIL import Image
 
 from benchmarks import played_person, report
 from benchmarks.documents import Figures, Section, Table
-from benchmarks.drawn_faces import DrawnFaces
 from benchmarks.played_person import PlayedPerson
-from solver.registration.detector import (
-    EYE_CORNERS,
-    DetectedFace,
-    DetectorOptions,
-    FaceDetector,
-    landmarker_file,
-)
+from solver.registration.detector import EYE_CORNERS, DetectedFace, DetectorOptions, FaceDetector
+from solver.rig.painted_faces import PaintedFaces
 from solver.scans.openface import UNITS, shapes_of_units
 from solver.scans.performance import ARKIT_NAMES
 from solver.surface import Floats
@@ -86,10 +79,9 @@ def run(options: argparse.Namespace) -> Figures:
     figures: Figures = {"units": len(units)}
     figures["signs"] = {str(unit): sign(person, unit, made[unit, 1.0][1]) for unit in units}
     figures["facs_signs"] = sum(each["agrees"] for each in figures["signs"].values())
-    file = landmarker_file()
-    if file is None or importlib.util.find_spec("mediapipe") is None:
-        figures["skipped"] = "no MediaPipe, or no MYOFACE_FACE_LANDMARKER"
-        return figures
+    file = played_person.detector_file()
+    if file is None:
+        return {**figures, **played_person.SKIPPED}
     with FaceDetector(file, DetectorOptions(most_faces=1, weights=True)) as detector:
         return {**figures, **_looked_at(person, made, detector, options.pictures)}
 
@@ -124,7 +116,7 @@ def _looked_at(
     detector: FaceDetector,
     folder: Path | None,
 ) -> Figures:
-    drawn = DrawnFaces(person.face.model, person.points)
+    drawn = PaintedFaces(person.face.model, person.points)
     neutral = person.face.model.skin.vertices
     rest = drawn.look(neutral, detector)
     assert rest is not None, "a face at rest is seen"

@@ -22,17 +22,17 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import played_person, report
 from benchmarks.documents import Figures, Section, Table
-from benchmarks.drawn_faces import DrawnFaces
 from benchmarks.played_person import PlayedPerson
 from solver.animation import Gaze, neck, shape_weights, turn_about
 from solver.animation.controls import Controls
 from solver.drawing.render import Pixels
 from solver.jobs import run_job
 from solver.kinds.scene import Recording
-from solver.registration.detector import DetectorOptions, FaceDetector, landmarker_file
+from solver.registration.detector import DetectorOptions, FaceDetector
 from solver.rig import Rig
 from solver.rig.frames import FRAMES, read_chunks
 from solver.rig.frames.animation import MotionRecord, write_video
+from solver.rig.painted_faces import PaintedFaces
 from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.scans.signals import play_signals
 from solver.scans.video import read_video
@@ -57,12 +57,12 @@ def main() -> None:
 
 def run(options: argparse.Namespace) -> Figures:
     """Return the figures of the chosen person and video."""
-    file = landmarker_file()
+    file = played_person.detector_file()
     if file is None:
-        return {"skipped": "no MYOFACE_FACE_LANDMARKER"}
+        return played_person.SKIPPED
     person = PlayedPerson.of(options)
     controls = person.controls()
-    drawn = DrawnFaces(person.face.model, person.points)
+    drawn = PaintedFaces(person.face.model, person.points)
     with tempfile.TemporaryDirectory() as folder:
         video = options.video or _film(Path(folder) / "made.mp4", person, drawn)
         begun = time.perf_counter()
@@ -129,8 +129,14 @@ def _animated(
     rig.save(folder / "rig.npz")
     controls.save(folder / "controls.npz", face.model, person.S)
     scene = {"recording": entry.model_dump(exclude_unset=True)}
-    files = {"rig": folder / "rig.npz", "controls": folder / "controls.npz"}
-    run_job("animate", out, options={"scene": scene}, captures={"video": video}, **files)
+    run_job(
+        "animate",
+        out,
+        options={"scene": scene},
+        captures={"video": video},
+        rig=folder / "rig.npz",
+        controls=folder / "controls.npz",
+    )
     log.info("%s", json.loads((out / "animation.json").read_text())["transfer"])
     gaze, model = Gaze(face.model), face.model
     for frame in read_chunks(out / FRAMES, MotionRecord, "simulate.frames", lambda _: True):
@@ -150,7 +156,7 @@ def _shaped(
         yield turn_about(pivot, head, np.zeros(3))(gaze.turn(skin, eyes))
 
 
-def _look(drawn: DrawnFaces, skins: Iterator[Floats], detector: FaceDetector) -> FaceTake:
+def _look(drawn: PaintedFaces, skins: Iterator[Floats], detector: FaceDetector) -> FaceTake:
     """Return what the detector sees of skins that are drawn; nothing where it sees no face."""
     weights, head, seen = [], [], []
     for skin in skins:
@@ -165,7 +171,7 @@ def _look(drawn: DrawnFaces, skins: Iterator[Floats], detector: FaceDetector) ->
     return FaceTake(np.arange(len(seen)) / 1.0, *signals, np.array(seen), "video")
 
 
-def _film(path: Path, person: PlayedPerson, drawn: DrawnFaces) -> Path:
+def _film(path: Path, person: PlayedPerson, drawn: PaintedFaces) -> Path:
     """Film the person: a smile and an open mouth come and go."""
     rows = [person.names.index(name) for name in ("mouthSmileLeft", "mouthSmileRight", "jawOpen")]
 
@@ -179,8 +185,7 @@ def _film(path: Path, person: PlayedPerson, drawn: DrawnFaces) -> Path:
             )
             yield drawn.picture(person.shaped(weights))
 
-    size = (drawn.options.pixels, drawn.options.pixels)
-    write_video(path, pictures(), size, 25.0)
+    write_video(path, pictures(), drawn.options.size, 25.0)
     return path
 
 
@@ -190,9 +195,10 @@ def section(figures: Figures) -> Section:
     return Section(
         title="A video on a rig",
         compared=f"What MediaPipe sees of {figures['seen']} filmed frames, and of the rig that "
-        f"plays them: correlations over time, in the middle {figures['median_r']:.2f}, of the template's "
-        f"own shapes {figures['median_ceiling']:.2f}; the head {figures['head_rms_deg']:.1f} deg "
-        f"off. A frame is decoded and looked at in {figures['detect_ms']:.0f} ms.",
+        f"plays them: correlations over time, in the middle {figures['median_r']:.2f}, of the "
+        f"template's own shapes {figures['median_ceiling']:.2f}; the head "
+        f"{figures['head_rms_deg']:.1f} deg off. A frame is decoded and looked at "
+        f"in {figures['detect_ms']:.0f} ms.",
         parts=[Table(["shape", "rig", "template's own shapes"], rows)],
     )
 

@@ -53,9 +53,11 @@ def transfer(
     `transfer.png`. Needs the extras `video` and `mediapipe`, and MediaPipe's model: `myoface assets
     fetch landmarker`.
     """
+    from solver.anatomy.template import Template
     from solver.jobs import run_job
     from solver.rig import Rig, find_files
     from solver.rig.transfer_sheet import draw_transfer
+    from solver.templates.builtin.build import builtin_template
 
     recording: dict[str, Any] = {"asset": "video", "start": start, "end": end, "face": face}
     recording |= {"gain": gain, "smooth_hz": smooth_hz}
@@ -75,7 +77,8 @@ def transfer(
             progress=view,
             **files,
         )
-        draw_transfer(output / PICTURE, video, output, Rig.load(files).model, start)
+        points = (Template.load(template) if template else builtin_template()).points
+        draw_transfer(output / PICTURE, video, output, Rig.load(files).model, points, start)
     report = json.loads((output / "animation.json").read_text(encoding="utf-8"))
     show_outcome("animate", report, None)
     told = report["transfer"]

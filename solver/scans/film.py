@@ -106,6 +106,8 @@ class _Decoded:
         if not film.streams.video:
             raise _unreadable(self.path, self.code, "it has no pictures")
         stream = film.streams.video[0]
+        if stream.codec_context is None:
+            raise _unreadable(self.path, self.code, "nothing here decodes its pictures")
         self._check_size(stream.width, stream.height)
         length = float((stream.duration or 0) * (stream.time_base or 0))
         rate = float(stream.average_rate or 0) or 30.0

@@ -14,7 +14,8 @@ from solver.errors import InputError
 from solver.jobs import run_job
 from solver.progress import Step
 from solver.rig import Rig
-from solver.scans.performance import ARKIT_NAMES
+from solver.scans import recordings
+from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.tracks.basis import MuscleTracks, TrackOptions
 from tests.solver.tracks.block import OPEN, block_shapes, tracked_block
 
@@ -127,6 +128,34 @@ def test_a_recording_is_known_by_what_it_holds(files: dict[str, Path], tmp_path:
     with pytest.raises(InputError, match="au_scale") as error:
         run_job("animate", tmp_path / "no", captures={"take": other}, **how, **files)
     assert error.value.code == "live_link.options"
+
+
+def test_what_is_measured_of_a_video_is_left_and_plays_as_it(
+    files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weights = np.zeros((6, len(ARKIT_NAMES)))
+    weights[:, ARKIT_NAMES.index("jawOpen")] = [0.1, 0.1, 0.3, 0.0, 0.6, 0.6]
+    head, eyes = 0.1 * weights[:, :3], np.zeros((6, 2, 3))
+    seen = np.arange(6) != 3
+    measured = FaceTake(np.arange(6) / 25.0, weights, head, eyes, seen, "video")
+    monkeypatch.setattr(recordings, "read_video", lambda *_, **__: measured)
+    film = tmp_path / "film.mov"
+    film.write_bytes(b"\0\0\0\x14ftypqt  ")
+    outs = []
+    for name, asset in (("film", film), ("again", tmp_path / "film" / "signals.csv")):
+        outs.append(tmp_path / name)
+        scene = {"drive": "tracks", "recording": {"asset": "take", "start": 1}}
+        how: dict[str, Any] = {"options": {"scene": scene}}
+        left = run_job("animate", outs[-1], captures={"take": asset}, **how, **files)
+        assert ("signals.csv" in {path.name for path in left}) == (name == "film")
+    played = [np.load(out / "animation.npz") for out in outs]
+    assert played[0]["seen"].tolist() == [True, True, False, True, True]
+    assert played[0]["jaw"].max() > 0.0
+    for name in ("weights", "jaw", "head", "seen"):
+        np.testing.assert_allclose(played[1][name], played[0][name], atol=1e-7)
+    told = json.loads((outs[0] / "animation.json").read_text())
+    assert told["transfer"]["format"] == "video"
+    assert [notice["code"] for notice in told["notices"]] == ["video.gaps"]
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,11 @@
-"""Faces as they are drawn for a detector: with brows and lips painted, without which it sees less.
+"""Faces with brows and lips painted on: pictures that a detector, and a person, reads better.
 
-Detectors know brows by their hair: on a bare face those of a raised brow hardly leave 0.
+Detectors know brows by their hair: on a bare face their weights of a raised brow hardly leave 0.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import igl
@@ -26,25 +27,25 @@ BROWS = {
 
 
 @dataclass(frozen=True)
-class DrawnFaceOptions:
-    """How faces are drawn."""
+class PaintOptions:
+    """How faces are painted and drawn."""
 
-    pixels: int = 384  # a side
-    span: float = 1.9  # of the picture, by the face's height
+    size: tuple[int, int] = (384, 384)  # of a picture, px
+    span: float = 1.45  # of the picture, by the face's height
     brow: tuple[float, float, float] = (0.05, 0.03, 0.02)  # linear RGB
     finer: int = 1  # times that triangles of the skin are cut in four
-    lip_depth_mm: float = 8.0  # further behind the corners of the mouth nothing is painted
+    depth_mm: float = 8.0  # further behind the outline of a part nothing is painted
     distance_mm: float = 600.0  # of the camera, a usual one for a face in a film
 
 
-DRAWN = DrawnFaceOptions()
+PAINT = PaintOptions()
 
 
-class DrawnFaces:
+class PaintedFaces:
     """Draws skins of a person, whose template's ``points`` say where brows and lips are."""
 
     def __init__(
-        self, model: SubjectModel, points: SkinPoints, options: DrawnFaceOptions = DRAWN
+        self, model: SubjectModel, points: SkinPoints, options: PaintOptions = PAINT
     ) -> None:
         self.options = options
         skin = model.skin
@@ -53,13 +54,9 @@ class DrawnFaces:
         fine, faces = igl.upsample(neutral, self._head.skin, options.finer)
         self._faces = faces.astype(np.int64)
         self._colour = np.tile(COLOURS["skin"], (len(fine), 1))
-        lips = points.select([str(row) for row in LIP_OUTLINE if points.has(str(row))]).at(neutral)
-        in_front = fine[:, 2] > lips[:, 2].min() - options.lip_depth_mm
-        self._colour[in_front & is_within(fine[:, :2], lips[:, :2])] = COLOURS["lips"]
-        for numbers in BROWS.values():
-            names = [str(row) for row in numbers if points.has(str(row))]
-            outline = points.select(names).at(neutral)
-            self._colour[(fine[:, 2] > 0.0) & is_within(fine[:, :2], outline[:, :2])] = options.brow
+        self._paint(fine, points, neutral, LIP_OUTLINE, COLOURS["lips"])
+        for brow in BROWS.values():
+            self._paint(fine, points, neutral, brow, options.brow)
         face = neutral[model.face]
         low, high = face.min(axis=0), face.max(axis=0)
         height = float(high[1] - low[1])
@@ -67,16 +64,30 @@ class DrawnFaces:
             (low + high) / 2, span=options.span * height, distance=options.distance_mm
         )
 
+    def _paint(
+        self,
+        fine: Floats,
+        points: SkinPoints,
+        neutral: Floats,
+        numbers: Sequence[int],
+        colour: tuple[float, ...],
+    ) -> None:
+        """Colour the vertices ``fine`` (n, 3) within an outline of landmarks, from the front."""
+        names = [str(number) for number in numbers if points.has(str(number))]
+        outline = points.select(names).at(neutral)
+        in_front = fine[:, 2] > outline[:, 2].min() - self.options.depth_mm
+        self._colour[in_front & is_within(fine[:, :2], outline[:, :2])] = colour
+
     def picture(self, skin: Floats) -> Pixels:
         """Return a skin (v, 3) from the front, sRGB (h, w, 3) from 0 to 1."""
-        size = self.options.pixels
         lit = self._head.lit(skin)
         inner = np.vstack([self._head.teeth, self._head.mouth, self._head.eyes])
         fine, _ = igl.upsample(skin, self._head.skin, self.options.finer)
         vertices = np.vstack([fine, lit.surface.vertices])
         faces = np.vstack([self._faces, inner + len(fine)])
         colour = np.vstack([self._colour, self._head.body(lit).colour])
-        return render([DrawnBody(Lit(Surface(vertices, faces)), colour)], self._camera, size, size)
+        body = DrawnBody(Lit(Surface(vertices, faces)), colour)
+        return render([body], self._camera, *self.options.size)
 
     def look(self, skin: Floats, detector: FaceDetector) -> DetectedFace | None:
         """Return the face that a detector sees in the picture of a skin (v, 3)."""
