@@ -60,7 +60,7 @@ class PaintedFaces:
         face = neutral[model.face]
         low, high = face.min(axis=0), face.max(axis=0)
         height = float(high[1] - low[1])
-        self._camera = Camera(
+        self.camera = Camera(
             (low + high) / 2, span=options.span * height, distance=options.distance_mm
         )
 
@@ -87,7 +87,7 @@ class PaintedFaces:
         faces = np.vstack([self._faces, inner + len(fine)])
         colour = np.vstack([self._colour, self._head.body(lit).colour])
         body = DrawnBody(Lit(Surface(vertices, faces)), colour)
-        return render([body], self._camera, *self.options.size)
+        return render([body], self.camera, *self.options.size)
 
     def look(self, skin: Floats, detector: FaceDetector) -> DetectedFace | None:
         """Return the face that a detector sees in the picture of a skin (v, 3)."""
