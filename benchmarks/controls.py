@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from benchmarks import report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
+from benchmarks.played_person import exact_fit
 from benchmarks.subjects import EDGE_MM
 from solver.animation.blendshapes import driven_motions
 from solver.animation.controls import Controls
@@ -36,9 +37,7 @@ from solver.animation.controls.maps import Network, NetworkOptions, ShapeSizes
 from solver.animation.controls.metric import changes_of
 from solver.animation.controls.pairs import LEVELS, Mixtures, Pairs, Walks, solve_pairs
 from solver.errors import SolveError
-from solver.fitting.activation import UNSEEN_STOP, fit, unseen_regulariser
 from solver.fitting.face import Face, Pose, PosedFace
-from solver.fitting.objective import SkinDistance, Target
 from solver.mechanics.flesh import IDENTITY
 from solver.scans.openface import UNITS
 from solver.surface import Floats
@@ -210,12 +209,8 @@ class _Bench:
 
     def exact(self, weights: Floats) -> _Mixed:
         """Return the exact fit of a mixture, from the neutral face."""
-        face = self.face
-        neutral = face.model.skin.vertices[face.model.face]
-        target = Target.from_points(neutral + np.tensordot(weights, self.walks.motions, 1))
-        prior = unseen_regulariser(face, target)
-        state = fit(face, SkinDistance(face, target), prior, None, UNSEEN_STOP).state
-        return _Mixed(weights, state, face.face_points(state.x))
+        state = exact_fit(self.face, self.walks.motions, weights)
+        return _Mixed(weights, state, self.face.face_points(state.x))
 
     def _changes(self, state: PosedFace) -> Floats:
         jaw = self.face.five_jaw_numbers(state.pose.b)

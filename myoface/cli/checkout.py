@@ -15,12 +15,13 @@ from myoface.cli.offline import solve
 from myoface.cli.service import admin_key, backup, doctor, restore, up
 from myoface.cli.template import template
 from myoface.cli.tenants import tenants
+from myoface.cli.transfer import transfer
 from myoface.errors import describe
 from service import process
 from solver.errors import InputError, SolveError
 
 _root = Group("")
-for _function in (up, demo, doctor, admin_key, backup, restore):
+for _function in (up, demo, doctor, admin_key, backup, restore, transfer):
     _root.command()(_function)
 MEMBERS: Mapping[str, Runnable] = {
     **_root.members,

@@ -61,6 +61,7 @@ HELP = {
     "assets": "Anatomy and face models of others.",
     "markers": "Markers on a face: check takes, bind them to a person.",
     "solve": "Solve here, without a service.",
+    "transfer": "Play a video of a face by a rig.",
 }
 OPERATOR: Mapping[str, Runnable] = {
     name: OperatorCommand(name, f"{words} (Linux, from a checkout)") for name, words in HELP.items()

@@ -1,8 +1,8 @@
-"""The job that plays a recording of Live Link Face or OpenFace."""
+"""The job that plays a recording: of Live Link Face, of OpenFace, or a video."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,18 +20,20 @@ from solver.jobs import Task, read_template
 from solver.jobs.blendshapes import SOLVED, left_files, person_blendshapes, tell_blendshapes
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.animate import Animate
-from solver.kinds.scene import Recording
 from solver.mechanics.linear import fastest
 from solver.progress import Step, part_of
 from solver.rig import Rig
 from solver.rig.frames.animation import check_video
-from solver.scans.openface import is_openface, read_openface
-from solver.scans.performance import ARKIT_NAMES, FaceTake, read_live_link
+from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.recordings import read_recording
 from solver.scene import Stage
 from solver.scene.document import head_of
 from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackContact
+
+SIGNALS_FILE = "signals.csv"  # of a video
+TOLD_EVERY = 30  # frames of a video
 
 
 def run(task: Task[Animate]) -> list[Path]:
@@ -44,7 +46,8 @@ def run(task: Task[Animate]) -> list[Path]:
     the limits of the rig's. They begin with the rig's basis of expressions, which is solved and
     left where no earlier job has. Where the scene says so tracks drive the face, whose shapes are
     the recording's, and nothing is solved before. Raises, besides, ``basis.*``, ``blendshapes.*``,
-    ``tracks.*``, ``live_link.*`` and ``openface.*``.
+    ``tracks.*``, ``live_link.*``, ``openface.*`` and ``video.*``. What is measured of a
+    video is left as ``signals.csv``.
     """
     given = task.options
     out = task.out
@@ -56,7 +59,9 @@ def run(task: Task[Animate]) -> list[Path]:
     model = rig.model
     S = rig.weights
     recording = scene.recording
-    recorded = read_recording(places.asset(recording.asset), recording)
+    signals = out / SIGNALS_FILE
+    signals.unlink(missing_ok=True)  # of another scene
+    recorded = read_recording(places.asset(recording.asset), recording, signals, _detecting(task))
     for notice in recorded.notices:
         progress(Step("warning", READ, message=notice.message))
 
@@ -99,27 +104,22 @@ def run(task: Task[Animate]) -> list[Path]:
         more["timecode"] = recorded.timecodes[recording.start]
     playing = part_of(progress, begun, EXPORT)
     frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
-    arrays = {"weights": drives.weights, **played.arrays}
+    shown = recorded.seen[recording.start : recording.end]
+    arrays = {"weights": drives.weights, "seen": shown, **played.arrays}
     written = finish(
         stage, frames, out, progress, title="Animation", video=given.video, more=more, arrays=arrays
     )
-    return [*written, *played.files]
+    return [*written, *played.files, *([signals] if signals.is_file() else [])]
 
 
-def read_recording(path: Path, entry: Recording) -> FaceTake:
-    """Return a recording of Live Link Face or OpenFace, which its content tells apart.
+def _detecting(task: Task[Animate]) -> Callable[[int], None]:
+    """Return what tells now and then how many frames of a video were looked at."""
 
-    Raises as their readers, and ``live_link.options`` for what is OpenFace's alone.
-    """
-    if is_openface(path):
-        return read_openface(path, entry)
-    plain = Recording(asset=entry.asset, start=entry.start, end=entry.end)
-    other = [name for name, value in plain if getattr(entry, name) != value]
-    if other:
-        reason = f"{other[0]} is an option of recordings of OpenFace, and this is of Live Link Face"
-        message = f"{path.name}: {reason}"
-        raise InputError("live_link.options", message, file=path.name, found=other)
-    return read_live_link(path)
+    def listen(done: int) -> None:
+        if done % TOLD_EVERY == 0:
+            task.progress(Step("detect", READ, done, message=f"frame {done}"))
+
+    return listen
 
 
 def _told_of(take: FaceTake, played: Mapping[str, Any]) -> dict[str, Any]:

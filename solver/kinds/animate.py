@@ -1,7 +1,7 @@
 """Animate by a recording.
 
-Plays a recording of Live Link Face or OpenFace by the rig's flesh, with contact, forces, objects
-and edits; frames can be read while the job runs.
+Plays a recording of Live Link Face or OpenFace, or a video, by the rig's flesh, with contact,
+forces, objects and edits; frames can be read while the job runs.
 """
 
 from pydantic import Field

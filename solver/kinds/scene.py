@@ -154,19 +154,20 @@ RecordingGain = Annotated[
 class Recording(Document):
     """Frames of a recording."""
 
-    asset: str = Field(description="a CSV file of Live Link Face or OpenFace")
+    asset: str = Field(
+        description="a CSV file of Live Link Face or OpenFace, a video, or the signals of one"
+    )
     start: Whole = Field(default=0, ge=0, description="first frame")
     end: Annotated[int, Field(ge=1), Integral] | None = Field(
         default=None, description="the frame after the last; null: to the end"
     )
     fps: float | None = Field(
-        default=None,
-        ge=1,
-        le=1000,
-        description="frames a second, in the place of the file's clock (OpenFace)",
+        default=None, ge=1, le=1000, description="frames a second, in the place of the file's clock"
     )
     face: Annotated[int, Field(ge=0), Integral] | None = Field(
-        default=None, description="the face_id to play where there are several (OpenFace)"
+        default=None,
+        description="whose face is played where there are several: its face_id (OpenFace), or its "
+        "number in a video, 0 being the largest at the middle",
     )
     au_scale: float | None = Field(
         default=None,
@@ -176,13 +177,27 @@ class Recording(Document):
     )
     neutral: NeutralFrame = Field(
         default="auto",
-        description="the frame in which the face is at rest, counted as start is; auto: what is "
-        "low in the take (OpenFace)",
+        description="the frame in which the face is at rest, counted as start is, which is taken "
+        "off; auto: what is low in the take, and nothing off one of Live Link Face",
     )
     gain: RecordingGain = Field(
         default=1.0,
-        description="factor of all weights; range: each action unit by its range in the take "
-        "(OpenFace)",
+        description="factor of all weights; range: each shape or action unit by its range in the "
+        "take",
+    )
+    smooth_hz: float | None = Field(
+        default=None,
+        ge=0,
+        le=100,
+        description="faster motion is taken out, without delay; 0: nothing; null: above 6 of a "
+        "video, nothing of others",
+    )
+    camera_pitch_deg: float | None = Field(
+        default=None,
+        ge=-90,
+        le=90,
+        description="how far the camera looked up: the head is turned as it was in the world; "
+        "null: from where it is at rest",
     )
 
 

@@ -1,7 +1,6 @@
 """The pictures of a film: photographs in their order, or a file of MP4 or MOV.
 
-Files of films are read by PyAV (the extra ``video``); every frame is turned upright. Frames come
-one after the other and are never all in memory; to go back is to begin anew.
+Frames come one after the other and are never all in memory; to go back is to begin anew.
 """
 
 from __future__ import annotations
@@ -9,9 +8,8 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -20,8 +18,9 @@ from solver.kinds import MOST_FILM_FRAMES, ROLES
 from solver.photo.photo import Photo
 from solver.photo.picture import LEAST_SIDE, MOST_PIXELS
 from solver.photo.read import read_photo
+from solver.scans.film import FilmLimits, Picture, decode_film
 
-QUARTERS = 4  # turns that make a whole one
+LIMITS = FilmLimits(LEAST_SIDE, MOST_PIXELS, MOST_FILM_FRAMES)
 
 
 class Footage(Protocol):
@@ -86,19 +85,17 @@ class Pictures:
 class FilmFile:
     """The frames of a file.
 
-    Raises :class:`InputError`: ``film.extra`` without PyAV, ``film.unreadable`` for what is no
-    film, ``film.size`` for frames that are too small or too large, ``film.long`` for too many.
+    Raises :class:`InputError` (``film.*``) as :func:`~solver.scans.film.decode_film`.
     """
 
     def __init__(self, path: Path) -> None:
-        if find_spec("av") is None:
-            message = "reading a film needs PyAV, which is not installed: pip install "
-            raise InputError("film.extra", f"{message}'myoface[video]', or give its pictures")
         self.name = path.name
         self._path = path
-        self._frames: Iterator[Any] = iter(())
+        self._frames: Iterator[Picture] = iter(())
         self._next = 0
-        self._count = self._look()
+        self._count = sum(
+            1 for _ in decode_film(path, limits=LIMITS)
+        )  # files only claim to know it
 
     def __len__(self) -> int:
         """Return how many frames it has."""
@@ -111,54 +108,15 @@ class FilmFile:
     def photo(self, number: int) -> Photo:
         """Return a frame; raises :class:`InputError` (``film.unreadable``)."""
         if number < self._next or not self._next:
-            self._frames = self._decode()
+            self._frames = decode_film(self._path, limits=LIMITS)
             self._next = 0
         for picture in self._frames:
             self._next += 1
             if self._next > number:
-                pixels = np.rot90(picture.to_ndarray(format="rgb24"), _quarters(picture))
-                shown = pixels.astype(np.float32) / np.float32(255)
+                shown = picture.pixels().astype(np.float32) / np.float32(255)
                 return Photo(f"{Path(self.name).stem} {number}", shown)
-        raise self._unreadable(f"it ends before frame {number}")
-
-    def _look(self) -> int:
-        """Return the number of frames: they are decoded once, as files only claim to know it."""
-        count = 0
-        for picture in self._decode():
-            count += 1
-            sides = (picture.width, picture.height)
-            if min(sides) < LEAST_SIDE or sides[0] * sides[1] > MOST_PIXELS:
-                message = (
-                    f"{self.name}: frames of {sides[0]} x {sides[1]} px: at least {LEAST_SIDE} a "
-                    f"side and {MOST_PIXELS >> 20} million in all are read"
-                )
-                raise InputError("film.size", message, file=self.name, found=list(sides))
-            if count > MOST_FILM_FRAMES:
-                message = f"{self.name} has more than {MOST_FILM_FRAMES} frames: cut it"
-                raise InputError("film.long", message, file=self.name, expected=MOST_FILM_FRAMES)
-        if not count:
-            raise self._unreadable("it has no frames")
-        return count
-
-    def _decode(self) -> Iterator[Any]:
-        import av
-
-        try:
-            with av.open(str(self._path)) as film:
-                if not film.streams.video:
-                    raise self._unreadable("it has no pictures")
-                yield from film.decode(film.streams.video[0])
-        except (av.FFmpegError, OSError, ValueError) as error:
-            raise self._unreadable(str(error)) from error
-
-    def _unreadable(self, why: str) -> InputError:
-        message = f"{self.name} is not a film that can be read: {why}"
-        return InputError("film.unreadable", message, file=self.name)
-
-
-def _quarters(picture: Any) -> int:
-    """Return by how many quarters, to the left, a frame is turned to stand upright."""
-    return int(round(picture.rotation / 90) % QUARTERS)
+        message = f"{self.name} is not a film that can be read: it ends before frame {number}"
+        raise InputError("film.unreadable", message, file=self.name)
 
 
 def open_film(path: Path, landmarks: Collection[str] = ()) -> Footage:

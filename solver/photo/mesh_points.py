@@ -141,10 +141,10 @@ def _lips(template: Template, points: SkinPoints, depth_mm: float) -> Ints:
     outline = points.select([str(row) for row in LIP_OUTLINE if str(row) in points.names]).at(skin)
     flesh = np.unique(template.flesh.faces)
     in_front = skin[flesh, 2] > outline[:, 2].min(initial=np.inf) - depth_mm
-    return np.asarray(flesh[in_front & _is_within(skin[flesh, :2], outline[:, :2])])
+    return np.asarray(flesh[in_front & is_within(skin[flesh, :2], outline[:, :2])])
 
 
-def _is_within(points: Floats, polygon: Floats) -> NDArray[np.bool_]:
+def is_within(points: Floats, polygon: Floats) -> NDArray[np.bool_]:
     """Tell which points (n, 2) lie within a polygon (k, 2): a ray to the right leaves it once."""
     start = polygon
     end = np.roll(polygon, -1, axis=0)

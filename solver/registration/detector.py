@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -52,6 +53,7 @@ class DetectorOptions:
 
     most_faces: int = 8  # that are looked for in a picture
     confidence: float = 0.5  # least of a face, 0 to 1
+    weights: bool = False  # whether those of shapes are told, in a millisecond more
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ class DetectedFace:
     # (3, 3) of the face's axes (x to the subject's left, y up, z forward) into the camera's (x
     # right, y up, z backward): the identity where it looks into the camera
     rotation: Floats
+    weights: Mapping[str, float] = field(default_factory=dict)  # of ARKit's shapes, if asked for
 
     @property
     def box(self) -> tuple[float, float, float, float]:
@@ -111,6 +114,7 @@ class FaceDetector:
                 min_face_detection_confidence=given.confidence,
                 min_face_presence_confidence=given.confidence,
                 output_facial_transformation_matrixes=True,
+                output_face_blendshapes=given.weights,
             )
             self._landmarker: Any = vision.FaceLandmarker.create_from_options(wanted)
         except (RuntimeError, ValueError) as error:
@@ -130,18 +134,22 @@ class FaceDetector:
 
     def faces(self, picture: NDArray[np.floating]) -> list[DetectedFace]:
         """Return the faces in a picture (h, w, 3), sRGB from 0 to 1; none where none is seen."""
+        return self.faces_in(np.ascontiguousarray(picture * 255 + 0.5, np.uint8))
+
+    def faces_in(self, pixels: NDArray[np.uint8]) -> list[DetectedFace]:
+        """Return the same of a picture in bytes."""
         import mediapipe
 
-        pixels = np.ascontiguousarray(picture * 255 + 0.5, np.uint8)
         image = mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
         seen = self._landmarker.detect(image)
         height, width = pixels.shape[:2]
+        motions = seen.facial_transformation_matrixes
+        shapes = seen.face_blendshapes or [()] * len(motions)
         return [
             DetectedFace(
                 np.array([(width * point.x, height * point.y) for point in points]),
                 np.array(motion)[:3, :3],
+                {each.category_name: float(each.score) for each in weights},
             )
-            for points, motion in zip(
-                seen.face_landmarks, seen.facial_transformation_matrixes, strict=True
-            )
+            for points, motion, weights in zip(seen.face_landmarks, motions, shapes, strict=True)
         ]

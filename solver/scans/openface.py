@@ -35,6 +35,16 @@ from solver.errors import (
 )
 from solver.kinds.scene import Recording
 from solver.scans.performance import ARKIT_NAMES, FaceTake
+from solver.scans.signals import (
+    SIGNALS,
+    fill_gaps,
+    gap_notice,
+    range_notice,
+    rest_frame,
+    seen_by,
+    smoothed,
+    with_looks,
+)
 from solver.surface import Floats, Ints
 
 UNITS = (1, 2, 4, 5, 6, 7, 9, 10, 12, 14, 15, 17, 20, 23, 25, 26, 45)  # that have an intensity
@@ -60,10 +70,10 @@ class OpenFaceOptions:
     """How frames are judged and mended."""
 
     confidence: float = 0.7  # of the landmarks; below it a frame is not seen
-    bridge_s: float = 0.25  # longest gap to blend over, and how long a longer one eases to rest
+    bridge_s: float = SIGNALS.bridge_s
     most_fps: float = 500.0  # a faster clock counts pictures, not time
     least_step_s: float = 1e-6  # from a frame to the next
-    rest_percentile: float = 10.0  # of a unit's intensities: at rest, where no frame is named
+    rest_percentile: float = SIGNALS.rest_percentile
     least_range: float = 0.25  # of intensity that is scaled to 1; a smaller one is noise
 
 
@@ -93,16 +103,19 @@ def read_openface(
     times = _times(table, entry.fps, options)
     seen = _seen(table, options)
     _check_angles(table, seen)
-    rest = _rest_frame(table, seen, entry.neutral)
+    rest = rest_frame(table.file, "openface", seen, entry.neutral)
     weights, notices = _weights(table, seen, rest, entry, options)
-    head, eyes = _turns(table, seen, rest)
-    signals = np.hstack([weights, head, eyes])
-    signals, gaps = _fill_gaps(times, signals, seen, options.bridge_s)
+    head, eyes = _turns(table, seen, rest, entry.camera_pitch_deg)
+    signals = np.hstack([with_looks(weights, eyes), head, eyes.reshape(-1, 6)])
+    signals, gaps = fill_gaps(times, signals, seen, options.bridge_s)
     if gaps:
-        notices.append(_gap_notice(table.file, gaps, seen, options.bridge_s))
-    weights, head, eyes = np.split(signals, [-9, -6], axis=1)
-    turns = head, eyes.reshape(-1, 2, 3)
-    return FaceTake(times, weights, *turns, seen, "openface", gaps=gaps, notices=tuple(notices))
+        notices.append(gap_notice(table.file, "openface", gaps, seen, options.bridge_s))
+    if entry.smooth_hz:
+        signals = smoothed(times, signals, entry.smooth_hz)
+    weights, head, turns = np.split(signals, [-9, -6], axis=1)
+    eyes = turns.reshape(-1, 2, 3)
+    told = gaps, tuple(notices)
+    return FaceTake(times, weights, head, eyes, seen, "openface", (), *told)
 
 
 @dataclass(frozen=True)
@@ -251,19 +264,6 @@ def _check_angles(table: _Table, seen: np.ndarray) -> None:
             raise table.error("openface.value", reason, row, column=name)
 
 
-def _rest_frame(table: _Table, seen: np.ndarray, neutral: int | str) -> int | None:
-    """Return the frame in which the face is at rest; None where it is estimated."""
-    if isinstance(neutral, str):
-        return None
-    if neutral >= len(seen):
-        reason = f"it has the frames 0 to {len(seen) - 1}, and none {neutral} to be neutral"
-        raise table.error("openface.neutral", reason, found=neutral, expected=len(seen))
-    if not seen[neutral]:
-        reason = f"no face is seen in the frame {neutral}, which is to be neutral"
-        raise table.error("openface.neutral", reason, neutral, found=neutral)
-    return neutral
-
-
 def _weights(
     table: _Table, seen: np.ndarray, rest: int | None, entry: Recording, options: OpenFaceOptions
 ) -> tuple[Floats, list[Finding]]:
@@ -292,9 +292,7 @@ def _weights(
     if entry.gain == "range":
         least = options.least_range * scale / FULL
         above /= np.maximum(above[seen].max(axis=0), least)
-        words = f"{table.file}: every action unit is scaled by its range in this take, so that a "
-        words += "faint expression is played as a full one"
-        notices.append(make_warning("openface.range", words, named))
+        notices.append(range_notice(table.file, "openface", "action unit"))
     else:
         above *= entry.gain / scale
     return above @ shapes_of_units(), notices
@@ -314,64 +312,25 @@ def shapes_of_units() -> Floats:
     return table
 
 
-def _turns(table: _Table, seen: np.ndarray, rest: int | None) -> tuple[Floats, Floats]:
-    """Return rotation vectors of the head (f, 3) and the eyes in it (f, 6), from rest on.
+def _turns(
+    table: _Table, seen: np.ndarray, rest: int | None, camera_pitch_deg: float | None
+) -> tuple[Floats, Floats]:
+    """Return rotation vectors of the head (f, 3) and the eyes in it (f, 2, 3), from rest on.
 
-    Both eyes look where their mean gaze goes, as each by itself is poor; none of them rolls.
+    The head's are in the world where it is known how the camera looks. Both eyes look where their
+    mean gaze goes, as each by itself is poor; none of them rolls.
     """
     angles = np.where(seen[:, None], table.get(POSE), 0.0)
     turns = Rotation.from_euler("XYZ", angles)
     still = turns[seen].mean() if rest is None else turns[rest]
     head = (still.inv() * turns).as_rotvec() * TO_OURS
+    if camera_pitch_deg is not None:
+        head = seen_by(turns.as_rotvec() * TO_OURS, camera_pitch_deg)
     if not table.columns.keys() >= set(GAZE):
-        return head, np.zeros((len(seen), 6))
+        return head, np.zeros((len(seen), 2, 3))
     both = np.where(seen[:, None], table.get(GAZE), 0.0).reshape(-1, 2, 3)
     x, y, z = (turns.inv().apply(both.mean(axis=1)) * TO_OURS).T
     looks = np.column_stack([np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z))])
     looks -= np.median(looks[seen], axis=0) if rest is None else looks[rest]
     eyes = Rotation.from_euler("YX", looks).as_rotvec()
-    return head, np.hstack([eyes, eyes])
-
-
-def _fill_gaps(
-    times: Floats, values: Floats, seen: np.ndarray, bridge_s: float
-) -> tuple[Floats, tuple[float, ...]]:
-    """Return values (f, c) with those that were not seen filled in, and the gaps' lengths in s.
-
-    A gap of at most ``bridge_s`` from a seen frame to the next is crossed on a straight line. In a
-    longer one, and at the ends, values ease to zero, rest, and from there, within this time.
-    """
-    filled = values.copy()
-    lengths = []
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], seen, [True]])))
-    for begin, end in edges.reshape(-1, 2).tolist():
-        inside = times[begin:end]
-        since = inside - times[begin - 1] if begin else np.full(len(inside), np.inf)
-        until = times[end] - inside if end < len(times) else np.full(len(inside), np.inf)
-        lengths.append(float(times[min(end, len(times) - 1)] - times[max(begin - 1, 0)]))
-        whole = float(since[0] + until[0])
-        if whole <= bridge_s * (1.0 + 1e-9):
-            left = until / whole
-            right = since / whole
-        else:
-            left = _ease(since / bridge_s)
-            right = _ease(until / bridge_s)
-        before = values[max(begin - 1, 0)]
-        after = values[min(end, len(times) - 1)]
-        filled[begin:end] = np.outer(left, before) + np.outer(right, after)
-    return filled, tuple(lengths)
-
-
-def _ease(along: Floats) -> Floats:
-    """Return a weight that goes smoothly from 1 at 0 to 0 from 1 on."""
-    along = np.minimum(along, 1.0)
-    return np.asarray(1.0 - along**2 * (3.0 - 2.0 * along))
-
-
-def _gap_notice(file: str, gaps: Sequence[float], seen: np.ndarray, bridge_s: float) -> Finding:
-    missing = int((~seen).sum())
-    frames = f"no face is seen in {missing:,} of {len(seen):,} frames"
-    where = f"{count_words(len(gaps), 'gap', 'gaps')}, the longest of {max(gaps):.2f} s"
-    words = f"{file}: {frames}, in {where}: up to {bridge_s:g} s are blended over, longer ones "
-    more = {"file": file, "count": missing, "gaps": len(gaps), "longest_gap_s": max(gaps)}
-    return make_warning("openface.gaps", f"{words}eased to rest", more)
+    return head, np.stack([eyes, eyes], axis=1)

@@ -170,6 +170,7 @@ def _check_size(file: str, number: int, points: Floats, rest: Floats) -> None:
 # same.
 
 TIMECODE = "timecode"
+SEEN = "seen"
 SIDED = (
     *("eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp", "eyeSquint", "eyeWide"),
     *("mouthSmile", "mouthFrown", "mouthDimple", "mouthStretch", "mouthPress"),
@@ -206,16 +207,16 @@ class FaceTake:
     head: Floats  # (f, 3)
     eyes: Floats  # (f, 2, 3) in the head, the subject's left one first
     seen: np.ndarray  # (f,) whether there was a face; what others have is filled in
-    source: Literal["live_link", "openface"]
+    source: Literal["live_link", "openface", "video"]
     timecodes: tuple[str, ...] = ()  # (f,) as the file has them, or none
-    gaps: tuple[
-        float, ...
-    ] = ()  # s from one seen frame to the next, where there are others between
+    gaps: tuple[float, ...] = ()  # s from a seen frame to the next, with others between
     notices: tuple[Finding, ...] = ()  # what was mended or is doubtful
 
 
 def read_live_link(path: Path) -> FaceTake:
     """Return a recording; columns may come in any order, others are not read.
+
+    One with a column ``Seen``, 0 or 1, is what :func:`write_signals` left of a video.
 
     Raises :class:`InputError`: ``live_link.unreadable``, ``live_link.columns`` (one is missing),
     ``live_link.value`` (a field is missing, no number, no weight or no angle),
@@ -232,10 +233,12 @@ def read_live_link(path: Path) -> FaceTake:
             turning = {bone: names for bone, names in ANGLES.items() if set(names) <= set(header)}
             angled = {name: header.index(name) for names in turning.values() for name in names}
             clock = header.index(TIMECODE)
+            marks = {SEEN: header.index(SEEN)} if SEEN in header else {}
             times: list[float] = []
             timecodes: list[str] = []
             weights: list[list[float]] = []
             angles: list[list[float]] = []
+            seen: list[list[float]] = []
             for row in rows:
                 line = rows.line_num
                 if row:
@@ -244,6 +247,7 @@ def read_live_link(path: Path) -> FaceTake:
                     place = path, line, row
                     weights.append(_numbers(*place, columns, WEIGHTS, "weight from 0 to 1"))
                     angles.append(_numbers(*place, angled, ANGLE, "angle in radians"))
+                    seen.append(_numbers(*place, marks, (0.0, 1.0), "0 or 1"))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         message = f"{path.name} is not a recording of Live Link Face, a table of text: {error}"
         raise InputError("live_link.unreadable", message, file=path.name) from error
@@ -254,9 +258,38 @@ def read_live_link(path: Path) -> FaceTake:
     head, *eyes = (_rotations(turns.get(bone), len(times)) for bone in ANGLES)
     since = np.array(times) - times[0]
     turned = np.stack(eyes, axis=1)
-    seen = np.ones(len(times), bool)
-    codes = tuple(timecodes)
-    return FaceTake(since, np.array(weights), head, turned, seen, "live_link", codes)
+    signals = since, np.array(weights), head, turned
+    if not marks:
+        return FaceTake(*signals, np.ones(len(times), bool), "live_link", tuple(timecodes))
+    shown = np.array(seen).ravel() > 0.5
+    if not shown.any():
+        message = f"{path.name}: no face is seen in any of its {len(shown)} frames"
+        raise InputError("video.no_face", message, file=path.name)
+    return FaceTake(*signals, shown, "video")
+
+
+def write_signals(path: Path, take: FaceTake) -> None:
+    """Write a recording as :func:`read_live_link` reads it, with a column ``Seen`` besides."""
+    bones = [take.head, take.eyes[:, 0], take.eyes[:, 1]]
+    # as _rotations has it
+    turns = [Rotation.from_rotvec(each).as_euler("ZYX") * [-1.0, -1.0, 1.0] for each in bones]
+    angles = np.hstack([each[:, [1, 2, 0]] for each in turns])
+    capital = [name[:1].upper() + name[1:] for name in ARKIT_NAMES]
+    header = [
+        TIMECODE.capitalize(),
+        "Seen",
+        *capital,
+        *(n for names in ANGLES.values() for n in names),
+    ]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file)
+        rows.writerow(header)
+        for frame, time in enumerate(take.times.tolist()):
+            minutes, seconds = divmod(int(time), 60)
+            ticks = TICKS * (time - int(time))
+            code = f"{minutes // 60:02d}:{minutes % 60:02d}:{seconds:02d}:{ticks:012.9f}"
+            values = np.concatenate([take.weights[frame], angles[frame]])
+            rows.writerow([code, int(take.seen[frame]), *(f"{value:.9g}" for value in values)])
 
 
 def _check_columns(path: Path, header: Sequence[str]) -> None:

@@ -63,6 +63,7 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "marker_check": None,
     "markers": by_default,
     "odd_units": None,
+    "openface": None,
     "peers": no_peer,
     "photo": None,
     "physics": None,
@@ -73,11 +74,13 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "reference": None,
     "registration": data,
     "round_trip": None,
+    "round_trip_faces": None,
     "single_muscles": None,
     "studio_rig": None,
     "systems": None,
     "take_scenes": take,
     "tracks": None,
+    "transfer": None,
 }
 
 

@@ -25,7 +25,17 @@ RAISED = {
 WITH_STATUS = ("Problem", "faulty")
 HELPERS = {"unauthorized_problem": 0, "_check_format": 1}
 MADE_OF_PARTS = (
-    *("http.", "live_link.", "options.", "template.", "model.", "basis."),
+    *(
+        "http.",
+        "live_link.",
+        "openface.",
+        "video.",
+        "film.",
+        "options.",
+        "template.",
+        "model.",
+        "basis.",
+    ),
     *("capture.format", "blendshapes.format", "fibres.format", "markers.format", "tracks.format"),
     *("controls.format", "control_pairs.format"),
 )

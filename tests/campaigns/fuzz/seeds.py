@@ -18,10 +18,11 @@ from PIL import Image, ImageCms
 from solver.animation.performance import FORMATS
 from solver.mechanics.boundary import JAW_FREEDOM
 from solver.model import SubjectModel
+from solver.rig.frames.animation import write_video
 from solver.scans.markers.places.marker_set import Marker, MarkerSet
 from solver.scans.markers.readers.take import Take
 from solver.scans.openface import GAZE, INTENSITIES, POSE
-from solver.scans.performance import ARKIT_NAMES
+from solver.scans.performance import ARKIT_NAMES, FaceTake, write_signals
 from solver.similarity import IDENTITY
 from tests import take_files
 from tests.ball_head import ball_head
@@ -123,6 +124,25 @@ def live_link() -> list[bytes]:
     angles = ["HeadYaw", "HeadPitch", "HeadRoll"], ["0.1", "-0.2", "0.3"], ["0", "1e-9", "-0.0"]
     turned = [row + more for row, more in zip(rows, angles, strict=True)]
     return ["\r\n".join(",".join(row) for row in table).encode() for table in (rows, turned)]
+
+
+def signals() -> list[bytes]:
+    """Return the signals of a video of two frames, of which one shows a face."""
+    turns = np.array([[0.0, 0.1, 0.0], [0.0, 0.0, 0.0]])
+    weights = np.full((2, len(ARKIT_NAMES)), 0.5)
+    eyes = np.zeros((2, 2, 3))
+    take = FaceTake(np.array([0.0, 0.04]), weights, turns, eyes, np.arange(2) == 0, "video")
+    with tempfile.TemporaryDirectory() as folder:
+        write_signals(path := Path(folder) / "signals.csv", take)
+        return [path.read_bytes()]
+
+
+def films() -> list[bytes]:
+    """Return a film of a few small frames."""
+    pictures = [np.full((96, 64, 3), 0.2 * number) for number in range(4)]
+    with tempfile.TemporaryDirectory() as folder:
+        write_video(path := Path(folder) / "film.mp4", pictures, (64, 96), 25.0)
+        return [path.read_bytes()]
 
 
 def openface() -> list[bytes]:

@@ -21,6 +21,7 @@ from solver.meshio.registered import read_registered
 from solver.photo.facts import read_facts
 from solver.photo.picture import Picture, read_picture
 from solver.registration.landmarks import read_landmarks
+from solver.scans.film import decode_film
 from solver.scans.known_activations import read_known
 from solver.scans.markers.check import check_take
 from solver.scans.markers.places.bind import Reference
@@ -156,6 +157,11 @@ def _openface(path: Path) -> None:
     read_openface(path, Recording(asset=path.stem))
 
 
+def _film(path: Path) -> None:
+    for picture in decode_film(path, "video"):
+        picture.pixels()
+
+
 def targets() -> list[Target]:
     """Return all targets."""
     return [
@@ -168,6 +174,8 @@ def targets() -> list[Target]:
         _file("photograph json", seeds.photograph_json(), "json", _facts),
         _file("live link", seeds.live_link(), "csv", read_live_link),
         _file("openface", seeds.openface(), "csv", _openface),
+        _file("signals", seeds.signals(), "csv", read_live_link),
+        replace(_file("film", seeds.films(), "mp4", _film), most_inputs=300),
         _file("npy", seeds.npy() + seeds.npz(), "npy", _performance),
         _file("npz", seeds.npz() + seeds.npy(), "npz", _archive),
         _file("template", seeds.template(), "zip", read_template),

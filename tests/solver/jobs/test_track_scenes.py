@@ -14,7 +14,8 @@ from solver.errors import InputError
 from solver.jobs import run_job
 from solver.progress import Step
 from solver.rig import Rig
-from solver.scans.performance import ARKIT_NAMES
+from solver.scans import recordings
+from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.tracks.basis import MuscleTracks, TrackOptions
 from tests.solver.tracks.block import OPEN, block_shapes, tracked_block
 
@@ -97,7 +98,7 @@ def test_a_recording_needs_no_solved_shapes(files: dict[str, Path], tmp_path: Pa
 
 
 def test_a_recording_is_known_by_what_it_holds(files: dict[str, Path], tmp_path: Path) -> None:
-    """OpenFace's is played by its own options, which Live Link's refuses."""
+    """OpenFace's is played by its own options, of which Live Link's refuses some."""
     take = tmp_path / "take.txt"
     other = tmp_path / "other.csv"
     rows = ["timestamp, success, pose_Rx, pose_Ry, pose_Rz, AU17_r, AU26_r"]
@@ -122,10 +123,41 @@ def test_a_recording_is_known_by_what_it_holds(files: dict[str, Path], tmp_path:
     assert [step.message for step in steps if step.phase == "warning"] == [
         report["notices"][0]["message"]
     ]
-    other.write_text(",".join(["Timecode", "BlendShapeCount", *ARKIT_NAMES]))
-    with pytest.raises(InputError, match="neutral") as error:
+    row = ["00:00:00:01", "0", *("0" for _ in ARKIT_NAMES)]
+    other.write_text("\n".join([",".join(["Timecode", "Count", *ARKIT_NAMES]), ",".join(row)]))
+    scene["recording"] = {"asset": "take", "au_scale": 1.0}
+    with pytest.raises(InputError, match="au_scale") as error:
         run_job("animate", tmp_path / "no", captures={"take": other}, **how, **files)
     assert error.value.code == "live_link.options"
+
+
+def test_what_is_measured_of_a_video_is_left_and_plays_as_it(
+    files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weights = np.zeros((6, len(ARKIT_NAMES)))
+    weights[:, ARKIT_NAMES.index("jawOpen")] = [0.1, 0.1, 0.3, 0.0, 0.6, 0.6]
+    head = 0.1 * weights[:, :3]
+    eyes = np.zeros((6, 2, 3))
+    seen = np.arange(6) != 3
+    measured = FaceTake(np.arange(6) / 25.0, weights, head, eyes, seen, "video")
+    monkeypatch.setattr(recordings, "read_video", lambda *_, **__: measured)
+    film = tmp_path / "film.mov"
+    film.write_bytes(b"\0\0\0\x14ftypqt  ")
+    outs = []
+    for name, asset in (("film", film), ("again", tmp_path / "film" / "signals.csv")):
+        outs.append(tmp_path / name)
+        scene = {"drive": "tracks", "recording": {"asset": "take", "start": 1}}
+        how: dict[str, Any] = {"options": {"scene": scene}}
+        left = run_job("animate", outs[-1], captures={"take": asset}, **how, **files)
+        assert ("signals.csv" in {path.name for path in left}) == (name == "film")
+    played = [np.load(out / "animation.npz") for out in outs]
+    assert played[0]["seen"].tolist() == [True, True, False, True, True]
+    assert played[0]["jaw"].max() > 0.0
+    for name in ("weights", "jaw", "head", "seen"):
+        np.testing.assert_allclose(played[1][name], played[0][name], atol=1e-7)
+    told = json.loads((outs[0] / "animation.json").read_text())
+    assert told["transfer"]["format"] == "video"
+    assert [notice["code"] for notice in told["notices"]] == ["video.gaps"]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,128 @@
+"""A video beside the rig that plays it: frames that differ most, as filmed and as drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from solver.anatomy.skin_points import SkinPoints
+from solver.animation import Gaze
+from solver.drawing.render import Pixels
+from solver.drawing.sheet import MARGIN, PAPER, Column, SheetLayout, draw_sheet
+from solver.fitting.face import Face
+from solver.model import SubjectModel
+from solver.registration.detector import DetectorOptions, FaceDetector, landmarker_file
+from solver.rig.frames import FRAMES, read_chunks
+from solver.rig.frames.animation import Filming, MotionRecord
+from solver.rig.painted_faces import PAINT, PaintedFaces
+from solver.scans.film import decode_film
+from solver.surface import Floats, Ints
+
+
+@dataclass(frozen=True)
+class TransferSheetOptions:
+    """What the sheet shows."""
+
+    shots: int = 10
+    across: int = 5  # shots in a row
+    cell: tuple[int, int] = (240, 290)  # px of a picture
+    margin: float = 0.4  # about a face of the video, of its height
+    span: float = 1.75  # of a picture of the rig, by its face's height
+
+
+SHEET = TransferSheetOptions()
+
+
+def draw_transfer(
+    path: Path,
+    video: Path,
+    animation: Path,
+    model: SubjectModel,
+    points: SkinPoints | None = None,
+    start: int = 0,
+    options: TransferSheetOptions = SHEET,
+) -> None:
+    """Draw frames of a ``video`` over those of the folder that ``animate`` left of it.
+
+    ``start`` is the recording's first frame that was played; brows and lips are painted where a
+    template's ``points`` are known. Raises as
+    :func:`~solver.rig.frames.read_chunks` (``simulate.frames``) and
+    :func:`~solver.scans.film.decode_film`.
+    """
+    frames = read_chunks(animation / FRAMES, MotionRecord, "simulate.frames", lambda _: True)
+    with np.load(animation / "animation.npz") as data:
+        weights = data["weights"]
+        seen = data["seen"]
+    shown = most_different(weights, np.flatnonzero(seen), options.shots)
+    filmed = _filmed(video, (shown + start).tolist(), options)
+    face = Face(model)
+    gaze = Gaze(model)
+    draw = _drawing(model, points, options)
+    columns = []
+    for number in shown.tolist():
+        frame = frames[number]
+        whole = gaze.turn(face.whole_skin(model.rest + frame.moved, frame.jaw), frame.eyes)
+        drawn = draw(frame.into_world(whole))
+        columns.append(Column(f"{frame.time:.2f} s", [filmed[number + start], drawn]))
+    layout = SheetLayout(options.cell, MARGIN, options.across, foot=MARGIN)
+    detail = f"{len(frames)} frames; above as filmed, below as the rig plays it"
+    draw_sheet(path, "Transfer", detail, ("", ""), columns, layout, scale_mm=None)
+
+
+def _drawing(
+    model: SubjectModel, points: SkinPoints | None, options: TransferSheetOptions
+) -> Callable[[Floats], Pixels]:
+    """Return what draws a skin (v, 3)."""
+    if points is not None:
+        painted = replace(PAINT, size=options.cell, span=options.span)
+        return PaintedFaces(model, points, painted).picture
+    filming = Filming(model)
+    return lambda skin: filming.picture(skin, filming.light(skin), options.cell)
+
+
+def most_different(weights: Floats, frames: Ints, count: int) -> Ints:
+    """Return up to ``count`` of the ``frames``, in order, whose weights (f, e) are far apart.
+
+    The first is the one nearest to rest, each next the one farthest from all before.
+    """
+    rows = weights[frames]
+    chosen = [int(np.argmin(np.linalg.norm(rows, axis=1)))]
+    while len(chosen) < min(count, len(frames)):
+        away = np.linalg.norm(rows[:, None] - rows[chosen], axis=2).min(axis=1)
+        chosen.append(int(np.argmax(away)))
+    return np.unique(frames[chosen])
+
+
+def _filmed(
+    video: Path, numbers: Sequence[int], options: TransferSheetOptions
+) -> dict[int, Pixels]:
+    """Return number -> the frame's picture, cut out about its largest face."""
+    file = landmarker_file()
+    cut = {}
+    assert file is not None, "the video was read with it"
+    with FaceDetector(file, DetectorOptions()) as detector:
+        for number, picture in enumerate(decode_film(video, "video")):
+            if number in numbers:
+                pixels = picture.pixels()
+                faces = detector.faces_in(pixels)
+                height, width = pixels.shape[:2]
+                box = (0.0, 0.0, float(width), float(height))
+                if faces:
+                    box = max(faces, key=lambda each: each.eyes_px).box
+                cut[number] = _cut(pixels, box, options)
+    return cut
+
+
+def _cut(pixels: np.ndarray, box: Sequence[float], options: TransferSheetOptions) -> Pixels:
+    left, top, right, bottom = box
+    middle, (wide, high) = ((left + right) / 2, (top + bottom) / 2), options.cell
+    tall = (bottom - top) * (1.0 + 2.0 * options.margin)
+    size = np.round([tall * wide / high, tall]).astype(int)
+    corner = np.round(np.array(middle) - size / 2).astype(int)
+    image = Image.new("RGB", (int(size[0]), int(size[1])), PAPER)
+    image.paste(Image.fromarray(pixels), (-int(corner[0]), -int(corner[1])))
+    return np.asarray(image.resize(options.cell), np.float32) / np.float32(255)
