@@ -487,6 +487,33 @@ Edits = Annotated[
 # Scenes of each kind of job.
 
 
+class NeckEntry(Document):
+    """A neck that carries the head: seven vertebrae and the skull on a torso that stands still.
+
+    The turns of ``head``, of a take or a recording are its goal; moves of the head are out of its
+    reach.
+    """
+
+    asset: str | None = Field(
+        default=None, description="an OpenSim model of a neck; null: the built-in neck"
+    )
+    muscles: bool = Field(
+        default=True,
+        description="whether muscles move the vertebrae, as controlled; false: joints share the "
+        "head's turn, which is followed as it is",
+    )
+    skin: bool = Field(
+        default=True,
+        description="whether the skin of the neck follows the vertebrae, the rim still; false: it "
+        "turns with the head, also where a skin ends in no neck",
+    )
+    coupling: bool = Field(
+        default=True,
+        description="whether the flesh under the chin is drawn by the neck; false: where it ends "
+        "it stays with the head",
+    )
+
+
 class PlayedScene(FleshEntry):
     """A scene with frames: of a simulation or an animation."""
 
@@ -512,6 +539,11 @@ class PlayedScene(FleshEntry):
         default=[],
         max_length=MOST_TRACK_KEYS,
         description="where the head is; it turns about the neck",
+    )
+    neck: NeckEntry | None = Field(
+        default=None,
+        description="a neck that carries the head; null: the whole head turns about one point, "
+        "its neck with it",
     )
     forces: list[Force] = Field(default=[], max_length=32)
     objects: list[Object] = Field(

@@ -95,7 +95,8 @@ class Simulator:
         """Return the face at rest where ``drive`` has it, under forces; raises as :meth:`step`."""
         options, closed = self._options, np.zeros_like(drive.jaw)
         begun = drive.time - options.rise_seconds
-        start = replace(drive, time=begun, A=self._flesh.passive(), jaw=closed)
+        cut = None if drive.cut is None else np.zeros_like(drive.cut)
+        start = replace(drive, time=begun, A=self._flesh.passive(), jaw=closed, cut=cut)
         rest = self._face.model.rest
         motion = FleshMotion(drive.head(rest), np.zeros_like(rest), drive.head)
         effort = options.rise_part, options.rise_factorizations
@@ -167,7 +168,9 @@ class Simulator:
         for force in self._forces:
             self._inertia.load += into.turn(force.at(felt, goal.time))
         start = Boundary(y[self._flesh.held], before.jaw, _seen(now.head, before))
-        end = Boundary(self._face.held_positions(goal.jaw), goal.jaw, _seen(goal.head, goal))
+        end = Boundary(
+            self._face.held_positions(goal.jaw, goal.cut), goal.jaw, _seen(goal.head, goal)
+        )
         for potential in self._potentials:
             potential.begin(y, start, seconds)
         minimum = self._newton.minimise(y, goal.A, start, end, factorisations)

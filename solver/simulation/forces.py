@@ -96,6 +96,7 @@ class Drive:
     jaw: Floats  # (5,)
     head: Similarity  # into the world
     objects: tuple[Floats, ...] = ()  # vertices (o, 3) in the world, mm
+    cut: Floats | None = None  # (c, 3) mm, how far the flesh's cut is displaced in the head's frame
 
     def toward(self, other: Drive, part: float) -> Drive:
         """Return what to ask for ``part`` of the way to ``other``, the head turning steadily."""
@@ -107,7 +108,10 @@ class Drive:
         A, jaw, shift, *objects = straight(part, *ends)
         head = Similarity(1.0, np.asarray(rotation), shift)
         time = self.time + part * (other.time - self.time)
-        return Drive(time, A, jaw, head, tuple(objects))
+        cut = other.cut
+        if self.cut is not None and other.cut is not None:
+            cut = self.cut + part * (other.cut - self.cut)
+        return Drive(time, A, jaw, head, tuple(objects), cut)
 
 
 Vector = Floats | Sequence[float]
