@@ -64,16 +64,18 @@ class Body:
         made.update()
         return made
 
-    def update(self) -> None:
-        """Bring what depends on the state up to date."""
+    def update(self, ahead: Floats | float = 0.0) -> None:
+        """Bring what depends on the state up to date; the bias is that of v + ``ahead``."""
         mujoco, model, data = self._mujoco, self.model, self.data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_tendon(model, data)
         mujoco.mj_makeM(model, data)
+        mujoco.mj_fullM(model, data, self.inertia)
+        self.v += ahead
         mujoco.mj_comVel(model, data)
         mujoco.mj_rne(model, data, 0, data.qfrc_bias)
-        mujoco.mj_fullM(model, data, self.inertia)
+        self.v -= ahead
 
     @property
     def bias(self) -> Floats:

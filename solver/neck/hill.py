@@ -55,7 +55,7 @@ class HillOptions:
 
 @dataclass(frozen=True)
 class Muscles:
-    """A law with the numbers of a neck's muscles: ``table`` (m, 9) in N, m and s."""
+    """A law with the numbers of a neck's muscles: ``table`` (m, 10) in N, m and s."""
 
     law: int
     table: Floats
@@ -73,11 +73,11 @@ class Muscles:
                 per_m = most / (o.slack * fibre)
                 drag = o.drag * most * rest / fibre
                 row = [rest, stiff, growth, drag, per_m, rest - o.slack * fibre, o.fastest * fibre]
-                rows.append([*row, 0.0, 0.0])
+                rows.append([*row, 0.0, 0.0, 0.0])
             else:
                 wide = fibre * math.sin(each.pennation)
                 row = [most, fibre, each.tendon * MM, wide, o.fastest * fibre]
-                rows.append([*row, o.width, o.hill, o.lengthening, o.stretch / o.growth])
+                rows.append([*row, o.width, o.hill, o.lengthening, o.stretch, o.growth])
         return cls(law, np.array(rows))
 
     def parts(self, lengths: Floats, rates: Floats) -> Floats:
@@ -125,7 +125,7 @@ def springs(l: float, v: float, row: Floats) -> Parts:
 @nb.njit(cache=True, error_model="numpy")
 def curves(l: float, v: float, row: Floats) -> Parts:
     """Return F, dF/dl, dF/dv, P, dP/dl, dP/dv of the law with the usual curves."""
-    most, fibre, tendon, wide, fastest, gamma, hill, eccentric, toe = row
+    most, fibre, tendon, wide, fastest, gamma, hill, most_held, stretch, growth = row
     along = l - tendon
     if along <= 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -145,15 +145,15 @@ def curves(l: float, v: float, row: Floats) -> Parts:
         g = (1.0 + u) / (1.0 - u / hill)
         g_u = (1.0 + 1.0 / hill) / (1.0 - u / hill) ** 2
     else:
-        rise, top = (1.0 + 1.0 / hill) * u, eccentric - 1.0
+        rise, top = (1.0 + 1.0 / hill) * u, most_held - 1.0
         g = 1.0 + top * rise / (rise + top)
         g_u = top * top * (1.0 + 1.0 / hill) / (rise + top) ** 2
     p, p_x = 0.0, 0.0
     if x > 1.0:
-        growth = 0.6 / toe
-        end = min((x - 1.0) / toe, growth)
-        p_x = math.exp(end) / toe / math.expm1(growth)
-        p = math.expm1(end) / math.expm1(growth) + p_x * (x - 1.0 - end * toe)
+        end = min(x - 1.0, stretch)
+        grown = math.exp(growth * end / stretch)
+        p_x = growth / stretch * grown / math.expm1(growth)
+        p = (grown - 1.0) / math.expm1(growth) + p_x * (x - 1.0 - end)
     F = most * f * g * c
     F_l = most * (f_x * x_l * g * c + f * g_u * u_l * c + f * g * c_l)
     F_v = most * f * g_u * u_v * c
