@@ -96,6 +96,9 @@ def play(
     """
     if not resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
+    if stage.neck is not None:
+        for notice in stage.neck.notices:
+            progress(Step("warning", 0.0, message=notice.message))
     done, motion = read_motion(out / FRAMES, scene, stage.model.rest)
     times = stage.drives.times
     beside = _Beside(scene, stage, motion)

@@ -512,6 +512,24 @@ class NeckEntry(Document):
         description="whether the flesh under the chin is drawn by the neck; false: where it ends "
         "it stays with the head",
     )
+    voluntary_hz: float = Field(
+        default=25.0, ge=5, le=200, description="rate of the voluntary layer, which plans ahead"
+    )
+    reflex_hz: float = Field(
+        default=4000.0, ge=1000, le=20_000, description="rate of the reflexes, and time steps"
+    )
+    reflex_strain: float = Field(
+        default=10.0, ge=0, le=100, description="activation a strain of 1 beyond what was planned"
+    )
+    reflex_strain_rate: float = Field(
+        default=2.0, ge=0, le=100, description="activation a strain rate of 1/s beyond it"
+    )
+    reflex_delay_ms: float = Field(
+        default=0.0, ge=0, le=100, description="of the reflexes: tens of ms in people"
+    )
+    cocontraction: float = Field(
+        default=0.0, ge=0, le=0.5, description="activation of all muscles that stiffens the neck"
+    )
 
 
 class PlayedScene(FleshEntry):

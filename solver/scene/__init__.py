@@ -213,7 +213,8 @@ class Stage:
         self.steps_per_frame = scene.steps_per_frame or (STEPS if dynamic else 1)
         self.neck: CarriedHead | None = None
         if scene.neck is not None:
-            self.neck = CarriedHead(scene.neck, places, self.model, drives, self.steps_per_frame)
+            steps = self.steps_per_frame
+            self.neck = CarriedHead(scene.neck, places, self.model, drives, steps, scene.forces)
         begin = float(drives.times[0])
         objects = self._seen(self.drive(begin, drives(begin)))
         names = [each.name for each in self.objects]

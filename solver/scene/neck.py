@@ -3,56 +3,78 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from solver.animation import Drives
-from solver.animation import neck as head_pivot
+from solver.animation import neck as pivot_of
+from solver.errors import Finding, make_warning
 from solver.fitting.face import HungSkin
-from solver.kinds.scene import NeckEntry
+from solver.kinds.scene import Force, GravityEntry, NeckEntry
 from solver.model import SubjectModel
-from solver.neck.anatomy import BODIES, Neck, NeckPose
-from solver.neck.kinematic import count_beyond, share_motion
+from solver.neck.anatomy import Neck, NeckPose
+from solver.neck.builtin import builtin_neck
+from solver.neck.motion import HeadGoal, MotionOptions, NeckMotion, follow, reachable
+from solver.neck.osim import read_osim
 from solver.neck.place import find_rim, head_joint, place_neck
+from solver.neck.posture import share_out
+from solver.neck.reflex import ReflexOptions
 from solver.neck.skin import NeckSkin
+from solver.neck.voluntary import VoluntaryOptions
 from solver.scene.places import Places
 from solver.similarity import Similarity
 from solver.surface import Floats
+
+STILL_MM = 0.5  # moves of a head that nobody sees
+MM = 1e-3  # m
 
 
 class CarriedHead:
     """The motion of a head and its neck over all moments of a scene, known before it is played.
 
-    Heads turn as the neck can: ``drives`` ask for turns, of which moves are out of reach. Between
-    the moments of the simulation joints turn steadily. Raises :class:`InputError` (``neck.skin``)
-    for a skin that ends in no neck, and as :meth:`Places.asset`.
+    ``drives`` ask for turns of the head, whose moves are out of a neck's reach; there are ``steps``
+    of the simulation from frame to frame, in which joints turn steadily. Raises
+    :class:`InputError`: ``neck.skin`` for a skin that ends in no neck, ``neck.osim`` and
+    ``neck.extra``, and as :meth:`Places.asset`.
     """
 
     def __init__(
-        self, entry: NeckEntry, places: Places, model: SubjectModel, drives: Drives, steps: int
+        self,
+        entry: NeckEntry,
+        places: Places,
+        model: SubjectModel,
+        drives: Drives,
+        steps: int,
+        forces: Sequence[Force] = (),
     ) -> None:
-        neck = read_neck(entry, places)
-        joint = head_joint(model)
+        self._model, joint = model, head_joint(model)
+        neck = builtin_neck() if entry.asset is None else read_osim(places.asset(entry.asset))
         rim = find_rim(model, joint) if entry.skin else None
         self.placed = place_neck(model, neck, rim)
         self.skin = None if rim is None else NeckSkin.of(model, self.placed.neck, rim)
         self._coupled = entry.coupling and self.skin is not None
-        self._model = model
-        times = moments(drives.times, steps)
-        heads = [drives(float(time)).head for time in times]
-        goals = np.array([head.rotation for head in heads])
-        self._moved_mm = _moves(heads, head_pivot(model))
-        self.motion = share_motion(self.placed.neck, times, goals)
-        self._frames = slice(None, None, steps)
+        heads = [drives(time).head for time in drives.times.tolist()]
+        pivot = pivot_of(model)[None]
+        self._moved_mm = np.array([np.linalg.norm(head(pivot) - pivot) for head in heads])
+        asked = Rotation.from_matrix([head.rotation for head in heads]).as_rotvec()
+        self._options = options_of(entry)
+        self._goal = reachable(self.placed.neck, drives.times, asked, self._options)
+        goal = _between_frames(self._goal, steps)
+        if entry.muscles:
+            gravity = gravity_of(forces)
+            self.motion = follow(self.placed.neck, goal, self._options, gravity)
+        else:
+            self.motion = _share_out(self.placed.neck, goal)
         self.pose = lru_cache(maxsize=4)(self._pose)
 
     def _pose(self, time: float) -> NeckPose:
         """Return the neck at ``time`` in s."""
-        turns = between(self.motion.times, self.motion.turns, time)
-        return self.placed.neck.pose(turns)
+        return self.placed.neck.pose(_between(self.motion.times, self.motion.turns, time))
 
     def head(self, time: float) -> Similarity:
         """Return the head's motion into the world, in which the torso stands still."""
@@ -79,49 +101,93 @@ class CarriedHead:
             return skin
         return self.skin.unposed(self.pose(time).matrices, self.head(time)(skin))
 
+    def activations(self, time: float) -> Floats:
+        """Return the activations (m,) of the neck's muscles at ``time``; none without them."""
+        return _between(self.motion.times, self.motion.activations, time)
+
+    @property
+    def notices(self) -> list[Finding]:
+        """Return what of the head's motion was out of range or reach, and what was read."""
+        told = [make_warning("neck.source", words) for words in self.placed.neck.notices]
+        moved = self._moved_mm > STILL_MM
+        if moved.any():
+            most, first, count = float(self._moved_mm.max()), int(moved.argmax()), int(moved.sum())
+            words = f"{count} frames move the head by up to {most:.0f} mm, which no neck does"
+            message = f"{words}: it turns alone, first frame {first}"
+            context = {"count": count, "first_frame": first, "moved_mm": round(most, 2)}
+            told.append(make_warning("neck.reach", message, context))
+        return [*told, *self._goal.notices]
+
     def arrays(self, times: Floats) -> dict[str, np.ndarray]:
         """Return what ``animation.npz`` has of a neck, with a row for each of ``times`` (f,)."""
         poses = [self.pose(time) for time in times.tolist()]
         turned = Rotation.from_matrix(np.concatenate([pose.rotations for pose in poses]))
         places = np.array([pose.places[1:] for pose in poses])
         vertebrae = np.concatenate([turned.as_rotvec().reshape(places.shape), places], axis=2)
-        beyond = np.interp(times, self.motion.times, self.motion.beyond)
-        return {"vertebrae": vertebrae, "beyond_range_deg": np.degrees(beyond)}
+        found = {"vertebrae": vertebrae, "head_held": self._goal.held}
+        if self.motion.activations.shape[1]:
+            found["neck_activations"] = np.array([self.activations(t) for t in times.tolist()])
+        return found
 
     def report(self) -> dict[str, Any]:
-        """Return the place of the neck, and what was out of range or reach."""
-        return {
+        """Return the place of the neck, how the head was followed, and what it could not do."""
+        motion, neck = self.motion, self.placed.neck
+        figures = {
             **self.placed.report(),
-            **count_beyond(self.motion.beyond[self._frames], self.motion.speed[self._frames]),
-            "out_of_reach_mm": round(float(self._moved_mm.max()), 2),
+            "muscles": [muscle.name for muscle in neck.muscles] if motion.activations.size else [],
+            "held_frames": int(self._goal.held.sum()),
+            "notices": [notice.as_dict() for notice in self.notices],
         }
+        if motion.activations.size:
+            followed = motion.figures
+            names = ("rms_deg", "max_deg", "activation_mean", "activation_max")
+            figures |= {name: round(float(followed[name]), 4) for name in names}
+        return figures
 
 
-def read_neck(entry: NeckEntry, places: Places) -> Neck:
-    """Return the neck that a scene names."""
-    raise NotImplementedError
+def options_of(entry: NeckEntry) -> MotionOptions:
+    """Return how a scene's neck follows its goal."""
+    return MotionOptions(
+        voluntary=VoluntaryOptions(rate_hz=entry.voluntary_hz, cocontraction=entry.cocontraction),
+        reflex=ReflexOptions(
+            rate_hz=entry.reflex_hz,
+            strain=entry.reflex_strain,
+            strain_rate=entry.reflex_strain_rate,
+            delay_s=MM * entry.reflex_delay_ms,
+        ),
+    )
 
 
-def moments(frames: Floats, steps: int) -> Floats:
-    """Return the moments (n,) of a simulation with so many ``steps`` from frame to frame."""
-    if len(frames) == 1:
-        return frames
-    inner = [
-        np.linspace(*pair, steps + 1)[:-1] for pair in zip(frames[:-1], frames[1:], strict=True)
-    ]
-    return np.append(np.concatenate(inner), frames[-1])
+def gravity_of(forces: Sequence[Force]) -> Floats | None:
+    """Return the acceleration (3,) in m/s^2 of a scene's gravity; None where it names none."""
+    named = [force.mm_s2 for force in forces if isinstance(force, GravityEntry)]
+    return MM * np.sum(named, axis=0) if named else None
 
 
-def between(times: Floats, table: Floats, time: float) -> Floats:
+def _share_out(neck: Neck, goal: HeadGoal) -> NeckMotion:
+    """Return the motion of joints that share a goal's turns, without muscles."""
+    matrices = (goal(time).as_matrix() for time in goal.times.tolist())
+    turns = np.array([share_out(neck, matrix).turns for matrix in matrices])
+    frames = len(goal.times)
+    return NeckMotion(goal.times, turns, np.zeros((frames, 0)), np.zeros(frames), goal, neck)
+
+
+def _between_frames(goal: HeadGoal, steps: int) -> HeadGoal:
+    """Return a goal at the moments of a simulation with so many ``steps`` between two frames."""
+    if steps == 1 or len(goal.times) == 1:
+        return goal
+    inner = [np.linspace(*pair, steps + 1)[:-1] for pair in pairwise(goal.times)]
+    times = np.append(np.concatenate(inner), goal.times[-1])
+    vectors = np.array([goal(time).as_rotvec() for time in times.tolist()])
+    held = np.append(np.repeat(goal.held[:-1] | goal.held[1:], steps), goal.held[-1])
+    return replace(goal, times=times, vectors=vectors, held=held)
+
+
+def _between(times: Floats, table: Floats, time: float) -> Floats:
     """Return a table (n, ...) of ``times`` (n,) at ``time``, on straight lines."""
-    after = int(np.clip(np.searchsorted(times, time), 1, max(len(times) - 1, 1)))
-    if after >= len(times):
+    if len(times) == 1:
         return np.asarray(table[0])
+    after = int(np.clip(np.searchsorted(times, time), 1, len(times) - 1))
     span = times[after] - times[after - 1]
     part = float(np.clip((time - times[after - 1]) / span, 0.0, 1.0))
     return np.asarray((1.0 - part) * table[after - 1] + part * table[after])
-
-
-def _moves(heads: Sequence[Similarity], pivot: Floats) -> Floats:
-    """Return how far (n,) heads move the ``pivot`` (3,) about which they turn, mm."""
-    return np.array([np.linalg.norm(head(pivot[None])[0] - pivot) for head in heads])
