@@ -110,7 +110,11 @@ def springs(l: float, v: float, row: Floats) -> Parts:
     rest, stiff, growth, drag, per_m, least, fastest = row[:7]
     power = growth * (l - rest) / rest
     grown = math.exp(min(power, 10.0))
-    P, P_l, P_v = stiff * (grown - 1.0) + drag * v / rest, stiff * grown * growth / rest, drag / rest
+    P, P_l, P_v = (
+        stiff * (grown - 1.0) + drag * v / rest,
+        stiff * grown * growth / rest,
+        drag / rest,
+    )
     if power > 10.0:
         P, P_l = P + stiff * grown * (power - 10.0), stiff * math.exp(10.0) * growth / rest
     if P <= 0.0:
@@ -134,7 +138,7 @@ def curves(l: float, v: float, row: Floats) -> Parts:
     x, x_l = long / fibre, c / fibre
     u, u_v = v * c / fastest, c / fastest
     u_l = v * c_l / fastest
-    f = math.exp(-(x - 1.0) ** 2 / gamma)
+    f = math.exp(-((x - 1.0) ** 2) / gamma)
     f_x = -2.0 * (x - 1.0) / gamma * f
     s = min(max((x - 0.2) / 0.25, 0.0), 1.0)
     fade, fade_x = s * s * (3.0 - 2.0 * s), 6.0 * s * (1.0 - s) / 0.25

@@ -387,9 +387,7 @@ class _Model:
             number = self.numbers[name] - 1
             if number < 0 or mass == 0.0:
                 continue
-            at = self._ours(
-                _Placed(np.eye(3), body.numbers("mass_center", 3, np.zeros(3))), name
-            )
+            at = self._ours(_Placed(np.eye(3), body.numbers("mass_center", 3, np.zeros(3))), name)
             xx, yy, zz, xy, xz, yz = body.numbers("inertia", 6, np.zeros(6))
             I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
             R = self._axes(name)

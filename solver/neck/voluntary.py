@@ -79,7 +79,7 @@ class Voluntary:
         D = np.diag(dynamics.damping) + arms.T @ (slows[:, None] * arms)
         K = np.diag(dynamics.stiffness) + arms.T @ (stiffens[:, None] * arms)
         A = body.inertia + half * D + half**2 / 2.0 * K
-        tau = dynamics.passive_torque() + dynamics.external - arms.T @ P - half * (K @ v)
+        tau = dynamics.passive_torque() - arms.T @ P - half * (K @ v)
         pull = arms.T * F
         head, joints = self._asked(dynamics, goal, time_s + half + o.ahead_s, half)
         J = body.head_jacobian()
@@ -114,7 +114,9 @@ class Voluntary:
         omega = J @ v
         now = Rotation.from_rotvec(omega * half) * Rotation.from_matrix(body.head)
         off = (goals[1] * now.inv()).as_rotvec()
-        head = _servo(off, (first + last) / 2.0 - omega, (last - first) / d, half, o.head_hz, o.head_damping)
+        head = _servo(
+            off, (first + last) / 2.0 - omega, (last - first) / d, half, o.head_hz, o.head_damping
+        )
         poses = [
             Rotation.from_rotvec(share_out(dynamics.neck, each.as_matrix()).turns) for each in goals
         ]
@@ -125,7 +127,9 @@ class Voluntary:
         own = v.reshape(JOINTS, 3)
         now = Rotation.from_rotvec(body.turns) * Rotation.from_rotvec(own * half)
         off = (now.inv() * poses[1]).as_rotvec()
-        joints = _servo(off, (first + last) / 2.0 - own, (last - first) / d, half, o.joint_hz, o.joint_damping)
+        joints = _servo(
+            off, (first + last) / 2.0 - own, (last - first) / d, half, o.joint_hz, o.joint_damping
+        )
         return head, joints.ravel()
 
     def _bounds(self, dynamics: Dynamics, tick: float) -> tuple[Floats, Floats]:
