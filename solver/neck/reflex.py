@@ -26,10 +26,10 @@ class ReflexOptions:
     """Gains of strain and strain rate, their delay, and the lag of activation."""
 
     rate_hz: float = 4000.0  # the time step is 1 of it
-    strain: float = 8.0  # activation a strain of 1; 0 is no reflex
-    strain_rate: float = 1.0  # activation a strain rate of 1/s
+    strain: float = 10.0  # activation a strain of 1; 0 is no reflex
+    strain_rate: float = 2.0  # activation a strain rate of 1/s
     delay_s: float = 0.0  # as published; tens of ms in people
-    patience_s: float = 0.01  # a delay by which the gains are halved
+    patience_s: float = 0.0006  # a delay by which the gains are halved
     rise_s: float = 0.010  # tau of activation
     fall_s: float = 0.040
 

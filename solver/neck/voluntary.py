@@ -79,7 +79,7 @@ class Voluntary:
         D = np.diag(dynamics.damping) + arms.T @ (slows[:, None] * arms)
         K = np.diag(dynamics.stiffness) + arms.T @ (stiffens[:, None] * arms)
         A = body.inertia + half * D + half**2 / 2.0 * K
-        tau = dynamics.passive_torque() + dynamics.external - arms.T @ P - half * (K @ v)
+        tau = dynamics.passive_torque() - arms.T @ P - half * (K @ v)
         pull = arms.T * F
         head, joints = self._asked(dynamics, goal, time_s + half + o.ahead_s, half)
         J = body.head_jacobian()
