@@ -48,7 +48,9 @@ def solve_bounded(
                 rise = -g[i]
                 for j in range(n):
                     rise += H[i, j] * x[j]
-                if (side[i] == LOW and rise < -TOLERANCE * scale) or (side[i] == HIGH and rise > TOLERANCE * scale):
+                if side[i] == LOW and rise < -TOLERANCE * scale:
+                    to[i] = FREE
+                elif side[i] == HIGH and rise > TOLERANCE * scale:
                     to[i] = FREE
             if to[i] != side[i]:
                 wrong, last = wrong + 1, i
