@@ -26,7 +26,7 @@ JOINTS = len(BODIES) - 1  # joint k is at the bottom of body k + 1
 class Muscle:
     """A muscle along straight lines through points that bodies carry."""
 
-    name: str  # ends in "_l" or "_r"
+    name: str
     bodies: Ints  # (k,) numbers in BODIES
     points: Floats  # (k, 3) mm at rest
     strength: float  # N, at full activation and optimal length

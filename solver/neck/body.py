@@ -53,17 +53,6 @@ class Body:
         self.inertia: Floats = np.zeros((DOFS, DOFS))
         self.update()
 
-    def copy(self) -> Body:
-        """Return another state of the same neck."""
-        made = object.__new__(Body)
-        made.__dict__.update(self.__dict__)
-        made.data = self._mujoco.MjData(self.model)
-        made.q, made.v = made.data.qpos, made.data.qvel
-        made.inertia = np.zeros((DOFS, DOFS))
-        made.q[:], made.v[:] = self.q, self.v
-        made.update()
-        return made
-
     def update(self, ahead: Floats | float = 0.0) -> None:
         """Bring what depends on the state up to date; the bias is that of v + ``ahead``."""
         mujoco, model, data = self._mujoco, self.model, self.data
@@ -183,8 +172,7 @@ def mjcf(neck: Neck, gravity: Floats) -> str:
         below = neck.centres[joint - 1] if joint else np.zeros(3)
         at = _numbers((neck.centres[joint] - below) * M)
         centre = _numbers((neck.mass_centres[joint] - neck.centres[joint]) * M)
-        I = neck.inertias[joint]
-        six = _numbers(np.array([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]))
+        six = _numbers(neck.inertias[joint][[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
         inside = (
             f'<body name="b{joint + 1}" pos="{at}"><joint type="ball"/>'
             f'<inertial pos="{centre}" mass="{neck.masses[joint]:.17g}" fullinertia="{six}"/>'

@@ -48,9 +48,8 @@ def solve_bounded(
                 rise = -g[i]
                 for j in range(n):
                     rise += H[i, j] * x[j]
-                if side[i] == LOW and rise < -TOLERANCE * scale:
-                    to[i] = FREE
-                elif side[i] == HIGH and rise > TOLERANCE * scale:
+                inward = -rise if side[i] == LOW else rise
+                if inward > TOLERANCE * scale:
                     to[i] = FREE
             if to[i] != side[i]:
                 wrong, last = wrong + 1, i

@@ -32,13 +32,14 @@ class Dynamics:
     def __init__(
         self,
         neck: Neck,
-        reflex: ReflexOptions = ReflexOptions(),
-        hill: HillOptions = HillOptions(),
+        reflex: ReflexOptions | None = None,
+        hill: HillOptions | None = None,
         gravity: Floats | None = None,
     ) -> None:
+        reflex = reflex or ReflexOptions()
         self.neck, self.reflex = neck, reflex
         self.body = Body(neck, gravity)
-        self.muscles = Muscles.of(neck, hill)
+        self.muscles = Muscles.of(neck, hill or HillOptions())
         count = len(neck.muscles)
         self.activations = np.zeros(count)
         self.stiffness, self.damping = neck.stiffness.ravel(), neck.damping.ravel()

@@ -5,7 +5,8 @@ path, f in N along it. A law is a table of numbers, a row a muscle.
 
 ``SPRINGS`` (Lee and Terzopoulos 2006, as published in 2021), with strain e = (l - l_0)/l_0:
 
-    F = max(0, k_max (l - l_m)) max(0, 1 + min(v, 0)/v_m),   P = max(0, k_s (exp(k_c e) - 1) + k_d e')
+    F = max(0, k_max (l - l_m)) max(0, 1 + min(v, 0)/v_m)
+    P = max(0, k_s (exp(k_c e) - 1) + k_d e')
 
 No constant is published. Ours follow from strength F_0, optimal fibre length l_o and path l_0 at
 rest: l_m = l_0 - l_o/2, k_max = F_0/(l_0 - l_m), v_m = 10 l_o/s; P reaches F_0 where the fibres are
@@ -15,7 +16,8 @@ rest: l_m = l_0 - l_o/2, k_max = F_0/(l_0 - l_m), v_m = 10 l_o/s; P reaches F_0 
 fibres of constant width w = l_o sin(alpha_o) at its end: l_f = sqrt((l - l_t)^2 + w^2), cos alpha =
 (l - l_t)/l_f, and with x = l_f/l_o, u = v cos(alpha)/(10 l_o)
 
-    F = F_0 exp(-(x - 1)^2/0.45) g(u) cos alpha,   P = F_0 (exp(5 (x - 1)/0.6) - 1)/(e^5 - 1) cos alpha,
+    F = F_0 exp(-(x - 1)^2/0.45) g(u) cos alpha
+    P = F_0 (exp(5 (x - 1)/0.6) - 1)/(e^5 - 1) cos alpha
     g = (1 + u)/(1 - 4 u) for u < 0, 1 + 0.4 (5 u)/(5 u + 0.4) else
 
 F fades out from x = 0.45 to 0.2, where filaments do not overlap; P is a straight line from x = 1.6.
@@ -105,10 +107,10 @@ def all_parts(law: int, table: Floats, lengths: Floats, rates: Floats, made: Flo
 
 
 @nb.njit(cache=True, error_model="numpy")
-def springs(l: float, v: float, row: Floats) -> Parts:
+def springs(length: float, v: float, row: Floats) -> Parts:
     """Return F, dF/dl, dF/dv, P, dP/dl, dP/dv of the published law."""
     rest, stiff, growth, drag, per_m, least, fastest = row[:7]
-    power = growth * (l - rest) / rest
+    power = growth * (length - rest) / rest
     grown = math.exp(min(power, 10.0))
     P, P_l, P_v = (
         stiff * (grown - 1.0) + drag * v / rest,
@@ -116,21 +118,21 @@ def springs(l: float, v: float, row: Floats) -> Parts:
         drag / rest,
     )
     if power > 10.0:
-        P, P_l = P + stiff * grown * (power - 10.0), stiff * math.exp(10.0) * growth / rest
+        P += stiff * grown * (power - 10.0)
     if P <= 0.0:
         P, P_l, P_v = 0.0, 0.0, 0.0
-    if l <= least or v <= -fastest:
+    if length <= least or v <= -fastest:
         return 0.0, 0.0, 0.0, P, P_l, P_v
     g, g_v = (1.0 + v / fastest, 1.0 / fastest) if v < 0.0 else (1.0, 0.0)
-    F_l = per_m * (l - least)
+    F_l = per_m * (length - least)
     return F_l * g, per_m * g, F_l * g_v, P, P_l, P_v
 
 
 @nb.njit(cache=True, error_model="numpy")
-def curves(l: float, v: float, row: Floats) -> Parts:
+def curves(length: float, v: float, row: Floats) -> Parts:
     """Return F, dF/dl, dF/dv, P, dP/dl, dP/dv of the law with the usual curves."""
     most, fibre, tendon, wide, fastest, gamma, hill, most_held, stretch, growth = row
-    along = l - tendon
+    along = length - tendon
     if along <= 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     long = math.sqrt(along * along + wide * wide)

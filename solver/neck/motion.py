@@ -123,7 +123,7 @@ def reachable(
             vectors[~seen, axis] = np.interp(times[~seen], times[seen], vectors[seen, axis])
         notices.append(_notice("neck.gap", "had no goal and were crossed", ~seen))
     vectors = Rotation.from_rotvec(vectors).as_rotvec()  # within half a turn
-    beyond, slow = np.zeros((2, len(times)), bool)
+    beyond, slow = np.zeros(len(times), bool), np.zeros(len(times), bool)
     most, worst, fastest = np.radians(options.most_deg_per_s), 0.0, 0.0
     for k, vector in enumerate(vectors):
         vector, excess = within(neck, vector, options.range_part)

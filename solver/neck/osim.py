@@ -1,9 +1,7 @@
 """Necks of OpenSim: an OSIM file as bodies, ball joints, discs and muscles of our own.
 
-The chain of joints is climbed from the skull; the first eight that turn are the head's and those of
-C1 ... C7, and what is under them is the torso, which stands still. Bodies that are welded to one of
-them, or that hang on it by a joint of their own, are part of it. OpenSim's axes (x forward, y up,
-z to the right) become ours, its metres mm, and all is seen with every coordinate at 0.
+OpenSim's axes become ours and its metres mm; the origin is the head's joint, and the skull is
+upright where its frame is. Gravity is ours, whatever the file's stance on the ground is.
 
 Ranges of motion, and how much of a rotation each joint takes, come from the coordinates' ranges
 through the joints' functions and the couplers. In the simulation all 24 rotations are free.
@@ -14,31 +12,23 @@ Sherman, Seth, Delp 2011, and the reference of OpenSim 4 have the format.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 from solver.errors import quote, quote_names
 from solver.neck.anatomy import JOINTS, Muscle, Neck
 from solver.neck.elements import Element, XmlLimits, read_elements
+from solver.neck.osim_joints import MM, Function, Placed, Skeleton, read_function
 from solver.surface import Floats
 
-HEADS = ("skull", "head", "cranium", "head_neck")
-TO_OURS = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # rotation, of directions
-MM = 1000.0
-TURNING = ("CustomJoint", "PinJoint", "BallJoint")
 MUSCLES = (
     "Millard2012EquilibriumMuscle",
     "Millard2012AccelerationMuscle",
     "Thelen2003Muscle",
     "DeGrooteFregly2016Muscle",
 )
-Function = Callable[[float], float]
 
 
 @dataclass(frozen=True)
@@ -51,6 +41,11 @@ class OsimOptions:
     free_range: float = 3.2  # rad; a coordinate that may go farther has no range
     usual_range: float = 0.15  # rad, of a joint's axis whose coordinate has no range
     most_muscles: int = 1000
+    least_mass: float = 0.01  # kg, of a vertebra with what is about it, and the head
+    most_mass: float = 30.0
+    most_mm: float = 2000.0  # from the head's joint to anything
+    most_stiffness: float = 1e4  # N m/rad, of a disc, and its damping in N m s/rad
+    most_strength: float = 1e4  # N
     limits: XmlLimits = field(default_factory=XmlLimits)
 
 
@@ -67,48 +62,6 @@ def read_osim(path: Path, options: OsimOptions = OsimOptions()) -> Neck:
     return _Model(root.need("Model"), options).neck()
 
 
-@dataclass(frozen=True)
-class _Placed:
-    """A rigid motion in OpenSim's axes, in m: x -> R x + t."""
-
-    R: Floats
-    t: Floats
-
-    def then(self, inner: _Placed) -> _Placed:
-        """Return this motion of what ``inner`` places."""
-        return _Placed(self.R @ inner.R, self.R @ inner.t + self.t)
-
-    def inverse(self) -> _Placed:
-        return _Placed(self.R.T, -self.R.T @ self.t)
-
-
-@dataclass(frozen=True)
-class _Turn:
-    """One rotation of a joint: by ``angle(value of coordinate)`` about an axis of its frame."""
-
-    axis: Floats
-    coordinate: str
-    angle: Function
-
-
-@dataclass(frozen=True)
-class _Joint:
-    element: Element
-    parent: str
-    child: str
-    before: _Placed  # the joint's frame in the parent body
-    after: _Placed  # the joint's frame in the child body
-    turns: tuple[_Turn, ...]
-
-    @property
-    def placed(self) -> _Placed:
-        """The child body in its parent's frame, all coordinates at 0."""
-        R = np.eye(3)
-        for turn in self.turns:
-            R = R @ Rotation.from_rotvec(turn.axis * turn.angle(0.0)).as_matrix()
-        return self.before.then(_Placed(R, np.zeros(3))).then(self.after.inverse())
-
-
 class _Model:
     def __init__(self, model: Element, options: OsimOptions) -> None:
         self.model, self.options = model, options
@@ -120,17 +73,14 @@ class _Model:
             if element.tag == "WrapObjectSet" and (inside := element.find("objects")):
                 for wrap in inside:
                     raise wrap.error("is a wrap object; muscles go along straight lines here")
-        self.bodies = {each.name: each for each in model.need("BodySet/objects")}
-        self.joints = [self._joint(each) for each in model.need("JointSet/objects")]
-        self.joint_of: dict[str, _Joint] = {}
-        for joint in self.joints:
-            if joint.child in self.joint_of:
-                raise joint.element.error(f"is a second joint under '{quote(joint.child)}'")
-            self.joint_of[joint.child] = joint
+        self.skeleton = Skeleton(model)
 
     def neck(self) -> Neck:
-        chain = self.chain
-        centres = np.array([self._ours(each.before, each.parent) for each in chain])
+        chain = self.skeleton.chain
+        centres = np.array([self.skeleton.ours(each.before, each.parent) for each in chain])
+        for joint, centre in zip(chain, centres, strict=True):
+            if np.linalg.norm(centre) > self.options.most_mm:
+                raise joint.element.error("is far from the head")
         ranges = self._ranges()
         stiffness, damping = self._discs()
         masses, mass_centres, inertias = self._masses()
@@ -151,173 +101,12 @@ class _Model:
             tuple(self.notices),
         )
 
-    # Frames and joints
-
-    def _joint(self, element: Element) -> _Joint:
-        if element.tag not in (*TURNING, "WeldJoint"):
-            raise element.error("is a joint of another kind than custom, pin, ball and weld")
-        frames = {}
-        for frame in element.find("frames") or ():
-            body = self._named_body(frame, "socket_parent")
-            angles = frame.numbers("orientation", 3, np.zeros(3))
-            R = Rotation.from_euler("XYZ", angles).as_matrix()
-            frames[frame.name] = body, _Placed(R, frame.numbers("translation", 3, np.zeros(3)))
-        ends = []
-        for socket in ("socket_parent_frame", "socket_child_frame"):
-            name = element.need(socket).text.strip()
-            if name.rsplit("/", 1)[-1] in frames:
-                ends.append(frames[name.rsplit("/", 1)[-1]])
-            else:
-                none = _Placed(np.eye(3), np.zeros(3))
-                ends.append((self._named_body(element, socket), none))
-        (parent, before), (child, after) = ends
-        return _Joint(element, parent, child, before, after, self._turns(element))
-
-    def _named_body(self, element: Element, socket: str) -> str:
-        found = element.need(socket)
-        name = found.text.strip().rsplit("/", 1)[-1]
-        if name != "ground" and name not in self.bodies:
-            raise found.error(f"names the body '{quote(name)}', which is missing")
-        return name
-
-    def _turns(self, element: Element) -> tuple[_Turn, ...]:
-        names = [each.name for each in element.find("coordinates") or ()]
-        if element.tag == "WeldJoint":
-            return ()
-        if element.tag != "CustomJoint":
-            axes = np.eye(3)[[2]] if element.tag == "PinJoint" else np.eye(3)
-            if len(names) != len(axes):
-                raise element.error(f"has {len(names)} coordinates, not {len(axes)}")
-            pairs = zip(axes, names, strict=True)
-            return tuple(_Turn(axis, name, lambda value: value) for axis, name in pairs)
-        turns = []
-        for axis in element.need("SpatialTransform"):
-            if axis.tag != "TransformAxis":
-                continue
-            coordinate = axis.word("coordinates")
-            angle = self._function_in(axis)
-            if axis.name.startswith("rotation"):
-                direction = axis.numbers("axis", 3)
-                length = float(np.linalg.norm(direction))
-                if length < 1e-9:
-                    raise axis.need("axis").error("has no direction")
-                if coordinate and coordinate not in names:
-                    raise axis.error(f"turns by '{quote(coordinate)}', which the joint lacks")
-                turns.append(_Turn(direction / length, coordinate, angle))
-            elif self._is_of_neck(element) and any(abs(angle(x)) > 1e-6 for x in (-0.5, 0, 0.5)):
-                raise axis.error("shifts the joint; joints turn about fixed points here")
-        return tuple(turns)
-
-    def _is_of_neck(self, element: Element) -> bool:
-        """Tell joints that hang on the ground, which may do as they like, from others."""
-        parent = element.need("socket_parent_frame").text.strip().rsplit("/", 1)[-1]
-        frames = element.find("frames") or ()
-        bodies = [each.word("socket_parent") for each in frames if each.name == parent]
-        return not any(each.rsplit("/", 1)[-1] == "ground" for each in [parent, *bodies])
-
-    def _function_in(self, holder: Element) -> Function:
-        for each in holder:
-            inside = each.children[0] if each.tag == "function" and each.children else each
-            if inside.tag not in ("coordinates", "axis", "scale"):
-                return self._function(inside)
-        return lambda _: 0.0
-
-    def _function(self, element: Element) -> Function:
-        if element.tag == "Constant":
-            value = element.number("value", 0.0)
-            return lambda _: value
-        if element.tag in ("LinearFunction", "PolynomialFunction"):
-            powers = element.numbers("coefficients", None)
-            return lambda x: float(np.polyval(powers, x))
-        if element.tag == "MultiplierFunction":
-            inner, scale = self._function_in(element), element.number("scale", 1.0)
-            return lambda x: scale * inner(x)
-        if element.tag in ("SimmSpline", "NaturalCubicSpline", "PiecewiseLinearFunction"):
-            x, y = element.numbers("x", None), element.numbers("y", None)
-            if len(x) != len(y) or len(x) < 2 or (np.diff(x) <= 0.0).any():
-                raise element.error("is no table of at least two places in rising order")
-            if len(x) == 2 or element.tag == "PiecewiseLinearFunction":
-                slopes = np.diff(y) / np.diff(x)
-                last = len(slopes) - 1
-                return lambda at: float(
-                    y[k := int(np.clip(np.searchsorted(x, at) - 1, 0, last))]
-                    + slopes[k] * (at - x[k])
-                )
-            spline = CubicSpline(x, y, bc_type="natural")
-            return lambda at: float(spline(at))
-        raise element.error("is a function that is not read")
-
-    @cached_property
-    def chain(self) -> list[_Joint]:
-        """The eight joints that turn, from the torso to the head."""
-        heads = [name for name in self.bodies if name.lower() in HEADS]
-        if not heads:
-            known = ", ".join(quote_names([*self.bodies]))
-            raise self.model.need("BodySet").error(f"has no skull or head, but {known}")
-        found: list[_Joint] = []
-        body, seen = heads[0], set()
-        while len(found) < JOINTS:
-            joint = self.joint_of.get(body)
-            if joint is None or joint.parent == "ground" or body in seen:
-                words = f"reaches the head by {len(found)} joints that turn, not by {JOINTS}"
-                raise self.model.need("JointSet").error(words)
-            seen.add(body)
-            if joint.turns:
-                found.append(joint)
-            body = joint.parent
-        return found[::-1]
-
-    @cached_property
-    def numbers(self) -> dict[str, int]:
-        """Each body's number in BODIES, of which it is, or is a part; those below are the torso."""
-        tops = {joint.child: number for number, joint in enumerate(self.chain, 1)}
-        numbers = {"ground": 0}
-        for name in self.bodies:
-            at, steps = name, 0
-            while at not in tops and at in self.joint_of and steps <= len(self.bodies):
-                at, steps = self.joint_of[at].parent, steps + 1
-            numbers[name] = tops.get(at, 0)
-        return numbers
-
-    def _in_torso(self, body: str) -> _Placed:
-        """Return where a body is, in the frame of the body under the lowest joint."""
-        torso = self.chain[0].parent
-        return self._in_ground(torso).inverse().then(self._in_ground(body))
-
-    def _in_ground(self, body: str) -> _Placed:
-        placed, steps = _Placed(np.eye(3), np.zeros(3)), 0
-        while (joint := self.joint_of.get(body)) is not None:
-            placed, body, steps = joint.placed.then(placed), joint.parent, steps + 1
-            if steps > len(self.bodies):
-                raise joint.element.error("is part of a circle of joints")
-        return placed
-
-    @cached_property
-    def _to_head(self) -> _Placed:
-        """From the torso's frame to one with the skull's axes and the head's joint as origin."""
-        head = self.chain[-1]
-        joint = self._in_torso(head.parent).then(head.before)
-        return _Placed(self._in_torso(head.child).R, joint.t).inverse()
-
-    def _ours(self, placed: _Placed, body: str) -> Floats:
-        """Return the place of a frame of a body, (3,) mm in our axes."""
-        return np.asarray(TO_OURS @ self._to_head.then(self._in_torso(body)).then(placed).t * MM)
-
-    def _axes(self, body: str) -> Floats:
-        """Return the rotation from a body's frame to our axes (3, 3)."""
-        return np.asarray(TO_OURS @ self._to_head.R @ self._in_torso(body).R)
-
-    def _point(self, element: Element, socket: str) -> tuple[int, Floats]:
-        body = self._named_body(element, socket)
-        at = _Placed(np.eye(3), element.numbers("location", 3))
-        return self.numbers[body], self._ours(at, body)
-
     # Motion
 
     def _ranges(self) -> Floats:
         """Return how far each joint turns about our axes (8, 3), to either side."""
         given: dict[str, tuple[float, float]] = {}
-        for joint in self.joints:
+        for joint in self.skeleton.joints:
             for each in joint.element.find("coordinates") or ():
                 low, high = each.numbers("range", 2)
                 if -self.options.free_range <= low < high <= self.options.free_range:
@@ -333,9 +122,9 @@ class _Model:
                 by,
             )
         ranges, missing = np.zeros((JOINTS, 3)), []
-        for number, joint in enumerate(self.chain):
+        for number, joint in enumerate(self.skeleton.chain):
             for turn in joint.turns:
-                axis = np.abs(self._axes(joint.parent) @ joint.before.R @ turn.axis)
+                axis = np.abs(self.skeleton.axes(joint.parent) @ joint.before.R @ turn.axis)
                 name, by = coupled.get(turn.coordinate, (turn.coordinate, lambda value: value))
                 ends = given.get(name)
                 if ends is None:
@@ -353,7 +142,7 @@ class _Model:
         holder = element.need("coupled_coordinates_function")
         if not holder.children:
             raise holder.error("has no function")
-        return self._function(holder.children[0])
+        return read_function(holder.children[0])
 
     def _discs(self) -> tuple[Floats, Floats]:
         """Return stiffness and damping of the discs, (8, 3) each, of the file's bushings."""
@@ -361,15 +150,16 @@ class _Model:
         for force in self.model.find("ForceSet/objects") or ():
             if force.tag != "BushingForce" or force.word("appliesForce") == "false":
                 continue
-            bodies = [self._named_body(force, f"socket_frame{end}") for end in (1, 2)]
-            numbers = sorted(self.numbers[body] for body in bodies)
+            bodies = [self.skeleton.named_body(force, f"socket_frame{end}") for end in (1, 2)]
+            numbers = sorted(self.skeleton.numbers[body] for body in bodies)
             if numbers[1] != numbers[0] + 1:
                 raise force.error("is not between two bodies that follow each other")
-            R = self._axes(bodies[0])
+            R = self.skeleton.axes(bodies[0])
             for row, name in enumerate(("rotational_stiffness", "rotational_damping")):
                 values = force.numbers(name, 3, np.zeros(3))
-                if (values < 0.0).any():
-                    raise force.need(name).error("is negative")
+                if (values < 0.0).any() or (values > self.options.most_stiffness).any():
+                    words = f"is not within 0 and {self.options.most_stiffness:g}"
+                    raise force.need(name).error(words)
                 found[row, numbers[0]] += np.diag(R @ np.diag(values) @ R.T)
         if not found[0].any():
             self.notices.append("no discs (BushingForce) were found: joints are without stiffness")
@@ -380,38 +170,41 @@ class _Model:
     def _masses(self) -> tuple[Floats, Floats, Floats]:
         """Return masses (8,), mass centres (8, 3) in mm and inertias (8, 3, 3) about them."""
         parts: list[list[tuple[float, Floats, Floats]]] = [[] for _ in range(JOINTS)]
-        for name, body in self.bodies.items():
+        for name, body in self.skeleton.bodies.items():
             mass = body.number("mass")
             if mass < 0.0:
                 raise body.need("mass").error("is negative")
-            number = self.numbers[name] - 1
+            number = self.skeleton.numbers[name] - 1
             if number < 0 or mass == 0.0:
                 continue
-            at = self._ours(_Placed(np.eye(3), body.numbers("mass_center", 3, np.zeros(3))), name)
+            centre = Placed(np.eye(3), body.numbers("mass_center", 3, np.zeros(3)))
             xx, yy, zz, xy, xz, yz = body.numbers("inertia", 6, np.zeros(6))
-            I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            R = self._axes(name)
-            parts[number].append((mass, at, R @ I @ R.T))
+            inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            R = self.skeleton.axes(name)
+            parts[number].append((mass, self.skeleton.ours(centre, name), R @ inertia @ R.T))
         masses, centres, inertias = np.zeros(JOINTS), np.zeros((JOINTS, 3)), []
         replaced, worst = [], 0.0
         for number, inside in enumerate(parts):
             if not inside:
-                raise self.chain[number].element.error("carries a body without mass")
+                raise self.skeleton.chain[number].element.error("carries a body without mass")
             masses[number] = sum(mass for mass, _, _ in inside)
+            if not self.options.least_mass <= masses[number] <= self.options.most_mass:
+                words = f"carries {masses[number]:g} kg, which is no part of a neck or a head"
+                raise self.skeleton.chain[number].element.error(words)
             centres[number] = sum(mass * at for mass, at, _ in inside) / masses[number]
-            I = np.zeros((3, 3))
+            inertia = np.zeros((3, 3))
             for mass, at, own in inside:
                 d = (at - centres[number]) / MM
-                I += own + mass * (d @ d * np.eye(3) - np.outer(d, d))
+                inertia += own + mass * (d @ d * np.eye(3) - np.outer(d, d))
             ball = ball_inertia(masses[number], self.options.density)
-            least, most = np.linalg.eigvalsh(I)[[0, -1]]
+            least, most = np.linalg.eigvalsh(inertia)[[0, -1]]
             if not self.options.keep_inertias and (
                 most > self.options.most_inertia * ball or least <= 0.0
             ):
-                replaced.append(self.chain[number].child)
+                replaced.append(self.skeleton.chain[number].child)
                 worst = max(worst, most / ball)
-                I = ball * np.eye(3)
-            inertias.append(I)
+                inertia = ball * np.eye(3)
+            inertias.append(inertia)
         if replaced:
             names = ", ".join(quote_names(replaced))
             words = f"inertias up to {worst:.0f} times those of balls of the same mass were"
@@ -423,7 +216,7 @@ class _Model:
         found = {}
         for marker in self.model.find("MarkerSet/objects") or ():
             if marker.find("socket_parent_frame") is not None:
-                body, at = self._point(marker, "socket_parent_frame")
+                body, at = self.skeleton.point(marker, "socket_parent_frame")
                 if body == JOINTS:
                     found[marker.name] = at
         return found
@@ -431,7 +224,8 @@ class _Model:
     # Muscles
 
     def _muscles(self) -> tuple[Muscle, ...]:
-        found, skipped = [], []
+        found: list[Muscle] = []
+        skipped = []
         for force in self.model.find("ForceSet/objects") or ():
             path = force.find("GeometryPath") or force.find("path/GeometryPath")
             if path is None:
@@ -461,7 +255,9 @@ class _Model:
         for point in path.need("PathPointSet/objects"):
             if point.tag != "PathPoint":
                 raise point.error(f"of '{quote(force.name)}' moves; only PathPoint is read")
-            body, at = self._point(point, "socket_parent_frame")
+            body, at = self.skeleton.point(point, "socket_parent_frame")
+            if np.linalg.norm(at) > self.options.most_mm:
+                raise point.error(f"of '{quote(force.name)}' is far from the head")
             bodies.append(body)
             points.append(at)
         if len(points) < 2:
@@ -471,6 +267,8 @@ class _Model:
             numbers[name] = force.number(name)
             if numbers[name] < 0.0 or (numbers[name] == 0.0 and name != "tendon_slack_length"):
                 raise force.need(name).error("is not positive")
+        if numbers["max_isometric_force"] > self.options.most_strength:
+            raise force.need("max_isometric_force").error("is more than a muscle of the neck has")
         pennation = force.number("pennation_angle_at_optimal", 0.0)
         if not 0.0 <= pennation < 1.4:
             raise force.need("pennation_angle_at_optimal").error("is not within 0 and 1.4")

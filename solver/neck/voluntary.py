@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -106,30 +107,22 @@ class Voluntary:
         """Return the head's angular acceleration (3,) and the joints' (24,) that are asked for."""
         o, body, d = self.options, dynamics.body, self.options.difference_s
         goals = [goal(time_s + sign * d) for sign in (-1.0, 0.0, 1.0)]
-        first, last = (
-            (after * before.inv()).as_rotvec() / d
-            for before, after in zip(goals, goals[1:], strict=False)
-        )
+        first, last = ((b * a.inv()).as_rotvec() / d for a, b in pairwise(goals))
         J, v = body.head_jacobian(), body.v
         omega = J @ v
         now = Rotation.from_rotvec(omega * half) * Rotation.from_matrix(body.head)
         off = (goals[1] * now.inv()).as_rotvec()
-        head = _servo(
-            off, (first + last) / 2.0 - omega, (last - first) / d, half, o.head_hz, o.head_damping
-        )
+        slower, onward = (first + last) / 2.0 - omega, (last - first) / d
+        head = _servo(off, slower, onward, half, o.head_hz, o.head_damping)
         poses = [
             Rotation.from_rotvec(share_out(dynamics.neck, each.as_matrix()).turns) for each in goals
         ]
-        first, last = (
-            (before.inv() * after).as_rotvec() / d
-            for before, after in zip(poses, poses[1:], strict=False)
-        )
+        first, last = ((a.inv() * b).as_rotvec() / d for a, b in pairwise(poses))
         own = v.reshape(JOINTS, 3)
         now = Rotation.from_rotvec(body.turns) * Rotation.from_rotvec(own * half)
         off = (now.inv() * poses[1]).as_rotvec()
-        joints = _servo(
-            off, (first + last) / 2.0 - own, (last - first) / d, half, o.joint_hz, o.joint_damping
-        )
+        slower, onward = (first + last) / 2.0 - own, (last - first) / d
+        joints = _servo(off, slower, onward, half, o.joint_hz, o.joint_damping)
         return head, joints.ravel()
 
     def _bounds(self, dynamics: Dynamics, tick: float) -> tuple[Floats, Floats]:
