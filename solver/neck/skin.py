@@ -28,7 +28,7 @@ from solver.mechanics.flesh import shape_gradients
 from solver.mechanics.harmonic import HarmonicExtension, laplacian
 from solver.model import SubjectModel
 from solver.neck.anatomy import JOINTS, Neck
-from solver.surface import Floats, Ints, adjacency
+from solver.surface import Floats, Ints, adjacency, directed_edges
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,8 @@ class NeckSkinOptions:
     back_part: float = 0.3  # of the mandible, by its length, that has its angles
     nape_above_mm: float = 20.0  # the joint of the head is the nape's border: muscles end there
     by_share: float = 1.0  # of the skin's parts, as wide as joints turn; 0: all are alike
+    # of skin at the flesh's border, per mm of it: Young's modulus 0.1 MPa x 1.5 mm / 50 mm
+    pull_pa: float = 3000.0
     skin_weight: float = 1e3  # of the flesh's places at the skin, by the mean diagonal
 
 
@@ -84,10 +86,27 @@ class NeckSkin:
         """Return the skin (V, 3) as the bodies alone have it, by their ``matrices`` (9, 4, 4)."""
         return _apply(self.blends(matrices, self.places), self.model.skin.vertices)
 
-    def cut(self, matrices: Floats) -> Floats:
-        """Return where the flesh's cut (c, 3) is, in the order of the model's."""
-        cut = self.model.cut
-        return _apply(self.blends(matrices, self.flesh[cut]), self.model.rest[cut])
+    def carry_flesh(self, matrices: Floats) -> Floats:
+        """Return the flesh's vertices (p, 3) as the bodies alone have them."""
+        return _apply(self.blends(matrices, self.flesh), self.model.rest)
+
+    def pull(self, options: NeckSkinOptions = NeckSkinOptions()) -> Floats:
+        """Return how stiffly the neck's skin pulls each vertex of the flesh (p,), in Pa mm.
+
+        It pulls where it hangs on skin that lies on flesh, by the length of edges there.
+        """
+        model, count = self.model, len(self.model.skin.vertices)
+        on_flesh = np.zeros(count, bool)
+        on_flesh[model.embedded] = True
+        sides = directed_edges(model.skin.faces)
+        of_neck = (self.places[sides] < JOINTS).all(axis=1)
+        border = sides[of_neck & (on_flesh[sides[:, 0]] != on_flesh[sides[:, 1]])]
+        ends = np.unique(border[on_flesh[border]])
+        along = sides[np.isin(sides, ends).all(axis=1)]
+        length = np.zeros(count)
+        lengths = np.linalg.norm(np.subtract(*np.swapaxes(model.skin.vertices[along], 0, 1)), axis=1)
+        np.add.at(length, along.ravel(), np.repeat(0.25 * lengths, 2))
+        return options.pull_pa * np.asarray(model.embedding.T @ length[model.embedded])
 
     def unposed(self, matrices: Floats, skin: Floats) -> Floats:
         """Return the skin (V, 3) at rest of which the bodies make ``skin`` (V, 3)."""

@@ -229,6 +229,7 @@ class Stage:
             density=self._edited.density,
             damping=scene.damping,
             linear=linear,
+            pull=None if self.neck is None else self.neck.pull,
         )
         self._gaze = Gaze(self.model)
         self.gauge = Gauge(self.model, self._edited.unedited, potentials)
@@ -242,7 +243,7 @@ class Stage:
         objects = tuple(each.at(time).vertices for each in self.objects)
         if self.neck is None:
             return Drive(time, A, pose.jaw, pose.head, objects)
-        return Drive(time, A, pose.jaw, self.neck.head(time), objects, self.neck.cut(time))
+        return Drive(time, A, pose.jaw, self.neck.head(time), objects, self.neck.carried(time))
 
     def skin(self, y: Floats, jaw: Floats, eyes: Floats, time: float) -> Floats:
         """Return the whole skin (V, 3) of flesh y (p, 3) at ``time``, both in the head's frame."""

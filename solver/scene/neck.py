@@ -81,12 +81,17 @@ class CarriedHead:
         matrix = self.pose(time).matrices[-1]
         return Similarity(1.0, matrix[:3, :3], matrix[:3, 3])
 
-    def cut(self, time: float) -> Floats | None:
-        """Return how far the flesh's cut (c, 3) is displaced in the head's frame, mm."""
+    def carried(self, time: float) -> Floats | None:
+        """Return how far the flesh's vertices (p, 3) are carried in the head's frame, mm."""
         if self.skin is None or not self._coupled:
             return None
-        cut = self.skin.cut(self.pose(time).matrices)
-        return np.asarray(self.head(time).inverse()(cut) - self._model.rest[self._model.cut])
+        carried = self.skin.carry_flesh(self.pose(time).matrices)
+        return np.asarray(self.head(time).inverse()(carried) - self._model.rest)
+
+    @property
+    def pull(self) -> Floats | None:
+        """Return how much the skin of the neck pulls the flesh's vertices (p,), Pa mm."""
+        return self.skin.pull() if self.skin is not None and self._coupled else None
 
     def hung(self, time: float) -> HungSkin | None:
         """Return the skin as the vertebrae have it, in the head's frame; None: as the head's."""

@@ -96,7 +96,9 @@ class Drive:
     jaw: Floats  # (5,)
     head: Similarity  # into the world
     objects: tuple[Floats, ...] = ()  # vertices (o, 3) in the world, mm
-    cut: Floats | None = None  # (c, 3) mm, how far the flesh's cut is displaced in the head's frame
+    # (p, 3) mm: how far a neck carries the flesh's vertices, in the head's frame, which those on
+    # the cut planes follow; None without a neck
+    carried: Floats | None = None
 
     def toward(self, other: Drive, part: float) -> Drive:
         """Return what to ask for ``part`` of the way to ``other``, the head turning steadily."""
@@ -108,10 +110,10 @@ class Drive:
         A, jaw, shift, *objects = straight(part, *ends)
         head = Similarity(1.0, np.asarray(rotation), shift)
         time = self.time + part * (other.time - self.time)
-        cut = other.cut
-        if self.cut is not None and other.cut is not None:
-            cut = self.cut + part * (other.cut - self.cut)
-        return Drive(time, A, jaw, head, tuple(objects), cut)
+        carried = other.carried
+        if self.carried is not None and other.carried is not None:
+            carried = self.carried + part * (other.carried - self.carried)
+        return Drive(time, A, jaw, head, tuple(objects), carried)
 
 
 Vector = Floats | Sequence[float]
