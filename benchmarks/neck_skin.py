@@ -56,7 +56,7 @@ POSES = {  # rotation vectors of the head, degrees: x looks down, y to the left,
     "up_right": (-25.0, -40.0, -10.0),
 }
 FRAMES = 4  # from pose to pose
-LEVELS = (0.25, 0.5, 0.75)  # of the turns, where girths are measured
+LEVELS = (0.2, 0.4, 0.6)  # of the turns, where girths are measured
 THROWN_BACK = 40.0  # degrees, for the chin
 
 

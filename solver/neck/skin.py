@@ -39,8 +39,8 @@ class NeckSkinOptions:
     back_part: float = 0.3  # of the mandible, by its length, that has its angles
     nape_above_mm: float = 20.0  # the joint of the head is the nape's border: muscles end there
     by_share: float = 1.0  # of the skin's parts, as wide as joints turn; 0: all are alike
-    # of skin at the flesh's border, per mm of it: Young's modulus 0.1 MPa x 1.5 mm / 50 mm
-    pull_pa: float = 3000.0
+    # of skin at the flesh's border, per mm of it: Young's modulus 0.1 MPa x 2 mm / 25 mm
+    pull_pa: float = 8000.0
     skin_weight: float = 1e3  # of the flesh's places at the skin, by the mean diagonal
 
 
@@ -99,14 +99,15 @@ class NeckSkin:
         on_flesh = np.zeros(count, bool)
         on_flesh[model.embedded] = True
         sides = directed_edges(model.skin.faces)
-        of_neck = (self.places[sides] < JOINTS).all(axis=1)
+        of_neck = (self.places[sides] < JOINTS).any(axis=1)
         border = sides[of_neck & (on_flesh[sides[:, 0]] != on_flesh[sides[:, 1]])]
         ends = np.unique(border[on_flesh[border]])
         along = sides[np.isin(sides, ends).all(axis=1)]
         length = np.zeros(count)
         lengths = np.linalg.norm(np.subtract(*np.swapaxes(model.skin.vertices[along], 0, 1)), axis=1)
         np.add.at(length, along.ravel(), np.repeat(0.25 * lengths, 2))
-        return options.pull_pa * np.asarray(model.embedding.T @ length[model.embedded])
+        shared = model.embedding.T @ length[model.embedded]
+        return options.pull_pa * np.maximum(shared, 0.0)
 
     def unposed(self, matrices: Floats, skin: Floats) -> Floats:
         """Return the skin (V, 3) at rest of which the bodies make ``skin`` (V, 3)."""
