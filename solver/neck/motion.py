@@ -114,7 +114,7 @@ def reachable(
     if times[-1] - times[0] > options.most_s:
         message = f"the head's goal takes more than {options.most_s:g} s"
         raise InputError("neck.goal", message, expected=options.most_s)
-    seen = np.isfinite(vectors).all(axis=1)
+    seen: np.ndarray = np.isfinite(vectors).all(axis=1)
     if not seen.any():
         raise InputError("neck.goal", "no frame has a goal for the head")
     notices = []
