@@ -133,7 +133,7 @@ class _Bench:
         for _ in range(100 if self.quick else 1000):
             fast = body.v.copy()  # of half a step before
             body.v += half * np.linalg.solve(body.inertia, dynamics.passive_torque())
-            energies.append(body.energy + dynamics.disc_energy())
+            energies.append(body.energy + dynamics.joint_energy())
             kinetic = max(kinetic, float(body.v @ body.inertia @ body.v / 2.0))
             body.v[:] = fast
             dynamics.advance(40)
