@@ -57,6 +57,7 @@ class Neck:
     source: str  # a file's name, or what the built-in table is from
     landmarks: Mapping[str, Floats] = field(default_factory=dict)  # of the skull, (3,) mm each
     notices: tuple[str, ...] = ()  # what was replaced or left out as it was read
+    ligaments: float = 60.0  # N m/rad, of a joint beyond its range, more than the disc's
 
     @property
     def head_range(self) -> Floats:
@@ -88,6 +89,7 @@ class Neck:
             inertias=np.asarray(R @ self.inertias @ R.T * s**5),
             stiffness=self.stiffness * s**3,
             damping=self.damping * s**3,
+            ligaments=self.ligaments * s**3,
             muscles=muscles,
             landmarks={
                 name: placed(np.atleast_2d(each))[0] for name, each in self.landmarks.items()

@@ -1,8 +1,9 @@
 """Bounded least squares, exactly: min x . H x / 2 - g . x with low <= x <= high, H positive.
 
 Block principal pivoting (Portugal, Judice, Vicente 1994): guess which x are at a bound, solve for
-the others, and exchange all that are wrong. Where that stops to help, they are exchanged one by
-one, the last first, which always ends (Murty 1974). The guess is the last answer's.
+the others, and exchange all that are wrong; the guess is the last answer's. Where that stops to
+help, an active set goes on from there, feasible at every step (Stark and Parker 1995): towards the
+answer for those that are free up to the first bound, and one that should leave its bound at a time.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ import numpy as np
 from solver.surface import Floats
 
 FREE, LOW, HIGH = 0, 1, 2
-PATIENCE = 5  # exchanges of all that are wrong, without fewer of them
+PATIENCE = 3  # exchanges of all that are wrong, without fewer of them
 TOLERANCE = 1e-9  # of x, and of the gradient by the greatest of H's diagonal
-MOST = 2000  # exchanges
+MOST = 2000  # systems
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -29,14 +30,12 @@ def solve_bounded(
     Returns the number of systems that were solved, 0 if it did not end.
     """
     n = len(g)
-    scale = 0.0
-    for i in range(n):
-        scale = max(scale, H[i, i])
-    best, patience = n + 1, PATIENCE
-    for count in range(1, MOST):
+    best, patience, count = n + 1, PATIENCE, 0
+    to = np.empty(n, np.int8)
+    while patience > 0:
         _solve_free(H, g, low, high, side, x)
-        wrong, last = 0, -1
-        to = np.empty(n, np.int8)
+        count += 1
+        wrong = 0
         for i in range(n):
             to[i] = side[i]
             if side[i] == FREE:
@@ -44,28 +43,63 @@ def solve_bounded(
                     to[i] = LOW
                 elif x[i] > high[i] + TOLERANCE:
                     to[i] = HIGH
-            else:
-                rise = -g[i]
-                for j in range(n):
-                    rise += H[i, j] * x[j]
-                inward = -rise if side[i] == LOW else rise
-                if inward > TOLERANCE * scale:
-                    to[i] = FREE
-            if to[i] != side[i]:
-                wrong, last = wrong + 1, i
+            elif _inward(H, g, x, side, i) > TOLERANCE:
+                to[i] = FREE
+            wrong += to[i] != side[i]
         if wrong == 0:
-            for i in range(n):
-                x[i] = min(max(x[i], low[i]), high[i])
             return count
         if wrong < best:
             best, patience = wrong, PATIENCE
         else:
             patience -= 1
-        if patience > 0:
-            side[:] = to
-        else:
-            side[last] = to[last]
+        side[:] = to
+    return _go_on(H, g, low, high, side, x, count)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _go_on(
+    H: Floats, g: Floats, low: Floats, high: Floats, side: np.ndarray, x: Floats, count: int
+) -> int:
+    n = len(g)
+    z = np.empty(n)
+    for i in range(n):
+        x[i] = low[i] if side[i] == LOW else high[i] if side[i] == HIGH else x[i]
+        x[i] = min(max(x[i], low[i]), high[i])
+    while count < MOST:
+        _solve_free(H, g, low, high, side, z)
+        count += 1
+        step, first = 1.0, -1
+        for i in range(n):
+            if side[i] == FREE and not low[i] <= z[i] <= high[i]:
+                bound = low[i] if z[i] < low[i] else high[i]
+                part = (bound - x[i]) / (z[i] - x[i])
+                if part < step:
+                    step, first = part, i
+        for i in range(n):
+            x[i] += step * (z[i] - x[i])
+        if first >= 0:
+            side[first] = LOW if z[first] < low[first] else HIGH
+            x[first] = low[first] if side[first] == LOW else high[first]
+            continue
+        most, worst = TOLERANCE, -1
+        for i in range(n):
+            if side[i] != FREE:
+                inward = _inward(H, g, x, side, i)
+                if inward > most:
+                    most, worst = inward, i
+        if worst < 0:
+            return count
+        side[worst] = FREE
     return 0
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _inward(H: Floats, g: Floats, x: Floats, side: np.ndarray, i: int) -> float:
+    """Return how much what is minimised falls as x_i leaves its bound, by H_ii."""
+    rise = -g[i]
+    for j in range(len(g)):
+        rise += H[i, j] * x[j]
+    return (-rise if side[i] == LOW else rise) / H[i, i]
 
 
 @nb.njit(cache=True, error_model="numpy")

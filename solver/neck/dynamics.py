@@ -1,7 +1,8 @@
 """The motion of a neck: M(q) q'' + C(q, v) + discs + muscles = forces from outside.
 
-Discs push back by theta, each joint's rotation vector: their energy is theta . K theta / 2, their
-torque -J^-T K theta - D v, J the right Jacobian of the rotation. A muscle pulls by -dl/dq f.
+Discs push back by theta, each joint's rotation vector: their energy is theta . K theta / 2, and
+that of ligaments k |theta - r|^2 / 2 beyond the range r, about each axis; their torque is
+-J^-T dE/dtheta - D v, J the right Jacobian of the rotation. A muscle pulls by -dl/dq f.
 
 A step is semi-implicit: what damps, discs and muscles that are stretched fast, acts at the new
 velocity, for vertebrae are so light that their discs stop them within 1/20 ms:
@@ -43,6 +44,7 @@ class Dynamics:
         count = len(neck.muscles)
         self.activations = np.zeros(count)
         self.stiffness, self.damping = neck.stiffness.ravel(), neck.damping.ravel()
+        self.ranges, self.ligaments = neck.ranges.ravel(), neck.ligaments
         self.external = np.zeros(DOFS)  # torques (24,) from outside, N m
         self.plan = np.zeros((count, 5))  # u_0, l_0, l_1, l_2, l_r: see reflex.excite
         self.plan[:, 1] = self.plan[:, 4] = self.body.lengths
@@ -53,12 +55,19 @@ class Dynamics:
     def passive_torque(self) -> Floats:
         """Return what discs, weight and motion do at the joints (24,), without muscles, in N m."""
         springs = np.empty(DOFS)
-        disc_torques(self.body.q, self.stiffness, springs)
+        joint_torques(self.body.q, self.stiffness, self.ranges, self.ligaments, springs)
         return np.asarray(springs - self.damping * self.body.v - self.body.bias)
 
-    def disc_energy(self) -> float:
-        """Return the energy in the discs in J."""
-        return float(self.stiffness @ self.body.turns.ravel() ** 2 / 2.0)
+    def joint_energy(self) -> float:
+        """Return the energy in discs and ligaments in J."""
+        turns = self.body.turns.ravel()
+        beyond = np.maximum(np.abs(turns) - self.ranges, 0.0)
+        return float(self.stiffness @ turns**2 + self.ligaments * beyond @ beyond) / 2.0
+
+    def joint_stiffness(self) -> Floats:
+        """Return the stiffness of the joints (24,) where they are, in N m/rad."""
+        beyond = np.abs(self.body.turns.ravel()) > self.ranges
+        return np.asarray(self.stiffness + self.ligaments * beyond)
 
     def advance(self, steps: int) -> None:
         """Let time pass; the body is up to date before and after."""
@@ -70,7 +79,8 @@ class Dynamics:
             _step(
                 step,
                 (body.q, body.v, self.activations, change),
-                (body.inertia, data.qfrc_bias, self.stiffness, self.damping, self.external),
+                (body.inertia, data.qfrc_bias, self.damping, self.external),
+                (self.stiffness, self.ranges, self.ligaments),
                 (model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind, data.ten_J),
                 (data.ten_length, self.muscles.law, self.muscles.table),
                 (self.plan, self.since, self._late, self._place, gains, lags),
@@ -81,8 +91,10 @@ class Dynamics:
 
 
 @nb.njit(cache=True, error_model="numpy")
-def disc_torques(q: Floats, stiffness: Floats, made: Floats) -> None:
-    """Write the torques (24,) of discs of ``stiffness`` (24,), in the axes of the bodies above."""
+def joint_torques(
+    q: Floats, stiffness: Floats, ranges: Floats, ligaments: float, made: Floats
+) -> None:
+    """Write the torques (24,) of discs and ligaments, in the axes of the bodies above."""
     for k in range(len(q) // 4):
         w, x, y, z = q[4 * k], q[4 * k + 1], q[4 * k + 2], q[4 * k + 3]
         if w < 0.0:
@@ -95,7 +107,10 @@ def disc_torques(q: Floats, stiffness: Floats, made: Floats) -> None:
             c = (1.0 - angle * math.cos(angle / 2.0) / (2.0 * math.sin(angle / 2.0))) / angle**2
         else:
             c = 1.0 / 12.0
-        a, b, d = stiffness[3 * k] * x, stiffness[3 * k + 1] * y, stiffness[3 * k + 2] * z
+        for i, turn in ((3 * k, x), (3 * k + 1, y), (3 * k + 2, z)):
+            beyond = max(abs(turn) - ranges[i], 0.0)
+            made[i] = stiffness[i] * turn + math.copysign(ligaments * beyond, turn)
+        a, b, d = made[3 * k], made[3 * k + 1], made[3 * k + 2]
         e, f, g = y * d - z * b, z * a - x * d, x * b - y * a  # theta x K theta
         made[3 * k] = -(a - 0.5 * e + c * (y * g - z * f))
         made[3 * k + 1] = -(b - 0.5 * f + c * (z * e - x * g))
@@ -106,13 +121,14 @@ def disc_torques(q: Floats, stiffness: Floats, made: Floats) -> None:
 def _step(
     h: float,
     state: tuple[Floats, Floats, Floats, Floats],
-    body: tuple[Floats, Floats, Floats, Floats, Floats],
+    body: tuple[Floats, Floats, Floats, Floats],
+    joints: tuple[Floats, Floats, float],
     arms: tuple[Ints, Ints, Ints, Floats],
     pulls: tuple[Floats, int, Floats],
     control: tuple,
 ) -> None:
     q, v, a, change = state
-    inertia, bias, stiffness, damping, external = body
+    inertia, bias, damping, external = body
     counts, firsts, columns, values = arms
     lengths, law, table = pulls
     plan, since, late, place, gains, lags = control
@@ -124,7 +140,7 @@ def _step(
     excite(plan, since, lengths, rates, late, place, gains, lags, h, a)
     all_parts(law, table, lengths, rates, parts)
     torque = np.empty(dofs)
-    disc_torques(q, stiffness, torque)
+    joint_torques(q, joints[0], joints[1], joints[2], torque)
     A = inertia.copy()
     for i in range(dofs):
         torque[i] += external[i] - damping[i] * v[i] - bias[i]

@@ -7,11 +7,11 @@ counted, and its first frame told. The same goal gives the same motion, to the l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import PchipInterpolator, make_smoothing_spline
 from scipy.spatial.transform import Rotation
 
 from solver.errors import Finding, InputError, count_words, make_warning
@@ -22,6 +22,8 @@ from solver.neck.posture import share_out, within
 from solver.neck.reflex import ReflexOptions
 from solver.neck.voluntary import Voluntary, VoluntaryOptions
 from solver.surface import Floats
+
+SPLINE = 5  # points that a smoothing spline needs
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,8 @@ class MotionOptions:
     """How a goal is followed."""
 
     most_deg_per_s: float = 600.0  # of the goal
-    range_part: float = 1.0  # of the range of motion that the goal may use
+    range_part: float = 0.96  # of the range of motion that the goal may use: heads overshoot
+    smooth_hz: float = 4.0  # what is faster in a goal is jitter, and half taken out; 0: nothing is
     settle_s: float = 0.6  # at the first goal, before the first frame
     push_steps: int = 10  # time steps after which a push's torques are made anew
     most_s: float = 3600.0  # of a goal
@@ -56,18 +59,12 @@ class HeadGoal:
     vectors: Floats  # rotation vectors in rad
     held: np.ndarray  # (f,) whether the range, the speed or a gap changed it
     notices: tuple[Finding, ...]
-
-    def __post_init__(self) -> None:
-        if len(self.times) > 1:
-            curve = PchipInterpolator(self.times, self.vectors)
-            object.__setattr__(self, "_curve", curve)
+    curve: Callable[[float], Floats]  # through them, without jitter, between the first and the last
 
     def __call__(self, time_s: float) -> Rotation:
         """Return the goal at a time; before the first frame and after the last, theirs."""
-        if len(self.times) == 1:
-            return Rotation.from_rotvec(self.vectors[0])
         at = min(max(time_s, self.times[0]), self.times[-1])
-        return Rotation.from_rotvec(self._curve(at))  # type: ignore[attr-defined]
+        return Rotation.from_rotvec(self.curve(at))
 
 
 @dataclass(frozen=True)
@@ -114,7 +111,7 @@ def reachable(
     if times[-1] - times[0] > options.most_s:
         message = f"the head's goal takes more than {options.most_s:g} s"
         raise InputError("neck.goal", message, expected=options.most_s)
-    seen = np.isfinite(vectors).all(axis=1)
+    seen: np.ndarray = np.isfinite(vectors).all(axis=1)
     if not seen.any():
         raise InputError("neck.goal", "no frame has a goal for the head")
     notices = []
@@ -144,7 +141,27 @@ def reachable(
         found = np.degrees(fastest)
         words = f"turned by up to {found:.0f} deg/s and were held at {options.most_deg_per_s:g}"
         notices.append(_notice("neck.speed", words, slow, deg_per_s=found))
-    return HeadGoal(times, vectors, beyond | slow | ~seen, tuple(notices))
+    curve = _curve(times, vectors, options.smooth_hz)
+
+    def held(time_s: float) -> Floats:
+        return within(neck, curve(time_s), options.range_part)[0]
+
+    return HeadGoal(times, vectors, beyond | slow | ~seen, tuple(notices), held)
+
+
+def _curve(times: Floats, vectors: Floats, smooth_hz: float) -> Callable[[float], Floats]:
+    """Return a curve near to points: min sum |y - y_k|^2 + lambda int |y''|^2.
+
+    It is a filter by 1/(1 + (f/f_0)^4) without phase.
+    """
+    if len(times) == 1:
+        return lambda _: vectors[0]
+    if len(times) < SPLINE or smooth_hz <= 0.0:
+        return PchipInterpolator(times, vectors)  # type: ignore[no-any-return]
+    step = float(np.median(np.diff(times)))
+    return make_smoothing_spline(  # type: ignore[no-any-return]
+        times, vectors, lam=1.0 / (step * (2.0 * np.pi * smooth_hz) ** 4)
+    )
 
 
 def _notice(code: str, words: str, which: np.ndarray, **more: float) -> Finding:
@@ -176,7 +193,8 @@ def follow(
         turns.append(dynamics.body.turns)
         activations.append(dynamics.activations.copy())
         head = Rotation.from_matrix(dynamics.body.head)
-        off.append(np.degrees((goal(time_s) * head.inv()).magnitude()))
+        asked = Rotation.from_rotvec(goal.vectors[len(off)])
+        off.append(np.degrees((asked * head.inv()).magnitude()))
     arrays = np.array(turns), np.array(activations), np.array(off)
     return NeckMotion(goal.times, *arrays, goal, neck)
 

@@ -42,15 +42,16 @@ class VoluntaryOptions:
     """Rate, stiffness of the goals and weights of the least squares."""
 
     rate_hz: float = 25.0
-    head_hz: float = 2.2  # w / 2 pi
+    head_hz: float = 3.0  # w / 2 pi
     head_damping: float = 1.0  # z
     joint_hz: float = 1.5  # the same of the joints' goals
     joint_damping: float = 1.0
-    head_weight: float = 1.0  # w_h, of (rad/s^2)^2
-    joint_weight: float = 0.3  # w_j, of (N m)^2
-    activation_weight: float = 1.0  # w_a
+    head_weight: float = 0.02  # w_h, of (rad/s^2)^2
+    joint_weight: float = 1.0  # w_j, of (N m)^2
+    activation_weight: float = 0.3  # w_a
     cocontraction: float = 0.0  # c, the activation that costs nothing
     ahead_s: float = 0.0  # the goal is looked up this much later still
+    most_rad_per_s2: float = 120.0  # that is asked of the head or a joint beside the goal's own
     difference_s: float = 0.01  # to either side, for the goal's velocity and acceleration
 
 
@@ -78,7 +79,7 @@ class Voluntary:
         slows = a_0 * parts[:, 2] + parts[:, 5]
         stiffens = np.maximum(a_0 * parts[:, 1] + parts[:, 4], 0.0)
         D = np.diag(dynamics.damping) + arms.T @ (slows[:, None] * arms)
-        K = np.diag(dynamics.stiffness) + arms.T @ (stiffens[:, None] * arms)
+        K = np.diag(dynamics.joint_stiffness()) + arms.T @ (stiffens[:, None] * arms)
         A = body.inertia + half * D + half**2 / 2.0 * K
         tau = dynamics.passive_torque() - arms.T @ P - half * (K @ v)
         pull = arms.T * F
@@ -113,7 +114,7 @@ class Voluntary:
         now = Rotation.from_rotvec(omega * half) * Rotation.from_matrix(body.head)
         off = (goals[1] * now.inv()).as_rotvec()
         slower, onward = (first + last) / 2.0 - omega, (last - first) / d
-        head = _servo(off, slower, onward, half, o.head_hz, o.head_damping)
+        head = self._servo(off, slower, onward, half, o.head_hz, o.head_damping)
         poses = [
             Rotation.from_rotvec(share_out(dynamics.neck, each.as_matrix()).turns) for each in goals
         ]
@@ -122,8 +123,20 @@ class Voluntary:
         now = Rotation.from_rotvec(body.turns) * Rotation.from_rotvec(own * half)
         off = (now.inv() * poses[1]).as_rotvec()
         slower, onward = (first + last) / 2.0 - own, (last - first) / d
-        joints = _servo(off, slower, onward, half, o.joint_hz, o.joint_damping)
+        joints = self._servo(off, slower, onward, half, o.joint_hz, o.joint_damping)
         return head, joints.ravel()
+
+    def _servo(
+        self, off: Floats, slower: Floats, onward: Floats, half: float, hz: float, damping: float
+    ) -> Floats:
+        """Return the acceleration for being ``off`` and ``slower`` at the middle of a tick."""
+        w, most = 2.0 * np.pi * hz, self.options.most_rad_per_s2
+        counted = 1.0 + 2.0 * damping * w * half + w**2 * half**2 / 2.0
+        back = (2.0 * damping * w * slower + w**2 * off) / counted
+        length = np.linalg.norm(back, axis=-1, keepdims=True)
+        return np.asarray(
+            onward / counted + back * np.minimum(1.0, most / np.maximum(length, most))
+        )
 
     def _bounds(self, dynamics: Dynamics, tick: float) -> tuple[Floats, Floats]:
         a, reflex = dynamics.activations, dynamics.reflex
@@ -143,15 +156,6 @@ class Voluntary:
         if not solve_bounded(H, g, low, high, self._sides, x):
             raise SolveError("neck.voluntary", "the least squares of the muscles did not end")
         return x
-
-
-def _servo(
-    off: Floats, slower: Floats, onward: Floats, half: float, hz: float, damping: float
-) -> Floats:
-    """Return the acceleration for being ``off`` and ``slower``, both at the middle of a tick."""
-    w = 2.0 * np.pi * hz
-    counted = 1.0 + 2.0 * damping * w * half + w**2 * half**2 / 2.0
-    return np.asarray((onward + 2.0 * damping * w * slower + w**2 * off) / counted)
 
 
 def _kept(lag: float, tick: float) -> float:

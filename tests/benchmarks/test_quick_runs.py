@@ -61,6 +61,7 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "ingest": None,
     "marker_check": None,
     "markers": by_default,
+    "neck": None,
     "odd_units": None,
     "peers": no_peer,
     "photo": None,
