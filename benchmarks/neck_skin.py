@@ -1,15 +1,15 @@
 """Skin of a neck in extreme poses, simulated with the flesh above it.
 
-A head goes through eight poses near the end of its range, joints sharing out its turns, and the skin
-in each is compared with that at rest, on the built-in person and with ``--faces`` on one of
-ICT-FaceKit. ``rim_mm``: how far the open rim moves; ``girth_change``: of lines around the neck where
-a turn of the head is shared out by a quarter, a half and three quarters; ``flipped``: triangles that
-look inward; ``area_ratio_p1``: the first percentile of the areas of triangles on the neck, by those
-at rest; ``seam_mm``: how far skin beside the flesh and skin on it part, from the way in which the
-vertebrae carry both; ``glb_mm``: how far ``animation.glb``, skinned by its joints, is off the
-simulation; ``chin_mm``: how far the lower lip moves in a head thrown back by 40 degrees, the jaw
-still, with flesh that the neck draws and without. ``off_is_off_mm``: a scene without a neck against
-that of the checkout ``--before``, if that is given.
+A head goes through eight poses near the end of its range, joints sharing out its turns, and the
+skin in each is compared with that at rest, on the built-in person and with ``--faces`` on one of
+ICT-FaceKit. ``rim_mm``: how far the open rim moves; ``girth_change``: of lines around the neck, at
+a fifth, two and three fifths of the way along its bodies; ``flipped``: triangles that look inward;
+``area_ratio_p1``: the first percentile of the areas of triangles on the neck, by those at rest;
+``seam_mm``: a step between skin on flesh and loose skin beside it; ``glb_mm``: how far
+``animation.glb``, skinned by its joints, is off the simulation; ``chin_mm``: how far the lower lip
+moves in a head thrown back by 40 degrees, the jaw still, with flesh that the neck draws and
+without. ``off_is_off_mm``: a scene without a neck against that of the checkout ``--before``, if
+that is given.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,8 @@ import numpy as np
 
 from benchmarks import report, subjects
 from benchmarks.documents import Figures, Section, Table
-from solver.animation import KeyedDrives
 from solver.anatomy.build import build_subject_model
+from solver.animation import KeyedDrives
 from solver.jobs.scenes import finish, play, skin_of
 from solver.kinds.scene import SimulateScene
 from solver.model import SubjectModel
@@ -55,6 +56,7 @@ POSES = {  # rotation vectors of the head, degrees: x looks down, y to the left,
     "down_left": (20.0, 40.0, 10.0),
     "up_right": (-25.0, -40.0, -10.0),
 }
+Poses = Mapping[str, tuple[float, float, float]]
 FRAMES = 4  # from pose to pose
 LEVELS = (0.2, 0.4, 0.6)  # of the turns, where girths are measured
 THROWN_BACK = 40.0  # degrees, for the chin
@@ -107,7 +109,7 @@ class Played:
     report: dict[str, Any]
 
     @classmethod
-    def of(cls, model: SubjectModel, poses: dict[str, tuple[float, ...]], **neck: Any) -> Played:
+    def of(cls, model: SubjectModel, poses: Poses, **neck: Any) -> Played:
         """Play ``poses`` one after the other, from rest, with the options of a ``neck``."""
         head: list[dict[str, Any]] = [{"time": 0.0}]
         for number, turn in enumerate(poses.values(), start=1):
@@ -141,7 +143,7 @@ class Played:
         return self.stage.neck.skin
 
 
-def skin_figures(model: SubjectModel, poses: dict[str, tuple[float, ...]] = POSES) -> Figures:
+def skin_figures(model: SubjectModel, poses: Poses = POSES) -> Figures:
     """Return the figures of a person's neck in ``poses``."""
     played = Played.of(model, poses)
     skin, rest = played.skin, model.skin.vertices
@@ -271,7 +273,7 @@ def off_is_off(before: Path) -> float:
         template = subjects.chosen_template(subjects.builtin_options(), subjects.EDGE_MM)
         model = build_subject_model(template, builtin_template().skin.vertices)
         Rig(model, model.weights, ()).save(rig)
-        skins = []
+        skins = list[Floats]()
         for code in (Path(__file__).parents[1], before):
             out = Path(folder) / f"{len(skins)}"
             out.mkdir()
@@ -285,11 +287,17 @@ def off_is_off(before: Path) -> float:
 
 def section(figures: Figures) -> Section:
     """Return the section of the document."""
-    names = ("rim_mm", "girth_change", "flipped", "area_ratio_p1", "seam_mm", "glb_mm", "chin_mm")
+    names = (
+        *("rim_mm", "girth_change", "flipped", "area_ratio_p1", "seam_mm", "glb_mm"),
+        *("chin_mm", "chin_uncoupled_mm", "inverted", "frame_ms"),
+    )
     people = figures["people"]
     rows = [[name, *(people[person][name] for person in people)] for name in names]
-    words = "Eight poses near the end of a neck's range, joints sharing out the turns."
-    return Section("Skin of a neck", [words, Table(["", *people], rows)])
+    compared = (
+        "The skin of a neck, and the flesh that it draws, in eight poses near the end of its range "
+        "(60 degrees to either side, 40 down and up, 30 of tilt, and two mixed ones), against rest."
+    )
+    return Section("Skin of a neck", compared, [Table(["figure", *people], rows)])
 
 
 if __name__ == "__main__":

@@ -104,10 +104,11 @@ class NeckSkin:
         ends = np.unique(border[on_flesh[border]])
         along = sides[np.isin(sides, ends).all(axis=1)]
         length = np.zeros(count)
-        lengths = np.linalg.norm(np.subtract(*np.swapaxes(model.skin.vertices[along], 0, 1)), axis=1)
+        ends_of = model.skin.vertices[along]
+        lengths = np.linalg.norm(ends_of[:, 1] - ends_of[:, 0], axis=1)
         np.add.at(length, along.ravel(), np.repeat(0.25 * lengths, 2))
         shared = model.embedding.T @ length[model.embedded]
-        return options.pull_pa * np.maximum(shared, 0.0)
+        return np.asarray(options.pull_pa * np.maximum(shared, 0.0))
 
     def unposed(self, matrices: Floats, skin: Floats) -> Floats:
         """Return the skin (V, 3) at rest of which the bodies make ``skin`` (V, 3)."""

@@ -62,6 +62,7 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "marker_check": None,
     "markers": by_default,
     "neck": None,
+    "neck_skin": None,
     "odd_units": None,
     "peers": no_peer,
     "photo": None,

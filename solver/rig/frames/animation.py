@@ -296,7 +296,8 @@ def write_animation(
 
     ``animation.npz`` has the ``vertices`` (k,) of the skin, the names of the ``muscles``, those
     of the model by default, and more ``arrays``. ``objects`` are what the face meets, ``joints``
-    of a neck carry the skin in ``animation.glb``; ``video`` adds ``animation.mp4``, see :func:`check_video`.
+    of a neck carry the skin in ``animation.glb``; ``video`` adds ``animation.mp4``, see
+    :func:`check_video`.
     """
     table, glb, packed, sheet, film = (
         out / f"animation.{kind}" for kind in ("json", "glb", "npz", "png", "mp4")

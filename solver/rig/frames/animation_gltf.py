@@ -177,8 +177,16 @@ def _write_animation(
         return animation("animation", {gl.WEIGHTS: (at_keys, weights), **head}, *others)
 
     names = [_shape_name(number) for number in range(len(basis.shapes))]
-    more = {"solids": solids, "joints": joints}
-    write_morphed(path, neutral, names, targets, animate, extensions=[QUANTISATION], **more)
+    write_morphed(
+        path,
+        neutral,
+        names,
+        targets,
+        animate,
+        extensions=[QUANTISATION],
+        solids=solids,
+        joints=joints,
+    )
     return len(names), len(keys)
 
 

@@ -131,7 +131,7 @@ class ReadJoints:
     weights: np.ndarray  # (v, 4)
     turns: Mapping[int, tuple[Floats, np.ndarray]]
 
-    def carry(self, skins: Singles, times: Floats) -> Floats:
+    def carry(self, skins: Floats, times: Floats) -> Floats:
         """Return ``skins`` (f, v, 3) at ``times`` (f,) as the joints carry them, mm."""
         turns = np.tile(np.eye(3), (len(times), len(self.rest), 1, 1))
         for joint, (keys, quaternions) in self.turns.items():
