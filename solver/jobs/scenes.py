@@ -37,6 +37,7 @@ from solver.rig.frames.animation import (
 )
 from solver.rig.frames.joints import Joints
 from solver.rig.frames.skin_basis import Singles
+from solver.rig.neck_picture import NeckShot, draw_neck
 from solver.scene import Stage
 from solver.scene.document import document_of
 from solver.scene.neck import CarriedHead
@@ -183,6 +184,7 @@ def finish(
             for number, frame in enumerate(frames):
                 unposed[number] = stage.neck.unposed(frame.time, skins[number])
             joints = joints_of(stage.neck, times, unposed)
+            draw_carried(out / NECK_PICTURE, stage.neck, frames, skins)
         files = write_animation(
             out,
             model,
@@ -197,8 +199,28 @@ def finish(
             joints=joints,
             video=video,
         )
+    if stage.neck is not None:
+        files.append(out / NECK_PICTURE)
     progress(Step("done", 1.0))
     return files
+
+
+NECK_PICTURE = "neck.png"
+
+
+def draw_carried(
+    path: Path, carried: CarriedHead, frames: Sequence[MotionRecord], skins: Singles
+) -> None:
+    """Draw a neck in the first of ``frames``, and in those in which the head turns most."""
+    turned = np.array([frame.head[:3] for frame in frames])
+    most = [int(np.abs(column).argmax()) for column in turned.T]
+    shots = []
+    for number in dict.fromkeys([0, *most]):
+        frame = frames[number]
+        skin = frame.into_world(skins[number].astype(np.float64))
+        pose, active = carried.pose(frame.time), carried.activations(frame.time)
+        shots.append(NeckShot(f"{frame.time:.2f} s", skin, pose, active))
+    draw_neck(path, carried.model, carried.placed.neck, shots, carried.words)
 
 
 def _reach(stage: Stage, motion: FleshMotion, drive: Drive | None, goal: Drive) -> Stepped:

@@ -52,7 +52,7 @@ class CarriedHead:
         steps: int,
         forces: Sequence[Force] = (),
     ) -> None:
-        self._model, joint = model, head_joint(model)
+        self.model, joint = model, head_joint(model)
         neck = builtin_neck() if entry.asset is None else read_osim(places.asset(entry.asset))
         rim = find_rim(model, joint) if entry.skin else None
         self.placed = place_neck(model, neck, rim)
@@ -86,7 +86,7 @@ class CarriedHead:
         if self.skin is None or not self._coupled:
             return None
         carried = self.skin.carry_flesh(self.pose(time).matrices)
-        return np.asarray(self.head(time).inverse()(carried) - self._model.rest)
+        return np.asarray(self.head(time).inverse()(carried) - self.model.rest)
 
     @property
     def pull(self) -> Floats | None:
@@ -133,6 +133,14 @@ class CarriedHead:
         if self.motion.activations.shape[1]:
             found["neck_activations"] = np.array([self.activations(t) for t in times.tolist()])
         return found
+
+    @property
+    def words(self) -> str:
+        """Return where the neck is from, and its size, in words."""
+        neck, scale = self.placed.neck, self.placed.placed.scale
+        count = self.motion.activations.shape[1]
+        moved = f"moved by {count} muscles" if count else "joints share out the turns of the head"
+        return f"{neck.source}, {scale:.2f} times its size; {moved}"
 
     def report(self) -> dict[str, Any]:
         """Return the place of the neck, how the head was followed, and what it could not do."""
