@@ -17,21 +17,21 @@ from solver.neck.anatomy import JOINTS, Muscle, Neck, NeckPose
 from solver.rig.pictures import ThreadOptions, tubes
 from solver.surface import Floats, Surface, join_surfaces
 
-SLACK, STRONG = (0.93, 0.80, 0.76), (0.66, 0.05, 0.08)  # sRGB of activations 0 and ``most``
+SLACK, STRONG = (0.95, 0.74, 0.68), (0.66, 0.05, 0.08)  # sRGB of activations 0 and ``most``
 
 
 @dataclass(frozen=True)
 class NeckPictureOptions:
     """Sizes of what is drawn of a neck."""
 
-    cell: tuple[int, int] = (620, 760)  # pixels of a picture
+    cell: tuple[int, int] = (640, 720)  # pixels of a picture
     drum_mm: float = 13.0  # radius of a vertebra's body
     part: float = 0.7  # of the way between two joints that it fills
     opacity: float = 0.12  # of the skin
     muscle: ThreadOptions = ThreadOptions(radius_mm=1.6, sides=8)
     steps: int = 16  # along a muscle
-    most: float = 0.5  # the activation of the strongest colour
-    room: float = 1.08  # of a picture's height, by that of the head on its neck
+    most: float = 0.25  # the activation of the strongest colour
+    room: float = 1.05  # of a picture, by the head on its neck
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,9 @@ def draw_neck(
     head = DrawnHead(model.skin)
     whole = np.vstack([shot.skin for shot in shots])
     low, high = whole.min(axis=0), whole.max(axis=0)
-    span = options.room * float(high[1] - low[1])
+    width, height = options.cell
+    extent = high - low
+    span = options.room * float(max(extent[1], max(extent[0], extent[2]) * height / width))
     columns = []
     for shot in shots:
         inside = _inside(model, neck, shot, options)

@@ -159,7 +159,9 @@ class CarriedHead:
 
 
 def options_of(entry: NeckEntry) -> MotionOptions:
-    """Return how a scene's neck follows its goal."""
+    """Return how a scene's neck follows its goal: what has no mass follows it as it is."""
+    if not entry.muscles:
+        return MotionOptions(range_part=1.0, smooth_hz=0.0)
     return MotionOptions(
         voluntary=VoluntaryOptions(rate_hz=entry.voluntary_hz, cocontraction=entry.cocontraction),
         reflex=ReflexOptions(
