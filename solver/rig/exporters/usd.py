@@ -46,7 +46,8 @@ FORMATS = [".usdc", ".usda", ".usd"]
 FRAMES_PER_SECOND = 30.0  # of the time codes, as animation tools expect
 ROOT = Sdf.Path("/Face")
 SKIN = ROOT.AppendChild("Skin")
-HEAD, JAW = "head", "head/jaw"
+HEAD = "head"
+JAW = "head/jaw"
 JOINTS = [HEAD, JAW]
 
 
@@ -58,10 +59,12 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     if path.suffix not in FORMATS:
         message = f"{path.name} does not end in {', '.join(FORMATS)}"
         raise InputError("usd.format", message, file=path.name, expected=FORMATS)
-    model, expressions = rig.model, rig.expressions
+    model = rig.model
+    expressions = rig.expressions
     shapes = {fit.name: fit.skin for fit in expressions}
     stage = _stage(model, shapes, options.still_mm)
-    kind, primvars = Sdf.ValueTypeNames.FloatArray, UsdGeom.PrimvarsAPI(stage.GetPrimAtPath(SKIN))
+    kind = Sdf.ValueTypeNames.FloatArray
+    primvars = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath(SKIN))
     error = primvars.CreatePrimvar("error_mm", kind, UsdGeom.Tokens.vertex)
     worst = worst_error(expressions, len(model.skin.vertices))
     error.Set(Vt.FloatArray.FromNumpy(worst.astype(np.float32)))
@@ -96,7 +99,8 @@ def write_sequence(
     """
     shapes, weights = skin.morphs()
     stage = _stage(model, shapes, options.still_mm)
-    keys, places = [], [skin.extent]
+    keys = []
+    places = [skin.extent]
     for frame, row in zip(skin.frames, weights, strict=True):
         mandible = FreeJaw(model.jaw).matrix(frame.jaw)
         if isinstance(frame, MarkerFrame):
@@ -229,7 +233,8 @@ def _animate(
     animation.CreateBlendShapesAttr(list(shapes))
     animation.CreateScalesAttr([Gf.Vec3h(1.0)] * len(JOINTS))
     weights = animation.CreateBlendShapeWeightsAttr()
-    translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
+    translations = animation.CreateTranslationsAttr()
+    rotations = animation.CreateRotationsAttr()
     origin = model.jaw.origin
     for key in keys:
         jaw = key.mandible[:3, :3] @ origin + key.mandible[:3, 3]
@@ -274,7 +279,8 @@ def _extent(points: Floats) -> Any:
 
 def read_usd(path: Path) -> MorphedSkin:
     """Read a USD file as this product writes them; times are time codes."""
-    stage, cache = Usd.Stage.Open(str(path)), UsdSkel.Cache()
+    stage = Usd.Stage.Open(str(path))
+    cache = UsdSkel.Cache()
     face = stage.GetDefaultPrim()
     cache.Populate(UsdSkel.Root(face), Usd.PrimDefaultPredicate)
     place = face.GetPath().AppendChild("Skin")
@@ -292,16 +298,19 @@ def read_usd(path: Path) -> MorphedSkin:
         # queries live no longer than stage and cache, which this function keeps
         skinning = cache.GetSkinningQuery(stage.GetPrimAtPath(place))
         skeleton = cache.GetSkelQuery(binding.GetInheritedSkeleton())
-        poses, mapper = skeleton.GetAnimQuery(), skinning.GetBlendShapeMapper()
+        poses = skeleton.GetAnimQuery()
+        mapper = skinning.GetBlendShapeMapper()
         weights = np.zeros((len(times), len(names)))
-        turns, shifts = np.empty((len(times), 3, 3)), np.empty((len(times), 3))
+        turns = np.empty((len(times), 3, 3))
+        shifts = np.empty((len(times), 3))
         for row, time in enumerate(times.tolist()):
             if names:
                 weights[row] = mapper.Remap(poses.ComputeBlendShapeWeights(time))
             joints = skeleton.ComputeSkinningTransforms(time)
             # of USD's row vectors
             placed = np.array(skinning.ComputeSkinnedTransform(joints, time))
-            turns[row], shifts[row] = placed[:3, :3].T, placed[3, :3]
+            turns[row] = placed[:3, :3].T
+            shifts[row] = placed[3, :3]
         return weights, turns, shifts
 
     return MorphedSkin(neutral, names, shapes, motion)

@@ -44,11 +44,11 @@ class Joints:
 
     def attributes(self, buffer: Buffer) -> dict[str, int]:
         """Add each vertex's joints and weights, and return their accessors by attribute."""
-        table, shares = np.zeros((2, len(self.bones), MOST))
-        table[:, : self.bones.shape[1]], shares[:, : self.bones.shape[1]] = self.bones, self.weights
-        table[shares == 0.0] = 0  # as glTF asks for
+        others = ((0, 0), (0, MOST - self.bones.shape[1]))
+        shares = np.pad(self.weights, others)
+        table = np.where(shares > 0.0, np.pad(self.bones, others), 0)  # as glTF asks for
         return {
-            "JOINTS_0": buffer.small(table.astype(np.uint8), gl.VEC4, gl.ARRAY_BUFFER),
+            "JOINTS_0": buffer.joints(table),
             "WEIGHTS_0": buffer.dense(shares, gl.VEC4, gl.ARRAY_BUFFER),
         }
 
@@ -81,8 +81,10 @@ class Joints:
         box = np.array([skin.min(axis=0), skin.max(axis=0)])
         corners = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
         wanted = self._corners(Rotation.from_rotvec(self.turns[frames].reshape(-1, 3)), corners)
-        steady, straight = [], []
-        ends, now = times[[first, last]], times[frames]
+        steady = []
+        straight = []
+        ends = times[[first, last]]
+        now = times[frames]
         part = ((now - ends[0]) / (ends[1] - ends[0]))[:, None]
         for number in range(len(self.names)):
             turns = Rotation.from_rotvec(self.turns[[first, last], number])

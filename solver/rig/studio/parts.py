@@ -1,0 +1,40 @@
+"""Parts of a head that are meshes of their own: skin, each eye, teeth, mouth and lashes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solver.drawing.head import skin_parts
+from solver.rig.studio.skeleton import EYES, Skeleton
+from solver.surface import Floats, Ints, Surface, own_numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A mesh of its own: the head's ``vertices`` (k,) that it has, and its triangles (f, 3)."""
+
+    name: str
+    material: str
+    vertices: Ints
+    faces: Ints
+
+    def moving(self, motions: Floats, still_mm: float) -> Ints:
+        """Return the rows of ``motions`` (s, V, 3) that move it further than ``still_mm``."""
+        return np.flatnonzero(np.abs(motions[:, self.vertices]).max(axis=(1, 2)) > still_mm)
+
+
+def parts_of(skin: Surface, skeleton: Skeleton) -> list[Part]:
+    """Return the parts of a head; eyes with a joint each are two."""
+    found = []
+    for material, numbers in skin_parts(skin).items():
+        pieces = {material: numbers}
+        if material == "eyes" and set(EYES) <= set(skeleton.joints):
+            side = skeleton.weights[skin.faces[numbers, 0]].argmax(axis=1)
+            pieces = {name: numbers[side == skeleton.joints.index(name)] for name in EYES}
+        for name, faces in pieces.items():
+            if len(faces):
+                used, own = own_numbers(skin.faces[faces])
+                found.append(Part(name, material, used, own))
+    return found
