@@ -146,7 +146,8 @@ class Played:
 def skin_figures(model: SubjectModel, poses: Poses = POSES) -> Figures:
     """Return the figures of a person's neck in ``poses``."""
     played = Played.of(model, poses)
-    skin, rest = played.skin, model.skin.vertices
+    skin = played.skin
+    rest = model.skin.vertices
     faces = model.skin.faces[(skin.places[model.skin.faces] < JOINTS).any(axis=1)]
     by_pose = {}
     for name, number in zip(poses, range(FRAMES, len(played.frames), FRAMES), strict=True):
@@ -177,7 +178,8 @@ def skin_figures(model: SubjectModel, poses: Poses = POSES) -> Figures:
 
 def girth_change(skin: NeckSkin, world: Floats) -> float:
     """Return the greatest change of a girth in a skin (V, 3), as part of that at rest."""
-    rest, faces = skin.model.skin.vertices, skin.model.skin.faces
+    rest = skin.model.skin.vertices
+    faces = skin.model.skin.faces
     changes = []
     for level in LEVELS:
         ends, parts = isoline(skin.places, faces, JOINTS * level)
@@ -192,7 +194,8 @@ def girth_change(skin: NeckSkin, world: Floats) -> float:
 def isoline(values: Floats, faces: Ints, level: float) -> tuple[Ints, Floats]:
     """Return where a line of one value crosses triangles: sides (k, 2, 2), parts (k, 2) of them."""
     sides = directed_edges(faces).reshape(3, -1, 2).transpose(1, 0, 2)
-    begin, end = values[sides[..., 0]] - level, values[sides[..., 1]] - level
+    begin = values[sides[..., 0]] - level
+    end = values[sides[..., 1]] - level
     crossed = (begin < 0.0) != (end < 0.0)
     through = crossed.sum(axis=1) == 2
     chosen = crossed[through]
@@ -202,7 +205,8 @@ def isoline(values: Floats, faces: Ints, level: float) -> tuple[Ints, Floats]:
 
 
 def _points(skin: Floats, ends: Ints, parts: Floats) -> Floats:
-    begin, end = skin[ends[..., 0]], skin[ends[..., 1]]
+    begin = skin[ends[..., 0]]
+    end = skin[ends[..., 1]]
     return np.asarray(begin + parts[..., None] * (end - begin))
 
 
@@ -229,7 +233,8 @@ def seam_mm(played: Played, number: int) -> float:
     That is how much more the displacement from what the vertebrae do changes along an edge from
     skin on flesh to loose skin than along the edges that go on from there, to either side.
     """
-    model, carried = played.stage.model, played.stage.neck
+    model = played.stage.model
+    carried = played.stage.neck
     assert carried is not None, "the scene has a neck"
     hung = carried.hung(played.frames[number].time)
     assert hung is not None, "its skin follows"

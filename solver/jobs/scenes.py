@@ -221,7 +221,8 @@ def draw_carried(
     for number in dict.fromkeys([0, *most]):
         frame = frames[number]
         skin = frame.into_world(skins[number].astype(np.float64))
-        pose, active = carried.pose(frame.time), carried.activations(frame.time)
+        pose = carried.pose(frame.time)
+        active = carried.activations(frame.time)
         shots.append(NeckShot(f"{frame.time:.2f} s", skin, pose, active))
     draw_neck(path, carried.model, carried.placed.neck, shots, carried.words)
 

@@ -66,7 +66,8 @@ def place_neck(
     tracks = model.jaw.tracks
     scale = 1.0 if tracks is None else tracks.apart / options.condyles_mm
     scale = float(np.clip(scale, options.least_scale, options.most_scale))
-    joint, lean = head_joint(model, options), 0.0
+    joint = head_joint(model, options)
+    lean = 0.0
     if rim is not None:
         wanted = _middle(model.skin.vertices[rim], options.from_nape) - joint
         lean = _angle(wanted) - _angle(neck.centres[0])
@@ -105,7 +106,8 @@ def find_rim(model: SubjectModel, joint: Floats) -> Ints:
 
 def open_edges(skin: Surface) -> list[Ints]:
     """Return the vertices of each connected open edge of a surface."""
-    sides, count = directed_edges(skin.faces), len(skin.vertices)
+    sides = directed_edges(skin.faces)
+    count = len(skin.vertices)
     codes = sides[:, 0] * count + sides[:, 1]
     open_ = sides[~np.isin(codes, sides[:, 1] * count + sides[:, 0])]
     graph = coo_array((np.ones(len(open_)), tuple(open_.T)), shape=(count, count))
@@ -127,7 +129,8 @@ def _middle(rim: Floats, from_nape: float) -> Floats:
     """Return the point (3,) of a rim (k, 3) where the spine goes through it."""
     near = np.abs(rim[:, 0] - np.median(rim[:, 0])) < 0.25 * np.ptp(rim[:, 0])
     inner = rim[near]
-    nape, throat = inner[inner[:, 2].argmin()], inner[inner[:, 2].argmax()]
+    nape = inner[inner[:, 2].argmin()]
+    throat = inner[inner[:, 2].argmax()]
     return np.asarray((1.0 - from_nape) * nape + from_nape * throat)
 
 

@@ -95,7 +95,8 @@ class NeckSkin:
 
         It pulls where it hangs on skin that lies on flesh, by the length of edges there.
         """
-        model, count = self.model, len(self.model.skin.vertices)
+        model = self.model
+        count = len(self.model.skin.vertices)
         on_flesh = np.zeros(count, bool)
         on_flesh[model.embedded] = True
         sides = directed_edges(model.skin.faces)
@@ -132,12 +133,15 @@ def on_skull(
     From the side, the border is a line from the lowest point of the chin over the angles of the
     jaw, a little lower as flesh lies there, to the nape at the height of the head's ``joint``.
     """
-    skin, bone = model.skin.vertices, model.rest[model.mandible]
+    skin = model.skin.vertices
+    bone = model.rest[model.mandible]
     if "mandible" in model.bones:
         bone = model.bones["mandible"].vertices
-    near, far = bone[:, 2].min(), bone[:, 2].max()
+    near = bone[:, 2].min()
+    far = bone[:, 2].max()
     back = bone[bone[:, 2] < near + options.back_part * (far - near)]
-    angle, chin = back[back[:, 1].argmin()], bone[bone[:, 1].argmin()]
+    angle = back[back[:, 1].argmin()]
+    chin = bone[bone[:, 1].argmin()]
     lower = np.array([0.0, options.under_bone_mm, 0.0])
     nape = np.array([0.0, joint[1] + options.nape_above_mm, skin[:, 2].min()])
     line = np.array([nape, angle - lower, chin - lower])
@@ -147,7 +151,8 @@ def on_skull(
 
 def _on_skin(model: SubjectModel, rim: Ints, skull: NDArray[np.bool_]) -> Floats:
     """Return u (V,): harmonic between the ``rim`` and ``skull``, 1 on what hangs on neither."""
-    skin, count = model.skin, len(model.skin.vertices)
+    skin = model.skin
+    count = len(model.skin.vertices)
     _, part = connected_components(adjacency(skin.faces, count), directed=False)
     given = skull | (part != part[rim[0]])
     values = given.astype(np.float64)

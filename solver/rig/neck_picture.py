@@ -17,7 +17,8 @@ from solver.neck.anatomy import JOINTS, Muscle, Neck, NeckPose
 from solver.rig.pictures import ThreadOptions, tubes
 from solver.surface import Floats, Surface, join_surfaces
 
-SLACK, STRONG = (0.95, 0.74, 0.68), (0.66, 0.05, 0.08)  # sRGB of activations 0 and ``most``
+SLACK = (0.95, 0.74, 0.68)
+STRONG = (0.66, 0.05, 0.08)
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,8 @@ class NeckPictureOptions:
     drum_mm: float = 13.0  # radius of a vertebra's body
     part: float = 0.7  # of the way between two joints that it fills
     opacity: float = 0.12  # of the skin
-    muscle: ThreadOptions = ThreadOptions(radius_mm=1.6, sides=8)
+    radius_mm: float = 1.6  # of a muscle
+    sides: int = 8  # of its tube
     steps: int = 16  # along a muscle
     most: float = 0.25  # the activation of the strongest colour
     room: float = 1.05  # of a picture, by the head on its neck
@@ -55,7 +57,8 @@ def draw_neck(
     """Draw each of ``shots`` from the side and from the front."""
     head = DrawnHead(model.skin)
     whole = np.vstack([shot.skin for shot in shots])
-    low, high = whole.min(axis=0), whole.max(axis=0)
+    low = whole.min(axis=0)
+    high = whole.max(axis=0)
     width, height = options.cell
     extent = high - low
     span = options.room * float(max(extent[1], max(extent[0], extent[2]) * height / width))
@@ -77,8 +80,10 @@ def _inside(
     model: SubjectModel, neck: Neck, shot: NeckShot, options: NeckPictureOptions
 ) -> DrawnBody:
     """Return skull, vertebrae and muscles as one body."""
-    matrices, bone = shot.pose.matrices, np.array(COLOURS["bone"])
-    pieces, colours = [], []
+    matrices = shot.pose.matrices
+    bone = np.array(COLOURS["bone"])
+    pieces = []
+    colours = []
     for name in ("cranium", "mandible"):
         if name in model.bones:
             pieces.append(_moved(model.bones[name], matrices[-1]))
@@ -87,11 +92,13 @@ def _inside(
         drum = _drum(neck.centres[number], neck.centres[number + 1], options)
         pieces.append(_moved(drum, matrices[number + 1]))
         colours.append(bone)
-    ends = linear(np.array(SLACK)), linear(np.array(STRONG))
+    slack = linear(np.array(SLACK))
+    strong = linear(np.array(STRONG))
+    thread = ThreadOptions(radius_mm=options.radius_mm, sides=options.sides)
     for number, muscle in enumerate(neck.muscles if len(shot.activations) else ()):
         part = min(float(shot.activations[number]) / options.most, 1.0)
-        pieces.append(tubes(_line(muscle, shot.pose, options.steps)[None], options.muscle))
-        colours.append((1.0 - part) * ends[0] + part * ends[1])
+        pieces.append(tubes(_line(muscle, shot.pose, options.steps)[None], thread))
+        colours.append((1.0 - part) * slack + part * strong)
     colour = [
         np.broadcast_to(each, piece.vertices.shape)
         for each, piece in zip(colours, pieces, strict=True)

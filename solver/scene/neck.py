@@ -52,7 +52,8 @@ class CarriedHead:
         steps: int,
         forces: Sequence[Force] = (),
     ) -> None:
-        self.model, joint = model, head_joint(model)
+        self.model = model
+        joint = head_joint(model)
         neck = builtin_neck() if entry.asset is None else read_osim(places.asset(entry.asset))
         rim = find_rim(model, joint) if entry.skin else None
         self.placed = place_neck(model, neck, rim)
@@ -116,7 +117,9 @@ class CarriedHead:
         told = [make_warning("neck.source", words) for words in self.placed.neck.notices]
         moved = self._moved_mm > STILL_MM
         if moved.any():
-            most, first, count = float(self._moved_mm.max()), int(moved.argmax()), int(moved.sum())
+            most = float(self._moved_mm.max())
+            first = int(moved.argmax())
+            count = int(moved.sum())
             words = f"{count} frames move the head by up to {most:.0f} mm, which no neck does"
             message = f"{words}: it turns alone, first frame {first}"
             context = {"count": count, "first_frame": first, "moved_mm": round(most, 2)}
@@ -137,14 +140,16 @@ class CarriedHead:
     @property
     def words(self) -> str:
         """Return where the neck is from, and its size, in words."""
-        neck, scale = self.placed.neck, self.placed.placed.scale
+        neck = self.placed.neck
+        scale = self.placed.placed.scale
         count = self.motion.activations.shape[1]
         moved = f"moved by {count} muscles" if count else "joints share out the turns of the head"
         return f"{neck.source}, {scale:.2f} times its size; {moved}"
 
     def report(self) -> dict[str, Any]:
         """Return the place of the neck, how the head was followed, and what it could not do."""
-        motion, neck = self.motion, self.placed.neck
+        motion = self.motion
+        neck = self.placed.neck
         figures = {
             **self.placed.report(),
             "muscles": [muscle.name for muscle in neck.muscles] if motion.activations.size else [],

@@ -174,9 +174,12 @@ def write_morphed(
     triangles = [buffer.indices(neutral.faces[part]) for part in parts.values()]
     face = gl.Node(name="face", mesh=0)
     nodes = [face, *(_node(solid, number) for number, solid in enumerate(solids, start=1))]
-    skins, roots = list[gl.Skin](), len(nodes)
+    skins = list[gl.Skin]()
+    roots = len(nodes)
     if joints is not None:
-        skins, roots, face.skin = [joints.skin(buffer, len(nodes))], len(nodes) + 1, 0
+        skins = [joints.skin(buffer, len(nodes))]
+        roots = len(nodes) + 1
+        face.skin = 0
         hanging = joints.nodes
         for number, node in enumerate(hanging[:-1], start=len(nodes) + 1):
             node.children = [number]

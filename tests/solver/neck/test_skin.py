@@ -47,7 +47,8 @@ def test_the_neck_is_under_the_skull_and_goes_through_the_rim() -> None:
 
 def test_a_neck_goes_with_a_person_who_is_moved_and_larger() -> None:
     shift = np.array([3.0, -40.0, 11.0])
-    jaw, surface = MODEL.jaw, MODEL.skin.with_vertices(MODEL.skin.vertices + shift)
+    jaw = MODEL.jaw
+    surface = MODEL.skin.with_vertices(MODEL.skin.vertices + shift)
     moved = replace(MODEL, skin=surface, jaw=replace(jaw, origin=jaw.origin + shift))
     there = place_neck(moved, builtin_neck(), find_rim(moved, head_joint(moved)))
     np.testing.assert_allclose(there.neck.centres, PLACED.neck.centres + shift, atol=1e-9)
@@ -59,7 +60,8 @@ def test_a_neck_goes_with_a_person_who_is_moved_and_larger() -> None:
 
 
 def test_skin_that_ends_in_no_neck_is_refused() -> None:
-    vertices, faces = MODEL.skin.vertices, MODEL.skin.faces
+    vertices = MODEL.skin.vertices
+    faces = MODEL.skin.faces
     above = (vertices[faces][:, :, 1] > JOINT[1] + 10.0).all(axis=1)
     face_only = replace(MODEL, skin=Surface(vertices, faces[above]))
     with pytest.raises(InputError, match="ends in no neck") as caught:
@@ -83,7 +85,8 @@ def test_the_rim_is_the_torso_s_and_the_face_is_the_head_s() -> None:
 
 @pytest.mark.parametrize("degrees", POSES)
 def test_the_rim_is_still_the_head_rigid_and_no_triangle_folds(degrees: tuple[float, ...]) -> None:
-    by_body, rest = matrices(degrees), MODEL.skin.vertices
+    by_body = matrices(degrees)
+    rest = MODEL.skin.vertices
     skin = SKIN.skin(by_body)
     np.testing.assert_allclose(skin[RIM], rest[RIM], atol=1e-9)
     of_head = SKIN.places == JOINTS
@@ -91,7 +94,8 @@ def test_the_rim_is_still_the_head_rigid_and_no_triangle_folds(degrees: tuple[fl
     np.testing.assert_allclose(skin[of_head], placed, atol=1e-9)
     faces = MODEL.skin.faces[(SKIN.places[MODEL.skin.faces] < JOINTS).any(axis=1)]
     turns = SKIN.blends(by_body, SKIN.places)[:, :3, :3][faces].mean(axis=1)
-    before, after = area_normals(rest, faces), area_normals(skin, faces)
+    before = area_normals(rest, faces)
+    after = area_normals(skin, faces)
     assert (np.einsum("fij,fj,fi->f", turns, before, after) > 0.0).all()
     ratios = np.linalg.norm(after, axis=1) / np.linalg.norm(before, axis=1)
     assert np.percentile(ratios, 1) > 0.3

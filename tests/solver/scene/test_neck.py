@@ -108,7 +108,9 @@ def test_an_animation_has_the_joints_and_the_vertebrae(tmp_path: Path) -> None:
     moved = {channel["target"]["node"] for channel in document["animations"][0]["channels"]}
     assert moved == {0, *joints[1:]}
     with np.load(tmp_path / "out/animation.npz") as data:
-        skin, vertebrae, faces = data["skin"], data["vertebrae"], data["vertices"]
+        skin = data["skin"]
+        vertebrae = data["vertebrae"]
+        faces = data["vertices"]
         times = data["time"]
     assert vertebrae.shape == (5, 8, 6)
     np.testing.assert_allclose(vertebrae[-1, -1, :3], np.radians([10, 40, 5]), atol=1e-5)

@@ -22,7 +22,8 @@ TIMES = np.arange(40) / 25.0
 
 def carried() -> tuple[Joints, np.ndarray]:
     """Return joints that turn while a part of the skin swells, and the skins (f, v, 3)."""
-    random, height = np.random.default_rng(3), NEUTRAL.vertices[:, 1]
+    random = np.random.default_rng(3)
+    height = NEUTRAL.vertices[:, 1]
     rest = np.array([[0.0, 0, 0], [0, -60, 5], [0, -10, 0], [0, 40, -5]])
     waves = np.sin(TIMES[:, None, None] * random.uniform(1.0, 6.0, (4, 3)))
     turns = 0.5 * waves
@@ -43,7 +44,8 @@ def carried() -> tuple[Joints, np.ndarray]:
 
 
 def test_a_chain_is_the_neck_s() -> None:
-    neck, random = builtin_neck(), np.random.default_rng(0)
+    neck = builtin_neck()
+    random = np.random.default_rng(0)
     turns = random.uniform(-0.3, 0.3, (8, 3))
     pose = neck.pose(turns)
 
@@ -54,7 +56,8 @@ def test_a_chain_is_the_neck_s() -> None:
 
 def test_a_skin_on_joints_reads_back(tmp_path: Path) -> None:
     joints, skins = carried()
-    path, heads = tmp_path / "animation.glb", np.zeros((len(TIMES), 6))
+    path = tmp_path / "animation.glb"
+    heads = np.zeros((len(TIMES), 6))
     options = AnimationOptions()
     written = write_animation_glb(path, NEUTRAL, skins, heads, TIMES, joints=joints)
     assert written.shapes <= 3
