@@ -78,7 +78,7 @@ class Dynamics:
         body, reflex = self.body, self.reflex
         model, data = body.model, body.data
         lags, gains, step = (reflex.rise_s, reflex.fall_s), reflex.gains, reflex.step_s
-        change, before = np.zeros(DOFS), np.zeros(DOFS)
+        change = np.zeros(DOFS)
         for _ in range(steps):
             _step(
                 step,
@@ -91,8 +91,7 @@ class Dynamics:
             )
             self.since += step
             self._place = (self._place + 1) % len(self._late)
-            body.update(change - before / 2.0)
-            before[:] = change
+            body.update(change / 2.0)
 
 
 @nb.njit(cache=True, error_model="numpy")
