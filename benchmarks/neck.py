@@ -266,7 +266,7 @@ def length_vs_opensim(file: Path, body: Body) -> float | None:
     for _ in range(POSES):
         for number in range(model.getCoordinateSet().getSize()):
             coordinate = model.getCoordinateSet().get(number)
-            if coordinate.getMotionType() == 1:  # a rotation
+            if coordinate.getMotionType() != 2:  # it turns
                 coordinate.setValue(state, random.uniform(-0.2, 0.2), False)
         model.realizePosition(state)
         rotations = [TO_OURS @ _rotation(each, state) @ TO_OURS.T for each in bodies]
