@@ -57,7 +57,7 @@ class Neck:
     source: str  # a file's name, or what the built-in table is from
     landmarks: Mapping[str, Floats] = field(default_factory=dict)  # of the skull, (3,) mm each
     notices: tuple[str, ...] = ()  # what was replaced or left out as it was read
-    ligaments: float = 60.0  # N m/rad, of a joint beyond its range, more than the disc's
+    ligaments: float = 120.0  # N m/rad, what a joint has 0.1 rad beyond its range, beside the disc
 
     @property
     def head_range(self) -> Floats:

@@ -99,7 +99,8 @@ def _inward(H: Floats, g: Floats, x: Floats, side: np.ndarray, i: int) -> float:
     rise = -g[i]
     for j in range(len(g)):
         rise += H[i, j] * x[j]
-    return (-rise if side[i] == LOW else rise) / H[i, i]
+    inward: float = (-rise if side[i] == LOW else rise) / H[i, i]
+    return inward
 
 
 @nb.njit(cache=True, error_model="numpy")

@@ -1,8 +1,9 @@
 """The motion of a neck: M(q) q'' + C(q, v) + discs + muscles = forces from outside.
 
 Discs push back by theta, each joint's rotation vector: their energy is theta . K theta / 2, and
-that of ligaments k |theta - r|^2 / 2 beyond the range r, about each axis; their torque is
--J^-T dE/dtheta - D v, J the right Jacobian of the rotation. A muscle pulls by -dl/dq f.
+that of ligaments k x^3 / 3d at x beyond the range r, about each axis, stiff from d = 0.1 rad on;
+their torque is -J^-T dE/dtheta - D v, J the right Jacobian of the rotation. A muscle pulls by
+-dl/dq f.
 
 A step is semi-implicit: what damps, discs and muscles that are stretched fast, acts at the new
 velocity, for vertebrae are so light that their discs stop them within 1/20 ms:
@@ -25,6 +26,8 @@ from solver.neck.body import DOFS, Body
 from solver.neck.hill import HillOptions, Muscles, all_parts
 from solver.neck.reflex import ReflexOptions, excite
 from solver.surface import Floats, Ints
+
+TOE = 0.1  # rad beyond a range in which ligaments become stiff
 
 
 class Dynamics:
@@ -62,12 +65,13 @@ class Dynamics:
         """Return the energy in discs and ligaments in J."""
         turns = self.body.turns.ravel()
         beyond = np.maximum(np.abs(turns) - self.ranges, 0.0)
-        return float(self.stiffness @ turns**2 + self.ligaments * beyond @ beyond) / 2.0
+        strained = self.ligaments * (beyond**3).sum() / (3.0 * TOE)
+        return float(self.stiffness @ turns**2 / 2.0 + strained)
 
     def joint_stiffness(self) -> Floats:
         """Return the stiffness of the joints (24,) where they are, in N m/rad."""
-        beyond = np.abs(self.body.turns.ravel()) > self.ranges
-        return np.asarray(self.stiffness + self.ligaments * beyond)
+        beyond = np.maximum(np.abs(self.body.turns.ravel()) - self.ranges, 0.0)
+        return np.asarray(self.stiffness + 2.0 * self.ligaments / TOE * beyond)
 
     def advance(self, steps: int) -> None:
         """Let time pass; the body is up to date before and after."""
@@ -109,7 +113,7 @@ def joint_torques(
             c = 1.0 / 12.0
         for i, turn in ((3 * k, x), (3 * k + 1, y), (3 * k + 2, z)):
             beyond = max(abs(turn) - ranges[i], 0.0)
-            made[i] = stiffness[i] * turn + math.copysign(ligaments * beyond, turn)
+            made[i] = stiffness[i] * turn + math.copysign(ligaments / TOE * beyond * beyond, turn)
         a, b, d = made[3 * k], made[3 * k + 1], made[3 * k + 2]
         e, f, g = y * d - z * b, z * a - x * d, x * b - y * a  # theta x K theta
         made[3 * k] = -(a - 0.5 * e + c * (y * g - z * f))

@@ -17,6 +17,7 @@ from solver.errors import InputError, file_error, quote
 from solver.surface import Floats
 
 CODE = "neck.osim"
+MOST = 1e9  # that any number is, in units of the file
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Element:
         return default if found is None else found.text.strip()
 
     def numbers(self, path: str, count: int | None, default: Floats | None = None) -> Floats:
-        """Return a child's finite numbers, ``count`` of them; raises ``neck.osim``."""
+        """Return a child's numbers, ``count`` of them; raises ``neck.osim``."""
         found = self.find(path)
         if found is None and default is not None:
             return default
@@ -82,12 +83,12 @@ class Element:
             raise found.error(f"is '{quote(found.text.strip())}', not numbers") from None
         if count is not None and len(values) != count:
             raise found.error(f"has {len(values)} numbers, not {count}")
-        if not np.isfinite(values).all():
-            raise found.error("has a number that is not finite")
+        if not (np.abs(values) <= MOST).all():
+            raise found.error("has a number without sense")
         return values
 
     def number(self, path: str, default: float | None = None) -> float:
-        """Return the one finite number of a child; raises ``neck.osim``."""
+        """Return the one number of a child; raises ``neck.osim``."""
         return float(self.numbers(path, 1, None if default is None else np.array([default]))[0])
 
     def error(self, reason: str) -> InputError:

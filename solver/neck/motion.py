@@ -41,7 +41,7 @@ class MotionOptions:
     """How a goal is followed."""
 
     most_deg_per_s: float = 600.0  # of the goal
-    range_part: float = 0.96  # of the range of motion that the goal may use: heads overshoot
+    range_part: float = 0.95  # of the range of motion that the goal may use: heads overshoot
     smooth_hz: float = 4.0  # what is faster in a goal is jitter, and half taken out; 0: nothing is
     settle_s: float = 0.6  # at the first goal, before the first frame
     push_steps: int = 10  # time steps after which a push's torques are made anew
@@ -111,7 +111,7 @@ def reachable(
     if times[-1] - times[0] > options.most_s:
         message = f"the head's goal takes more than {options.most_s:g} s"
         raise InputError("neck.goal", message, expected=options.most_s)
-    seen: np.ndarray = np.isfinite(vectors).all(axis=1)
+    seen = np.asarray(np.isfinite(vectors).all(axis=1))
     if not seen.any():
         raise InputError("neck.goal", "no frame has a goal for the head")
     notices = []
@@ -187,14 +187,15 @@ def follow(
     dynamics.body.set_pose(share_out(neck, goal(goal.times[0]).as_matrix()).turns)
     run = _Run(dynamics, goal, options, pushes)
     run.to(goal.times[0])
-    turns, activations, off = [], [], []
+    turns, activations = [], []
+    off: list[float] = []
     for time_s in goal.times:
         run.to(time_s)
         turns.append(dynamics.body.turns)
         activations.append(dynamics.activations.copy())
         head = Rotation.from_matrix(dynamics.body.head)
         asked = Rotation.from_rotvec(goal.vectors[len(off)])
-        off.append(np.degrees((asked * head.inv()).magnitude()))
+        off.append(float(np.degrees((asked * head.inv()).magnitude())))
     arrays = np.array(turns), np.array(activations), np.array(off)
     return NeckMotion(goal.times, *arrays, goal, neck)
 

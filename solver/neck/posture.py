@@ -13,18 +13,19 @@ from scipy.spatial.transform import Rotation
 from solver.neck.anatomy import Neck, NeckPose
 from solver.surface import Floats
 
-ROUNDS = 8  # of sharing out what is left over; three are enough within the range of motion
-CLOSE = 1e-9  # rad
+ROUNDS = 20  # of sharing out what is left over, which each makes about four times less
+CLOSE = 1e-7  # rad
 
 
-def share_out(neck: Neck, head: Floats) -> NeckPose:
+def share_out(neck: Neck, head: Floats, rounds: int = ROUNDS) -> NeckPose:
     """Return the pose whose head has the rotation ``head`` (3, 3) against the torso.
 
     All joints turn in proportion to their shares; nothing is bounded here (:func:`within`).
+    Fewer ``rounds`` leave the head a little off, smoothly.
     """
     goal = Rotation.from_matrix(head)
     vector = goal.as_rotvec()
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         pose = neck.pose(neck.shares * vector)
         left = (goal * Rotation.from_matrix(pose.head).inv()).as_rotvec()
         if np.abs(left).max() < CLOSE:

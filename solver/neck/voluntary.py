@@ -52,6 +52,7 @@ class VoluntaryOptions:
     cocontraction: float = 0.0  # c, the activation that costs nothing
     ahead_s: float = 0.0  # the goal is looked up this much later still
     most_rad_per_s2: float = 120.0  # that is asked of the head or a joint beside the goal's own
+    share_rounds: int = 4  # of sharing out the goal among the joints
     difference_s: float = 0.01  # to either side, for the goal's velocity and acceleration
 
 
@@ -116,7 +117,8 @@ class Voluntary:
         slower, onward = (first + last) / 2.0 - omega, (last - first) / d
         head = self._servo(off, slower, onward, half, o.head_hz, o.head_damping)
         poses = [
-            Rotation.from_rotvec(share_out(dynamics.neck, each.as_matrix()).turns) for each in goals
+            Rotation.from_rotvec(share_out(dynamics.neck, each.as_matrix(), o.share_rounds).turns)
+            for each in goals
         ]
         first, last = ((a.inv() * b).as_rotvec() / d for a, b in pairwise(poses))
         own = v.reshape(JOINTS, 3)
