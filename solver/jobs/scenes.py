@@ -176,6 +176,8 @@ def finish(
     if stage.neck is not None:
         arrays |= stage.neck.arrays(times)
         figures["neck"] = stage.neck.report()
+        told = [notice.as_dict() for notice in stage.neck.notices]
+        figures["notices"] = [*figures.get("notices", []), *told]
     with tempfile.TemporaryFile() as stream, tempfile.TemporaryFile() as at_rest:
         shape = (len(frames), *model.skin.vertices.shape)
         skins = np.memmap(stream, np.float32, "w+", shape=shape)

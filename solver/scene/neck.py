@@ -154,7 +154,6 @@ class CarriedHead:
             **self.placed.report(),
             "muscles": [muscle.name for muscle in neck.muscles] if motion.activations.size else [],
             "held_frames": int(self._goal.held.sum()),
-            "notices": [notice.as_dict() for notice in self.notices],
         }
         if motion.activations.size:
             followed = motion.figures
