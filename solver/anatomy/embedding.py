@@ -109,11 +109,17 @@ class LooseSkin:
     """The vertices ``ids`` (k,) of a model's skin that hang on flesh by edges, but lie on none.
 
     ``fade_mm`` is the length l: a mouth opened wide takes the neck along by centimetres. Lashes
-    hang on skin that is nearer than ``touch_mm``.
+    hang on skin that is nearer than ``touch_mm``. Vertices that are ``still`` are displaced by
+    nothing.
     """
 
     def __init__(
-        self, model: SubjectModel, *, fade_mm: float = 60.0, touch_mm: float = 1.0
+        self,
+        model: SubjectModel,
+        *,
+        fade_mm: float = 60.0,
+        touch_mm: float = 1.0,
+        still: Ints | None = None,
     ) -> None:
         skin = model.skin.vertices
         faces = model.skin.faces
@@ -122,6 +128,8 @@ class LooseSkin:
         _, part = connected_components(edges, directed=False)
         hangs = np.isin(part, part[model.embedded])
         hangs[model.embedded] = hangs[model.attached_mandible] = False
+        if still is not None:
+            hangs[still] = False
         self.ids = np.flatnonzero(hangs)
         own = np.asarray(edges.sum(axis=1)) + vertex_areas(skin, faces) / fade_mm**2
         system = sp.csr_array(sp.diags_array(own) - edges)[self.ids]

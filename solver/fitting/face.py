@@ -108,6 +108,14 @@ class PosedFace:
         return self.equilibrium.estimate
 
 
+@dataclass(frozen=True)
+class HungSkin:
+    """Where a ``skin`` (V, 3) would be that no flesh moves, and what of it is ``loose``."""
+
+    skin: Floats
+    loose: LooseSkin
+
+
 class Face:
     """A subject's flesh with its bones, skin and muscle geometry S; all fits talk to this.
 
@@ -416,9 +424,14 @@ class Face:
             b = nearest_jaw(self.jaw, points, goal, self.joint.block.rest)
         return Pose.of(layout, layout.bounds.clip(layout.join([activations, b])))
 
-    def held_positions(self, b: Floats) -> Floats:
-        """Return where the held vertices are for b, (h, 3) in the order of ``flesh.held``."""
+    def held_positions(self, b: Floats, cut: Floats | None = None) -> Floats:
+        """Return where the held vertices are for b, (h, 3) in the order of ``flesh.held``.
+
+        ``cut`` (c, 3) is how far those on the cut planes are displaced, mm; None: not at all.
+        """
         x = self._held_rest.copy()
+        if cut is not None:
+            x[self.model.cut] += cut
         x[self.model.mandible] = self.mandible(b)
         return x[self.flesh.held]
 
@@ -433,15 +446,18 @@ class Face:
         """Return the face skin's vertices (k, 3): M x."""
         return np.asarray(self.face_embedding @ x + self.face_offset)
 
-    def whole_skin(self, x: Floats, b: Floats) -> Floats:
-        """Return every vertex of the scan topology (V, 3), what is rigid going with its bone."""
+    def whole_skin(self, x: Floats, b: Floats, hung: HungSkin | None = None) -> Floats:
+        """Return every vertex of the scan topology (V, 3), what is rigid going with its bone.
+
+        Beyond the flesh skin follows that on it, from where it is at rest or else ``hung``.
+        """
         model = self.model
-        skin = model.skin.vertices.copy()
+        hung = hung or HungSkin(model.skin.vertices, self._loose_skin)
+        skin = hung.skin.copy()
         attached = model.attached_mandible
-        skin[attached] = self.jaw.move(skin[attached], b)
+        skin[attached] = self.jaw.move(model.skin.vertices[attached], b)
         skin[model.embedded] = model.embedding @ x + model.offset
-        # beyond the flesh it follows that on it
-        skin[self._loose_skin.ids] += self._loose_skin.follow(skin - model.skin.vertices)
+        skin[hung.loose.ids] += hung.loose.follow(skin - hung.skin)
         return skin
 
     def skin_rates(self, motion: Floats, b: Floats, b_rates: Floats) -> Floats:

@@ -27,7 +27,7 @@ from solver.rig.frames.animation import check_video
 from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.scans.recordings import read_recording
 from solver.scene import Stage
-from solver.scene.document import head_of
+from solver.scene.document import head_of, without_neck_muscles
 from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackContact
@@ -69,6 +69,9 @@ def run(task: Task[Animate]) -> list[Path]:
         firmer = 1.0 if tracks is None else TrackContact.firmer
         return Stage(scene, places, S, drives, given.linear_solver, firmer=firmer, tracks=tracks)
 
+    def check(drives: RecordedDrives) -> None:
+        Stage(without_neck_muscles(scene), places, S, drives, given.linear_solver)
+
     def drives_of(shapes: DrivenShapes, changes: FrameChanges | None = None) -> RecordedDrives:
         return RecordedDrives(
             recorded,
@@ -93,7 +96,7 @@ def run(task: Task[Animate]) -> list[Path]:
         played.figures["shapes"] = len(tracks.names)
     else:
         # what moves the muscles may take minutes: what is wrong with the scene is told before
-        stage_of(drives_of(Blendshapes(model.muscle_names, {})))
+        check(drives_of(Blendshapes(model.muscle_names, {})))
         shapes = _shapes_of(task, rig, played)
         drives = drives_of(shapes)
         begun = SOLVED

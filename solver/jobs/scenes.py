@@ -21,6 +21,8 @@ from solver.animation import PosedFrame
 from solver.errors import SolveError
 from solver.jobs import Task, hash_files
 from solver.kinds.scene import FatEntry
+from solver.neck.anatomy import BODIES
+from solver.neck.skin import two_bones
 from solver.progress import ProgressCallback, Step, silent
 from solver.rig import Rig
 from solver.rig.frames import FRAMES, ChunkOptions, ChunkWriter
@@ -33,8 +35,12 @@ from solver.rig.frames.animation import (
     read_motion,
     write_animation,
 )
+from solver.rig.frames.joints import Joints
+from solver.rig.frames.skin_basis import Singles
+from solver.rig.neck_picture import NeckShot, draw_neck
 from solver.scene import Stage
 from solver.scene.document import document_of
+from solver.scene.neck import CarriedHead
 from solver.scene.places import Places
 from solver.simulation import Stepped
 from solver.simulation.forces import Drive, FleshMotion
@@ -92,6 +98,9 @@ def play(
     """
     if not resume:
         shutil.rmtree(out / FRAMES, ignore_errors=True)
+    if stage.neck is not None:
+        for notice in stage.neck.notices:
+            progress(Step("warning", 0.0, message=notice.message))
     done, motion = read_motion(out / FRAMES, scene, stage.model.rest)
     times = stage.drives.times
     beside = _Beside(scene, stage, motion)
@@ -122,7 +131,22 @@ def play(
 
 def skin_of(stage: Stage, frame: MotionRecord) -> Floats:
     """Return the whole skin (V, 3) of a frame, in the head's frame."""
-    return stage.skin(stage.model.rest + frame.moved, frame.jaw, frame.eyes)
+    return stage.skin(stage.model.rest + frame.moved, frame.jaw, frame.eyes, frame.time)
+
+
+def joints_of(carried: CarriedHead, times: Floats, unposed: Singles) -> Joints | None:
+    """Return the joints of a neck at ``times`` (f,) s, which carry skins ``unposed`` (f, V, 3)."""
+    if carried.skin is None:
+        return None
+    turns = np.array([carried.pose(time).turns for time in times.tolist()])
+    still = np.zeros((len(times), 1, 3))
+    return Joints(
+        BODIES,
+        np.vstack([np.zeros(3), carried.placed.neck.centres]),
+        np.concatenate([still, turns], axis=1),
+        *two_bones(carried.skin.places),
+        unposed,
+    )
 
 
 def finish(
@@ -148,11 +172,24 @@ def finish(
         lines = stage.tracks.lines
         arrays["lengths"] = np.array([lines.lengths(model.rest + frame.moved) for frame in frames])
     figures = {"penetration_neutral_mm": round(stage.gauge.neutral().most, 4), **more}
-    with tempfile.TemporaryFile() as stream:
+    times = np.array([frame.time for frame in frames])
+    if stage.neck is not None:
+        arrays |= stage.neck.arrays(times)
+        figures["neck"] = stage.neck.report()
+        told = [notice.as_dict() for notice in stage.neck.notices]
+        figures["notices"] = [*figures.get("notices", []), *told]
+    with tempfile.TemporaryFile() as stream, tempfile.TemporaryFile() as at_rest:
         shape = (len(frames), *model.skin.vertices.shape)
         skins = np.memmap(stream, np.float32, "w+", shape=shape)
         for number, frame in enumerate(frames):
             skins[number] = skin_of(stage, frame)
+        joints = None
+        if stage.neck is not None:
+            unposed = np.memmap(at_rest, np.float32, "w+", shape=shape)
+            for number, frame in enumerate(frames):
+                unposed[number] = stage.neck.unposed(frame.time, skins[number])
+            joints = joints_of(stage.neck, times, unposed)
+            draw_carried(out / NECK_PICTURE, stage.neck, frames, skins)
         files = write_animation(
             out,
             model,
@@ -164,10 +201,32 @@ def finish(
             muscles=stage.muscles,
             arrays=arrays,
             objects=stage.objects,
+            joints=joints,
             video=video,
         )
+    if stage.neck is not None:
+        files.append(out / NECK_PICTURE)
     progress(Step("done", 1.0))
     return files
+
+
+NECK_PICTURE = "neck.png"
+
+
+def draw_carried(
+    path: Path, carried: CarriedHead, frames: Sequence[MotionRecord], skins: Singles
+) -> None:
+    """Draw a neck in the first of ``frames``, and in those in which the head turns most."""
+    turned = np.array([frame.head[:3] for frame in frames])
+    most = [int(np.abs(column).argmax()) for column in turned.T]
+    shots = []
+    for number in dict.fromkeys([0, *most]):
+        frame = frames[number]
+        skin = frame.into_world(skins[number].astype(np.float64))
+        pose = carried.pose(frame.time)
+        active = carried.activations(frame.time)
+        shots.append(NeckShot(f"{frame.time:.2f} s", skin, pose, active))
+    draw_neck(path, carried.model, carried.placed.neck, shots, carried.words)
 
 
 def _reach(stage: Stage, motion: FleshMotion, drive: Drive | None, goal: Drive) -> Stepped:

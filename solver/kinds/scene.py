@@ -502,6 +502,51 @@ Edits = Annotated[
 # Scenes of each kind of job.
 
 
+class NeckEntry(Document):
+    """A neck that carries the head: seven vertebrae and the skull on a torso that stands still.
+
+    The turns of ``head``, of a take or a recording are its goal; moves of the head are out of its
+    reach.
+    """
+
+    asset: str | None = Field(
+        default=None, description="an OpenSim model of a neck; null: the built-in neck"
+    )
+    muscles: bool = Field(
+        default=True,
+        description="whether muscles move the vertebrae, as controlled; false: joints share the "
+        "head's turn, which is followed as it is",
+    )
+    skin: bool = Field(
+        default=True,
+        description="whether the skin of the neck follows the vertebrae, the rim still; false: it "
+        "turns with the head, also where a skin ends in no neck",
+    )
+    coupling: bool = Field(
+        default=True,
+        description="whether the flesh under the chin is drawn by the neck; false: where it ends "
+        "it stays with the head",
+    )
+    voluntary_hz: float = Field(
+        default=25.0, ge=5, le=200, description="rate of the voluntary layer, which plans ahead"
+    )
+    reflex_hz: float = Field(
+        default=4000.0, ge=1000, le=20_000, description="rate of the reflexes, and time steps"
+    )
+    reflex_strain: float = Field(
+        default=10.0, ge=0, le=100, description="activation a strain of 1 beyond what was planned"
+    )
+    reflex_strain_rate: float = Field(
+        default=2.0, ge=0, le=100, description="activation a strain rate of 1/s beyond it"
+    )
+    reflex_delay_ms: float = Field(
+        default=0.0, ge=0, le=100, description="of the reflexes: tens of ms in people"
+    )
+    cocontraction: float = Field(
+        default=0.0, ge=0, le=0.5, description="activation of all muscles that stiffens the neck"
+    )
+
+
 class PlayedScene(FleshEntry):
     """A scene with frames: of a simulation or an animation."""
 
@@ -527,6 +572,11 @@ class PlayedScene(FleshEntry):
         default=[],
         max_length=MOST_TRACK_KEYS,
         description="where the head is; it turns about the neck",
+    )
+    neck: NeckEntry | None = Field(
+        default=None,
+        description="a neck that carries the head; null: the whole head turns about one point, "
+        "its neck with it",
     )
     forces: list[Force] = Field(default=[], max_length=32)
     objects: list[Object] = Field(

@@ -32,7 +32,7 @@ MM_PER_METRE = 1000.0  # glTF's unit is the metre
 # Numbers of the glTF 2.0 specification: types of components and accessors, modes of primitives.
 FLOAT = 5126
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 JSON_CHUNK = b"JSON"
 BINARY_CHUNK = b"BIN\0"
 

@@ -66,7 +66,7 @@ def fibre_threads(
     for column, name in enumerate(model.muscle_names, start=1):
         own = (entries.col == column) & (entries.data >= options.least_share)
         if own.any():
-            threads[name] = _tubes(_trace(points[own], model.fibres[own], options), options)
+            threads[name] = tubes(_trace(points[own], model.fibres[own], options), options)
     return threads
 
 
@@ -87,7 +87,7 @@ def _trace(points: Floats, directions: Floats, options: ThreadOptions) -> Floats
     return np.stack([*back[::-1], points, *forth], axis=1)
 
 
-def _tubes(lines: Floats, options: ThreadOptions) -> Surface:
+def tubes(lines: Floats, options: ThreadOptions) -> Surface:
     """Return triangles around polylines (k, s, 3), thinner towards both ends."""
     count, steps, _ = lines.shape
     sides = options.sides

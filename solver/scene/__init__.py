@@ -24,6 +24,7 @@ from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import IDENTITY, LAWS, MOONEY_RIVLIN
 from solver.mechanics.linear import fastest
 from solver.model import SubjectModel
+from solver.scene.neck import CarriedHead
 from solver.scene.places import Places, check_objects, objects_of
 from solver.simulation import Simulator
 from solver.simulation.forces import Drive, ExternalForce, Gravity, Pull, Wind, lumped_masses
@@ -214,12 +215,16 @@ class Stage:
             self.objects = objects_of(scene.objects, places, scene.interpolation)
         else:
             self.objects = objects_of(scene.objects, places)
+        dynamic = scene.mode == "dynamic"
+        self.steps_per_frame = scene.steps_per_frame or (STEPS if dynamic else 1)
+        self.neck: CarriedHead | None = None
+        if scene.neck is not None:
+            steps = self.steps_per_frame
+            self.neck = CarriedHead(scene.neck, places, self.model, drives, steps, scene.forces)
         begin = float(drives.times[0])
         objects = self._seen(self.drive(begin, drives(begin)))
         names = [each.name for each in self.objects]
         check_objects(self.model, dict(zip(names, objects, strict=True)))
-        dynamic = scene.mode == "dynamic"
-        self.steps_per_frame = scene.steps_per_frame or (STEPS if dynamic else 1)
         potentials = self._physics.contacts(self._edited, objects)
         masses = lumped_masses(self._face.flesh, self._edited.density)
         self.simulator = Simulator(
@@ -230,6 +235,7 @@ class Stage:
             density=self._edited.density,
             damping=scene.damping,
             linear=linear,
+            pull=None if self.neck is None else self.neck.pull,
         )
         self._gaze = Gaze(self.model)
         self.gauge = Gauge(self.model, self._edited.unedited, potentials)
@@ -241,11 +247,14 @@ class Stage:
         else:
             A = self._physics.activations(self._edited, pose.a)
         objects = tuple(each.at(time).vertices for each in self.objects)
-        return Drive(time, A, pose.jaw, pose.head, objects)
+        if self.neck is None:
+            return Drive(time, A, pose.jaw, pose.head, objects)
+        return Drive(time, A, pose.jaw, self.neck.head(time), objects, self.neck.carried(time))
 
-    def skin(self, y: Floats, jaw: Floats, eyes: Floats) -> Floats:
-        """Return the whole skin (V, 3) of flesh y (p, 3), both in the head's frame."""
-        return self._gaze.turn(self._face.whole_skin(y, jaw), eyes)
+    def skin(self, y: Floats, jaw: Floats, eyes: Floats, time: float) -> Floats:
+        """Return the whole skin (V, 3) of flesh y (p, 3) at ``time``, both in the head's frame."""
+        hung = None if self.neck is None else self.neck.hung(time)
+        return self._gaze.turn(self._face.whole_skin(y, jaw, hung), eyes)
 
     def penetration(self, y: Floats, drive: Drive) -> Penetration:
         """Return how deep flesh y (p, 3), in the head's frame, is in what it meets."""

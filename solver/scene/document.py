@@ -18,7 +18,7 @@ from solver.fitting.face import Pose
 from solver.fitting.interior_point import FeasibleSet
 from solver.fitting.stretches import fibre_tensors, isochoric_activation
 from solver.kinds.document import Document, find_faults
-from solver.kinds.scene import Jaw, Keyframe, MotionKey, Muscle, SimulateScene
+from solver.kinds.scene import AnimateScene, Jaw, Keyframe, MotionKey, Muscle, SimulateScene
 from solver.mechanics.fibre_muscle import FibreMuscles
 from solver.mechanics.flesh import shape_gradients
 from solver.model import SubjectModel, by_muscle, find_muscles
@@ -54,6 +54,13 @@ def _whole(value: Any) -> Any:
     if isinstance(value, list):
         return [_whole(each) for each in value]
     return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def without_neck_muscles(scene: AnimateScene) -> AnimateScene:
+    """Return a scene whose neck moves at no cost: joints share out the turns of the head."""
+    if scene.neck is None:
+        return scene
+    return scene.model_copy(update={"neck": scene.neck.model_copy(update={"muscles": False})})
 
 
 def drives_of(

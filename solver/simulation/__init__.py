@@ -18,6 +18,7 @@ from solver.mechanics.boundary import Boundary, Potential
 from solver.mechanics.flesh import Flesh
 from solver.mechanics.linear import GrowingSolver, fastest
 from solver.mechanics.newton import Energy, Factorization, NewtonOptions, Search
+from solver.mechanics.terms import Springs
 from solver.similarity import Similarity
 from solver.simulation.forces import Drive, ExternalForce, FleshMotion, Inertia, lumped_masses
 from solver.surface import Floats
@@ -66,6 +67,8 @@ class Simulator:
     of zero. ``density`` (n,) is each tet's in g/mm^3, ``damping`` that of motion relative to the
     head, per mass, in 1/s. ``linear`` is the linear solver, the fastest by default. A step ends as
     :class:`~solver.mechanics.newton.NewtonOptions` say of ``tolerance`` and ``settled_mm``.
+    ``pull`` (p,) in Pa mm is how much the skin of a neck pulls each vertex to where the neck
+    carries it.
     """
 
     def __init__(
@@ -80,6 +83,7 @@ class Simulator:
         linear: str | None = None,
         tolerance: float = MOMENT.tolerance,
         settled_mm: float = MOMENT.settled_mm,
+        pull: Floats | None = None,
         options: SimulationOptions = SimulationOptions(),
     ) -> None:
         self._options = options
@@ -90,7 +94,12 @@ class Simulator:
         self._damping = damping
         self._masses = lumped_masses(face.flesh, density)
         self._inertia = Inertia(face.flesh)
-        self._flesh = face.flesh.plus(self._inertia)
+        self._flesh: Flesh = face.flesh.plus(self._inertia)
+        self._pull: Springs | None = None
+        if pull is not None:
+            free = np.intersect1d(face.flesh.free, np.flatnonzero(pull))
+            self._pull = Springs(free[:, None], face.model.rest[free], pull[free])
+            self._flesh = self._flesh.plus(self._pull)
         newton = replace(MOMENT, tolerance=tolerance, settled_mm=settled_mm)
         self._newton = _Newton(self._flesh, potentials, newton, linear or fastest())
 
@@ -99,7 +108,9 @@ class Simulator:
         options = self._options
         closed = np.zeros_like(drive.jaw)
         begun = drive.time - options.rise_seconds
-        start = replace(drive, time=begun, A=self._flesh.passive(), jaw=closed)
+        carried = None if drive.carried is None else np.zeros_like(drive.carried)
+        passive = self._flesh.passive()
+        start = replace(drive, time=begun, A=passive, jaw=closed, carried=carried)
         rest = self._face.model.rest
         motion = FleshMotion(drive.head(rest), np.zeros_like(rest), drive.head)
         effort = options.rise_part, options.rise_factorizations
@@ -176,7 +187,12 @@ class Simulator:
         for force in self._forces:
             self._inertia.load += into.turn(force.at(felt, goal.time))
         start = Boundary(y[self._flesh.held], before.jaw, _seen(now.head, before))
-        end = Boundary(self._face.held_positions(goal.jaw), goal.jaw, _seen(goal.head, goal))
+        cut = None if goal.carried is None else goal.carried[self._face.model.cut]
+        held = self._face.held_positions(goal.jaw, cut)
+        end = Boundary(held, goal.jaw, _seen(goal.head, goal))
+        if self._pull is not None and goal.carried is not None:
+            ids = self._pull.vertices[:, 0]
+            self._pull.centre = self._face.model.rest[ids] + goal.carried[ids]
         for potential in self._potentials:
             potential.begin(y, start, seconds)
         minimum = self._newton.minimise(y, goal.A, start, end, factorisations)

@@ -98,6 +98,9 @@ class Drive:
     jaw: Floats  # (5,)
     head: Similarity  # into the world
     objects: tuple[Floats, ...] = ()  # vertices (o, 3) in the world, mm
+    # (p, 3) mm: how far a neck carries the flesh's vertices, in the head's frame, which those on
+    # the cut planes follow; None without a neck
+    carried: Floats | None = None
 
     def toward(self, other: Drive, part: float) -> Drive:
         """Return what to ask for ``part`` of the way to ``other``, the head turning steadily."""
@@ -109,7 +112,10 @@ class Drive:
         A, jaw, shift, *objects = straight(part, *ends)
         head = Similarity(1.0, np.asarray(rotation), shift)
         time = self.time + part * (other.time - self.time)
-        return Drive(time, A, jaw, head, tuple(objects))
+        carried = other.carried
+        if self.carried is not None and other.carried is not None:
+            carried = self.carried + part * (other.carried - self.carried)
+        return Drive(time, A, jaw, head, tuple(objects), carried)
 
 
 Vector = Floats | Sequence[float]

@@ -62,6 +62,8 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "ingest": None,
     "marker_check": None,
     "markers": by_default,
+    "neck": None,
+    "neck_skin": None,
     "odd_units": None,
     "openface": None,
     "peers": no_peer,

@@ -26,6 +26,7 @@ from solver.rig.frames import FORMAT as FRAMES_FORMAT
 from solver.rig.frames import FrameRecord, pack, read_chunks, unpack
 from solver.rig.frames.animation_gltf import write_animation_glb
 from solver.rig.frames.gltf import Solid
+from solver.rig.frames.joints import Joints
 from solver.rig.frames.read_back import Comparison
 from solver.rig.frames.skin_basis import Singles
 from solver.scene.places import SceneObject
@@ -289,14 +290,16 @@ def write_animation(
     muscles: Sequence[str] | None = None,
     arrays: Mapping[str, np.ndarray] = NO_ARRAYS,
     objects: Sequence[SceneObject] = (),
+    joints: Joints | None = None,
     video: bool = False,
     options: FilmOptions = FilmOptions(),
 ) -> list[Path]:
     """Write ``frames``, whose ``skins`` (f, v, 3) are in the head's frame, mm; return the paths.
 
     ``animation.npz`` has the ``vertices`` (k,) of the skin, the names of the ``muscles``, those
-    of the model by default, and more ``arrays``. ``objects`` are what the face meets; ``video``
-    adds ``animation.mp4``, see :func:`check_video`.
+    of the model by default, and more ``arrays``. ``objects`` are what the face meets, ``joints``
+    of a neck carry the skin in ``animation.glb``; ``video`` adds ``animation.mp4``, see
+    :func:`check_video`.
     """
     table, glb, packed, sheet, film = (
         out / f"animation.{kind}" for kind in ("json", "glb", "npz", "png", "mp4")
@@ -307,7 +310,7 @@ def write_animation(
         Solid(each.name, each.shape, np.array([each.path(time) for time in times]))
         for each in objects
     ]
-    written = write_animation_glb(glb, model.skin, skins, heads, times - times[0], solids)
+    written = write_animation_glb(glb, model.skin, skins, heads, times - times[0], solids, joints)
     write_animation_npz(packed, muscles or model.muscle_names, frames, skins, vertices, arrays)
     measured = {packed.name: compare_animation_npz(packed, frames, skins, vertices)}
     figures = {**report, "glb": {**asdict(written), "bytes": glb.stat().st_size}, "files": measured}

@@ -12,6 +12,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
@@ -33,6 +34,7 @@ from solver.rig.frames.gltf import (
     write_face,
     write_morphed,
 )
+from solver.rig.frames.joints import Joints
 from solver.rig.frames.read_back import MorphedSkin, between, compare_motion, read_glb
 from solver.rig.frames.skin_basis import Basis, Singles, SkinBasisOptions, normal_shapes, span_skins
 from solver.similarity import small_motion
@@ -102,17 +104,19 @@ def write_animation_glb(
     heads: Floats,
     times: Floats,
     solids: Sequence[Solid] = (),
+    joints: Joints | None = None,
     options: AnimationOptions = AnimationOptions(),
 ) -> AnimatedGlb:
     """Write ``skins`` (f, v, 3), mm in the head's frame, of the moments ``times`` (f,) in s.
 
     ``heads`` (f, 6) are rotation vectors in rad and shifts in mm, which the face's node carries;
-    ``solids`` have nodes beside it. Lengths in the file are in metres. Raises
+    ``solids`` have nodes beside it. ``joints`` carry the skin, in the place of that node, where
+    there are some. Lengths in the file are in metres. Raises
     :class:`~solver.errors.SolveError` ``file.differs`` where what was written is too far off.
     """
     for part in options.parts:
         limits = options.closer(part)
-        shapes, keys = _write_animation(path, neutral, skins, heads, times, solids, limits)
+        shapes, keys = _write_animation(path, neutral, skins, heads, times, solids, joints, limits)
         try:
             found = compare_motion(path, read_glb(path), range(len(times)), times, skins, heads)
             for node, each in enumerate(solids, start=1):
@@ -135,9 +139,11 @@ def _write_animation(
     heads: Floats,
     times: Floats,
     solids: Sequence[Solid],
+    joints: Joints | None,
     options: AnimationOptions,
 ) -> tuple[int, int]:
     """Write the file; returns the numbers of its shapes and its keys."""
+    skins = skins if joints is None else joints.unposed
     basis = span_skins(neutral, skins, options.basis)
     normals = normal_shapes(neutral, skins, basis, options.basis)
     stretch = np.clip(1.0 / np.maximum(_greatest(normals), 1e-9), 1.0, options.most_stretch)
@@ -163,12 +169,24 @@ def _write_animation(
     def animate(buffer: Buffer, _count: int) -> gl.Animation:
         at_keys = buffer.dense(times[keys], gl.SCALAR, bounds=True)
         weights = buffer.dense((basis.weights[keys] / stretch).ravel(), gl.SCALAR)
-        head = rigid(buffer, neutral, heads) if heads.any() else {}
+        head = rigid(buffer, neutral, heads) if joints is None and heads.any() else {}
         others = [rigid(buffer, each.shape, each.places) for each in solids]
+        if joints is not None:
+            error = partial(joints.error, neutral.vertices, times)
+            others += joints.tracks(buffer, times, needed_keys(len(times), error, options.keys_mm))
         return animation("animation", {gl.WEIGHTS: (at_keys, weights), **head}, *others)
 
     names = [_shape_name(number) for number in range(len(basis.shapes))]
-    write_morphed(path, neutral, names, targets, animate, extensions=[QUANTISATION], solids=solids)
+    write_morphed(
+        path,
+        neutral,
+        names,
+        targets,
+        animate,
+        extensions=[QUANTISATION],
+        solids=solids,
+        joints=joints,
+    )
     return len(names), len(keys)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 import pygltflib as gl
@@ -61,6 +61,20 @@ class Solid:
     name: str
     shape: Surface
     places: Floats
+
+
+class Chain(Protocol):
+    """Joints, each hanging on the one before, that carry a skin: :mod:`.joints`."""
+
+    @property
+    def nodes(self) -> list[gl.Node]:
+        """Return a node of each joint."""
+
+    def attributes(self, buffer: Buffer) -> dict[str, int]:
+        """Add each vertex's joints and weights, and return their accessors by attribute."""
+
+    def skin(self, buffer: Buffer, first: int) -> gl.Skin:
+        """Return the skin whose joints are nodes from the number ``first`` on."""
 
 
 def write_face(
@@ -139,28 +153,41 @@ def write_morphed(
     attributes: Mapping[str, Floats] = NOTHING,
     extensions: Sequence[str] = (),
     solids: Sequence[Solid] = (),
+    joints: Chain | None = None,
 ) -> None:
     """Write as :func:`write_face` morph targets that ``make_targets`` puts into the buffer.
 
     It gets the neutral's normals (v, 3); a reader needs the ``extensions`` of glTF to read them.
-    ``solids`` are nodes 1, 2 ... by their names.
+    ``solids`` are nodes 1, 2 ... by their names, then come the ``joints`` that carry the skin.
     """
     buffer = Buffer()
     normals = vertex_normals(neutral)
     of_vertices = gl.Attributes(**_base(buffer, neutral, normals))
+    if joints is not None:
+        for name, accessor in joints.attributes(buffer).items():
+            setattr(of_vertices, name, accessor)
     for name, values in attributes.items():
         setattr(of_vertices, name, buffer.dense(values, gl.SCALAR, gl.ARRAY_BUFFER))
     targets = make_targets(buffer, normals)
     animation = animate(buffer, len(names))
     parts = _parts(neutral)
     triangles = [buffer.indices(neutral.faces[part]) for part in parts.values()]
+    face = gl.Node(name="face", mesh=0)
+    nodes = [face, *(_node(solid, number) for number, solid in enumerate(solids, start=1))]
+    skins = list[gl.Skin]()
+    roots = len(nodes)
+    if joints is not None:
+        skins = [joints.skin(buffer, len(nodes))]
+        roots = len(nodes) + 1
+        face.skin = 0
+        hanging = joints.nodes
+        for number, node in enumerate(hanging[:-1], start=len(nodes) + 1):
+            node.children = [number]
+        nodes += hanging
     _save(
         path,
         buffer,
-        [
-            gl.Node(name="face", mesh=0),
-            *(_node(solid, number) for number, solid in enumerate(solids, start=1)),
-        ],
+        nodes,
         [
             _morphed("face", names, of_vertices, triangles, targets),
             *(_mesh(buffer, solid, len(parts)) for solid in solids),
@@ -168,6 +195,8 @@ def write_morphed(
         [*parts, "object"] if solids else list(parts),
         animation,
         extensions,
+        skins,
+        roots,
     )
 
 
@@ -240,18 +269,21 @@ def _save(
     materials: Sequence[str],
     animation: gl.Animation | None,
     extensions: Sequence[str] = (),
+    skins: Sequence[gl.Skin] = (),
+    roots: int | None = None,
 ) -> None:
-    """Write the file of a buffer; every node is seen."""
+    """Write the file of a buffer; its first nodes are ``roots``, by default all."""
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=GENERATOR),
         scene=0,
-        scenes=[gl.Scene(name="face", nodes=list(range(len(nodes))))],
+        scenes=[gl.Scene(name="face", nodes=list(range(roots or len(nodes))))],
         nodes=nodes,
         materials=[material_of(part) for part in materials],
         meshes=meshes,
         animations=[] if animation is None else [animation],
         accessors=buffer.accessors,
         bufferViews=buffer.views,
+        skins=list(skins),
         extensionsUsed=list(extensions),
         extensionsRequired=list(extensions),
         buffers=[gl.Buffer(byteLength=len(buffer.content))],
@@ -317,15 +349,18 @@ def in_turn(
 
 def rigid_tracks(buffer: Buffer, times: Floats, places: Floats) -> Tracks:
     """Add a rigid motion, ``places`` (f, 6) as of :class:`Solid`, for :func:`animation`."""
-    turns = Rotation.from_rotvec(places[:, :3]).as_quat()
-    # each on the side of the one before
-    flips = np.where(np.sum(turns[1:] * turns[:-1], axis=1) < 0, -1.0, 1.0)
-    turns *= np.cumprod(np.concatenate([[1.0], flips]))[:, None]
+    turns = steady_side(Rotation.from_rotvec(places[:, :3]).as_quat())
     at_keys = buffer.dense(times, gl.SCALAR, bounds=True)
     return {
         gl.ROTATION: (at_keys, buffer.dense(turns, gl.VEC4)),
         gl.TRANSLATION: (at_keys, buffer.dense(places[:, 3:] * METRES, gl.VEC3)),
     }
+
+
+def steady_side(turns: Floats) -> Floats:
+    """Return quaternions (f, 4), each with the sign that is on the side of the one before."""
+    flips = np.where(np.sum(turns[1:] * turns[:-1], axis=1) < 0, -1.0, 1.0)
+    return np.asarray(turns * np.cumprod(np.concatenate([[1.0], flips]))[:, None])
 
 
 def animation(name: str, *tracks: Tracks) -> gl.Animation:

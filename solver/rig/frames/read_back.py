@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from solver.errors import SolveError
 from solver.meshio.glb import COMPONENTS, WIDTHS
+from solver.rig.frames.joints import ReadJoints, read_joints, turn_between
 from solver.rig.frames.skin_basis import Singles
 from solver.surface import Floats
 
@@ -105,6 +106,15 @@ class MorphedSkin:
     names: list[str]
     shapes: Singles  # (s, 3 v) changes from the neutral
     motion: Callable[[Floats], tuple[Floats, Floats, Floats]]
+    joints: ReadJoints | None = None  # that carry it after its targets
+
+    def at(self, times: Floats) -> Floats:
+        """Return the skins (f, v, 3) at ``times`` (f,), blended and moved."""
+        weights, rotations, shifts = self.motion(times)
+        blended = self.blend(weights).astype(np.float64)
+        if self.joints is not None:
+            return self.joints.carry(blended, times)
+        return np.asarray(blended @ np.swapaxes(rotations, 1, 2) + shifts[:, None])
 
     def blend(self, weights: Floats) -> Singles:
         """Return the skins (f, v, 3) of weights (f, s)."""
@@ -144,10 +154,7 @@ def compare_motion(
     turns = Rotation.from_rotvec(heads[:, :3]).as_matrix()
     for first in range(0, len(skins), BLOCK):
         rows = slice(first, first + BLOCK)
-        weights, rotations, shifts = shown.motion(times[rows])
-        blended = shown.blend(weights)
-        for number, row in enumerate(range(first, first + len(blended))):
-            placed = blended[number].astype(np.float64) @ rotations[number].T + shifts[number]
+        for row, placed in enumerate(shown.at(times[rows]), start=first):
             wanted = skins[row].astype(np.float64) @ turns[row].T + heads[row, 3:]
             found.add(numbers[row], placed, wanted)
     return found.figures()
@@ -190,19 +197,14 @@ def read_glb(path: Path, node: int = 0) -> MorphedSkin:
         if "translation" in tracks:
             shifts = METRE * between(*tracks["translation"], times)
         if "rotation" in tracks:
-            turns = _turn(*tracks["rotation"], times)
+            turns = turn_between(*tracks["rotation"], times)
         return weights, turns, shifts
 
     names = mesh.get("extras", {}).get("targetNames", [])
-    return MorphedSkin(neutral, names, shapes, motion)
-
-
-def _turn(keys: Floats, quaternions: np.ndarray, times: Floats) -> Floats:
-    """Return rotations (f, 3, 3) at ``times``, steady between keys (k,), of (x, y, z, w) (k, 4)."""
-    turns = Rotation.from_quat(quaternions.astype(np.float64))
-    if len(keys) == 1:
-        return np.repeat(turns.as_matrix(), len(times), axis=0)
-    return np.asarray(Slerp(keys, turns)(np.clip(times, keys[0], keys[-1])).as_matrix())
+    joints = None
+    if "skin" in moved:
+        joints = read_joints(document, document["skins"][moved["skin"]], values, part)
+    return MorphedSkin(neutral, names, shapes, motion, joints)
 
 
 def between(keys: Floats, table: np.ndarray, times: Floats) -> Floats:

@@ -77,7 +77,7 @@ class FleshShapes:
         pose = PosedFrame.of(self._driven.pose_of(np.array(values), self._limits))
         goal = self._stage.drive(1.0, pose)
         y = self._stage.simulator.step(self._begin, self._drive, goal).y
-        return Played(self._stage.skin(y, pose.jaw, pose.eyes), pose.jaw)
+        return Played(self._stage.skin(y, pose.jaw, pose.eyes, goal.time), pose.jaw)
 
 
 def _rest() -> FaceTake:

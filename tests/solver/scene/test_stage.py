@@ -63,7 +63,7 @@ def test_eyes_turn_with_the_gaze() -> None:
     ids = np.arange(0, len(MODEL.skin.vertices), 7)
     stage = staged({}, replace(MODEL, regions={"left_eyeball": ids}))
     away = np.array([[0.0, 0.3, 0.0], [0.0, 0.0, 0.0]])
-    straight, turned = (stage.skin(MODEL.rest, np.zeros(5), eyes) for eyes in (0 * away, away))
+    straight, turned = (stage.skin(MODEL.rest, np.zeros(5), eyes, 0.0) for eyes in (0 * away, away))
     changed = np.linalg.norm(turned - straight, axis=1) > 1e-6
     assert changed[ids].any()
     assert not np.delete(changed, ids).any()

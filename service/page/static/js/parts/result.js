@@ -20,6 +20,7 @@ const PICTURES = {
   "neutral.png": "Photographs and the person that they were made into",
   "photo.png": "Photographs beside the fitted face, and where they differ",
   "animation.png": "Moments of the animation",
+  "neck.png": "Head and neck with bones and muscles",
   "edit.png": "The person before and after the edits",
 };
 

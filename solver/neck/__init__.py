@@ -1,0 +1,1 @@
+"""A neck that carries a head: vertebrae, muscles, and how both are moved."""

@@ -1,0 +1,1 @@
+"""Tables of the built-in neck, and where their numbers come from."""

@@ -1,0 +1,231 @@
+"""The motion of a neck: M(q) q'' + C(q, v) + discs + muscles = forces from outside.
+
+Discs push back by theta, each joint's rotation vector: their energy is theta . K theta / 2, and
+that of ligaments k x^3 / 3d at x beyond the range r, about each axis, stiff from d = 0.1 rad on;
+their torque is -J^-T dE/dtheta - D v, J the right Jacobian of the rotation. A muscle pulls by
+-dl/dq f.
+
+A step is semi-implicit: what damps, discs and muscles that are stretched fast, acts at the new
+velocity, for vertebrae are so light that their discs stop them within 1/20 ms:
+
+    (M + h D + h L^T (df/dv) L) (v' - v) = h tau(q, v),   q' = q exp(h v'),   L = dl/dq
+
+v is thus that of half a step before q (a leapfrog), and C is taken at v + (v' - v)/2, by the last
+step's: without damping the energy stays, to second order.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+import numpy as np
+
+from solver.neck.anatomy import Neck
+from solver.neck.body import DOFS, Body
+from solver.neck.hill import HillOptions, Muscles, all_parts
+from solver.neck.reflex import ReflexOptions, excite
+from solver.surface import Floats, Ints
+
+TOE = 0.1  # rad beyond a range in which ligaments become stiff
+
+
+class Dynamics:
+    """A neck in motion: its body, activations (m,) and the plan that reflexes keep."""
+
+    def __init__(
+        self,
+        neck: Neck,
+        reflex: ReflexOptions | None = None,
+        hill: HillOptions | None = None,
+        gravity: Floats | None = None,
+    ) -> None:
+        reflex = reflex or ReflexOptions()
+        self.neck = neck
+        self.reflex = reflex
+        self.body = Body(neck, gravity)
+        self.muscles = Muscles.of(neck, hill or HillOptions())
+        count = len(neck.muscles)
+        self.activations = np.zeros(count)
+        self.stiffness = neck.stiffness.ravel()
+        self.damping = neck.damping.ravel()
+        self.ranges = neck.ranges.ravel()
+        self.ligaments = neck.ligaments
+        self.external = np.zeros(DOFS)  # torques (24,) from outside, N m
+        self.plan = np.zeros((count, 5))  # u_0, l_0, l_1, l_2, l_r: see reflex.excite
+        self.plan[:, 1] = self.plan[:, 4] = self.body.lengths
+        self.since = 0.0  # the plan was made, s
+        self._late = np.zeros((reflex.delay_steps + 1, count))
+        self._place = 0
+
+    def passive_torque(self) -> Floats:
+        """Return what discs, weight and motion do at the joints (24,), without muscles, in N m."""
+        springs = np.empty(DOFS)
+        joint_torques(self.body.q, self.stiffness, self.ranges, self.ligaments, springs)
+        return np.asarray(springs - self.damping * self.body.v - self.body.bias)
+
+    def joint_energy(self) -> float:
+        """Return the energy in discs and ligaments in J."""
+        turns = self.body.turns.ravel()
+        beyond = np.maximum(np.abs(turns) - self.ranges, 0.0)
+        strained = self.ligaments * (beyond**3).sum() / (3.0 * TOE)
+        return float(self.stiffness @ turns**2 / 2.0 + strained)
+
+    def joint_stiffness(self) -> Floats:
+        """Return the stiffness of the joints (24,) where they are, in N m/rad."""
+        beyond = np.maximum(np.abs(self.body.turns.ravel()) - self.ranges, 0.0)
+        return np.asarray(self.stiffness + 2.0 * self.ligaments / TOE * beyond)
+
+    def advance(self, steps: int) -> None:
+        """Let time pass; the body is up to date before and after."""
+        body = self.body
+        reflex = self.reflex
+        model = body.model
+        data = body.data
+        lags = (reflex.rise_s, reflex.fall_s)
+        gains = reflex.gains
+        step = reflex.step_s
+        change = np.zeros(DOFS)
+        for _ in range(steps):
+            _step(
+                step,
+                (body.q, body.v, self.activations, change),
+                (body.inertia, data.qfrc_bias, self.damping, self.external),
+                (self.stiffness, self.ranges, self.ligaments),
+                (model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind, data.ten_J),
+                (data.ten_length, self.muscles.law, self.muscles.table),
+                (self.plan, self.since, self._late, self._place, gains, lags),
+            )
+            self.since += step
+            self._place = (self._place + 1) % len(self._late)
+            body.update(change / 2.0)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def joint_torques(
+    q: Floats, stiffness: Floats, ranges: Floats, ligaments: float, made: Floats
+) -> None:
+    """Write the torques (24,) of discs and ligaments, in the axes of the bodies above."""
+    for k in range(len(q) // 4):
+        w = q[4 * k]
+        x = q[4 * k + 1]
+        y = q[4 * k + 2]
+        z = q[4 * k + 3]
+        if w < 0.0:
+            w = -w
+            x = -x
+            y = -y
+            z = -z
+        s = math.sqrt(x * x + y * y + z * z)
+        angle = 2.0 * math.atan2(s, w)
+        scale = angle / s if s > 1e-9 else 2.0
+        x = scale * x
+        y = scale * y
+        z = scale * z
+        if angle > 1e-3:
+            c = (1.0 - angle * math.cos(angle / 2.0) / (2.0 * math.sin(angle / 2.0))) / angle**2
+        else:
+            c = 1.0 / 12.0
+        for i, turn in ((3 * k, x), (3 * k + 1, y), (3 * k + 2, z)):
+            beyond = max(abs(turn) - ranges[i], 0.0)
+            made[i] = stiffness[i] * turn + math.copysign(ligaments / TOE * beyond * beyond, turn)
+        a = made[3 * k]
+        b = made[3 * k + 1]
+        d = made[3 * k + 2]
+        # theta x K theta
+        e = y * d - z * b
+        f = z * a - x * d
+        g = x * b - y * a
+        made[3 * k] = -(a - 0.5 * e + c * (y * g - z * f))
+        made[3 * k + 1] = -(b - 0.5 * f + c * (z * e - x * g))
+        made[3 * k + 2] = -(d - 0.5 * g + c * (x * f - y * e))
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _step(
+    h: float,
+    state: tuple[Floats, Floats, Floats, Floats],
+    body: tuple[Floats, Floats, Floats, Floats],
+    joints: tuple[Floats, Floats, float],
+    arms: tuple[Ints, Ints, Ints, Floats],
+    pulls: tuple[Floats, int, Floats],
+    control: tuple,
+) -> None:
+    q, v, a, change = state
+    inertia, bias, damping, external = body
+    counts, firsts, columns, values = arms
+    lengths, law, table = pulls
+    plan, since, late, place, gains, lags = control
+    dofs = len(v)
+    muscles = len(a)
+    rates = np.zeros(muscles)
+    parts = np.empty((muscles, 6))
+    for k in range(muscles):
+        for j in range(firsts[k], firsts[k] + counts[k]):
+            rates[k] += values[j] * v[columns[j]]
+    excite(plan, since, lengths, rates, late, place, gains, lags, h, a)
+    all_parts(law, table, lengths, rates, parts)
+    torque = np.empty(dofs)
+    joint_torques(q, joints[0], joints[1], joints[2], torque)
+    A = inertia.copy()
+    for i in range(dofs):
+        torque[i] += external[i] - damping[i] * v[i] - bias[i]
+        A[i, i] += h * damping[i]
+    for k in range(muscles):
+        force = a[k] * parts[k, 0] + parts[k, 3]
+        slows = h * (a[k] * parts[k, 2] + parts[k, 5])
+        for j in range(firsts[k], firsts[k] + counts[k]):
+            torque[columns[j]] -= values[j] * force
+            for i in range(firsts[k], j + 1):
+                A[columns[j], columns[i]] += slows * values[j] * values[i]
+    solve_lower(A, torque)
+    for i in range(dofs):
+        change[i] = h * torque[i]
+        v[i] += change[i]
+    for k in range(dofs // 3):
+        _turn(q[4 * k : 4 * k + 4], v[3 * k : 3 * k + 3], h)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def solve_lower(A: Floats, b: Floats) -> None:
+    """Solve A x = b in place by Cholesky's factors; of ``A`` (n, n) the lower half is read."""
+    n = len(b)
+    for i in range(n):
+        for j in range(i + 1):
+            s = A[i, j]
+            for k in range(j):
+                s -= A[i, k] * A[j, k]
+            A[i, j] = math.sqrt(s) if i == j else s / A[j, j]
+    for i in range(n):
+        for k in range(i):
+            b[i] -= A[i, k] * b[k]
+        b[i] /= A[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            b[i] -= A[k, i] * b[k]
+        b[i] /= A[i, i]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _turn(q: Floats, v: Floats, h: float) -> None:
+    """Turn a quaternion on by an angular velocity in the axes that it turns."""
+    speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    half = 0.5 * h * speed
+    s = math.sin(half) / speed if speed > 1e-12 else 0.5 * h
+    c = math.cos(half)
+    x = s * v[0]
+    y = s * v[1]
+    z = s * v[2]
+    w = q[0]
+    i = q[1]
+    j = q[2]
+    k = q[3]
+    a = w * c - i * x - j * y - k * z
+    b = w * x + i * c + j * z - k * y
+    d = w * y - i * z + j * c + k * x
+    e = w * z + i * y - j * x + k * c
+    length = math.sqrt(a * a + b * b + d * d + e * e)
+    q[0] = a / length
+    q[1] = b / length
+    q[2] = d / length
+    q[3] = e / length

@@ -1,0 +1,120 @@
+"""Scenes in which a neck carries the head: what of a document reaches it, and what it leaves."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from solver.errors import InputError
+from solver.jobs import run_job
+from solver.kinds.scene import SimulateScene
+from solver.neck.anatomy import BODIES
+from solver.rig import Rig
+from solver.rig.frames.read_back import LIMIT_MM, read_glb, split_glb, validate_glb
+from solver.scene import Stage
+from solver.scene.document import drives_of, read_scene
+from solver.scene.places import Places
+from tests.fixtures import small_model
+from tests.solver.block import head_block
+
+MODEL = small_model()
+JOINTS_ALONE = {"muscles": False}
+UP = [{"time": 0, "rotation_deg": [-40, 0, 0]}]
+
+
+def staged(scene: dict[str, Any]) -> Stage:
+    played = read_scene(scene, SimulateScene)
+    drives = drives_of(played, {}, MODEL, MODEL.weights)
+    return Stage(played, Places(MODEL, {}), MODEL.weights, drives)
+
+
+def test_the_head_goes_where_it_is_asked_to_on_a_torso_that_stands_still() -> None:
+    stage = staged({"head": UP, "neck": JOINTS_ALONE})
+    drive = stage.drive(0.0, stage.drives(0.0))
+    np.testing.assert_allclose(drive.head.twist[:3], np.radians([-40.0, 0.0, 0.0]), atol=1e-6)
+    assert stage.neck is not None
+    assert stage.neck.skin is not None
+    y = stage.simulator.rest(drive).y
+    world = drive.head(stage.skin(y, drive.jaw, np.zeros((2, 3)), 0.0))
+    rim = stage.neck.skin.rim
+    np.testing.assert_allclose(world[rim], MODEL.skin.vertices[rim], atol=1e-9)
+    lip = MODEL.region("lower_lip")
+    drawn = np.linalg.norm(drive.head.inverse()(world)[lip] - MODEL.skin.vertices[lip], axis=1)
+    assert drawn.max() > 0.2
+    assert stage.count_inverted(y) == 0
+    alone = staged({"head": UP, "neck": {**JOINTS_ALONE, "coupling": False}})
+    still = alone.simulator.rest(alone.drive(0.0, alone.drives(0.0)))
+    np.testing.assert_allclose(still.y, MODEL.rest, atol=1e-3)
+
+
+def test_what_a_neck_cannot_do_is_held_and_told() -> None:
+    far = [
+        {"time": 0},
+        {"time": 1, "rotation_deg": [0, 120, 0], "move_mm": [0, 30, 0]},
+        {"time": 1.1, "rotation_deg": [0, -60, 0]},
+    ]
+    stage = staged({"fps": 10, "head": far, "duration": 1.2, "neck": JOINTS_ALONE})
+    assert stage.neck is not None
+    told = {notice.code: notice.context for notice in stage.neck.notices}
+    assert told.keys() == {"neck.reach", "neck.range", "neck.speed"}
+    assert told["neck.reach"]["moved_mm"] == pytest.approx(30.0, abs=0.1)
+    most = stage.neck.placed.neck.head_range[1]
+    assert stage.drive(1.0, stage.drives(1.0)).head.twist[1] == pytest.approx(most, abs=1e-6)
+    assert stage.neck.report()["held_frames"] >= told["neck.range"]["count"] > 1
+    assert stage.neck.arrays(stage.drives.times)["head_held"].sum() > 1
+
+
+def test_a_face_without_a_neck_is_refused_unless_its_skin_may_turn_whole() -> None:
+    model = head_block((7, 5, 1))
+    for entry, refused in ((JOINTS_ALONE, True), ({**JOINTS_ALONE, "skin": False}, False)):
+        scene = read_scene({"neck": entry, "head": UP}, SimulateScene)
+        drives = drives_of(scene, {}, model, model.weights)
+        if refused:
+            with pytest.raises(InputError) as caught:
+                Stage(scene, Places(model, {}), model.weights, drives)
+            assert caught.value.code == "neck.skin"
+        else:
+            stage = Stage(scene, Places(model, {}), model.weights, drives)
+            assert stage.drive(0.0, stage.drives(0.0)).carried is None
+
+
+@pytest.mark.long
+def test_an_animation_has_the_joints_and_the_vertebrae(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.npz"
+    Rig(MODEL, MODEL.weights, ()).save(rig)
+    scene = {
+        "fps": 5,
+        "duration": 0.8,
+        "neck": JOINTS_ALONE,
+        "head": [{"time": 0}, {"time": 0.8, "rotation_deg": [10, 40, 5]}],
+    }
+    files = run_job("simulate", tmp_path / "out", options={"scene": scene}, rig=rig)
+    assert "neck.png" in {file.name for file in files}
+    report = json.loads((tmp_path / "out/animation.json").read_text())
+    assert report["inverted"] == 0
+    assert report["glb"]["max_error_mm"] < LIMIT_MM
+    assert report["neck"]["held_frames"] == 0
+    path = tmp_path / "out/animation.glb"
+    names = ["start", *(f"shape_{k}" for k in range(1, report["glb"]["shapes"]))]
+    assert validate_glb(path, names) == []
+    document, _ = split_glb(path)
+    joints = document["skins"][0]["joints"]
+    assert [document["nodes"][number]["name"] for number in joints] == list(BODIES)
+    assert document["scenes"][0]["nodes"] == [0, joints[0]]
+    moved = {channel["target"]["node"] for channel in document["animations"][0]["channels"]}
+    assert moved == {0, *joints[1:]}
+    with np.load(tmp_path / "out/animation.npz") as data:
+        skin = data["skin"]
+        vertebrae = data["vertebrae"]
+        faces = data["vertices"]
+        times = data["time"]
+    assert vertebrae.shape == (5, 8, 6)
+    np.testing.assert_allclose(vertebrae[-1, -1, :3], np.radians([10, 40, 5]), atol=1e-5)
+    shown = read_glb(path).at(times)
+    np.testing.assert_allclose(shown[:, faces], skin, atol=LIMIT_MM)
+    still = np.abs(shown - shown[0]).max(axis=(0, 2))
+    assert (still < 1e-3).sum() > 10  # the rim
