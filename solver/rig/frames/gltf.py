@@ -411,6 +411,12 @@ class Buffer:
         view = self._view(np.ascontiguousarray(faces, "<u4"), gl.ELEMENT_ARRAY_BUFFER)
         return self._add(gl.UNSIGNED_INT, faces.size, gl.SCALAR, None, view)
 
+    def bindings(self, rest: Floats) -> int:
+        """Add what takes points to joints whose places at rest are ``rest`` (k, 3), mm."""
+        back = np.tile(np.eye(4), (len(rest), 1, 1))
+        back[:, :3, 3] = -rest * METRES
+        return self.dense(np.swapaxes(back, 1, 2).reshape(-1, 16), gl.MAT4)
+
     def joints(self, numbers: Ints) -> int:
         """Add the numbers (v, 4) of the joints that move each vertex."""
         view = self._view(np.ascontiguousarray(numbers, "<u1"), gl.ARRAY_BUFFER)

@@ -54,14 +54,11 @@ class Joints:
 
     def skin(self, buffer: Buffer, first: int) -> gl.Skin:
         """Add what takes the rest to each joint; ``first`` is the number of the first's node."""
-        back = np.tile(np.eye(4), (len(self.rest), 1, 1))
-        back[:, :3, 3] = -self.rest * METRES
-        columns = np.swapaxes(back, 1, 2).reshape(-1, 16)
         return gl.Skin(
             name="neck",
             skeleton=first,
             joints=list(range(first, first + len(self.names))),
-            inverseBindMatrices=buffer.dense(columns, gl.MAT4),
+            inverseBindMatrices=buffer.bindings(self.rest),
         )
 
     def tracks(self, buffer: Buffer, times: Floats, keys: Ints) -> list[Tracks]:

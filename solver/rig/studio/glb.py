@@ -99,10 +99,7 @@ class _Meshes:
 def _skin(rig: LightRig, buffer: Buffer) -> gl.Skin:
     """Return the binding of the skin to the joints."""
     count = len(rig.skeleton.joints)
-    binding = np.tile(np.eye(4), (count, 1, 1))
-    binding[:, :3, 3] = -rig.skeleton.places * METRES
-    columns = binding.transpose(0, 2, 1).reshape(count, 16)
-    matrices = buffer.dense(columns, gl.MAT4)
+    matrices = buffer.bindings(rig.skeleton.places)
     return gl.Skin(
         name="skeleton", joints=list(range(count)), skeleton=0, inverseBindMatrices=matrices
     )
