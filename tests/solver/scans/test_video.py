@@ -118,6 +118,12 @@ def test_the_model_of_the_detector_is_asked_for(
     film = filmed(tmp_path / "film.mp4")
     monkeypatch.delenv("MYOFACE_FACE_LANDMARKER", raising=False)
     assert "myoface assets fetch landmarker" in refused(film, "video.model")
+    renamed = film.rename(tmp_path / "film.csv")  # what it is its content says
+    assert "myoface assets fetch landmarker" in refused(renamed, "video.model")
+    film = renamed.rename(film)
+    with pytest.raises(InputError) as error:
+        read_recording(film, Recording(asset="take", au_scale=1.0))
+    assert error.value.code == "video.options"
     face_landmarker()
     (tmp_path / "damaged.task").write_bytes(b"none")
     for name in ("damaged.task", "none.task"):
