@@ -56,12 +56,12 @@ HELP = {
     "admin-key": "Make a key that may do everything.",
     "backup": "Copy the database and every file into a folder.",
     "restore": "Fill an empty service from a backup.",
+    "transfer": "Play a video of a face by a rig.",
     "tenants": "Tenants: customers who see nothing of one another.",
     "template": "Make and check template anatomies.",
     "assets": "Anatomy and face models of others.",
     "markers": "Markers on a face: check takes, bind them to a person.",
     "solve": "Solve here, without a service.",
-    "transfer": "Play a video of a face by a rig.",
 }
 OPERATOR: Mapping[str, Runnable] = {
     name: OperatorCommand(name, f"{words} (Linux, from a checkout)") for name, words in HELP.items()

@@ -7,6 +7,7 @@ beside itself is not opened.
 
 from __future__ import annotations
 
+from codecs import getincrementaldecoder
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -60,7 +61,7 @@ def is_film(path: Path) -> bool:
     Playlists are, and what is called a film and is no text.
     """
     head = _head(path)
-    is_named = path.suffix.lower() in FILMS and b"\0" in head
+    is_named = path.suffix.lower() in FILMS and not _is_text(head)
     return is_named or _demuxer(head) is not None or head.startswith(LISTS)
 
 
@@ -162,6 +163,13 @@ def _head(path: Path) -> bytes:
             return stream.read(64)
     except OSError:
         return b""
+
+
+def _is_text(head: bytes) -> bool:
+    try:
+        return bool(head) and "\0" not in getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return False
 
 
 def _demuxer(head: bytes) -> str | None:

@@ -121,6 +121,12 @@ def test_the_model_of_the_detector_is_asked_for(
     film = filmed(tmp_path / "film.mp4")
     monkeypatch.delenv("MYOFACE_FACE_LANDMARKER", raising=False)
     assert "myoface assets fetch landmarker" in refused(film, "video.model")
+    renamed = film.rename(tmp_path / "film.csv")  # what it is its content says
+    assert "myoface assets fetch landmarker" in refused(renamed, "video.model")
+    film = renamed.rename(film)
+    with pytest.raises(InputError) as error:
+        read_recording(film, Recording(asset="take", au_scale=1.0))
+    assert error.value.code == "video.options"
     face_landmarker()
     (tmp_path / "damaged.task").write_bytes(b"none")
     for name in ("damaged.task", "none.task"):
@@ -178,6 +184,17 @@ def test_what_is_no_video_is_told_while_it_is_decoded(tmp_path: Path) -> None:
         with pytest.raises(InputError) as error:
             decoded(film, **limits)
         assert error.value.code == f"video.{code}"
+
+
+@pytest.mark.parametrize(
+    ("content", "taken"),
+    [(b"", True), (b"\xff\xfe" * 40, True), (b"Time\0", True), (b"Timecode,Seen\n", False)],
+)
+def test_what_is_called_a_film_and_is_no_text_is_taken_for_one(
+    content: bytes, taken: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "film.MP4").write_bytes(content)
+    assert is_film(tmp_path / "film.MP4") == taken
 
 
 def test_a_film_of_sound_alone_is_none(tmp_path: Path) -> None:
