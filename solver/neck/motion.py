@@ -181,7 +181,7 @@ def follow(
     """Return the motion of a neck that follows a goal; ``gravity`` (3,) m/s^2, down for None.
 
     Raises :class:`InputError`: ``neck.extra`` without MuJoCo, and :class:`SolveError`:
-    ``neck.voluntary``.
+    ``neck.unstable`` and ``neck.voluntary``.
     """
     dynamics = Dynamics(neck, options.reflex, options.hill, gravity)
     dynamics.body.set_pose(share_out(neck, goal(goal.times[0]).as_matrix()).turns)
