@@ -1,7 +1,7 @@
 """A neck that holds the head: its mechanics, and how its control follows a head.
 
-``--osim`` names an OpenSim file, else the built-in neck is taken; with ``--head``, a CSV of
-OpenFace, its head is followed as well. The parts, of which ``--parts`` names some: ``anatomy``:
+``--osim`` names an OpenSim file, ``--anatomy`` the folder of BodyParts3D, else the built-in neck is
+taken; with ``--head``, a CSV of OpenFace, its head is followed as well. The parts, of which ``--parts`` names some: ``anatomy``:
 bodies and muscles, their lengths in 20 random poses beside OpenSim's where it is installed, and
 moment arms by finite differences; ``laws``: derivatives of both laws of muscles; ``energy``: its
 drift without muscles and damping; ``hold``: at rest and in 12 poses; ``conversation`` and ``wide``:
@@ -25,6 +25,7 @@ from benchmarks import report
 from benchmarks.documents import Figures, Section, Table
 from solver.kinds.scene import Recording
 from solver.neck.anatomy import JOINTS, Neck, NeckPose
+from solver.neck.bodyparts3d import read_neck
 from solver.neck.body import DOFS, GRAVITY, Body
 from solver.neck.builtin import builtin_neck
 from solver.neck.dynamics import Dynamics
@@ -36,6 +37,7 @@ from solver.neck.posture import within
 from solver.neck.reflex import ReflexOptions
 from solver.scans.openface import read_openface
 from solver.surface import Floats
+from solver.templates.bodyparts3d import read_parts
 
 log = logging.getLogger(__name__)
 PARTS = ("anatomy", "laws", "energy", "hold", "conversation", "wide", "push", "range")
@@ -54,6 +56,9 @@ def main() -> None:
     necks = parser.add_mutually_exclusive_group()
     necks.add_argument("--osim", type=Path, help="a neck of OpenSim")
     necks.add_argument("--builtin", action="store_true", help="the built-in neck (the default)")
+    necks.add_argument(
+        "--anatomy", type=Path, help="BodyParts3D: joints and attachments of its man"
+    )
     parser.add_argument("--head", type=Path, help="a CSV of OpenFace whose head is followed")
     report.add_list(parser, "--parts", PARTS)
     options = parser.parse_args()
@@ -78,12 +83,20 @@ class _Bench:
     def __init__(self, options: argparse.Namespace) -> None:
         self.osim: Path | None = options.osim
         self.quick: bool = options.quick
-        self.neck: Neck = read_osim(self.osim) if self.osim else builtin_neck()
+        self.read = read_neck(read_parts(options.anatomy)) if options.anatomy else None
+        if self.read:
+            self.neck: Neck = self.read.neck
+        else:
+            self.neck = read_osim(self.osim) if self.osim else builtin_neck()
 
     def anatomy(self) -> Figures:
         """Return counts, and lengths and moment arms beside others'."""
         body = Body(self.neck)
         found: Figures = {"dof": len(body.v), "muscles": len(self.neck.muscles)}
+        if self.read:
+            found["builtin_scale"] = self.read.placed.scale
+            found["builtin_joints_mm"] = float(self.read.joints_mm.max())
+            found["builtin_ends_median_mm"] = self.read.median_mm
         if self.osim:
             found["length_vs_opensim_mm"] = length_vs_opensim(self.osim, body)
         random = np.random.default_rng(SEED)
