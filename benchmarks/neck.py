@@ -1,12 +1,13 @@
 """A neck that holds the head: its mechanics, and how its control follows a head.
 
 ``--osim`` names an OpenSim file, ``--anatomy`` the folder of BodyParts3D, else the built-in neck is
-taken; with ``--head``, a CSV of OpenFace, its head is followed as well. The parts, of which ``--parts`` names some: ``anatomy``:
-bodies and muscles, their lengths in 20 random poses beside OpenSim's where it is installed, and
-moment arms by finite differences; ``laws``: derivatives of both laws of muscles; ``energy``: its
-drift without muscles and damping; ``hold``: at rest and in 12 poses; ``conversation`` and ``wide``:
-sines of 25, 12, 10 and 40, 20, 15 degrees about the axes; ``push``: 30 N sideways on the forehead
-for 0.1 s, with the reflexes, without and with late ones; ``range``: goals far beyond the range.
+taken; with ``--head``, a CSV of OpenFace, its head is followed as well. The parts, of which
+``--parts`` names some: ``anatomy``: bodies and muscles, their lengths in 20 random poses beside
+OpenSim's where it is installed, and moment arms by finite differences; ``laws``: derivatives of
+both laws of muscles; ``energy``: its drift without muscles and damping; ``hold``: at rest and in 12
+poses; ``conversation`` and ``wide``: sines of 25, 12, 10 and 40, 20, 15 degrees about the axes;
+``push``: 30 N sideways on the forehead for 0.1 s, with the reflexes, without and with late ones;
+``range``: goals far beyond the range.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from benchmarks import report
 from benchmarks.documents import Figures, Section, Table
 from solver.kinds.scene import Recording
 from solver.neck.anatomy import JOINTS, Neck, NeckPose
-from solver.neck.bodyparts3d import read_neck
 from solver.neck.body import DOFS, GRAVITY, Body
+from solver.neck.bodyparts3d import read_neck
 from solver.neck.builtin import builtin_neck
 from solver.neck.dynamics import Dynamics
 from solver.neck.hill import LAWS, HillOptions, Muscles

@@ -22,8 +22,14 @@ from solver.surface import Floats
 from solver.templates.bodyparts3d import AnatomicalPart, part_surface
 
 END = 1.0 / 12.0  # of a mesh's length, that is its end
-DISCS = ("seventh cervical vertebra", "sixth cervical vertebra", "fifth cervical vertebra")
-DISCS += ("fourth cervical vertebra", "third cervical vertebra", "axis")
+DISCS = (
+    "seventh cervical vertebra",
+    "sixth cervical vertebra",
+    "fifth cervical vertebra",
+    "fourth cervical vertebra",
+    "third cervical vertebra",
+    "axis",
+)
 BESIDE = np.array(
     [[50.0, 0.0, 0.0], [-50.0, 0.0, 0.0]]
 )  # of the head's joint: joints lie on a line
@@ -47,7 +53,8 @@ class ReadNeck:
 def read_neck(parts: Mapping[str, AnatomicalPart]) -> ReadNeck:
     """Return the neck of BodyParts3D's parts, in their axes (x to the left, y up, z forward), mm.
 
-    Raises :class:`KeyError` where a vertebra or disc is missing; muscles that are stay built-in.
+    Raises :class:`InputError` (``anatomy.part``) where a vertebra or disc is missing; muscles that
+    are missing stay built-in.
     """
     joints = _joints(parts)
     own = builtin_neck()
@@ -60,7 +67,7 @@ def read_neck(parts: Mapping[str, AnatomicalPart]) -> ReadNeck:
     for muscle in neck.muscles:
         name, side = muscle.name[:-2], {"l": "left", "r": "right"}[muscle.name[-1]]
         row = table.get(name)
-        part = None if row is None else row["part"].format(side=side)
+        part = "" if row is None else row["part"].format(side=side)
         if row is None or part not in parts:
             muscles.append(muscle)
             continue
