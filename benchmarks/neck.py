@@ -61,6 +61,9 @@ def main() -> None:
         "--anatomy", type=Path, help="BodyParts3D: joints and attachments of its man"
     )
     parser.add_argument("--head", type=Path, help="a CSV of OpenFace whose head is followed")
+    parser.add_argument(
+        "--fps", type=float, help="frames a second, in the place of the CSV's clock"
+    )
     report.add_list(parser, "--parts", PARTS)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
@@ -76,7 +79,7 @@ def run(options: argparse.Namespace) -> Figures:
         figures.update(getattr(bench, part)())
         log.info("%s: %.1f s", part, time.perf_counter() - begin)
     if options.head:
-        figures["head"] = bench.head(options.head)
+        figures["head"] = bench.head(options.head, options.fps)
     return figures
 
 
@@ -242,9 +245,9 @@ class _Bench:
         beyond = [within(self.neck, Rotation.from_matrix(head).as_rotvec())[1] for head in heads]
         return {"beyond_range_deg": float(np.degrees(max(beyond)))}
 
-    def head(self, file: Path) -> Figures:
+    def head(self, file: Path, fps: float | None = None) -> Figures:
         """Return how the head of a recording is followed, over the frames within range."""
-        take = read_openface(file, Recording(asset=file.name))
+        take = read_openface(file, Recording(asset=file.name, fps=fps))
         vectors = np.where(take.seen[:, None], take.head, np.nan)
         begin = time.process_time()
         goal = reachable(self.neck, take.times, vectors)
