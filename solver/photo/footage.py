@@ -94,7 +94,8 @@ class FilmFile:
         if find_spec("av") is None:
             message = "reading a film needs PyAV, which is not installed: pip install "
             raise InputError("film.extra", f"{message}'myoface[video]', or give its pictures")
-        self.name, self._path = path.name, path
+        self.name = path.name
+        self._path = path
         self._frames: Iterator[Any] = iter(())
         self._next = 0
         self._count = self._look()
@@ -110,7 +111,8 @@ class FilmFile:
     def photo(self, number: int) -> Photo:
         """Return a frame; raises :class:`InputError` (``film.unreadable``)."""
         if number < self._next or not self._next:
-            self._frames, self._next = self._decode(), 0
+            self._frames = self._decode()
+            self._next = 0
         for picture in self._frames:
             self._next += 1
             if self._next > number:

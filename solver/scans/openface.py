@@ -341,7 +341,8 @@ def _fill_gaps(
     A gap of at most ``bridge_s`` from a seen frame to the next is crossed on a straight line. In a
     longer one, and at the ends, values ease to zero, rest, and from there, within this time.
     """
-    filled, lengths = values.copy(), []
+    filled = values.copy()
+    lengths = []
     edges = np.flatnonzero(np.diff(np.concatenate([[True], seen, [True]])))
     for begin, end in edges.reshape(-1, 2).tolist():
         inside = times[begin:end]
@@ -350,10 +351,13 @@ def _fill_gaps(
         lengths.append(float(times[min(end, len(times) - 1)] - times[max(begin - 1, 0)]))
         whole = float(since[0] + until[0])
         if whole <= bridge_s * (1.0 + 1e-9):
-            left, right = until / whole, since / whole
+            left = until / whole
+            right = since / whole
         else:
-            left, right = _ease(since / bridge_s), _ease(until / bridge_s)
-        before, after = values[max(begin - 1, 0)], values[min(end, len(times) - 1)]
+            left = _ease(since / bridge_s)
+            right = _ease(until / bridge_s)
+        before = values[max(begin - 1, 0)]
+        after = values[min(end, len(times) - 1)]
         filled[begin:end] = np.outer(left, before) + np.outer(right, after)
     return filled, tuple(lengths)
 
