@@ -63,6 +63,7 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
         write_glb(rigged, file)
         written[file] = {**compare_glb(rigged, file), "bytes": file.stat().st_size}
         levels[file.name] = tell_level(light, rigged)
+    written |= _write_usd(light, task.out / "studio.usdc")
     picture = task.out / "studio.png"
     draw_shapes(model, light, picture)
     report = task.out / "studio.json"
@@ -76,6 +77,16 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
     write_json(report, figures)
     progress(Step("done", 1.0))
     return [*written, report, picture, *left_files(task)]
+
+
+def _write_usd(light: LightRig, file: Path) -> dict[Path, dict[str, Any]]:
+    """Write the rig as USD where the extra is there; return what is told of the file."""
+    try:
+        from solver.rig.studio.usd import compare_usd, write_usd  # an extra
+    except ModuleNotFoundError:
+        return {}
+    write_usd(light, file)
+    return {file: {**compare_usd(light, file), "bytes": file.stat().st_size}}
 
 
 def tell_level(light: LightRig, level: LightRig) -> dict[str, Any]:

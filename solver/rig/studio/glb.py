@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,89 +12,35 @@ import pygltflib as gl
 from solver.rig.frames.gltf import DEFAULTS, GENERATOR, METRES, Buffer, material_of
 from solver.rig.frames.read_back import Comparison, accessor_values, split_glb
 from solver.rig.studio.light_rig import LightRig
-from solver.rig.studio.parts import parts_of
+from solver.rig.studio.parts import Part, parts_of
 from solver.surface import Floats, Ints, vertex_normals
 
 MOST_JOINTS = 4  # of a vertex, in one attribute of glTF
 
 
-def write_glb(rig: LightRig, path: Path, still_mm: float = DEFAULTS.still_mm) -> None:
+def write_glb(rig: LightRig, path: Path) -> None:
     """Write a rig: joints, and a node for each part of the head, in metres, at rest.
 
-    A part has the morph targets that move it, of the shapes and then those of half ways.
+    A part has the morph targets that move it.
     """
     buffer = Buffer()
     skeleton = rig.skeleton
-    names = [*rig.names, *(each.name for each in rig.half_ways)]
-    motions = np.concatenate([rig.motions, *(each.motion[None] for each in rig.half_ways)])
-    normals = vertex_normals(rig.neutral)
-    turned = [
-        vertex_normals(rig.neutral.with_vertices(rig.neutral.vertices + motion)) - normals
-        for motion in motions
-    ]
     parts = parts_of(rig.neutral, skeleton)
     materials = list(dict.fromkeys(part.material for part in parts))
-    joints, weights = _influences(skeleton.weights)
-    meshes = []
-    for part in parts:
-        rows = part.moving(motions, still_mm)
-        used = part.vertices
-        attributes = gl.Attributes(
-            POSITION=buffer.dense(
-                rig.neutral.vertices[used] * METRES, gl.VEC3, gl.ARRAY_BUFFER, bounds=True
-            ),
-            NORMAL=buffer.dense(normals[used], gl.VEC3, gl.ARRAY_BUFFER),
-            JOINTS_0=buffer.joints(joints[used]),
-            WEIGHTS_0=buffer.dense(weights[used], gl.VEC4, gl.ARRAY_BUFFER),
-        )
-        targets = [
-            gl.Attributes(
-                POSITION=buffer.morph(motions[row][used] * METRES, still_mm * METRES, bounds=True),
-                NORMAL=buffer.morph(turned[row][used], DEFAULTS.still_normal),
-            )
-            for row in rows
-        ]
-        meshes.append(
-            gl.Mesh(
-                name=part.name,
-                weights=[0.0] * len(rows) or None,
-                extras={"targetNames": [names[row] for row in rows]} if len(rows) else {},
-                primitives=[
-                    gl.Primitive(
-                        attributes=attributes,
-                        indices=buffer.indices(part.faces),
-                        material=materials.index(part.material),
-                        mode=gl.TRIANGLES,
-                        targets=targets or None,
-                    )
-                ],
-            )
-        )
-    first = len(skeleton.joints)
+    meshes = _Meshes(rig, buffer, materials)
+    count = len(skeleton.joints)
     nodes = [
         *_joints(rig),
         *(gl.Node(name=part.name, mesh=number, skin=0) for number, part in enumerate(parts)),
     ]
-    roots = [0, *range(first, len(nodes))]
-    binding = np.tile(np.eye(4), (first, 1, 1))
-    binding[:, :3, 3] = -skeleton.places * METRES
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=GENERATOR),
         scene=0,
-        scenes=[gl.Scene(name="face", nodes=roots)],
+        scenes=[gl.Scene(name="face", nodes=[0, *range(count, len(nodes))])],
         nodes=nodes,
-        skins=[
-            gl.Skin(
-                name="skeleton",
-                joints=list(range(first)),
-                skeleton=0,
-                inverseBindMatrices=buffer.dense(
-                    binding.transpose(0, 2, 1).reshape(first, 16), gl.MAT4
-                ),
-            )
-        ],
+        skins=[_skin(rig, buffer)],
         materials=[material_of(name) for name in materials],
-        meshes=meshes,
+        meshes=[meshes.of(part) for part in parts],
         accessors=buffer.accessors,
         bufferViews=buffer.views,
         buffers=[gl.Buffer(byteLength=len(buffer.content))],
@@ -102,7 +49,66 @@ def write_glb(rig: LightRig, path: Path, still_mm: float = DEFAULTS.still_mm) ->
     document.save_binary(str(path))
 
 
-def _influences(weights: Floats) -> tuple[Ints, Floats]:
+class _Meshes:
+    """Makes the mesh of each part, its data in the buffer."""
+
+    def __init__(self, rig: LightRig, buffer: Buffer, materials: Sequence[str]) -> None:
+        self._buffer = buffer
+        self._materials = materials
+        self._points = rig.neutral.vertices * METRES
+        self._targets = rig.targets
+        self._normals = vertex_normals(rig.neutral)
+        self._turned = {
+            name: vertex_normals(rig.neutral.with_vertices(rig.neutral.vertices + motion))
+            - self._normals
+            for name, motion in self._targets.items()
+        }
+        self._joints, self._weights = influences(rig.skeleton.weights)
+
+    def of(self, part: Part) -> gl.Mesh:
+        """Return a part's mesh."""
+        names = part.moving(self._targets, DEFAULTS.still_mm)
+        primitive = gl.Primitive(
+            attributes=self._at_rest(part.vertices),
+            indices=self._buffer.indices(part.faces),
+            material=self._materials.index(part.material),
+            mode=gl.TRIANGLES,
+            targets=[self._target(name, part.vertices) for name in names] or None,
+        )
+        extras = {"targetNames": names} if names else {}
+        weights = [0.0] * len(names) or None
+        return gl.Mesh(name=part.name, weights=weights, extras=extras, primitives=[primitive])
+
+    def _at_rest(self, used: Ints) -> gl.Attributes:
+        buffer = self._buffer
+        return gl.Attributes(
+            POSITION=buffer.dense(self._points[used], gl.VEC3, gl.ARRAY_BUFFER, bounds=True),
+            NORMAL=buffer.dense(self._normals[used], gl.VEC3, gl.ARRAY_BUFFER),
+            JOINTS_0=buffer.joints(self._joints[used]),
+            WEIGHTS_0=buffer.dense(self._weights[used], gl.VEC4, gl.ARRAY_BUFFER),
+        )
+
+    def _target(self, name: str, used: Ints) -> gl.Attributes:
+        motion = self._targets[name][used] * METRES
+        return gl.Attributes(
+            POSITION=self._buffer.morph(motion, DEFAULTS.still_mm * METRES, bounds=True),
+            NORMAL=self._buffer.morph(self._turned[name][used], DEFAULTS.still_normal),
+        )
+
+
+def _skin(rig: LightRig, buffer: Buffer) -> gl.Skin:
+    """Return the binding of the skin to the joints."""
+    count = len(rig.skeleton.joints)
+    binding = np.tile(np.eye(4), (count, 1, 1))
+    binding[:, :3, 3] = -rig.skeleton.places * METRES
+    columns = binding.transpose(0, 2, 1).reshape(count, 16)
+    matrices = buffer.dense(columns, gl.MAT4)
+    return gl.Skin(
+        name="skeleton", joints=list(range(count)), skeleton=0, inverseBindMatrices=matrices
+    )
+
+
+def influences(weights: Floats) -> tuple[Ints, Floats]:
     """Return the joints (V, 4) that move each vertex most, and their weights, which add up to 1."""
     count = weights.shape[1]
     padded = np.pad(weights, ((0, 0), (0, max(MOST_JOINTS - count, 0))))
@@ -138,10 +144,8 @@ def compare_glb(rig: LightRig, path: Path) -> dict[str, Any]:
         return accessor_values(document, binary, document["accessors"][number])
 
     found = Comparison(path.name)
-    wanted = dict(zip(rig.names, rig.motions, strict=True))
-    wanted |= {each.name: each.motion for each in rig.half_ways}
     parts = {part.name: part for part in parts_of(rig.neutral, rig.skeleton)}
-    shown = {name: rig.neutral.vertices.copy() for name in wanted}
+    shown = {name: rig.neutral.vertices.copy() for name in rig.targets}
     for mesh in document["meshes"]:
         part = parts[mesh["name"]]
         primitive = mesh["primitives"][0]
@@ -151,6 +155,6 @@ def compare_glb(rig: LightRig, path: Path) -> dict[str, Any]:
         names = mesh.get("extras", {}).get("targetNames", [])
         for name, target in zip(names, primitive.get("targets", []), strict=True):
             shown[name][part.vertices] = neutral + values(target["POSITION"]) / METRES
-    for name, motion in wanted.items():
+    for name, motion in rig.targets.items():
         found.add(name, shown[name], rig.neutral.vertices + motion)
     return found.figures()

@@ -56,6 +56,12 @@ class LightRig:
     skeleton: Skeleton
     half_ways: tuple[HalfWay, ...] = ()
 
+    @property
+    def targets(self) -> dict[str, Floats]:
+        """The motion (V, 3) of each morph target: the shapes, and then the half ways."""
+        shapes = dict(zip(self.names, self.motions, strict=True))
+        return shapes | {each.name: each.motion for each in self.half_ways}
+
     @classmethod
     def of(cls, model: SubjectModel, shapes: StudioShapes, driven_by: DrivenBy) -> LightRig:
         """Return a person's shapes as a rig whose jaw and eyes ``driven_by`` shapes or joints move.

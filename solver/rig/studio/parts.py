@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,9 +21,13 @@ class Part:
     vertices: Ints
     faces: Ints
 
-    def moving(self, motions: Floats, still_mm: float) -> Ints:
-        """Return the rows of ``motions`` (s, V, 3) that move it further than ``still_mm``."""
-        return np.flatnonzero(np.abs(motions[:, self.vertices]).max(axis=(1, 2)) > still_mm)
+    def moving(self, targets: Mapping[str, Floats], still_mm: float) -> list[str]:
+        """Return the names of the ``targets`` (V, 3) that move it further than ``still_mm``."""
+        return [
+            name
+            for name, motion in targets.items()
+            if np.abs(motion[self.vertices]).max() > still_mm
+        ]
 
 
 def parts_of(skin: Surface, skeleton: Skeleton) -> list[Part]:

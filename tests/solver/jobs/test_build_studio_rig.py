@@ -35,7 +35,13 @@ def test_shapes_are_the_muscles_and_have_arkit_s_names(
     assert set(told["shapes"]["jawOpen"]["joints"]) == {"jaw"}
     assert "joints" not in told["shapes"]["mouthSmileLeft"]
     names = {file.name for file in files}
-    assert {"studio.glb", "studio_half.glb", "studio_quarter.glb", "studio.png"} <= names
+    assert {
+        "studio.glb",
+        "studio_half.glb",
+        "studio_quarter.glb",
+        "studio.png",
+        "studio.usdc",
+    } <= names
     assert {"blendshapes.npz", "expression_basis.npz"} <= names
     document, _ = split_glb(tmp_path / "studio.glb")
     targets = {name for mesh in document["meshes"] for name in mesh["extras"]["targetNames"]}

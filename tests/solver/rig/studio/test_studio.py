@@ -77,6 +77,28 @@ def test_its_file_has_the_shapes_and_is_refused_with_others(
         compare_glb(other, path)
 
 
+def test_its_usd_has_the_shapes_and_the_joints(shapes: StudioShapes, tmp_path: Path) -> None:
+    usd = pytest.importorskip("solver.rig.studio.usd")
+    rig = LightRig.of(MODEL, shapes, "joints")
+    path = tmp_path / "studio.usdc"
+    usd.write_usd(rig, path)
+    assert usd.compare_usd(rig, path)["max_mm"] < 1e-4
+    with pytest.raises(SolveError, match="jawOpen"):
+        usd.compare_usd(replace(rig, motions=rig.motions + 1.0), path)
+    from pxr import Usd, UsdSkel
+
+    stage = Usd.Stage.Open(str(path))
+    cache = UsdSkel.Cache()
+    root = UsdSkel.Root(stage.GetDefaultPrim())
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath("/Face/Skeleton")))
+    assert list(query.GetJointOrder()) == ["head", "head/jaw"]
+    # at rest nothing moves
+    np.testing.assert_allclose(
+        np.array(query.ComputeSkinningTransforms(0)), np.tile(np.eye(4), (2, 1, 1)), atol=1e-5
+    )
+
+
 def test_its_file_skins_as_the_rig_does(shapes: StudioShapes, tmp_path: Path) -> None:
     rig = LightRig.of(MODEL, shapes, "joints")
     path = tmp_path / "studio.glb"
