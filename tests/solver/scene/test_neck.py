@@ -68,6 +68,26 @@ def test_what_a_neck_cannot_do_is_held_and_told() -> None:
     assert stage.neck.arrays(stage.drives.times)["head_held"].sum() > 1
 
 
+def test_a_push_moves_the_head_and_muscles_bring_it_back() -> None:
+    pytest.importorskip("mujoco")
+    push = {"time": 0.1, "seconds": 0.1, "at": [0, 80, 110], "newtons": [30, 0, 0]}
+    scene = {"fps": 10, "duration": 1.0, "neck": {"pushes": [push]}}
+    stage, again = staged(scene), staged(scene)
+    assert stage.neck is not None
+    assert again.neck is not None
+    np.testing.assert_array_equal(stage.neck.motion.turns, again.neck.motion.turns)
+    turned = np.degrees([stage.neck.head(time).twist[:3] for time in (0.0, 0.2, 1.0)])
+    assert np.linalg.norm(turned[1]) > 1.0
+    assert turned[1][1] > 0.5  # the forehead to the left
+    assert np.linalg.norm(turned[2]) < 0.6 * np.linalg.norm(turned[1])
+    active = stage.neck.activations(0.2)
+    assert active.shape == (len(stage.neck.placed.neck.muscles),)
+    assert 0.0 <= active.min() < active.max() <= 1.0
+    lying = staged({**scene, "neck": {}, "forces": [{"kind": "gravity", "mm_s2": [0, 0, -9810]}]})
+    assert lying.neck is not None
+    assert np.abs(lying.neck.motion.activations - stage.neck.motion.activations).max() > 0.01
+
+
 def test_a_face_without_a_neck_is_refused_unless_its_skin_may_turn_whole() -> None:
     model = head_block((7, 5, 1))
     for entry, refused in ((JOINTS_ALONE, True), ({**JOINTS_ALONE, "skin": False}, False)):
