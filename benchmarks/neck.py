@@ -1,12 +1,13 @@
 """A neck that holds the head: its mechanics, and how its control follows a head.
 
-``--osim`` names an OpenSim file, else the built-in neck is taken; with ``--head``, a CSV of
-OpenFace, its head is followed as well. The parts, of which ``--parts`` names some: ``anatomy``:
-bodies and muscles, their lengths in 20 random poses beside OpenSim's where it is installed, and
-moment arms by finite differences; ``laws``: derivatives of both laws of muscles; ``energy``: its
-drift without muscles and damping; ``hold``: at rest and in 12 poses; ``conversation`` and ``wide``:
-sines of 25, 12, 10 and 40, 20, 15 degrees about the axes; ``push``: 30 N sideways on the forehead
-for 0.1 s, with the reflexes, without and with late ones; ``range``: goals far beyond the range.
+``--osim`` names an OpenSim file, ``--anatomy`` the folder of BodyParts3D, else the built-in neck is
+taken; with ``--head``, a CSV of OpenFace, its head is followed as well. The parts, of which
+``--parts`` names some: ``anatomy``: bodies and muscles, their lengths in 20 random poses beside
+OpenSim's where it is installed, and moment arms by finite differences; ``laws``: derivatives of
+both laws of muscles; ``energy``: its drift without muscles and damping; ``hold``: at rest and in 12
+poses; ``conversation`` and ``wide``: sines of 25, 12, 10 and 40, 20, 15 degrees about the axes;
+``push``: 30 N sideways on the forehead for 0.1 s, with the reflexes, without and with late ones;
+``range``: goals far beyond the range.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from benchmarks.documents import Figures, Section, Table
 from solver.kinds.scene import Recording
 from solver.neck.anatomy import JOINTS, Neck, NeckPose
 from solver.neck.body import DOFS, GRAVITY, Body
+from solver.neck.bodyparts3d import read_neck
 from solver.neck.builtin import builtin_neck
 from solver.neck.dynamics import Dynamics
 from solver.neck.hill import LAWS, HillOptions, Muscles
@@ -36,6 +38,7 @@ from solver.neck.posture import within
 from solver.neck.reflex import ReflexOptions
 from solver.scans.openface import read_openface
 from solver.surface import Floats
+from solver.templates.bodyparts3d import read_parts
 
 log = logging.getLogger(__name__)
 PARTS = ("anatomy", "laws", "energy", "hold", "conversation", "wide", "push", "range")
@@ -54,7 +57,13 @@ def main() -> None:
     necks = parser.add_mutually_exclusive_group()
     necks.add_argument("--osim", type=Path, help="a neck of OpenSim")
     necks.add_argument("--builtin", action="store_true", help="the built-in neck (the default)")
+    necks.add_argument(
+        "--anatomy", type=Path, help="BodyParts3D: joints and attachments of its man"
+    )
     parser.add_argument("--head", type=Path, help="a CSV of OpenFace whose head is followed")
+    parser.add_argument(
+        "--fps", type=float, help="frames a second, in the place of the CSV's clock"
+    )
     report.add_list(parser, "--parts", PARTS)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
@@ -70,7 +79,7 @@ def run(options: argparse.Namespace) -> Figures:
         figures.update(getattr(bench, part)())
         log.info("%s: %.1f s", part, time.perf_counter() - begin)
     if options.head:
-        figures["head"] = bench.head(options.head)
+        figures["head"] = bench.head(options.head, options.fps)
     return figures
 
 
@@ -78,12 +87,20 @@ class _Bench:
     def __init__(self, options: argparse.Namespace) -> None:
         self.osim: Path | None = options.osim
         self.quick: bool = options.quick
-        self.neck: Neck = read_osim(self.osim) if self.osim else builtin_neck()
+        self.read = read_neck(read_parts(options.anatomy)) if options.anatomy else None
+        if self.read:
+            self.neck: Neck = self.read.neck
+        else:
+            self.neck = read_osim(self.osim) if self.osim else builtin_neck()
 
     def anatomy(self) -> Figures:
         """Return counts, and lengths and moment arms beside others'."""
         body = Body(self.neck)
         found: Figures = {"dof": len(body.v), "muscles": len(self.neck.muscles)}
+        if self.read:
+            found["builtin_scale"] = self.read.placed.scale
+            found["builtin_joints_mm"] = float(self.read.joints_mm.max())
+            found["builtin_ends_median_mm"] = self.read.median_mm
         if self.osim:
             found["length_vs_opensim_mm"] = length_vs_opensim(self.osim, body)
         random = np.random.default_rng(SEED)
@@ -234,9 +251,9 @@ class _Bench:
         beyond = [within(self.neck, Rotation.from_matrix(head).as_rotvec())[1] for head in heads]
         return {"beyond_range_deg": float(np.degrees(max(beyond)))}
 
-    def head(self, file: Path) -> Figures:
+    def head(self, file: Path, fps: float | None = None) -> Figures:
         """Return how the head of a recording is followed, over the frames within range."""
-        take = read_openface(file, Recording(asset=file.name))
+        take = read_openface(file, Recording(asset=file.name, fps=fps))
         vectors = np.where(take.seen[:, None], take.head, np.nan)
         begin = time.process_time()
         goal = reachable(self.neck, take.times, vectors)

@@ -4,7 +4,7 @@ With Blender: blender --background --python docs/examples/blender_import.py -- r
 With its Python module (scripts/blender-venv makes one):
     .venv-blender/bin/python docs/examples/blender_import.py rig.glb rig.blend --fps 30
 
-Each expression is a shape key of the object ``face``, in metres, z up, looking along -y. A rig's
+Each expression is a shape key of the mesh ``face``, in metres, z up, looking along -y. A rig's
 timeline shows one after the other, with a marker where each is held.
 """
 
@@ -31,7 +31,8 @@ def main() -> None:
     scene = bpy.context.scene
     scene.render.fps = given.fps  # before the import: it turns seconds into frames
     bpy.ops.import_scene.gltf(filepath=given.glb)
-    face = bpy.data.objects["face"]
+    # on the joints of a neck, the object with the mesh has another name
+    face = next(each for each in bpy.data.objects if each.data == bpy.data.meshes["face"])
     if bpy.data.actions:
         ends = [action.frame_range[1] for action in bpy.data.actions]
         scene.frame_start = 0

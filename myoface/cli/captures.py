@@ -81,7 +81,7 @@ def add(
         bool,
         Option(
             "--asset",
-            help="short for --role asset: a file that scenes name, a mesh, CSV, NPY or NPZ",
+            help="short for --role asset: a file that scenes name, a mesh, CSV, NPY, NPZ or OSIM",
         ),
     ] = False,
     registered: Annotated[

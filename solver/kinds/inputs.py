@@ -240,7 +240,7 @@ ROLES: Mapping[str, Role] = {
     "asset": Role(
         title="File for scenes",
         noun="an asset",
-        formats=(*MESHES, ".csv", ".npy", ".npz", *FILMS),
+        formats=(*MESHES, ".csv", ".npy", ".npz", ".osim", *FILMS),
         then="scenes name it",
     ),
 }

@@ -502,6 +502,17 @@ Edits = Annotated[
 # Scenes of each kind of job.
 
 
+class HeadPush(Document):
+    """A push on the skull, for a while."""
+
+    time: Time
+    seconds: float = Field(default=0.1, ge=0.001, le=60, description="how long it lasts")
+    at: Place
+    newtons: list[Annotated[float, Field(ge=-500, le=500)]] = Field(
+        min_length=3, max_length=3, description="to the torso's left, up, and forward"
+    )
+
+
 class NeckEntry(Document):
     """A neck that carries the head: seven vertebrae and the skull on a torso that stands still.
 
@@ -526,6 +537,11 @@ class NeckEntry(Document):
         default=True,
         description="whether the flesh under the chin is drawn by the neck; false: where it ends "
         "it stays with the head",
+    )
+    pushes: list[HeadPush] = Field(
+        default=[],
+        max_length=32,
+        description="forces on the head, which muscles withstand; the flesh feels the motion alone",
     )
     voluntary_hz: float = Field(
         default=25.0, ge=5, le=200, description="rate of the voluntary layer, which plans ahead"

@@ -154,3 +154,9 @@ class NeckPose:
         """Return where rest ``points`` (n, 3) of ``bodies`` (n,), numbers in BODIES, are."""
         chosen = self.matrices[bodies]
         return np.asarray(np.einsum("nij,nj->ni", chosen[:, :3, :3], points) + chosen[:, :3, 3])
+
+
+def ball_inertia(mass: float, density: float) -> float:
+    """Return the moment of inertia of a ball, kg m^2, of ``mass`` kg and ``density`` kg/m^3."""
+    radius = (3.0 * mass / (4.0 * np.pi * density)) ** (1.0 / 3.0)
+    return float(0.4 * mass * radius**2)

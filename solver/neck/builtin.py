@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver.anatomy.data import read_table
-from solver.neck.anatomy import BODIES, Muscle, Neck
-from solver.neck.osim import ball_inertia
+from solver.neck.anatomy import BODIES, Muscle, Neck, ball_inertia
 from solver.surface import Floats
 
 DATA = "solver.neck.data"

@@ -21,12 +21,14 @@ import math
 import numba as nb
 import numpy as np
 
+from solver.errors import SolveError
 from solver.neck.anatomy import Neck
 from solver.neck.body import DOFS, Body
 from solver.neck.hill import HillOptions, Muscles, all_parts
 from solver.neck.reflex import ReflexOptions, excite
 from solver.surface import Floats, Ints
 
+FASTEST = 1e4  # rad/s, of a joint; a faster one has blown up
 TOE = 0.1  # rad beyond a range in which ligaments become stiff
 
 
@@ -77,14 +79,13 @@ class Dynamics:
         return np.asarray(self.stiffness + 2.0 * self.ligaments / TOE * beyond)
 
     def advance(self, steps: int) -> None:
-        """Let time pass; the body is up to date before and after."""
-        body = self.body
-        reflex = self.reflex
-        model = body.model
-        data = body.data
-        lags = (reflex.rise_s, reflex.fall_s)
-        gains = reflex.gains
-        step = reflex.step_s
+        """Let time pass; the body is up to date before and after.
+
+        Raises :class:`SolveError` (``neck.unstable``) if the motion has blown up.
+        """
+        body, reflex = self.body, self.reflex
+        model, data = body.model, body.data
+        lags, gains, step = (reflex.rise_s, reflex.fall_s), reflex.gains, reflex.step_s
         change = np.zeros(DOFS)
         for _ in range(steps):
             _step(
@@ -99,6 +100,9 @@ class Dynamics:
             self.since += step
             self._place = (self._place + 1) % len(self._late)
             body.update(change / 2.0)
+        if not np.abs(body.v).max() < FASTEST:
+            message = "the motion of the neck blew up: discs are too stiff for the time step"
+            raise SolveError("neck.unstable", message)
 
 
 @nb.njit(cache=True, error_model="numpy")

@@ -42,7 +42,7 @@ class MotionOptions:
 
     most_deg_per_s: float = 600.0  # of the goal
     range_part: float = 0.95  # of the range of motion that the goal may use: heads overshoot
-    smooth_hz: float = 4.0  # what is faster in a goal is jitter, and half taken out; 0: nothing is
+    smooth_hz: float = 6.0  # what is faster in a goal is jitter, and half taken out; 0: nothing is
     settle_s: float = 0.6  # at the first goal, before the first frame
     push_steps: int = 10  # time steps after which a push's torques are made anew
     most_s: float = 3600.0  # of a goal
@@ -188,7 +188,7 @@ def follow(
     """Return the motion of a neck that follows a goal; ``gravity`` (3,) m/s^2, down for None.
 
     Raises :class:`InputError`: ``neck.extra`` without MuJoCo, and :class:`SolveError`:
-    ``neck.voluntary``.
+    ``neck.unstable`` and ``neck.voluntary``.
     """
     dynamics = Dynamics(neck, options.reflex, options.hill, gravity)
     dynamics.body.set_pose(share_out(neck, goal(goal.times[0]).as_matrix()).turns)

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from solver.errors import quote, quote_names
-from solver.neck.anatomy import JOINTS, Muscle, Neck
+from solver.neck.anatomy import JOINTS, Muscle, Neck, ball_inertia
 from solver.neck.elements import Element, XmlLimits, read_elements
 from solver.neck.osim_joints import MM, Function, Placed, Skeleton, read_function
 from solver.surface import Floats
@@ -291,9 +291,3 @@ class _Model:
         if not re.fullmatch(r"[ -~]{1,200}", muscle.name) or muscle.length < 1e-3:
             raise force.error("has no name in plain letters, or no length")
         return muscle
-
-
-def ball_inertia(mass: float, density: float) -> float:
-    """Return the moment of inertia of a ball, kg m^2, of ``mass`` kg and ``density`` kg/m^3."""
-    radius = (3.0 * mass / (4.0 * np.pi * density)) ** (1.0 / 3.0)
-    return float(0.4 * mass * radius**2)

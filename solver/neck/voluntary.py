@@ -67,7 +67,7 @@ class Voluntary:
     def plan(self, dynamics: Dynamics, goal: Goal, time_s: float) -> None:
         """Put the plan of the tick that begins into ``dynamics``.
 
-        Raises :class:`SolveError` (``neck.voluntary``) if the least squares do not end.
+        Raises :class:`SolveError`: ``neck.voluntary`` if the least squares do not end.
         """
         o = self.options
         body = dynamics.body

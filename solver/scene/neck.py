@@ -15,11 +15,11 @@ from solver.animation import Drives
 from solver.animation import neck as pivot_of
 from solver.errors import Finding, make_warning
 from solver.fitting.face import HungSkin
-from solver.kinds.scene import Force, GravityEntry, NeckEntry
+from solver.kinds.scene import Force, GravityEntry, HeadPush, NeckEntry
 from solver.model import SubjectModel
 from solver.neck.anatomy import Neck, NeckPose
 from solver.neck.builtin import builtin_neck
-from solver.neck.motion import HeadGoal, MotionOptions, NeckMotion, follow, reachable
+from solver.neck.motion import HeadGoal, MotionOptions, NeckMotion, Push, follow, reachable
 from solver.neck.osim import read_osim
 from solver.neck.place import find_rim, head_joint, place_neck
 from solver.neck.posture import share_out
@@ -68,7 +68,8 @@ class CarriedHead:
         goal = _between_frames(self._goal, steps)
         if entry.muscles:
             gravity = gravity_of(forces)
-            self.motion = follow(self.placed.neck, goal, self._options, gravity)
+            pushes = [push_of(push, places) for push in entry.pushes]
+            self.motion = follow(self.placed.neck, goal, self._options, gravity, pushes)
         else:
             self.motion = _share_out(self.placed.neck, goal)
         self.pose = lru_cache(maxsize=4)(self._pose)
@@ -181,6 +182,12 @@ def gravity_of(forces: Sequence[Force]) -> Floats | None:
     """Return the acceleration (3,) in m/s^2 of a scene's gravity; None where it names none."""
     named = [force.mm_s2 for force in forces if isinstance(force, GravityEntry)]
     return MM * np.sum(named, axis=0) if named else None
+
+
+def push_of(entry: HeadPush, places: Places) -> Push:
+    """Return a push on the head that a scene describes; raises as :meth:`Places.point`."""
+    end = entry.time + entry.seconds
+    return Push(entry.time, end, np.array(entry.newtons), places.point(entry.at))
 
 
 def _share_out(neck: Neck, goal: HeadGoal) -> NeckMotion:

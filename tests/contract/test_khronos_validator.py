@@ -16,7 +16,8 @@ from solver.rig.exporters import glb
 from solver.rig.frames.animation_gltf import write_animation_glb
 from solver.rig.frames.gltf import Solid
 from solver.surface import Surface
-from tests.fixtures import fixture_model, ict_capture
+from tests.fixtures import fixture_model, ict_capture, small_model
+from tests.solver.neck_joints import turned_head
 
 BOX = trimesh.creation.box([80.0, 60.0, 2.0])
 
@@ -54,6 +55,14 @@ def test_nor_any_of_an_animation(tmp_path: Path) -> None:
         Solid("Wand \u2713", pane, np.tile(turning[3], (12, 1))),
     ]
     write_animation_glb(path, neutral, skins, heads, times, solids)
+    check(path)
+
+
+def test_nor_of_one_on_the_joints_of_a_neck(tmp_path: Path) -> None:
+    times = np.arange(12) / 30.0
+    joints, skins, heads = turned_head(np.outer(times, [-60.0, 120.0, 20.0]))
+    path = tmp_path / "animation.glb"
+    write_animation_glb(path, small_model().skin, skins, heads, times, joints=joints)
     check(path)
 
 

@@ -23,7 +23,7 @@ def evaluated(face) -> np.ndarray:
 
 def main() -> None:
     bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
-    face = bpy.data.objects["face"]
+    face = next(each for each in bpy.data.objects if each.data == bpy.data.meshes["face"])
     mesh = face.data
     scene = bpy.context.scene
     normals = np.empty(3 * len(mesh.loops), np.float32)
@@ -41,6 +41,7 @@ def main() -> None:
         attribute.data.foreach_get("value", values)
         arrays["error_mm"] = values
     known = {
+        "bones": [bone.name for each in bpy.data.armatures for bone in each.bones],
         "objects": [each.name for each in bpy.data.objects],
         "keys": [key.name for key in keys],
         "actions": {each.name: list(each.frame_range) for each in bpy.data.actions},

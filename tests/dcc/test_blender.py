@@ -30,7 +30,9 @@ from solver.rig.frames.animation_gltf import (
 from solver.rig.frames.gltf import Solid
 from solver.surface import Floats, Surface, vertex_normals
 from solver.templates.builtin.build import builtin_expression
+from tests.fixtures import small_model
 from tests.solver.block import block_model
+from tests.solver.neck_joints import turned_head
 
 ROOT = Path(__file__).parents[2]
 EXPRESSIONS = {
@@ -244,3 +246,17 @@ def _placed(skin: Floats, number: int) -> Floats:
     """Return a skin (v, 3) with the head's motion of :func:`_frame`."""
     head = _frame(number).head
     return skin @ Rotation.from_rotvec(head[:3]).as_matrix().T + head[3:]
+
+
+def test_an_animation_on_a_neck_has_its_bones(blender: Path, tmp_path: Path) -> None:
+    times = np.arange(FPS + 1) / FPS
+    joints, skins, heads = turned_head(np.outer(times, [-30.0, 45.0, 10.0]))
+    path = tmp_path / "animation.glb"
+    write_animation_glb(path, small_model().skin, skins, heads, times, joints=joints)
+    scene = imported(blender, path, [0.0, 15.0, 30.0])
+    assert scene.known["bones"] == list(joints.names)
+    assert scene.known["repaired"] is False
+    for number, frame in enumerate((0, 15, 30)):
+        turn = Rotation.from_rotvec(heads[frame, :3])
+        placed = turn.apply(skins[frame].astype(np.float64)) + heads[frame, 3:]
+        np.testing.assert_allclose(scene.mm(f"frame_{number}"), placed, atol=0.1)

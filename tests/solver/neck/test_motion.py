@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.errors import InputError
+from solver.errors import InputError, SolveError
 from solver.neck.builtin import builtin_neck
 from solver.neck.motion import MotionOptions, Push, follow, reachable
 from solver.neck.reflex import ReflexOptions
@@ -106,6 +106,14 @@ def test_a_fast_goal_is_slowed_and_gaps_are_crossed():
     assert steps.max() == pytest.approx(600.0)
     assert goal.vectors[-1, 1] == pytest.approx(0.8)
     assert np.isfinite(goal.vectors).all()
+
+
+def test_a_motion_that_blows_up_is_told():
+    wild = replace(NECK, stiffness=1e5 * NECK.stiffness, damping=0.0 * NECK.damping)
+    goal = reachable(wild, np.array([0.0, 1.0]), np.array([[0.0, 0.0, 0.0], [0.1, 0.5, 0.2]]))
+    with pytest.raises(SolveError) as caught:
+        follow(wild, goal)
+    assert caught.value.code == "neck.unstable"
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from solver.errors import InputError
 from solver.jobs import run_job
 from solver.kinds.scene import SimulateScene
 from solver.neck.anatomy import BODIES
+from solver.progress import Step
 from solver.rig import Rig
 from solver.rig.frames.read_back import LIMIT_MM, read_glb, split_glb, validate_glb
 from solver.scene import Stage
@@ -68,6 +69,26 @@ def test_what_a_neck_cannot_do_is_held_and_told() -> None:
     assert stage.neck.arrays(stage.drives.times)["head_held"].sum() > 1
 
 
+def test_a_push_moves_the_head_and_muscles_bring_it_back() -> None:
+    pytest.importorskip("mujoco")
+    push = {"time": 0.1, "seconds": 0.1, "at": [0, 80, 110], "newtons": [30, 0, 0]}
+    scene = {"fps": 10, "duration": 1.0, "neck": {"pushes": [push]}}
+    stage, again = staged(scene), staged(scene)
+    assert stage.neck is not None
+    assert again.neck is not None
+    np.testing.assert_array_equal(stage.neck.motion.turns, again.neck.motion.turns)
+    turned = np.degrees([stage.neck.head(time).twist[:3] for time in (0.0, 0.2, 1.0)])
+    assert np.linalg.norm(turned[1]) > 1.0
+    assert turned[1][1] > 0.5  # the forehead to the left
+    assert np.linalg.norm(turned[2]) < 0.6 * np.linalg.norm(turned[1])
+    active = stage.neck.activations(0.2)
+    assert active.shape == (len(stage.neck.placed.neck.muscles),)
+    assert 0.0 <= active.min() < active.max() <= 1.0
+    lying = staged({**scene, "neck": {}, "forces": [{"kind": "gravity", "mm_s2": [0, 0, -9810]}]})
+    assert lying.neck is not None
+    assert np.abs(lying.neck.motion.activations - stage.neck.motion.activations).max() > 0.01
+
+
 def test_a_face_without_a_neck_is_refused_unless_its_skin_may_turn_whole() -> None:
     model = head_block((7, 5, 1))
     for entry, refused in ((JOINTS_ALONE, True), ({**JOINTS_ALONE, "skin": False}, False)):
@@ -118,3 +139,30 @@ def test_an_animation_has_the_joints_and_the_vertebrae(tmp_path: Path) -> None:
     np.testing.assert_allclose(shown[:, faces], skin, atol=LIMIT_MM)
     still = np.abs(shown - shown[0]).max(axis=(0, 2))
     assert (still < 1e-3).sum() > 10  # the rim
+
+
+@pytest.mark.long
+def test_a_scene_that_was_stopped_goes_on_with_the_same_neck(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    rig = tmp_path / "rig.npz"
+    Rig(MODEL, MODEL.weights, ()).save(rig)
+    head = [{"time": 0}, {"time": 0.6, "rotation_deg": [0, 25, 0]}]
+    options = {"scene": {"fps": 5, "duration": 0.6, "neck": {}, "head": head}}
+
+    def stop(step: Step, /) -> None:
+        if step.iteration == 2:
+            raise KeyboardInterrupt
+
+    run_job("simulate", tmp_path / "whole", options=options, rig=rig)
+    with pytest.raises(KeyboardInterrupt):
+        run_job("simulate", tmp_path / "parts", options=options, rig=rig, progress=stop)
+    assert len(list((tmp_path / "parts/frames").iterdir())) == 1
+    run_job("simulate", tmp_path / "parts", options=options, rig=rig, resume=True)
+    found = []
+    for name in ("whole", "parts"):
+        with np.load(tmp_path / name / "animation.npz") as data:
+            found.append({key: data[key] for key in ("skin", "vertebrae", "neck_activations")})
+    whole, parts = found
+    np.testing.assert_array_equal(parts["vertebrae"], whole["vertebrae"])
+    np.testing.assert_array_equal(parts["neck_activations"], whole["neck_activations"])
+    np.testing.assert_allclose(parts["skin"], whole["skin"], atol=0.02)
