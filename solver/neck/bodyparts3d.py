@@ -63,9 +63,11 @@ def read_neck(parts: Mapping[str, AnatomicalPart]) -> ReadNeck:
     neck = own.moved(placed)
     off = np.linalg.norm(neck.centres - joints, axis=1)
     table = {row["muscle"]: row for row in read_table("bodyparts3d", DATA)}
-    muscles, ends = [], {}
+    muscles = []
+    ends = {}
     for muscle in neck.muscles:
-        name, side = muscle.name[:-2], {"l": "left", "r": "right"}[muscle.name[-1]]
+        name = muscle.name[:-2]
+        side = {"l": "left", "r": "right"}[muscle.name[-1]]
         row = table.get(name)
         part = "" if row is None else row["part"].format(side=side)
         if row is None or part not in parts:
@@ -100,7 +102,8 @@ def _ends(points: Floats) -> Floats:
     middle = points.mean(axis=0)
     axis = np.linalg.svd(points - middle, full_matrices=False)[2][0]
     along = (points - middle) @ (axis if axis[1] > 0.0 else -axis)
-    low, high = along.min() + END * np.ptp(along), along.max() - END * np.ptp(along)
+    low = along.min() + END * np.ptp(along)
+    high = along.max() - END * np.ptp(along)
     return np.array([points[along <= low].mean(axis=0), points[along >= high].mean(axis=0)])
 
 

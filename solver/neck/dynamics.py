@@ -83,9 +83,13 @@ class Dynamics:
 
         Raises :class:`SolveError` (``neck.unstable``) if the motion has blown up.
         """
-        body, reflex = self.body, self.reflex
-        model, data = body.model, body.data
-        lags, gains, step = (reflex.rise_s, reflex.fall_s), reflex.gains, reflex.step_s
+        body = self.body
+        reflex = self.reflex
+        model = body.model
+        data = body.data
+        lags = (reflex.rise_s, reflex.fall_s)
+        gains = reflex.gains
+        step = reflex.step_s
         change = np.zeros(DOFS)
         for _ in range(steps):
             _step(

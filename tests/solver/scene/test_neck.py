@@ -73,7 +73,8 @@ def test_a_push_moves_the_head_and_muscles_bring_it_back() -> None:
     pytest.importorskip("mujoco")
     push = {"time": 0.1, "seconds": 0.1, "at": [0, 80, 110], "newtons": [30, 0, 0]}
     scene = {"fps": 10, "duration": 1.0, "neck": {"pushes": [push]}}
-    stage, again = staged(scene), staged(scene)
+    stage = staged(scene)
+    again = staged(scene)
     assert stage.neck is not None
     assert again.neck is not None
     np.testing.assert_array_equal(stage.neck.motion.turns, again.neck.motion.turns)
