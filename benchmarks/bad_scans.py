@@ -180,7 +180,8 @@ def inverted_normals(subject: Subject, folder: Path) -> BadScan:
 
 def a_million_vertices(subject: Subject, folder: Path) -> BadScan:
     """Subdivide the head until it has a million vertices."""
-    vertices, faces = subject.head.vertices, subject.head.faces
+    vertices = subject.head.vertices
+    faces = subject.head.faces
     while len(vertices) < 1_000_000:
         vertices, faces = igl.upsample(vertices, faces)
     mesh = trimesh.Trimesh(vertices, faces, process=False)

@@ -25,15 +25,19 @@ CHEEK_BELOW = ("LCheek_Down", "Lcheek_Down")
 CHEEK_BESIDE = ("LCheek_Up", "Lcheek_Outside")
 FAR_CHEEK = ("RCheek_Out", "Rcheek_Outside")
 DEAD = ("RCheek", "Rcheek_Down")
-BROW, BROW_INSIDE = ("LBrow_M", "Leyebrow_M"), ("LBrow_In", "Leyebrow_Inside")
+BROW = ("LBrow_M", "Leyebrow_M")
+BROW_INSIDE = ("LBrow_In", "Leyebrow_Inside")
 OTHER_BROW = ("RBrow_M", "Reyebrow_M")
 EYE = ("LEye_Out", "Leye_Outside")
 FOREHEAD = ("Forehead_L", "ForeHead_L")
-CHIN, BESIDE_CHIN = ("Chin",), ("Chin_L1",)
+CHIN = ("Chin",)
+BESIDE_CHIN = ("Chin_L1",)
 UPPER = ("UpperLip", "Mouth_Up")
-UPPER_LEFT, UPPER_RIGHT = ("UpperLip_L", "Mouth_UpL1"), ("UpperLip_R", "Mouth_UpR1")
+UPPER_LEFT = ("UpperLip_L", "Mouth_UpL1")
+UPPER_RIGHT = ("UpperLip_R", "Mouth_UpR1")
 LOWER = ("LowerLip", "Mouth_Down")
-LOWER_LEFT, LOWER_RIGHT = ("LowerLip_L", "Mouth_DownL"), ("LowerLip_R", "Mouth_DownR")
+LOWER_LEFT = ("LowerLip_L", "Mouth_DownL")
+LOWER_RIGHT = ("LowerLip_R", "Mouth_DownR")
 
 Names = tuple[str, ...]
 Plant = Callable[[Floats, Callable[[Names], int]], None]
@@ -107,12 +111,14 @@ def _frozen(points: Floats, at: At) -> None:
 
 
 def _spline(points: Floats, at: At) -> None:
-    marker, known = at(BESIDE_CHIN), [498, 499, 530, 531]
+    marker = at(BESIDE_CHIN)
+    known = [498, 499, 530, 531]
     points[500:530, marker] = CubicSpline(known, points[known, marker])(np.arange(500, 530))
 
 
 def _line(points: Floats, at: At) -> None:
-    marker, share = at(BESIDE_CHIN), np.linspace(0, 1, 32)[1:-1, None]
+    marker = at(BESIDE_CHIN)
+    share = np.linspace(0, 1, 32)[1:-1, None]
     points[500:530, marker] = points[499, marker] * (1 - share) + points[530, marker] * share
 
 

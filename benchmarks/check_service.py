@@ -35,7 +35,9 @@ from solver.surface import Surface
 from solver.templates.builtin.build import builtin_expression
 from worker.kernels import compile_all
 
-VERTICES, RUNS, PAUSE_S = 100_000, 5, 3.0  # a station's pause: the next scan takes longer
+VERTICES = 100_000
+RUNS = 5
+PAUSE_S = 3.0  # a station's pause: the next scan takes longer
 LINE = re.compile(r"(\S+Z) \[info\s*\] (read|check|pictures|done)\b")
 # Parts of a check, each from one moment to the next
 PARTS = {

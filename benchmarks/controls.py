@@ -107,7 +107,8 @@ class _Bench:
         self.blend = blend_of(self.pairs)
 
     def _pairs(self) -> Pairs:
-        path, count = self.options.pairs, 500 if self.options.quick else self.options.count
+        path = self.options.pairs
+        count = 500 if self.options.quick else self.options.count
         if path and path.is_file():
             return Pairs.load(path, self.face, self.mixtures.names)
 
@@ -169,16 +170,15 @@ class _Bench:
         return range(QUICK if self.options.quick else COUNT[part])
 
     def _draw(self, given: Any, seed: int, part: str) -> list[Floats]:
-        random, mixtures = (
-            np.random.default_rng((SEED, seed)),
-            replace(self.mixtures, options=given),
-        )
+        random = np.random.default_rng((SEED, seed))
+        mixtures = replace(self.mixtures, options=given)
         return [mixtures.draw(random) for _ in self._many(part)]
 
     @cached_property
     def published(self) -> Network:
         """The published network of action units, on its pairs: six rays, and the jaw by itself."""
-        random, table = np.random.default_rng(0), np.zeros((len(EMOTIONS), len(UNITS)))
+        random = np.random.default_rng(0)
+        table = np.zeros((len(EMOTIONS), len(UNITS)))
         for row, units in enumerate(EMOTIONS):
             table[row, [UNITS.index(unit) for unit in units]] = 1.0
         jaw = UNITS.index(26)
@@ -218,7 +218,8 @@ class _Bench:
 
     def simulated(self, mixed: _Mixed, changes: Floats) -> tuple[Floats, int]:
         """Return the points (k, 3) of the face by changes of its controls, and inverted tets."""
-        face, a = self.face, IDENTITY + changes[:-5].reshape(-1, 6)
+        face = self.face
+        a = IDENTITY + changes[:-5].reshape(-1, 6)
         state = face.continuation(mixed.state, face.pose_of(a, changes[-5:]))
         return face.face_points(state.x), face.flesh.count_inverted(state.x)
 
@@ -229,7 +230,10 @@ class _Bench:
             "published_here": self.published_here,
         }
         errors: dict[str, list[Floats]] = {name: [] for name in (*makers, "published")}
-        doubts, inverted, failed, nan = [], 0, 0, 0
+        doubts = []
+        inverted = 0
+        failed = 0
+        nan = 0
         for number, weights in enumerate(mixtures):
             mixed = self.exact(weights)
             asked = {name: make(weights) for name, make in makers.items()}
@@ -258,7 +262,8 @@ class _Bench:
             if errors[name]:
                 ratio = figures[f"{name}_mm"] / figures["learned_mm"]
                 figures[f"{name}_over_learned"] = round(ratio, 2)
-        limit, judged = LearnOptions().exact_above_mm, np.array(doubts)
+        limit = LearnOptions().exact_above_mm
+        judged = np.array(doubts)
         figures["played_mm"] = round(float(np.where(judged > limit, 0.0, off).mean()), 4)
         figures["doubt_auroc"] = discrimination(judged, off > LearnOptions().doubtful_mm)
         figures["doubt_missed"] = round(float(np.mean((off > limit) & (judged <= limit))), 4)

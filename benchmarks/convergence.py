@@ -71,7 +71,8 @@ def run(options: argparse.Namespace) -> Figures:
 
 
 def _solvers(model: SubjectModel, target: Target, w_a: float) -> dict[str, Any]:
-    face, phace = Face(model), Face(model, material=COROTATED_DET)
+    face = Face(model)
+    phace = Face(model, material=COROTATED_DET)
     data = SkinDistance(face, target)
     rest = face.rest
     regulariser = Regulariser(w_a, 1e-2, 1e-6, rest.pose)
@@ -102,7 +103,8 @@ def _solvers(model: SubjectModel, target: Target, w_a: float) -> dict[str, Any]:
         ("P", per_tet_model, neutral),
         ("IPOPT", by_ipopt, None),
     ):
-        history, failed = History(time.process_time, start), {}
+        history = History(time.process_time, start)
+        failed = {}
         try:
             solve(history)
         except SolveError as error:
@@ -129,7 +131,8 @@ def _rounds(
             distance = targets[name].distances(face.face_points(state.estimate))
             errors[name].append(float(np.nanmean(distance)))
 
-    data, first_terms = terms(face, targets), distances(face, targets)
+    data = terms(face, targets)
+    first_terms = distances(face, targets)
     fitted = geometry.fit(face, data, options, first_terms=first_terms, listen=listen)
     listen(options.rounds, fitted.states)
     return errors

@@ -64,7 +64,8 @@ def corrupted(surface: Surface, seed: int, how: Corruption) -> RawScan:
 
 
 def _seen(surface: Surface) -> np.ndarray:
-    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    low = surface.vertices.min(axis=0)
+    high = surface.vertices.max(axis=0)
     seen = np.zeros(len(surface.faces), dtype=bool)
     for yaw, pitch in CAMERAS:
         camera = Camera((low + high) / 2, 1.2 * float((high - low).max()), yaw, pitch)

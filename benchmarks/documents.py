@@ -90,7 +90,8 @@ def markers(benchmark: str) -> tuple[str, str]:
 
 def rendered(figures: Figures, section: Section, folder: Path) -> str:
     """Return the section as Markdown, links relative to ``folder``."""
-    run, machine = figures["run"], figures["machine"]
+    run = figures["run"]
+    machine = figures["machine"]
     ran = (
         f"{run['date']}, {machine['cores']} cores, {machine['memory_gib']} GiB of memory:\n\n"
         f"    {run['command']}"

@@ -26,7 +26,8 @@ def environment(name: str, requirements: Sequence[str], python: str | None = Non
     :class:`UnavailableError`.
     """
     folder = cache_directory() / "peers" / name
-    inside, ready = folder / "bin" / "python", folder / "installed.txt"
+    inside = folder / "bin" / "python"
+    ready = folder / "installed.txt"
     wanted = "\n".join(requirements)
     if ready.exists() and ready.read_text(encoding="utf-8") == wanted:
         return inside

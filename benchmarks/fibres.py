@@ -65,8 +65,10 @@ log = logging.getLogger(__name__)
 
 PARTS = ("fibre", "round_trip", "exaggerated", "speed")
 FACTORS = (1, 2, 4)
-ROUNDS, QUICK_ROUNDS = 16, 6
-FRAMES, LARGE_FRAMES = 60, 12
+ROUNDS = 16
+QUICK_ROUNDS = 6
+FRAMES = 60
+LARGE_FRAMES = 12
 LARGE_EDGE_MM = 2.75  # of some 370,000 tets
 LARGE_MESHER_SECONDS = 14400.0
 
@@ -231,7 +233,8 @@ def _fit_blended(person: Person) -> dict[str, Floats]:
         face = train.face
         trained = {name: face.face_points(state.x) for name, state in train.states.items()}
     else:
-        face, ids = face.with_weights(person.rig.weights), person.model.face
+        face = face.with_weights(person.rig.weights)
+        ids = person.model.face
         trained = {fit.name: fit.skin[ids] for fit in person.rig.expressions}
     test = subject_fits.by_activations(face, person.test)
     return trained | {name: face.face_points(state.x) for name, state in test.states.items()}
@@ -279,7 +282,9 @@ def _play(face: Face, simulator: Simulator, gauge: Gauge, pose: Pose, steps: int
         Drive(float(number), pose.a * (number / steps), pose.b * (number / steps), STILL, ())
         for number in range(steps + 1)
     ]
-    inverted, deepest, failed = 0, 0.0, 0
+    inverted = 0
+    deepest = 0.0
+    failed = 0
     motion = simulator.rest(drives[0])
     y = motion.head.inverse()(motion.x)
     with Stopwatch() as clock:
@@ -290,10 +295,12 @@ def _play(face: Face, simulator: Simulator, gauge: Gauge, pose: Pose, steps: int
                 log.info("step %g: %s", goal.time, error.message)
                 failed = 1
                 break
-            motion, y = stepped.motion, stepped.y
+            motion = stepped.motion
+            y = stepped.y
             inverted += stepped.inverted
             deepest = max(deepest, gauge.at(y, goal.jaw).most)
-    rest, points = face.face_points(face.model.rest), face.face_points(y)
+    rest = face.face_points(face.model.rest)
+    points = face.face_points(y)
     return {
         "inverted": inverted,
         "penetration_mm": deepest,
@@ -334,7 +341,8 @@ def _large() -> Figures:
     tracker = Tracker(DensePoints(face, unseen_regulariser(face)))
     rest = face.face_points(face.rest.x)
     away = captures.train["smile"].vertices[model.face] - rest
-    seconds, errors = [], []
+    seconds = []
+    errors = []
     for number in range(LARGE_FRAMES):
         points = rest + 0.05 * (number + 1) * away
         with Stopwatch() as clock:

@@ -157,19 +157,22 @@ class _Follower:
                 tracker.pause()
                 found.append(Followed(0.0, None))
                 continue
-            photo, begun = each(), time.perf_counter()
+            photo = each()
+            begun = time.perf_counter()
             point = tracker.step(photo).point
             found.append(Followed(time.perf_counter() - begun, point))
         return found
 
 
 def _known(follow: _Follower, system: str, *, quick: bool) -> Figures:
-    model, random = follow.subject.model, np.random.default_rng(TAKE.seed)
+    model = follow.subject.model
+    random = np.random.default_rng(TAKE.seed)
     moving, still = (TAKE.quick, TAKE.quick) if quick else (TAKE.moving, TAKE.still)
     face = PlainFace(model, follow.tracks)
     points = follow.points
     bias = TAKE.bias_px * random.standard_normal((len(points.names), 2))
-    skins, frames = [], []
+    skins = []
+    frames = []
     for number in range(moving + still):
         share = min(number / moving, 1.0)
         weights = {

@@ -217,7 +217,8 @@ def _subject(subject: Subject, options: argparse.Namespace) -> Figures:
 
 def _set(subject: Subject, scans: str, options: argparse.Namespace) -> Figures:
     """Return the figures of a set of scans by all controls, and of what they are compared with."""
-    name, captures = f"{subject.name}, {scans}", subject.sets[scans]
+    name = f"{subject.name}, {scans}"
+    captures = subject.sets[scans]
     if not captures.train:
         raise InputError("captures.empty", "the capture sets have no training expression")
     face = Face(subject.model)
@@ -236,7 +237,8 @@ def _set(subject: Subject, scans: str, options: argparse.Namespace) -> Figures:
         if scans == "strong":
             found[controls]["hard"] = hard_figures(method.test(train.face, subject.hard))
         log.info("%s: %s", name, {k: v for k, v in found[controls].items() if k in WORST})
-    free, admissible = fits.get("free"), fits.get("admissible")
+    free = fits.get("free")
+    admissible = fits.get("admissible")
     if free and admissible:
         found["geometry_ratio"] = admissible[0].cpu_seconds / free[0].cpu_seconds
     if free and scans == "standard":
@@ -271,7 +273,8 @@ def _with_tets(
     subject: Subject, scans: str, free: tuple[Fits, Fits] | None, options: argparse.Namespace
 ) -> Figures:
     """Return the figures of P, and where there are those of S by ``free`` controls, both's."""
-    name, captures = f"{subject.name}, {scans}", subject.sets[scans]
+    name = f"{subject.name}, {scans}"
+    captures = subject.sets[scans]
     tets = Face(subject.model, material=COROTATED_DET)
     stop = PerTetOptions(max_iterations=10) if options.quick else PerTetOptions()
     by_tets = subject_fits.by_tets(tets, captures.train, stop)

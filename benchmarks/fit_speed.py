@@ -51,7 +51,8 @@ from solver.templates.ict_facekit import drive, ict_neutral, read_facekit
 SIZES_MM = (19.0, 13.0, 9.0, 5.5)
 """Tets' edges of the scaling: about 1.9, 3.5, 7 and 19 thousand vertices."""
 
-FIRST_FRAME, FRAMES = 2000, 600
+FIRST_FRAME = 2000
+FRAMES = 600
 """The liveliest part of the recording: the skin moves 0.3 mm from frame to frame on average."""
 
 PLAUSIBLE = 8

@@ -23,13 +23,16 @@ def measure_held(bench: Bench) -> Figures:
 
     The prior knows no expressions: by those markers elsewhere determine a cheek's muscles too.
     """
-    face, truth, take = bench.face, bench.truth, bench.clean()
+    face = bench.face
+    truth = bench.truth
+    take = bench.clean()
     known = prior.from_changes(face.layout, [], prior.LOOSE)
     bench = bench.refined(known, take)
     places = bench.places.at(face.rest.x)
     left, height = (places[:, axis] - np.median(places[:, axis]) for axis in (0, 1))
     cheek = (left > 15.0) & (np.abs(height) < 30.0)
-    first, length = len(truth.numbers) // 3, max(round(HELD_S / truth.seconds), 1)
+    first = len(truth.numbers) // 3
+    length = max(round(HELD_S / truth.seconds), 1)
     rows = range(first, min(first + length, len(truth.numbers) - 1))
     points = take.points.copy()
     points[rows.start : rows.stop, cheek] = np.nan
@@ -37,7 +40,8 @@ def measure_held(bench: Bench) -> Figures:
     gone = _fit(bench, known, MadeTake(points, take.wrong, take.swapped))
     by_marker = _pull_on_markers(bench)[:, face.layout.muscles].sum(axis=2)
     lost = by_marker[cheek].sum(axis=0) > LOST * by_marker.sum(axis=0)
-    before, last = gone[first - 1].state.pose.a, gone[rows.stop - 1].state.pose.a
+    before = gone[first - 1].state.pose.a
+    last = gone[rows.stop - 1].state.pose.a
     held = gone[rows.stop - 1].held
     faded = np.exp(-len(rows) * truth.seconds) * (before - face.rest_pose().a)
     drift = np.abs(last - face.rest_pose().a - faded)[held & lost]

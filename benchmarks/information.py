@@ -45,7 +45,8 @@ from solver.templates.builtin.build import builtin_template
 from solver.templates.ict_facekit import read_facekit, shape_basis
 from solver.templates.tables import CaptureSet
 
-SCANS, OTHERS = 3, 5
+SCANS = 3
+OTHERS = 5
 QUICK_ROUNDS = 4
 UNSEEN_STOP = ActivationOptions(max_iterations=8, tolerance=1e-2)
 MARKERS = (79, 40, 17)
@@ -75,9 +76,12 @@ def run(options: argparse.Namespace) -> Figures:
     if options.faces is not None:
         shapes = shape_basis(read_facekit(options.faces))
     rounds = options.rounds or (QUICK_ROUNDS if options.quick else GeometryOptions.rounds)
-    people, draws = {}, []
+    people = {}
+    draws = []
     for subject in subjects.each(options, options.subjects.split(","), edge):
-        name, model, captures = subject.name, subject.model, subject.captures
+        name = subject.name
+        model = subject.model
+        captures = subject.captures
         face = Face(model)
         trained = {name: scan.vertices[model.face] for name, scan in captures.train.items()}
         people[name] = measure_identifiability(face, trained, rounds)
@@ -169,7 +173,9 @@ def fit_unseen(
     face: Face, unseen: Mapping[str, Floats], states: Mapping[str, PosedFace]
 ) -> tuple[float, dict[str, PosedFace]]:
     """Fit expressions by activations alone; return their mean distance in mm and their states."""
-    regulariser, errors, found = activation.unseen_regulariser(face), [], {}
+    regulariser = activation.unseen_regulariser(face)
+    errors = []
+    found = {}
     for name, points in unseen.items():
         data = SkinDistance(face, Target.from_points(points))
         start = face.settle(states[name].pose, states[name].x)
@@ -216,7 +222,8 @@ def muscle_shares(face: Face) -> Figures:
 
 def section(figures: Figures) -> Section:
     """Return the section of docs/science/benchmarks.md."""
-    scans, shares = figures["next_scan"], figures["identifiable"]
+    scans = figures["next_scan"]
+    shares = figures["identifiable"]
     words = {
         "better_than_random": "draws in which it beats the median of five others",
         "gain_correlation": "correlation of predicted and measured gain",

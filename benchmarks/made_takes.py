@@ -30,13 +30,23 @@ from solver.similarity import Similarity, small_motion
 from solver.surface import Floats, Ints, unit_rows
 from solver.templates.ict_facekit import IctPerformance
 
-FIRST_FRAME, FRAMES, QUICK_FRAMES = 2000, 900, 60
-HEIGHT_MM, BOUND_WRONG_MM, SIGMA_MM = 2.0, 1.0, 1.0
-WHITE_MM, SLOW_MM, SLOW_S = 0.15, 0.15, 1.0
+FIRST_FRAME = 2000
+FRAMES = 900
+QUICK_FRAMES = 60
+HEIGHT_MM = 2.0
+BOUND_WRONG_MM = 1.0
+SIGMA_MM = 1.0
+WHITE_MM = 0.15
+SLOW_MM = 0.15
+SLOW_S = 1.0
 TURN_DEG = 20.0
-GONE, BURST_S = 0.05, (0.1, 0.5)
-THROWN, THROWN_MM, WRONG_MM = 0.01, (5.0, 25.0), 4.0
-SWAP_EVERY_S, SWAP_S = 3.0, (0.2, 1.0)
+GONE = 0.05
+BURST_S = (0.1, 0.5)
+THROWN = 0.01
+THROWN_MM = (5.0, 25.0)
+WRONG_MM = 4.0
+SWAP_EVERY_S = 3.0
+SWAP_S = (0.2, 1.0)
 REFINING = 20
 HEAD_MARKERS = 4
 SHARES = (0.3, 0.3, 0.4)  # of a triangle's corners in a marker on it
@@ -90,7 +100,8 @@ class Bench:
     """Takes of ``count`` markers of a truth, and what fits make of them."""
 
     def __init__(self, face: Face, truth: Truth, count: int, head: int = 0) -> None:
-        self.face, self.truth = face, truth
+        self.face = face
+        self.truth = truth
         self._rng = np.random.default_rng(count)
         model = face.model
         self.triangles = marker_triangles(model, count)
@@ -144,8 +155,10 @@ class Bench:
 
     def refined(self, known: GaussianPrior, take: MadeTake) -> Bench:
         """Return the bench with places mended by frames of a take, as jobs do."""
-        frame, frames = take.points.__getitem__, range(len(take.points))
-        other, seconds = copy.copy(self), self.truth.seconds
+        frame = take.points.__getitem__
+        frames = range(len(take.points))
+        other = copy.copy(self)
+        seconds = self.truth.seconds
         other.markers = list(
             refine_by_take(self.face, self.markers, known, frame, frames, seconds, REFINING)
         )
@@ -164,7 +177,8 @@ class Bench:
     def bound_wrong(self) -> float:
         """Return how far markers are bound beside where they are, mean in mm."""
         corners = self.face.model.skin.vertices[self.triangles]
-        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        first = corners[:, 1] - corners[:, 0]
+        second = corners[:, 2] - corners[:, 0]
         true = np.einsum("ki,kix->kx", self.shares, corners)
         true += HEIGHT_MM * unit_rows(np.cross(first, second))
         off = self.places.at(self.face.model.rest)[: len(true)] - true
@@ -202,7 +216,8 @@ class Bench:
         points[thrown] += away[:, None] * unit_rows(rng.standard_normal((len(away), 3)))
         gone = np.zeros((frames, count), bool)
         while gone.mean() < GONE:
-            first, length = int(rng.integers(frames)), int(rng.uniform(*BURST_S) * rate)
+            first = int(rng.integers(frames))
+            length = int(rng.uniform(*BURST_S) * rate)
             gone[first : first + max(length, 1), rng.integers(count)] = True
         points[gone] = np.nan
         wrong = np.linalg.norm(points - self.points, axis=2) > WRONG_MM
@@ -217,12 +232,22 @@ class Bench:
         watched: bool = False,
     ) -> Figures:
         """Fit a take and return its figures; the lips are ``watched`` only if asked for."""
-        face, truth = self.face, self.truth
+        face = self.face
+        truth = self.truth
         sigma = np.array([marker.sigma_mm for marker in self.markers])
         tracker = Tracker(Markers(face, self.places, sigma, known, truth.seconds))
-        mouth, failed = Mouth.of(face.model), 0
-        errors, milliseconds, turns, shifts, lips, jaws = [], [], [], [], [], []
-        inverted, not_finite, out_of_tracks, states = 0, 0, 0, []
+        mouth = Mouth.of(face.model)
+        failed = 0
+        errors = []
+        milliseconds = []
+        turns = []
+        shifts = []
+        lips = []
+        jaws = []
+        inverted = 0
+        not_finite = 0
+        out_of_tracks = 0
+        states = []
         middle = face.model.skin.vertices[face.model.face].mean(axis=0)
         incisors = incisors_of(face.model)
         for row, seen in enumerate(take.points):
@@ -231,7 +256,8 @@ class Bench:
             failed += fit.kept
             watch(row, fit)
             milliseconds.append(1e3 * clock.seconds)
-            skin, pose = truth.skin(row), fit.state.pose
+            skin = truth.skin(row)
+            pose = fit.state.pose
             away = np.linalg.norm(face.face_points(fit.state.x) - skin[face.model.face], axis=1)
             errors.append(float(away.mean()))
             head = fit.placed.head
@@ -242,7 +268,8 @@ class Bench:
             jaws.append(float(np.linalg.norm((whole - skin)[incisors].mean(axis=0))))
             inverted += face.flesh.count_inverted(fit.state.x)
             not_finite += not np.isfinite(fit.state.x).all() or not np.isfinite(fit.sd).all()
-            q, layout = pose.vector(), pose.layout
+            q = pose.vector()
+            layout = pose.layout
             out_of_tracks += bool(
                 (q < layout.lower - 1e-9).any() or (q > layout.upper + 1e-9).any()
             )

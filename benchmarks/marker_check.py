@@ -33,8 +33,12 @@ from solver.scans.markers.readers.take import read_take
 from solver.surface import Floats, vertex_normals
 from solver.templates.builtin.build import builtin_template
 
-MARKERS, SECONDS, RATE = 80, 60, 60
-HEIGHT_MM, NOISE_MM, TURN_DEG = 2.0, 0.15, 15.0
+MARKERS = 80
+SECONDS = 60
+RATE = 60
+HEIGHT_MM = 2.0
+NOISE_MM = 0.15
+TURN_DEG = 15.0
 SHAPES = 12  # expressions that the made face moves through
 LEAST_FRAMES = 960  # of a real take in which faults are planted
 TRUE = ("markers.unclear_rest",)  # of real takes: the jaw goes back for a third of one
@@ -110,7 +114,8 @@ def _time_job(template: Template, seconds: int) -> tuple[float, str]:
 def _made_positions(template: Template, frames: int) -> Floats:
     """Return markers (f, k, 3) spread over the face, moving through expressions."""
     assert template.shapes is not None
-    rng, time_ = np.random.default_rng(0), np.arange(frames) / RATE
+    rng = np.random.default_rng(0)
+    time_ = np.arange(frames) / RATE
     skin = template.skin
     candidates = np.unique(face_surface(template).faces)
     sites = candidates[spread(skin.vertices[candidates], MARKERS)]

@@ -59,9 +59,12 @@ from solver.templates.ict_template import build_ict_template
 SETS = (79, 40, 17)
 PARTS = ("sets", "head", "jaw", "held", "calibration", "live", "real")
 HEAD_MARKERS = 4
-DRAWS, DRAWN = 12, 0.7  # poses of the prior that are drawn, and their size
+DRAWS = 12  # poses that are drawn from the prior
+DRAWN = 0.7  # their size, by the prior's own
 LIVE_SECONDS = 600.0
-REAL_TAKES, REAL_STEP, LEFT_OUT_FRAMES = ("jaw", "nose"), 6, 10
+REAL_TAKES = ("jaw", "nose")
+REAL_STEP = 6
+LEFT_OUT_FRAMES = 10
 
 log = logging.getLogger(__name__)
 
@@ -86,7 +89,8 @@ def main() -> None:
 
 def run(options: argparse.Namespace) -> Figures:
     """Measure everything and return the figures."""
-    frames, parts = options.frames or (QUICK_FRAMES if options.quick else FRAMES), options.parts
+    frames = options.frames or (QUICK_FRAMES if options.quick else FRAMES)
+    parts = options.parts
     rig = _rig(options)
     face = rig.face(fastest())
     kit = read_facekit(options.faces)
@@ -144,7 +148,8 @@ def _head(figures: Figures) -> Figures:
 
 
 def _of_set(bench: Bench, known: GaussianPrior, by_scans: GaussianPrior) -> Figures:
-    clean, degraded = bench.clean(), bench.degraded()
+    clean = bench.clean()
+    degraded = bench.degraded()
     found: Figures = {"as_bound": bench.fit(known, clean)}
     mended = bench.refined(known, clean)
     found["clean"] = mended.fit(known, clean) | {"bound_wrong_mm": mended.bound_wrong()}
@@ -165,7 +170,8 @@ def _jaw(face: Face, truth: Truth, shapes: Floats, options: argparse.Namespace) 
     on_tracks = face.with_joint(jaw_on_tracks(tracks))
     for name, each in (("free", face.with_free_jaw()), ("tracks", on_tracks)):
         bench = Bench(each, truth, SETS[0])
-        known, take = prior.from_basis(each, ExpressionBasis.solve(each, shapes)), bench.clean()
+        known = prior.from_basis(each, ExpressionBasis.solve(each, shapes))
+        take = bench.clean()
         fitted = bench.refined(known, take).fit(known, take)
         keys = ("incisor_mm", "out_of_tracks", "face_mean_mm", "frame_ms")
         found[name] = {key: fitted[key] for key in keys}
@@ -174,7 +180,8 @@ def _jaw(face: Face, truth: Truth, shapes: Floats, options: argparse.Namespace) 
 
 def _calibration(bench: Bench, known: GaussianPrior) -> Figures:
     """Return how often true controls are within 1.96 standard deviations, in the model's poses."""
-    face, rng = bench.face, np.random.default_rng(31)
+    face = bench.face
+    rng = np.random.default_rng(31)
     sigma = np.array([marker.sigma_mm for marker in bench.markers])
     true = bench.true_places()
     root = np.linalg.cholesky(known.covariance)
@@ -197,7 +204,9 @@ def _live(
     rig: Rig, bench: Bench, known: GaussianPrior, basis: ExpressionBasis, kit: FaceKit
 ) -> Figures:
     """Return time and error of the reduced skin at the same markers, beside the whole fit's."""
-    face, truth, take = bench.face, bench.truth, bench.clean()
+    face = bench.face
+    truth = bench.truth
+    take = bench.clean()
     bench = bench.refined(known, take)
     preview = make_live_preview(
         rig.face(fastest(), TOLERANCE),
@@ -210,7 +219,8 @@ def _live(
     full = bench.fit(known, take)["face_mean_mm"]
     markers = MarkerSet(tuple(bench.markers), IDENTITY, rig.model.sha256)
     tracker = LiveTracker(rig.model, preview.controls, preview.skin, markers, truth.seconds)
-    milliseconds, errors = [], []
+    milliseconds = []
+    errors = []
     for row, seen in enumerate(take.points):
         with Stopwatch() as clock:
             frame = tracker.step(seen)
@@ -236,7 +246,8 @@ def _real(options: argparse.Namespace, kit: FaceKit, rig: Rig, shapes: Floats) -
     template = find_or_make_mesh(build_ict_template(options.anatomy, options.faces), edge)
     model = build_subject_model(template, neutral, edge_mm=edge)
     face = replace(rig, model=model).face(fastest())
-    known, found = prior.from_basis(face, ExpressionBasis.solve(face, shapes)), {}
+    known = prior.from_basis(face, ExpressionBasis.solve(face, shapes))
+    found = {}
     for name in REAL_TAKES:
         take = read_take(options.takes / f"{name}.c3d")
         source = BoundTake(take, bind(take, model).markers, 4)
@@ -244,10 +255,12 @@ def _real(options: argparse.Namespace, kit: FaceKit, rig: Rig, shapes: Floats) -
         frames = [source.points(number) for number in numbers]
         given = (source.points, source.frames, 1.0 / take.rate, REFINING)
         used = refine_by_take(face, source.markers, known, *given)
-        sigma, seconds = np.array([each.sigma_mm for each in used]), REAL_STEP / take.rate
+        sigma = np.array([each.sigma_mm for each in used])
+        seconds = REAL_STEP / take.rate
         places = MarkerPlaces(model, used)
         tracker = Tracker(Markers(face, places, sigma, known, seconds))
-        fits, inverted = [], 0
+        fits = []
+        inverted = 0
         for seen in frames:
             fits.append(tracker.step(SeenMarkers(seen)).residual_mm)
             inverted += face.flesh.count_inverted(tracker.state.x)
@@ -280,7 +293,8 @@ def _left_out(
         for marker in np.flatnonzero(np.isfinite(frames[row]).all(axis=1)).tolist():
             seen = frames[row].copy()
             seen[marker] = np.nan
-            tracker.memory, tracker.solver.state = memory, fit.state
+            tracker.memory = memory
+            tracker.solver.state = fit.state
             there = tracker.step(SeenMarkers(seen)).placed.points[marker]
             off.append(float(np.linalg.norm(there - frames[row][marker])))
     return np.array(off)
@@ -300,7 +314,8 @@ def _rig(options: argparse.Namespace) -> Rig:
 def _dense(face: Face, truth: Truth) -> Figures:
     """Fit all points of the face, as fit_sequence does where the head is still."""
     tracker = Tracker(DensePoints(face, unseen_regulariser(face)))
-    errors, milliseconds = [], []
+    errors = []
+    milliseconds = []
     for row in range(len(truth.numbers)):
         points = truth.skin(row)[face.model.face]
         with Stopwatch() as clock:

@@ -65,12 +65,15 @@ def least_stretches(
     The lines (k, 3) lie square to the shortening. Deformation gradients are averaged over the
     points around, so that a single triangle is no fold.
     """
-    points, moved = pulled.before[model.face], pulled.after[model.face]
+    points = pulled.before[model.face]
+    moved = pulled.after[model.face]
     normals = vertex_normals(Surface(pulled.before, model.skin.faces))[model.face]
-    stretch, lines = np.full(len(points), np.nan), np.zeros_like(points)
+    stretch = np.full(len(points), np.nan)
+    lines = np.zeros_like(points)
     tree = cKDTree(points)
     for point, near in enumerate(tree.query_ball_point(points, options.smooth_mm)):
-        away, gone = points[near] - points[point], moved[near] - moved[point]
+        away = points[near] - points[point]
+        gone = moved[near] - moved[point]
         frame = np.linalg.svd(np.eye(3) - np.outer(normals[point], normals[point]))[0][:, :2]
         flat = away @ frame
         if len(near) < 4 or np.linalg.matrix_rank(flat, tol=0.1) < 2:
@@ -101,7 +104,8 @@ def draw(
     page.heading(title, detail)
     head = DrawnHead(model.skin)
     for number, (name, pulled) in enumerate(muscles.items()):
-        left, top = number % options.columns * width, number // options.columns * (height + caption)
+        left = number % options.columns * width
+        top = number // options.columns * (height + caption)
         _picture(page, (left, HEADER + top + caption), model, head, pulled, options)
         size = np.linalg.norm(pulled.motion[model.face], axis=1).max()
         lines = textwrap.wrap(name.replace("_", " ").replace(".", ", "), options.letters)

@@ -37,7 +37,8 @@ DISTANCES = {
     "lip_width": (((48, 54),), ((61, 291),)),
 }
 EYES = ((36, 45), (33, 263))
-GAP_PART, GAP_FRAMES = 0.1, (3, 40)
+GAP_PART = 0.1
+GAP_FRAMES = (3, 40)
 QUICK_FRAMES = 60
 
 Pair = tuple[int, int]
@@ -102,7 +103,8 @@ def _distances_on(person: PlayedPerson, skins: Sequence[Floats], pairs: Sequence
 
 def _regressed(units: Floats, values: Floats) -> Floats:
     """Return what a linear regression on units (f, 17) says of values (f,), half by half."""
-    said, half = np.empty(len(values)), len(values) // 2
+    said = np.empty(len(values))
+    half = len(values) // 2
     rows = np.column_stack([units, np.ones(len(units))])
     for learned, told in ((slice(None, half), slice(half, None)), (slice(half, None), slice(half))):
         said[told] = rows[told] @ np.linalg.lstsq(rows[learned], values[learned], rcond=None)[0]

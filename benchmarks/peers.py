@@ -38,7 +38,8 @@ from benchmarks.forward.problem import Problem, active, energy, passive
 from solver.surface import Floats
 
 REQUIREMENTS = ("liblaf-apple==0.7.0", "warp-lang==1.16.0")
-CELLS, QUICK_CELLS = (54, 24, 4), (34, 15, 3)
+CELLS = (54, 24, 4)
+QUICK_CELLS = (34, 15, 3)
 TIME_LIMIT_S = 600.0
 CHILD = Path(__file__).parent / "forward" / "child.py"
 RATIOS = ("ratio", "ratio_cold", "ratio_cpu")
@@ -77,7 +78,8 @@ def run(options: argparse.Namespace) -> Figures:
     try:
         peer = environment("liblaf-apple", REQUIREMENTS, options.python)
     except UnavailableError as error:
-        peer, figures["skipped"] = None, str(error)
+        peer = None
+        figures["skipped"] = str(error)
     compared = {name: compare(problem, peer) for name, problem in problems.items()}
     solved = [found for found in compared.values() if "ratio" in found]
     least = {key: min(found[key] for found in solved) for key in RATIOS if solved}
@@ -109,7 +111,8 @@ def compare(problem: Problem, peer: Path | None) -> Figures:
 def answer(solver: str, python: Path, problem: Problem) -> Answer:
     """Run one solver in ``python`` with nothing compiled; raises :class:`StoppedError`."""
     with tempfile.TemporaryDirectory() as folder:
-        given, found = Path(folder) / "problem.npz", Path(folder) / "answer.npz"
+        given = Path(folder) / "problem.npz"
+        found = Path(folder) / "answer.npz"
         np.savez(given, **asdict(problem))
         kernels = {"NUMBA_CACHE_DIR": f"{folder}/numba", "WARP_CACHE_PATH": f"{folder}/warp"}
         command = [str(python), str(CHILD), solver, str(given), str(found)]

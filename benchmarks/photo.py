@@ -132,8 +132,10 @@ def _known(
     *,
     quick: bool,
 ) -> Figures:
-    model, random = subject.model, np.random.default_rng(PLATE.seed)
-    camera, albedo = _camera(model.skin.vertices, model.face), _albedo(model.skin, random)
+    model = subject.model
+    random = np.random.default_rng(PLATE.seed)
+    camera = _camera(model.skin.vertices, model.face)
+    albedo = _albedo(model.skin, random)
     found: dict[str, dict[str, Figures]] = {}
     for name in list(MIXTURES)[: QUICK_MIXTURES if quick else None]:
         weights = both_sides(MIXTURES[name])
@@ -164,7 +166,8 @@ def _camera(neutral: Floats, face: np.ndarray) -> PinholeCamera:
     turn = small_motion(np.array([pitch, yaw, 0.0, 0.0, 0.0, 0.0])).rotation
     rotation = np.diag([1.0, -1.0, -1.0]) @ turn
     shift = np.array([10.0, -5.0, PLATE.distance_mm]) - rotation @ neutral[face].mean(axis=0)
-    focal, centre = np.full(2, PLATE.focal_px), np.array(PLATE.size) / 2.0
+    focal = np.full(2, PLATE.focal_px)
+    centre = np.array(PLATE.size) / 2.0
     return PinholeCamera(focal, centre, rotation, shift)
 
 

@@ -62,7 +62,8 @@ def read_pair(path: Path, template: Template, edge_mm: float, detector: FaceDete
     width, height = whole.size
     points, places = _texture(path)
     places = places * (width, height)
-    photos, off = [], []
+    photos = []
+    off = []
     for number, name in enumerate(("left", "right")):
         half = slice(number * width // 2, (number + 1) * width // 2)
         inside = (places[:, 0] >= half.start) & (places[:, 0] < half.stop)
@@ -100,7 +101,8 @@ def pair_figures(
 
 def _estimate_off(pair: Pair, skin: Floats) -> dict[str, float]:
     """Return the median distance to the scan of a face that is laid on it, as large and resized."""
-    face, rest = pair.model.face, pair.model.skin.vertices
+    face = pair.model.face
+    rest = pair.model.skin.vertices
     rigid = weighted_motion(skin[face], rest[face], np.ones(len(face)))
     resized = fit_similarity(skin[face], rest[face])
     return {
@@ -110,7 +112,8 @@ def _estimate_off(pair: Pair, skin: Floats) -> dict[str, float]:
 
 
 def _off(pair: Pair, fitted: PhotoExpression[Any]) -> dict[str, float]:
-    face, rest = pair.model.face, pair.model.skin.vertices
+    face = pair.model.face
+    rest = pair.model.skin.vertices
     figures: dict[str, float] = {}
     for stage, fit in (("landmarks", fitted.landmarks), ("shading", fitted.fit)):
         skin = fit.point.skin
@@ -125,7 +128,8 @@ def _off(pair: Pair, fitted: PhotoExpression[Any]) -> dict[str, float]:
 
 def _distances(pair: Pair, skin: Floats) -> Floats:
     """Return the distances to the scan, mm, of the face's vertices that it shows."""
-    face, trust = pair.model.face, pair.scan.trust
+    face = pair.model.face
+    trust = pair.scan.trust
     seen = face[trust.covered[face]]
     back = pair.scan.motion.inverse()
     found = pair.scan.scan.closest(back(skin[seen]))
@@ -153,7 +157,8 @@ def _camera(points: Floats, pixels: Floats) -> tuple[PinholeCamera, float]:
     The direct linear transform (Hartley and Zisserman 2003), its skew left out.
     """
     kept = np.ones(len(points), bool)
-    camera, away = _linear_camera(points, pixels), np.zeros(0)
+    camera = _linear_camera(points, pixels)
+    away = np.zeros(0)
     for _ in range(2):
         away = np.linalg.norm(camera.project(points)[:, :2] - pixels, axis=1)
         kept = away < max(TRIM_PX, 3.0 * float(np.median(away)))
@@ -162,8 +167,10 @@ def _camera(points: Floats, pixels: Floats) -> tuple[PinholeCamera, float]:
 
 
 def _linear_camera(points: Floats, pixels: Floats) -> PinholeCamera:
-    middle, size = points.mean(axis=0), points.std()
-    centre, extent = pixels.mean(axis=0), pixels.std()
+    middle = points.mean(axis=0)
+    size = points.std()
+    centre = pixels.mean(axis=0)
+    extent = pixels.std()
     homogeneous = np.column_stack([(points - middle) / size, np.ones(len(points))])
     u, v = ((pixels - centre) / extent).T[:, :, None]
     nothing = np.zeros_like(homogeneous)
@@ -180,6 +187,7 @@ def _linear_camera(points: Floats, pixels: Floats) -> PinholeCamera:
     matrix *= np.sign(np.linalg.det(matrix[:, :3])) / np.linalg.norm(matrix[2, :3])
     inner, rotation = scipy.linalg.rq(matrix[:, :3])
     signs = np.diag(np.sign(np.diag(inner)))
-    inner, rotation = inner @ signs, signs @ rotation
+    inner = inner @ signs
+    rotation = signs @ rotation
     shift = np.linalg.solve(inner, matrix[:, 3])
     return PinholeCamera(inner[[0, 1], [0, 1]], inner[:2, 2], rotation, shift)

@@ -56,7 +56,8 @@ def side_by_side(path: Path, face: Face, title: str, rows: Mapping[str, Compared
 
 def _row(head: DrawnHead, face: Face, compared: Compared) -> tuple[list[DrawnBody], list[str]]:
     """Return the bodies of a row, and the captions of all but the first."""
-    bodies, captions = [head.body(head.lit(compared.scan))], []
+    bodies = [head.body(head.lit(compared.scan))]
+    captions = []
     for state in compared.fits.values():
         skin = face.whole_skin(state.x, state.pose.b)
         error = np.full(len(skin), np.nan)

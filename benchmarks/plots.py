@@ -38,7 +38,8 @@ COLOURS = {"A": "#0072b2", "P": "#d55e00", "S": "#009e73", "IPOPT": "#7a7a7a"}
 OTHERS = ("#cc79a7", "#e69f00", "#56b4e9", "#000000", "#b2a100", "#8a3ffc")
 """The palette of Okabe and Ito, which colour-blind readers can tell apart, and two more."""
 
-WIDTH_IN, HEIGHT_IN = 7.2, 3.0
+WIDTH_IN = 7.2
+HEIGHT_IN = 3.0
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,8 @@ def bars(
     limit: float | None = None,
 ) -> None:
     """Plot one bar for each name and group, as the errors of every expression by S and by P."""
-    places, width = np.arange(len(names)), 0.8 / len(groups)
+    places = np.arange(len(names))
+    width = 0.8 / len(groups)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
         axes = figure.subplots()

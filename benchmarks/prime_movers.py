@@ -54,7 +54,8 @@ from solver.rig.report.prime_movers import MoverOptions, Movers, movers, rank_co
 from solver.surface import Surface
 
 QUICK_MIXTURES = 6
-SINGLE, MIXED = ("units", "held_out"), ("strong", "drawn")
+SINGLE = ("units", "held_out")
+MIXED = ("strong", "drawn")
 SUMMARY = ("prime_mover_top3", "contradicted", "judged", *SINGLE[1:], *MIXED, "closers", "seconds")
 
 
@@ -83,7 +84,8 @@ def main() -> None:
 
 def run(options: argparse.Namespace) -> Figures:
     """Return the figures of the parts that were asked for."""
-    person, found = Person(options), {}
+    person = Person(options)
+    found = {}
     for part in options.parts:
         found[part] = PARTS[part](person)
     return summarised(
@@ -204,7 +206,8 @@ def held_out_units(
     They are single units of a template's ``shapes``, of which it has a muscle among ``wholes``.
     """
     found = [units_of(split_side(shape)[0]) for shape in shapes]
-    single, wholes = {units[0].code for units in found if len(units) == 1}, set(wholes)
+    single = {units[0].code for units in found if len(units) == 1}
+    wholes = set(wholes)
     judged = [
         code
         for code, unit in action_units().items()
@@ -231,7 +234,8 @@ def without_held_out(model: SubjectModel) -> SubjectModel:
 
 def untaught(template: Template, names: Sequence[str]) -> Template:
     """Return a template with the expressions ``names`` alone, which nobody trained yet."""
-    shapes, mesh = template.shapes, template.mesh
+    shapes = template.shapes
+    mesh = template.mesh
     if shapes is None or mesh is None:
         return template
     kept = [row for row, name in enumerate(shapes.expression_names) if name in names]

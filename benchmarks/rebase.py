@@ -63,7 +63,8 @@ def run(options: argparse.Namespace) -> Figures:
     template = find_or_make_mesh(builtin_template())
     heads = {}
     for name in options.heads.split(","):
-        based, captures = template, builtin_capture_set()
+        based = template
+        captures = builtin_capture_set()
         figures: Figures = {"seconds": 0.0}
         if name != "built-in":
             start = time.perf_counter()
@@ -74,7 +75,8 @@ def run(options: argparse.Namespace) -> Figures:
                 "coverage": made.registration["coverage"],
                 "findings": [finding["message"] for finding in made.registration["findings"]],
             }
-            based, captures = made.template, carried(made, template, captures)
+            based = made.template
+            captures = carried(made, template, captures)
         heads[name] = {**figures, **_figures(based, captures, options)}
         if options.pictures is not None:
             options.pictures.mkdir(parents=True, exist_ok=True)

@@ -60,7 +60,8 @@ def run(options: argparse.Namespace) -> Figures:
         template = Template.load(options.template)
     else:
         template = build_ict_template(options.anatomy or options.data / "bodyparts3d", faces)
-    known, plain = topology(template), topology(replace(template, shapes=None))
+    known = topology(template)
+    plain = topology(replace(template, shapes=None))
     half = topology(replace(template, shapes=_half(template.shapes)))
     subjects = options.subjects.split(",")[: 1 if options.quick else None]
     count = 1 if options.quick else options.expressions
@@ -185,7 +186,8 @@ def _subject(
     everything = list({**captures.train, **captures.test}.items())
     turned = everything[number * count :] + everything[: number * count]
     first = 1000 * seed + 100 * number
-    face, truth = known.template.face_vertices, captures.neutral.vertices
+    face = known.template.face_vertices
+    truth = captures.neutral.vertices
     raw = _spoilt(captures.neutral, first)
     neutral, seconds = _timed(raw, known)
     figures = {"neutral": {**_errors(neutral, truth, known), "seconds": seconds}}
@@ -208,7 +210,8 @@ def _spoilt(surface: Surface, seed: int) -> RawScan:
 
 
 def _errors(found: RegisteredFace, truth: Floats, known: Topology) -> Figures:
-    face, vertices = known.template.face_vertices, found.skin.vertices
+    face = known.template.face_vertices
+    vertices = found.skin.vertices
     motion = weighted_motion(vertices[face], truth[face], np.ones(len(face)))
     error = np.linalg.norm(vertices - truth, axis=1)[face]
     aligned = np.linalg.norm(motion(vertices[face]) - truth[face], axis=1)

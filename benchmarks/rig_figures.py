@@ -99,7 +99,8 @@ def rig_figures(train: Fits, test: Fits, tracks: JawTracks) -> Figures:
     """
     rig = rig_of(train, test)
     certificate = certify(train.face, rig, {})
-    checks, judgements = certificate.expressions, judge(rig, certificate)
+    checks = certificate.expressions
+    judgements = judge(rig, certificate)
     expressions = {**train.figures("train"), **test.figures("test")}
     beyond = next(each.measures for each in judgements if each.check.code == "muscles.beyond")
     for name, found in expressions.items():
@@ -282,14 +283,16 @@ def noise_figures(method: Method, test: Fits, noise: NoiseOptions = NoiseOptions
     ``activation_error`` is that of the round trip, the mean over the expressions,
     ``contraction_change`` the greatest of all muscles and expressions; None without any.
     """
-    rng, face = np.random.default_rng(noise.seed), test.face
+    rng = np.random.default_rng(noise.seed)
+    face = test.face
     spoilt = {
         name: scan.with_vertices(
             scan.vertices + noise.sd_mm * rng.standard_normal(scan.vertices.shape)
         )
         for name, scan in test.scans.items()
     }
-    again, rest = method.test(face, spoilt), face.rest_pose().a
+    again = method.test(face, spoilt)
+    rest = face.rest_pose().a
     pairs = [
         (state.pose.a, again.states[name].pose.a)
         for name, state in test.states.items()

@@ -52,7 +52,8 @@ from solver.surface import Floats, Surface
 log = logging.getLogger(__name__)
 
 SETS = 3
-MIXTURES, QUICK_MIXTURES = 15, 3
+MIXTURES = 15
+QUICK_MIXTURES = 3
 EXCITED = 8
 """Muscles of a set, both sides counting as one."""
 
@@ -94,13 +95,15 @@ def _plausible(options: argparse.Namespace) -> Figures:
 
 
 def _named(options: argparse.Namespace) -> Figures:
-    face, trip = subject_fits.face_of_rig(options, options.rig), _trip(options)
+    face = subject_fits.face_of_rig(options, options.rig)
+    trip = _trip(options)
     simulated = simulate(face, _draw(face, options, trip.draw), trip)
     return {"found_again": found_again(face, simulated)}
 
 
 def _refitted(options: argparse.Namespace) -> Figures:
-    face, trip = subject_fits.face_of_rig(options, options.rig), _trip(options)
+    face = subject_fits.face_of_rig(options, options.rig)
+    trip = _trip(options)
     draw = replace(trip.draw, count=trip.draw.count + trip.trained)
     train, test = simulate(face, _draw(face, options, draw), trip).divided(trip.trained)
     schedule = subjects.schedule(options, face.model, quick=options.quick)
@@ -220,8 +223,10 @@ def _by_emg(
     emg: EmgOptions = EmgOptions(),
 ) -> Fits:
     """Fit with some muscles of each scan known, as channels of EMG have them."""
-    rng, known = np.random.default_rng(emg.seed), {}
-    own, wholes = FaceMuscles.of(face), tuple(dict.fromkeys(face.model.muscle_groups))
+    rng = np.random.default_rng(emg.seed)
+    known = {}
+    own = FaceMuscles.of(face)
+    wholes = tuple(dict.fromkeys(face.model.muscle_groups))
     for scan, contractions in truths.items():
         true = own.means(wholes, contractions)
         chosen = np.argsort(-true)[: emg.channels]
@@ -307,7 +312,8 @@ def named_pose(
     trip: NamedTripOptions = NamedTripOptions(),
 ) -> Pose:
     """Return a pose of the muscles that texts name for a mixture, within what the face's can do."""
-    model, actions = face.model, called_actions(weights)
+    model = face.model
+    actions = called_actions(weights)
     tensors = fibre_tensors(model, face.flesh.volumes, face.S)
     a = np.tile(IDENTITY, (model.muscle_count, 1))
     depth: dict[str, float] = {}  # of whole muscles, with their side and without
@@ -374,7 +380,9 @@ def fibre_round_trip(
 ) -> Figures:
     """Return what comes back of random activations of fibre muscles with these names."""
     found: dict[float, list[float]] = {noise: [] for noise in trip.noise_mm}
-    skin, outside, sets = [], 0, []
+    skin = []
+    outside = 0
+    sets = []
     for seed in range(trip.sets):
         rng = np.random.default_rng(seed)
         pose = _fibre_pose(face, names, rng, trip)

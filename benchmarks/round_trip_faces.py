@@ -94,11 +94,13 @@ def weights_of(unit: int, names: tuple[str, ...]) -> Floats:
 
 def sign(person: PlayedPerson, unit: int, skin: Floats) -> Figures:
     """Return how a unit's own landmarks move on its skin (v, 3), and how far the median one."""
-    points, neutral = person.points, person.face.model.skin.vertices
+    points = person.points
+    neutral = person.face.model.skin.vertices
     moved = points.at(skin) - points.at(neutral)
     numbers, way = SIGNS[unit]
     rows = [points.names.index(str(number)) for number in numbers if points.has(str(number))]
-    own, outward = moved[rows], np.sign(points.at(neutral)[rows, 0])
+    own = moved[rows]
+    outward = np.sign(points.at(neutral)[rows, 0])
     if way in ("apart", "together"):
         own = np.vstack([own[:1] - own[1:]]) / 2.0
     along = {"up": own[:, 1], "down": -own[:, 1], "outward": outward[: len(own)] * own[:, 0]}
@@ -122,9 +124,12 @@ def _looked_at(
     assert rest is not None, "a face at rest is seen"
     right, left = (person.points.select([str(n)]).at(neutral)[0] for n in EYE_CORNERS)
     mm = float(np.linalg.norm(right - left)) / rest.eyes_px
-    cosines, landmarks, unseen = {}, {}, []
+    cosines = {}
+    landmarks = {}
+    unseen = []
     for (unit, level), skins in made.items():
-        name, pictures = f"{unit} at {level:g}", [drawn.picture(skin) for skin in skins]
+        name = f"{unit} at {level:g}"
+        pictures = [drawn.picture(skin) for skin in skins]
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
             both = (np.hstack(pictures) * 255 + 0.5).astype(np.uint8)
@@ -163,7 +168,8 @@ def _cosine(first: DetectedFace, second: DetectedFace, rest: DetectedFace) -> fl
 
 def section(figures: Figures) -> Section:
     """Return the section of docs/science/benchmarks.md."""
-    cosines, landmarks = figures.get("cosine", {}), figures.get("landmarks_mm", {})
+    cosines = figures.get("cosine", {})
+    landmarks = figures.get("landmarks_mm", {})
     rows = [
         [
             f"AU {unit}",

@@ -97,7 +97,8 @@ def run(options: argparse.Namespace) -> Figures:
     fits: Sequence[ExpressionFit] = ()
     if options.rig is not None:
         rig = Rig.load(options.rig)
-        face, fits = Face(rig.model, rig.weights), rig.expressions
+        face = Face(rig.model, rig.weights)
+        fits = rig.expressions
     else:
         face = Face(subjects.load(options, COARSE_EDGE_MM if options.quick else EDGE_MM)[0])
     figures: Figures = {
@@ -119,7 +120,8 @@ def _compartments(face: Face, _: Sequence[ExpressionFit], options: argparse.Name
     wanted = options.muscles.split(",") if options.muscles else None
     found, failed = _sorted_out(pull_each(face, wanted))
     if options.pictures is not None:
-        name, geometry = _subject(options), "geometric" if options.rig is None else "fitted"
+        name = _subject(options)
+        geometry = "geometric" if options.rig is None else "fitted"
         person = "the built-in person" if name == "built-in" else f"subject {name}"
         title = f"Single muscles of {person}, {geometry} S"
         draw(options.pictures / picture(name), title, face.model, found)
@@ -137,7 +139,8 @@ def _sorted_out(
     pulled: Iterator[tuple[str, Pulled | SolveError]],
 ) -> tuple[dict[str, Pulled], dict[str, str]]:
     """Return muscle -> skin, and muscle -> why there is none."""
-    found, failed = {}, {}
+    found = {}
+    failed = {}
     for muscle, state in pulled:
         if isinstance(state, SolveError):
             failed[muscle] = f"{state.code}: {state.message}"
@@ -156,7 +159,8 @@ def pull_named(
     face: Face, fits: Sequence[ExpressionFit] = (), options: FullOptions = FullOptions()
 ) -> Iterator[tuple[str, Pulled | SolveError]]:
     """Yield every muscle of the table of actions as :func:`pull_each`, as its sliders at 1."""
-    model, rest = face.model, face.rest
+    model = face.model
+    rest = face.rest
     before = face.whole_skin(rest.x, rest.pose.b)
     limits = options.within.feasible(model, face.flesh.volumes, face.S)
     fitted = [fit.activations for fit in fits]
@@ -207,7 +211,8 @@ def _lids(model: SubjectModel, pulled: Pulled, options: FullOptions) -> Figures:
 
     Lids that meet may have one by their thickness.
     """
-    known, closed = model.expressions, 0.0
+    known = model.expressions
+    closed = 0.0
     if known is not None and options.blink in known.names:
         skin = model.skin.vertices.copy()
         skin[model.face] += known.motions[known.names.index(options.blink)]
@@ -233,7 +238,9 @@ def left_by_sliders(face: Face, fits: Sequence[ExpressionFit]) -> dict[str, floa
     """
     if not fits:
         return {}
-    sliders, rest, found = controls_of(face, fits), face.rest, {}
+    sliders = controls_of(face, fits)
+    rest = face.rest
+    found = {}
     own = sliders.of_kind("muscle") + sliders.of_kind("jaw")
     ids = face.model.face
     for fit in fits:
@@ -269,7 +276,8 @@ def pull_each(
 
     They are those of the left and the middle that have fibres in S, unless others are ``wanted``.
     """
-    model, rest = face.model, face.rest
+    model = face.model
+    rest = face.rest
     before = face.whole_skin(rest.x, rest.pose.b)
     tensors = fibre_tensors(model, face.flesh.volumes, face.S)
     for number, muscle in enumerate(model.muscle_names):
@@ -313,7 +321,8 @@ def measure(
 
 def _fibres(face: Face, muscle: str, least_share: float) -> tuple[Ints, Floats]:
     """Return the tets that are a muscle's for the most part, and its fibres' directions in them."""
-    model, S = face.model, face.S
+    model = face.model
+    S = face.S
     column = model.muscle_number(muscle) + 1
     assert model.fibres is not None, "a muscle that is pulled has fibres"
     entries = np.flatnonzero(S.indices == column)
@@ -337,13 +346,13 @@ def _ends(
     model = face.model
     axis = axes[:, 2] * np.sign(axes[:, 2] @ directions.sum(axis=0))
     corners = model.rest[model.tets[tets]]
-    middles, gone = corners.mean(axis=1), (pulled.x[model.tets[tets]] - corners).mean(axis=1)
+    middles = corners.mean(axis=1)
+    gone = (pulled.x[model.tets[tets]] - corners).mean(axis=1)
     along = middles @ axis
-    origin, insertion = (
-        along <= np.quantile(along, options.end),
-        along >= np.quantile(along, 1.0 - options.end),
-    )
-    skin, motion = model.skin.vertices[model.face], pulled.motion[model.face]
+    origin = along <= np.quantile(along, options.end)
+    insertion = along >= np.quantile(along, 1.0 - options.end)
+    skin = model.skin.vertices[model.face]
+    motion = pulled.motion[model.face]
     over, nearest = cKDTree(middles[insertion]).query(skin)
     near = over < options.over_mm
     to_origin = -directions[insertion][nearest[near]]
@@ -420,7 +429,8 @@ def _named_words(figures: Figures) -> str:
     """Return in a sentence how many muscles do what texts say, and whether eyes close."""
     words = f"{100.0 * figures['as_texts']:.0f} % of the muscles do to the skin what texts say."
     if lids := figures.get("lids"):
-        left, whole = lids["gap_mm"], lids["at_rest_mm"]
+        left = lids["gap_mm"]
+        whole = lids["at_rest_mm"]
         words += f" The palpebral part leaves {left:.1f} of the {whole:.1f} mm between the lids."
     return words
 

@@ -46,7 +46,8 @@ STRONG = {
 }
 
 # Unseen expressions that ask much of one part of the face: its regions, by which each is judged.
-LIPS, NOSE = ("upper_lip", "lower_lip"), ("nose",)
+LIPS = ("upper_lip", "lower_lip")
+NOSE = ("nose",)
 BEAM = {"mouthSmile": 1.0, "mouthUpperUp": 0.5, "cheekSquint": 0.5, "jawOpen": 0.15}
 HARD = {
     "funnel": Expression({"mouthFunnel": 1.0, "jawOpen": 0.15}),
@@ -83,7 +84,8 @@ def strong_mixtures(shapes: Sequence[str]) -> dict[str, dict[str, float]]:
 
 def mixed(neutral: Surface, basis: ShapeBasis, weights: Mapping[str, float]) -> Surface:
     """Return the skin of a person with this ``neutral`` in a mixture of a template's shapes."""
-    moved, number = neutral.vertices.copy(), basis.expression_names.index
+    moved = neutral.vertices.copy()
+    number = basis.expression_names.index
     for name, weight in weights.items():
         moved += weight * basis.expressions[number(name)]
     return neutral.with_vertices(moved)
@@ -124,7 +126,8 @@ def draw_mixtures(
 
     No mixture has a unit twice, or units of which one's muscles are the other's antagonists.
     """
-    rng, found = np.random.default_rng(options.seed), {}
+    rng = np.random.default_rng(options.seed)
+    found = {}
     fewest, most = options.units
     sides: dict[str, list[str]] = {}
     for shape in shapes:

@@ -127,15 +127,18 @@ class Fits:
 def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
     """Fit S, activations and jaws to all scans; within limits the jaw is on its tracks."""
     face = face if schedule.within is None else face.with_jaw_on_tracks()
-    targets, rounds = _targets(face, scans), 0
+    targets = _targets(face, scans)
+    rounds = 0
 
     def listen(number: int, states: Mapping[str, PosedFace]) -> None:
         nonlocal rounds
         rounds += 1
         log.info("round %d: %.3f mm", number, geometry.mean_error(face, targets, states))
 
-    start, cpu = time.perf_counter(), time.process_time()
-    data, first_terms = terms(face, targets), distances(face, targets)
+    start = time.perf_counter()
+    cpu = time.process_time()
+    data = terms(face, targets)
+    first_terms = distances(face, targets)
     fitted = geometry.fit(
         face,
         data,
@@ -144,7 +147,8 @@ def by_geometry(face: Face, scans: Scans, schedule: GeometryOptions) -> Fits:
         recruited=recruit(face, targets),
         listen=listen,
     )
-    seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+    seconds = time.perf_counter() - start
+    cpu = time.process_time() - cpu
     return Fits(fitted.face, dict(scans), fitted.endings, seconds, rounds=rounds, cpu_seconds=cpu)
 
 
@@ -178,7 +182,8 @@ def by_tets(face: Face, scans: Scans, options: PerTetOptions) -> Fits:
 def _each(
     face: Face, scans: Scans, data: Mapping[str, Term], fit: Callable[[str, Term], FallbackFit]
 ) -> Fits:
-    endings, failed = {}, {}
+    endings = {}
+    failed = {}
     start = time.perf_counter()
     for name, term in data.items():
         begin = time.perf_counter()
@@ -221,7 +226,8 @@ CONTROLS = {  # by what muscles and jaw may do
 
 def rig_of(train: Fits, test: Fits) -> Rig:
     """Return the rig that the jobs would leave of both, with its round trips."""
-    face, start = train.face, time.perf_counter()
+    face = train.face
+    start = time.perf_counter()
     fits = with_round_trips(face, (*train.expressions("train"), *test.expressions("test")))
     seconds = {
         "geometry": train.seconds,
@@ -231,24 +237,34 @@ def rig_of(train: Fits, test: Fits) -> Rig:
     return Rig(face.model, face.S, fits, seconds)
 
 
-def face_of_rig(
+def subject_rig(
     options: argparse.Namespace,
     path: Path | None,
     change: Callable[[SubjectModel], SubjectModel] = lambda model: model,
-) -> Face:
-    """Return the face of a rig file with the controls of the options.
+) -> Rig:
+    """Return a rig file's rig.
 
     Where there is none S is fitted to the standard scans of the chosen subject, whose model goes
     through ``change`` first, and left there.
     """
     if path is not None and path.is_file():
-        rig = Rig.load(path)
-        return subjects.bounded(Face(rig.model, rig.weights), options)
+        return Rig.load(path)
     edge = subjects.COARSE_EDGE_MM if options.quick else subjects.EDGE_MM
     model, captures = subjects.load(options, edge)
     schedule = subjects.schedule(options, model, quick=options.quick)
     fits = by_geometry(Face(change(model)), captures.train, schedule)
     face = fits.face
+    rig = Rig(face.model, face.S, tuple(fits.expressions("train")), drive=face.drive)
     if path is not None:
-        Rig(face.model, face.S, tuple(fits.expressions("train")), drive=face.drive).save(path)
-    return face
+        rig.save(path)
+    return rig
+
+
+def face_of_rig(
+    options: argparse.Namespace,
+    path: Path | None,
+    change: Callable[[SubjectModel], SubjectModel] = lambda model: model,
+) -> Face:
+    """Return the face of :func:`subject_rig` with the controls of the options."""
+    rig = subject_rig(options, path, change)
+    return subjects.bounded(Face(rig.model, rig.weights), options)

@@ -25,7 +25,8 @@ from solver.templates.ict_facekit import ict_capture_set, read_facekit, shape_ba
 from solver.templates.ict_template import build_ict_template
 from solver.templates.tables import CaptureSet
 
-EDGE_MM, COARSE_EDGE_MM = 9.0, 18.0
+EDGE_MM = 9.0
+COARSE_EDGE_MM = 18.0
 """Tets' edges of benchmarks: as in jobs, and small enough for IPOPT."""
 
 QUICK_ROUNDS = 4  # of a fit of S in a quick run
@@ -146,7 +147,8 @@ def each(options: argparse.Namespace, names: Sequence[str], edge_mm: float) -> I
     else:
         captures = {n: ict_capture_set(options.faces, n, options.capture_sets) for n in names}
     for name, scans in captures.items():
-        neutral, divided = scans.neutral.vertices, not options.whole
+        neutral = scans.neutral.vertices
+        divided = not options.whole
         model = build_subject_model(template, neutral, edge_mm=edge_mm, compartments=divided)
         strong = replace(scans, train=strong_scans(template, scans.neutral))
         sets = dict(zip(SETS, (scans, strong), strict=True))

@@ -123,7 +123,8 @@ class _Person:
     """One subject with its shapes and the mixtures of them."""
 
     def __init__(self, subject: Subject, options: argparse.Namespace) -> None:
-        self._model, self._options = subject.model, options
+        self._model = subject.model
+        self._options = options
         self._shapes = template_shapes(self._model, subjects.shapes(options))
         self._fit_options = replace(TrackFitOptions(), w_w=options.w_w)
         names = list(MIXTURES)[: QUICK_MIXTURES if options.quick else None]
@@ -136,11 +137,13 @@ class _Person:
         self._muscle_fits: dict[str, list[ExpressionFit]] = {}
         S = self._model.weights
         if "S" in options.systems:
-            face, begun = subjects.bounded(Face(self._model), options), time.perf_counter()
+            face = subjects.bounded(Face(self._model), options)
+            begun = time.perf_counter()
             schedule = subjects.schedule(options, self._model, quick=options.quick)
             trained = by_geometry(face, subject.captures.train, schedule)
             log.info("S in %.0f s: %.3f mm", time.perf_counter() - begun, trained.mean_mm)
-            self._muscles, S = trained.face, trained.face.S
+            self._muscles = trained.face
+            S = trained.face.S
         self._measures = SystemMeasures.of(Rig(self._model, S, ()))
         self._truths = {part: _Truths(self._clean, {}) for part in PARTS if part != "simulated"}
         if "simulated" in options.parts:
@@ -160,7 +163,8 @@ class _Person:
         }
 
     def _fits(self, part: str) -> Iterator[tuple[str, str, ExpressionFit]]:
-        scans, targets = self._scans(part), self._targets(part)
+        scans = self._scans(part)
+        targets = self._targets(part)
         if "S" in self._options.systems:
             for fit in self._by_muscles(part):
                 yield fit.name, "S", fit
@@ -212,7 +216,8 @@ class _Person:
         self, clean: Floats, random: np.random.Generator, spoil: Spoil = Spoil()
     ) -> RegisteredScan:
         """Return a scan as a bad day has it: see :class:`Spoil`."""
-        model, neutral = self._model, self._model.skin.vertices
+        model = self._model
+        neutral = self._model.skin.vertices
         lips = np.concatenate([model.region(f"{side}_lip") for side in ("upper", "lower")])
         away = cKDTree(neutral[lips]).query(neutral)[0]
         surface = model.skin.with_vertices(clean)
@@ -258,11 +263,13 @@ def _simulated(options: argparse.Namespace, names: Sequence[str]) -> _Truths:
     S = mix_by_stiffness(model.weights, TrackOptions.firmness)
     material = LAWS[options.truth_law].in_pascal(STIFFNESS_PA)
     face = Face(model, S, material=material, linear=fastest())
-    lips, driven = LipFlesh.of(model), fibre_tensors(model, face.flesh.volumes, S)
+    lips = LipFlesh.of(model)
+    driven = fibre_tensors(model, face.flesh.volumes, S)
     with_fibres = np.isfinite(driven).all(axis=(1, 2))
     shortening = IsochoricActivations.of(driven[with_fibres])
     still = Drive(0.0, face.flesh.passive(), np.zeros(JAW_FREEDOM), IDENTITY)
-    skins, changes = {}, {}
+    skins = {}
+    changes = {}
     for name in names:
         given = by_muscle(both_sides(SIMULATED[name], "lr"), model.muscle_names)
         stretch = np.array([given.get(muscle, 1.0) for muscle in model.muscle_names])

@@ -98,7 +98,9 @@ def _measure(
     """Return the figures of an animation."""
     told = json.loads((out / "animation.json").read_text(encoding="utf-8"))
     with np.load(out / "animation.npz") as data, np.load(sequence) as take:
-        times, skins, heads = data["time"], data["skin"].astype(np.float64), data["head"]
+        times = data["time"]
+        skins = data["skin"].astype(np.float64)
+        heads = data["head"]
         played = data["activations"].reshape(len(times), -1)
         given = take["activations"].reshape(len(take["time"]), -1)
         begun = take["time"] - take["time"][0]
@@ -145,7 +147,8 @@ def _slips(times: Floats, skins: Floats, thing: SceneObject) -> Floats:
         corners = surface.vertices[surface.faces[triangles]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         for point in touching:
-            place, normal = skins[frame, point], normals[point] / np.linalg.norm(normals[point])
+            place = skins[frame, point]
+            normal = normals[point] / np.linalg.norm(normals[point])
             away = place - came.setdefault(point, place)
             slipped.setdefault(point, []).append(
                 float(np.linalg.norm(away - (away @ normal) * normal))

@@ -42,14 +42,18 @@ from solver.tracks.response import TrackResponse, TrackState
 from solver.tracks.shapes import template_shapes
 
 PARTS = ("shapes", "recording", "derivatives")
-FRAMES, QUICK_FRAMES = 300, 4
+FRAMES = 300
+QUICK_FRAMES = 4
 QUICK_SHAPES = 4
 # weights of pressed lips; how far differences move the skin, for contact is stiff; and the steps,
 # over that, whose distances from the linear prediction tell its order: with 20 pairs come and go
 PRESSED = {"mouthPressLeft": 1.0, "mouthPressRight": 1.0, "mouthShrugLower": 0.9, "jawLeft": 0.1}
-FREE_MM, TOUCHING_MM, TAYLOR = 2e-3, 2e-4, (5.0, 2.5)
+FREE_MM = 2e-3
+TOUCHING_MM = 2e-4
+TAYLOR = (5.0, 2.5)
 # what JAX's own check, of another random direction, may be off: of the largest column, by contact
-JAX_FREE, JAX_TOUCHING = 1e-5, 1e-4
+JAX_FREE = 1e-5
+JAX_TOUCHING = 1e-4
 TIMED = 7  # runs of what is timed
 MOVES_MM = 0.05
 """Controls that move the skin by less, at most, are compared with nothing."""
@@ -115,7 +119,8 @@ class _Person:
     """One subject's tracks, face and measures."""
 
     def __init__(self, model: SubjectModel, options: argparse.Namespace) -> None:
-        self._model, self._options = model, options
+        self._model = model
+        self._options = options
         self._shapes = template_shapes(model, subjects.shapes(options))
         begun = time.perf_counter()
         given = TrackOptions(length_mm=options.length_mm, law=options.law)
@@ -160,7 +165,8 @@ class _Person:
     def at_one(self) -> Figures:
         """Go from rest to every shape; a corrective goes together with what it corrects."""
         names = list(self._tracks.names)[: QUICK_SHAPES if self._options.quick else None]
-        found, failed = [], []
+        found = []
+        failed = []
         for name in names:
             weights = {name: 1.0} | ({CORRECTED[name]: 1.0} if name in CORRECTED else {})
             try:
@@ -178,7 +184,9 @@ class _Person:
         take = read_live_link(self._options.recording)
         weights = shape_weights(take, self._tracks.names)
         jaw = np.zeros(JAW_FREEDOM)
-        found, failed, state = [], [], self._rest
+        found = []
+        failed = []
+        state = self._rest
         for number in self._numbers(len(weights)):
             q = np.concatenate([weights[number], jaw])
             try:
@@ -209,7 +217,8 @@ class _Person:
         random = np.random.default_rng(3)
         way = random.standard_normal(len(q)) * (np.arange(len(q)) < len(self._tracks.names))
         gradient = random.standard_normal(columns.shape[:2])
-        moved, pulled = response.skin_product(way), response.skin_adjoint(gradient)
+        moved = response.skin_product(way)
+        pulled = response.skin_adjoint(gradient)
         norms = np.linalg.norm(gradient) * np.linalg.norm(moved)
         found: Figures = {
             "error": max((each for each in errors if each is not None), default=None),
@@ -238,7 +247,8 @@ class _Person:
         yield from numbers
 
     def _go(self, state: TrackState, q: Floats) -> tuple[_Frame, TrackState]:
-        model, begun = self._model, time.process_time()
+        model = self._model
+        begun = time.process_time()
         now = self._face.move(state, q)
         seconds = time.process_time() - begun
         wanted = np.tensordot(q[: len(self._motions)], self._motions, 1)
@@ -327,7 +337,8 @@ def _times(face: TrackFace, state: TrackState) -> Figures:
     TrackResponse(face, state)
     energy = Energy(face.face.flesh, face.exact_solver, state.drive.A, face.potentials)
     energy.factorization(state.x, 0).solve(energy.gradient(state.x))
-    newton, columns = [], []
+    newton = []
+    columns = []
     for _ in range(TIMED):
         begun = time.process_time()
         energy.factorization(state.x, 0).solve(energy.gradient(state.x))

@@ -123,7 +123,8 @@ def _animated(
     folder: Path, person: PlayedPerson, controls: Controls, video: Path, entry: Recording
 ) -> Iterator[Floats]:
     """Yield the skins (v, 3) in the world that the job leaves, with contact."""
-    face, out = person.face, folder / "animation"
+    face = person.face
+    out = folder / "animation"
     out.mkdir()
     rig = Rig(face.model, person.S, (), drive=face.drive)
     rig.save(folder / "rig.npz")
@@ -138,7 +139,8 @@ def _animated(
         controls=folder / "controls.npz",
     )
     log.info("%s", json.loads((out / "animation.json").read_text())["transfer"])
-    gaze, model = Gaze(face.model), face.model
+    gaze = Gaze(face.model)
+    model = face.model
     for frame in read_chunks(out / FRAMES, MotionRecord, "simulate.frames", lambda _: True):
         whole = face.whole_skin(model.rest + frame.moved, frame.jaw)
         yield frame.into_world(gaze.turn(whole, frame.eyes))
@@ -150,7 +152,9 @@ def _shaped(
     """Yield the skins (v, 3) of the template's own shapes, with the same head and eyes."""
     model = person.face.model
     order = [person.names.index(name) for name in controls.names]
-    gaze, pivot, rest = Gaze(model), neck(model), model.skin.vertices
+    gaze = Gaze(model)
+    pivot = neck(model)
+    rest = model.skin.vertices
     for row, head, eyes in zip(weights, take.head, take.eyes, strict=False):
         skin = rest + np.tensordot(row, person.deltas[order], 1)
         yield turn_about(pivot, head, np.zeros(3))(gaze.turn(skin, eyes))
@@ -158,7 +162,9 @@ def _shaped(
 
 def _look(drawn: PaintedFaces, skins: Iterator[Floats], detector: FaceDetector) -> FaceTake:
     """Return what the detector sees of skins that are drawn; nothing where it sees no face."""
-    weights, head, seen = [], [], []
+    weights = []
+    head = []
+    seen = []
     for skin in skins:
         face = drawn.look(skin, detector)
         seen.append(face is not None)

@@ -144,7 +144,8 @@ class Stack:
         self.stop()
 
     def _check_port(self) -> None:
-        host, port = self.settings.host, self.settings.port
+        host = self.settings.host
+        port = self.settings.port
         try:
             check_port(host, port)
         except OSError as error:

@@ -193,7 +193,8 @@ def _place(parts: Sequence[str | int]) -> str:
 
 def _message(fault: dict[str, Any]) -> str:
     """Return what a field should be and, where that is a short text, what it was."""
-    kind, found = fault["type"], fault.get("input")
+    kind = fault["type"]
+    found = fault.get("input")
     if kind in SENTENCES:
         return SENTENCES[kind]
     quoted = isinstance(found, str) and len(found) <= LONGEST_QUOTE

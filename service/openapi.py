@@ -20,7 +20,8 @@ from service import errors
 from service.page.routes import AcceptEncoding, IfNoneMatch, StaticFile, send_static
 
 JsonObject = dict[str, Any]
-NEWER, OLDER = "/openapi.json", "/openapi-3.0.json"
+NEWER = "/openapi.json"
+OLDER = "/openapi-3.0.json"
 NULL = {"type": "null"}
 SEVERAL = ("anyOf", "oneOf", "allOf")
 REFERENCE = "#/components/schemas/"

@@ -38,7 +38,9 @@ class _PlainError(Exception):
 
     def __init__(self, code: str, message: str, **context: Any) -> None:
         super().__init__(message)
-        self.code, self.message, self.context = code, message, context
+        self.code = code
+        self.message = message
+        self.context = context
 
     def as_dict(self) -> dict[str, Any]:
         """Return the error as plain JSON values."""

@@ -228,7 +228,9 @@ class SubjectModel:
     @property
     def muscle_surfaces(self) -> dict[str, Surface]:
         """Return muscle -> surface: a compartment has the triangles of the whole nearest to it."""
-        centres, entries, found = self.tet_centres, self.weights.tocoo(), {}
+        centres = self.tet_centres
+        entries = self.weights.tocoo()
+        found = {}
         for name, whole in self.muscles.items():
             columns = [k for k, group in enumerate(self.muscle_groups, start=1) if group == name]
             own = np.isin(entries.col, columns) & (entries.data > 0.0)
@@ -340,7 +342,8 @@ class SubjectModel:
     @classmethod
     def from_archive(cls, archive: Archive) -> SubjectModel:
         """Return the model that :meth:`archive` stored."""
-        header, data = archive.header, archive.arrays
+        header = archive.header
+        data = archive.arrays
 
         def surfaces(kind: str) -> dict[str, Surface]:
             return {
@@ -348,7 +351,8 @@ class SubjectModel:
                 for number, name in enumerate(header[f"{kind}s"])
             }
 
-        names, tracks = tuple(header["muscle_names"]), header.get("condyle_tracks")
+        names = tuple(header["muscle_names"])
+        tracks = header.get("condyle_tracks")
         shapes = header.get("expressions")
         expressions = shapes and Expressions(tuple(shapes), data["expression_motions"])
         return cls(

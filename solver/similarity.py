@@ -60,8 +60,10 @@ def small_motion(twist: Floats, growth: float = 0.0) -> Similarity:
 
 def fit_similarity(source: Floats, target: Floats) -> Similarity:
     """Return the best motion of ``source`` (n, 3) onto ``target`` (n, 3) (Umeyama 1991)."""
-    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
-    a, b = source - source_mean, target - target_mean
+    source_mean = source.mean(axis=0)
+    target_mean = target.mean(axis=0)
+    a = source - source_mean
+    b = target - target_mean
     rotation, trace = _nearest_rotation(b.T @ a)
     scale = float(trace / np.sum(a**2))
     return Similarity(scale, rotation, target_mean - scale * rotation @ source_mean)
@@ -82,7 +84,8 @@ def weighted_motions(source: Floats, target: Floats, weights: Floats) -> tuple[F
     Rigid, least squares by ``weights`` (f, n), of every frame at once (Kabsch 1976).
     """
     share = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-    centre, goal = np.einsum("fn,fni->fi", share, source), share @ target
+    centre = np.einsum("fn,fni->fi", share, source)
+    goal = share @ target
     spread = (source - centre[:, None]) * share[..., None]  # sums to 0: the target need not
     rotations, _ = _nearest_rotation(np.matmul((target - target.mean(axis=0)).T, spread))
     return rotations, goal - np.einsum("fij,fj->fi", rotations, centre)
@@ -125,7 +128,8 @@ def robust_motion_of_seen(
     known = np.isfinite(source).all(axis=1) & np.isfinite(target).all(axis=1)
     if known.sum() < least:
         return None
-    pair, even = (source[known], target[known]), np.ones(int(known.sum()))
+    pair = (source[known], target[known])
+    even = np.ones(int(known.sum()))
     return robust_motion(*pair, even, slack, steps, weighted_motion(*pair, even))
 
 

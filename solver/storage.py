@@ -313,7 +313,8 @@ def _parse_view(content: bytes) -> tuple[dict[str, Any], Arrays]:
             raise ValueError(f"{name} has the unknown dtype {entry['dtype']}")
         if any(size < 0 for size in entry["shape"]):
             raise ValueError(f"{name} has the shape {entry['shape']}")
-        dtype, count = np.dtype(entry["dtype"]).newbyteorder("<"), math.prod(entry["shape"])
+        dtype = np.dtype(entry["dtype"]).newbyteorder("<")
+        count = math.prod(entry["shape"])
         flat = np.frombuffer(content, dtype, count, entry["offset"])
         arrays[name] = flat.reshape(entry["shape"])
     return header, arrays

@@ -68,8 +68,12 @@ def skew(vectors: Floats) -> Floats:
     """Return the matrices (..., 3, 3) of v x . for ``vectors`` (..., 3)."""
     out = np.zeros((*vectors.shape, 3))
     x, y, z = np.moveaxis(vectors, -1, 0)
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
-    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = z, -y, x
+    out[..., 0, 1] = -z
+    out[..., 0, 2] = y
+    out[..., 1, 2] = -x
+    out[..., 1, 0] = z
+    out[..., 2, 0] = -y
+    out[..., 2, 1] = x
     return out
 
 
@@ -129,7 +133,8 @@ def nearest_sphere(points: Floats) -> tuple[Floats, float]:
 
 def distance_to_path(points: Floats, path: Floats) -> Floats:
     """Return the distance (n,) of points (n, 3) to a polyline (k, 3); one point is one, too."""
-    starts, ends = path[: max(len(path) - 1, 1)], path[min(1, len(path) - 1) :]
+    starts = path[: max(len(path) - 1, 1)]
+    ends = path[min(1, len(path) - 1) :]
     nearest = np.full(len(points), np.inf)
     for start, end in zip(starts, ends, strict=True):
         along = end - start

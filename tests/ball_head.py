@@ -17,7 +17,8 @@ def ball(centre: tuple[float, float, float], radius: float, fineness: int = 2) -
 
 
 def muscle(name: str, x: float) -> Muscle:
-    origin, insertion = np.array([x, -10.0, 66.0]), np.array([x, -10.0, 90.0])
+    origin = np.array([x, -10.0, 66.0])
+    insertion = np.array([x, -10.0, 90.0])
     return Muscle(name, ball((x, -10, 80), 8.0), np.array([0.0, 0.0, 1.0]), origin, insertion)
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 def self_signed(folder: Path, name: str) -> tuple[Path, Path]:
     """Make a key and a certificate for ``name`` (``DNS:...`` or ``IP:...``), good for a day."""
-    key, certificate = folder / "key.pem", folder / "certificate.pem"
+    key = folder / "key.pem"
+    certificate = folder / "certificate.pem"
     command = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 1"
     subject = ["-subj", f"/CN={name.partition(':')[2]}", "-addext", f"subjectAltName={name}"]
     subprocess.run(

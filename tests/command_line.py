@@ -27,7 +27,8 @@ class Told:
 
 def invoke(words: list[str], env: Mapping[str, str] | None = None) -> Told:
     """Run a command line as a terminal would; a fault of the program itself is raised."""
-    out, err = io.StringIO(), io.StringIO()
+    out = io.StringIO()
+    err = io.StringIO()
     with (
         mock.patch.dict(os.environ, env or {}),
         contextlib.redirect_stdout(out),

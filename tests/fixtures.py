@@ -26,7 +26,8 @@ from solver.surface import Floats, Ints, Surface
 
 MM_PER_M = 1000.0
 NARROW_FACE = 6706  # ICT-FaceKit: the vertices below are the face without ears and neck
-BOUNDARY_CRANIUM, BOUNDARY_MANDIBLE = 1, 2
+BOUNDARY_CRANIUM = 1
+BOUNDARY_MANDIBLE = 2
 MODEL_FILE = Path(__file__).parent / "fixtures" / "small_model.npz"
 EXPRESSIONS_FILE = MODEL_FILE.with_name("small_expressions.npz")
 JAX_FOLDER = Path(__file__).parents[1] / ".jax"
@@ -62,7 +63,8 @@ def small_rig() -> Rig:
     change = np.zeros(face.layout.size)
     change[face.layout["jaw"]] = [0.1, 0.0, 0.0, 1.0, 0.0]
     pose = rest.add(change)
-    skin, none = small_capture("ah").vertices, np.zeros(len(model.skin.vertices))
+    skin = small_capture("ah").vertices
+    none = np.zeros(len(model.skin.vertices))
     opened = ExpressionFit("ah", "train", pose.a, pose.b, skin, skin, none, 0, 1, 0.0, 0.0)
     return Rig(model, model.weights, (opened,))
 

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 BLOCK = 512
-INTEL, DEC, MIPS = 84, 85, 86
+INTEL = 84
+DEC = 85
+MIPS = 86
 
 
 def face_points(frames: int = 12, tracks: int = 5, seed: int = 1) -> np.ndarray:
@@ -238,7 +240,8 @@ def motive_bytes(
         ",".join(["", "", *kinds, *(["Position"] * 3 + ["Marker Quality"]) * 2]),
         ",".join(["Frame", "Time (Seconds)", *axes, *own]),
     ]
-    body, ends = ["0"] * 3 + ["1", "5", "5", "5", "0.1"], ["9", "8", "7", "1"] * 2
+    body = ["0"] * 3 + ["1", "5", "5", "5", "0.1"]
+    ends = ["9", "8", "7", "1"] * 2
     for fields in _rows(points, rate, first):
         lines.append(",".join([*fields[:2], *body, *fields[2:], *ends]))
     return "".join(f"{line}\r\n" for line in lines).encode()

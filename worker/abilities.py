@@ -27,7 +27,8 @@ def abilities(settings: Settings, kinds: Iterable[str] = ()) -> Abilities:
     ValueError
         If this release does not know one of them.
     """
-    known, only = KINDS.keys(), frozenset(kinds)
+    known = KINDS.keys()
+    only = frozenset(kinds)
     if strangers := only - known:
         raise ValueError(f"unknown kinds of job: {', '.join(sorted(strangers))}")
     return Abilities(
@@ -44,9 +45,12 @@ def show_life(session: Session, queue: str, can: Abilities, slots: int) -> None:
     if worker is None:
         worker = Worker(name=can.worker, queue=queue)
         session.add(worker)
-    worker.host, worker.version = HOST, _version()
+    worker.host = HOST
+    worker.version = _version()
     worker.kinds = sorted(kind for kind in can.kinds if KINDS[kind].queue == queue)
-    worker.memory_mb, worker.threads, worker.slots = can.memory_mb, can.threads, slots
+    worker.memory_mb = can.memory_mb
+    worker.threads = can.threads
+    worker.slots = slots
     worker.seen_at = clock(session)
 
 

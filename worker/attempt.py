@@ -246,7 +246,8 @@ class AttemptFolder:
         lead to the service's secret.
         """
         out = self.path / "out"
-        place, most = out / folder, MOST_NAMES + len(self._claim.frames)
+        place = out / folder
+        most = MOST_NAMES + len(self._claim.frames)
         found: dict[Path, int] = {}
         if not place.is_dir() or out.is_symlink() or place.is_symlink():
             return found

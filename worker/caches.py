@@ -58,11 +58,13 @@ class TenantCache:
 
     def remove_surplus(self) -> None:
         """Remove the oldest until the rest is within its bounds of number, bytes and age."""
-        count, kept = 0, 0
+        count = 0
+        kept = 0
         for file in sorted(self.folder.iterdir(), key=_age):
             has_room = count < MOST_MESHES and kept + _size(file) <= self._most_bytes
             if has_room and _is_mesh(file) and _age(file) <= LONGEST_KEPT:
-                count, kept = count + 1, kept + _size(file)
+                count = count + 1
+                kept = kept + _size(file)
             else:
                 remove_tree(file)
 

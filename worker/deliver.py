@@ -30,7 +30,8 @@ from service.webhooks import signing
 from worker.sweeper import Heartbeat
 
 # Seconds between two looks into the table: when there was nothing, and when there was
-POLL, BUSY = 0.5, 0.02
+POLL = 0.5
+BUSY = 0.02
 # Seconds of a lease beyond the time limit of a request
 MARGIN = 20.0
 EXCERPT = 500
@@ -82,7 +83,8 @@ class Deliverer:
 
     def run(self) -> None:
         """Deliver; what is under way at the end is finished."""
-        forgotten, pause = 0.0, POLL
+        forgotten = 0.0
+        pause = POLL
         with ThreadPoolExecutor(self._settings.webhook_workers) as pool:
             while not self._stopping.wait(pause):
                 pause = POLL
@@ -101,7 +103,8 @@ class Deliverer:
         self._under_way = {
             future: delivery for future, delivery in self._under_way.items() if not future.done()
         }
-        threads, deliveries = self._settings.webhook_workers, self._under_way.values()
+        threads = self._settings.webhook_workers
+        deliveries = self._under_way.values()
         with self._store.read() as session:
             if len(deliveries) == threads or not outbox.is_due(session):
                 return []

@@ -196,7 +196,8 @@ class SolverProcess:
         waiting = standby.take(folder) if standby else None
         self.was_ready = waiting is not None
         if waiting is None:
-            words, how = [str(folder)], {"cwd": folder, "stdin": subprocess.DEVNULL}
+            words = [str(folder)]
+            how = {"cwd": folder, "stdin": subprocess.DEVNULL}
             waiting = _Interpreter(words, settings, environment, **how)
         self._process = waiting.process
         assert self._process.stdout is not None
@@ -316,7 +317,8 @@ def _tell(waiting: _Interpreter, folder: Path) -> bool:
 
 def _end(started: _Interpreter) -> None:
     """End a process that has no job; of one that ended by itself, log what it said last."""
-    code, said = started.process.poll(), started.process.stdout
+    code = started.process.poll()
+    said = started.process.stdout
     _signal_group(started.process.pid, signal.SIGKILL)
     started.process.wait()
     if code is not None and said is not None:
@@ -337,7 +339,8 @@ def _step(line: str) -> dict[str, Any] | None:
         return None
     if not isinstance(found, dict):
         return None
-    phase, fraction = found.get("phase"), found.get("fraction")
+    phase = found.get("phase")
+    fraction = found.get("fraction")
     if not (isinstance(phase, str) and isinstance(fraction, int | float)):
         return None
     return fit_progress(found)

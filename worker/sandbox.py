@@ -44,8 +44,10 @@ RIGHTS_OF_ABI = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}
 MAKE_OTHERS = 1 << 6 | 1 << 9 | 1 << 10 | 1 << 11 | 1 << 12
 RIGHTS_TO_A_FILE = EXECUTE | WRITE_FILE | READ_FILE | 1 << 14 | 1 << 15
 # Rights to bind and connect TCP (version 4), scopes of abstract sockets and signals (version 6)
-NET_RIGHTS, NET_ABI = 0b11, 4
-SCOPES, SCOPE_ABI = 0b11, 6
+NET_RIGHTS = 0b11
+NET_ABI = 4
+SCOPES = 0b11
+SCOPE_ABI = 6
 
 # Places of the system that Python and the libraries use; of /etc, /proc and /dev no more than these
 PLACES: Final[dict[str, int]] = {

@@ -38,7 +38,8 @@ from worker.errors import NO_ROOM, is_full
 if TYPE_CHECKING:
     from solver.progress import ProgressCallback, Step
 
-RESULT, FAILURE = "result.json", "error.json"
+RESULT = "result.json"
+FAILURE = "error.json"
 STANDBY = "--standby"
 # What a check loads and needs no job for; none of these has kernels
 AHEAD = (
@@ -85,11 +86,13 @@ def main(folder: Path, progress_fd: int) -> int:
     try:
         try:
             with os.fdopen(progress_fd, "w", buffering=1) as pipe:
-                verdict, result = RESULT, solve(folder, to_pipe(pipe.write), process["jobs"])
+                verdict = RESULT
+                result = solve(folder, to_pipe(pipe.write), process["jobs"])
         except Exception as error:
             if is_full(error):
                 raise
-            verdict, result = FAILURE, _describe_error(error, process["memory_bytes"])
+            verdict = FAILURE
+            result = _describe_error(error, process["memory_bytes"])
         _write(folder, verdict, result)
     except Exception as error:
         if not is_full(error):
@@ -169,7 +172,8 @@ def solve(folder: Path, progress: ProgressCallback, jobs: str = "solver.jobs") -
         jobs=jobs,
         **files,
     )
-    kind, out = KINDS[job["kind"]].given(job["options"]), folder / "out"
+    kind = KINDS[job["kind"]].given(job["options"])
+    out = folder / "out"
     formats = {name: format_number(out / name) for name in FILES if (out / name).is_file()}
     return {**_describe(out / kind.report, is_rig=kind.leaves == "rig"), "formats": formats}
 

@@ -231,7 +231,8 @@ class Supervisor:
         InvalidOutputError
             If they are more files than any job leaves.
         """
-        most, found = KINDS[claim.kind].max_bytes, folder.measure()
+        most = KINDS[claim.kind].max_bytes
+        found = folder.measure()
         if found > most:
             message = f"{claim.kind} left {found} bytes, more than the {most} that it may leave"
             raise OutputSizeError("solver.output", message, most, found)
@@ -250,7 +251,8 @@ class Supervisor:
         if code is None or code == -signal.SIGXCPU:
             self._fail(claim, timeout_error(claim.kind, limit, folder.frames, folder.kept))
             return
-        result, error = folder.result(), folder.error()
+        result = folder.result()
+        error = folder.error()
         if code == 0 and result is not None:
             new = self._check_size(claim, folder, at_end=True)
             self._succeed(claim, folder, result, new)
@@ -264,13 +266,15 @@ class Supervisor:
     def _succeed(
         self, claim: Claim, folder: AttemptFolder, result: dict[str, Any], new: int
     ) -> None:
-        artifacts, rig = folder.store(self._store.files, result["formats"]), folder.rig(result)
+        artifacts = folder.store(self._store.files, result["formats"])
+        rig = folder.rig(result)
 
         def change(session: Session) -> bool:
             if new:  # another job of the tenant may have ended meanwhile
                 session.get_one(Tenant, claim.tenant_id, with_for_update={"key_share": True})
                 _check_quota(session, claim, new)
-            job, summary = (claim.job_id, claim.attempt), result["summary"]
+            job = (claim.job_id, claim.attempt)
+            summary = result["summary"]
             return table.succeed(session, *job, artifacts, summary=summary, rig=rig)
 
         done = self._commit(change)
@@ -331,7 +335,8 @@ def _check_quota(session: Session, claim: Claim, new: int) -> None:
 
 def _check_written(claim: Claim, folder: AttemptFolder) -> None:
     """Raise OutputSizeError if a solver fills the disk with what it does not leave."""
-    most, found = KINDS[claim.kind].max_bytes + SCRATCH, folder.written_bytes
+    most = KINDS[claim.kind].max_bytes + SCRATCH
+    found = folder.written_bytes
     if found > most:
         message = f"{claim.kind} wrote {found} bytes, more than the {most} that it may write"
         raise OutputSizeError("solver.output", message, most, found)

@@ -93,7 +93,8 @@ class Sweeper(Heartbeat):
         settings = self._settings
         with self._store.write() as session:
             self._show_life(session)
-            holder, seconds = self._can.worker, settings.sweeper_term
+            holder = self._can.worker
+            seconds = settings.sweeper_term
             elected = sweep.hold_office(session, sweep.SWEEPER, holder, seconds)
             if elected:
                 sweep.expire_leases(session)

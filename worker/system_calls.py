@@ -194,11 +194,16 @@ CLONE_REFUSED = 0x7E020000 | 0x8000
 RECENT = 424
 
 # Instructions and answers of filters, and where `struct seccomp_data` has what they look at
-LOAD, JUMP_IF_EQUAL, JUMP_IF_AT_LEAST, JUMP_IF_ANY, RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
+LOAD = 0x20
+JUMP_IF_EQUAL = 0x15
+JUMP_IF_AT_LEAST = 0x35
+JUMP_IF_ANY = 0x45
+RETURN = 0x06
 ALLOW: Final[Instruction] = (RETURN, 0, 0, 0x7FFF0000)
 REFUSE: Final[Instruction] = (RETURN, 0, 0, 0x00050000 | errno.EPERM)
 UNKNOWN: Final[Instruction] = (RETURN, 0, 0, 0x00050000 | errno.ENOSYS)
-NUMBER_AT, ARCHITECTURE_AT = 0, 4
+NUMBER_AT = 0
+ARCHITECTURE_AT = 4
 
 
 def call_filter(machine: str) -> list[Instruction]:

@@ -39,9 +39,11 @@ def main() -> None:
     prepare: Callable[[Mapping[str, Array]], Solver] = importlib.import_module(name).prepare
     with np.load(problem_file) as file:
         problem = dict(file)
-    seconds, cpu = [], []
+    seconds = []
+    cpu = []
     for _ in range(2):
-        begin, cpu_begin = time.perf_counter(), time.process_time()
+        begin = time.perf_counter()
+        cpu_begin = time.process_time()
         solver = prepare(problem)
         x, iterations, status = solver.solve()
         seconds.append(time.perf_counter() - begin)
@@ -60,7 +62,8 @@ def main() -> None:
 
 def gradient_error(solver: Solver, start: Array, end: Array) -> float:
     """Return how far the gradient half way, along the way, is off the difference quotient."""
-    middle, way = (start + end) / 2.0, end - start
+    middle = (start + end) / 2.0
+    way = end - start
     way = way * (STEP_MM / np.abs(way).max())
     difference = (solver.energy(middle + way) - solver.energy(middle - way)) / 2.0
     return float(abs((solver.gradient(middle) * way).sum() / difference - 1.0))

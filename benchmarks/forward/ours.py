@@ -19,7 +19,8 @@ class Ours:
     """Newton's method of :mod:`solver.mechanics.equilibrium`."""
 
     def __init__(self, problem: Mapping[str, np.ndarray]) -> None:
-        self.start, self.a = problem["start"], problem["a"]
+        self.start = problem["start"]
+        self.a = problem["a"]
         self.flesh = Flesh(problem["rest"], problem["tets"], problem["held"], PHACE)
 
     def solve(self) -> tuple[Floats, int, str]:

@@ -54,7 +54,8 @@ def passive(cells: tuple[int, int, int]) -> Problem:
     rest, tets = block(cells)
     middle = rest[:, 0].max() / 2.0
     radius = 2.0 * middle / BEND_RAD
-    angle, height = (rest[:, 0] - middle) / radius, radius + rest[:, 2]
+    angle = (rest[:, 0] - middle) / radius
+    height = radius + rest[:, 2]
     bent = [middle + height * np.sin(angle), rest[:, 1], height * np.cos(angle) - radius]
     a = np.tile(IDENTITY, (len(tets), 1))
     return Problem(rest, tets, _bones(rest), np.stack(bent, axis=1), a)

@@ -115,7 +115,8 @@ def _sliding(options: argparse.Namespace) -> Figures:
 
 
 def _speed(options: argparse.Namespace) -> Figures:
-    person, start = _person(options), performance.START
+    person = _person(options)
+    start = performance.START
     frames = QUICK_FRAMES if options.quick else performance.FRAMES
     take = read_live_link(options.recording)
     drives = RecordedDrives(take, person.shapes, person.model, start, start + frames)

@@ -53,11 +53,13 @@ SQUEEZE = 1e-4
 """Pressure over the bulk modulus: so small that the answer is linear."""
 
 CELLS = (4, 6, 8, 12)
-EXACT, EXACT_STEP = 1e-13, 1e-10
+EXACT = 1e-13
+EXACT_STEP = 1e-10
 LEASH = 1e-9
 """Springs over the flesh's stiffness that keep free flesh from drifting; the loads cancel."""
 
-STEPS, STEP_SECONDS = 50, 1.0 / 60.0
+STEPS = 50
+STEP_SECONDS = 1.0 / 60.0
 
 
 def run(model: SubjectModel) -> Figures:
@@ -81,7 +83,9 @@ def run(model: SubjectModel) -> Figures:
 
 def principal_energy(material: Material, stretches: Floats) -> float:
     """Return psi of three principal stretches, of passive flesh without barrier."""
-    J, mu, lam = float(stretches.prod()), material.mu, material.lam
+    J = float(stretches.prod())
+    mu = material.mu
+    lam = material.lam
     volume = material.kappa * (J - 1.0) ** 2
     if material.law == "corotated":
         strain = stretches - 1.0
@@ -227,10 +231,12 @@ def flying(model: SubjectModel) -> Figures:
     v = np.cross([0.0, 2.0, 0.0], arms) + [200.0, 0.0, -50.0] + 100.0 * np.sin(arms / 20.0)
     motion = FleshMotion(model.rest + 0.02 * arms * [1.0, -1.0, 0.0], v, IDENTITY)
     drive = Drive(0.0, face.flesh.passive(), np.zeros(5), IDENTITY)
-    momentum, energies = masses @ v, [_energy(face.flesh, masses, motion)]
+    momentum = masses @ v
+    energies = [_energy(face.flesh, masses, motion)]
     for number in range(1, STEPS + 1):
         goal = replace(drive, time=number * STEP_SECONDS)
-        motion, drive = steps.step(motion, drive, goal).motion, goal
+        motion = steps.step(motion, drive, goal).motion
+        drive = goal
         energies.append(_energy(face.flesh, masses, motion))
     drift = float(np.linalg.norm(masses @ motion.v - momentum) / np.linalg.norm(momentum))
     return {

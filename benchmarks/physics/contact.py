@@ -40,7 +40,8 @@ FRAMES = 20
 PAST = 0.05
 """A jaw closes past the neutral by this part of its opening."""
 GLASS_MM = (60.0, 26.0, 10.0)
-PRESSED_MM, GLASS_PRESSED_MM = 8.0, 4.0
+PRESSED_MM = 8.0
+GLASS_PRESSED_MM = 4.0
 """How far the headset and the glass go where the face was."""
 APART_MM = 2.0
 NEAR_MM = 0.01
@@ -84,7 +85,8 @@ class Played:
 
 def scenes(person: Fitted) -> dict[str, Scene]:
     """Return the scenes by name."""
-    model, face = person.model, person.face()
+    model = person.model
+    face = person.face()
     rest = face.rest_pose()
     skin = model.skin.vertices
     lips = np.concatenate([model.regions["upper_lip"], model.regions["lower_lip"]])
@@ -97,7 +99,8 @@ def scenes(person: Fitted) -> dict[str, Scene]:
         parts = np.arange(1, FRAMES + 1) / FRAMES
         return [a.toward(b, part) for a, b in pairwise(poses) for part in parts]
 
-    opened, kissing = person.blend("jawOpen"), person.poses["kiss"]
+    opened = person.blend("jawOpen")
+    kissing = person.poses["kiss"]
     closed = Pose(rest.a, -PAST * opened.b)
     kissed = face.whole_skin(_moved(person, face, kissing), kissing.b)[lips, 2].max()
     box = trimesh.creation.box(GLASS_MM)
@@ -134,7 +137,8 @@ def _gap(model: SubjectModel, thing: Surface) -> float:
     faces = model.skin.faces
     skin = Surface(model.skin.vertices, faces[np.isin(faces, model.embedded).all(axis=1)])
     points = skin.vertices[model.embedded]
-    free, touching = 0.0, 2.0 * PRESSED_MM
+    free = 0.0
+    touching = 2.0 * PRESSED_MM
     while touching - free > NEAR_MM:
         middle = (free + touching) / 2
         moved = thing.with_vertices(thing.vertices - [0.0, 0.0, middle])
@@ -153,7 +157,8 @@ def _moved(person: Fitted, face: Face, pose: Pose) -> Floats:
 
 def play(person: Fitted, scene: Scene, *, contact: bool) -> Played:
     """Play a scene from the neutral."""
-    face, gauge = person.face(), Gauge(person.model)
+    face = person.face()
+    gauge = Gauge(person.model)
     first = scene.objects(0)
     check_objects(person.model, {str(number): each for number, each in enumerate(first)})
     potentials = contact_potentials(person.model, STIFFNESS_PA, objects=first) if contact else []
@@ -161,13 +166,16 @@ def play(person: Fitted, scene: Scene, *, contact: bool) -> Played:
     simulator = Simulator(face, potentials, [], dynamic=False, density=density)
     before = person.drive(face, face.rest_pose(), 0.0)
     before = replace(before, objects=tuple(each.vertices for each in first))
-    motion, steps, depths = simulator.rest(before), [], []
+    motion = simulator.rest(before)
+    steps = []
+    depths = []
     for frame, pose in enumerate(scene.poses):
         objects = scene.objects(frame)
         goal = person.drive(face, pose, (frame + 1) / FPS)
         goal = replace(goal, objects=tuple(each.vertices for each in objects))
         steps.append(simulator.step(motion, before, goal))
-        motion, before = steps[-1].motion, goal
+        motion = steps[-1].motion
+        before = goal
         depths.append(gauge.at(steps[-1].y, pose.b, objects))
     return Played(scene, contact, steps, depths)
 
@@ -194,7 +202,8 @@ def run(played: dict[str, tuple[Played, Played]]) -> Figures:
 
 def measured(played: Played) -> Figures:
     """Return the figures of one scene."""
-    depths, steps = played.depths, played.steps
+    depths = played.depths
+    steps = played.steps
     return {
         "frames": len(steps),
         "penetration_max_mm": max(each.most for each in depths),
@@ -234,7 +243,8 @@ def _views(person: Fitted, head: DrawnHead, played: Played) -> list[tuple[list[D
     last = len(played.scene.poses) - 1
     skin = person.face().whole_skin(played.steps[-1].y, played.scene.poses[-1].b)
     lit = head.lit(skin)
-    whole, cut = [head.body(lit)], [head.body(_cut(lit.surface, played.scene.cut))]
+    whole = [head.body(lit)]
+    cut = [head.body(_cut(lit.surface, played.scene.cut))]
     for each in played.scene.objects(last):
         colour = np.tile(OBJECT, (len(each.vertices), 1))
         whole.append(DrawnBody(Lit(each), colour, opacity=0.35))

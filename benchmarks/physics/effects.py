@@ -97,7 +97,8 @@ def fibres(subject: Subject) -> Figures:
     ``blended_mm`` are the muscles as they were fitted, ``projected_mm`` their contractions along
     the fibres, ``fibre_mm`` contractions and jaw fitted anew.
     """
-    model, nothing = subject.model, Edited.nothing(subject.model, subject.S)
+    model = subject.model
+    nothing = Edited.nothing(subject.model, subject.S)
     by_fibres = NO_CONTACT.model_copy(update={"activation_model": "fibre"})
     as_fitted = poses(nothing, Physics(NO_CONTACT), subject.fits)[1]
     projected = poses(nothing, Physics(by_fibres), subject.fits)[1]
@@ -144,7 +145,8 @@ def sheet(people: Mapping[str, EditedPerson], path: Path) -> None:
     page = Sheet(width * len(columns), HEADER + 30 + (2 + len(first.expressions)) * height)
     page.heading("Edits", "one rig, the same activations in other flesh")
     for column, (name, person) in enumerate(columns.items()):
-        left, head = column * width, DrawnHead(person.edited.model.skin)
+        left = column * width
+        head = DrawnHead(person.edited.model.skin)
         page.text((left + width // 2, HEADER), name.replace("_", " "), 17, anchor="ma")
         views = [(person.after.skin, 0.0), (person.after.skin, THREE_QUARTER)]
         views += [(each.after.skin, 0.0) for each in person.expressions if each.after is not None]
@@ -164,7 +166,8 @@ def cheeks_over_nose(person: EditedPerson) -> float | None:
     """
     model = person.original
     before = model.skin.with_vertices(person.before.skin)
-    normals, area = vertex_normals(before), vertex_areas(before.vertices, before.faces)
+    normals = vertex_normals(before)
+    area = vertex_areas(before.vertices, before.faces)
     outward = ((person.after.skin - before.vertices) * normals).sum(axis=1)
 
     def part(*names: str) -> Ints:

@@ -31,7 +31,8 @@ HEADSET = {
         }
     ],
 }
-APART_MM, PRESSED_MM = 2.0, 8.0
+APART_MM = 2.0
+PRESSED_MM = 8.0
 
 
 def gallery(person: Fitted, template: Path, path: Path) -> None:

@@ -9,8 +9,10 @@ from scipy.ndimage import gaussian_filter1d
 from solver.model import SubjectModel
 from solver.surface import Floats, Surface
 
-HALF_WIDTH_MM, HALF_HEIGHT_MM = 62.0, 44.0
-RIM_MM, DEPTH_MM = 12.0, 30.0
+HALF_WIDTH_MM = 62.0
+HALF_HEIGHT_MM = 44.0
+RIM_MM = 12.0
+DEPTH_MM = 30.0
 AROUND = 120
 SQUARENESS = 4.0
 """Exponent of the superellipse that the frame is."""
@@ -46,14 +48,16 @@ def headset(model: SubjectModel, apart_mm: float, pressed_mm: float) -> Surface:
     there = np.roll(here, -1)
     faces = []
     for ring in range(len(rings)):
-        a, b = ring * AROUND, (ring + 1) % len(rings) * AROUND
+        a = ring * AROUND
+        b = (ring + 1) % len(rings) * AROUND
         faces += [np.column_stack([a + here, a + there, b + there])]
         faces += [np.column_stack([a + here, b + there, b + here])]
     return Surface(vertices, np.vstack(faces).astype(np.int64))
 
 
 def _superellipse(angle: Floats, width: float, height: float) -> Floats:
-    across, up = np.cos(angle), np.sin(angle)
+    across = np.cos(angle)
+    up = np.sin(angle)
     size = (np.abs(across) ** SQUARENESS + np.abs(up) ** SQUARENESS) ** (-1.0 / SQUARENESS)
     return np.column_stack([width * size * across, height * size * up])
 

@@ -93,7 +93,8 @@ def _in_head(folder: Path, times: list[float]) -> Floats:
     """Return the face's points (times, points, 3) in the frames next to ``times``."""
     with np.load(folder / "animation.npz") as data:
         frames = [int(np.abs(data["time"] - time).argmin()) for time in times]
-        turn, shift = data["head"][frames, :3], data["head"][frames, 3:]
+        turn = data["head"][frames, :3]
+        shift = data["head"][frames, 3:]
         skin = data["skin"][frames].astype(np.float64) - shift[:, None]
     # a rotation vector's inverse
     turned = [Rotation.from_rotvec(-r).apply(s) for r, s in zip(turn, skin, strict=True)]

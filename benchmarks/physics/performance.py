@@ -39,10 +39,13 @@ from solver.scene import Stage
 from solver.scene.places import Places
 from solver.surface import Floats
 
-START, FRAMES = 2000, 300
+START = 2000
+FRAMES = 300
 """Of alex_rom_3.csv: jaw, lips and cheeks, with hardly a frame at rest."""
 TITLE = "Ten seconds of a recording"
-CELL, SIDE, FOOTER = (270, 330), 90, 64
+CELL = (270, 330)
+SIDE = 90
+FOOTER = 64
 SHOWN = 5
 
 
@@ -105,10 +108,12 @@ def compare_controls(
     frames: int = FRAMES,
 ) -> Figures:
     """Return the figures of frames by learned controls, and of frames that are all fitted."""
-    span, model = (start, start + frames), person.model
+    span = (start, start + frames)
+    model = person.model
     learned = RecordedDrives(take, controls, model, *span, limits=person.limits)
     still = ShapesAtRest(controls.names, model.muscle_count)
-    motions, chosen = driven_motions(model, basis), np.ones(frames, bool)
+    motions = driven_motions(model, basis)
+    chosen = np.ones(frames, bool)
     changes, _ = fit_frames(person.rig_face(), still, motions, learned.weights, chosen)
     exact = RecordedDrives(take, still, model, *span, limits=person.limits, changes=changes)
     limit = LearnOptions().exact_above_mm
@@ -144,7 +149,8 @@ def _direct(person: Fitted, basis: ShapeBasis, drives: RecordedDrives) -> Floats
 def picture(path: Path, person: Fitted, played: Played) -> None:
     """Draw frames in columns: driven directly, simulated, and the distance between them."""
     model, (width, height) = person.model, CELL
-    head, camera = DrawnHead(model.skin), face_camera(model.skin.vertices, model.face, 0.0)
+    head = DrawnHead(model.skin)
+    camera = face_camera(model.skin.vertices, model.face, 0.0)
     distances = played.distances(person)
     page = Sheet(SIDE + SHOWN * width + MARGIN, HEADER + 30 + 3 * height + FOOTER)
     detail = f"{len(played.frames)} frames, {distances.mean():.2f} mm apart on average"
@@ -153,11 +159,15 @@ def picture(path: Path, person: Fitted, played: Played) -> None:
         page.text((MARGIN, HEADER + 30 + row * height + height // 2), name, 18)
     numbers = np.linspace(0, len(played.frames) - 1, SHOWN + 2).round().astype(int)[1:-1]
     for column, number in enumerate(numbers):
-        left, frame, skin = SIDE + column * width, played.frames[number], played.skins[number]
+        left = SIDE + column * width
+        frame = played.frames[number]
+        skin = played.skins[number]
         words = f"{frame.time:.1f} s, mean {distances[number].mean():.2f} mm"
         page.text((left + width // 2, HEADER), words, 17, anchor="ma")
-        shapes, apart = skin.copy(), np.full(len(skin), np.nan)
-        shapes[model.face], apart[model.face] = played.direct[number], distances[number]
+        shapes = skin.copy()
+        apart = np.full(len(skin), np.nan)
+        shapes[model.face] = played.direct[number]
+        apart[model.face] = distances[number]
         lit = head.lit(skin)
         for row, body in enumerate(
             (head.body(head.lit(shapes)), head.body(lit), head.heat_map(lit, apart))

@@ -116,7 +116,8 @@ def _means(*each: Mapping[str, float | None]) -> list[float | None]:
 
 
 def _performance(found: Figures) -> Sequence[Part]:
-    glb, direct = found["glb"], found["direct_mm"]
+    glb = found["glb"]
+    direct = found["direct_mm"]
     rows: list[list[Any]] = [
         ["frames", found["frames"]],
         ["inverted tets", found["inverted"]],

@@ -40,7 +40,8 @@ class Raised:
 
 def raised(person: Fitted, *, pinned: bool) -> Raised:
     """Return the person with both brows raised as far as the blendshapes go."""
-    face, pose = person.face(pinned=pinned), person.blend(*RAISED)
+    face = person.face(pinned=pinned)
+    pose = person.blend(*RAISED)
     return Raised(face, face.continuation(face.rest, pose).x, pose)
 
 
@@ -83,7 +84,8 @@ def along_bone(state: Raised) -> Floats:
 def picture(path: Path, person: Fitted) -> None:
     """Draw skin motion, and motion along the skull under it, sliding beside pinned."""
     model = person.model
-    head, cell = DrawnHead(model.skin), (WIDTH // 4, 480)
+    head = DrawnHead(model.skin)
+    cell = (WIDTH // 4, 480)
     page = Sheet(WIDTH, HEADER + cell[1] + FOOTER)
     page.heading("Brows raised", "How far the skin moves, and the flesh along the skull, in mm")
     inner = _inner_faces(person)

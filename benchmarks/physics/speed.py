@@ -85,11 +85,13 @@ def play(
         return Drive(time, face.flesh_controls(frame.a), frame.jaw, frame.head)
 
     before = asked(times[0])
-    motion, steps = simulator.rest(before), []
+    motion = simulator.rest(before)
+    steps = []
     for time in times[1:]:
         goal = asked(time)
         steps.append(simulator.step(motion, before, goal))
-        motion, before = steps[-1].motion, goal
+        motion = steps[-1].motion
+        before = goal
     return steps
 
 

@@ -75,7 +75,8 @@ def scaling(
         face = Face(model, linear=fastest())
         regulariser = replace(unseen_regulariser(face), w_a=IPOPT_W_A)
         preparing = prepared(face)
-        fits, iterations = [], []
+        fits = []
+        iterations = []
         for name in names:
             way = captures.test[name].vertices - captures.neutral.vertices
             target = Target.from_points((model.skin.vertices + PART * way)[model.face])
@@ -109,12 +110,14 @@ def _simulated(
 ) -> tuple[dict[str, float], dict[str, int]]:
     """Simulate every pose from rest: seconds and factorisations."""
     face.linear = linear = _Counting(face.linear)
-    seconds, factors = {}, {}
+    seconds = {}
+    factors = {}
     for name, pose in poses.items():
         linear.count = 0
         with Stopwatch() as watch:
             face.continuation(rest, pose)
-        seconds[name], factors[name] = watch.seconds, linear.count
+        seconds[name] = watch.seconds
+        factors[name] = linear.count
     return seconds, factors
 
 

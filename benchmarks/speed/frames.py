@@ -29,10 +29,15 @@ def frames(face: Face, performance: IctPerformance, numbers: range, compared: in
     limits = face.driven_as(Admissible()).layout.bounds.feasible
     assert limits is not None
     beyond = 0
-    regulariser, rest = unseen_regulariser(face), face.rest
+    regulariser = unseen_regulariser(face)
+    rest = face.rest
     tracker = Tracker(DensePoints(face, regulariser))
     alone = set(numbers[:: max(len(numbers) // compared, 1)])
-    milliseconds, errors, inverted, pairs, failed = [], [], 0, [], []
+    milliseconds = []
+    errors = []
+    inverted = 0
+    pairs = []
+    failed = []
     for number in numbers:
         points = performance.frame(number)[face.model.face]
         target = Target.from_points(points)

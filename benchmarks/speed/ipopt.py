@@ -60,7 +60,8 @@ def against_ipopt(face: Face, targets: Mapping[str, Target]) -> list[Figures]:
 
 
 def _reduced(face: Face, data: Term, regulariser: Regulariser) -> Figures:
-    seconds, same = [], []
+    seconds = []
+    same = []
     for _ in range(REPEATS):
         history = History(time.perf_counter)
         with Stopwatch() as watch:
@@ -71,7 +72,8 @@ def _reduced(face: Face, data: Term, regulariser: Regulariser) -> Figures:
 
 
 def _ipopt(face: Face, data: Term, regulariser: Regulariser) -> Figures:
-    history, failed = History(time.perf_counter), {}
+    history = History(time.perf_counter)
+    failed = {}
     with Stopwatch() as watch:
         try:
             found = reference.activations(
@@ -84,7 +86,8 @@ def _ipopt(face: Face, data: Term, regulariser: Regulariser) -> Figures:
                 listen=history,
             )
         except NotConvergedError as error:
-            found, failed = error.last, {"failed": error.message}
+            found = error.last
+            failed = {"failed": error.message}
     return {
         "ipopt_seconds": watch.seconds,
         "ipopt_seconds_same": history.until(SAME_OBJECTIVE),

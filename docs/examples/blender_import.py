@@ -14,7 +14,8 @@ import sys
 
 import bpy
 
-MOVE_SECONDS, HOLD_SECONDS = 0.6, 0.4
+MOVE_SECONDS = 0.6
+HOLD_SECONDS = 0.4
 """From neutral to an expression and back, and how long it is held; docs/reference/rig-format.md."""
 
 
@@ -33,7 +34,8 @@ def main() -> None:
     face = bpy.data.objects["face"]
     if bpy.data.actions:
         ends = [action.frame_range[1] for action in bpy.data.actions]
-        scene.frame_start, scene.frame_end = 0, math.ceil(max(ends))
+        scene.frame_start = 0
+        scene.frame_end = math.ceil(max(ends))
         scene.frame_set(0)
     if "expressions" in bpy.data.actions:
         for number, key in enumerate(face.data.shape_keys.key_blocks[1:]):

@@ -22,7 +22,8 @@ from myoface.names import NamedScan, by_files, name_scans, same_file
 FORMATS = {".obj", ".ply", ".glb", ".stl"}
 SUBJECT = ".myoface-subject"
 """The file in a person's folder that keeps the subject's id."""
-PAUSE_S, SETTLED_S = 1.0, 2.0
+PAUSE_S = 1.0
+SETTLED_S = 2.0
 """Between two looks at the folder, and how long a file must not have changed to be whole."""
 REFUSED = {404, 409, 410, 413, 422}
 BUSY = "subject.busy"

@@ -225,7 +225,8 @@ def _download(
     """
     tag = part.with_name(f"{part.name}.etag")
     backoff = Backoff()
-    complete, furthest = False, 0
+    complete = False
+    furthest = 0
     while not complete:
         have = _usable_bytes(part, tag, resumable, size)
         if have == size:

@@ -177,7 +177,8 @@ def run_tool(name: str, *words: str, url: URL | None = None) -> str:
     program = shutil.which(name)
     if program is None:
         raise StackError(f"{name} is not installed: apt-get install postgresql-client")
-    command, environment = [program, *words], dict(os.environ)
+    command = [program, *words]
+    environment = dict(os.environ)
     if url is not None:
         where = (url.username, None, url.host, url.port, url.database, url.query)
         plain = URL.create("postgresql", *where).render_as_string()

@@ -17,13 +17,11 @@ from service.store.durable import sync_folder, write_durably
 from service.store.files import FolderFiles
 from service.store.integrity import Fault
 
-MANIFEST, DELETIONS, SECRET, FILES, LOCK = (
-    "manifest.json",
-    "deletions.json",
-    "secret",
-    "files",
-    "lock",
-)
+MANIFEST = "manifest.json"
+DELETIONS = "deletions.json"
+SECRET = "secret"
+FILES = "files"
+LOCK = "lock"
 DUMP_ENDINGS = {"sqlite": "sqlite", "postgresql": "dump"}
 STAMP = "%Y%m%dT%H%M%S.%fZ"
 
@@ -152,7 +150,8 @@ class BackupFolder:
                 path.unlink()
         for path in self.path.glob("*.new"):
             path.unlink()
-        files, named = self.files, {sha256 for each in manifests for sha256 in each.files}
+        files = self.files
+        named = {sha256 for each in manifests for sha256 in each.files}
         for sha256 in {stored.sha256 for stored in files.list_stored()} - named:
             files.put_aside(sha256)
         for stored in list(files.list_aside()):

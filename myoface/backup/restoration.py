@@ -126,7 +126,8 @@ def _check_whole(source: BackupFolder, manifest: Manifest) -> None:
 
 def _restore_files(settings: Settings, source: BackupFolder, manifest: Manifest) -> None:
     """Store the files, before there are rows that refer to them."""
-    kept, target = source.files, files_at(settings.files)
+    kept = source.files
+    target = files_at(settings.files)
     settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=settings.data_dir, prefix="restore-") as folder:
         fetched = Path(folder) / "file"

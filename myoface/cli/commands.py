@@ -69,7 +69,8 @@ class Option(Argument):
     ) -> None:
         super().__init__(**rules)
         self.flags = flags
-        self.min, self.max = min, max
+        self.min = min
+        self.max = max
         self.envvar = envvar  # the variable that stands in for it
         self.parser = parser
 
@@ -226,7 +227,8 @@ def _add(parser: argparse.ArgumentParser, parameter: inspect.Parameter, hint: An
     is_list = get_origin(kind) is list
     each = get_args(kind)[0] if is_list else kind
     if isinstance(rules, Option) and rules.envvar and os.environ.get(rules.envvar):
-        default, is_required = os.environ[rules.envvar], False
+        default = os.environ[rules.envvar]
+        is_required = False
     how: dict[str, Any] = {"help": _help(rules, each, None if is_required else default)}
     if each is not bool:
         how |= {"type": _reader(each, rules), "metavar": rules.metavar, **_choices(each)}

@@ -40,7 +40,8 @@ VERDICTS = {
 # Between two lines about one phase, where there is no terminal to show a live bar.
 NEWS_SECONDS = 10.0
 # Of a job that are done before it is said how long the rest takes.
-LEAST_FRACTION, LEAST_SECONDS = 0.1, 3.0
+LEAST_FRACTION = 0.1
+LEAST_SECONDS = 3.0
 
 # Characters that do something to a terminal, or to the order of what it shows (C0, C1, bidi), but
 # for the end of a line; and halves of surrogate pairs, which cannot be written
@@ -305,7 +306,8 @@ class JobDisplay:
                 self._warned.add(step.message)
                 out.print(f"{self.title}: warning: {step.message}")
             return
-        words, turns = summary(step), step.phase != self._phase
+        words = summary(step)
+        turns = step.phase != self._phase
         far = self._far(step.fraction)
         if turns:
             self._turn(step.phase)
@@ -336,7 +338,8 @@ class JobDisplay:
     def _turn(self, phase: str) -> None:
         moment = time.monotonic()
         self.phases[self._phase] = self.phases.get(self._phase, 0.0) + moment - self._since
-        self._phase, self._since = phase, moment
+        self._phase = phase
+        self._since = moment
 
 
 def summary(step: Step | Progress) -> str:

@@ -28,7 +28,8 @@ QUICK_OPTIONS: Options = {
     "fit_geometry": {"rounds": 2},
     "fit_activations": {"max_iterations": 8},
 }
-QUICK_TRAIN, QUICK_TEST = 2, 1
+QUICK_TRAIN = 2
+QUICK_TEST = 1
 # The data folder of the service that is started, in the output: `myoface up` goes on with it.
 SERVICE = "service"
 

@@ -70,7 +70,8 @@ def revoke_key(key: KeyId, url: Url = DEFAULT_URL) -> None:
 def whoami(url: Url = DEFAULT_URL) -> None:
     """Show whose key this is, what it may do, and what the tenant uses."""
     with Client(url) as client:
-        me, usage = client.me(), client.usage()
+        me = client.me()
+        usage = client.usage()
     out.print(f"{me.tenant}, key {me.key_id}: {', '.join(me.scopes)}")
     rows = [
         ("stored bytes", *_cells(usage.bytes)),

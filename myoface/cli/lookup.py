@@ -62,7 +62,8 @@ def matching(
 
     Names may differ in their case alone, so one that is meant exactly comes first.
     """
-    start, things = given.lower(), list(things)
+    start = given.lower()
+    things = list(things)
     exact = [each for each in things if each.id == start or (name and name(each) == given)]
     return exact or [
         each

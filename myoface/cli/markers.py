@@ -48,7 +48,8 @@ def bind(
 
     read = read_take(take)
     shown = None if expression is None else Rig.load(model).expression(expression)
-    rows, person = frames_about(read, neutral), SubjectModel.load(model)
+    rows = frames_about(read, neutral)
+    person = SubjectModel.load(model)
     found = bind(read, person, rows, expression=shown, actor=actor)
     found.markers.save(output)
     first, last = (read.numbers[row] for row in found.neutral)

@@ -82,7 +82,8 @@ def _parameters(kind: Kind) -> list[Parameter]:
             name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation
         )
 
-    properties, parts = kind.schema["properties"], _parts(kind)
+    properties = kind.schema["properties"]
+    parts = _parts(kind)
     for part in parts:
         if part.is_needed:
             add(part.parameter, *_type_and_default(part))
@@ -107,7 +108,8 @@ def _is_document(rules: Mapping[str, Any]) -> bool:
 
 def _option(name: str, rules: Mapping[str, Any]) -> Any:
     """Return the type of an option on the command line, for the JSON Schema of its values."""
-    flag, words = f"--{name.replace('_', '-')}", rules.get("description")
+    flag = f"--{name.replace('_', '-')}"
+    words = rules.get("description")
     types = [rules["type"]] if isinstance(rules.get("type"), str) else rules.get("type", [])
     forms = [*rules.get("anyOf", []), *rules.get("oneOf", [])]
     words_and_numbers = {"string" if "enum" in each else each.get("type") for each in forms}
@@ -142,7 +144,8 @@ def _read_word(given: str) -> str | float:
 
 def _run(kind: Kind, given: dict[str, Any]) -> None:
     """Do a kind's job with what its command was given, and show what it left."""
-    properties, folder = kind.schema["properties"], given["output"]
+    properties = kind.schema["properties"]
+    folder = given["output"]
     options = {
         name: read_scene(given[name]) if _is_document(rules) else given[name]
         for name, rules in properties.items()
@@ -208,7 +211,8 @@ def _show_animation(report: Mapping[str, Any], _given: Mapping[str, Any]) -> Non
 
 
 def _show_edit(report: Mapping[str, Any], _given: Mapping[str, Any]) -> None:
-    volume, neutral = report["volume"], report["neutral"]
+    volume = report["volume"]
+    neutral = report["neutral"]
     out.print(
         f"{volume['change_ml']:+.1f} ml, the face at rest moved {neutral['moved_mm']:.2f} mm on "
         "average"

@@ -80,7 +80,8 @@ def require_tag(response: httpx.Response, file: Artifact) -> None:
 
 def read_tag_and_size(response: httpx.Response) -> tuple[str, int]:
     """Return the tag of a file, and its bytes, of the answer to a HEAD."""
-    tag, size = read_tag(response), response.headers.get("Content-Length", "")
+    tag = read_tag(response)
+    size = response.headers.get("Content-Length", "")
     if not (tag and size.isascii() and size.isdigit()):
         _refuse(response, f"{response.status_code} without a file's tag and size")
     return tag, int(size)

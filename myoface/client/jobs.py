@@ -48,7 +48,8 @@ class EventReader:
                 name, _, value = text.partition(":")  # a comment has no name
                 self._fields[name] = value.removeprefix(" ")
             else:
-                fields, self._fields = self._fields, {}
+                fields = self._fields
+                self._fields = {}
                 if "event" in fields and "data" in fields:
                     yield JobEvent(fields["event"], read_data(fields["data"]))
 

@@ -50,7 +50,8 @@ class Backoff:
 
     def pause_after(self, error: ApiError) -> float:
         """Return the seconds to wait after a failure, or raise ``error`` if it is one too many."""
-        options, wish = self._options, requested_pause(error)
+        options = self._options
+        wish = requested_pause(error)
         self.failures += 1
         if self.failures >= options.attempts or (wish or 0) > options.longest_wish_s:
             raise error

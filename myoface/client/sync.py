@@ -189,7 +189,8 @@ class Client(Captures):
         Returns the succeeded job; raises :class:`ApiError` with the job's own error document
         if it failed or was canceled.
         """
-        options, backoff = self._options, Backoff(self._options)
+        options = self._options
+        backoff = Backoff(self._options)
         while True:
             job = self._get(f"/v1/jobs/{job_id}", Job, through=True)
             watch(job)
@@ -207,7 +208,8 @@ class Client(Captures):
 
     def _follow(self, job: Job, watch: Watcher, backoff: Backoff) -> None:
         """Report a job's progress to ``watch`` until its state changes."""
-        options, reader = self._options, EventReader()
+        options = self._options
+        reader = EventReader()
         headers = {"Last-Event-ID": str(job.last_event_id)}
         timeout = httpx.Timeout(options.timeout_s, read=options.events_timeout_s)
         url = f"/v1/jobs/{job.id}/events"

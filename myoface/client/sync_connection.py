@@ -105,7 +105,8 @@ class Connection:
         An upload of the same file that was interrupted goes on, in a later run too: its id is
         noted in the user's cache until it is complete.
         """
-        size, digest = path.stat().st_size, sha256_of(path)
+        size = path.stat().st_size
+        digest = sha256_of(path)
         note = UploadNote(self._url, path.name, digest)
         upload_id = self._find_upload(note)
         if upload_id is None:

@@ -81,7 +81,8 @@ class DemoOutcome:
 
 def khronos_validation(path: Path, cache: Path) -> Validation:
     """Validate a GLB; the package is installed into ``cache`` the first time."""
-    node, npm = shutil.which("node"), shutil.which("npm")
+    node = shutil.which("node")
+    npm = shutil.which("npm")
     if node is None or npm is None:
         return Validation(None, None, "not run: it needs node and npm (apt-get install nodejs npm)")
     try:

@@ -159,7 +159,8 @@ def tenant_caches(settings: Settings) -> Diagnosis:
     folders = (settings.work / CACHES).glob("*/")
     sizes = [sum(file.lstat().st_size for file in folder.iterdir()) for folder in folders]
     most = settings.tenant_cache_bytes
-    megabytes, largest = sum(sizes) / 1024**2, most / 1024**2
+    megabytes = sum(sizes) / 1024**2
+    largest = most / 1024**2
     found = f"{megabytes:.0f} MB of {len(sizes)} tenants, {largest:.0f} MB each at most"
     if max(sizes, default=0) <= most:
         return Diagnosis("solver caches", "ok", found)

@@ -59,7 +59,8 @@ class LastUses(Background):
 
     def _round(self) -> None:
         with self._lock:
-            noted, self._noted = self._noted, {}
+            noted = self._noted
+            self._noted = {}
         if not noted:
             return
         with self._store.write() as session:
@@ -111,7 +112,8 @@ class Keyring:
             401 for what is no key, is not known here, was revoked or has expired; 429 if the
             address has tried too many.
         """
-        key_id, key_hash = check_text(text), self._hash(text)
+        key_id = check_text(text)
+        key_hash = self._hash(text)
         if self._lookups is None:
             return self._look_up(key_id, key_hash)
         self._lookups.check(address, key_hash)
@@ -129,7 +131,8 @@ class Keyring:
 
     def _look_up(self, key_id: str, key_hash: str) -> Principal:
         with self._store.read() as session:
-            key, moment = session.get(ApiKey, key_id), clock(session)
+            key = session.get(ApiKey, key_id)
+            moment = clock(session)
         if key is None or not hmac.compare_digest(key.hash, key_hash):
             raise unauthorized_problem("auth.invalid", "this service does not know the API key")
         if key.revoked_at is not None and key.revoked_at <= moment:
@@ -163,7 +166,8 @@ def _letters(count: int) -> str:
 
 
 def _checksum(body: str) -> str:
-    rest, digits = zlib.crc32(body.encode()), ""
+    rest = zlib.crc32(body.encode())
+    digits = ""
     for _ in range(6):
         rest, digit = divmod(rest, len(LETTERS))
         digits = LETTERS[digit] + digits
@@ -194,7 +198,8 @@ def rotate(
     The caller is told its text, and so must have its scopes.
     """
     tenant = own_tenant(session, lock=True)
-    old, moment = get(session, key_id), clock(session)
+    old = get(session, key_id)
+    moment = clock(session)
     _refuse_more(old.scopes, who)
     if _is_over(old, session):
         raise Problem(409, "key.over", "the key opens nothing any more", key_id=key_id)

@@ -53,7 +53,9 @@ class Signer:
         match = TOKEN.fullmatch(token)
         if match is None:
             raise Problem(403, "url.invalid", "the URL is not as it was signed")
-        tenant_id, until, signature = match[1], int(match[2]), match[3]
+        tenant_id = match[1]
+        until = int(match[2])
+        signature = match[3]
         if not hmac.compare_digest(signature, self._signature(path, tenant_id, until)):
             raise Problem(403, "url.invalid", "the URL is not as it was signed")
         if until <= time.time():

@@ -19,7 +19,10 @@ from service.store.models import Batch, Capture, Job
 # Ids in a statement: PostgreSQL takes 65,535 parameters, SQLite 32,766
 AT_ONCE = 10_000
 
-CHECK, REGISTER, MODEL, FIT = "check_scan", "register_scan", "build_model", "fit_geometry"
+CHECK = "check_scan"
+REGISTER = "register_scan"
+MODEL = "build_model"
+FIT = "fit_geometry"
 
 
 def get(session: Session, batch_id: str) -> Batch:

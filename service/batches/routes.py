@@ -93,7 +93,8 @@ def _views(session: Session, batches: Sequence[Batch]) -> list[BatchView]:
 
 
 def _view(at: BatchProgress) -> BatchView:
-    batch, fit = at.batch, at.job(FIT)
+    batch = at.batch
+    fit = at.job(FIT)
     return BatchView.model_validate(
         {
             **{name: getattr(batch, name) for name in _COLUMNS},

@@ -108,7 +108,8 @@ def advance(session: Session, batch_id: str, max_attempts: int) -> None:
     except Problem as problem:  # a step that cannot be, whatever has changed meanwhile
         if problem.status == HTTPStatus.TOO_MANY_REQUESTS:
             return  # the tenant's queue is full: later
-        error, is_over = {"code": problem.code, "message": problem.detail}, True
+        error = {"code": problem.code, "message": problem.detail}
+        is_over = True
     if is_over:
         batch.error = error
         _finish(session, batch, "failed" if error else "succeeded")
@@ -223,7 +224,8 @@ def _submit(
 
 
 def _finish(session: Session, batch: Batch, state: str) -> None:
-    batch.state, batch.finished_at = state, clock(session)
+    batch.state = state
+    batch.finished_at = clock(session)
     data = {"batch_id": batch.id, "subject_id": batch.subject_id, "state": state}
     outbox.notify(session, batch.tenant_id, "batch.finished", data)
 

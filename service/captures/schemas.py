@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     Role = str
     ScanRole = str
 else:
-    Role, ScanRole = Literal[tuple(ROLES)], Literal[SCANS]
+    Role = Literal[tuple(ROLES)]
+    ScanRole = Literal[SCANS]
 
 
 class NewCapture(RequestBody):

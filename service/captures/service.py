@@ -68,7 +68,8 @@ def change(session: Session, subject_id: str, capture_id: str, order: CaptureCha
     """
     subjects.lock(session, subject_id)
     capture = repository.get(session, subject_id, capture_id)
-    name, role = order.name or capture.name, order.role or capture.role
+    name = order.name or capture.name
+    role = order.role or capture.role
     if (name, role) != (capture.name, capture.role):
         if role != capture.role and capture.role not in SCANS:
             detail = f"{capture.name} stays what it is, {capture.role}: add it anew"
@@ -78,7 +79,8 @@ def change(session: Session, subject_id: str, capture_id: str, order: CaptureCha
         refuse_while_busy(session, subject_id)
         _refuse_while_in_batch(session, subject_id)
         _refuse_a_second(session, subject_id, name, role, besides=capture.id)
-    capture.name, capture.role = name, role
+    capture.name = name
+    capture.role = role
     capture.title = order.title or capture.title
     relabel(capture, order.labels)
     return capture
@@ -117,7 +119,8 @@ def _give_landmarks(session: Session, capture: Capture, upload_id: str) -> None:
     formats = ROLES[capture.role].landmarks
     _check_format(upload, "landmarks.format", "a file of landmarks", formats)
     capture.landmarks_filename = upload.filename
-    capture.landmarks_size, capture.landmarks_sha256 = upload.size, upload.sha256
+    capture.landmarks_size = upload.size
+    capture.landmarks_sha256 = upload.sha256
     uploads.use(session, upload, capture.id)
 
 
@@ -128,7 +131,8 @@ def _give_mask(session: Session, capture: Capture, upload_id: str) -> None:
         raise Problem(422, code, f"{capture.name}: {ROLES[capture.role].noun} takes no mask")
     upload = uploads.get_complete(session, upload_id)
     _check_format(upload, "capture.format", "a mask", formats)
-    capture.mask_filename, capture.mask_size = upload.filename, upload.size
+    capture.mask_filename = upload.filename
+    capture.mask_size = upload.size
     capture.mask_sha256 = upload.sha256
     uploads.use(session, upload, capture.id)
 
@@ -137,9 +141,11 @@ def _check_role(upload: Upload, new: NewCapture) -> None:
     """Refuse a file that is none of its role, and what goes with scans only."""
     role = ROLES[new.role]
     if role.is_scan:
-        what, formats = "a raw scan", role.formats
+        what = "a raw scan"
+        formats = role.formats
         if new.registered:
-            what, formats = "a registered scan", role.registered
+            what = "a registered scan"
+            formats = role.registered
         _check_format(upload, "capture.format", what, formats)
         return
     _check_format(upload, "capture.format", role.noun, (*role.formats, *role.sets))

@@ -19,7 +19,8 @@ from service.settings import Settings
 
 PACKED = frozenset({"application/json", "application/problem+json"})
 # Bytes from which packing is worth it, and from which it would hold other requests up
-LEAST_PACKED, LONG = 1 << 10, 1 << 16
+LEAST_PACKED = 1 << 10
+LONG = 1 << 16
 REFUSAL = re.compile(r"q\s*=\s*0(\.0*)?")  # the weight of a coding that is not taken
 LEVEL = 4  # of gzip's nine: lists say much twice, and shrink by any
 

@@ -31,7 +31,8 @@ from service.errors import Problem, render
 UPLOAD = re.compile(r"/v1/uploads/[^/]+")
 # Routes with scenes and with a session's scans
 LARGER = re.compile(r"/v1/(jobs(/[^/]+(/retry)?)?|batches)")
-MOST_BYTES, MOST_BYTES_LARGER = 64 * 1024, 1024**2
+MOST_BYTES = 64 * 1024
+MOST_BYTES_LARGER = 1024**2
 # Methods that no route reads a body of
 BODILESS = frozenset({"GET", "HEAD"})
 # A body above it is parsed in a thread, and waits for its turn: others are answered meanwhile

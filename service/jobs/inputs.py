@@ -96,7 +96,8 @@ def _about_one_capture(session: Session, kind: Kind, new: NewJob) -> Inputs:
 
 def _landmarks(role: str, capture: Capture) -> list[InputFile]:
     """Return the file beside a capture, if there is one."""
-    filename, sha256 = capture.landmarks_filename, capture.landmarks_sha256
+    filename = capture.landmarks_filename
+    sha256 = capture.landmarks_sha256
     if not (filename and sha256):
         return []
     return [input_file(role, capture.name, filename, sha256, of=capture.id)]
@@ -344,7 +345,8 @@ def _expressions(session: Session, new: NewJob, model: Job) -> list[InputFile]:
 
     All that cannot be read are named at once.
     """
-    inputs, faults = [], {}
+    inputs = []
+    faults = {}
     for capture in _chosen(session, new):
         form = registered_form(session, capture, neutral_of(model))
         if form is None:
@@ -398,7 +400,8 @@ def _what_to_do(session: Session, capture: Capture) -> str:
 
 
 def _not_registered(faults: dict[str, str]) -> Problem:
-    detail, capture_ids = "; ".join(faults.values()), list(faults)
+    detail = "; ".join(faults.values())
+    capture_ids = list(faults)
     return Problem(409, "capture.not_registered", detail, capture_ids=capture_ids)
 
 

@@ -68,7 +68,8 @@ def find_kind(name: str) -> Kind:
     """Return the kind of job of a name."""
     kind = KINDS.get(name)
     if kind is None:
-        detail, told = f"there is no kind of job {shorten(name)!r}", sorted(KINDS)
+        detail = f"there is no kind of job {shorten(name)!r}"
+        told = sorted(KINDS)
         raise Problem(422, "job.kind", detail, expected=told, found=shorten(name))
     return kind
 

@@ -26,7 +26,8 @@ from service.subjects import repository as subjects
 from solver.kinds import KINDS
 
 # Bytes of a file of frames, and of those read for an answer: 30 frames of a full face take 4 MB
-LARGEST_CHUNK, MOST_READ = 16 * 1024**2, 16 * 1024**2
+LARGEST_CHUNK = 16 * 1024**2
+MOST_READ = 16 * 1024**2
 # Requests of a process that hold files of frames at a time: one takes some four times its bytes
 READING = threading.Semaphore(2)
 # Values of one: vertices are packed, so that a frame has some hundred

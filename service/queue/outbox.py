@@ -23,7 +23,9 @@ from service.store.models import Delivery, Job, Webhook, WebhookEvent
 TEST = "webhook.test"
 CHECK = "check_scan"
 
-PENDING, DELIVERED, FAILED = "pending", "delivered", "failed"
+PENDING = "pending"
+DELIVERED = "delivered"
+FAILED = "failed"
 OLD_SECRET_COUNTS = timedelta(days=1)
 GIVE_UP_AFTER = timedelta(days=5)
 FORGET_AFTER = timedelta(days=30)
@@ -333,7 +335,8 @@ def _claim(session: Session, row: Any, moment: datetime, until: datetime) -> Cla
     if attempt is None:
         return None  # another worker was faster
     delivery = session.get_one(Delivery, row.id)
-    hook, event = session.get_one(Webhook, delivery.webhook_id), delivery.event
+    hook = session.get_one(Webhook, delivery.webhook_id)
+    event = delivery.event
     generations = [hook.generation]
     if hook.rotated_at is not None and moment < hook.rotated_at + OLD_SECRET_COUNTS:
         generations.append(hook.generation - 1)

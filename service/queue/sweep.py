@@ -72,7 +72,8 @@ def resend(session: Session, after: float, *, at_once: bool = False) -> None:
     queued = select(Job).where(*waits)
     for job in session.scalars(queued.order_by(Job.created_at).limit(BATCH)):
         if at_once or _should_resend(job, moment, after):
-            job.sends, job.sent_at = job.sends + 1, moment
+            job.sends = job.sends + 1
+            job.sent_at = moment
             wake(session, job.id, job.queue)
 
 

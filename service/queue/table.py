@@ -34,8 +34,10 @@ WORKER_LOST = "worker_lost"
 # Progress events kept of a job that is over
 MOST_STEPS_KEPT = 200
 # Of a running job: above the first, every other one goes; of one beat, the last are kept
-MOST_STEPS, MOST_STEPS_OF_BEAT = 2000, 50
-SHORTEST_WAIT, LONGEST_WAIT = timedelta(seconds=5), timedelta(minutes=5)
+MOST_STEPS = 2000
+MOST_STEPS_OF_BEAT = 50
+SHORTEST_WAIT = timedelta(seconds=5)
+LONGEST_WAIT = timedelta(minutes=5)
 # Corrections of a clock are shorter, and so is the time from reading it to reading a lease
 LEAST_SETBACK = timedelta(seconds=10)
 # Longest wait for room on a full disk before the job fails
@@ -68,7 +70,9 @@ class Claim:
 def create(session: Session, job: Job) -> None:
     """Add a queued job and ask for its wake-up call."""
     moment = clock(session)
-    job.created_at, job.sent_at, job.sends = moment, moment, 1
+    job.created_at = moment
+    job.sent_at = moment
+    job.sends = 1
     session.add(job)
     session.flush()
     _record_state(session, job)

@@ -21,7 +21,8 @@ EVERY = 1.0
 # Seconds for which further reads of the same by the same key are not noted
 ONCE_IN = 3600.0
 # Reads that are remembered as noted, and those that wait for a database that takes nothing
-MOST_KNOWN, MOST_WAITING = 100_000, 10_000
+MOST_KNOWN = 100_000
+MOST_WAITING = 10_000
 
 log = structlog.get_logger()
 
@@ -63,7 +64,8 @@ class ReadLog(Background):
 
     def note(self, who: Principal, action: str, object_id: str) -> None:
         """Note that ``who`` read something, if that has not been noted within the hour."""
-        read, moment = (who.tenant_id, who.key_id, action, object_id), time.monotonic()
+        read = (who.tenant_id, who.key_id, action, object_id)
+        moment = time.monotonic()
         with self._lock:
             if moment - self._known.get(read, -ONCE_IN) < ONCE_IN:
                 return
@@ -84,7 +86,8 @@ class ReadLog(Background):
 
     def _round(self) -> None:
         with self._lock:
-            noted, left_out = list(self._waiting), self._left_out
+            noted = list(self._waiting)
+            left_out = self._left_out
         if noted:
             with self._store.write() as session:
                 session.add_all(AuditEntry(**each) for each in noted)

@@ -187,7 +187,8 @@ class RigArchive(Sendable):
     def _blocks(self, parts: Iterable[bytes | Member], span: ByteRange) -> Iterator[bytes]:
         place = 0
         for part in parts:
-            start, end = max(span.start - place, 0), min(span.end - place, length(part))
+            start = max(span.start - place, 0)
+            end = min(span.end - place, length(part))
             place += length(part)
             if start >= end:
                 continue
@@ -235,11 +236,15 @@ def _checksum(files: Files, sha256: str) -> int:
 
 # The layout, after PKWARE's APPNOTE 6.3: a header before each file, the directory at the end.
 
-STORED, UTF8 = 0, 0x800
-PLAIN, WITH_ZIP64 = 20, 45  # version that a reader needs
-UNIX, OWNERS = 3 << 8, 0o100600 << 16  # a face's files are nobody's else
+STORED = 0
+UTF8 = 0x800
+PLAIN = 20  # version that a reader needs
+WITH_ZIP64 = 45  # version that a reader of ZIP64 needs
+UNIX = 3 << 8  # the system whose rights a file has
+OWNERS = 0o100600 << 16  # a face's files are nobody's else
 # Values from these on stand in the fields of ZIP64
-LARGE, MANY = 0xFFFFFFFF, 0xFFFF
+LARGE = 0xFFFFFFFF
+MANY = 0xFFFF
 
 
 def length(part: bytes | Member) -> int:
@@ -252,10 +257,13 @@ def lay_out(files: Iterable[tuple[Member, int]], made: datetime) -> list[bytes |
     date = (max(made.year, 1980) - 1980) << 9 | made.month << 5 | made.day
     stamp = made.hour << 11 | made.minute << 5 | made.second // 2, date
     parts: list[bytes | Member] = []
-    entries, place = [], 0
+    entries = []
+    place = 0
     for member, checksum in files:
-        name, size = member.name.encode(), member.size
-        shown, at = min(size, LARGE), min(place, LARGE)
+        name = member.name.encode()
+        size = member.size
+        shown = min(size, LARGE)
+        at = min(place, LARGE)
         doubled = [size, size] if shown == LARGE else []
         sizes = _zip64(doubled)
         extra = _zip64(doubled + ([place] if at == LARGE else []))

@@ -164,9 +164,11 @@ def _range(content: Sendable, tag: str, request: Request) -> ByteRange | None:
         return None  # a part of another file
     size = content.size
     if match[1]:
-        start, end = int(match[1]), min(int(match[2] or size) + 1, size)
+        start = int(match[1])
+        end = min(int(match[2] or size) + 1, size)
     else:
-        start, end = max(size - int(match[2]), 0), size
+        start = max(size - int(match[2]), 0)
+        end = size
     if match[1] and match[2] and int(match[2]) < start:
         return None
     if start >= end:

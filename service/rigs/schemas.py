@@ -50,7 +50,8 @@ class RigItem(View):
     @classmethod
     def of(cls, row: RigRow, kept: retention.Days) -> Self:
         """Show a rig."""
-        rig, summary = row.rig, row.rig.summary
+        rig = row.rig
+        summary = row.rig.summary
         shown = {name: getattr(rig, name) for name in cls.model_fields if hasattr(rig, name)}
         return cls.model_validate(
             {

@@ -240,7 +240,8 @@ def _receipt(
 
 
 def _sign(session: Session, receipt: Deletion, files: Iterable[str]) -> None:
-    receipt.files, receipt.rows_at = sorted(set(files)), clock(session)
+    receipt.files = sorted(set(files))
+    receipt.rows_at = clock(session)
     if not receipt.files:
         receipt.files_at = receipt.rows_at
     session.flush()
@@ -256,10 +257,8 @@ def collect_garbage(store: Store, age: float) -> int:
     limit = now() - timedelta(seconds=age)
     store.files.remove_unfinished(limit)
     # Listed before the tables are read: what is stored in between is not in the lists.
-    aside, stored = (
-        _older(store.files.list_aside(), limit),
-        _older(store.files.list_stored(), limit),
-    )
+    aside = _older(store.files.list_aside(), limit)
+    stored = _older(store.files.list_stored(), limit)
     wanted = referenced_files(store)
     removed = sum(_decide(store.files, sha256, sha256 in wanted) for sha256 in aside)
     for sha256 in stored:

@@ -48,7 +48,8 @@ def open_checked(files: Files, sha256: str) -> Iterator[bytes]:
         If it is lost or damaged: at once, or of a larger file in place of the last bytes.
     """
     blocks = _read_and_compare(files, sha256)
-    first, read = [], 0
+    first = []
+    read = 0
     for block in blocks:
         first.append(block)
         read += len(block)
@@ -74,7 +75,8 @@ def find_fault(files: Files, sha256: str) -> Fault | None:
 
 
 def _read_and_compare(files: Files, sha256: str) -> Iterator[bytes]:
-    digest, held_back = hashlib.sha256(), b""
+    digest = hashlib.sha256()
+    held_back = b""
     try:
         for block in files.open(sha256):
             digest.update(block)

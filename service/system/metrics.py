@@ -43,7 +43,8 @@ RECENT = timedelta(hours=1)
 MOST_JOBS = 5000
 QUANTILES = (0.5, 0.95)
 # Jobs of a kind by which its usual time is known, and seconds that nothing is overdue before
-LEAST_KNOWN, MOST_KNOWN = 5, 100
+LEAST_KNOWN = 5
+MOST_KNOWN = 100
 LEAST_USUAL = 30.0
 
 log = structlog.get_logger()

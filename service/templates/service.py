@@ -85,7 +85,9 @@ class _StoredFile(io.RawIOBase):
     """A stored file whose parts can be read, as an archive's list of members asks for."""
 
     def __init__(self, files: Files, sha256: str, size: int) -> None:
-        self._files, self._sha256, self._size = files, sha256, size
+        self._files = files
+        self._sha256 = sha256
+        self._size = size
         self._at = 0
 
     def seekable(self) -> bool:

@@ -216,7 +216,8 @@ class UploadService:
         with self._store.write() as session:
             upload = repository.get(session, upload.id)
             if upload.sha256 in (None, blob.sha256):
-                upload.sha256, upload.complete = blob.sha256, True
+                upload.sha256 = blob.sha256
+                upload.complete = True
             else:
                 session.delete(upload)
         part.unlink(missing_ok=True)

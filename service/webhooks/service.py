@@ -45,7 +45,8 @@ def change(session: Session, sender: Sender, webhook_id: str, order: WebhookChan
     if active or "url" in changes:
         webhook.failing_since = None
     if active:
-        webhook.active, webhook.disabled_reason = True, None
+        webhook.active = True
+        webhook.disabled_reason = None
     elif active is False and webhook.active:
         session.flush()
         outbox.switch_off(session, webhook.id, BY_USER, clock(session))

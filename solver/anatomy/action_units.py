@@ -59,7 +59,8 @@ def units_of(expression: str) -> tuple[ActionUnit, ...]:
 
     It may name the units itself, as ``AU12`` or ``AU6+12``.
     """
-    units, name = action_units(), _plain(expression)
+    units = action_units()
+    name = _plain(expression)
     if re.fullmatch(r"au\d+(\+(au)?\d+)*", name):
         codes = [f"AU {number}" for number in re.findall(r"\d+", name)]
         return tuple(units[code] for code in codes) if units.keys() >= set(codes) else ()
@@ -106,7 +107,8 @@ def is_one_of(name: str, muscles: Iterable[str]) -> bool:
     A muscle that is not divided into the parts of texts is as a whole what each of them is.
     """
     whole, _, part = name.lower().partition(".")
-    whole, words = both_sides(whole), re.split(r"[\s.]+", part)
+    whole = both_sides(whole)
+    words = re.split(r"[\s.]+", part)
     of_whole = {part for part in _parts().get(whole, ()) if part in words}
     for muscle in muscles:
         for given in template_names(muscle):

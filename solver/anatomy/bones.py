@@ -57,7 +57,8 @@ class VoxelGrid:
     """Cubes that cover the box ``lo`` to ``hi`` (3,) in mm."""
 
     def __init__(self, lo: Floats, hi: Floats) -> None:
-        self.lo, self._side = lo, BONES.voxel_mm
+        self.lo = lo
+        self._side = BONES.voxel_mm
         self.shape = tuple(np.ceil((hi - lo) / self._side).astype(int))
 
     def shell(self, surface: Surface) -> Volume:
@@ -79,7 +80,8 @@ class VoxelGrid:
         volume = self.shell(surface)
         numbers = np.argwhere(~volume)
         centres = self.lo + (numbers + 0.5) * self._side
-        lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+        lo = surface.vertices.min(axis=0)
+        hi = surface.vertices.max(axis=0)
         near = ((centres > lo) & (centres < hi)).all(axis=1)
         volume[tuple(numbers[near][inside(surface, centres[near])].T)] = True
         return volume
@@ -90,7 +92,8 @@ class VoxelGrid:
         field = ndimage.gaussian_filter(padded, BONES.smoothing_voxels)
         places = zip(self.lo, field.shape, strict=True)
         grid = [low + (np.arange(count) - 1.5) * self._side for low, count in places]
-        steps, count = BONES.taubin_steps, BONES.faces
+        steps = BONES.taubin_steps
+        count = BONES.faces
         mesh = trimesh.Trimesh(*level_set(field, grid, 0.5), process=True)
         trimesh.smoothing.filter_taubin(mesh, iterations=steps)  # type: ignore[no-untyped-call]
         vertices, faces, _, _ = igl.qslim(np.asarray(mesh.vertices), np.asarray(mesh.faces), count)

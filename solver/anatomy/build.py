@@ -84,7 +84,8 @@ def carry_anatomy(
 
 
 def _assemble(template: Template, person: Template, made_by: str) -> SubjectModel:
-    mesh, skin = cast(TemplateMesh, person.mesh), person.skin.vertices
+    mesh = cast(TemplateMesh, person.mesh)
+    skin = person.skin.vertices
     embedding = mesh.embedding(skin)
     return SubjectModel(
         rest=mesh.vertices,
@@ -130,7 +131,8 @@ def _glide(model: SubjectModel, source: Template) -> SubjectModel:
 
 def _divide(model: SubjectModel, source: Template) -> SubjectModel:
     """Return a model of whole muscles with their compartments on the tets of ``source``."""
-    mesh, muscles = cast(TemplateMesh, source.mesh), source.muscles
+    mesh = cast(TemplateMesh, source.mesh)
+    muscles = source.muscles
     shape = mesh.vertices, mesh.tets, mesh.weights
     numbers = number_compartments(
         *shape, fibre_directions(*shape, muscles), muscles, float(source.condyles[:, 0].mean())
@@ -156,7 +158,8 @@ def _with_tracks(frame: JawFrame, template: Template, neutral: Floats) -> JawFra
 
 
 def _tracks(template: Template, frame: JawFrame, neutral: Floats) -> JawTracks:
-    skin, teeth = template.skin.vertices, lower_teeth(template.regions, template.attached_mandible)
+    skin = template.skin.vertices
+    teeth = lower_teeth(template.regions, template.attached_mandible)
     apart = float(np.linalg.norm(template.condyles[0] - template.condyles[1]))
     shapes = [] if template.shapes is None else list(template.shapes.expressions[:, teeth])
     found = tracks_of_shapes(jaw_frame(template.condyles), apart, skin[teeth], shapes)
@@ -169,7 +172,8 @@ def _tracks(template: Template, frame: JawFrame, neutral: Floats) -> JawTracks:
 def _check(template: Template, neutral: Floats) -> None:
     expected = template.skin.vertices.shape
     if neutral.shape != expected:
-        found, wanted = len(neutral), expected[0]
+        found = len(neutral)
+        wanted = expected[0]
         reason = f"the neutral has {found} vertices, the template '{template.name}' has {wanted}"
         raise InputError("scan.vertex_count", reason, expected=wanted, found=found)
     wrong = np.flatnonzero(~np.isfinite(neutral).all(axis=1))
@@ -293,7 +297,8 @@ def number_compartments(
     of a muscle have equal volumes, up to a tet; one is left out where the muscle has fewer tets
     than compartments. Candidates that the muscle does not fill go with the nearest that it does.
     """
-    entries, sizes = weights.tocoo(), volumes(vertices, tets)
+    entries = weights.tocoo()
+    sizes = volumes(vertices, tets)
     centres = vertices[tets].mean(axis=1)
     numbers = np.zeros(weights.nnz, dtype=np.int64)
     for column, muscle in enumerate(muscles, start=1):
@@ -302,7 +307,8 @@ def number_compartments(
         if muscle.compartments is None or not len(own):
             continue
         rows = entries.row[own]
-        places, flesh = centres[rows] - [middle_x, 0.0, 0.0], sizes[rows] * entries.data[own]
+        places = centres[rows] - [middle_x, 0.0, 0.0]
+        flesh = sizes[rows] * entries.data[own]
         part = np.zeros(len(own), dtype=np.int64)
         for each in muscle.compartments.cuts:
             if each.cut == "sectors":
@@ -341,7 +347,8 @@ def _across(vertices: Floats, tets: Ints, fibres: Floats, cut: Cut, length: floa
     gradients, sizes = shape_gradients(vertices, tets)
     used, corners = own_numbers(tets)
     place, direction = _way(vertices[used], corners, cut)
-    place, direction = length * place, length * direction
+    place = length * place
+    direction = length * direction
     K = fibre_laplacian(gradients, sizes, corners, fibres, CUTTING.slip)
     along = (fibres * direction).sum(axis=1, keepdims=True)
     wanted = unit_rows(direction - along * fibres)

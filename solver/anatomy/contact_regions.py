@@ -20,7 +20,8 @@ from solver.surface import Floats, Ints, Surface, directed_edges, vertex_normals
 # The way from one lip to the other leads around a corner of the mouth, so that no plane is needed,
 # which a bent line of the mouth or an overbite would cross.
 
-UPPER, LOWER = 1, -1  # lips; 0 is neither
+UPPER = 1  # lip; 0 is neither
+LOWER = -1  # lip
 SIDES = ("left", "right")  # the subject's
 
 
@@ -90,7 +91,8 @@ def contact_regions(
     ``right_eyeball``; ``landmarks`` (name -> vertex) has the four canthi (``endocanthion_l`` ...).
     """
     regions = {name: np.sort(ids) for name, ids in parts.items()}
-    skin, own = flesh.vertices, np.unique(flesh.faces)
+    skin = flesh.vertices
+    own = np.unique(flesh.faces)
     rows = [skin[parts[f"{jaw}_teeth"]] for jaw in ("upper", "lower")]
     # those that lips cover
     front = [row[row[:, 2] > np.quantile(row[:, 2], 1 - DISTANCES.front_teeth)] for row in rows]
@@ -104,7 +106,8 @@ def contact_regions(
 
 def _lids(flesh: Surface, own: Ints, eyeball: Ints, corners: Ints, side: str) -> dict[str, Ints]:
     """Split the skin on one eyeball along the line between the corners of the eye."""
-    skin, ball = flesh.vertices, flesh.vertices[eyeball]
+    skin = flesh.vertices
+    ball = flesh.vertices[eyeball]
     centre = (ball.min(axis=0) + ball.max(axis=0)) / 2
     radius = np.median(np.linalg.norm(ball - centre, axis=1))
     away = skin[own] - centre

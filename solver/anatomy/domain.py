@@ -57,13 +57,15 @@ def in_front(head: Template, points: Floats, margin: float = 0.0) -> np.ndarray:
 
 def domain_soup(head: Template) -> Surface:
     """Return every triangle the tetrahedra have to follow: parted skin, bones and cut planes."""
-    margin, cells = DOMAIN.margin_mm, DOMAIN.plane_cells
+    margin = DOMAIN.margin_mm
+    cells = DOMAIN.plane_cells
     surfaces = []
     for part in (head.parted_flesh, head.cranium, head.mandible):
         ahead = in_front(head, part.vertices[part.faces], -margin).any(axis=1)
         surfaces.append(part_of(part, np.flatnonzero(ahead)))
     points = surfaces[0].vertices
-    lo, hi = points.min(axis=0) - margin, points.max(axis=0) + margin
+    lo = points.min(axis=0) - margin
+    hi = points.max(axis=0) + margin
     lo = np.maximum(lo, [-np.inf, head.bottom_y - margin, head.back_z - margin])
     back = _sheet(lo, hi, 2, head.back_z, cells)
     return join_surfaces([*surfaces, back, _sheet(lo, hi, 1, head.bottom_y, cells)])
@@ -94,7 +96,8 @@ def split_quads(quads: Ints) -> Ints:
 def edge_lengths(head: Template, soup: Surface, edge_mm: float) -> EdgeLengths:
     """Return wanted edge lengths: fine at lips, eyes and nose, ``edge_mm`` on the face."""
     grid = DOMAIN.grid_mm
-    lo, hi = soup.vertices.min(axis=0) - grid, soup.vertices.max(axis=0) + grid
+    lo = soup.vertices.min(axis=0) - grid
+    hi = soup.vertices.max(axis=0) + grid
     points, tets = background_grid(lo, hi, grid)
     lengths = np.full(len(points), DOMAIN.deep_factor * edge_mm)
     fine = [(head.regions.get(name, ()), part) for name, part in FINE_REGIONS.items()]

@@ -63,7 +63,8 @@ def tet_binder(vertices: Floats, tets: Ints) -> Callable[[Floats], tuple[Ints, F
     def bind(points: Floats) -> tuple[Ints, Floats]:
         points = np.ascontiguousarray(points)
         tet = np.array(igl.in_element(vertices, tets, points, tree), np.int64)
-        shares, outside = np.empty((len(points), 4)), tet < 0
+        shares = np.empty((len(points), 4))
+        outside = tet < 0
         shares[~outside] = barycentric_in_tets(points[~outside], vertices[tets[tet[~outside]]])
         if outside.any():
             nearest = bind_outside(points[outside], vertices, tets, faces, owners)
@@ -114,7 +115,8 @@ class LooseSkin:
     def __init__(
         self, model: SubjectModel, *, fade_mm: float = 60.0, touch_mm: float = 1.0
     ) -> None:
-        skin, faces = model.skin.vertices, model.skin.faces
+        skin = model.skin.vertices
+        faces = model.skin.faces
         self._count = len(skin)
         edges = _edges(model, touch_mm)
         _, part = connected_components(edges, directed=False)
@@ -146,7 +148,8 @@ class LooseSkin:
 
 def _edges(model: SubjectModel, touch_mm: float) -> sp.csr_array:
     """Return the graph (V, V) of the skin's edges, and of those by which lashes hang on it."""
-    skin, faces = model.skin.vertices, model.skin.faces
+    skin = model.skin.vertices
+    faces = model.skin.faces
     of_lashes = skin_parts(model.skin).get("lashes", np.empty(0, np.int64))
     lashes = np.unique(faces[of_lashes])
     distance, near = cKDTree(skin[model.embedded]).query(skin[lashes])

@@ -122,12 +122,14 @@ def _mesh(head: Template, edge_mm: float, mesher_seconds: float) -> MeshedFlesh:
 
 def _fit(head: Template, flesh: MeshedFlesh) -> MeshedFlesh:
     """Return the flesh with its vertices fitted to the parted skin in least squares."""
-    skin, parted = np.unique(head.flesh.faces), head.parted_skin.vertices
+    skin = np.unique(head.flesh.faces)
+    parted = head.parted_skin.vertices
     for _ in range(MESH.fitting_rounds):
         tet, shares, distance = _bound(flesh, parted[skin])
         near = distance < MESH.greatest_envelope_mm
         rows = rows_of(flesh.tets[tet], shares, len(flesh.vertices))[near]
-        held, place = flesh.held_vertices, _on_bones(head, flesh)
+        held = flesh.held_vertices
+        place = _on_bones(head, flesh)
         guides = guidance(head, parted, skin[near], rows, held, place[held], flesh.vertices)
         flesh = replace(flesh, vertices=relax(flesh.vertices, flesh.tets, guides))
     return flesh
@@ -177,7 +179,8 @@ def _held(head: Template, flesh: MeshedFlesh) -> tuple[Ints, Ints, Ints]:
 
 def _drawn_along(head: Template, points: Floats) -> np.ndarray:
     """Return (n,) True for points of a cut plane that move with jaw or face."""
-    jaw, face = head.mandible.vertices, head.skin.vertices[head.face_vertices]
+    jaw = head.mandible.vertices
+    face = head.skin.vertices[head.face_vertices]
     near_jaw, near_face = (cKDTree(part).query(points)[0] for part in (jaw, face))
     in_throat = (points[:, 1] < jaw[:, 1].min()) & (near_face < MESH.face_free_mm)
     return np.asarray((near_jaw < MESH.jaw_free_mm) | in_throat)

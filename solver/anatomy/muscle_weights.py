@@ -103,7 +103,8 @@ def enclosed_volume(surface: Surface, samples: int = 40_000) -> float:
     middle = surface.vertices.mean(axis=0)
     axes = np.linalg.svd(surface.vertices - middle, full_matrices=False)[2]
     local = (surface.vertices - middle) @ axes.T
-    lo, size = local.min(axis=0), np.ptp(local, axis=0)
+    lo = local.min(axis=0)
+    size = np.ptp(local, axis=0)
     box = float(np.prod(size))
     counts = np.ceil(size / (box / samples) ** (1 / 3)).astype(int)
     grid = lo + size * (np.indices(tuple(counts)).reshape(3, -1).T + 0.5) / counts
@@ -162,7 +163,8 @@ def _candidates(vertices: Floats, tets: Ints, surface: Surface) -> Ints:
 
 def is_within(points: Floats, surface: Surface, reach: Floats | float) -> np.ndarray:
     """Return (n,) True where a point lies inside a surface or within ``reach`` of it."""
-    lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    lo = surface.vertices.min(axis=0)
+    hi = surface.vertices.max(axis=0)
     reach = np.broadcast_to(reach, len(points))
     gap = np.maximum(lo - points, points - hi).max(axis=1)
     near = np.flatnonzero(gap <= reach)
@@ -248,7 +250,8 @@ class _Field:
     """Potentials on the candidates of one muscle, with the conductivity times volume of each."""
 
     def __init__(self, vertices: Floats, tets: Ints, gradients: Floats, weight: Floats) -> None:
-        self._gradients, self._weight = gradients, weight
+        self._gradients = gradients
+        self._weight = weight
         numbers, self._tets = own_numbers(tets)
         self._points = vertices[numbers]
         self._matrix = laplacian(gradients, weight, self._tets, len(numbers))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 # Stretches of a muscle, by its best length: the shortest, and in one direction the thickest.
-SHORTEST, THICKEST = 0.5, 2.0
+SHORTEST = 0.5
+THICKEST = 2.0
 
 MUSCLE_SOURCE = (
     "A muscle makes force down to half its best length (Zajac 1989), and one that halves its "

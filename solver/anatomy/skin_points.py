@@ -52,7 +52,8 @@ class SkinPoints(SkinSamples):
         """Return those of the points that have these names, in their order."""
         rows = [self._rows[name] for name in names]
         offsets = None if self.offsets is None else self.offsets[rows]
-        samples, spread = (self.corners[rows], self.weights[rows]), self.spread_mm[rows]
+        samples = (self.corners[rows], self.weights[rows])
+        spread = self.spread_mm[rows]
         return SkinPoints(*samples, tuple(names), spread, offsets)
 
     def moved(self, offsets: Mapping[str, Floats]) -> SkinPoints:

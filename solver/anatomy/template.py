@@ -73,7 +73,8 @@ def check_arrays(template: Template, file: str) -> None:
     check = _Check(file)
     for name in SURFACES:
         check.surface(name, getattr(template, name))
-    skin, mesh = len(template.skin.vertices), template.mesh
+    skin = len(template.skin.vertices)
+    mesh = template.mesh
     check.numbers("flesh_faces", template.flesh_faces, len(template.skin.faces))
     for name in VERTEX_SETS:
         check.numbers(name, getattr(template, name), skin)
@@ -97,7 +98,8 @@ def check_arrays(template: Template, file: str) -> None:
     if template.points is not None:
         check.skin_points(template.points, skin)
     if mesh is not None:
-        weights, count = mesh.weights, len(mesh.vertices)
+        weights = mesh.weights
+        count = len(mesh.vertices)
         check.points("mesh vertices", mesh.vertices, (None, 3))
         check.numbers("mesh tets", mesh.tets, count, columns=4)
         limits = dict.fromkeys(("cranium", "mandible", "cut"), count)
@@ -147,7 +149,8 @@ class _Check:
             self.wrong("range", name, f"has {array[place]} at {list(map(int, place))}, of {count}")
 
     def skin_points(self, points: SkinPoints, skin: int) -> None:
-        names, weights = points.names, points.weights
+        names = points.names
+        weights = points.weights
         if len(set(names)) < len(names):
             self.wrong("shape", "names of points", "are no different ones")
         self.points("weights of points", weights, (len(names), 3))
@@ -418,7 +421,8 @@ class Template:
             surfaces[f"muscle_{number}"] = muscle.surface
             arrays[f"muscle_{number}_axis"] = muscle.axis
         for name, surface in surfaces.items():
-            arrays[f"{name}_vertices"], arrays[f"{name}_faces"] = surface.vertices, surface.faces
+            arrays[f"{name}_vertices"] = surface.vertices
+            arrays[f"{name}_faces"] = surface.faces
         arrays |= {f"region_{name}": ids for name, ids in self.regions.items()}
         if self.shapes is not None:
             arrays["shapes_identity"] = self.shapes.identity
@@ -450,12 +454,14 @@ class Template:
 
     @classmethod
     def _from_archive(cls, archive: Archive) -> Template:
-        header, data = archive.header, archive.arrays
+        header = archive.header
+        data = archive.arrays
 
         def surface(name: str) -> Surface:
             return Surface(data[f"{name}_vertices"], data[f"{name}_faces"])
 
-        muscles, divided = [], dict(header.get("compartments", {}))
+        muscles = []
+        divided = dict(header.get("compartments", {}))
         for number, name in enumerate(header["muscles"]):
             ring = name in header.get("rings", ())
             fibre, origin, insertion = data[f"muscle_{number}_axis"]
@@ -467,7 +473,8 @@ class Template:
         if "shapes_identity" in data:
             names = tuple(header["expression_names"])
             shapes = ShapeBasis(data["shapes_identity"], data["shapes_expressions"], names)
-        mesh, points = with_prefix(data, "mesh_"), with_prefix(data, "points_")
+        mesh = with_prefix(data, "mesh_")
+        points = with_prefix(data, "points_")
         back_z, bottom_y = data["planes"]
         plain: dict[str, Any] = {name: data[name] for name in PLAIN}
         plain |= {name: surface(name) for name in SURFACES}

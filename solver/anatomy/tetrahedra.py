@@ -73,7 +73,8 @@ def tetrahedralize(
     :class:`SolveError`: ``mesher.timeout`` or ``mesher.crashed``.
     """
     with tempfile.TemporaryDirectory(prefix="tetrahedra-") as name:
-        source, target = Path(name) / "input.npz", Path(name) / "output.npz"
+        source = Path(name) / "input.npz"
+        target = Path(name) / "output.npz"
         np.savez(
             source,
             vertices=surface.vertices,
@@ -95,7 +96,8 @@ def tetrahedralize(
             reason = f"the mesher ended with code {child.returncode}: {last_words}"
             raise SolveError("mesher.crashed", reason, returncode=child.returncode)
         with np.load(target) as result:
-            vertices, tets = result["vertices"], result["tets"].astype(np.int64)
+            vertices = result["vertices"]
+            tets = result["tets"].astype(np.int64)
     return vertices, positively_oriented(vertices, tets)
 
 

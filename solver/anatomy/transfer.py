@@ -145,9 +145,11 @@ def _shape_energy(
                     F[i, j] += (x[tet[k + 1], i] - x[tet[0], i]) * _INVERSE[k, j]
         square = 0.0
         for i in range(3):
-            a, b = (i + 1) % 3, (i + 2) % 3
+            a = (i + 1) % 3
+            b = (i + 2) % 3
             for j in range(3):
-                c, d = (j + 1) % 3, (j + 2) % 3
+                c = (j + 1) % 3
+                d = (j + 2) % 3
                 C[i, j] = F[a, c] * F[b, d] - F[a, d] * F[b, c]
                 square += F[i, j] * F[i, j]
         det = F[0, 0] * C[0, 0] + F[0, 1] * C[0, 1] + F[0, 2] * C[0, 2]
@@ -194,7 +196,8 @@ TRANSFER = TransferOptions()
 
 def skin_warp(template: Template, neutral: Floats) -> Warp:
     """Return the smooth map of space from the template's head to the one with skin ``neutral``."""
-    flesh, source = np.unique(template.flesh.faces), template.skin.vertices
+    flesh = np.unique(template.flesh.faces)
+    source = template.skin.vertices
     chosen = flesh[spread(source[flesh], TRANSFER.correspondences)]
     return interpolate(source[chosen], neutral[chosen], TRANSFER.smoothing_mm)
 
@@ -278,7 +281,8 @@ def flesh_motion(
     vertices are interpolated in the tetrahedron around a point, or at the nearest point of the
     mesh's boundary. So muscles stay where S has them.
     """
-    corrections, bind = moved - warp(vertices), tet_binder(vertices, tets)
+    corrections = moved - warp(vertices)
+    bind = tet_binder(vertices, tets)
 
     def motion(points: Floats) -> Floats:
         tet, shares = bind(points)

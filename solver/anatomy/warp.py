@@ -41,7 +41,8 @@ def interpolate(source: Floats, target: Floats, smoothing: float = 0.0) -> Warp:
 
     ``smoothing`` in mm lets it miss the targets for less bending; zero goes through them.
     """
-    count, values = len(source), basis(source, source)
+    count = len(source)
+    values = basis(source, source)
     # -|r| is conditionally positive definite, hence the sign of the smoothing term.
     values[:, :count] -= smoothing * np.eye(count)
     matrix = np.vstack([values, np.pad(values[:, count:].T, ((0, 0), (0, 4)))])
@@ -131,7 +132,8 @@ def close_holes(surface: Surface, bare_mm: float = 100.0) -> Surface:
     caps = np.column_stack([edges[:, ::-1], len(vertices) + hole])
     centres = []
     for rim in (vertices[edges[hole == number]] for number in np.unique(hole)):
-        middle, width = rim[:, 0].mean(axis=0), float(np.ptp(rim[:, 0], axis=0).max())
+        middle = rim[:, 0].mean(axis=0)
+        width = float(np.ptp(rim[:, 0], axis=0).max())
         out = np.cross(rim[:, 1] - middle, rim[:, 0] - middle).sum(axis=0)
         out /= np.linalg.norm(out) + 1e-30
         looks_back = width > bare_mm and -out[2] > np.abs(out[:2]).max()

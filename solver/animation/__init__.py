@@ -83,7 +83,8 @@ def track(
         return lambda _time: np.zeros(values.shape[1])
     if len(times) == 1:
         return lambda _time: values[0]
-    first, last = times[0], times[-1]
+    first = times[0]
+    last = times[-1]
     if interpolation == "smooth":
         curve = PchipInterpolator(times, values)
         return lambda time: np.asarray(curve(min(max(time, first), last)))
@@ -91,7 +92,8 @@ def track(
 
 
 # heads turn about the upper neck, so far from the middle of the jaw's condyles
-BELOW_JAW_MM, BEHIND_JAW_MM = 40.0, 20.0
+BELOW_JAW_MM = 40.0
+BEHIND_JAW_MM = 20.0
 
 
 @dataclass(frozen=True)
@@ -240,7 +242,8 @@ class KeyedDrives(Drives):
         fibres: Sequence[str] | None = None,
         limits: FeasibleSet | None = None,
     ) -> None:
-        self.times, self.under = times, under
+        self.times = times
+        self.under = under
         self._head = head_motion(head, neck(model), interpolation)
         _check_names(keys, poses, model, what, fibres)
         self._keys: _BlendedKeys | _FibreKeys = (
@@ -255,7 +258,8 @@ class KeyedDrives(Drives):
         values, jaw = np.split(self._track(time), [-5])
         under = None if self.under is None else self.under(time)
         a, b, clamped = self._keys.pose(values, None if under is None else under.a)
-        head, b = self._head(time), b + jaw
+        head = self._head(time)
+        b = b + jaw
         if under is None:
             return PosedFrame(a, b, head, np.zeros((2, 3)), clamped)
         clamped = max(clamped, under.clamped)
@@ -356,7 +360,8 @@ class RecordedDrives(Drives):
             reason = f"the recording has the frames 0 to {count - 1}: {asked}"
             raise InputError("scene.frames", reason, expected=count, start=start, end=last)
         frames = slice(start, last)
-        self._shapes, self.names = shapes, shapes.names
+        self._shapes = shapes
+        self.names = shapes.names
         self.times: Floats = take.times[frames] - take.times[start]
         self.weights: Floats = shape_weights(take, shapes.names)[frames]
         turns = np.hstack([take.head[frames], take.eyes[frames].reshape(-1, 6)])
@@ -387,11 +392,12 @@ class Gaze:
     def __init__(self, model: SubjectModel) -> None:
         skin = model.skin.vertices
         regions = [model.region(f"{side}_eyeball") for side in ("left", "right")]
-        self._balls = [(ids, nearest_sphere(skin[ids])[0]) for ids in regions]
+        # vertices of each eyeball, and its centre
+        self.balls = [(ids, nearest_sphere(skin[ids])[0]) for ids in regions]
 
     def turn(self, skin: Floats, eyes: Floats) -> Floats:
         """Return a skin (V, 3) in the head's frame with eyes turned by vectors (2, 3) in rad."""
         turned = skin.copy()
-        for (ids, centre), vector in zip(self._balls, eyes, strict=True):
+        for (ids, centre), vector in zip(self.balls, eyes, strict=True):
             turned[ids] = centre + Rotation.from_rotvec(vector).apply(skin[ids] - centre)
         return turned

@@ -177,7 +177,8 @@ class Blendshapes:
 
     def save(self, path: Path, model: SubjectModel, S: sp.csr_array) -> None:
         """Write the shapes as NPZ, replacing the file whole; they are of ``model`` with S."""
-        blend, shapes = self.blend, self.shapes.values()
+        blend = self.blend
+        shapes = self.shapes.values()
         arrays: Arrays = {
             "names": np.array(blend.names, np.str_),
             "activations": blend.activations,
@@ -202,9 +203,11 @@ class Blendshapes:
         ``blendshapes.model`` if they are another model's or another S's.
         """
         archive = Archive.read(path, "blendshapes", "a set of blendshapes", FORMAT)
-        header, data = archive.header, archive.arrays
+        header = archive.header
+        data = archive.arrays
         try:
-            muscles, shapes = tuple(header["muscles"]), {}
+            muscles = tuple(header["muscles"])
+            shapes = {}
             drive = restore(header.get("drive", store(SixNumbers())))  # those before had no limits
             for row, name in enumerate(header["names"]):
                 a, b, mean, settled = (data[key][row] for key in STORED)
@@ -295,14 +298,17 @@ def solve_blendshapes(
                 fit = activation.fit(
                     face, data[name], regulariser, start, UNSEEN_STOP, descent=SHORT
                 )
-                state, settled = fit.state, True
+                state = fit.state
+                settled = True
             except (SolveError, np.linalg.LinAlgError):
-                state, settled = face.rest, False
+                state = face.rest
+                settled = False
             off = target.distances(face.face_points(state.x))
             pose = Pose(state.pose.a, face.five_jaw_numbers(state.pose.b))
             corrected = found.get(CORRECTED.get(name, ""))
             if corrected is not None:
-                a, b = corrected.pose.a, corrected.pose.b
+                a = corrected.pose.a
+                b = corrected.pose.b
                 pose = Pose(IDENTITY + pose.a - a, pose.b - b)
             found[name] = Solved(pose, float(off.mean()), settled)
             listen(name, found[name])

@@ -108,8 +108,10 @@ class FittedSequence:
 
         Raises :class:`InputError` (``scene.frames``) if there are no such frames.
         """
-        first, last = int(self.frames[0]), int(self.frames[-1])
-        start, end = first if start is None else start, last + 1 if end is None else end
+        first = int(self.frames[0])
+        last = int(self.frames[-1])
+        start = first if start is None else start
+        end = last + 1 if end is None else end
         chosen = (self.frames >= start) & (self.frames < end)
         if start < first or end > last + 1 or not chosen.any():
             asked = f"start {start} and end {end} are not within it, or no frame lies between"
@@ -145,7 +147,8 @@ class FittedSequence:
         ):
             bad = np.argwhere(~np.isfinite(values))
             if len(bad):
-                frame, muscle = int(self.frames[bad[0, 0]]), None
+                frame = int(self.frames[bad[0, 0]])
+                muscle = None
                 what = f"its {name}"
                 if name == "activations":
                     muscle = self.muscles[bad[0, 1]]
@@ -158,7 +161,8 @@ class FittedSequence:
 def _sequence(asset: str, data: dict[str, np.ndarray]) -> FittedSequence:
     """Return the sequence of a file's arrays; raises LookupError or ValueError in words."""
     muscles = tuple(str(name) for name in np.atleast_1d(data["muscles"]))
-    frames, times = data["frame"].astype(np.int64), data["time"].astype(np.float64)
+    frames = data["frame"].astype(np.int64)
+    times = data["time"].astype(np.float64)
     count = len(np.atleast_1d(frames))
     shapes = {"frame": (), "time": (), "status": (), "jaw": (JAW_FREEDOM,), "head": (6,)}
     entries = () if are_fibres(data["activations"]) else (6,)
@@ -208,7 +212,8 @@ class PlayedPerformance(Drives):
         interpolation: Interpolation = "smooth",
         fibres: FibreMuscles | None = None,
     ) -> None:
-        self.entry, self.of_fibres = entry, sequence.of_fibres
+        self.entry = entry
+        self.of_fibres = sequence.of_fibres
         if sequence.shapes:
             reason = f"the performance {entry.asset!r} was fitted by weights of shapes"
             raise InputError("scene.shapes", f'{reason}: set "drive" to "tracks"')
@@ -221,7 +226,8 @@ class PlayedPerformance(Drives):
         self.bridged = played.frames[~kept]
         left = played.part(kept)
         left.check_values()
-        self.frames, self.jaw = left.frames, left.jaw
+        self.frames = left.frames
+        self.jaw = left.jaw
         self._neck = neck(model)
         self._start, turns, moves = played_head(left.head, self._neck, entry)
         moments = self.times[kept]
@@ -303,10 +309,12 @@ def played_head(
     From the first one on a head never turns by half a circle, where rotation vectors jump.
     """
     head = np.zeros_like(head) if entry.head == "still" else head
-    turns, shifts = Rotation.from_rotvec(head[:, :3]), head[:, 3:]
+    turns = Rotation.from_rotvec(head[:, :3])
+    shifts = head[:, 3:]
     if entry.head == "from_start":
         back = turns[0].inv()
-        turns, shifts = back * turns, back.apply(shifts - shifts[0])
+        turns = back * turns
+        shifts = back.apply(shifts - shifts[0])
     start = turns[0]
     return start, (start.inv() * turns).as_rotvec(), turns.apply(pivot) + shifts - pivot
 

@@ -89,7 +89,9 @@ class PlayedShapes(ShapeDrives):
         model: SubjectModel,
         interpolation: Interpolation = "smooth",
     ) -> None:
-        self.entry, self._shapes, self._neck = entry, shapes, neck(model)
+        self.entry = entry
+        self._shapes = shapes
+        self._neck = neck(model)
         if not sequence.shapes:
             reason = "was fitted by muscles, and the scene's face is driven by tracks"
             raise InputError("scene.shapes", f"the performance {entry.asset!r} {reason}")
@@ -151,7 +153,9 @@ class KeyedTracks(ShapeDrives):
         interpolation: Interpolation = "smooth",
         under: ShapeDrives | None = None,
     ) -> None:
-        self.times, self._shapes, self._under = times, shapes, under
+        self.times = times
+        self._shapes = shapes
+        self._under = under
         for number, key in enumerate(keys):
             if key.expressions or key.activations or key.fibres:
                 reason = "the face is driven by its tracks, and these by shapes alone"

@@ -86,7 +86,8 @@ def arches(
     rest = mouth.points(model.rest)
     lips = np.flatnonzero(mouth.label == LIPS)
     stiffness = options.stiffness_per_mm * stiffness_pa * vertex_areas(rest, mouth.flesh)[lips]
-    rows, offset = mouth.rows[lips], mouth.offset[lips]
+    rows = mouth.rows[lips]
+    offset = mouth.offset[lips]
     kept = []
     for label, carried in ((UPPER_TEETH, None), (LOWER_TEETH, model.jaw)):
         faces = mouth.faces_of(label)
@@ -113,7 +114,8 @@ def eyeballs(
         ball = model.region(f"{side}_eyeball")
         if len(lids) and len(ball):
             number = np.searchsorted(model.embedded, lids)
-            rows, offset = model.embedding[number], model.offset[number]
+            rows = model.embedding[number]
+            offset = model.offset[number]
             stiffness = options.stiffness_per_mm * stiffness_pa * area[lids]
             eyeball = Eyeball.of(skin[ball])
             free = free_depths(eyeball, rows @ model.rest + offset, -options.margin_mm)

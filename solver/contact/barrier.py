@@ -99,7 +99,8 @@ class ContactSurface:
         """
         skin, own = own_numbers(faces)
         number = np.searchsorted(model.embedded, skin)
-        rows, offset = sp.csr_array(model.embedding[number]), model.offset[number]
+        rows = sp.csr_array(model.embedding[number])
+        offset = model.offset[number]
         points = np.asarray(rows @ model.rest + offset)
         normals = area_weighted_normals(points, own)
         apart = np.zeros_like(model.skin.vertices)
@@ -146,7 +147,8 @@ def _mark_crossed(surface: Surface, normals: Floats, beside_mm: float) -> NDArra
 
 def crossing_vertices(mesh: ipctk.CollisionMesh) -> Ints:
     """Return the corners of triangles and the ends of edges that cross each other, sorted."""
-    places, grid = mesh.rest_positions, ipctk.HashGrid()
+    places = mesh.rest_positions
+    grid = ipctk.HashGrid()
     grid.build(places, mesh.edges, mesh.faces)
     near = grid.detect_edge_face_candidates()
     if not near:
@@ -161,7 +163,8 @@ def crossing_vertices(mesh: ipctk.CollisionMesh) -> Ints:
 
 def _shift_rows(model: SubjectModel, rows: sp.csr_array, shift: Floats) -> sp.csr_array:
     """Return rows whose points lie at rest by ``shift`` (s, 3) off, and turn with their tets."""
-    corners, shares = rows.indices.reshape(-1, 4), rows.data.reshape(-1, 4)
+    corners = rows.indices.reshape(-1, 4)
+    shares = rows.data.reshape(-1, 4)
     places = model.rest[corners]
     points = np.einsum("sc,sci->si", shares, places)
     change = barycentric_in_tets(points + shift, places) - barycentric_in_tets(points, places)
@@ -311,7 +314,8 @@ class Barrier(Potential):
     def _touching(self, x: Floats) -> tuple[Floats, ipctk.NormalCollisions]:
         """Find what touches at x; value, gradient and Hessian ask for the same x again."""
         if self._last is None or not np.array_equal(self._last[0], x):
-            points, collisions = self._points(x, self._objects), ipctk.NormalCollisions()
+            points = self._points(x, self._objects)
+            collisions = ipctk.NormalCollisions()
             collisions.build(self._mesh, points, self._options.distance_mm)
             self._last = x.copy(), points, collisions
         return self._last[1:]

@@ -68,7 +68,8 @@ def between_lips(
     A vertex is paired with the nearest skin inside that faces it: skins in contact have opposed
     normals, which keeps the vertex's own surroundings out.
     """
-    normals, lips = mouth.normals(points), np.flatnonzero(mouth.label == LIPS)
+    normals = mouth.normals(points)
+    lips = np.flatnonzero(mouth.label == LIPS)
     # the winding number of the skin around the mouth, an open surface, is above one in the flesh
     # of two lips, and well below a half outside
     just_outside = points[lips] + options.outside_mm * normals[lips]
@@ -82,7 +83,8 @@ def between_lips(
     partner = _facing(points, normals, deep, crossed, options.deepest_mm)
     # a lip that is folded at a corner of the mouth is in itself, not in the other
     other = (partner >= 0) & (mouth.side[partner] != mouth.side[deep])
-    ids, partner = deep[other], partner[other]
+    ids = deep[other]
+    partner = partner[other]
     found = Overlap.at(points, ids, *_nearest(mouth, points, ids, partner))
     theirs = np.einsum("hc,hci,hi->h", found.shares, normals[found.corners], found.out)
     own = np.einsum("hi,hi->h", normals[ids], found.out)
@@ -112,8 +114,10 @@ class NearLips:
 
     def overlap(self, points: Floats) -> Overlap:
         """Estimate the overlap at ``points`` (m, 3) of the mouth, with tangent planes' depths."""
-        options, normals = self._options, area_weighted_normals(points, self._faces)
-        ids, partners = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+        options = self._options
+        normals = area_weighted_normals(points, self._faces)
+        ids = [np.empty(0, np.int64)]
+        partners = [np.empty(0, np.int64)]
         for few, other in self._pairs:
             if not (len(few) and len(other)):
                 continue
@@ -122,7 +126,8 @@ class NearLips:
             found = np.isfinite(near)
             ids.append(few[found])
             partners.append(other[which[found]])
-        vertex, partner = np.concatenate(ids), np.concatenate(partners)
+        vertex = np.concatenate(ids)
+        partner = np.concatenate(partners)
         gap = points[partner] - points[vertex]
         depth = np.einsum("hi,hi->h", gap, normals[partner])
         behind = np.einsum("hi,hi->h", gap, normals[vertex]) < 0.0
@@ -137,13 +142,16 @@ class NearLips:
 def _facing(points: Floats, normals: Floats, ids: Ints, among: Ints, deepest: float) -> Ints:
     """Return for each of some vertices the nearest of others that faces it; -1 where none does."""
     out = np.full(len(ids), -1)
-    where, which = points[among], normals[among]
+    where = points[among]
+    which = normals[among]
     for a in range(len(ids)):
         x, y, z = points[ids[a]]
         u, v, w = normals[ids[a]]
         best = deepest**2
         for k in range(len(among)):
-            dx, dy, dz = where[k, 0] - x, where[k, 1] - y, where[k, 2] - z
+            dx = where[k, 0] - x
+            dy = where[k, 1] - y
+            dz = where[k, 2] - z
             squared = dx * dx + dy * dy + dz * dz
             if squared < best and u * which[k, 0] + v * which[k, 1] + w * which[k, 2] < 0.0:
                 best = squared

@@ -108,17 +108,17 @@ class Mouth:
         named = [model.region(f"{lip}_lip") for lip in ("upper", "lower")]
         if not all(np.isin(lip, model.embedded).any() for lip in named):
             return None
-        vertices, faces = model.skin.vertices, model.skin.faces
-        flesh, teeth = (
-            model.flesh_faces,
-            [model.region(f"{jaw}_teeth") for jaw in ("upper", "lower")],
-        )
+        vertices = model.skin.vertices
+        faces = model.skin.faces
+        flesh = model.flesh_faces
+        teeth = [model.region(f"{jaw}_teeth") for jaw in ("upper", "lower")]
         lips, side = _lips(model, flesh, np.concatenate(teeth), options)
         around = np.intersect1d(flesh, np.flatnonzero(_within(vertices, lips, options.around_mm)))
         label = np.full(len(vertices), -1)
         label[around] = AROUND
         label[lips] = LIPS
-        label[teeth[0]], label[teeth[1]] = UPPER_TEETH, LOWER_TEETH
+        label[teeth[0]] = UPPER_TEETH
+        label[teeth[1]] = LOWER_TEETH
         skin = np.flatnonzero(label >= 0)
         own = np.vstack([flesh, faces[(label[faces] >= UPPER_TEETH).all(axis=1)]])
         own = np.searchsorted(skin, own[(label[own] >= 0).all(axis=1)])

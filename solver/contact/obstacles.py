@@ -66,9 +66,12 @@ class Arch(DepthField):
     @classmethod
     def of(cls, teeth: Surface, options: ArchOptions = ArchOptions()) -> Arch:
         """Tabulate the field of a row of teeth, whose front looks along z."""
-        degrees, mm, around = options.step_degrees, options.step_mm, options.around_mm
+        degrees = options.step_degrees
+        mm = options.step_mm
+        around = options.around_mm
         points = _samples(teeth, options.sample_mm)
-        low, high = points.min(axis=0), points.max(axis=0)
+        low = points.min(axis=0)
+        high = points.max(axis=0)
         axis = (low + high) / 2
         axis[2] = low[2] + options.axis_mm
         arms = _Cylindrical.of(points - axis, 0.0)
@@ -93,9 +96,11 @@ class Arch(DepthField):
     @override
     def depths(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         place = _Cylindrical.of(points - self.axis, self.options.step_mm)
-        reach, slope = place.value(self.radius), place.gradient(self.radius)
+        reach = place.value(self.radius)
+        slope = place.gradient(self.radius)
         border = place.gradient(self.inside)
-        part, fade_mm = self._part(place), self.options.fade_mm
+        part = self._part(place)
+        fade_mm = self.options.fade_mm
         counts = part**2 * (3.0 - 2.0 * part)
         fades = (6.0 * part * (1.0 - part) / fade_mm)[:, None] * border
         return reach - place.radius, slope - place.outward, counts, fades
@@ -103,12 +108,16 @@ class Arch(DepthField):
     @override
     def curvatures(self, points: Floats) -> tuple[Floats, Floats]:
         place = _Cylindrical.of(points - self.axis, self.options.step_mm)
-        around, radius = place.around, place.radius
+        around = place.around
+        radius = place.radius
         by_depth = place.curvature(self.radius)
         by_depth -= around[:, :, None] * around[:, None, :] / radius[:, None, None]
-        border, bending = place.gradient(self.inside), place.curvature(self.inside)
-        part, fade_mm = self._part(place), self.options.fade_mm
-        steep, bent = 6.0 * part * (1.0 - part) / fade_mm, 6.0 * (1.0 - 2.0 * part) / fade_mm**2
+        border = place.gradient(self.inside)
+        bending = place.curvature(self.inside)
+        part = self._part(place)
+        fade_mm = self.options.fade_mm
+        steep = 6.0 * part * (1.0 - part) / fade_mm
+        bent = 6.0 * (1.0 - 2.0 * part) / fade_mm**2
         bent[(part == 0.0) | (part == 1.0)] = 0.0
         by_counts = bent[:, None, None] * border[:, :, None] * border[:, None, :]
         return by_depth, by_counts + steep[:, None, None] * bending

@@ -28,7 +28,8 @@ COLOURS = {
     "fat": (0.80, 0.62, 0.33),
     "unmeasured": (0.60, 0.60, 0.61),
 }
-IRIS_MM, PUPIL_MM = 6.0, 2.4  # radii; an adult iris is 11.7 mm across (Rüfer et al. 2005)
+IRIS_MM = 6.0  # radius; an adult iris is 11.7 mm across (Rüfer et al. 2005)
+PUPIL_MM = 2.4  # radius in the light of a room
 
 HEAT_MAX_MM = 2.0  # end of the scale where nobody says another: 1 mm is a good fit
 HEAT = np.array(  # sRGB at equal steps from 0 to the scale's end, ever darker
@@ -154,7 +155,8 @@ def _eye_sphere(points: Floats, sizes: PartSizes) -> tuple[Floats, float] | None
 
 # The head as it is drawn.
 
-THREE_QUARTER, SIDE = np.radians(38.0), np.radians(88.0)  # angles of cameras, from the front
+THREE_QUARTER = np.radians(38.0)  # of a camera, from the front
+SIDE = np.radians(88.0)
 
 EYE_SUBDIVISIONS = 2  # so that the iris has a round edge
 NONE = np.zeros((0, 3), np.int64)
@@ -230,7 +232,8 @@ def _eye_colour(points: Floats) -> Floats:
 
 def face_camera(skin: Floats, face: Ints, yaw: float) -> Camera:
     """Return a camera that shows the face with the head around it."""
-    low, high = skin[face].min(axis=0), skin[face].max(axis=0)
+    low = skin[face].min(axis=0)
+    high = skin[face].max(axis=0)
     height = high[1] - low[1]
     centre = (low + high) / 2 + np.array([0.0, 0.06 * height, 0.0])
     head = skin[skin[:, 1] > low[1]]

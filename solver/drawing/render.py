@@ -106,11 +106,14 @@ def _depth_map(places: Floats, faces: Ints, pixels: int) -> Floats:
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
         if area == 0.0:
             continue
-        left, right = int(np.ceil(min(ax, bx, cx) - 0.5)), int(np.floor(max(ax, bx, cx) - 0.5))
-        top, bottom = int(np.ceil(min(ay, by, cy) - 0.5)), int(np.floor(max(ay, by, cy) - 0.5))
+        left = int(np.ceil(min(ax, bx, cx) - 0.5))
+        right = int(np.floor(max(ax, bx, cx) - 0.5))
+        top = int(np.ceil(min(ay, by, cy) - 0.5))
+        bottom = int(np.floor(max(ay, by, cy) - 0.5))
         for row in range(top, bottom + 1):
             for column in range(left, right + 1):
-                x, y = column + 0.5, row + 0.5
+                x = column + 0.5
+                y = row + 0.5
                 a = ((bx - x) * (cy - y) - (cx - x) * (by - y)) / area
                 b = ((cx - x) * (ay - y) - (ax - x) * (cy - y)) / area
                 if a >= 0.0 and b >= 0.0 and a + b <= 1.0:
@@ -170,7 +173,10 @@ class Camera:
     @property
     def axes(self) -> Floats:
         """Return rows right, up and backward (3, 3), unit vectors."""
-        sy, cy, sp, cp = np.sin(self.yaw), np.cos(self.yaw), np.sin(self.pitch), np.cos(self.pitch)
+        sy = np.sin(self.yaw)
+        cy = np.cos(self.yaw)
+        sp = np.sin(self.pitch)
+        cp = np.cos(self.pitch)
         return np.array([[cy, 0.0, -sy], [-sy * sp, cp, -cy * sp], [sy * cp, sp, cy * cp]])
 
     def brightness(self, normals: Floats) -> Floats:
@@ -239,7 +245,8 @@ def _rasterise(
         bottom = min(height - 1, int(np.floor(max(ay, by, cy) - 0.5)))
         for row in range(top, bottom + 1):
             for column in range(left, right + 1):
-                x, y = column + 0.5, row + 0.5
+                x = column + 0.5
+                y = row + 0.5
                 a = ((bx - x) * (cy - y) - (cx - x) * (by - y)) / area
                 b = ((cx - x) * (ay - y) - (ax - x) * (cy - y)) / area
                 c = 1.0 - a - b
@@ -319,7 +326,8 @@ def render(bodies: list[DrawnBody], camera: Camera, width: int, height: int) -> 
 
     Opaque bodies should be one body, as only within a body what is nearer hides what is behind.
     """
-    wide, high = width * SUPERSAMPLING, height * SUPERSAMPLING
+    wide = width * SUPERSAMPLING
+    high = height * SUPERSAMPLING
     image = np.full((high, wide, 3), BACKGROUND**GAMMA)
     for body in bodies:
         seen = look(camera, body.drawn, wide, high)

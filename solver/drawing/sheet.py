@@ -12,8 +12,13 @@ from PIL import Image, ImageDraw, ImageFont
 from solver.drawing.head import HEAT_MAX_MM, heat
 from solver.drawing.render import Camera, DrawnBody, Pixels, render_bust
 
-INK, GREY, PAPER = (38, 40, 46), (112, 116, 124), (249, 249, 250)  # sRGB bytes
-MARGIN, HEADER, SWATCH = 24, 84, 14  # pixels: left of text, above the first picture, of a square
+# sRGB bytes
+INK = (38, 40, 46)
+GREY = (112, 116, 124)
+PAPER = (249, 249, 250)
+MARGIN = 24  # pixels left of text
+HEADER = 84  # pixels above the first picture
+SWATCH = 14  # pixels a side of a square of colour
 CAPTION = 30  # pixels over every column
 
 Colour = tuple[float, ...]
@@ -33,7 +38,8 @@ class Sheet:
         """Return a page with its heading, and named colours in columns from ``top`` on."""
         across = width - 2 * MARGIN
         columns = max(1, across // 300)
-        rows, high = -(-len(legend) // columns), SWATCH + 9
+        rows = -(-len(legend) // columns)
+        high = SWATCH + 9
         page = cls(width, top + rows * high + MARGIN)
         page.heading(title, detail)
         for number, (name, colour) in enumerate(legend.items()):
@@ -142,7 +148,8 @@ def draw_sheet(
     page = Sheet(layout.label + across * width + MARGIN, foot + layout.foot)
     page.heading(title, detail)
     for number, column in enumerate(columns):
-        left, top = layout.label + number % across * width, HEADER + number // across * block
+        left = layout.label + number % across * width
+        top = HEADER + number // across * block
         page.column((left, top), column.caption, column.images)
     for row, name in enumerate(rows):
         page.text((MARGIN, HEADER + CAPTION + row * height + height // 2), name, 17)

@@ -87,7 +87,8 @@ def apply(
     low, high = options.growth
     for edit in edits:
         edited = edit(edited)
-        least, most = float(edited.growth.min()), float(edited.growth.max())
+        least = float(edited.growth.min())
+        most = float(edited.growth.max())
         if least < low or most > high:
             found = least if least < low else most
             growth = f"the edits together make flesh grow to {found:.2f} of its length"
@@ -148,12 +149,15 @@ class Replay:
         """
         begun = perf_counter()
         goal = Drive(self._options.seconds, A, jaw, NO_MOTION)
-        motion, drive = self._rest, self._drive
+        motion = self._rest
+        drive = self._drive
         for part in np.arange(1, self._options.steps + 1) / self._options.steps:
             target = self._drive.toward(goal, float(part))
-            motion, drive = self._simulator.step(motion, drive, target).motion, target
+            motion = self._simulator.step(motion, drive, target).motion
+            drive = target
         return self._measure(motion.x, jaw, begun)
 
     def _measure(self, x: Floats, jaw: Floats, begun: float) -> Replayed:
-        face, seconds = self._face, perf_counter() - begun
+        face = self._face
+        seconds = perf_counter() - begun
         return Replayed(x, face.whole_skin(x, jaw), jaw, face.flesh.count_inverted(x), seconds)

@@ -109,7 +109,8 @@ class Filler:
 
     def __call__(self, before: Edited) -> Edited:
         """Return the person with it; raises ``scene.filler`` where there is no room for it."""
-        model, options = before.model, before.options
+        model = before.model
+        options = before.options
         if not (self.ml > 0.0 and self.radius_mm > 0.0 and len(self.path)):
             reason = "a filler needs a path, and a volume and a radius above 0"
             raise InputError("scene.filler", reason)
@@ -177,7 +178,8 @@ class Paralysis:
         if not 0.0 <= self.strength <= 1.0:
             reason = f"a strength lies between 0 and 1, not at {self.strength}"
             raise InputError("scene.strength", reason, found=self.strength)
-        S, model = before.S, before.model
+        S = before.S
+        model = before.model
         rows, columns = S.tocoo().coords
         share = np.isin(columns, self._columns(model.muscle_names)).astype(np.float64)
         if self.side is not None:
@@ -237,7 +239,8 @@ class Bone:
             return np.asarray(share[:, None] * self.move_mm)
 
         of_bone, of_skin = _vertices(model, self.bone)
-        bones, skin = before.bones.copy(), model.skin.vertices.copy()
+        bones = before.bones.copy()
+        skin = model.skin.vertices.copy()
         bones[of_bone] += motion(model.rest[of_bone] + bones[of_bone])
         skin[of_skin] += motion(skin[of_skin])
         moved = surface.with_vertices(surface.vertices + motion(surface.vertices))

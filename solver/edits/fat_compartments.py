@@ -101,9 +101,11 @@ def fat_map(
     radius_c^2), d_c being the distance to a compartment's path: smooth, without edges between
     neighbours. ``landmarks`` are skin vertices by name, with none of :func:`missing_landmarks`.
     """
-    skin, taken = model.skin.vertices, shares(gain=gain, sex=sex)
+    skin = model.skin.vertices
+    taken = shares(gain=gain, sex=sex)
     nearest = cKDTree(skin[model.face])
-    weighed, weights = np.zeros(len(skin)), np.full(len(skin), options.bare)
+    weighed = np.zeros(len(skin))
+    weights = np.full(len(skin), options.bare)
     for each in read_compartments():
         for sides in [(side,) for side in SIDES] if each.paired else [SIDES]:
             points = each.path.places(skin, landmarks, sides)

@@ -67,7 +67,8 @@ def unseen_regulariser(
     (:mod:`solver.fitting.recruitment`), and those in a table what is ``known`` (:mod:`.known`).
     """
     plain = Regulariser(UNSEEN["w_a"], UNSEEN["w_v"], UNSEEN["w_b"], face.rest_pose())
-    expected, muscles = plain, FaceMuscles.of(face)
+    expected = plain
+    muscles = FaceMuscles.of(face)
     if target is not None and (recruitment := Recruitment.of_face(face)):
         expected = recruitment.of_target(target).without(muscles.numbers(known)).regularise(plain)
     return muscles.regularise(known, expected)
@@ -135,7 +136,8 @@ def fit(
         matrix = rest_curvature(face)
     best = None
     begin = face.rest if start is None else enter(face, data, regulariser, start, descent)
-    iterations, go = 0, Face.newton_continuation
+    iterations = 0
+    go = Face.newton_continuation
     for _ in range(descent.restarts):
         try:
             found = descend(face, data, regulariser, begin, options, listen, go, matrix, descent)
@@ -207,7 +209,8 @@ class _PoseProblem:
         return objective(self.data, self.regulariser, point)
 
     def linearise(self, point: PosedFace) -> GaussNewton | DenseModel:
-        before, model = self.model, self._gauss_newton(point)
+        before = self.model
+        model = self._gauss_newton(point)
         if self.second is None:
             self.second = SecondOrder(np.zeros((len(model.gradient), len(model.gradient))))
         if before is not None and self.taken is not None:
@@ -252,7 +255,8 @@ class LearntMatrix:
     def update(self, change: Floats, seen: Floats) -> LearntMatrix:
         """Return the matrix whose product with ``change`` is what was ``seen``."""
         along = self.root.T @ change
-        guessed, true = float(along @ along), float(change @ seen)
+        guessed = float(along @ along)
+        true = float(change @ seen)
         # what the data do not feel is left to the regulariser
         if min(guessed, true) <= 1e-12 * np.abs(self.matrix).max() * float(change @ change):
             return self
@@ -276,7 +280,8 @@ class GaussNewton:
         learnt: LearntMatrix,
         options: DescentOptions = DescentOptions(),
     ) -> None:
-        self._options, self._layout = options, state.pose.layout
+        self._options = options
+        self._layout = state.pose.layout
         sensitivity = Sensitivity(face, state)
         by_x = data.gradient(state.estimate)
         self._sensitivity = sensitivity
@@ -296,7 +301,8 @@ class GaussNewton:
         """See :meth:`DenseModel.step`."""
         units = damping * self._layout.damping
         known = self._known + np.diag(units)
-        step, curved = np.zeros_like(self.gradient), np.zeros_like(self.gradient)
+        step = np.zeros_like(self.gradient)
+        curved = np.zeros_like(self.gradient)
         for _ in range(self._options.products):
             residual = -(self.gradient + curved)
             direction = solve_positive(self.learnt.matrix + known, residual)
@@ -311,7 +317,8 @@ class GaussNewton:
             curved = curved + length * image
         fraction = 1.0 / max(self._layout.reach(step) / trust, 1.0)
         step, curved = fraction * step, fraction * (curved - units * step)
-        slope, quadratic = float(self.gradient @ step), float(step @ curved)
+        slope = float(self.gradient @ step)
+        quadratic = float(step @ curved)
         response = self._sensitivity.response.free_motion(self._sensitivity.pose, step)
         reach = self._layout.reach(step)
         return LeastSquaresStep(step, slope, quadratic, reach, response, curved)
@@ -402,6 +409,7 @@ class DenseModel:
         # cut as a whole: with its turn cut alone, a jaw would be shifted in its place
         step = step / max(self.layout.reach(step) / trust, 1.0)
         image = self.hessian @ step
-        slope, quadratic = float(self.gradient @ step), float(step @ image)
+        slope = float(self.gradient @ step)
+        quadratic = float(step @ image)
         response = np.zeros(0) if self.motion is None else self.motion @ step
         return LeastSquaresStep(step, slope, quadratic, self.layout.reach(step), response, image)

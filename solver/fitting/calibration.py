@@ -88,8 +88,10 @@ class FibreShape(Shape):
     def __init__(
         self, plain: Face, strength: float = STRENGTH, strips: StripOptions | None = None
     ) -> None:
-        self._plain, self._begin = plain, fibre_muscles(plain, strength, strips)
-        S, fibres = plain.S, np.asarray(plain.model.fibres)
+        self._plain = plain
+        self._begin = fibre_muscles(plain, strength, strips)
+        S = plain.S
+        fibres = np.asarray(plain.model.fibres)
         # the entries that FibreMuscles has, in its order
         self._entries = np.flatnonzero((S.indices > 0) & fibres.any(axis=1))
         self.tets, self._of_entry = np.unique(self._begin.tets, return_inverse=True)
@@ -107,7 +109,8 @@ class FibreShape(Shape):
     def muscles(self, values: Floats) -> FibreMuscles:
         """Return the muscles of values (k,)."""
         fractions, logarithms, turns = self.layout.split(values)
-        begin, rotation = self._begin, Rotation.from_rotvec(turns[self._of_entry])
+        begin = self._begin
+        rotation = Rotation.from_rotvec(turns[self._of_entry])
         return replace(
             begin,
             fractions=fractions[self._entries],
@@ -121,9 +124,11 @@ class FibreShape(Shape):
 
     @override
     def rates(self, sensitivity: Sensitivity, values: Floats) -> SparseControls:
-        forces, flesh = sensitivity.forces, self._plain.flesh
+        forces = sensitivity.forces
+        flesh = self._plain.flesh
         muscles = self.muscles(values)
-        term, at = FibreTerm(flesh, muscles), (forces.x, forces.controls)
+        term = FibreTerm(flesh, muscles)
+        at = (forces.x, forces.controls)
         whole = len(self._entries), self.indptr[-1]
         ones = np.ones(len(self._entries)), (np.arange(whole[0]), self._entries)
         by_fraction = term.forces_by_fraction(*at) @ sp.csr_array(ones, shape=whole)
@@ -261,7 +266,8 @@ def _turn_rates(turns: Floats) -> sp.csr_array:
     """
     angle = np.linalg.norm(turns, axis=1)
     small = np.maximum(angle, 1e-4)
-    first, second = (1.0 - np.cos(small)) / small**2, (small - np.sin(small)) / small**3
+    first = (1.0 - np.cos(small)) / small**2
+    second = (small - np.sin(small)) / small**3
     K = skew(turns)
     blocks = np.eye(3) + first[:, None, None] * K + second[:, None, None] * (K @ K)
     count = np.arange(len(turns))

@@ -61,9 +61,12 @@ class Teeth:
     def __init__(
         self, model: SubjectModel, mouth: Mouth, options: LipContactOptions = LipContactOptions()
     ) -> None:
-        self._weight, self._mandible = options.teeth_weight, Mandible.of(model)
-        lips, rest = np.flatnonzero(mouth.label == LIPS), mouth.points(model.rest)
-        self._rows, self._offset = sp.csr_array(mouth.rows[lips]), mouth.offset[lips]
+        self._weight = options.teeth_weight
+        self._mandible = Mandible.of(model)
+        lips = np.flatnonzero(mouth.label == LIPS)
+        rest = mouth.points(model.rest)
+        self._rows = sp.csr_array(mouth.rows[lips])
+        self._offset = mouth.offset[lips]
 
         def row(label: int) -> Excess | None:
             faces = mouth.faces_of(label)
@@ -72,7 +75,8 @@ class Teeth:
             arch = Arch.of(Surface(rest, faces))
             return Excess(arch, free_depths(arch, rest[lips], options.teeth_slack_mm))
 
-        self._upper, self._lower = row(UPPER_TEETH), row(LOWER_TEETH)
+        self._upper = row(UPPER_TEETH)
+        self._lower = row(LOWER_TEETH)
 
     def touching(self, x: Floats) -> list[_Touching]:
         """Find the lips' vertices behind teeth at x (p, 3), for each row of teeth."""
@@ -148,11 +152,14 @@ class Contact(_Penalty):
         options: LipContactOptions = LipContactOptions(),
     ) -> None:
         super().__init__()
-        self._options, self._mouth, self._teeth = options, mouth, teeth
+        self._options = options
+        self._mouth = mouth
+        self._teeth = teeth
         self._scale = 1.0 / len(model.face)
 
     def _find(self, x: Floats) -> _Touching:
-        options, mouth = self._options, self._mouth
+        options = self._options
+        mouth = self._mouth
         overlap = between_lips(mouth, mouth.points(x))
         lips = _lips(mouth, overlap, options.lips_slack_mm, options.lips_weight)
         found = [lips, *self._teeth.touching(x)]
@@ -173,7 +180,9 @@ class NearContact(_Penalty):
 
     def __init__(self, model: SubjectModel, mouth: Mouth, weight: float, slack_mm: float) -> None:
         super().__init__()
-        self._mouth, self._weight, self._slack = mouth, weight, slack_mm
+        self._mouth = mouth
+        self._weight = weight
+        self._slack = slack_mm
         self._lips = NearLips(mouth, mouth.points(model.rest))
 
     @override

@@ -218,7 +218,8 @@ def check_pose(a: Floats, b: Floats, layout: Layout, names: Sequence[str]) -> No
     ``names`` are those of the muscles, if it is they that a drives.
     """
     joints = " and ".join(block.name for block in layout.joints)
-    muscles, units = layout.drive, layout.joint_units
+    muscles = layout.drive
+    units = layout.joint_units
     for name, value, shape in ((muscles.name, a, muscles.rest.shape), (joints, b, units.shape)):
         if np.shape(value) != shape:
             message = f"the shape of a pose's {name} is {np.shape(value)}, not {shape}"

@@ -188,10 +188,12 @@ def _linear_changes(face: Face, shapes: NDArray[np.floating]) -> Floats:
     pulls = np.array([jacobian.adjoint(face.face_embedding.T @ shape) for shape in moved])
     if follows_teeth(face):
         teeth = face.model.lower_teeth
-        rows, part = _teeth_by_controls(face), 2.0 / len(teeth)
+        rows = _teeth_by_controls(face)
+        part = 2.0 / len(teeth)
         hessian = hessian + part * (rows.T @ rows)  # not in place: it is kept for the face
         pulls += part * (shapes[:, teeth].reshape(len(shapes), -1) @ rows)
-    rest, pose = face.model.skin.vertices[face.model.face], face.rest.pose
+    rest = face.model.skin.vertices[face.model.face]
+    pose = face.rest.pose
     priors = (
         unseen_regulariser(face, Target.from_points(rest + shape[face.model.face]))
         for shape in shapes
@@ -207,25 +209,29 @@ def _fitted_change(
     face: Face, shape: NDArray[np.floating], change: Floats, part: float, options: BasisFitOptions
 ) -> Floats:
     """Return the change (k,) of a fit to ``part`` of a shape, which ``change`` makes about."""
-    points, rest = face.model.face, face.model.skin.vertices
+    points = face.model.face
+    rest = face.model.skin.vertices
     goal = rest + part * np.asarray(shape, np.float64)
     near = face.rest_pose().add(options.fitted_from * part * change)
     target = Target.from_points(goal[points])
     regulariser: Prior = unseen_regulariser(face, target)
     if follows_teeth(face):
-        teeth, jaw = face.model.lower_teeth, face.joint.block
+        teeth = face.model.lower_teeth
+        jaw = face.joint.block
         places, b = jaw_of_teeth(face, rest[teeth], goal[teeth], near.b)
         near = replace(near, b=b)
         weights = np.diag(options.held * np.broadcast_to(jaw.units, b.shape) ** 2)
         regulariser = PriorSum((regulariser, PartPrior(face.layout.size, places, b, weights)))
-    start, effort = face.continuation(face.rest, near), options.effort
+    start = face.continuation(face.rest, near)
+    effort = options.effort
     found = fit(face, SkinDistance(face, target), regulariser, start, effort)
     return np.asarray((found.state.pose.vector() - face.layout.rest) / part)
 
 
 def _teeth_by_controls(face: Face) -> Floats:
     """Return the derivative (3 n, k) of the lower teeth at rest by the controls."""
-    layout, teeth = face.layout, face.model.lower_teeth
+    layout = face.layout
+    teeth = face.model.lower_teeth
     rows = np.zeros((3 * len(teeth), layout.size))
     by_jaw = face.jaw.jacobian(face.model.skin.vertices[teeth], face.rest_pose().b)
     rows[:, layout.places(face.joint.block.name)] = by_jaw.reshape(len(rows), -1)

@@ -79,7 +79,8 @@ class Pose:
 
     def toward(self, other: Pose, fraction: float) -> Pose:
         """Return the pose ``fraction`` of the way to another one."""
-        a, b = self.a + fraction * (other.a - self.a), self.b + fraction * (other.b - self.b)
+        a = self.a + fraction * (other.a - self.a)
+        b = self.b + fraction * (other.b - self.b)
         return replace(self, a=a, b=b)
 
 
@@ -135,7 +136,9 @@ class Face:
         options: ContinuationOptions = ContinuationOptions(),
     ) -> None:
         leave_threads_to_kernels()
-        self.model, self.options, self.tolerance = model, options, tolerance
+        self.model = model
+        self.options = options
+        self.tolerance = tolerance
         if S is not None:
             check_weights(S, model)
         for term in energy:
@@ -318,13 +321,15 @@ class Face:
         motion = response + (state.estimate - state.x)[self.flesh.free].ravel()
         base = state.x.copy()
         base[self.model.mandible] = self.mandible(pose.b)
-        best, least = base, np.inf
+        best = base
+        least = np.inf
         for fraction in self.options.guesses:
             x = self.flesh.add_motion(base, fraction * motion)
             energy = self.flesh.energy(x, a)
             if energy > least:
                 break
-            best, least = x, energy
+            best = x
+            least = energy
         return best
 
     def continuation(self, start: PosedFace, pose: Pose) -> PosedFace:
@@ -347,8 +352,10 @@ class Face:
 
     def _along(self, start: PosedFace, pose: Pose, smallest: float, *, settled: bool) -> PosedFace:
         """Approach poses on the way whose response flattens no tet, the last ``settled`` or not."""
-        done, fraction = 0.0, 1.0
-        state, narrow = start, self.options.min_ratio
+        done = 0.0
+        fraction = 1.0
+        state = start
+        narrow = self.options.min_ratio
         while done < 1.0:
             goal = min(1.0, done + fraction)
             target = start.pose.toward(pose, goal) if goal < 1.0 else pose
@@ -390,7 +397,8 @@ class Face:
         """Return the free jaw (5,) that comes nearest to the mandible at b."""
         if self.joint.is_free:
             return b
-        free, frame = free_jaw(self.model.jaw), self.model.jaw
+        free = free_jaw(self.model.jaw)
+        frame = self.model.jaw
         points = self._held_rest[self.model.mandible]
         start = five_numbers(frame, self.jaw.matrix(b))
         return nearest_jaw(free.motion, points, self.jaw.move(points, b), start)
@@ -400,7 +408,8 @@ class Face:
 
         The jaw is the nearest that the face's joint can make, both are brought within the bounds.
         """
-        layout, b = self.layout, jaw
+        layout = self.layout
+        b = jaw
         if not self.joint.is_free:
             points = self.model.rest[self.model.mandible]
             goal = free_jaw(self.model.jaw).motion.move(points, jaw)
@@ -427,7 +436,8 @@ class Face:
     def whole_skin(self, x: Floats, b: Floats) -> Floats:
         """Return every vertex of the scan topology (V, 3), what is rigid going with its bone."""
         model = self.model
-        skin, attached = model.skin.vertices.copy(), model.attached_mandible
+        skin = model.skin.vertices.copy()
+        attached = model.attached_mandible
         skin[attached] = self.jaw.move(skin[attached], b)
         skin[model.embedded] = model.embedding @ x + model.offset
         # beyond the flesh it follows that on it
@@ -439,7 +449,8 @@ class Face:
 
         The flesh moves by ``motion`` (p, 3, k), the jaw's numbers by ``b_rates`` (.., k).
         """
-        model, count = self.model, motion.shape[2]
+        model = self.model
+        count = motion.shape[2]
         out = np.zeros((len(model.skin.vertices), 3, count))
         attached = model.attached_mandible
         out[attached] = self.jaw.jacobian(model.skin.vertices[attached], b) @ b_rates
@@ -451,7 +462,8 @@ class Face:
 
     def skin_adjoint(self, gradient: Floats, b: Floats) -> tuple[Floats, Floats]:
         """Return the transpose of :meth:`skin_rates` applied to g (V, 3): by x (p, 3) and by b."""
-        model, loose = self.model, self._loose_skin
+        model = self.model
+        loose = self._loose_skin
         attached = model.attached_mandible
         pulled = gradient + loose.adjoint(gradient[loose.ids])
         jacobian = self.jaw.jacobian(model.skin.vertices[attached], b)

@@ -100,7 +100,8 @@ def _fit_in_full(
     # where IPOPT does not converge it tries with heavier priors, each time from the best state:
     # there the flesh does not buckle, and the answer is nearby
     for heavier in ipopt.heavier:
-        start, before = best.state, done
+        start = best.state
+        before = done
 
         def report(iteration: int, value: float, before: int = before) -> None:
             if listen:
@@ -119,7 +120,8 @@ def _fit_in_full(
             )
             wanted = heavier == 1.0
         except NotConvergedError as error:
-            found, wanted = error.last, False
+            found = error.last
+            wanted = False
             trouble[error.code] = error.notice("the best result is kept")
         done += found.iterations
         state = face.settle(found.pose, found.x)

@@ -80,7 +80,8 @@ class GeometryOptions:
     @property
     def shortened_tightening(self) -> TighteningOptions:
         """Return the way to admissible activations, shorter for fewer rounds than usual."""
-        share, way = min(self.rounds / GeometryOptions.rounds, 1.0), self.tightening
+        share = min(self.rounds / GeometryOptions.rounds, 1.0)
+        way = self.tightening
         steps = max(round(share * len(way.loosened)), 1)
         chosen = np.linspace(0, len(way.loosened) - 1, steps + 1)[1:].astype(int)
         if steps == len(way.loosened):
@@ -147,7 +148,8 @@ def fit(
     """
     first_terms = data if first_terms is None else first_terms
     face = face.with_weights(_start(face, options) if start is None else start)
-    first, at_rest = ActivationOptions(options.first_iterations), rest_curvature(face)
+    first = ActivationOptions(options.first_iterations)
+    at_rest = rest_curvature(face)
     begin = _problem(face, first_terms, options, 0, structure, recruited, known).regularisers
 
     def descend(name: str) -> PosedFace:
@@ -188,7 +190,8 @@ def _tighten(
     problem: GeometryProblem, now: Iterate, options: GeometryOptions, listen: Listener | None
 ) -> tuple[Iterate, int]:
     """Go on within bounds that close on those of the problem's drive, and count the rounds."""
-    first, way = options.rounds, options.shortened_tightening
+    first = options.rounds
+    way = options.shortened_tightening
     parts = way.loosened
     closed = first + len(parts)
 
@@ -199,7 +202,8 @@ def _tighten(
         face = face if loosened is None else face.driven_by(loosened)
 
         def bring(name: str) -> PosedFace:
-            prior, state = problem.regularisers[name], now.states[name]
+            prior = problem.regularisers[name]
+            state = now.states[name]
             return activation.enter(face, problem.data[name], prior, state)
 
         states = in_threads(bring, now.states)
@@ -241,9 +245,11 @@ def _regularisers(
     known: Mapping[str, KnownMuscles],
 ) -> dict[str, Regulariser]:
     plain = Regulariser(w_a, options.w_v, options.w_b, face.rest_pose())
-    muscles, found = FaceMuscles.of(face), {}
+    muscles = FaceMuscles.of(face)
+    found = {}
     for name in names:
-        expected, table = plain, known.get(name, NOTHING)
+        expected = plain
+        table = known.get(name, NOTHING)
         if name in recruited:
             expected = recruited[name].without(muscles.numbers(table)).regularise(plain)
         found[name] = muscles.regularise(table, expected)
@@ -315,7 +321,8 @@ def fit_by_ipopt(
     fallback.refuse_limits(face)
     face = face.with_weights(_start(face, options) if start is None else start)
     problem = _problem(face, data, options, options.rounds - 1, structure, recruited, known)
-    rest, most = dict.fromkeys(data, face.rest), most_iterations(options)
+    rest = dict.fromkeys(data, face.rest)
+    most = most_iterations(options)
     notices: tuple[Finding, ...] = ()
     try:
         found = reference.geometry(

@@ -65,13 +65,16 @@ class WeightModes:
     @classmethod
     def of(cls, face: Face) -> WeightModes:
         """Return a constant and three slopes of every muscle of S, each of unit mean square."""
-        S, model = face.S, face.model
+        S = face.S
+        model = face.model
         tets = np.repeat(np.arange(S.shape[0]), np.diff(S.indptr))
         passive = np.full(S.shape[0], -1)
         passive[tets[S.indices == 0]] = np.flatnonzero(S.indices == 0)
         centres = model.rest[model.tets].mean(axis=1)
         muscles = S.shape[1] - 1
-        rows, columns, values = [], [], []
+        rows = []
+        columns = []
+        values = []
         for muscle in range(muscles):
             entries = np.flatnonzero(S.indices == muscle + 1)
             own = tets[entries]
@@ -142,7 +145,9 @@ class Linearisation:
         precision: Floats | None = None,
         options: InformationOptions = InformationOptions(),
     ) -> None:
-        self.face, self.options, self.modes = face, options, WeightModes.of(face)
+        self.face = face
+        self.options = options
+        self.modes = WeightModes.of(face)
         self._precision = pose_precision(face, options) if precision is None else precision
 
     def information(self, state: PosedFace, weights: Floats | None = None) -> Floats:
@@ -155,7 +160,8 @@ class Linearisation:
         ``weights`` (k,) are of the points, none of 0 is seen. Raises :class:`SolveError`
         (``solve.not_finite``) where the state is no equilibrium that has derivatives.
         """
-        face, sensitivity = self.face, Sensitivity(self.face, state)
+        face = self.face
+        sensitivity = Sensitivity(self.face, state)
         weights = np.ones(len(face.model.face)) if weights is None else weights
         seen = np.flatnonzero(weights > 0.0)
         forces = sp.csc_array(sensitivity.weights.matrix() @ self.modes.matrix)
@@ -171,7 +177,8 @@ class Linearisation:
         )
         left = share[:, None] * (points[seen] - face.face_points(state.x)[seen])
         rows = np.column_stack([X, left.ravel()])
-        coupling, known = Z.T @ rows, Z.T @ Z + self._precision
+        coupling = Z.T @ rows
+        known = Z.T @ Z + self._precision
         try:
             pose = scipy.linalg.solve(known, coupling, assume_a="pos")
         except (np.linalg.LinAlgError, ValueError) as error:
@@ -186,7 +193,8 @@ class Linearisation:
 
         ``weight_sd`` stands in for that of the options.
         """
-        size, sd = self.modes.matrix.shape[1], weight_sd or self.options.weight_sd
+        size = self.modes.matrix.shape[1]
+        sd = weight_sd or self.options.weight_sd
         prior = np.eye(size) / sd**2
         return Posterior.of_normal(sum(scanned, np.zeros((size, size))), prior)
 

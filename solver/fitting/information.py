@@ -112,7 +112,9 @@ class Posterior:
         Returns their numbers and gains as of :meth:`gains`. A chosen one may be chosen again:
         that is a second, independent look at the same place.
         """
-        now, covariances, chosen = self, candidates @ self.covariance, []
+        now = self
+        covariances = candidates @ self.covariance
+        chosen = []
         each = np.broadcast_to(sd, candidates.shape[:2])
         for _ in range(count):
             gains = now._gains(candidates, covariances, each, weights)

@@ -132,7 +132,8 @@ def interior_step(
     except (np.linalg.LinAlgError, ValueError) as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
     count = len(barrier.margins(q))
-    weight, curvature = 0.5 * float(slope @ newton) / count, np.zeros_like(hessian)
+    weight = 0.5 * float(slope @ newton) / count
+    curvature = np.zeros_like(hessian)
     first = _BarrierModel(barrier, hessian, gradient, q, weight)
     begin = first.quadratic(step)
     for _ in range(options.weights):
@@ -193,7 +194,8 @@ def _search(
     options: InteriorPointOptions,
 ) -> Floats:
     """Return a step further along ``direction`` that lowers the model and stays inside."""
-    least, before = options.kept * model.barrier.margins(model.q + step), model.value(step)
+    least = options.kept * model.barrier.margins(model.q + step)
+    before = model.value(step)
     part = 1.0
     for _ in range(options.tries):
         trial = step + part * direction
@@ -210,8 +212,10 @@ class _Barrier:
     def __init__(self, bounds: Bounds, options: InteriorPointOptions) -> None:
         if bounds.feasible is None:
             raise ValueError("bounds without a feasible set have no barrier")
-        self._bounds, self._options = bounds, options
-        self._muscles, self._within = bounds.muscles, bounds.feasible
+        self._bounds = bounds
+        self._options = options
+        self._muscles = bounds.muscles
+        self._within = bounds.feasible
 
     def margins(self, q: Floats) -> Floats:
         """Return the distances to all bounds."""
@@ -220,7 +224,9 @@ class _Barrier:
 
     def nearest(self, q: Floats) -> Floats:
         """Return controls inside the bounds."""
-        out, bounds, options = q.copy(), self._bounds, self._options
+        out = q.copy()
+        bounds = self._bounds
+        options = self._options
         out[self._muscles] = self._within.nearest(q[self._muscles], options.entered)
         room = np.nan_to_num(bounds.upper - bounds.lower, posinf=options.one_sided)
         room *= 0.5 * options.entered
@@ -247,6 +253,7 @@ class _Barrier:
         diagonal = np.zeros_like(q)
         diagonal[low] += (q[low] - self._bounds.lower[low]) ** -2
         diagonal[high] += (self._bounds.upper[high] - q[high]) ** -2
-        out, places = np.diag(diagonal), self._muscles
+        out = np.diag(diagonal)
+        places = self._muscles
         out[places[:, :, None], places[:, None, :]] = self._within.hessian(q[places])
         return out

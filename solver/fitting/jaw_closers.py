@@ -63,7 +63,8 @@ class SilentClosers(SquaredPrior):
     @classmethod
     def of_face(cls, face: Face, options: CloserOptions = CloserOptions()) -> SilentClosers:
         """Return that of a face's muscles, at its price; without fibres none is kept silent."""
-        model, closers = face.model, action_units()[options.closed_by].antagonists
+        model = face.model
+        closers = action_units()[options.closed_by].antagonists
         found = face.contractions
         rates = np.full(face.layout.muscles.shape, np.nan) if found is None else found.rates
         named = np.array([is_one_of(name, closers) for name in model.muscle_names], dtype=bool)
@@ -116,7 +117,8 @@ class SilentClosers(SquaredPrior):
 
     def _open(self, pose: Pose) -> tuple[float, Floats]:
         """Return t(o), and its derivative by the jaw's numbers."""
-        shut, wide = self.options.ajar_mm, self.options.open_mm
+        shut = self.options.ajar_mm
+        wide = self.options.open_mm
         opening = float((self.motion.move(self.front, pose.b) - self.front)[0] @ self.down)
         s = float(np.clip((opening - shut) / (wide - shut), 0.0, 1.0))
         by_jaw = self.down @ self.motion.jacobian(self.front, pose.b)[0]

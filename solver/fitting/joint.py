@@ -168,7 +168,8 @@ def minimise_rounds(
             listen(number, now.states)
         problem = problem_of(number)
         before = problem.value(now.values, now.states)
-        now, taken = _round(problem, now, options.retries), taken + 1
+        now = _round(problem, now, options.retries)
+        taken = taken + 1
         gain = before - problem.value(now.values, now.states)
         idle = idle + 1 if gain < options.tolerance * before else 0
         if idle == 2:
@@ -179,7 +180,8 @@ def minimise_rounds(
 def _round(problem: GeometryProblem, now: Iterate, retries: int) -> Iterate:
     """Return the next iterate; a refused step is no sign of convergence, and is tried again."""
     for _ in range(1 + retries):
-        before, now = now, step(problem, now)
+        before = now
+        now = step(problem, now)
         if now.values is not before.values:
             break
     return now
@@ -187,8 +189,10 @@ def _round(problem: GeometryProblem, now: Iterate, retries: int) -> Iterate:
 
 def step(problem: GeometryProblem, now: Iterate, options: JointOptions = JointOptions()) -> Iterate:
     """Return a better iterate, or the same with the losing states settled, and more damping."""
-    rule, pose_rule = options.damping, options.pose_damping
-    shape, face = problem.shape, problem.shape.face(now.values)
+    rule = options.damping
+    pose_rule = options.pose_damping
+    shape = problem.shape
+    face = problem.shape.face(now.values)
     damping = {name: now.pose_damping.get(name, pose_rule.start) for name in now.states}
 
     def linearise(name: str) -> _Linearised:
@@ -233,7 +237,8 @@ def _change(
     problem: GeometryProblem, now: Iterate, models: list[_Linearised], reach: float
 ) -> Floats:
     """Return the change (nnz,) of S's values that minimises the damped model, poses following."""
-    structure, known = problem.structure, problem.prior_gradient(now.values)
+    structure = problem.structure
+    known = problem.prior_gradient(now.values)
     gradient = sum(in_threads(_Linearised.gradient_by_geometry, models), known)
 
     def product(direction: Floats) -> Floats:
@@ -278,22 +283,27 @@ class _Linearised:
         state: PosedFace,
         damping: float,
     ) -> None:
-        self._problem, self._name, self._state = problem, name, state
+        self._problem = problem
+        self._name = name
+        self._state = state
         sensitivity = Sensitivity(face, state)
         jacobian = sensitivity.by_pose()
         self._response = sensitivity.response
         self._weights = problem.shape.rates(sensitivity, values)
         self._jacobian = jacobian
-        data, regulariser = problem.data[name], problem.regularisers[name]
+        data = problem.data[name]
+        regulariser = problem.regularisers[name]
         gradient = data.gradient(state.estimate)
         curvature = sparse(data.curvature(state.estimate))
         self._by_x = gradient.ravel()[jacobian.free]
         self._curvature = curvature[jacobian.free][:, jacobian.free]
         image = jacobian.image(curvature)
-        self._touched, self._coupling = image.free, image.rows
+        self._touched = image.free
+        self._coupling = image.rows
         self._by_pose = jacobian.adjoint(gradient) + regulariser.gradient(state.pose)
         self._hessian = image.contracted + regulariser.gauss_newton(state.pose)
-        self._layout, self._q = state.pose.layout, state.pose.vector()
+        self._layout = state.pose.layout
+        self._q = state.pose.vector()
         damped = self._hessian + damping * np.diag(self._layout.damping)
         # at a bound that the step would leave, the pose does not follow
         self._steps = self._layout.steps(damped, self._by_pose, self._q, reach=1.0)
@@ -331,8 +341,10 @@ class _Linearised:
         return trials
 
     def _trial(self, face: Face, follower: _Follower, fraction: float) -> _Trial:
-        problem, state = self._problem, self._state
-        flesh, coupled = follower.flesh, follower.coupled
+        problem = self._problem
+        state = self._state
+        flesh = follower.flesh
+        coupled = follower.coupled
         by_pose = fraction / max(self._layout.reach(follower.by_pose), 1.0) * follower.by_pose
         if not self._layout.bounds.is_free:
             by_pose = self._layout.bounds.clip(self._q + by_pose) - self._q

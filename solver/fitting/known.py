@@ -124,7 +124,8 @@ class FaceMuscles:
 
     def term(self, known: KnownMuscles, weight: float = SKIN_WORTH.weight) -> KnownTerm:
         """Return the term of what is known."""
-        layout, by_value = self.face.layout, np.nan_to_num(self._contractions.rates)
+        layout = self.face.layout
+        by_value = np.nan_to_num(self._contractions.rates)
         rates = np.zeros((len(known), layout.size))
         rates[:, layout.muscles] = self._shares(known.names)[:, :, None] * by_value
         return KnownTerm(rates, layout.rest, known.values, known.sd, weight)
@@ -148,7 +149,8 @@ class FaceMuscles:
         """Return a regulariser with what is known, from one that expects nothing of these."""
         if not len(known):
             return expected
-        rest, mean = self.face.layout.drive.rest, expected.prior.a.copy()
+        rest = self.face.layout.drive.rest
+        mean = expected.prior.a.copy()
         # compartments, of which more is known, after their wholes
         for row in sorted(range(len(known)), key=lambda row: len(known.names[row])):
             own = self._of(known.names[row])
@@ -171,7 +173,8 @@ class FaceMuscles:
 
     def _shares(self, names: Sequence[str]) -> Floats:
         """Return the shares (r, m) that muscles have in what is called by ``names`` (r)."""
-        out, volumes = np.zeros((len(names), len(self.names))), self._contractions.volumes
+        out = np.zeros((len(names), len(self.names)))
+        volumes = self._contractions.volumes
         for row, name in enumerate(names):
             own = self._of(name)
             out[row, own] = volumes[own] / volumes[own].sum()
@@ -255,7 +258,8 @@ def compare_frames(
     for number, fits in frames:
         for fit in fits:
             by_muscle.setdefault(fit.muscle, []).append((number, fit))
-    figures, findings = {}, []
+    figures = {}
+    findings = []
     for muscle, rows in by_muscle.items():
         off = np.array([fit.contraction - fit.known for _, fit in rows])
         off_sd = np.abs([fit.off_sd for _, fit in rows])

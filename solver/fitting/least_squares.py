@@ -77,7 +77,8 @@ class LeastSquaresStep:
 
     def cut(self, part: float) -> LeastSquaresStep:
         """Return a part of the step."""
-        slope, curvature = part * self.slope, part**2 * self.curvature
+        slope = part * self.slope
+        curvature = part**2 * self.curvature
         vectors = part * self.response, part * self.image
         return LeastSquaresStep(part * self.change, slope, curvature, part * self.reach, *vectors)
 
@@ -96,9 +97,11 @@ class SecondOrder:
 
     def after(self, step: LeastSquaresStep, turned: Floats) -> SecondOrder:
         """Learn from a step whose model had A in it; f's gradient has ``turned`` (k,) on it."""
-        s, known = step.change, self.matrix @ step.change
+        s = step.change
+        known = self.matrix @ step.change
         missing = turned - (step.image - known)
-        before, now = float(s @ known), float(s @ missing)
+        before = float(s @ known)
+        now = float(s @ missing)
         matrix = self.matrix * (np.clip(now / before, 0.0, 1.0) if before > 0.0 else 1.0)
         residual = missing - matrix @ s
         along = float(residual @ s)
@@ -126,13 +129,15 @@ def bounded_step(hessian: Floats, gradient: Floats, limits: tuple[Floats, Floats
     step = np.zeros_like(gradient)
     # what its bounds leave nowhere to go stays
     open_ = np.flatnonzero(upper - lower > 0.0)
-    lower, upper = lower[open_], upper[open_]
+    lower = lower[open_]
+    upper = upper[open_]
     try:
         root = scipy.linalg.cholesky(hessian[np.ix_(open_, open_)], lower=True)
         free = -scipy.linalg.cho_solve((root, True), gradient[open_])
     except (np.linalg.LinAlgError, ValueError) as error:
         raise SolveError("solve.not_finite", f"no Gauss-Newton step: {error}") from error
-    found, meeting = free, np.zeros(0, np.int64)
+    found = free
+    meeting = np.zeros(0, np.int64)
     while True:
         outside = np.flatnonzero((found < lower) | (found > upper))
         joining = np.setdiff1d(outside, meeting)
@@ -181,7 +186,8 @@ class BoxModel(LinearModel):
     def step(self, damping: float, trust: float) -> LeastSquaresStep:
         """See :class:`LinearModel`."""
         low, high = (bound - self.q for bound in self.bounds)
-        box, size = trust * self.reach, 1.0 / self.reach
+        box = trust * self.reach
+        size = 1.0 / self.reach
         damped = self.hessian + damping * np.diag(size**2)
         limits = np.maximum(low, -box), np.minimum(high, box)
         change = bounded_step(damped, self.gradient, limits)
@@ -261,13 +267,15 @@ def minimise(
     listen: Listener | None = None,
 ) -> LeastSquaresSolution[Point]:
     """Lower f step by step from ``start``."""
-    point, value = start, problem.value(start)
+    point = start
+    value = problem.value(start)
     for number in range(stop.iterations):
         found = search.descend(problem, point, value, stop)
         if found.point is None:
             termination = found.termination or Termination.STUCK
             return LeastSquaresSolution(point, value, number, termination, idle=True)
-        point, value = found.point, found.value
+        point = found.point
+        value = found.value
         if listen:
             listen(number + 1, value)
         if found.termination:
@@ -289,13 +297,15 @@ class TrustRegion:
     leap: float = 0.7
 
     def __post_init__(self) -> None:
-        self.damping, self.reach = self.rule.start, self.most
+        self.damping = self.rule.start
+        self.reach = self.most
 
     def descend(
         self, problem: LeastSquaresProblem[Point], point: Point, value: float, stop: StopOptions
     ) -> Trial[Point]:
         """See :class:`StepSearch`."""
-        model, rise = problem.linearise(point), np.inf
+        model = problem.linearise(point)
+        rise = np.inf
         for trial in range(self.tries):
             step = model.step(self.damping, self.reach)
             # a step that was cut says nothing of what is left

@@ -123,7 +123,8 @@ class Regulariser(Prior):
             return self
         total = self.w_a + weight
         # the jaw's weight grows as that of the muscles that pay least does
-        least, sum_of_least = float(np.min(self.w_a)), float(np.min(total))
+        least = float(np.min(self.w_a))
+        sum_of_least = float(np.min(total))
         w_b = self.w_b * (sum_of_least / least if least > 0.0 else 1.0)
         part = weight / total
         prior = replace(
@@ -308,7 +309,8 @@ class SkinDistance(Term):
                 "take those of its vertices, skin[model.face]"
             )
             raise InputError("target.shape", message)
-        self._face, self.target = face, target
+        self._face = face
+        self.target = target
 
     @override
     def value(self, x: Floats) -> float:
@@ -326,8 +328,10 @@ class SkinDistance(Term):
 
     @cached_property
     def _curvature(self) -> sp.csr_array:
-        M, unit = self._face.face_embedding, sp.eye_array(3)
-        weights, normals = self.target.weights, self.target.normals
+        M = self._face.face_embedding
+        unit = sp.eye_array(3)
+        weights = self.target.weights
+        normals = self.target.normals
         if normals is None:
             by_vertex = 2.0 * M.T @ sp.diags_array(weights) @ M
             return sp.csr_array(sp.kron(by_vertex, unit, format="csr"))

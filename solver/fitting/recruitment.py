@@ -115,7 +115,8 @@ class Recruitment:
         Models have no expressions that were made before they had, or of a template without any.
         ``options`` are by default those of :func:`usual_options`.
         """
-        model, shapes = face.model, face.model.expressions
+        model = face.model
+        shapes = face.model.expressions
         if shapes is None or face.layout.drive.penalty is None:
             return None
         named, opposed = np.array(
@@ -125,7 +126,8 @@ class Recruitment:
             return None
         tensors = fibre_tensors(model, face.flesh.volumes, face.S)
         rest = model.skin.vertices[model.face]
-        mirrored, sides = _mirror_numbers(shapes.names), EvenSides.of_face(face)
+        mirrored = _mirror_numbers(shapes.names)
+        sides = EvenSides.of_face(face)
         chosen = options or usual_options(model)
         effort = Effort.of_face(face, chosen.small)
         closers = SilentClosers.of_face(face, chosen.closers)
@@ -167,8 +169,10 @@ class Recruitment:
         rows = root * self.motions[:, seen]
         if target.normals is not None:
             along = target.normals[seen]
-            motion, rows = (motion * along).sum(axis=-1), (rows * along).sum(axis=-1)
-        motion, rows = motion.ravel(), rows.reshape(len(rows), -1)
+            motion = (motion * along).sum(axis=-1)
+            rows = (rows * along).sum(axis=-1)
+        motion = motion.ravel()
+        rows = rows.reshape(len(rows), -1)
         whole = float(motion @ motion)
         if whole == 0.0:
             return np.zeros(len(rows)), 0.0
@@ -193,14 +197,20 @@ class Recruited:
 
     def without(self, muscles: Ints) -> Recruited:
         """Return what is expected if nothing is of ``muscles`` (k,), as a table knows of them."""
-        price, mean, weights = self.price.copy(), self.mean.copy(), self.effort.weights.copy()
-        price[muscles], mean[muscles], weights[muscles] = 1.0, IDENTITY, 0.0
-        effort, closers = replace(self.effort, weights=weights), self.closers.without(muscles)
+        price = self.price.copy()
+        mean = self.mean.copy()
+        weights = self.effort.weights.copy()
+        price[muscles] = 1.0
+        mean[muscles] = IDENTITY
+        weights[muscles] = 0.0
+        effort = replace(self.effort, weights=weights)
+        closers = self.closers.without(muscles)
         return replace(self, price=price, mean=mean, effort=effort, closers=closers)
 
     def regularise(self, plain: Regulariser) -> Regulariser:
         """Return a regulariser that expects this of muscles, from one that expects them at rest."""
-        prior, unit = replace(plain.prior, a=self.mean), float(np.min(plain.w_a))
+        prior = replace(plain.prior, a=self.mean)
+        unit = float(np.min(plain.w_a))
         sides = replace(self.sides, weight=unit * self.sides.weight)
         effort = replace(self.effort, weights=unit * self.effort.weights)
         closers = replace(self.closers, weight=unit * self.closers.weight)
@@ -223,7 +233,8 @@ class Effort(Prior):
     @classmethod
     def of_face(cls, face: Face, small: float) -> Effort:
         """Return that of a face's muscles, which costs nothing yet; without fibres none does."""
-        places, found = face.layout.muscles, face.contractions
+        places = face.layout.muscles
+        found = face.contractions
         rates = np.zeros(places.shape) if found is None else np.nan_to_num(found.rates)
         return cls(places, rates, small, np.zeros(len(places)))
 
@@ -233,7 +244,8 @@ class Effort(Prior):
 
     @override
     def gradient(self, pose: Pose) -> Floats:
-        contractions, out = self._contractions(pose), np.zeros(pose.layout.size)
+        contractions = self._contractions(pose)
+        out = np.zeros(pose.layout.size)
         slopes = self.weights * contractions / self._smooth(contractions)
         out[self.places] = slopes[:, None] * self.rates
         return out
@@ -279,8 +291,10 @@ class EvenSides(SquaredPrior):
 
     @override
     def gradient(self, pose: Pose) -> Floats:
-        out, pull = np.zeros(pose.layout.size), self.weight * self.residuals(pose)
-        out[self.left], out[self.right] = pull, -self.signs * pull
+        out = np.zeros(pose.layout.size)
+        pull = self.weight * self.residuals(pose)
+        out[self.left] = pull
+        out[self.right] = -self.signs * pull
         return out
 
     @override

@@ -46,7 +46,8 @@ class Jacobian:
     def adjoint(self, gradient: Floats) -> Floats:
         """Return (dx/dq)^T g (k,) for g by x, (p, 3)."""
         flat = gradient.ravel()
-        pull, held = flat[self.free], self.held.T @ flat
+        pull = flat[self.free]
+        held = self.held.T @ flat
         for used, rows in self._few:
             if np.count_nonzero(pull[used]) == np.count_nonzero(pull):
                 return np.asarray(rows.T @ pull[used] + held)
@@ -98,7 +99,8 @@ class PoseRates:
     """The derivative by (a, b): :class:`solver.mechanics.response.Controls`."""
 
     def __init__(self, face: Face, forces: TetForces, pose: Pose) -> None:
-        self._layout, self._muscles = pose.layout, face.drive.rates(forces)
+        self._layout = pose.layout
+        self._muscles = face.drive.rates(forces)
         direct = face.mandible_jacobian(pose.b)
         # the free gradient's derivative by b (size, k)
         self.by_jaw = face.flesh.coupling(forces.x, forces.controls, direct)
@@ -132,7 +134,8 @@ class WeightRates:
     """The derivative by S's values (nnz,): :class:`solver.mechanics.response.Controls`."""
 
     def __init__(self, forces: TetForces) -> None:
-        self._forces, self._size = forces, forces.flesh.size
+        self._forces = forces
+        self._size = forces.flesh.size
         self.held = sp.csr_array((forces.x.size, forces.S.nnz))
 
     def matrix(self) -> sp.csc_array:
@@ -151,7 +154,8 @@ class WeightRates:
 
     def product(self, change: Floats) -> Floats:
         """Return the free gradient's change (size,) for one of S's values (nnz,)."""
-        out, S = np.zeros(self._size), self._forces.S
+        out = np.zeros(self._size)
+        S = self._forces.S
         by_tet_a = sp.csr_array((change, S.indices, S.indptr), shape=S.shape) @ self._forces.columns
         by_tet, numbers = self._forces.pattern[:2]
         forces_by_activations(by_tet, numbers, np.arange(len(by_tet)), by_tet_a, out)
@@ -171,7 +175,8 @@ class Sensitivity:
     """
 
     def __init__(self, face: Face, state: PosedFace) -> None:
-        self.face, self.state = face, state
+        self.face = face
+        self.state = state
         self.forces = face.tet_forces(state.pose, state.x)
         found = state.equilibrium
         self.response = Response(face.flesh, found.factor, minimum=found.minimum)

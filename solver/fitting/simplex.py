@@ -48,14 +48,16 @@ def minimise_on_simplex(
     value moves by more than ``reach``. Each pass of conjugate gradients is on the face that the one
     before ended on, and projected afterwards (More and Toraldo 1991).
     """
-    at, steepest = values, gradient
+    at = values
+    steepest = gradient
     for _ in range(options.passes):
         free = free_entries(at, steepest, indptr)
 
         def on_face(direction: Floats, free: NDArray[np.bool_] = free) -> Floats:
             return tangent(product(direction), free, indptr)
 
-        shape, right = (len(values), len(values)), -tangent(steepest, free, indptr)
+        shape = (len(values), len(values))
+        right = -tangent(steepest, free, indptr)
         system = LinearOperator(shape, matvec=on_face, dtype=np.float64)
         step, _ = cg(system, right, rtol=options.tolerance, maxiter=options.iterations)
         for halving in range(options.halvings):
@@ -66,7 +68,8 @@ def minimise_on_simplex(
                 break
         else:
             break
-        at, steepest = at + move, steepest + image
+        at = at + move
+        steepest = steepest + image
     return at
 
 
@@ -75,9 +78,11 @@ def project(values: Floats, indptr: Ints) -> Floats:
     """Return the nearest values with s >= 0 and sum 1 in every row (Held, Wolfe, Crowder 1974)."""
     out = values.copy()
     for row in nb.prange(len(indptr) - 1):
-        first, last = indptr[row], indptr[row + 1]
+        first = indptr[row]
+        last = indptr[row + 1]
         descending = np.sort(values[first:last])[::-1]
-        total, threshold = 0.0, 0.0
+        total = 0.0
+        threshold = 0.0
         for k in range(last - first):
             total += descending[k]
             shift = (total - 1.0) / (k + 1)
@@ -97,11 +102,13 @@ def free_entries(values: Floats, gradient: Floats, indptr: Ints) -> NDArray[np.b
     """
     free = np.ones(len(values), dtype=np.bool_)
     for row in nb.prange(len(indptr) - 1):
-        first, last = indptr[row], indptr[row + 1]
+        first = indptr[row]
+        last = indptr[row + 1]
         changed = True
         while changed:
             changed = False
-            total, count = 0.0, 0
+            total = 0.0
+            count = 0
             for entry in range(first, last):
                 if free[entry]:
                     total += gradient[entry]
@@ -120,7 +127,8 @@ def tangent(values: Floats, free: NDArray[np.bool_], indptr: Ints) -> Floats:
     out = np.zeros_like(values)
     out[indptr[-1] :] = values[indptr[-1] :]
     for row in nb.prange(len(indptr) - 1):
-        total, count = 0.0, 0
+        total = 0.0
+        count = 0
         for entry in range(indptr[row], indptr[row + 1]):
             if free[entry]:
                 total += values[entry]
@@ -160,7 +168,8 @@ def transfer(S: sp.csr_array, source: SubjectModel, model: SubjectModel) -> sp.c
     weight there keeps the model's own. Raises :class:`InputError` (``weights.other_muscles``) if no
     muscle is known to both.
     """
-    own, there = model.weights, source.muscle_names
+    own = model.weights
+    there = source.muscle_names
     named = zip(model.muscle_names, model.muscle_groups, strict=True)
     # numbers of the source's muscles, none where it has no such muscle
     columns = [find_muscles(n, there) or find_muscles(whole, there) for n, whole in named]
@@ -210,7 +219,8 @@ def mirror_structure(model: SubjectModel, w_m: float) -> sp.csr_array:
 
     Raises :class:`InputError` (``model.no_sides``) if no muscle's name tells its side.
     """
-    S, names = model.weights, model.muscle_names
+    S = model.weights
+    names = model.muscle_names
     if not any(word in OTHER_SIDE for name in names for word in name_words(name.lower())):
         raise InputError("model.no_sides", "no muscle's name says left or right: nothing mirrors")
     numbers = replace_values(S, np.arange(1, S.nnz + 1))
@@ -228,13 +238,15 @@ def smooth_structure(model: SubjectModel, w_c: float) -> sp.csr_array:
     The prior (w_c/2) sum (ds_ij - ds_i'j')^2 is over tets i, i' that share a face, and compartments
     j, j' of one muscle: their changes from the start are alike. Whole muscles have no rows.
     """
-    S, names = model.weights, list(dict.fromkeys(model.muscle_groups))
+    S = model.weights
+    names = list(dict.fromkeys(model.muscle_groups))
     whole = np.array([0, *(names.index(group) + 1 for group in model.muscle_groups)])
     parts = np.arange(1, S.nnz + 1), whole[S.indices], S.indptr
     numbers = sp.csr_array(parts, shape=(S.shape[0], len(names) + 1))
     one, other = (numbers[tets] for tets in neighbours(model.tets))
     near = sp.coo_array(one * (other > 0))
-    first, second = near.data - 1, other[near.coords].ravel() - 1
+    first = near.data - 1
+    second = other[near.coords].ravel() - 1
     meet = S.indices[first] != S.indices[second]
     pick = sp.eye_array(S.nnz, format="csr")
     return sp.csr_array(np.sqrt(w_c) * (pick[first[meet]] - pick[second[meet]]))
@@ -245,7 +257,8 @@ def mirrored_pairs(names: tuple[str, ...]) -> Ints:
 
     The first of each pair is that which comes first.
     """
-    own, other = np.arange(len(names)), _mirrored_muscles(names)[1:] - 1
+    own = np.arange(len(names))
+    other = _mirrored_muscles(names)[1:] - 1
     return np.stack([own, other], axis=1)[own < other]
 
 
@@ -259,7 +272,8 @@ def _mirrored_muscles(names: tuple[str, ...]) -> Ints:
 
 def _mirrored_tets(model: SubjectModel) -> Ints:
     """Return for every tet the nearest to its mirror image, -1 if none is near."""
-    centres, across = _centres(model), model.jaw.axes[0]
+    centres = _centres(model)
+    across = model.jaw.axes[0]
     mirrored = centres - 2.0 * np.outer((centres - model.jaw.origin) @ across, across)
     distance, nearest = cKDTree(centres).query(mirrored)
     return np.where(distance <= MIRROR_REACH_MM, nearest, -1)

@@ -254,7 +254,9 @@ def _active_set_step(
 
     ``free`` is the step without bounds, ``root`` is L.
     """
-    step, active, columns = free, np.zeros(0, np.int64), np.zeros((len(free), 0))
+    step = free
+    active = np.zeros(0, np.int64)
+    columns = np.zeros((len(free), 0))
     multipliers = np.zeros(0)
     for _ in range(options.rounds):
         broken = np.flatnonzero(bounds.margins(step) < -options.broken)
@@ -284,7 +286,8 @@ class _LinearBounds:
 
     def __init__(self, bounds: Bounds, q: Floats) -> None:
         assert bounds.feasible is not None, "a box is kept by bounded least squares"
-        self._bounds, a = bounds, q[bounds.muscles]
+        self._bounds = bounds
+        a = q[bounds.muscles]
         self._slopes = bounds.feasible.slopes(a)
         self._at_q = np.concatenate([bounds.feasible.margins(a).ravel(), bounds.room(q)])
 
@@ -297,7 +300,8 @@ class _LinearBounds:
 
     def rows(self, chosen: Ints) -> Floats:
         """Return the derivatives (k, size) of the ``chosen`` (k,) margins by a step."""
-        count, size = len(self._bounds.muscles), self._slopes.shape[2]
+        count = len(self._bounds.muscles)
+        size = self._slopes.shape[2]
         own = chosen[chosen < count * self._slopes.shape[1]]
         out = np.zeros((len(chosen), len(self._bounds.lower)))
         places = self._bounds.muscles[own // self._slopes.shape[1]]

@@ -22,7 +22,9 @@ from solver.surface import Floats
 # |S(a)|^2 = sum of these times a^2: an off-diagonal entry stands for two of the matrix
 FROBENIUS = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
 PLACES = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # in a, of the nine entries of S(a)
-ROW, COLUMN = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]  # in S(a), of the six entries of a
+# in S(a), of the six entries of a
+ROW = [0, 0, 0, 1, 1, 2]
+COLUMN = [0, 1, 2, 1, 2, 2]
 UNITS = np.eye(6)[:, PLACES].reshape(6, 3, 3)  # the matrices dS/da_q
 
 

@@ -53,7 +53,8 @@ def split_broad(
         if len(mine) >= 2 * options.least_tets:
             own = tets[muscles.tets[mine]]
             whole, across = _across(rest, own, muscles.fibres[mine], options)
-            at, fibres = at[whole], muscles.fibres[mine][whole]
+            at = at[whole]
+            fibres = muscles.fibres[mine][whole]
             sides = 2 if _roundness(at, fibres) > options.ring else 1
             wanted = round(sides * _breadth(at, fibres, across, options) / options.breadth_mm)
             count = max(1, min(wanted, options.most, len(at) // options.least_tets))
@@ -72,7 +73,9 @@ def split_broad(
 
 def strip_names(names: tuple[str, ...], muscles: FibreMuscles) -> tuple[str, ...]:
     """Return the names of muscles and of strips, ``frontalis_l.1``, by those of the model's."""
-    counts, seen, found = np.bincount(muscles.sources), dict.fromkeys(names, 0), []
+    counts = np.bincount(muscles.sources)
+    seen = dict.fromkeys(names, 0)
+    found = []
     for source in muscles.sources:
         name = names[source]
         seen[name] += 1
@@ -123,7 +126,8 @@ def _roundness(centres: Floats, fibres: Floats, sectors: int = 8) -> float:
 def _breadth(centres: Floats, fibres: Floats, across: Floats, options: StripOptions) -> float:
     """Return how far apart, mm square to the fibres, the ends of a muscle by u are."""
     ends = np.quantile(across, [options.end, 1.0 - options.end])
-    low, high = across <= ends[0], across >= ends[1]
+    low = across <= ends[0]
+    high = across >= ends[1]
     way = centres[high][cKDTree(centres[high]).query(centres[low])[1]] - centres[low]
     # along a slender muscle u grows too, but the ends are not beside each other
     return float(np.median(np.linalg.norm(np.cross(way, fibres[low]), axis=1)))

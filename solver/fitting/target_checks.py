@@ -123,7 +123,8 @@ def find_inflated(
     a fit leaves a patch of the scan outside of its skin. The largest patch is named. Unseen
     vertices are NaN.
     """
-    left, motion = np.zeros_like(scan), np.zeros_like(scan)
+    left = np.zeros_like(scan)
+    motion = np.zeros_like(scan)
     left[model.face] = np.nan_to_num(scan - skin)[model.face]
     motion[model.face] = np.nan_to_num(scan - model.skin.vertices)[model.face]
     height = np.einsum("vi,vi->v", left, vertex_normals(model.skin.with_vertices(skin)))
@@ -321,14 +322,16 @@ def check_held(face: Face) -> None:
     A part hangs together by its vertices; it is held if its held vertices do not lie on a line.
     """
     flesh = face.flesh
-    tets, points = flesh.tets, flesh.rest
+    tets = flesh.tets
+    points = flesh.rest
     part = _parts(len(points), np.concatenate([tets[:, [0, k]] for k in (1, 2, 3)]))
     for number in np.unique(part[tets[:, 0]]):
         vertices = np.flatnonzero(part == number)
         held = points[vertices[flesh.free_numbers[vertices] < 0]]
         if len(held) >= 3 and np.linalg.matrix_rank(held - held[0], tol=1e-6) >= 2:
             continue
-        count, first = int((part[tets[:, 0]] == number).sum()), int(vertices[0])
+        count = int((part[tets[:, 0]] == number).sum())
+        first = int(vertices[0])
         message = (
             f"{count} tetrahedra around {np.round(points[vertices].mean(axis=0), 1).tolist()} mm "
             f"are held by no bone (vertex {first} is one of theirs): build the model again"

@@ -42,7 +42,8 @@ class TetForces:
     @cached_property
     def pattern(self) -> tuple[Floats, Ints, Ints, Ints]:
         """The derivative, the free vertices' numbers (n, 4), and the pattern of S."""
-        flesh, S = self.flesh, self.S
+        flesh = self.flesh
+        S = self.S
         return self.by_tet, flesh.free_numbers[flesh.tets], S.indptr, S.indices
 
 

@@ -126,7 +126,8 @@ def _read_options(kind: Kind, given: Mapping[str, Any]) -> JobOptions:
     try:
         return kind.read(given)
     except OptionsError as error:
-        first, known = error.faults[0], sorted(kind.options.model_fields)
+        first = error.faults[0]
+        known = sorted(kind.options.model_fields)
         option = str(first.path[0]) if first.path else ""
         where = first.where.removeprefix("options.")
         words = f"{where}: {first.message}"

@@ -9,25 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from solver.anatomy.template import ShapeBasis
 from solver.animation import FrameChanges, RecordedDrives
-from solver.animation.blendshapes import (
-    Blendshapes,
-    DrivenShapes,
-    Solved,
-    driven_motions,
-    expression_targets,
-    solve_blendshapes,
-)
+from solver.animation.blendshapes import Blendshapes, DrivenShapes, driven_motions
 from solver.animation.controls import Controls
 from solver.animation.controls.exact import ShapesAtRest, fit_frames
 from solver.animation.tracks import TrackedShapes
 from solver.errors import InputError
-from solver.fitting.expression_basis import FILE as BASIS_FILE
-from solver.fitting.face import Face
 from solver.fitting.target_checks import check_held
 from solver.jobs import Task, read_template
-from solver.jobs.fits import solve_basis
+from solver.jobs.blendshapes import SOLVED, left_files, person_blendshapes, tell_blendshapes
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
@@ -42,11 +32,8 @@ from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackContact
 
-BASIS = 0.1  # part of a job after which its basis is solved, if none was left
-SOLVED = 0.3  # part of a job after which its blendshapes are solved
 SIGNALS_FILE = "signals.csv"  # of a video
 TOLD_EVERY = 30  # frames of a video
-SAVED_EVERY = 5  # blendshapes that are solved between two writings of their file
 
 
 def run(task: Task[Animate]) -> list[Path]:
@@ -62,12 +49,15 @@ def run(task: Task[Animate]) -> list[Path]:
     ``tracks.*``, ``live_link.*``, ``openface.*`` and ``video.*``. What is measured of a
     video is left as ``signals.csv``.
     """
-    given, out, progress = task.options, task.out, task.progress
+    given = task.options
+    out = task.out
+    progress = task.progress
     if given.video:
         check_video()
     scene = given.scene
     rig, places = read_person(task)
-    model, S = rig.model, rig.weights
+    model = rig.model
+    S = rig.weights
     recording = scene.recording
     signals = out / SIGNALS_FILE
     signals.unlink(missing_ok=True)  # of another scene
@@ -97,14 +87,16 @@ def run(task: Task[Animate]) -> list[Path]:
             reason = "controls are of muscles, and tracks drive the face: leave one of both out"
             raise InputError("scene.controls", reason)
         tracks = MuscleTracks.load(task.inputs["tracks"], model)
-        drives, begun = drives_of(TrackedShapes.of(model, tracks)), READ
+        drives = drives_of(TrackedShapes.of(model, tracks))
+        begun = READ
         stage = stage_of(drives, tracks)
         played.figures["shapes"] = len(tracks.names)
     else:
         # what moves the muscles may take minutes: what is wrong with the scene is told before
         stage_of(drives_of(Blendshapes(model.muscle_names, {})))
         shapes = _shapes_of(task, rig, played)
-        drives, begun = drives_of(shapes), SOLVED
+        drives = drives_of(shapes)
+        begun = SOLVED
         drives = drives_of(shapes, _fit_frames(task, rig, shapes, drives.weights, played))
         stage = stage_of(drives)
     more = {**_told_of(recorded, played.transfer), **played.figures}
@@ -117,7 +109,8 @@ def run(task: Task[Animate]) -> list[Path]:
     written = finish(
         stage, frames, out, progress, title="Animation", video=given.video, more=more, arrays=arrays
     )
-    return [*written, *(file for file in (*played.files, signals) if file.is_file())]
+    left = [signals] if signals.is_file() else []
+    return [*written, *played.files, *left]
 
 
 def _detecting(task: Task[Animate]) -> Callable[[int], None]:
@@ -158,7 +151,8 @@ class _Played:
 
 def _shapes_of(task: Task[Animate], rig: Rig, played: _Played) -> DrivenShapes:
     """Return what a frame's weights make the muscles do, as the scene asks for it."""
-    asked, model = task.options.scene.controls, rig.model
+    asked = task.options.scene.controls
+    model = rig.model
     if asked == "exact":
         motions = driven_motions(model, read_template(task).shapes)
         return ShapesAtRest(tuple(motions), model.muscle_count)
@@ -174,7 +168,10 @@ def _shapes_of(task: Task[Animate], rig: Rig, played: _Played) -> DrivenShapes:
         if asked == "learned":
             raise InputError("controls.model", reason)
         task.progress(Step("warning", READ, message=f"controls.npz is not used: {reason}"))
-    return _blended(task, rig, played)
+    blended = person_blendshapes(task, rig)
+    played.files += left_files(task)
+    played.figures |= tell_blendshapes(blended)
+    return blended
 
 
 def _fit_frames(
@@ -193,69 +190,17 @@ def _fit_frames(
     if not chosen.any():
         played.transfer["exact"] = 0
         return None
-    face, count = rig.face(fastest()), int(chosen.sum())
+    face = rig.face(fastest())
+    count = int(chosen.sum())
     check_held(face)
 
     def listen(done: int) -> None:
-        part, words = READ + (SOLVED - READ) * done / count, f"frame {done} of {count}"
+        part = READ + (SOLVED - READ) * done / count
+        words = f"frame {done} of {count}"
         task.progress(Step("exact", part, done, message=words))
 
     motions = driven_motions(rig.model, read_template(task).shapes)
     changes, fitted = fit_frames(face, shapes, motions, weights, chosen, listen)
-    played.transfer["exact"], played.arrays["exact"] = int(fitted.sum()), fitted
+    played.transfer["exact"] = int(fitted.sum())
+    played.arrays["exact"] = fitted
     return changes
-
-
-def _blended(task: Task[Animate], rig: Rig, played: _Played) -> Blendshapes:
-    """Return the person's blendshapes: those that were given, else solved now."""
-    model, S, kept = rig.model, rig.weights, task.out / "blendshapes.npz"
-    shapes = None
-    if "blendshapes" in task.inputs:
-        shapes = Blendshapes.load(task.inputs["blendshapes"], model, S)
-    if shapes is None or shapes.drive != rig.drive:  # solved by a release without limits
-        shapes = _solve_shapes(rig, kept, task)
-    shapes.save(kept, model, S)
-    solved = shapes.shapes
-    played.files += [kept, task.out / BASIS_FILE]
-    played.figures |= {
-        "blendshapes": len(solved),
-        "blendshapes_mean_mm": float(np.mean([shape.mean_mm for shape in solved.values()])),
-        "not_settled": [name for name, shape in solved.items() if not shape.settled],
-    }
-    return shapes
-
-
-def _solve_shapes(rig: Rig, kept: Path, task: Task[Animate]) -> Blendshapes:
-    """Solve the person's blendshapes, those left of a resumed job; the file is ``kept`` up."""
-    model, S = rig.model, rig.weights
-    anatomy = read_template(task)
-    targets = expression_targets(model, anatomy.shapes)
-    done: dict[str, Solved] = {}
-    if task.resume and kept.is_file():
-        known = Blendshapes.load(kept, model, S)
-        done.update(known.shapes if known.drive == rig.drive else {})
-
-    def report(name: str, solved: Solved) -> None:
-        done[name] = solved
-        if len(done) % SAVED_EVERY == 0:
-            Blendshapes(model.muscle_names, done, rig.drive).save(kept, model, S)
-        count, error = len(done), solved.mean_mm
-        fraction = BASIS + (SOLVED - BASIS) * count / len(targets)
-        words = f"{name}, {count} of {len(targets)}"
-        task.progress(Step("blendshapes", fraction, count, mean_error_mm=error, message=words))
-
-    face = rig.face(fastest())
-    check_held(face)
-    begin = _known_changes(task, face, anatomy.shapes) if targets.keys() - done.keys() else {}
-    return solve_blendshapes(face, targets, dict(done), report, begin)
-
-
-def _known_changes(task: Task[Animate], face: Face, shapes: ShapeBasis | None) -> dict[str, Floats]:
-    """Return name -> the change of the controls that makes an expression about."""
-    assert shapes is not None, "there are targets, so the template has shapes"
-
-    def show(done: float) -> None:
-        task.progress(Step("expressions", READ + (BASIS - READ) * done))
-
-    basis = solve_basis(task, face, shapes.expressions, show)
-    return dict(zip(shapes.expression_names, basis.whole, strict=True))

@@ -23,7 +23,8 @@ def run(task: Task[BuildModel]) -> list[Path]:
     template that cannot be used, :class:`solver.errors.SolveError` if no mesh can be made.
     """
     neutral = task.inputs["neutral"]
-    edge_mm, progress = task.options.edge_mm, task.progress
+    edge_mm = task.options.edge_mm
+    progress = task.progress
     progress(Step("read", 0.0, message=neutral.name))
     anatomy = read_template(task)
     scan = read_registered(neutral, anatomy.skin.faces, len(anatomy.skin.vertices))

@@ -24,7 +24,8 @@ def run(task: Task[BuildPreview]) -> list[Path]:
     Raises as :func:`solver.rig.preview.make_preview`, and :class:`solver.errors.InputError` for
     files that do not belong together.
     """
-    out, progress = task.out, task.progress
+    out = task.out
+    progress = task.progress
     progress(Step("read", 0.0, message=task.inputs["rig"].name))
     begin = time.perf_counter()
     rig = Rig.load(task.inputs)
@@ -40,7 +41,8 @@ def run(task: Task[BuildPreview]) -> list[Path]:
     )
     files = [out / "preview.bin", out / "preview.json", out / "preview.png"]
     write_preview(files[0], preview)
-    skin, shown = rig.model.skin.vertices, rig.model.face
+    skin = rig.model.skin.vertices
+    shown = rig.model.face
     preview, measured = read_back(files[0], preview, skin, shown)
     progress(Step("pictures", 0.96))
     preview_picture(rig.model, preview, files[2])

@@ -38,7 +38,8 @@ def run(task: Task[BuildTracks]) -> list[Path]:
 
     Raises :class:`~solver.errors.InputError`: ``tracks.*``, and as the files' readers.
     """
-    given, progress = task.options, task.progress
+    given = task.options
+    progress = task.progress
     progress(Step("read", 0.0, message=task.inputs["model"].name))
     model = SubjectModel.load(task.inputs["model"])
     shapes = template_shapes(model, read_template(task).shapes)
@@ -75,7 +76,8 @@ def _try(
         chosen.setdefault(name.removesuffix("Left").removesuffix("Right"), name)
     names = list(chosen.values())[: options.count]
     face = TrackFace(model, tracks, track_potentials(model), linear=fastest())
-    rest, shots = face.rest(), []
+    rest = face.rest()
+    shots = []
     for number, name in enumerate(names):
         progress(Step("try", 0.2 + 0.7 * number / len(names), number, message=name))
         target = model.skin.vertices + shapes[name]

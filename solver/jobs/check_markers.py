@@ -37,7 +37,8 @@ def run(task: Task[CheckMarkers]) -> list[Path]:
     ``markers.json`` as well, a marker set that is proposed for the session. Raises
     :class:`solver.errors.InputError` for a rig, marker set or template that cannot be used.
     """
-    path, progress = task.inputs["markers"], task.progress
+    path = task.inputs["markers"]
+    progress = task.progress
     progress(Step("read", 0.0, message=path.name))
     start = time.perf_counter()
     reference = _reference(task)

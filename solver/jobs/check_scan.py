@@ -27,7 +27,8 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     if task.role not in ROLES:
         message = f"role is {task.role!r}, not one of {', '.join(ROLES)}"
         raise InputError("options.role", message, expected=list(ROLES))
-    scan, progress = task.inputs["scan"], task.progress
+    scan = task.inputs["scan"]
+    progress = task.progress
     progress(Step("read", 0.0, message=scan.name))
     start = time.perf_counter()
     anatomy = read_template(task)

@@ -31,8 +31,10 @@ def run(task: Task[Edit]) -> list[Path]:
     :class:`SolveError` where the edited person finds no rest. An expression that finds none is
     told, and left out.
     """
-    entries, physics = task.options.scene.edits, Physics(task.options.scene)
-    out, progress = task.out, task.progress
+    entries = task.options.scene.edits
+    physics = Physics(task.options.scene)
+    out = task.out
+    progress = task.progress
     rig, places = read_person(task)
     fits = rig.expressions
     unedited = Edited.nothing(rig.model, rig.weights)
@@ -79,7 +81,8 @@ def _replay(
 
 
 def _detail(report: Mapping[str, Any]) -> str:
-    volume, drift = report["volume"], report["drift_mm"]
+    volume = report["volume"]
+    drift = report["drift_mm"]
     words = (
         f"volume {volume['change_ml']:+.1f} ml ({volume['change_percent']:+.1f} %), the face at "
         f"rest moves {report['neutral']['moved_mm']:.2f} mm on average"

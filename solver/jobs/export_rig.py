@@ -18,12 +18,14 @@ def run(task: Task[ExportRig]) -> list[Path]:
     Raises :class:`solver.errors.InputError` (``export.*``) as
     :func:`solver.rig.exporters.export`, and as the exporter.
     """
-    given, progress = task.options, task.progress
+    given = task.options
+    progress = task.progress
     file = given.file or exporter(given.format).FILE
     progress(Step("read", 0.0, message=task.inputs["rig"].name))
     rig = Rig.load(task.inputs)
     progress(Step("export", 0.3, message=given.format))
-    made, report = task.out / file, task.out / "export.json"
+    made = task.out / file
+    report = task.out / "export.json"
     figures = export_measured(rig, given.format, made, given.settings).figures
     told = {"format": given.format, "file": file, "bytes": made.stat().st_size}
     write_json(report, {**told, "files": {file: figures}})

@@ -66,7 +66,9 @@ class FilmFitter(FrameFitter[ShapeFrame]):
     def __init__(
         self, source: Footage, marks: FilmMarks, tracker: FilmTracker[Any], numbers: range
     ) -> None:
-        self._source, self._marks, self._tracker = source, marks, tracker
+        self._source = source
+        self._marks = marks
+        self._tracker = tracker
         self._face: ShapeFace[Any] = tracker.face
         self._state = self._face.rest()
         self.camera: PinholeCamera | None = None  # in the world
@@ -92,7 +94,8 @@ class FilmFitter(FrameFitter[ShapeFrame]):
             self._tracker.pause()
             return
         photo = self._photo(frame.frame)
-        tracker, head = self._tracker, small_motion(frame.head)
+        tracker = self._tracker
+        head = small_motion(frame.head)
         if tracker.needs_look and photo is not None:
             tracker.step(photo)  # light and albedo are those of the first frame
         with suppress(SolveError):  # out of reach: the next frame begins where this one did
@@ -105,17 +108,20 @@ class FilmFitter(FrameFitter[ShapeFrame]):
     def fit(self, number: int) -> ShapeFrame:
         begun = time.perf_counter()
         photo = self._photo(number)
-        self._last, found = None, None
+        self._last = None
+        found = None
         status: Status = "unseen"
         if photo is not None:
             try:
-                found, status = self._tracker.step(photo), "fitted"
+                found = self._tracker.step(photo)
+                status = "fitted"
             except (InputError, SolveError, np.linalg.LinAlgError):
                 status = "kept"
         else:
             self._tracker.pause()
         if found is not None and photo is not None:
-            self._state, self._last = found.point.state, (photo, found)
+            self._state = found.point.state
+            self._last = (photo, found)
             seen_by = found.point.cameras[0]
             self.camera = self.camera or replace(seen_by, rotation=UPRIGHT)
         return self._frame(number, status, found, photo, time.perf_counter() - begun)
@@ -136,7 +142,9 @@ class FilmFitter(FrameFitter[ShapeFrame]):
         seconds: float,
     ) -> ShapeFrame:
         """Return the record of a frame."""
-        points, shown, off = self._tracker.points, 0.0, np.zeros(0)
+        points = self._tracker.points
+        shown = 0.0
+        off = np.zeros(0)
         head = IDENTITY
         if self._tracker.point is not None and self.camera is not None:
             head = self.camera.head_of(self._tracker.point.cameras[0])
@@ -144,7 +152,8 @@ class FilmFitter(FrameFitter[ShapeFrame]):
             known, given = marks_of(photo, points)
             shown = len(given) / len(points.names)
             if found is not None:
-                camera, places = found.point.cameras[0], known.at(found.point.skin)
+                camera = found.point.cameras[0]
+                places = known.at(found.point.skin)
                 seen = camera.project(places)
                 apart = np.linalg.norm(seen[:, :2] - given, axis=1)
                 off = apart * seen[:, 2] / camera.focal.mean()
@@ -192,8 +201,11 @@ def fit_film(
     are there. Raises :class:`~solver.errors.InputError`: ``film.*``, ``photo.*``,
     ``options.frames``, and ``sequence.nothing`` where no frame could be fitted.
     """
-    given, out, progress = task.options, task.out, task.progress
-    model, points = face.model, landmark_points(template)
+    given = task.options
+    out = task.out
+    progress = task.progress
+    model = face.model
+    points = landmark_points(template)
     source = _open(task, [*landmark_vertices(template)])
     numbers = frame_numbers(source.name, range(len(source)), given)
     neutral = _neutral(given, source)
@@ -273,5 +285,6 @@ def _tracker(
     if neutral is not None and neutral in marks.landmarks:
         at_rest = tracker.known(photo(neutral))
         look = read_neutral(face, at_rest, points, options.expression)
-        tracker.points, tracker.look = look.points, look.appearance
+        tracker.points = look.points
+        tracker.look = look.appearance
     return tracker

@@ -24,10 +24,12 @@ def run(task: Task[FitActivations]) -> list[Path]:
     expression that the reduced solver cannot fit is given to IPOPT; one that neither can fit stays
     at rest, unless all do.
     """
-    given, progress = task.options, task.progress
+    given = task.options
+    progress = task.progress
     progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
     parent = Rig.load(task.inputs)
-    subject, carried = parent.model, parent.expressions
+    subject = parent.model
+    carried = parent.expressions
     scans = fits.read_scans(subject, task.captures)
     drive = fits.asked_drive(given, parent.drive)
     parent = replace(parent, drive=drive)

@@ -56,7 +56,8 @@ class _Scans:
 
         Raises :class:`InputError` (``fibres.no_scans``) if it was fitted to none.
         """
-        face, make = rig.model.face, Targets(rig.model, distance)
+        face = rig.model.face
+        make = Targets(rig.model, distance)
         seen = [fit for fit in rig.expressions if np.isfinite(fit.error_mm[face]).any()]
         if not any(fit.role == "train" for fit in seen):
             message = "the rig has no expression that it was fitted to"
@@ -81,11 +82,13 @@ def run(task: Task[FitFibres]) -> list[Path]:
     The fractions to begin with are those of the model, by volume: a fitted S is of other muscles.
     Raises :class:`InputError` (``fibres.no_scans``, ``model.fibres``).
     """
-    given, progress = task.options, task.progress
+    given = task.options
+    progress = task.progress
     progress(Step("read", 0.0))
     rig = Rig.load(task.inputs)
     face = Face(rig.model, material=MOONEY_RIVLIN, linear=given.linear_solver)
-    plain, scans = fibre_muscles(face), _Scans.of(rig, given.distance)
+    plain = fibre_muscles(face)
+    scans = _Scans.of(rig, given.distance)
     train = scans.of_role("train")
     strips = StripOptions(breadth_mm=given.strips_mm) if given.strips_mm else None
     options = replace(CalibrationOptions(), rounds=given.rounds, strips=strips)

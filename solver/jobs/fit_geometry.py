@@ -36,7 +36,8 @@ def run(task: Task[FitGeometry]) -> list[Path]:
 
     The input ``start`` is a rig, of this subject or another, whose S the fit begins with.
     """
-    given, progress = task.options, task.progress
+    given = task.options
+    progress = task.progress
     progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
     subject = SubjectModel.load(task.inputs["model"])
     scans = fits.read_scans(subject, task.captures)

@@ -72,13 +72,17 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     Raises :class:`InputError` for what cannot be used, ``sequence.nothing`` if no frame could be
     fitted.
     """
-    given, out, progress = task.options, task.out, task.progress
+    given = task.options
+    out = task.out
+    progress = task.progress
     progress(Step("read", 0.0, message=task.inputs["markers"].name))
-    rig, take = Rig.load(task.inputs), count_tracks(read_take(task.inputs["markers"]))
+    rig = Rig.load(task.inputs)
+    take = count_tracks(read_take(task.inputs["markers"]))
     numbers = frame_numbers(take.file, take.numbers, given)
     rate = given.rate or (take.rate if take.rate > 0 else USUAL_RATE)
     mended = _mend_take(task, take, rig, rate)
-    source, notices = mended.source, mended.notices
+    source = mended.source
+    notices = mended.notices
     face, muscles = _face(task, rig, notices)
     check_held(face)
     known = KnownFrames(task, FaceMuscles(face, muscles), take.numbers, rate)
@@ -98,7 +102,8 @@ def run(task: Task[FitMarkers]) -> list[Path]:
     report |= marker_report(done, source.labels, notices)
     report |= mended.carried | {"notices": [notice.as_dict() for notice in notices]}
     animated, report["files"] = write_animated(out, drawing.skin, rig.model, rate, take.first)
-    view, contraction = out / VIEW_FILE, Contraction.of_face(face)
+    view = out / VIEW_FILE
+    contraction = Contraction.of_face(face)
     report["files"][VIEW_FILE] = drawing.view.write(view, rate)
     files = write_sequence(out, done, muscles, rate, report, contraction, take.first)
     files += [out / "markers.json"] if given.refine and not given.actor else []
@@ -110,7 +115,8 @@ def run(task: Task[FitMarkers]) -> list[Path]:
 
 def _mend_take(task: Task[FitMarkers], take: Take, rig: Rig, rate: float) -> MendedTake:
     """Return the take bound by the marker set, if one was given, and mended."""
-    given, known = task.options, None
+    given = task.options
+    known = None
     if "marker_set" in task.inputs:
         known = MarkerSet.load(task.inputs["marker_set"], rig.model)
     options = PrepareOptions(given.actor, frames_about(take, given.neutral, rate), rate)
@@ -119,7 +125,8 @@ def _mend_take(task: Task[FitMarkers], take: Take, rig: Rig, rate: float) -> Men
 
 def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Face, tuple[str, ...]]:
     """Return the face that frames are fitted with, and its muscles' names; adds what is odd."""
-    given, model = task.options, rig.model
+    given = task.options
+    model = rig.model
     names = tuple(model.muscle_names)
     if given.muscles == "fibre":
         face = Face(model, material=MOONEY_RIVLIN, linear=given.linear_solver)
@@ -128,7 +135,8 @@ def _face(task: Task[FitMarkers], rig: Rig, notices: list[Finding]) -> tuple[Fac
             words = "the fibre muscles are not calibrated: much of an expression is beyond them"
             notices.append(make_warning("fibres.uncalibrated", words))
         muscles = fibre_muscles(face) if known is None else load_muscles(known, face)
-        face, names = with_fibres(face, muscles), strip_names(names, muscles)
+        face = with_fibres(face, muscles)
+        names = strip_names(names, muscles)
     else:
         face = rig.face(given.linear_solver or fastest())
     if given.jaw == "tracks":
@@ -143,7 +151,9 @@ def _markers(
     task: Task[FitMarkers], source: BoundTake, known: GaussianPrior, face: Face, rate: float
 ) -> Markers:
     """Return the markers of the take, their places mended if that was asked for."""
-    given, used, usual = task.options, source.markers, MarkerOptions().tracking
+    given = task.options
+    used = source.markers
+    usual = MarkerOptions().tracking
     options = MarkerOptions(
         filter=FilterOptions(forgetting=given.temporal),
         hold_below=given.hold_below,
@@ -181,7 +191,8 @@ def _fitter(
 
 def _prior(task: Task[FitMarkers], rig: Rig, face: Face) -> GaussianPrior:
     """Return the prior that was asked for; raises ``markers.prior`` where there is none."""
-    given, layout = task.options, face.layout
+    given = task.options
+    layout = face.layout
     kind = given.prior
     if kind == "none":
         return prior.from_changes(layout, [], prior.LOOSE)

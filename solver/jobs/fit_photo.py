@@ -55,7 +55,8 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     :class:`~solver.errors.InputError`: ``photo.*``, ``film.*``, ``tracks.*``, ``rig.*``,
     ``landmarks.*`` where they have to be found.
     """
-    given, progress = task.options, task.progress
+    given = task.options
+    progress = task.progress
     if "film" in task.inputs and not given.sequence:
         raise InputError(
             "options.sequence", "a film is given, which is fitted by sequence: ask for it"
@@ -64,19 +65,22 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     progress(Step("read", 0.0, message=what))
     template = read_template(task)
     rig = Rig.load(task.inputs)
-    model, linear = rig.model, given.linear_solver or fastest()
+    model = rig.model
+    linear = given.linear_solver or fastest()
     tracks = MuscleTracks.load(task.inputs["tracks"], model)
     if given.sequence:
         face = rig.face(linear)
         check_held(face)
-        driven, film = _face(given, rig, tracks, linear), FilmOptions(_options(given))
+        driven = _face(given, rig, tracks, linear)
+        film = FilmOptions(_options(given))
         return fit_film(task, driven, face, template, film)
     photos, findings = read_faces(task, template, given.boxes)
     moments = _moments(given, photos)
     points = landmark_points(template)
     face = rig.face(linear)
     check_held(face)
-    letter, driven = LETTERS[given.model], _face(given, rig, tracks, linear)
+    letter = LETTERS[given.model]
+    driven = _face(given, rig, tracks, linear)
     log = fits.WarningLog(model, progress)
     begun = time.perf_counter()
     fitter = _Fitter(driven, points, _options(given))
@@ -84,9 +88,11 @@ def run(task: Task[FitPhoto]) -> list[Path]:
     if given.neutral:
         findings[given.neutral] += find_closed_eyes(given.neutral, photos[given.neutral].landmarks)
         look = read_neutral(driven, photos[given.neutral], points, fitter.options)
-        points, fitter = look.points, replace(fitter, points=look.points)
+        points = look.points
+        fitter = replace(fitter, points=look.points)
         lights = dict.fromkeys(photos, look.appearance) if look.appearance else {}
-    fitted, shown = [], {}
+    fitted = []
+    shown = {}
     for number, (name, taken) in enumerate(moments.items()):
         part = fits.Span(0.1, 0.5).part(number, len(moments))
         listen = log.listener(SYSTEMS[letter].replace(" ", "_"), name, part, given.max_iterations)
@@ -124,7 +130,8 @@ def run(task: Task[FitPhoto]) -> list[Path]:
 
 def _moments(given: FitPhoto, photos: Mapping[str, Photo]) -> dict[str, list[str]]:
     """Return the names of each moment's photographs by the expression they show."""
-    known, seen = quote_names(sorted(photos)), set[str]()
+    known = quote_names(sorted(photos))
+    seen = set[str]()
     for name, taken in given.moments.items():
         for each in taken:
             if each not in photos:

@@ -67,7 +67,9 @@ class PerformanceFitter(FrameFitter[Fitted]):
     """Fits and draws frames ``numbers``: all as a skin, a few as a shot."""
 
     def __init__(self, source: Performance, model: SubjectModel, numbers: range) -> None:
-        self._source, self._model, self._numbers = source, model, numbers
+        self._source = source
+        self._model = model
+        self._numbers = numbers
         self.skin = AnimatedSkin(model.skin)
         last = len(numbers) - 1
         self._shown = set(np.linspace(0, last, MOST_SHOTS).round().astype(int).tolist())
@@ -97,7 +99,8 @@ class PerformanceFitter(FrameFitter[Fitted]):
         with suppress(SolveError):  # out of reach: the next frame begins where this one did
             self.go_to(frame)
         if position in self._shown:
-            scan, head = self._source.frame(frame.frame), small_motion(frame.head)
+            scan = self._source.frame(frame.frame)
+            head = small_motion(frame.head)
             self._target = self.target_of(head.inverse()(scan.vertices), scan.confidence)
 
     @override
@@ -127,7 +130,9 @@ class MuscleFitter(PerformanceFitter[SequenceFrame]):
         self, source: Performance, points: DensePoints, numbers: range, known: KnownFrames
     ) -> None:
         super().__init__(source, points.face.model, numbers)
-        self._points, self._known, self._tracker = points, known, Tracker(points)
+        self._points = points
+        self._known = known
+        self._tracker = Tracker(points)
 
     @override
     def read(self, folder: Path) -> list[SequenceFrame]:
@@ -145,7 +150,8 @@ class MuscleFitter(PerformanceFitter[SequenceFrame]):
     @override
     def step(self, seen: SeenPoints, number: int) -> tuple[SequenceFrame, Target | None]:
         found = self._tracker.step(replace(seen, known=self._known.at(number)))
-        face, pose = self._points.face, found.state.pose
+        face = self._points.face
+        pose = found.state.pose
         figures = _figures(found, face, found.state.x)
         inverted = face.flesh.count_inverted(found.state.x)
         jaw = face.five_jaw_numbers(pose.b).round(DECIMALS)
@@ -174,7 +180,8 @@ class ShapeFitter(PerformanceFitter[ShapeFrame]):
         numbers: range,
     ) -> None:
         super().__init__(source, face.model, numbers)
-        self._face, self._points = face, points
+        self._face = face
+        self._points = points
         self._tracker = ShapeTracker(face, points, options)
 
     @override
@@ -217,7 +224,8 @@ def _figures(fit: DenseFit[Any], face: Face, x: Floats) -> dict[str, Any]:
 
 def _shot(frame: SequenceFrame, skin: Floats, target: Target, vertices: Ints) -> SequenceShot:
     """Return a frame to be drawn, with the whole skin (v, 3) and what was seen of its face."""
-    seen, error = skin.copy(), np.full(len(skin), np.nan)
+    seen = skin.copy()
+    error = np.full(len(skin), np.nan)
     error[vertices] = target.distances(skin[vertices])
     visible = np.isfinite(error[vertices])
     seen[vertices[visible]] = target.points[visible]
@@ -232,7 +240,9 @@ def run(task: Task[FitSequence]) -> list[Path]:
     frame that cannot be fitted keeps the pose before it. Raises :class:`InputError` for what
     cannot be used, ``sequence.nothing`` if no frame could be fitted.
     """
-    given, out, progress = task.options, task.out, task.progress
+    given = task.options
+    out = task.out
+    progress = task.progress
     performance = task.inputs["performance"]
     progress(Step("read", 0.0, message=performance.name))
     rig = Rig.load(task.inputs)

@@ -37,10 +37,12 @@ def run(task: Task[FitTracks]) -> list[Path]:
     The rig's expressions are carried over in all systems; a new capture of the same name replaces
     the old. Raises :class:`~solver.errors.InputError`: ``tracks.*``, ``scan.*``, ``rig.*``.
     """
-    given, progress = task.options, task.progress
+    given = task.options
+    progress = task.progress
     progress(Step("read", 0.0, message=f"{len(task.captures)} scans"))
     rig = Rig.load(task.inputs)
-    model, linear = rig.model, given.linear_solver or fastest()
+    model = rig.model
+    linear = given.linear_solver or fastest()
     scans = fits.read_scans(model, task.captures)
     tracks = MuscleTracks.load(task.inputs["tracks"], model)
     face = rig.face(linear)
@@ -49,7 +51,8 @@ def run(task: Task[FitTracks]) -> list[Path]:
     log.warn(
         0.02, [*before_fit(model, scans), *([] if given.muscles else _other_scans(rig, scans))]
     )
-    parent, seconds = rig, dict(rig.seconds)
+    parent = rig
+    seconds = dict(rig.seconds)
     targets = fits.Targets(model, given.distance).of_scans(scans)
     if given.muscles:
         begin = time.perf_counter()
@@ -62,7 +65,8 @@ def run(task: Task[FitTracks]) -> list[Path]:
         faces["B"] = PlainFace(model, tracks)
     systems = fits.carried_systems(rig, scans)
     for number, (letter, driven) in enumerate(faces.items()):
-        begin, span = time.perf_counter(), fits.Span(0.2, 0.5).part(number, len(faces))
+        begin = time.perf_counter()
+        span = fits.Span(0.2, 0.5).part(number, len(faces))
         found = _fit_system(driven, SYSTEMS[letter], scans, targets, given, log.branch(), span)
         systems[letter] = systems[letter].replaced(found) if letter in systems else found
         seconds[SYSTEMS[letter]] = time.perf_counter() - begin

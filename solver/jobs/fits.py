@@ -251,7 +251,8 @@ class Targets:
     """
 
     def __init__(self, model: SubjectModel, distance: Distance) -> None:
-        self._face, self._distance = model.face, distance
+        self._face = model.face
+        self._distance = distance
         self._triangles = model.face_triangles
 
     def of_scans(self, scans: Mapping[str, RegisteredScan]) -> dict[str, Target]:

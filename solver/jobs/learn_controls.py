@@ -27,7 +27,9 @@ from solver.rig import Rig
 from solver.storage import write_json
 from solver.surface import Floats
 
-READ, SOLVED, LEARNED = 0.02, 0.9, 0.97  # parts of the job after which it is so far
+READ = 0.02  # share of the job after which its inputs are read
+SOLVED = 0.9  # share after which the pairs are solved
+LEARNED = 0.97  # share after which the maps are learned
 
 
 def run(task: Task[LearnControls]) -> list[Path]:
@@ -36,14 +38,17 @@ def run(task: Task[LearnControls]) -> list[Path]:
     Pairs of an earlier job, or of an attempt before, count. Raises ``blendshapes.none``,
     ``control_pairs.*`` and ``controls.few``, besides what reading a rig raises.
     """
-    given, out, progress = task.options, task.out, task.progress
+    given = task.options
+    out = task.out
+    progress = task.progress
     progress(Step("read", 0.0, message=task.inputs["rig"].name))
     begin = time.perf_counter()
     rig = Rig.load(task.inputs)
     motions = driven_motions(rig.model, read_template(task).shapes)
     face = rig.face(fastest())
     check_held(face)
-    kept, names = out / PAIRS_FILE, tuple(motions)
+    kept = out / PAIRS_FILE
+    names = tuple(motions)
     walks = Walks(face, Mixtures(names), np.array([*motions.values()]), given.seed)
 
     def tell(count: int) -> None:
@@ -105,7 +110,8 @@ def draw_worst(face: Face, learned: Learned, pairs: Pairs, path: Path) -> None:
 
     They are from the middle one by its error to the worst, and simulated without contact.
     """
-    model, unseen = face.model, learned.unseen
+    model = face.model
+    unseen = learned.unseen
     order = np.argsort(learned.off_mm)
     shown = dict.fromkeys(int(order[round(part * (len(order) - 1))]) for part in SHOWN)
     head = DrawnHead(model.skin)
@@ -115,7 +121,8 @@ def draw_worst(face: Face, learned: Learned, pairs: Pairs, path: Path) -> None:
     for row in shown:
         weights = unseen.weights[row]
         exact = np.asarray(pairs.modes.expand(unseen.skins[row]), float)
-        bodies, words = [head.body(head.lit(exact))], []
+        bodies = [head.body(head.lit(exact))]
+        words = []
         for pose in (learned.controls.pose(weights), blend.pose(weights)):
             skin = simulate(face, pose)
             error = np.full(len(skin), np.nan)

@@ -43,13 +43,15 @@ class TakeDrawing:
     """Collects frames for the animation and for the page."""
 
     def __init__(self, markers: Markers, source: BoundTake, muscles: Sequence[str]) -> None:
-        self._markers, self._source = markers, source
+        self._markers = markers
+        self._source = source
         self.skin = AnimatedSkin(markers.face.model.skin)
         self.view = MarkerView(source.labels, muscles)
 
     def add(self, frame: MarkerFrame, x: Floats) -> None:
         """Take a frame whose flesh is at ``x`` (p, 3)."""
-        face, places = self._markers.face, self._markers.places
+        face = self._markers.face
+        places = self._markers.places
         self.skin.add(frame, face.whole_skin(x, pose_of(face, frame).b))
         self.view.add(frame, places.at(x), self._source.points(frame.frame))
 
@@ -73,7 +75,9 @@ class TakeFitter(FrameFitter[MarkerFrame]):
         known: KnownFrames,
     ) -> None:
         self.chunks = ChunkOptions(frames, np.inf)
-        self._tracker, self._source, self._drawing = tracker, source, drawing
+        self._tracker = tracker
+        self._source = source
+        self._drawing = drawing
         self._known = known
         text = json.dumps(about, sort_keys=True)
         self._about = hashlib.sha256(text.encode()).hexdigest()
@@ -81,7 +85,8 @@ class TakeFitter(FrameFitter[MarkerFrame]):
 
     @override
     def read(self, folder: Path) -> list[MarkerFrame]:
-        shape, layout = self._tracker.face.rest_pose().a.shape, self._tracker.face.layout
+        shape = self._tracker.face.rest_pose().a.shape
+        layout = self._tracker.face.layout
 
         def take(values: Mapping[str, Any], _frames: Sequence[MarkerFrame]) -> None:
             self._stored = values["state"]
@@ -105,8 +110,10 @@ class TakeFitter(FrameFitter[MarkerFrame]):
 
     @override
     def fit(self, number: int) -> MarkerFrame:
-        start, source = time.perf_counter(), self._source
-        points, free = source.points(number), source.unlabelled_points(number)
+        start = time.perf_counter()
+        source = self._source
+        points = source.points(number)
+        free = source.unlabelled_points(number)
         known = self._known.markers_term(number)
         fit = self._tracker.step(SeenMarkers(points, free, source.sigma(number), known))
         status: Status = "kept" if fit.kept else "predicted" if fit.predicted else "fitted"
@@ -123,7 +130,8 @@ class TakeFitter(FrameFitter[MarkerFrame]):
     @override
     def beside(self) -> dict[str, Any]:
         """Return all that the next frame begins with, exactly."""
-        state, memory = self._tracker.state, self._tracker.memory
+        state = self._tracker.state
+        memory = self._tracker.memory
         assert memory is not None, "a frame was fitted"
         rigid = np.vstack([memory.head.motion.rotation, memory.head.motion.shift[None]])
         parts = {
@@ -140,7 +148,8 @@ class TakeFitter(FrameFitter[MarkerFrame]):
     @override
     def begin_file(self) -> None:
         """Go on from the last file, in the same way whether it was read or written."""
-        stored, face = self._stored, self._tracker.face
+        stored = self._stored
+        face = self._tracker.face
         controls = unpack(stored["controls"], "<f8", 1).ravel()
         rigid = unpack(stored["head"], "<f8")
         head = HeadPrior(
@@ -157,7 +166,8 @@ class TakeFitter(FrameFitter[MarkerFrame]):
 
 def _frame(number: int, status: Status, fit: MarkerFit, face: Face, seconds: float) -> MarkerFrame:
     """Return the record of a fitted frame."""
-    pose, judged = fit.state.pose, fit.judged
+    pose = fit.state.pose
+    judged = fit.judged
     off = fit.residual_mm
     return MarkerFrame(
         frame=number,
@@ -181,7 +191,8 @@ def _frame(number: int, status: Status, fit: MarkerFit, face: Face, seconds: flo
 
 def _pose_values(face: Face, pose: Pose) -> dict[str, Any]:
     """Return what a frame holds of a pose."""
-    mandible, on_tracks = face.jaw.matrix(pose.b), not face.joint.is_free
+    mandible = face.jaw.matrix(pose.b)
+    on_tracks = not face.joint.is_free
     return {
         "activations": pose.a.round(DECIMALS),
         "jaw": face.five_jaw_numbers(pose.b).round(DECIMALS),
@@ -192,7 +203,8 @@ def _pose_values(face: Face, pose: Pose) -> dict[str, Any]:
 
 def pose_of(face: Face, frame: MarkerFrame) -> Pose:
     """Return the pose that a frame holds, within the face's bounds whatever was rounded."""
-    layout, b = face.layout, frame.tracks if frame.tracks.size else frame.jaw
+    layout = face.layout
+    b = frame.tracks if frame.tracks.size else frame.jaw
     return Pose.of(layout, layout.bounds.clip(layout.join([frame.activations, b])))
 
 
@@ -204,7 +216,9 @@ def smooth_frames(
     show: Callable[[MarkerFrame, Floats], None],
 ) -> list[MarkerFrame]:
     """Return the frames after a sweep back; ``show`` gets each with its flesh."""
-    face, layout, found = markers.face, markers.face.layout, []
+    face = markers.face
+    layout = markers.face.layout
+    found = []
     traced = [
         TracedFrame(
             pose_of(face, each),
@@ -215,7 +229,8 @@ def smooth_frames(
         )
         for each in frames
     ]
-    swept, tracker = smooth(markers, traced), Tracker(markers)
+    swept = smooth(markers, traced)
+    tracker = Tracker(markers)
     for frame, after in zip(frames, swept, strict=True):
         pose = face.rest_pose().add(after.controls - layout.rest)
         with suppress(SolveError):  # out of reach: as the frame beside it
@@ -232,7 +247,8 @@ def _smooth_frame(
     seen = source.points(frame.frame)
     states = np.array(frame.marker_state)
     own = (states == "seen") & np.isfinite(seen).all(axis=1)
-    weights, head = frame.marker_weight * own, small_motion(frame.head)
+    weights = frame.marker_weight * own
+    head = small_motion(frame.head)
     placed = markers.place(state, seen, weights, head, source.sigma(frame.frame))
     off = np.linalg.norm(placed.points - seen, axis=1)
     # a label that was given another's point has the one next to its marker
@@ -295,7 +311,8 @@ class MarkerView:
     """Collects frames of k markers and m muscles, to be written together."""
 
     def __init__(self, labels: Sequence[str], muscles: Sequence[str]) -> None:
-        self._labels, self._muscles = list(labels), list(muscles)
+        self._labels = list(labels)
+        self._muscles = list(muscles)
         self._places: list[Floats] = []
         self._off: list[Floats] = []
         self._frames: list[MarkerFrame] = []

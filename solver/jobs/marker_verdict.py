@@ -170,13 +170,15 @@ def _regions_off(labels: Sequence[str], off: Floats, limits: FitLimits) -> list[
     far = {}
     for region in sorted(set(groups.tolist()) - {""}):
         own = groups == region
-        mine, others = rms_of_seen(off[:, own]), rms_of_seen(off[:, ~own])
+        mine = rms_of_seen(off[:, own])
+        others = rms_of_seen(off[:, ~own])
         least = min(own.sum(), (~own).sum())
         if least >= limits.least_at_once and mine > max(limits.off, limits.region * others):
             far[region] = mine, others
     findings = []
     for region, (mine, others) in sorted(far.items(), key=lambda each: -each[1][0]):
-        count, where = int((groups == region).sum()), region.replace("_", " ")
+        count = int((groups == region).sum())
+        where = region.replace("_", " ")
         words = (
             f"The {where} is not followed: its {count} markers are {mine:.1f} mm off, the others "
             f"{others:.1f} mm (root mean square)."
@@ -214,7 +216,8 @@ def _add(code: str, severity: Severity, message: str, **context: Any) -> Finding
 
 
 def _words(spans: list[list[int]]) -> str:
-    first, last = spans[0][0], spans[-1][1]
+    first = spans[0][0]
+    last = spans[-1][1]
     return f"frame {first}" if first == last else f"frames {first} to {last}"
 
 

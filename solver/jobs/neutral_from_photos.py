@@ -32,14 +32,16 @@ def run(task: Task[NeutralFromPhotos]) -> list[Path]:
     Raises :class:`~solver.errors.InputError`: ``photo.*``, ``landmarks.*`` where they have to be
     found.
     """
-    given, progress = task.options, task.progress
+    given = task.options
+    progress = task.progress
     progress(Step("read", 0.0, message=f"{len(task.captures)} photographs"))
     if len(task.captures) > MOST_PHOTOS:
         message = f"{len(task.captures)} photographs are given: a neutral is made of {MOST_PHOTOS}"
         raise InputError("photo.too_many", message, expected=MOST_PHOTOS)
     template = read_template(task)
     named, findings = read_faces(task, template, given.boxes)
-    photos, points = [*named.values()], landmark_points(template)
+    photos = [*named.values()]
+    points = landmark_points(template)
     progress(Step("fit", 0.2))
     found = fit_identity(template, photos, points, _options(given))
     progress(Step("pictures", 0.9))

@@ -35,7 +35,8 @@ def run(task: Task[NextScan]) -> list[Path]:
     Raises :class:`solver.errors.InputError` as :func:`solver.rig.next_scan.library_targets`, and
     :class:`solver.errors.SolveError` (``fit.failed``) where no expression can be fitted.
     """
-    given, progress = task.options, task.progress
+    given = task.options
+    progress = task.progress
     progress(Step("read", 0.0, message=task.inputs["rig"].name))
     begin = time.perf_counter()
     rig = Rig.load(task.inputs)

@@ -24,8 +24,10 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     vertices in mm with the property ``confidence``. Raises :class:`solver.errors.InputError` for
     files that cannot be used and for a scan without a face (``scan.not_a_face``).
     """
-    scan, progress = task.inputs["scan"], task.progress
-    neutral, landmarks = task.inputs.get("neutral"), task.inputs.get("landmarks")
+    scan = task.inputs["scan"]
+    progress = task.progress
+    neutral = task.inputs.get("neutral")
+    landmarks = task.inputs.get("landmarks")
     progress(Step("read", 0.0, message=scan.name))
     anatomy = read_template(task)
     skin = anatomy.skin

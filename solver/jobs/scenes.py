@@ -63,7 +63,8 @@ def fingerprint(task: Task[Any]) -> str:
 
 
 CHUNKS = ChunkOptions(frames=10)
-READ, EXPORT = 0.02, 0.9  # parts of a job after which its files are read, and those left written
+READ = 0.02  # share of a job after which its inputs are read
+EXPORT = 0.9  # share after which its files are written
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,8 @@ def play(
             motion = beside.motion = stepped.motion
             drive = goal
             chunks.add(done[-1])
-            part, words = (number + 1) / len(times), f"frame {number + 1} of {len(times)}"
+            part = (number + 1) / len(times)
+            words = f"frame {number + 1} of {len(times)}"
             progress(Step("simulate", part, number + 1, stepped.residual, message=words))
     finally:
         chunks.flush()
@@ -140,7 +142,8 @@ def finish(
     ``animation.npz``.
     """
     progress(Step("export", EXPORT))
-    model, arrays = stage.model, dict(arrays)
+    model = stage.model
+    arrays = dict(arrays)
     if stage.tracks is not None:
         lines = stage.tracks.lines
         arrays["lengths"] = np.array([lines.lengths(model.rest + frame.moved) for frame in frames])
@@ -179,7 +182,8 @@ def _reach(stage: Stage, motion: FleshMotion, drive: Drive | None, goal: Drive) 
     between = [stage.drive(moment, stage.drives(moment)) for moment in moments]
     for target in [*between, goal]:
         stepped = stage.simulator.step(motion, drive, target)
-        motion, drive = stepped.motion, target
+        motion = stepped.motion
+        drive = target
         iterations += stepped.iterations
         halvings += stepped.halvings
     spent = time.perf_counter() - begun
@@ -218,7 +222,9 @@ class _Beside:
         motion: FleshMotion,
         options: PictureOptions = PictureOptions(),
     ) -> None:
-        self._scene, self._stage, self._options = scene, stage, options
+        self._scene = scene
+        self._stage = stage
+        self._options = options
         self._pictured = -np.inf
         self._filming = Filming(stage.model)
         self.motion = motion

@@ -68,7 +68,8 @@ def fit_frames(
     Raises :class:`InputError`: ``sequence.resume`` where these are others, ``sequence.nothing`` if
     no frame could be fitted.
     """
-    folder, progress = task.out / FRAMES, task.progress
+    folder = task.out / FRAMES
+    progress = task.progress
     if not task.resume:
         shutil.rmtree(folder, ignore_errors=True)
     done = fitter.read(folder)
@@ -110,7 +111,9 @@ class KnownFrames:
     """
 
     def __init__(self, task: Task[Any], muscles: FaceMuscles, frames: range, rate: float) -> None:
-        self._muscles, self._first, self._rate = muscles, frames.start, rate
+        self._muscles = muscles
+        self._first = frames.start
+        self._rate = rate
         self._course: KnownCourse | None = None
         if "activations" in task.inputs:
             table = read_known(task.inputs["activations"], muscles.names)
@@ -204,7 +207,8 @@ def _part(count: int, total: int) -> float:
 
 def _steps(frame: SequenceFrame, count: int, total: int) -> list[Step]:
     """Return the progress that a fitted frame is, after a warning where there is something odd."""
-    done, warnings = _part(count, total), []
+    done = _part(count, total)
+    warnings = []
     if frame.status in ("kept", "unseen"):
         why = "hardly any of the face is seen" if frame.status == "unseen" else "it does not settle"
         warnings.append(f"frame {frame.frame} keeps the pose of the frame before: {why}")

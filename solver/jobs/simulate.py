@@ -40,7 +40,9 @@ def run(task: Task[Simulate]) -> list[Path]:
     does not fit the person, ``options.video`` where there is no codec, and
     :class:`~solver.errors.SolveError` (``simulate.*``) where the flesh finds no way on.
     """
-    given, out, progress = task.options, task.out, task.progress
+    given = task.options
+    out = task.out
+    progress = task.progress
     if given.video:
         check_video()
     rig, places = read_person(task)
@@ -57,7 +59,8 @@ def _by_muscles(task: Task[Simulate], rig: Rig, places: Places) -> tuple[Stage, 
     poses = {fit.name: Pose(fit.activations, fit.jaw) for fit in rig.expressions}
     file = task.inputs.get("fibre_muscles")
     known = None if file is None else read_muscles(file, rig.model)
-    parts, limits = (given.scene, poses), rig.limits
+    parts = (given.scene, poses)
+    limits = rig.limits
     performances = performances_of(*parts, places, rig.weights, known, limits)
     fibres = moving_fibres(given.scene, performances, known)
     names = None if fibres is None else strip_names(rig.model.muscle_names, fibres)
@@ -83,5 +86,6 @@ def _by_tracks(task: Task[Simulate], rig: Rig, places: Places) -> tuple[Stage, d
 
 def _told(played: PlayedPerformance | PlayedShapes) -> dict[str, Any]:
     """Return the figures of a performance."""
-    times, bridged = len(played.times), played.bridged.tolist()
+    times = len(played.times)
+    bridged = played.bridged.tolist()
     return {"asset": played.entry.asset, "frames": times, "bridged": bridged}

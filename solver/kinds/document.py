@@ -158,7 +158,8 @@ def _choice(path: list[str | int], detail: ErrorDetails) -> tuple[list[str | int
 
 
 def _sentence(detail: ErrorDetails) -> str:
-    kind, value = detail["type"], detail["input"]
+    kind = detail["type"]
+    value = detail["input"]
     if value != value:
         return f"{value} is not a number"
     if kind in _TYPES:

@@ -61,8 +61,11 @@ MOST_DIRECTORY_BYTES = 1 << 20  # of a ZIP's list of members; each takes about a
 
 # The end of a ZIP's directory, and the locator of the end that large archives have besides.
 END_OF_DIRECTORY = struct.Struct("<4s4H2LH")
-FIRST_MAGIC, END_MAGIC, LARGE_MAGIC = b"PK\3\4", b"PK\5\6", b"PK\6\7"
-LARGE_SIZE, LONGEST_COMMENT = 20, 1 << 16  # bytes
+FIRST_MAGIC = b"PK\3\4"
+END_MAGIC = b"PK\5\6"
+LARGE_MAGIC = b"PK\6\7"
+LARGE_SIZE = 20  # bytes of ZIP64's locator
+LONGEST_COMMENT = 1 << 16  # bytes
 ENCRYPTED = 1  # the bit of a member's flags
 
 

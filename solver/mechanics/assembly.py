@@ -52,7 +52,8 @@ class BlockSum:
     def __init__(self, numbers: Ints, count: int, into: BlockSum | None = None) -> None:
         u, v = np.triu_indices(numbers.shape[1])
         ends = numbers[:, np.stack([u, v])].transpose(1, 0, 2).reshape(2, -1)
-        low, high = ends.min(axis=0), ends.max(axis=0)
+        low = ends.min(axis=0)
+        high = ends.max(axis=0)
         free = np.flatnonzero(low >= 0)
         keys = low[free] * count + high[free]
         entries, entry = np.unique(keys, return_inverse=True)
@@ -61,7 +62,8 @@ class BlockSum:
         self._turned = ends[0, self._blocks] > ends[1, self._blocks]
         rows, columns = np.divmod(entries, count)
         if into:
-            self.graph, self.pattern = into.graph, into.pattern
+            self.graph = into.graph
+            self.pattern = into.pattern
         else:
             upper = sp.csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
             self.graph = sp.csr_array(upper + upper.T)
@@ -80,7 +82,8 @@ class BlockSum:
 
     def __call__(self, blocks: Floats) -> sp.csr_array:
         """Return the sum of ``blocks`` (n, PAIRS, 3, 3), those of the pairs u <= v of each tet."""
-        pattern, data = self.pattern, np.zeros(len(self.pattern.indices))
+        pattern = self.pattern
+        data = np.zeros(len(self.pattern.indices))
         self.add(blocks, data)
         return sp.csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
 
@@ -147,7 +150,8 @@ def _add_blocks(
         for k in range(first[entry], first[entry + 1]):
             block = _load(blocks[members[k]], 0, 3)
             total = add(total, transpose(block) if turned[k] else block)
-        place, length = slots[entry, 0], lengths[entry, 0]
+        place = slots[entry, 0]
+        length = lengths[entry, 0]
         total = add(total, _load(data, place, length))
         _store(total, data, place, length)
         _store(transpose(total), data, slots[entry, 1], lengths[entry, 1])
@@ -156,7 +160,9 @@ def _add_blocks(
 @nb.njit(cache=True, forceinline=True)
 def _load(data: Floats, place: int, length: int) -> Matrix:
     """Return the matrix whose rows lie so far apart in ``data``, from ``place`` on."""
-    a, b, c = data[place:], data[place + length :], data[place + 2 * length :]
+    a = data[place:]
+    b = data[place + length :]
+    c = data[place + 2 * length :]
     return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
 
 

@@ -20,7 +20,8 @@ def rotation(axis: Floats, angle: float) -> tuple[Floats, Floats]:
     """Return the rotation about a unit axis (Rodrigues) and its derivative by the angle."""
     across = skew(axis)
     square = across @ across
-    sine, cosine = np.sin(angle), np.cos(angle)
+    sine = np.sin(angle)
+    cosine = np.cos(angle)
     return np.eye(3) + sine * across + (1 - cosine) * square, cosine * across + sine * square
 
 
@@ -73,7 +74,8 @@ def five_numbers(frame: JawFrame, motion: Floats) -> Floats:
     tracks, as it does where these are straight.
     """
     turned = frame.turning @ motion[:3, :3] @ frame.turning.T
-    hinge, side = np.arctan2(-turned[1, 2], turned[1, 1]), np.arctan2(-turned[2, 0], turned[0, 0])
+    hinge = np.arctan2(-turned[1, 2], turned[1, 1])
+    side = np.arctan2(-turned[2, 0], turned[0, 0])
     place = motion[:3, :3] @ frame.origin + motion[:3, 3] - frame.origin
     return np.concatenate([[hinge, side], frame.axes @ place])
 
@@ -94,9 +96,11 @@ class FreeJaw(JawMotion):
 
     @override
     def matrix(self, b: Floats) -> Floats:
-        out, R = np.eye(4), jaw_rotation(self.frame, b)
+        out = np.eye(4)
+        R = jaw_rotation(self.frame, b)
         origin = self.frame.origin
-        out[:3, :3], out[:3, 3] = R, origin + b[2:] @ self.frame.axes - R @ origin
+        out[:3, :3] = R
+        out[:3, 3] = origin + b[2:] @ self.frame.axes - R @ origin
         return out
 
 

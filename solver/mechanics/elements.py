@@ -40,10 +40,19 @@ class Elements(NamedTuple):
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def deformation_gradient(x: Floats, tet: Ints, N: Floats) -> Matrix:
     """Return F = sum_v x_v (grad N_v)^T of one tet."""
-    o, p, q, r = tet[0], tet[1], tet[2], tet[3]
-    ax, ay, az = x[p, 0] - x[o, 0], x[p, 1] - x[o, 1], x[p, 2] - x[o, 2]
-    bx, by, bz = x[q, 0] - x[o, 0], x[q, 1] - x[o, 1], x[q, 2] - x[o, 2]
-    cx, cy, cz = x[r, 0] - x[o, 0], x[r, 1] - x[o, 1], x[r, 2] - x[o, 2]
+    o = tet[0]
+    p = tet[1]
+    q = tet[2]
+    r = tet[3]
+    ax = x[p, 0] - x[o, 0]
+    ay = x[p, 1] - x[o, 1]
+    az = x[p, 2] - x[o, 2]
+    bx = x[q, 0] - x[o, 0]
+    by = x[q, 1] - x[o, 1]
+    bz = x[q, 2] - x[o, 2]
+    cx = x[r, 0] - x[o, 0]
+    cy = x[r, 1] - x[o, 1]
+    cz = x[r, 2] - x[o, 2]
     return (
         ax * N[1, 0] + bx * N[2, 0] + cx * N[3, 0],
         ax * N[1, 1] + bx * N[2, 1] + cx * N[3, 1],
@@ -136,11 +145,15 @@ def hessian_blocks(mesh: Elements, x: Floats, a: Floats, project: float, out: Fl
     A mode W w^T of the Hessian by F contributes V (W grad N_u) (w grad N_v)^T; ``project`` says how
     far the modes are projected (:func:`solver.mechanics.laws.hessian_modes`).
     """
-    n, N = len(mesh.tets), mesh.N
+    n = len(mesh.tets)
+    N = mesh.N
     for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
         modes = empty_modes()
-        left, right = modes.left, modes.right
-        p, q, K = np.empty((MOST_MODES, 9)), np.empty((MOST_MODES, 9)), np.empty((9, 9))
+        left = modes.left
+        right = modes.right
+        p = np.empty((MOST_MODES, 9))
+        q = np.empty((MOST_MODES, 9))
+        K = np.empty((9, 9))
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
             F = deformation_gradient(x, mesh.tets[e], N[e])
             count, B, H = laws.hessian_modes(
@@ -149,7 +162,9 @@ def hessian_blocks(mesh: Elements, x: Floats, a: Floats, project: float, out: Fl
             V = mesh.volume[e]
             for k in range(count):
                 for v in range(3):
-                    n0, n1, n2 = N[e, v + 1, 0], N[e, v + 1, 1], N[e, v + 1, 2]
+                    n0 = N[e, v + 1, 0]
+                    n1 = N[e, v + 1, 1]
+                    n2 = N[e, v + 1, 2]
                     for i in range(3):
                         j = 3 * i
                         p[k, 3 * v + i] = V * (
@@ -166,7 +181,9 @@ def hessian_blocks(mesh: Elements, x: Floats, a: Floats, project: float, out: Fl
                     for c in range(9):
                         K[r, c] += scale * q[k, c]
             for v in range(3):
-                n0, n1, n2 = V * N[e, v + 1, 0], V * N[e, v + 1, 1], V * N[e, v + 1, 2]
+                n0 = V * N[e, v + 1, 0]
+                n1 = V * N[e, v + 1, 1]
+                n2 = V * N[e, v + 1, 2]
                 b0 = B[0] * n0 + B[1] * n1 + B[2] * n2
                 b1 = B[1] * n0 + B[3] * n1 + B[4] * n2
                 b2 = B[2] * n0 + B[4] * n1 + B[5] * n2
@@ -188,13 +205,15 @@ def add_cofactor_derivative(F: Matrix, N: Floats, scale: float, K: Floats) -> No
     """
     for u in range(2):
         for v in range(u + 1, 3):
-            g, h = N[u + 1], N[v + 1]
+            g = N[u + 1]
+            h = N[v + 1]
             x0 = g[1] * h[2] - g[2] * h[1]
             x1 = g[2] * h[0] - g[0] * h[2]
             x2 = g[0] * h[1] - g[1] * h[0]
             for k in range(3):
                 value = scale * (F[3 * k] * x0 + F[3 * k + 1] * x1 + F[3 * k + 2] * x2)
-                i, j = (k + 1) % 3, (k + 2) % 3
+                i = (k + 1) % 3
+                j = (k + 2) % 3
                 K[3 * u + i, 3 * v + j] += value
                 K[3 * u + j, 3 * v + i] -= value
 
@@ -204,10 +223,18 @@ def spread(K: Floats, out: Floats) -> None:
     """Write the blocks ``out`` (PAIRS, 3, 3) from the upper ones of vertices 1 to 3, (9, 9)."""
     for i in range(3):
         for j in range(3):
-            b11, b12, b13 = K[i, j], K[i, 3 + j], K[i, 6 + j]
-            b22, b23, b33 = K[3 + i, 3 + j], K[3 + i, 6 + j], K[6 + i, 6 + j]
-            b21, b31, b32 = K[j, 3 + i], K[j, 6 + i], K[3 + j, 6 + i]
-            b01, b02, b03 = -b11 - b21 - b31, -b12 - b22 - b32, -b13 - b23 - b33
+            b11 = K[i, j]
+            b12 = K[i, 3 + j]
+            b13 = K[i, 6 + j]
+            b22 = K[3 + i, 3 + j]
+            b23 = K[3 + i, 6 + j]
+            b33 = K[6 + i, 6 + j]
+            b21 = K[j, 3 + i]
+            b31 = K[j, 6 + i]
+            b32 = K[3 + j, 6 + i]
+            b01 = -b11 - b21 - b31
+            b02 = -b12 - b22 - b32
+            b03 = -b13 - b23 - b33
             out[1, i, j] = b01
             out[2, i, j] = b02
             out[3, i, j] = b03
@@ -226,12 +253,15 @@ def spread(K: Floats, out: Floats) -> None:
 @nb.njit(cache=True, parallel=True, error_model="numpy")
 def forces_by_activation(mesh: Elements, x: Floats, a: Floats, out: Floats) -> None:
     """Fill ``out`` (n, 4, 3, 6): the nodal forces' derivative by the tet's activation a."""
-    n, N = len(mesh.tets), mesh.N
+    n = len(mesh.tets)
+    N = mesh.N
     for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
-        modes, D = empty_modes(), np.empty((6, 9))
+        modes = empty_modes()
+        D = np.empty((6, 9))
         for e in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
             F = deformation_gradient(x, mesh.tets[e], N[e])
-            A, moduli = activation(a[e]), moduli_of(mesh, e)
+            A = activation(a[e])
+            moduli = moduli_of(mesh, e)
             laws.stress_by_activation(mesh.law, F, A, moduli, modes, D)
             for i in range(3):
                 for q in range(6):

@@ -82,7 +82,8 @@ def solve_equilibrium(
     search.minimise()
     # NaN, too, is no equilibrium
     if not search.residual <= max(tolerance, options.stalled):
-        steps, residual = search.factorizations, search.residual
+        steps = search.factorizations
+        residual = search.residual
         message = f"equilibrium stopped at a residual of {residual:.1e} after {steps} steps"
         raise SolveError("solve.no_convergence", message, residual=residual)
     factor = search.factorization
@@ -111,7 +112,8 @@ def newton_predict(
     for iteration in range(options.corrections + 1):
         direction = search.direction()
         if search.factorization and np.abs(direction).max() <= options.reach_mm:
-            now, estimate = search.x, flesh.add_motion(search.x, direction)
+            now = search.x
+            estimate = flesh.add_motion(search.x, direction)
             found = Equilibrium(now, estimate, search.factorization, search.residual, iteration)
             if rough or found.minimum:
                 return _polish(energy, found, options)
@@ -141,11 +143,13 @@ def _polish(energy: Energy, now: Equilibrium, options: PredictorOptions) -> Equi
         ratio = flesh.min_jacobian_ratio(now.x, now.estimate)
         if length <= options.settled_mm or ratio < NewtonOptions.min_jacobian_ratio:
             break
-        x, gradient = now.estimate, energy.gradient(now.estimate)
+        x = now.estimate
+        gradient = energy.gradient(now.estimate)
         direction = now.factor.solve(-gradient)
         if np.abs(direction).max() > options.contraction * length:
             break
-        estimate, residual = flesh.add_motion(x, direction), energy.residual(gradient)
+        estimate = flesh.add_motion(x, direction)
+        residual = energy.residual(gradient)
         now = replace(now, x=x, estimate=estimate, residual=residual)
     return now
 
@@ -164,7 +168,8 @@ def correct(
     ``factor`` is that of a state nearby; the result has the last that served, and the residual
     before the last correction. Raises :class:`SolveError` (``solve.singular``).
     """
-    energy, accelerator = Energy(flesh, linear, a), Accelerator()
+    energy = Energy(flesh, linear, a)
+    accelerator = Accelerator()
     left = options.factorizations
     # a projected Hessian is too stiff for its corrections to tell how far it still is
     bound = options.long_mm if factor.projection == 0 else 0.0
@@ -187,7 +192,8 @@ def correct(
             return None
         if last:
             return Equilibrium(moved, moved, factor, energy.residual(gradient), number)
-        x, bound = moved, options.contraction * length
+        x = moved
+        bound = options.contraction * length
     return None
 
 

@@ -60,16 +60,20 @@ def passive_force(L: float, curve: Curve) -> Force:
     """Return Wp, fp and its slope."""
     if L <= 1.0:
         return Force(0.0, 0.0, 0.0)
-    d, k = L - 1.0, curve.growth
+    d = L - 1.0
+    k = curve.growth
     end = math.exp(k * curve.toe)
-    force, slope = curve.passive * (end - 1.0), curve.passive * k * end
+    force = curve.passive * (end - 1.0)
+    slope = curve.passive * k * end
     toe = _join(min(d, curve.toe), curve.toe, 0.0, 0.0, force, slope)
     if d <= curve.toe:
         return toe
     top = min(d, curve.straight - 1.0)
     grown = math.exp(k * top)
     energy = toe.energy + curve.passive * ((grown - end) / k - (top - curve.toe))
-    force, slope, beyond = curve.passive * (grown - 1.0), curve.passive * k * grown, d - top
+    force = curve.passive * (grown - 1.0)
+    slope = curve.passive * k * grown
+    beyond = d - top
     return Force(
         energy + force * beyond + 0.5 * slope * beyond * beyond, force + slope * beyond, slope
     )
@@ -78,8 +82,10 @@ def passive_force(L: float, curve: Curve) -> Force:
 @nb.njit(cache=True, error_model="numpy")
 def active_force(L: float, curve: Curve) -> Force:
     """Return Wa, fa and its slope; Wa is zero at L = 1."""
-    d, sign = abs(L - 1.0), 1.0 if L >= 1.0 else -1.0
-    first, last = 0.4 - curve.bend, 0.4 + curve.bend
+    d = abs(L - 1.0)
+    sign = 1.0 if L >= 1.0 else -1.0
+    first = 0.4 - curve.bend
+    last = 0.4 + curve.bend
     near = min(d, first)
     energy = near - 4.0 / 3.0 * near**3
     if d <= first:
@@ -100,7 +106,8 @@ def active_force(L: float, curve: Curve) -> Force:
 def _join(x: float, width: float, f0: float, s0: float, f1: float, s1: float) -> Force:
     """Return the cubic on [0, width] with these ends and slopes, its integral from 0 as energy."""
     rise = (f1 - f0) / width
-    second, third = (3.0 * rise - 2.0 * s0 - s1) / width, (s0 + s1 - 2.0 * rise) / width**2
+    second = (3.0 * rise - 2.0 * s0 - s1) / width
+    third = (s0 + s1 - 2.0 * rise) / width**2
     energy = x * (f0 + x * (s0 / 2.0 + x * (second / 3.0 + x * third / 4.0)))
     force = f0 + x * (s0 + x * (second + x * third))
     return Force(energy, force, s0 + x * (2.0 * second + 3.0 * x * third))
@@ -152,10 +159,12 @@ class FibreTerm(EnergyTerm):
     """The energy of fibre muscles by a (m,); its entries are the tets with muscle."""
 
     def __init__(self, flesh: Flesh, muscles: FibreMuscles, curve: Curve = CURVE) -> None:
-        self.muscles, self.curve = muscles, curve
+        self.muscles = muscles
+        self.curve = curve
         self.tets, first = np.unique(muscles.tets, return_index=True)
         self._gradients = flesh.gradients[muscles.tets]
-        self._whole, self._size = flesh.volumes[muscles.tets], flesh.rest.size
+        self._whole = flesh.volumes[muscles.tets]
+        self._size = flesh.rest.size
         self._entries = _Entries(
             np.ascontiguousarray(flesh.tets[self.tets]),
             np.append(first, len(muscles.tets)),
@@ -214,8 +223,10 @@ class FibreTerm(EnergyTerm):
 
         All fibres of a tet turn, f to f + w x f; column 3 k + i is entry i of tet k's w.
         """
-        at, a = self._at(x), controls[self.muscles.muscles]
-        force, slope = at.total(a), at.passive_slope + a * at.active_slope
+        at = self._at(x)
+        a = controls[self.muscles.muscles]
+        force = at.total(a)
+        slope = at.passive_slope + a * at.active_slope
         # df = e_i x f, and dy = F df
         df = np.cross(np.eye(3)[None], self.muscles.fibres[:, None])
         dN = np.einsum("evk,eik->eiv", self._gradients, df)
@@ -236,7 +247,8 @@ class FibreTerm(EnergyTerm):
     def _at(self, x: Floats) -> _Measured:
         """Return what the fibres do at x (p, 3)."""
         y = np.einsum("ev,evd->ed", self._entries.along, x[self._vertices])
-        L, curves = np.linalg.norm(y, axis=1), np.empty((4, len(y)))
+        L = np.linalg.norm(y, axis=1)
+        curves = np.empty((4, len(y)))
         _fill_curves(L, self.curve, curves)
         n = np.divide(y, L[:, None], out=np.zeros_like(y), where=L[:, None] > 0.0)
         return _Measured(L, n, *curves)
@@ -299,15 +311,20 @@ def _selection(columns: Ints, count: int) -> sp.csr_array:
 def _fill_curves(L: Floats, curve: Curve, out: Floats) -> None:
     """Fill ``out`` (4, e) with fp, its slope, fa and its slope."""
     for e in range(len(L)):
-        passive, active = passive_force(L[e], curve), active_force(L[e], curve)
-        out[0, e], out[1, e] = passive.force, passive.slope
-        out[2, e], out[3, e] = active.force, active.slope
+        passive = passive_force(L[e], curve)
+        active = active_force(L[e], curve)
+        out[0, e] = passive.force
+        out[1, e] = passive.slope
+        out[2, e] = active.force
+        out[3, e] = active.slope
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _deform(x: Floats, tet: Ints, along: Floats) -> tuple[float, float, float, float]:
     """Return y = F f of one entry, and its length."""
-    y0, y1, y2 = 0.0, 0.0, 0.0
+    y0 = 0.0
+    y1 = 0.0
+    y2 = 0.0
     for v in range(4):
         y0 += along[v] * x[tet[v], 0]
         y1 += along[v] * x[tet[v], 1]
@@ -362,16 +379,16 @@ def _blocks(
             if L == 0.0:
                 continue
             j = entries.muscles[e]
-            passive, active = passive_force(L, curve), active_force(L, curve)
-            across, along = (
-                (passive.force + a[j] * active.force) / L,
-                passive.slope + a[j] * active.slope,
-            )
+            passive = passive_force(L, curve)
+            active = active_force(L, curve)
+            across = (passive.force + a[j] * active.force) / L
+            along = passive.slope + a[j] * active.slope
             if across < 0.0:
                 across *= 1.0 - project
             if along < 0.0:
                 along *= 1.0 - project
-            w, n = entries.volumes[e] * entries.strengths[j], (y0 / L, y1 / L, y2 / L)
+            w = entries.volumes[e] * entries.strengths[j]
+            n = (y0 / L, y1 / L, y2 / L)
             pair = 0
             for u in range(4):
                 for v in range(u, 4):

@@ -119,8 +119,10 @@ class Drag:
     """
 
     def __init__(self, flesh: Flesh) -> None:
-        self._K, self._free = flesh.hessian(flesh.rest, flesh.passive()), flesh.free
-        self.viscosity, self.anchor = 0.0, flesh.rest
+        self._K = flesh.hessian(flesh.rest, flesh.passive())
+        self._free = flesh.free
+        self.viscosity = 0.0
+        self.anchor = flesh.rest
 
     def energy(self, x: Floats) -> float:
         """Return E(x)."""
@@ -172,10 +174,12 @@ class Flesh:
         if growth is not None:
             # F F_p^-1 is linear in the vertices as F is
             self.gradients /= growth[:, None, None]
-        given, law = self.material, self.material.law
+        given = self.material
+        law = self.material.law
         factor = np.ones(len(self.tets)) if stiffness_factor is None else stiffness_factor
         mu, lam = laws.own_moduli(law, given.mu * factor, given.lam * factor)
-        kappa, barrier = given.kappa * factor, given.barrier_weight * factor
+        kappa = given.kappa * factor
+        barrier = given.barrier_weight * factor
         mesh = self.tets, self.gradients, self.volumes
         self.elements = Elements(*mesh, mu, lam, kappa, barrier, laws.number(law))
         is_free = np.ones(len(self.rest), dtype=bool)
@@ -213,7 +217,8 @@ class Flesh:
     def driven_by(self, term: EnergyTerm, passive: Floats) -> Flesh:
         """Return this flesh with another first term, ``passive`` being its controls at rest."""
         other = copy.copy(self)
-        other._first, other._passive = term, passive
+        other._first = term
+        other._passive = passive
         return other
 
     @property

@@ -30,7 +30,8 @@ from solver.similarity import weighted_motion
 from solver.surface import Floats, skew
 
 TRACK_FREEDOM = 3  # the angle, and how far each condyle slid
-NEAREST_STEPS, NEAREST = 20, 1e-9  # of the search for a jaw: most steps, and the last, rad and mm
+NEAREST_STEPS = 20  # most steps of the search for a jaw
+NEAREST = 1e-9  # its last step, rad and mm
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,10 @@ class JawTracks(JawMotion):
     @override
     def matrix(self, b: Floats) -> Floats:
         R, slide, _ = self._motion(b)
-        out, m = np.eye(4), self.frame.origin
-        out[:3, :3], out[:3, 3] = R, m + slide - R @ m
+        out = np.eye(4)
+        m = self.frame.origin
+        out[:3, :3] = R
+        out[:3, 3] = m + slide - R @ m
         return out
 
     @override
@@ -111,7 +114,8 @@ class JawTracks(JawMotion):
         for side in (0.5, -0.5):
             rest = m + side * self.apart * u
             gone = motion[:3, :3] @ rest + motion[:3, 3] - rest
-            along, below = gone @ v, gone @ n
+            along = gone @ v
+            below = gone @ n
             # the nearest point of a circle's arc is at the angle of the point
             angle = np.arctan2(self.bend * along, 1.0 - self.bend * below)
             s = angle / self.bend if self.bend else along
@@ -124,7 +128,8 @@ class JawTracks(JawMotion):
     @property
     def _directions(self) -> tuple[Floats, Floats]:
         """Return v and n."""
-        down, ahead = -self.frame.axes[1], self.frame.axes[2]
+        down = -self.frame.axes[1]
+        ahead = self.frame.axes[2]
         v = np.cos(self.slope) * ahead + np.sin(self.slope) * down
         return v, np.cos(self.slope) * down - np.sin(self.slope) * ahead
 
@@ -139,7 +144,8 @@ class JawTracks(JawMotion):
         turn = np.eye(3) + K + K @ K / (1.0 + c)
         rates = [turn @ by_angle]
         for rate in (by_left / self.apart, -by_right / self.apart):
-            dK, dc = skew(np.cross(u, rate)), -(d @ rate) / c
+            dK = skew(np.cross(u, rate))
+            dc = -(d @ rate) / c
             by_slide = dK + (dK @ K + K @ dK) / (1.0 + c) - K @ K * (dc / (1.0 + c) ** 2)
             rates.append(by_slide @ open_)
         slides = np.stack([np.zeros(3), 0.5 * by_left, 0.5 * by_right])
@@ -148,7 +154,8 @@ class JawTracks(JawMotion):
     def _way(self, s: float) -> tuple[Floats, Floats]:
         """Return c(s) and its derivative."""
         v, n = self._directions
-        along, angle = s * np.sinc(self.bend * s / np.pi), self.bend * s
+        along = s * np.sinc(self.bend * s / np.pi)
+        angle = self.bend * s
         # (1 - cos k s) / k without division by zero
         below = 0.5 * self.bend * s * s * np.sinc(0.5 * angle / np.pi) ** 2
         return along * v + below * n, np.cos(angle) * v + np.sin(angle) * n
@@ -169,7 +176,9 @@ def tracks_of_shapes(
     flatter, on its teeth; curved ones the slope at rest and the growth that suit all chords best.
     Shapes without such motions give the options' tracks.
     """
-    slides, angles, hinges = [], [], [0.0]
+    slides = []
+    angles = []
+    hinges = [0.0]
     for shape in shapes:
         motion = weighted_motion(teeth, teeth + shape, np.ones(len(teeth)))
         size = float(np.linalg.norm(shape, axis=1).max())
@@ -197,8 +206,10 @@ def tracks_of_shapes(
     )
     if not slides:
         return usual
-    s, angle = np.array(slides), np.array(angles)
-    slope, bend = angles[int(np.argmax(hinges[1:]))], 0.0
+    s = np.array(slides)
+    angle = np.array(angles)
+    slope = angles[int(np.argmax(hinges[1:]))]
+    bend = 0.0
     if options.curved and np.ptp(s) > options.spread * s.max():
         # a chord's angle is that at half its way; tracks begin level or downwards
         slope, bend = map(float, nnls(np.stack([s, 0.5 * s * s], 1), angle * s)[0])
@@ -226,7 +237,8 @@ def nearest_jaw(
         rates = jaw.jacobian(points, b).reshape(3 * len(points), -1)
         weighted = rates.T if inner is None else rates.T @ inner
         away = (jaw.move(points, b) - goal).ravel()
-        before, b = b, np.clip(b - np.linalg.solve(weighted @ rates, weighted @ away), *bounds)
+        before = b
+        b = np.clip(b - np.linalg.solve(weighted @ rates, weighted @ away), *bounds)
         if np.abs(b - before).max() < NEAREST:
             break
     return b

@@ -66,8 +66,12 @@ def signed_svd(G: Floats, U: Floats, s: Floats, V: Floats) -> None:
         s[k] = math.sqrt(U[0, k] * U[0, k] + U[1, k] * U[1, k] + U[2, k] * U[2, k])
         if s[k] < s[small]:
             small = k
-    i, j, k = (small + 1) % 3, (small + 2) % 3, small
-    b0, b1, b2 = U[0, k], U[1, k], U[2, k]
+    i = (small + 1) % 3
+    j = (small + 2) % 3
+    k = small
+    b0 = U[0, k]
+    b1 = U[1, k]
+    b2 = U[2, k]
     for column in (i, j):
         scale = 1.0 / s[column] if s[column] > 0.0 else 0.0
         for row in range(3):
@@ -237,7 +241,8 @@ def unit(k: int) -> Matrix:
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def symmetric_unit(number: int) -> Matrix:
     """Return the derivative of A by its ``number``-th entry."""
-    row, column = SYM_ROW[number], SYM_COLUMN[number]
+    row = SYM_ROW[number]
+    column = SYM_COLUMN[number]
     entry = unit(3 * row + column)
     return entry if row == column else add(entry, unit(3 * column + row))
 
@@ -309,7 +314,10 @@ def polar(G: Matrix) -> tuple[float, Matrix, Symmetric]:
 @nb.njit(cache=True, error_model="numpy")
 def _by_singular_vectors(G: Matrix) -> tuple[float, Matrix, Symmetric]:
     """Return tr P, R and Y^-1 where two singular values nearly cancel or vanish."""
-    M, U, V, s = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    M = np.empty((3, 3))
+    U = np.empty((3, 3))
+    V = np.empty((3, 3))
+    s = np.empty(3)
     for i in range(3):
         for j in range(3):
             M[i, j] = G[3 * i + j]

@@ -121,7 +121,8 @@ class _SuperLU:
         numbers.data = np.arange(1, len(pattern.indices) + 1)
         permuted = sp.csc_array(numbers[self._order][:, self._order])
         permuted.sort_indices()
-        self._from, self._matrix = permuted.data - 1, permuted.astype(np.float64)
+        self._from = permuted.data - 1
+        self._matrix = permuted.astype(np.float64)
 
     def factor(self, data: Floats, *, indefinite: bool = False) -> Factor:
         self._matrix.data = data[self._from]
@@ -153,7 +154,8 @@ class _Cholmod:
         import cvxopt.cholmod
 
         self._cvxopt: Any = cvxopt
-        self._pattern, self._block = pattern, block
+        self._pattern = pattern
+        self._block = block
         self._keep, self._rows, indptr = _upper(pattern)
         self._columns = np.repeat(np.arange(pattern.shape[0]), np.diff(indptr))
         cvxopt.cholmod.options["supernodal"] = 2
@@ -162,7 +164,8 @@ class _Cholmod:
     def factor(self, data: Floats, *, indefinite: bool = False) -> Factor:
         if indefinite:  # a Cholesky factor does not exist
             return _SuperLU(self._pattern, self._block).factor(data, indefinite=True)
-        cholmod, places = self._cvxopt.cholmod, (self._rows, self._columns)
+        cholmod = self._cvxopt.cholmod
+        places = (self._rows, self._columns)
         lower = self._cvxopt.spmatrix(data[self._keep], *places, self._pattern.shape)
         # a numeric factorisation overwrites its analysis, and a fit keeps several factors alive
         analysis = cholmod.symbolic(lower, p=self._order)
@@ -252,8 +255,10 @@ class GrowingSolver:
     def __init__(
         self, pattern: sp.csr_array, name: str | None = None, largest: float = 1.5
     ) -> None:
-        self._name, self._largest = name, largest
-        self._size, self._fixed = pattern.shape[0], _keys(pattern)
+        self._name = name
+        self._largest = largest
+        self._size = pattern.shape[0]
+        self._fixed = _keys(pattern)
         self.analyses = 0
         self._analyse(self._fixed)
 

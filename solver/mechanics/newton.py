@@ -107,8 +107,11 @@ class Factorization(Factor):
         options: NewtonOptions = NewtonOptions(),
     ) -> None:
         self.x = x
-        self._flesh, self._linear, self._a = flesh, linear, a
-        self._first, self._options = first, options
+        self._flesh = flesh
+        self._linear = linear
+        self._a = a
+        self._first = first
+        self._options = options
 
     @override
     def solve(self, B: Floats) -> Floats:
@@ -121,7 +124,8 @@ class Factorization(Factor):
 
     @cached_property
     def _factor_and_projection(self) -> tuple[Factor, int]:
-        flesh, projections = self._flesh, self._options.projections
+        flesh = self._flesh
+        projections = self._options.projections
         for number in range(self._first, len(projections)):
             matrix = flesh.hessian(self.x, self._a, project=projections[number])
             if number:
@@ -161,8 +165,11 @@ class Energy:
         potentials: Sequence[Potential] = (),
         goal: Boundary | None = None,
     ) -> None:
-        self.flesh, self.a = flesh, a
-        self._linear, self._potentials, self._goal = linear, potentials, goal
+        self.flesh = flesh
+        self.a = a
+        self._linear = linear
+        self._potentials = potentials
+        self._goal = goal
 
     @property
     def touches(self) -> bool:
@@ -208,7 +215,8 @@ class Energy:
 
     def max_step(self, x: Floats, y: Floats, options: NewtonOptions) -> float:
         """Return the part of the way x -> y that crosses nothing and makes no tet collapse."""
-        part, goal = 1.0, self._goal
+        part = 1.0
+        goal = self._goal
         if goal is not None:
             part = min((each.max_step(x, y, goal) for each in self._potentials), default=1.0)
             part = 1.0 if part >= 1.0 else options.margin * part
@@ -242,9 +250,13 @@ class Search:
         factorization: Factorization | None = None,
         projection: int = -1,
     ) -> None:
-        self._energy, self._options, self._accelerator = energy, options, Accelerator()
-        self.x, self.gradient = x, energy.gradient(x)
-        self.factorization, self.projection = factorization, projection
+        self._energy = energy
+        self._options = options
+        self._accelerator = Accelerator()
+        self.x = x
+        self.gradient = energy.gradient(x)
+        self.factorization = factorization
+        self.projection = projection
         self.steps = self.factorizations = 0
 
     @property
@@ -258,7 +270,8 @@ class Search:
         An equilibrium that is unstable but perfectly symmetric is one to chord steps, too: the
         slightest asymmetry, 1e-4 mm of a column, leads away from it.
         """
-        options, settled = self._options, 0
+        options = self._options
+        settled = 0
         while self.residual > options.tolerance and settled < options.settled_steps:
             step = self._chord()
             if step is None:
@@ -268,7 +281,8 @@ class Search:
                 if step is None:
                     break
             length = np.sqrt(((step.x - self.x) ** 2).sum(axis=1).mean())
-            self.x, self.gradient = step.x, step.gradient
+            self.x = step.x
+            self.gradient = step.gradient
             self.steps += 1
             # a step that something is in the way of is short, and says nothing
             quiet = step.part == 1.0 and self.residual <= options.quiet
@@ -298,8 +312,11 @@ class Search:
         where flesh buckles, at a saddle, it is too stiff. Returns the end and the step's length, 1
         being the whole ``direction``.
         """
-        options, flesh, x = self._options, self._energy.flesh, self.x
-        value, slope = self._energy.value(x), float(self.gradient @ direction)
+        options = self._options
+        flesh = self._energy.flesh
+        x = self.x
+        value = self._energy.value(x)
+        slope = float(self.gradient @ direction)
 
         def try_step(length: float) -> tuple[Floats, float] | None:
             trial = flesh.add_motion(x, length * direction)
@@ -322,14 +339,16 @@ class Search:
             longer = try_step(options.growth * length)
             if longer is None or longer[1] >= found[1]:
                 break
-            found, length = longer, options.growth * length
+            found = longer
+            length = options.growth * length
         return found[0], length
 
     def _chord(self) -> _Step | None:
         """Return an accelerated step with the last Hessian, None if it is of no use."""
         if self.factorization is None:
             return None
-        energy, flesh = self._energy, self._energy.flesh
+        energy = self._energy
+        flesh = self._energy.flesh
         correction = self.factorization.solve(-self.gradient)
         point = self.x[flesh.free].ravel()
         y = flesh.add_motion(self.x, self._accelerator.step(point, correction))

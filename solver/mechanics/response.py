@@ -66,7 +66,8 @@ class SparseControls(Controls):
         ``boundary`` is how held vertices, jaw and objects move, if they do; ``potentials`` are
         placed where x is.
         """
-        count, forces = rates.shape[1], flesh.forces_by_control(x, a) @ rates
+        count = rates.shape[1]
+        forces = flesh.forces_by_control(x, a) @ rates
         if boundary is not None:
             contact = curvature(potentials, x)
             pull, held = boundary_forces(flesh, x, a, boundary, potentials, contact)
@@ -143,7 +144,8 @@ class Response:
 
     def __init__(self, flesh: Flesh, factor: Factor, *, minimum: bool = True) -> None:
         self.minimum = minimum
-        self._flesh, self._factor = flesh, factor
+        self._flesh = flesh
+        self._factor = factor
 
     @classmethod
     def exact(

@@ -67,7 +67,8 @@ class ElasticTerm(EnergyTerm):
     """The law of all tets; its controls are activations (n, 6)."""
 
     def __init__(self, mesh: Elements) -> None:
-        self._mesh, self.vertices = mesh, mesh.tets
+        self._mesh = mesh
+        self.vertices = mesh.tets
         self._kept = KeptArrays(len(mesh.tets))
 
     @override
@@ -89,9 +90,11 @@ class ElasticTerm(EnergyTerm):
     ) -> Floats:
         """Differentiate; raises :class:`InvertedActivationError`."""
         self._check(controls)
-        mesh, out = self._mesh, self._kept.blocks
+        mesh = self._mesh
+        out = self._kept.blocks
         if some is not None:
-            mesh, controls = mesh.take(some), controls[some]
+            mesh = mesh.take(some)
+            controls = controls[some]
             out = np.empty((len(some), PAIRS, 3, 3))
         elements.hessian_blocks(mesh, np.ascontiguousarray(x), controls, float(project), out)
         return out
@@ -121,7 +124,9 @@ class RestingTerm(EnergyTerm):
     """The law of tets whose activations ``a`` (n, 6) stay as they are."""
 
     def __init__(self, elastic: ElasticTerm, a: Floats) -> None:
-        self._elastic, self._a, self.vertices = elastic, a, elastic.vertices
+        self._elastic = elastic
+        self._a = a
+        self.vertices = elastic.vertices
 
     @override
     def energy(self, x: Floats, controls: Floats) -> float:
@@ -168,7 +173,9 @@ class Springs(PassiveTerm):
     """
 
     def __init__(self, vertices: Ints, centre: Floats, stiffness: Floats) -> None:
-        self.vertices, self.centre, self.stiffness = vertices, centre, stiffness
+        self.vertices = vertices
+        self.centre = centre
+        self.stiffness = stiffness
 
     def places(self, _controls: Floats) -> Floats:
         """Return where the vertices are pulled to, (k, 3)."""
@@ -219,7 +226,8 @@ class SlidingPlanes(PassiveTerm):
 
     @override
     def stiffness_of(self, some: Ints | slice) -> Floats:
-        normals, stiffness = self.normals[some], self.stiffness[some]
+        normals = self.normals[some]
+        stiffness = self.stiffness[some]
         outer = normals[:, :, None] * normals[:, None, :]
         return np.asarray((stiffness[:, None, None] * outer)[:, None])
 
@@ -259,7 +267,8 @@ def force_columns(forces: Floats, vertices: Ints, size: int) -> sp.csc_array:
     rows = 3 * vertices[:, :, None] + np.arange(3)
     # what is left out is zeroed and goes to row 0
     out = rows < 0
-    values, rows = np.where(out, 0.0, forces), np.where(out, 0, rows)
+    values = np.where(out, 0.0, forces)
+    rows = np.where(out, 0, rows)
     indptr = rows.shape[1] * 3 * np.arange(len(forces) + 1)
     return sp.csc_array((values.ravel(), rows.ravel(), indptr), shape=(size, len(forces)))
 
@@ -309,9 +318,12 @@ def check_term(
     """
     check_entries(term, len(x))
     a = np.zeros((0, 6)) if controls is None else controls
-    name, vertices, h = type(term).__name__, np.asarray(term.vertices), options.step_mm
+    name = type(term).__name__
+    vertices = np.asarray(term.vertices)
+    h = options.step_mm
     u, v = np.triu_indices(vertices.shape[1])
-    forces, blocks = np.array(term.forces(x, a)), np.array(term.blocks(x, a))
+    forces = np.array(term.forces(x, a))
+    blocks = np.array(term.blocks(x, a))
     for what, found, shape in (
         ("forces", forces, (*vertices.shape, 3)),
         ("blocks", blocks, (len(vertices), len(u), 3, 3)),
@@ -322,7 +334,8 @@ def check_term(
     motion = np.random.default_rng(0).standard_normal(x.shape)
     way, (ahead, behind) = motion[vertices], (x + h * motion, x - h * motion)
     ends = term.energy(ahead, a), term.energy(behind, a)
-    expected, by_forces = (ends[0] - ends[1]) / (2.0 * h), float((forces * way).sum())
+    expected = (ends[0] - ends[1]) / (2.0 * h)
+    by_forces = float((forces * way).sum())
     rounding = options.rounding / h
     allowed = options.tolerance * max(abs(expected), abs(by_forces)) + rounding * max(
         abs(ends[0]), abs(ends[1])

@@ -33,11 +33,13 @@ MM_PER_METRE = 1000.0  # glTF's unit is the metre
 FLOAT = 5126
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
+JSON_CHUNK = b"JSON"
+BINARY_CHUNK = b"BIN\0"
 
 MAX_DEPTH = 64  # of nodes in nodes: no exporter comes near, and recursion stays within Python's
 # Parts may share data, but all of them together are no larger than so many files, or this.
-MOST_SHARES, FEW_BYTES = 16, 1 << 24
+MOST_SHARES = 16
+FEW_BYTES = 1 << 24
 ACCESS_BYTES = 1 << 10  # that reading any accessor counts for at least
 MOST = 1 << 53  # no count or offset: JSON's numbers end there
 NOT_VALID = (KeyError, IndexError, TypeError, AttributeError, OverflowError)  # by broken rules
@@ -130,16 +132,19 @@ class _Source:
         view = self.item("bufferViews", accessor["bufferView"])
         if self.item("buffers", view["buffer"]).get("uri") is not None:
             raise unsupported_error(self.file, "the data lie in another file")
-        kind, width = np.dtype(COMPONENTS[accessor["componentType"]]), WIDTHS[accessor["type"]]
+        kind = np.dtype(COMPONENTS[accessor["componentType"]])
+        width = WIDTHS[accessor["type"]]
         size = kind.itemsize * width
-        count, stride = accessor["count"], view.get("byteStride", size)
+        count = accessor["count"]
+        stride = view.get("byteStride", size)
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         numbers = count, stride, start
         if not all(isinstance(number, int) and 0 <= number < MOST for number in numbers):
             raise unreadable_error(self.file, "the counts and offsets of the data are not valid")
         if count == 0:
             return np.zeros((0, width), kind)
-        expected, found = start + (count - 1) * stride + size, len(self.binary)
+        expected = start + (count - 1) * stride + size
+        found = len(self.binary)
         if stride < size or expected > found:
             reason = f"the data need {expected} bytes, found {found}"
             raise truncated_error(self.file, reason, expected=expected, found=found)
@@ -156,7 +161,8 @@ def _read_chunks(file: str, content: bytes) -> _Source:
         raise empty_error(file)
     if content[:4] != b"glTF" or content[4:8] != (2).to_bytes(4, "little"):
         raise unreadable_error(file, "not a binary glTF 2.0 file")
-    length, found = int.from_bytes(content[8:12], "little"), len(content)
+    length = int.from_bytes(content[8:12], "little")
+    found = len(content)
     if found < length or found < 20:
         reason = f"the header announces {length} bytes, found {found}"
         raise truncated_error(file, reason, expected=length, found=found)
@@ -215,14 +221,16 @@ def _registered_mesh(source: _Source, shown: list[tuple[dict[str, Any], Floats]]
 
 def _part(source: _Source, primitive: dict[str, Any], name: str) -> Mesh:
     """Return a primitive as a mesh; ``name`` is its own."""
-    attributes, mode = primitive["attributes"], primitive.get("mode", Mode.TRIANGLES)
+    attributes = primitive["attributes"]
+    mode = primitive.get("mode", Mode.TRIANGLES)
     vertices = source.positions(attributes["POSITION"])
     corners: Ints = np.arange(len(vertices), dtype=np.int64)
     if "indices" in primitive:
         corners = source.rows(primitive["indices"]).ravel().astype(np.int64)
     faces = _triangles(source.file, corners, mode)
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
-        found, expected = int(faces.max()), len(vertices)
+        found = int(faces.max())
+        expected = len(vertices)
         reason = f"{name} uses vertex {found}, but there are {expected}"
         raise unreadable_error(source.file, reason, expected=expected, found=found)
 

@@ -110,7 +110,8 @@ def check_finite(file: str, rows: Floats, line: Callable[[int], int] | None = No
 
 def check_suffix(path: Path, formats: Collection[str]) -> str:
     """Return a file's suffix in small letters; raises ``scan.format`` if it is none of these."""
-    suffix, file = path.suffix.lower(), path.name
+    suffix = path.suffix.lower()
+    file = path.name
     if suffix not in formats:
         message = f"{file}: unknown suffix {suffix!r}; a scan is one of {', '.join(formats)}"
         raise InputError("scan.format", message, file=file, expected=list(formats), found=suffix)
@@ -169,7 +170,8 @@ def find_bad_row(
     Returns its number, how many words it has, and whether these are numbers.
     """
     for number, row in enumerate(rows):
-        words, numbers = len(row.split()), parse_numbers(row)
+        words = len(row.split())
+        numbers = parse_numbers(row)
         if numbers is None or (widths is not None and words not in widths):
             return number, words, numbers is not None
     return None

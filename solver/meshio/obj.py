@@ -31,7 +31,9 @@ from solver.meshio.mesh import (
 )
 from solver.surface import Floats, Ints, Surface
 
-VERTEX, FACE, NORMAL = (b"v ", b"v\t"), (b"f ", b"f\t"), (b"vn ", b"vn\t")
+VERTEX = (b"v ", b"v\t")
+FACE = (b"f ", b"f\t")
+NORMAL = (b"vn ", b"vn\t")
 GROUP = (b"g ", b"g\t", b"o ", b"o\t")
 OF_A_MESH = (*NORMAL, b"vt ", b"vt\t", b"mtllib ", b"mtllib\t")  # what comes with faces only
 NUMBERS_PER_VERTEX = (3, 4, 6, 7)  # position; with weight; with colour; with both
@@ -159,7 +161,9 @@ def _find_fault(file: str, content: bytes, strict: bool) -> InputError:
 
 def _check_lines(file: str, content: bytes, strict: bool) -> None:
     """Raise what is wrong with the first faulty line, or with the highest vertex number."""
-    count, highest, highest_line = 0, 0, 0
+    count = 0
+    highest = 0
+    highest_line = 0
     for line, row in _numbered_lines(content, strict):
         if row.startswith(VERTEX):
             _check_vertex(file, line, row[2:], count, strict)
@@ -167,7 +171,8 @@ def _check_lines(file: str, content: bytes, strict: bool) -> None:
         elif row.startswith(FACE):
             index = _highest_index(file, line, row, count)
             if index > highest:
-                highest, highest_line = index, line
+                highest = index
+                highest_line = line
         elif strict and row.rstrip().endswith(b"\\"):
             raise unsupported_error(file, "continued lines are not supported", line=line)
     if count == 0:
@@ -190,7 +195,8 @@ def _numbered_lines(content: bytes, strict: bool) -> Iterator[tuple[int, bytes]]
 
 
 def _check_vertex(file: str, line: int, row: bytes, vertex: int, strict: bool) -> None:
-    words, numbers = row.split(), parse_numbers(row)
+    words = row.split()
+    numbers = parse_numbers(row)
     if len(words) not in NUMBERS_PER_VERTEX:
         reason = f"a vertex needs 3 numbers, found {len(words)}"
         raise unreadable_error(file, reason, line=line, vertex=vertex)

@@ -38,7 +38,9 @@ TYPES = {
     **dict.fromkeys(("double", "float64"), "f8"),
 }
 BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-PLACE, NORMAL, COLOUR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
+PLACE = ("x", "y", "z")
+NORMAL = ("nx", "ny", "nz")
+COLOUR = ("red", "green", "blue")
 CONFIDENCE = "confidence"
 INDEX_NAMES = ("vertex_indices", "vertex_index")
 
@@ -153,7 +155,8 @@ def read_header(file: str, content: bytes) -> tuple[str, list[Element], int]:
 
 def _add_property(file: str, line: int, element: Element, words: list[str]) -> None:
     is_list = words[:1] == ["list"]
-    types, name = words[int(is_list) : -1], words[-1] if words else ""
+    types = words[int(is_list) : -1]
+    name = words[-1] if words else ""
     if len(types) != (2 if is_list else 1) or any(word not in TYPES for word in types):
         raise unreadable_error(file, "not a property this format knows", line=line)
     if is_list and TYPES[types[0]].startswith("f"):
@@ -171,7 +174,10 @@ class _BinaryBody:
     def __init__(
         self, file: str, content: bytes, elements: list[Element], start: int, order: str
     ) -> None:
-        self._file, self._content, self._position, self._order = file, content, start, order
+        self._file = file
+        self._content = content
+        self._position = start
+        self._order = order
         expected = sum(element.count * element.row_type(order).itemsize for element in elements)
         found = len(content) - start
         if found < expected:
@@ -202,7 +208,8 @@ class _BinaryBody:
             lengths = self._list_lengths(element)
             row = element.row_type(self._order, lengths)
             if self._position + row.itemsize > len(self._content):
-                count, what = element.count, quote(element.name)
+                count = element.count
+                what = quote(element.name)
                 reason = f"{count} rows of '{what}' announced, {number} follow"
                 raise truncated_error(self._file, reason, expected=count, found=number)
             values = np.frombuffer(self._content, row, count=1, offset=self._position)[0]
@@ -241,11 +248,14 @@ class _AsciiBody:
     def __init__(
         self, file: str, content: bytes, elements: list[Element], start: int, strict: bool
     ) -> None:
-        self._file, self._content, self._start = file, content, start
+        self._file = file
+        self._content = content
+        self._start = start
         self._every = content[start:].removesuffix(b"\n").split(b"\n")
         self._rows = self._every if strict else [row for row in self._every if row.strip()]
         self._position = 0
-        expected, found = sum(element.count for element in elements), len(self._rows)
+        expected = sum(element.count for element in elements)
+        found = len(self._rows)
         if found < expected:
             reason = f"the header announces {expected} rows, {found} follow"
             raise truncated_error(file, reason, expected=expected, found=found)
@@ -259,7 +269,8 @@ class _AsciiBody:
 
     def read(self, element: Element) -> Rows:
         """Return the columns of an element, or of one with lists the first list."""
-        start, self._position = self._position, self._position + element.count
+        start = self._position
+        self._position = self._position + element.count
         rows = self._rows[start : self._position]
         width = len(element.properties)
         if not rows or not width:
@@ -293,7 +304,8 @@ class _AsciiBody:
 
     def _fault(self, element: Element, rows: list[bytes], start: int) -> InputError:
         """Return the fault of the first row that is not as announced."""
-        width, name = len(element.properties), quote(element.name)
+        width = len(element.properties)
+        name = quote(element.name)
         bad = find_bad_row(rows, None if element.items else (width,))
         if bad is None:
             return unreadable_error(self._file, f"the rows of '{name}' are not as announced")
@@ -347,5 +359,6 @@ def write_ply(
         "property list uchar int vertex_indices\nend_header\n"
     )
     faces = np.empty(len(surface.faces), dtype=_FACE)
-    faces["count"], faces["corners"] = 3, surface.faces
+    faces["count"] = 3
+    faces["corners"] = surface.faces
     path.write_bytes(header.encode() + vertices.tobytes() + faces.tobytes())

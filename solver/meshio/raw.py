@@ -58,7 +58,8 @@ def read_raw(path: Path) -> RawScan:
     ``scan.wrong_extension`` (no scan at all), ``scan.too_large``, ``scan.empty``,
     ``scan.unreadable`` or ``scan.truncated``, each with ``file`` and, where it helps, ``line``.
     """
-    file, suffix = path.name, check_suffix(path, FORMATS)
+    file = path.name
+    suffix = check_suffix(path, FORMATS)
     content = read_content(path, MAX_BYTES, "a raw scan")
     format_ = sniff(file, content, FORMATS[suffix])
     mesh = READERS[format_](file, content)

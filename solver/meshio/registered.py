@@ -86,7 +86,8 @@ def read_registered(
     ``scan.mirrored``, each with ``file`` and, where it helps, ``line``, ``vertex``, ``expected``
     and ``found``.
     """
-    file, suffix = path.name, check_suffix(path, REGISTERED_FORMATS)
+    file = path.name
+    suffix = check_suffix(path, REGISTERED_FORMATS)
     content = read_content(path, MAX_BYTES, "a registered scan")
     mesh = READERS[suffix](file, content, strict=True)
     vertices = mesh.vertices
@@ -138,7 +139,8 @@ def _number_facets(
     corners that are one vertex in the template must lie in one place.
     """
     if len(corners) != faces.size:
-        found, expected = len(corners) // 3, len(faces)
+        found = len(corners) // 3
+        expected = len(faces)
         message = f"{file} has {found} triangles; the template has {expected}"
         raise InputError("scan.vertex_count", message, file=file, expected=expected, found=found)
     check_finite(file, corners)
@@ -181,7 +183,8 @@ def _check_scale(file: str, vertices: Floats) -> None:
 def _check_vertex_order(file: str, vertices: Floats, faces: Ints) -> None:
     """Raise ``scan.vertex_order`` if the template's faces (f, 3) join vertices far apart."""
     edges = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2)
-    median, extent = float(np.median(edges)), float(np.ptp(vertices, axis=0).max())
+    median = float(np.median(edges))
+    extent = float(np.ptp(vertices, axis=0).max())
     if median > PLAUSIBLE.edge_ratio * extent:
         message = (
             f"{file}: neighbours in the template lie {median:.3g} mm apart; "
@@ -196,7 +199,8 @@ def _check_alignment(file: str, vertices: Floats, neutral: Floats) -> None:
     Scans of one session share the skull's place; the message says by how much this one is moved.
     One that is the neutral's mirror image rather than moved is ``scan.mirrored``.
     """
-    even, mirrored = np.ones(len(vertices)), neutral * [-1.0, 1.0, 1.0]
+    even = np.ones(len(vertices))
+    mirrored = neutral * [-1.0, 1.0, 1.0]
     moved, flipped = (weighted_motion(start, vertices, even) for start in (neutral, mirrored))
     left = np.sum((moved(neutral) - vertices) ** 2)
     left_mirrored = np.sum((flipped(mirrored) - vertices) ** 2)

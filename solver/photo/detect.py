@@ -68,7 +68,8 @@ def find_face(
             f"{', '.join(map(str, boxes))}"
         )
         raise InputError("photo.faces", message, file=photo.name, boxes=boxes)
-    face, shown = faces[0], _shown(photo, faces[0].points)
+    face = faces[0]
+    shown = _shown(photo, faces[0].points)
     findings = tuple(_judge(photo, face, limits))
     if not shown.any():
         message = f"{photo.name}: the mask hides all of the face: white is what counts"
@@ -122,7 +123,8 @@ def _detect_in(
     """Return the faces in a part of a picture, in the picture's pixels."""
     height, width = pixels.shape[:2]
     left, top = (max(0, int(edge)) for edge in box[:2])
-    right, bottom = min(width, int(np.ceil(box[2]))), min(height, int(np.ceil(box[3])))
+    right = min(width, int(np.ceil(box[2])))
+    bottom = min(height, int(np.ceil(box[3])))
     if right <= left or bottom <= top:
         return []
     found = detector.faces(pixels[top:bottom, left:right])
@@ -135,13 +137,15 @@ def _tiles(width: int, height: int, sides: tuple[float, ...]) -> Iterator[Box]:
         steps = np.arange(0.0, 1.0 - side / 2, side / 2)
         for top in steps * height:
             for left in steps * width:
-                right, bottom = left + side * width, top + side * height
+                right = left + side * width
+                bottom = top + side * height
                 yield float(left), float(top), float(right), float(bottom)
 
 
 def _with_margin(box: Box, margin: float) -> Box:
     left, top, right, bottom = box
-    across, down = margin * (right - left), margin * (bottom - top)
+    across = margin * (right - left)
+    down = margin * (bottom - top)
     return left - across, top - down, right + across, bottom + down
 
 
@@ -168,7 +172,8 @@ def _judge(photo: Photo, face: DetectedFace, limits: FaceLimits) -> Iterator[Fin
     """Yield warnings about a face; raise where it is of no use."""
     turned = float(np.degrees(face.yaw))
     outside = 1.0 - float(_shown(replace(photo, mask=None), face.points).mean())
-    turn, cut = limits.turned_deg, limits.outside
+    turn = limits.turned_deg
+    cut = limits.outside
     about = {"box": [round(side) for side in face.box]}
     yield from judge_size(photo.name, face.eyes_px, face.yaw, limits, **about)
     cases = (

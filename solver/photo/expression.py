@@ -124,7 +124,9 @@ def fit_expression(
     if options.shading is None:
         return PhotoExpression(by_landmarks, by_landmarks, ())
     skin = face.face.model.skin.with_vertices(by_landmarks.point.skin)
-    blocked, shaded, looks = blocked_light(skin), [], []
+    blocked = blocked_light(skin)
+    shaded = []
+    looks = []
     for photo, view, camera in zip(photos, views, by_landmarks.point.cameras, strict=True):
         given = (lights or {}).get(photo.name)
         term, look = shading_of(
@@ -164,7 +166,8 @@ def read_neutral(
     controls = replace(options.fit.controls, bounds=(0.0, 0.0), w_j=1e9)
     still = replace(options, fit=replace(options.fit, controls=controls))
     found = fit_expression(face, [photo], points, options=still)
-    camera, skin = found.fit.point.cameras[0], found.fit.point.skin
+    camera = found.fit.point.cameras[0]
+    skin = found.fit.point.skin
     known, pixels = marks_of(photo, points)
     seen = camera.project(known.at(skin))
     # in the camera's plane: how deep a place lies, a picture does not tell
@@ -223,7 +226,8 @@ def place_views(
 
     Cameras are those that see the ``skin`` so. Raises as :func:`fit_expression`.
     """
-    views, head = [], None
+    views = []
+    head = None
     for photo in photos:
         known, pixels = marks_of(photo, points)
         places = known.at(skin.vertices)
@@ -233,7 +237,9 @@ def place_views(
         known = known.select(
             [name for name, is_seen in zip(known.names, shown, strict=True) if is_seen]
         )
-        pixels, places, mm = pixels[shown], places[shown], _noise_mm(known, options.landmarks)
+        pixels = pixels[shown]
+        places = places[shown]
+        mm = _noise_mm(known, options.landmarks)
         noise = mm * begun.focal.mean() / begun.project(places)[:, 2]
         px_per_mm = float(np.median(noise / mm))
         term = LandmarkTerm(known, pixels, noise)

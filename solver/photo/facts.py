@@ -65,7 +65,8 @@ ROUNDS = 100  # of taking a distortion out; strong ones need most
 OFF_PX = 0.05  # that a distortion may bring back a pixel
 # A curve crosses itself if it cuts off a loop as wide as this, px or by its extent: lips that meet
 # and lids that are shut are traced to and fro along one line.
-LOOP_PX, LOOP_SHARE = 1.5, 0.02
+LOOP_PX = 1.5
+LOOP_SHARE = 0.02
 MOST_CROSSINGS = 200
 
 
@@ -142,7 +143,8 @@ def _load(path: Path) -> Any:
 
 def _error(file: str, faults: Sequence[_Fault]) -> InputError:
     """Return one error for all faults; its code and place are the first one's."""
-    first, told = faults[0], [fault._asdict() for fault in faults[:MOST_FAULTS]]
+    first = faults[0]
+    told = [fault._asdict() for fault in faults[:MOST_FAULTS]]
     more = f", and {len(faults) - 1} more" if len(faults) > 1 else ""
     message = f"{file}: {first.where}: {first.message}{more}"
     return InputError(first.code, message, file=file, where=first.where, faults=told)
@@ -192,7 +194,8 @@ def _public_names() -> set[str]:
 def _landmark_faults(
     landmarks: Named, size: tuple[int, int], *, is_given: bool
 ) -> Iterator[_Fault]:
-    where, few = "photo.landmarks", "photo.landmarks_few"
+    where = "photo.landmarks"
+    few = "photo.landmarks_few"
     if is_given and len(landmarks) < LEAST_LANDMARKS:
         message = f"{len(landmarks)} can be used, at least {LEAST_LANDMARKS} are needed"
         yield _Fault(few, where, message)
@@ -226,7 +229,8 @@ def _side_faults(landmarks: Named, curves: Mapping[str, Floats]) -> Iterator[_Fa
     spots = {name: spot for name, (_, spot) in landmarks.items()}
     places = {name: place for name, (place, _) in landmarks.items()}
     for name, curve in curves.items():
-        places[name], spots[name] = curve.mean(axis=0), f"photo.curves.{name}"
+        places[name] = curve.mean(axis=0)
+        spots[name] = f"photo.curves.{name}"
     pairs = [*PAIRS, *((name, f"{name[:-2]}_l") for name in places if name.endswith("_r"))]
     across = {
         pair: places[pair[1]] - places[pair[0]]
@@ -282,7 +286,8 @@ def _curve_faults(curves: Mapping[str, Floats], size: tuple[int, int]) -> Iterat
 
 def _crossing(curve: Floats) -> int | None:
     """Return a segment (the number of its first point) where a curve crosses itself, if any."""
-    starts, ends = curve[:-1], curve[1:]
+    starts = curve[:-1]
+    ends = curve[1:]
     # whether both ends of segment j are on different sides of segment i
     apart = _sides(starts, ends, starts) * _sides(starts, ends, ends) < 0.0
     first, second = np.nonzero(np.triu(apart & apart.T, k=2))
@@ -309,7 +314,9 @@ def _sides(starts: Floats, ends: Floats, points: Floats) -> Floats:
 
 def _meeting(start: Floats, end: Floats, other_start: Floats, other_end: Floats) -> Floats:
     """Return where two segments that cross meet (2,)."""
-    along, other, away = end - start, other_end - other_start, other_start - start
+    along = end - start
+    other = other_end - other_start
+    away = other_start - start
     determinant = along[0] * other[1] - along[1] * other[0]
     return np.asarray(start + along * ((away[0] * other[1] - away[1] * other[0]) / determinant))
 
@@ -329,9 +336,11 @@ def _camera(
 ) -> tuple[PinholeCamera | None, Lens | None]:
     if entry is None:
         return None, None
-    focal, centre = np.array([entry.fx, entry.fy]), _centre(entry, size)
+    focal = np.array([entry.fx, entry.fy])
+    centre = _centre(entry, size)
     distortion = np.array(entry.distortion)
-    rotation, translation = np.eye(3), np.zeros(3)
+    rotation = np.eye(3)
+    translation = np.zeros(3)
     if entry.rotation is not None:  # rounded, as files have it
         rotation = Rotation.from_matrix(np.array(entry.rotation)).as_matrix()
         translation = np.array(entry.translation)
@@ -349,7 +358,8 @@ def _camera_faults(entry: CameraEntry | None, size: tuple[int, int]) -> Iterable
     """Tell what no camera has that took a picture of this size."""
     if entry is None:
         return
-    code, where = "photo.camera", "photo.camera"
+    code = "photo.camera"
+    where = "photo.camera"
     least, most = (bound * max(size) for bound in FOCAL_PX)
     for name, focal in (("fx", entry.fx), ("fy", entry.fy)):
         if not least <= focal <= most:

@@ -118,7 +118,10 @@ class FilmTracker(Generic[State]):
         options: FilmOptions = FilmOptions(),
         look: Appearance | None = None,
     ) -> None:
-        self.face, self.points, self.focal, self.options = face, points, focal, options
+        self.face = face
+        self.points = points
+        self.focal = focal
+        self.options = options
         self.look = look
         self.point: PhotoPoint[State] | None = None
         self._frames = 0  # since then
@@ -153,7 +156,8 @@ class FilmTracker(Generic[State]):
         self._frames += 1
         seen = self.known(photo)
         found = self._first(seen) if self.point is None else self._next(seen, self.point)
-        self.point, self._frames = found.point, 0
+        self.point = found.point
+        self._frames = 0
         return found
 
     def known(self, photo: Photo) -> Photo:
@@ -176,7 +180,8 @@ class FilmTracker(Generic[State]):
         skin = self.face.face.model.skin.with_vertices(before.skin)
         (view,), _head = place_views([photo], self.points, skin, options)
         camera = before.cameras[0]
-        sd, noise = np.sqrt(self._frames), self.options.noise
+        sd = np.sqrt(self._frames)
+        noise = self.options.noise
         moved = np.abs(turn_and_shift(camera, view.camera)) / (sd * noise.head)
         is_cut = bool(moved.max() > noise.cut)
         if not is_cut:
@@ -230,7 +235,8 @@ class RandomWalk(Generic[State]):
         """The precisions (K + 5 + 6,) of weights, jaw and head: the jaw has a prior of its own."""
         count = len(self.before.state.q) - JAW_FREEDOM
         head = self.noise.head if self.follows_head else np.full(POSE_FREEDOM, np.inf)
-        weights, jaw = np.full(count, self.noise.weight), np.full(JAW_FREEDOM, np.inf)
+        weights = np.full(count, self.noise.weight)
+        jaw = np.full(JAW_FREEDOM, np.inf)
         return np.asarray((self.sd * np.concatenate([weights, jaw, head])) ** -2.0)
 
     def change(self, point: PhotoPoint[State], alone: Floats) -> Floats:
@@ -256,7 +262,8 @@ class FrameProblem(LeastSquaresProblem[PhotoPoint[State]]):
 
     @override
     def linearise(self, point: PhotoPoint[State]) -> LinearModel:
-        model, prices = self.picture.linearise(point), self.walk.prices
+        model = self.picture.linearise(point)
+        prices = self.walk.prices
         gradient = model.gradient + prices * self.walk.change(point, self.picture.alone)
         return replace(model, gradient=gradient, hessian=model.hessian + np.diag(prices))
 

@@ -105,8 +105,10 @@ class _Finder:
     def __init__(
         self, landmarker: Callable[[str], Path], box: Box | None, options: MarkOptions
     ) -> None:
-        self._landmarker, self._options = landmarker, options
-        self._box, self._detector = box, ExitStack()
+        self._landmarker = landmarker
+        self._options = options
+        self._box = box
+        self._detector = ExitStack()
         self._open: FaceDetector | None = None
 
     def __enter__(self) -> Self:
@@ -132,7 +134,8 @@ class _Finder:
 
 def _brief(numbers: Sequence[int], found: Collection[int], least: int) -> list[int]:
     """Return the frames of runs that are shorter than ``least`` frames, and than all of them."""
-    brief, run = list[int](), list[int]()
+    brief = list[int]()
+    run = list[int]()
     for number in [*numbers, None]:
         if number is not None and number in found:
             run.append(number)

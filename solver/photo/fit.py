@@ -89,7 +89,8 @@ class View:
         (7, n - k) those of the camera by its variables, of which a free focal length is the last.
         """
         count = columns.shape[1] + by_variables.shape[1]
-        gradient, hessian = np.zeros(count), np.zeros((count, count))
+        gradient = np.zeros(count)
+        hessian = np.zeros((count, count))
         for term in self.terms:
             found = term.linearise(skin, camera)
             weights = loss.weights(found.residual)
@@ -121,7 +122,8 @@ class PhotoFitOptions:
     @property
     def camera_reach(self) -> Floats:
         """Return the changes (7,) of a camera that a linear model is good for."""
-        turns, shifts = 3 * [self.turn_reach], 3 * [self.shift_reach_mm]
+        turns = 3 * [self.turn_reach]
+        shifts = 3 * [self.shift_reach_mm]
         return np.array([*turns, *shifts, self.focal_reach])
 
 
@@ -216,7 +218,8 @@ class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
         That of a placed view is the head.
         """
         head = slice(self.size, self.size + (POSE_FREEDOM if self.has_head else 0))
-        places, end = [], head.stop
+        places = []
+        end = head.stop
         for view in self.views:
             places.append(head if view.is_placed else slice(end, end + len(view.free)))
             end += len(view.free)
@@ -243,9 +246,11 @@ class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
     @override
     def linearise(self, point: PhotoPoint[State]) -> BoxModel:
         count = max(place.stop for place in self.cameras)
-        gradient, hessian = np.zeros(count), np.zeros((count, count))
+        gradient = np.zeros(count)
+        hessian = np.zeros((count, count))
         face = slice(0, self.size)
-        columns, own = self._columns(point.state), self.alone @ point.state.q
+        columns = self._columns(point.state)
+        own = self.alone @ point.state.q
         if self.moves_face:
             gradient[face] = self.prices * own + self.linear_prices
             hessian[face, face] = np.diag(self.prices)
@@ -299,7 +304,8 @@ class PhotoProblem(LeastSquaresProblem[PhotoPoint[State]]):
         """Return bounds and reach of all ``count`` variables; head and cameras have no bounds."""
         low = high = reach = np.zeros(0)
         if self.moves_face:
-            tracks, controls = self.face.tracks, self.options.controls
+            tracks = self.face.tracks
+            controls = self.options.controls
             (low, high), reach = controls.bounds_of(tracks), controls.reach_of(tracks)
         open_ = np.full(count - self.size, np.inf)
         head = self.options.camera_reach[: POSE_FREEDOM if self.has_head else 0]

@@ -89,7 +89,8 @@ class FilmFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self.name, self._path = path.name, path
+        self.name = path.name
+        self._path = path
         self._frames: Iterator[Picture] = iter(())
         self._next = 0
         self._count = sum(
@@ -107,7 +108,8 @@ class FilmFile:
     def photo(self, number: int) -> Photo:
         """Return a frame; raises :class:`InputError` (``film.unreadable``)."""
         if number < self._next or not self._next:
-            self._frames, self._next = decode_film(self._path, limits=LIMITS), 0
+            self._frames = decode_film(self._path, limits=LIMITS)
+            self._next = 0
         for picture in self._frames:
             self._next += 1
             if self._next > number:

@@ -98,7 +98,8 @@ def fit_identity(
             problem = _Problem(shapes, tuple(views), options, moves_face)
             fit = options.views.fit
             found = minimise(problem, point, TrustRegion(fit.damping), fit.stop, listen)
-            point, steps = found.point, steps + found.steps
+            point = found.point
+            steps = steps + found.steps
     neutral = shapes.skin(point.b, np.zeros(len(shapes.names)))
     weights = tuple(shapes.named(each) for each in point.weights)
     return IdentityFit(
@@ -174,7 +175,8 @@ class _Problem(LeastSquaresProblem[_Point]):
     @cached_property
     def places(self) -> list[tuple[slice, slice]]:
         """Where the weights and the camera of each photograph are among the variables."""
-        found, end = [], self.person.stop
+        found = []
+        end = self.person.stop
         for view in self.views:
             middle = end + (len(self.shapes.names) if self.moves_face else 0)
             found.append((slice(end, middle), slice(middle, middle + len(view.free))))
@@ -194,9 +196,14 @@ class _Problem(LeastSquaresProblem[_Point]):
 
     @override
     def linearise(self, point: _Point) -> LinearModel:
-        fit, count = self.options.views.fit, self.places[-1][1].stop
-        gradient, hessian, q = np.zeros(count), np.zeros((count, count)), np.zeros(count)
-        low, high, reach = np.full(count, -np.inf), np.full(count, np.inf), np.ones(count)
+        fit = self.options.views.fit
+        count = self.places[-1][1].stop
+        gradient = np.zeros(count)
+        hessian = np.zeros((count, count))
+        q = np.zeros(count)
+        low = np.full(count, -np.inf)
+        high = np.full(count, np.inf)
+        reach = np.ones(count)
         columns = self.shapes.columns[:, : None if self.moves_face else 0]
         if self.moves_face:
             q[self.person] = point.b
@@ -229,7 +236,8 @@ class _Problem(LeastSquaresProblem[_Point]):
             cameras.append(camera.moved(change))
         moved = replace(point, cameras=tuple(cameras))
         if self.moves_face:
-            b, bounds = point.b + step.change[self.person], self.options.views.fit.controls.bounds
+            b = point.b + step.change[self.person]
+            bounds = self.options.views.fit.controls.bounds
             weights = tuple(
                 np.clip(each + step.change[own], *bounds)
                 for each, (own, _) in zip(point.weights, self.places, strict=True)

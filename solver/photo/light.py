@@ -125,5 +125,6 @@ def find_appearance(
             system = sp.csc_array(weighted.T @ weighted + held)
             albedo[:, channel] = scipy.sparse.linalg.spsolve(system, right)
         scale = samples.of(albedo).mean(axis=0)
-        albedo, light = albedo / scale, light * scale
+        albedo = albedo / scale
+        light = light * scale
     return Appearance(light, albedo)

@@ -112,7 +112,8 @@ def _find(
 ) -> FoundPoints:
     """Return the points that the detector marks on a head as it is painted."""
     heads = list(_heads(template, options))
-    seen, pictures = [], 0
+    seen = []
+    pictures = 0
     for number, skin in enumerate(heads):
         progress(Step("pictures", number / len(heads)))
         lit = drawn.lit(skin)
@@ -145,7 +146,8 @@ def _lips(template: Template, points: SkinPoints, depth_mm: float) -> Ints:
 
 def is_within(points: Floats, polygon: Floats) -> NDArray[np.bool_]:
     """Tell which points (n, 2) lie within a polygon (k, 2): a ray to the right leaves it once."""
-    start, end = polygon, np.roll(polygon, -1, axis=0)
+    start = polygon
+    end = np.roll(polygon, -1, axis=0)
     x, y = points.T[:, :, None]
     crosses = (start[:, 1] > y) != (end[:, 1] > y)
     rise = np.where(crosses, end[:, 1] - start[:, 1], 1.0)
@@ -155,7 +157,8 @@ def is_within(points: Floats, polygon: Floats) -> NDArray[np.bool_]:
 
 def _heads(template: Template, options: MeshPointOptions) -> Iterator[Floats]:
     """Yield skins (V, 3) of several people, each with every expression."""
-    neutral, shapes = template.skin.vertices, template.shapes
+    neutral = template.skin.vertices
+    shapes = template.shapes
     if shapes is None:
         yield neutral
         return

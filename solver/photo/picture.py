@@ -37,10 +37,14 @@ FRAME_TOLERANCE = 0.01  # relative; sensors have some rows more or less
 FOCAL_PX = (0.2, 50.0)  # least and most, by a picture's longer side: 136 and 1.1 degrees
 
 # Tags of EXIF.
-ORIENTATION, DETAILS = 0x0112, 0x8769
-FOCAL_MM, FOCAL_FILM_MM = 0x920A, 0xA405
-PLANE_RESOLUTION, PLANE_UNIT = 0xA20E, 0xA210
-WIDTH, HEIGHT = 0xA002, 0xA003
+ORIENTATION = 0x0112
+DETAILS = 0x8769
+FOCAL_MM = 0x920A
+FOCAL_FILM_MM = 0xA405
+PLANE_RESOLUTION = 0xA20E
+PLANE_UNIT = 0xA210
+WIDTH = 0xA002
+HEIGHT = 0xA003
 UNIT_MM = {
     2: 25.4,
     3: 10.0,
@@ -74,7 +78,8 @@ DAMAGED = (
     zlib.error,
 )
 
-JPEG, PNG = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
+JPEG = b"\xff\xd8\xff"
+PNG = b"\x89PNG\r\n\x1a\n"
 OTHER_FORMATS = (  # a pattern of the first bytes, and a name
     (rb".{4}ftyp(?:heic|heix|heim|heis|hevc|mif1|msf1)", "HEIC"),
     (rb".{4}ftypavi[fs]", "AVIF"),
@@ -96,9 +101,11 @@ ALIEN = re.compile(
     re.IGNORECASE,
 )
 PDF_WITHIN = 1024  # bytes from a file's beginning where readers of PDF look for one
-ZIP_END, ZIP_WITHIN = b"PK\5\6", 66_000  # bytes from its end where those of ZIP look
+ZIP_END = b"PK\5\6"  # signature of the end of a ZIP file
+ZIP_WITHIN = 66_000  # bytes from a file's end within which readers of ZIP look for it
 NEXT_MARKER = re.compile(rb"\xff+([^\x00\xd0-\xd7\xff])", re.DOTALL)  # of a JPEG, after any data
-END_OF_IMAGE, START_OF_SCAN = 0xD9, 0xDA
+END_OF_IMAGE = 0xD9
+START_OF_SCAN = 0xDA
 
 _unreadable = partial(file_error, "photo.unreadable")
 
@@ -253,9 +260,11 @@ def _png_end(content: bytes) -> int | None:
 
 def _jpeg_end(file: str, content: bytes) -> int | None:
     """Return where a JPEG's first picture ends; None: it does not."""
-    place, scans = 2, 0
+    place = 2
+    scans = 0
     while (found := NEXT_MARKER.search(content, place)) is not None:
-        marker, place = found[1][0], found.end()
+        marker = found[1][0]
+        place = found.end()
         if place - found.start() > MOST_FILL:
             raise _unreadable(file, "it is filled up with nothing: save it again")
         if marker == END_OF_IMAGE:
@@ -281,7 +290,8 @@ def _focal_px(exif: Mapping[int, Any], size: tuple[int, int]) -> float | None:
 
     Programs that crop write the new size into EXIF as well, so that it must be a sensor's shape.
     """
-    longer, shorter = max(size), min(size)
+    longer = max(size)
+    shorter = min(size)
     if (exif.get(WIDTH), exif.get(HEIGHT)) not in (size, size[::-1]):
         return None
     if all(abs(longer / shorter / shape - 1.0) > FRAME_TOLERANCE for shape in FRAMES):

@@ -67,7 +67,8 @@ def reprojections(
     views, _ = place_views([photos[number] for number in placed], points, surface, options)
     found = {}
     for number, view in zip(placed, views, strict=True):
-        photo, given = photos[number], point.cameras[number]
+        photo = photos[number]
+        given = point.cameras[number]
         alone = _alone(face, view, point, given, options.fit)
         found[photo.name] = Reprojection(
             _off_px(photo, given, point.skin, points),

@@ -30,8 +30,10 @@ def read_photo(
     """
     picture = read_picture(path)
     known = Facts() if facts is None else read_facts(facts, picture, names)
-    pixels, shown = picture.pixels, _shown(path, picture, mask)
-    landmarks, curves = dict(known.landmarks), dict(known.curves)
+    pixels = picture.pixels
+    shown = _shown(path, picture, mask)
+    landmarks = dict(known.landmarks)
+    curves = dict(known.curves)
     if (lens := known.lens) is not None:
         pixels, shown = _undistort(lens, pixels, shown)
         curves = {name: lens.undistort(curve, ROUNDS) for name, curve in curves.items()}
@@ -61,7 +63,8 @@ def _undistort(
     What the lens did not see does not count.
     """
     height, width = pixels.shape[:2]
-    found, counts = np.zeros_like(pixels), np.zeros((height, width), bool)
+    found = np.zeros_like(pixels)
+    counts = np.zeros((height, width), bool)
     rows = max(1, BAND // width)
     for top in range(0, height, rows):
         band = slice(top, min(top + rows, height))

@@ -97,7 +97,8 @@ def photo_picture(
     drawn = []
     for photo, result, number in rows:
         point = result.fit.point
-        camera, skin = point.cameras[number], Surface(point.skin, model.skin.faces)
+        camera = point.cameras[number]
+        skin = Surface(point.skin, model.skin.faces)
         box = _box(camera.project(point.skin[model.face])[:, :2], photo.size)
         look = result.appearances[number] if result.appearances else None
         shaded = _shaded(photo, camera, skin, model, look)
@@ -120,7 +121,8 @@ def identity_picture(
     head = DrawnHead(template.skin)
     drawn = []
     for row, photo in enumerate(photos):
-        camera, skin = found.cameras[row], found.skins[row]
+        camera = found.cameras[row]
+        skin = found.skins[row]
         box = _box(camera.project(skin[template.face_vertices])[:, :2], photo.size)
         known, given = marks_of(photo, points)
         marked = _marked(photo, given, camera.project(known.at(skin))[:, :2])
@@ -178,7 +180,8 @@ def _marked(photo: Photo, given: Floats, fitted: Floats) -> Pixels:
 
 def _box(places: Floats, size: tuple[int, int]) -> tuple[int, int, int, int]:
     """Return left, top, right and bottom of a square around places (n, 2), cut to the picture."""
-    low, high = places.min(axis=0), places.max(axis=0)
+    low = places.min(axis=0)
+    high = places.max(axis=0)
     half = (0.5 + AROUND) * float((high - low).max())
     middle = (low + high) / 2.0
     left, top = np.clip(middle - half, 0, np.array(size) - 2).astype(int)

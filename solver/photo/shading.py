@@ -48,11 +48,15 @@ def harmonic_rates(directions: Floats) -> Floats:
     x, y, z = directions.T
     rates = np.zeros((len(directions), HARMONICS, 3))
     rates[:, 1, 0] = rates[:, 2, 1] = rates[:, 3, 2] = 1.0
-    rates[:, 4, 0], rates[:, 4, 1] = y, x
-    rates[:, 5, 1], rates[:, 5, 2] = z, y
+    rates[:, 4, 0] = y
+    rates[:, 4, 1] = x
+    rates[:, 5, 1] = z
+    rates[:, 5, 2] = y
     rates[:, 6, 2] = 6 * z
-    rates[:, 7, 0], rates[:, 7, 2] = z, x
-    rates[:, 8, 0], rates[:, 8, 1] = 2 * x, -2 * y
+    rates[:, 7, 0] = z
+    rates[:, 7, 2] = x
+    rates[:, 8, 0] = 2 * x
+    rates[:, 8, 1] = -2 * y
     return rates
 
 
@@ -112,7 +116,8 @@ def facing(samples: SkinSamples, skin: Surface, camera: PinholeCamera) -> Floats
 
 def vertex_sums(skin: Surface) -> Floats:
     """Return the sums (V, 3) of area normals of each vertex's triangles: normals, not unit ones."""
-    by_face, sums = area_normals(skin.vertices, skin.faces), np.zeros_like(skin.vertices)
+    by_face = area_normals(skin.vertices, skin.faces)
+    sums = np.zeros_like(skin.vertices)
     for corner in range(3):
         np.add.at(sums, skin.faces[:, corner], by_face)
     return sums
@@ -120,7 +125,8 @@ def vertex_sums(skin: Surface) -> Floats:
 
 def sum_rates(skin: Surface) -> sp.csr_array:
     """Return the derivative (3 V, 3 V) of :func:`vertex_sums` by the vertices."""
-    faces, size = skin.faces, 3 * len(skin.vertices)
+    faces = skin.faces
+    size = 3 * len(skin.vertices)
     a, b, c = (skin.vertices[faces[:, corner]] for corner in range(3))
     blocks = np.stack([skew(c - b), skew(a - c), skew(b - a)], axis=1)  # by a, b and c
     # every corner's sum moves as the triangle's normal does
@@ -157,8 +163,10 @@ class ShadingTerm(ImageTerm):
 
     def linearise(self, skin: Floats, camera: PinholeCamera) -> LinearResidual:
         """See :class:`ImageTerm`."""
-        surface, samples = Surface(skin, self.faces), self.samples
-        points, count = samples.of(skin), len(skin)
+        surface = Surface(skin, self.faces)
+        samples = self.samples
+        points = samples.of(skin)
+        count = len(skin)
         pixel_by_point, pixel_by_camera = camera.derivatives(points)
         moved = -self.image.rates(camera.project(points)[:, :2]) / self.noise
         sums = samples.of(vertex_sums(surface))

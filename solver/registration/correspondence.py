@@ -75,13 +75,15 @@ def _kinds(skin: Surface) -> dict[str, Mask]:
     """Return kind of part -> its vertices (n,) of a skin."""
     found = skin_parts(skin)
     nothing = np.zeros(0, np.int64)
-    names, number = ("skin", "eyes", "lashes", "teeth"), np.arange(len(skin.vertices))
+    names = ("skin", "eyes", "lashes", "teeth")
+    number = np.arange(len(skin.vertices))
     return {name: np.isin(number, skin.faces[found.get(name, nothing)]) for name in names}
 
 
 def _inner_parts(person: Template) -> dict[str, Surface]:
     """Return the template's ``eyes``, and ``upper`` and ``lower`` teeth with what moves alike."""
-    skin, kinds = person.skin, _kinds(person.skin)
+    skin = person.skin
+    kinds = _kinds(person.skin)
     eyes = kinds["eyes"] | kinds["lashes"]
     mouth = ~kinds["skin"] & ~eyes
     lower = np.isin(np.arange(len(skin.vertices)), person.attached_mandible)
@@ -138,7 +140,8 @@ class Carrier:
         # a piece that is nowhere near has nothing to follow but its closest points
         self._free = ~near & (_mean(near, piece) > 0)
         laplacian = sp.csr_array(sp.diags_array(graph.sum(axis=1)) - graph)[self._free]
-        self._rows, self._pull = rows, -laplacian[:, ~self._free]
+        self._rows = rows
+        self._pull = -laplacian[:, ~self._free]
         inner = sp.csc_array(laplacian[:, self._free])
         self._factor = splu(inner) if self._free.any() else None
 
@@ -155,14 +158,19 @@ def correspond(head: Surface, person: Template) -> Correspondence:
 
     ``person`` is the template in the head's shape.
     """
-    parts, count = head_parts(head, person), len(head.vertices)
+    parts = head_parts(head, person)
+    count = len(head.vertices)
     skin = Surface(head.vertices, head.faces[parts.skin[head.faces].all(axis=1)])
-    under, within = person.flesh, _inner_parts(person)
+    under = person.flesh
+    within = _inner_parts(person)
     marks = landmark_vertices(person)
     places = {name: person.skin.vertices[vertex] for name, vertex in marks.items()}
-    sides, own = _lips(skin, places), _lips(under, places)
-    at_mouth, own_at_mouth = _at_mouth(head.vertices, places), _at_mouth(under.vertices, places)
-    corners, shares = np.zeros((count, 3), np.int64), np.zeros((count, 3))
+    sides = _lips(skin, places)
+    own = _lips(under, places)
+    at_mouth = _at_mouth(head.vertices, places)
+    own_at_mouth = _at_mouth(under.vertices, places)
+    corners = np.zeros((count, 3), np.int64)
+    shares = np.zeros((count, 3))
     distance = np.full(count, np.inf)
 
     def lay(part: Mask, on: Surface) -> None:

@@ -69,7 +69,8 @@ class DetectedFace:
     @property
     def box(self) -> tuple[float, float, float, float]:
         """Return left, top, right and bottom, px, of the face from brow to chin."""
-        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        low = self.points.min(axis=0)
+        high = self.points.max(axis=0)
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
     @property

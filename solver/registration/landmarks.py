@@ -108,7 +108,8 @@ def match(file: str, points: Points, template: Template) -> tuple[Floats, Ints]:
     named = {SYNONYMS.get(name, name): point for name, point in points.items()}
     names = sorted(named.keys() & known.keys())
     if len(names) < LEAST_LANDMARKS:
-        expected, found = sorted(known), quote_names(sorted(points))
+        expected = sorted(known)
+        found = quote_names(sorted(points))
         message = (
             f"{file}: the template knows {len(names)} of these landmarks, at least "
             f"{LEAST_LANDMARKS} are needed; it knows {', '.join(expected)}"
@@ -123,12 +124,14 @@ def match(file: str, points: Points, template: Template) -> tuple[Floats, Ints]:
     sides = {"_l": "_r", "_r": "_l"}
     others = (name[:-2] + sides.get(name[-2:], name[-2:]) for name in names)
     swapped = [known.get(*pair) for pair in zip(others, vertices.tolist(), strict=True)]
-    error, swapped_error = _misfit(given, rest[vertices]), _misfit(given, rest[swapped])
+    error = _misfit(given, rest[vertices])
+    swapped_error = _misfit(given, rest[swapped])
     if swapped_error.mean() < 0.6 * error.mean():
         message = f"{file}: left and right are exchanged; _l means the subject's left"
         raise InputError("landmarks.swapped", message, file=file)
     worst = int(np.argmax(error))
-    name, off = names[worst], float(error[worst])
+    name = names[worst]
+    off = float(error[worst])
     if off > MISPLACED_MM:
         message = f"{file}: {name} lies {off:.0f} mm from where a face has it"
         about = {"file": file, "landmark": name, "found": off, "expected": MISPLACED_MM}
@@ -203,7 +206,8 @@ def find_landmarks(scan: Surface, face: Floats, model: Path) -> Points:
     ``face_landmarker*.task``. Raises :class:`InputError`: ``landmarks.extra`` if MediaPipe is not
     installed, ``landmarks.model`` if the file is missing or no such model.
     """
-    low, high = face.min(axis=0), face.max(axis=0)
+    low = face.min(axis=0)
+    high = face.max(axis=0)
     body = DrawnBody(Lit(scan), np.broadcast_to(GREY, scan.vertices.shape))
     seen: dict[str, list[Floats]] = {}
     with FaceDetector(model, DetectorOptions(most_faces=1)) as detector:
@@ -225,7 +229,8 @@ def find_landmarks(scan: Surface, face: Floats, model: Path) -> Points:
 
 def _on_surface(scan: Surface, visible: Visible, column: float, row: float) -> Floats | None:
     """Return the point of the surface in a pixel; None where a hole is."""
-    x, y = int(column), int(row)
+    x = int(column)
+    y = int(row)
     if min(x, y) < 0 or max(x, y) >= PIXELS or visible.triangle[y, x] < 0:
         return None
     corners = scan.vertices[visible.faces[visible.triangle[y, x]]]

@@ -125,7 +125,8 @@ def locate_face(
     if not EXTENTS[0] < extent < EXTENTS[1]:
         message = f"No unit makes what is in {scan.file} as large as a face."
         raise InputError("scan.unit_unknown", message, file=scan.file)
-    given, samples = given_unit(frame), orient_outward(samples)
+    given = given_unit(frame)
+    samples = orient_outward(samples)
     surface = face_surface(template)
     face = face_points(surface)
     if marks is None:
@@ -168,7 +169,8 @@ def around(points: Floats, face: Surface, margins: Floats) -> NDArray[np.bool_]:
     """Return which points lie in the box about the face, larger below and above by ``margins``."""
     below, above = margins
     corners = face.vertices[np.unique(face.faces)]
-    low, high = corners.min(axis=0) - below, corners.max(axis=0) + above
+    low = corners.min(axis=0) - below
+    high = corners.max(axis=0) + above
     return np.asarray(((points > low) & (points < high)).all(axis=1))
 
 
@@ -191,7 +193,8 @@ def _judge_likeness(
     near = near_face(samples, pose.motion, face)
     if len(near.points) < REFINEMENT.least_points:  # landmarks may lie off the scan
         return None, False
-    is_face, skin = certain or pose.is_face, template.skin.vertices
+    is_face = certain or pose.is_face
+    skin = template.skin.vertices
     if template.shapes is None:
         as_it_is = ShapeFit(np.zeros(0), skin, pose.motion)
         return as_it_is, is_face or pose.cost < SECOND.shapeless_cost
@@ -296,7 +299,8 @@ def _search(
         if not best.is_face or unit.source == "template":
             found = find_pose(face, samples, scales, upright, QUICK_SEARCH)
             if found.cost < best.cost:
-                best, known = found, [found.motion.scale]
+                best = found
+                known = [found.motion.scale]
     if best.is_good:
         return best
     more = [find_pose(face, samples, known, upright, first=False)]

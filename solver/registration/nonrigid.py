@@ -95,7 +95,8 @@ class Skin:
         pattern = sp.csr_array(abs(self._bending) + abs(self._membrane) + abs(self._touch))
         pattern.sort_indices()
         entries = pattern.tocoo()
-        self._pattern, self._diagonal = pattern, entries.row == entries.col
+        self._pattern = pattern
+        self._diagonal = entries.row == entries.col
         self._solver = Rslab(pattern)
 
     def smooth(self, goals: Floats, weights: Floats, length: float) -> Floats:
@@ -150,7 +151,8 @@ def free_form(
         pairs = find_correspondences(
             scan, motion, here, normals, stage.reach, compatible=stage.compatible
         )
-        goals, weights = moved.copy(), np.zeros(len(moved))
+        goals = moved.copy()
+        weights = np.zeros(len(moved))
         if stage.compatible:
             goals[skin.outer] += pairs.points - here
         else:

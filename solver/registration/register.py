@@ -63,7 +63,8 @@ def find_start(
 
 
 # A face that free form covers less, or leaves farther off on average, is none.
-LEAST_COVER, FARTHEST_MM = 0.15, 1.0
+LEAST_COVER = 0.15
+FARTHEST_MM = 1.0
 STILL = 0.1  # least weight of the vertices on which an expression's head is aligned
 
 
@@ -115,7 +116,8 @@ def register(
     progress(Step("shape", 0.3))
     if neutral is None:
         fit, schedule = _fit_person(scan, start, topology, pins)
-        rest, placed = topology.template.skin.vertices, fit.vertices
+        rest = topology.template.skin.vertices
+        placed = fit.vertices
     else:
         fit, schedule = _fit_expression(scan, start, topology, neutral, pins)
         rest = placed = neutral
@@ -123,11 +125,13 @@ def register(
     vertices = free_form(scan, fit.motion, fit.vertices, topology, schedule, pins)
     vertices = unfold(rest, vertices, topology.flesh)
     vertices = carry_hidden(topology.groups, placed, fit.vertices, vertices, topology.outer)
-    skin, motion = topology.template.skin.with_vertices(vertices), fit.motion
+    skin = topology.template.skin.with_vertices(vertices)
+    motion = fit.motion
     seen = trust(scan, motion, skin, topology.outer)
     if neutral is not None:
         back = head_motion(vertices, fit.vertices, topology.stable * seen.confidence)
-        skin, motion = skin.with_vertices(back(vertices)), motion.then(back)
+        skin = skin.with_vertices(back(vertices))
+        motion = motion.then(back)
     _check(raw.file, seen, topology)
     folded = folded_triangles(rest, skin.vertices, topology.flesh)
     return RegisteredFace(scan, start, skin, seen, motion, fit.weights, folded, told)
@@ -141,7 +145,8 @@ def _find_pins(
         return None
     placed = Surface(motion(scan.vertices), scan.faces)
     face = topology.template.skin.vertices[topology.face]
-    known, found = landmark_vertices(topology.template), find_landmarks(placed, face, model)
+    known = landmark_vertices(topology.template)
+    found = find_landmarks(placed, face, model)
     names = sorted(known.keys() & found.keys())
     if not names:
         return None
@@ -153,9 +158,12 @@ def _fit_person(
     scan: ScanSurface, start: Location, topology: Topology, pins: Pins | None
 ) -> tuple[ShapeFit, tuple[Round, ...]]:
     """Return a neutral's shape and the rounds that follow; without shapes the template's, sized."""
-    basis, rest, face = topology.template.shapes, topology.template.skin, topology.face
+    basis = topology.template.shapes
+    rest = topology.template.skin
+    face = topology.face
     if basis is not None and len(basis.identity):
-        match, shapes = partial(find_correspondences, scan), identity_model(topology, basis)
+        match = partial(find_correspondences, scan)
+        shapes = identity_model(topology, basis)
         return fit_shapes(match, start.motion, shapes, pins, sizes=not start.size.is_known), REFINE
     normals = vertex_normals(rest)[face]
     motion = align(scan, start.motion, rest.vertices[face], normals, sizes=True)
@@ -170,7 +178,8 @@ def _fit_expression(
 ) -> tuple[ShapeFit, tuple[Round, ...]]:
     """Return an expression's shape and the rounds that follow; without shapes the neutral's."""
     # the neutral's size is surer than one that was measured on this scan's own face
-    basis, sizes = topology.template.shapes, start.size.is_measured
+    basis = topology.template.shapes
+    sizes = start.size.is_measured
     still = np.flatnonzero(topology.stable > STILL)
     normals = vertex_normals(topology.template.skin.with_vertices(neutral))[still]
     share = topology.stable[still]
@@ -243,10 +252,12 @@ def trust(scan: ScanSurface, motion: Similarity, skin: Surface, outer: Ints) -> 
     apart = np.full(count, np.nan)
     apart[outer[seen]] = distance[seen]
     graph = adjacency(skin.faces, count)
-    have, every = covered.astype(float), np.zeros(count)
+    have = covered.astype(float)
+    every = np.zeros(count)
     every[outer] = 1.0
     for _ in range(2):  # neighbours within two edges
-        have, every = graph @ have + have, graph @ every + every
+        have = graph @ have + have
+        every = graph @ every + every
     return Trust(np.where(covered, near * have / np.maximum(every, 1e-12), 0.0), covered, apart)
 
 

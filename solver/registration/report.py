@@ -42,9 +42,12 @@ def report(registered: RegisteredFace, topology: Topology, size_from: SizeFrom) 
     where its neutral has it, ``size_from``. ``motion`` takes a point p of
     the file to scale * rotation p + translation.
     """
-    start, trust, face = registered.start, registered.trust, topology.face
+    start = registered.start
+    trust = registered.trust
+    face = topology.face
     distance = trust.distance_mm[face[trust.covered[face]]]
-    regions, motion = _regions(trust, topology), registered.motion
+    regions = _regions(trust, topology)
+    motion = registered.motion
     return {
         "mean_mm": _round(distance.mean()),
         "p95_mm": _round(np.percentile(distance, 95)),
@@ -89,7 +92,8 @@ def _findings(
         )
         advice = "Fill large holes by another take, if they lie where the face moves."
         yield Finding("registration.holes", severity, message, advice)
-    mean, p95 = distance.mean(), np.percentile(distance, 95)
+    mean = distance.mean()
+    p95 = np.percentile(distance, 95)
     if mean > REPORT_LIMITS.mean_mm or p95 > REPORT_LIMITS.p95_mm:
         message = (
             f"The registered face lies {mean:.2f} mm off the scan on average, 95 % of it within "
@@ -104,7 +108,8 @@ def _findings(
         message = f"Mostly not in the scan: {', '.join(unseen).replace('_', ' ')}."
         advice = "Their shape is the likeliest one, not a measured one."
         yield Finding("registration.unseen_regions", "info", message, advice)
-    shapes, weights = topology.template.shapes, registered.shape_weights
+    shapes = topology.template.shapes
+    weights = registered.shape_weights
     if shapes is not None and len(weights) == len(shapes.identity):
         length = float(np.linalg.norm(weights) / np.sqrt(max(len(weights), 1)))
         if length > REPORT_LIMITS.unusual_shape:
@@ -143,7 +148,9 @@ DOT_MM = 1.2  # radius of a point of a cloud
 
 def distance_picture(registered: RegisteredFace, topology: Topology, path: Path) -> None:
     """Draw scan, registration and distance side by side, from the front and both sides."""
-    scan, skin, trust = registered.scan, registered.skin, registered.trust
+    scan = registered.scan
+    skin = registered.skin
+    trust = registered.trust
     head = DrawnHead(topology.template.skin)
     lit = head.lit(skin.vertices)
     raw = _scan_body(scan, registered.motion(scan.vertices))
@@ -169,7 +176,8 @@ def distance_picture(registered: RegisteredFace, topology: Topology, path: Path)
 
 
 def _camera(face: Floats, yaw: float) -> Camera:
-    low, high = face.min(axis=0), face.max(axis=0)
+    low = face.min(axis=0)
+    high = face.max(axis=0)
     centre = (low + high) / 2
     centre[2] = low[2]
     return Camera(centre, span=1.4 * float(high[1] - low[1]), yaw=yaw)

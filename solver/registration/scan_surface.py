@@ -52,7 +52,9 @@ class ScanSurface(ABC):
     """A scan with outward unit ``normals`` (n, 3) at its ``vertices`` (n, 3)."""
 
     def __init__(self, surface: Surface, normals: Floats) -> None:
-        self.vertices, self.faces, self.normals = surface.vertices, surface.faces, normals
+        self.vertices = surface.vertices
+        self.faces = surface.faces
+        self.normals = normals
         self._directed_tree = cKDTree(np.hstack([self.vertices, SURFACE.turn * normals]))
 
     @abstractmethod
@@ -172,7 +174,8 @@ def _thin(surface: Surface, most: int) -> Surface:
 def _thin_points(points: Floats, most: int) -> Floats:
     cell = float(np.ptp(points, axis=0).max()) / 400 if len(points) > most else 0.0
     while len(points) > most:
-        points, cell = mean_by_cell(points, cells(points, cell)[1]), 1.2 * cell
+        points = mean_by_cell(points, cells(points, cell)[1])
+        cell = 1.2 * cell
     return points
 
 
@@ -269,7 +272,8 @@ def _on_triangles(vertices: Floats, faces: Ints, count: int, rng: np.random.Gene
     chosen = np.minimum(np.searchsorted(ends, steps * ends[-1]), len(faces) - 1)
     u, v = rng.random((2, count, 1))
     beyond = u + v > 1
-    u, v = np.where(beyond, 1 - u, u), np.where(beyond, 1 - v, v)
+    u = np.where(beyond, 1 - u, u)
+    v = np.where(beyond, 1 - v, v)
     points = a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
     return Samples(points, unit_rows(cross[chosen]), True)
 
@@ -302,7 +306,8 @@ def estimated_normals(points: Floats, cloud: Floats) -> Floats:
 
 def orient_outward(samples: Samples) -> Samples:
     """Return the samples with normals that point outwards, whatever the scan's winding is."""
-    points, normals = samples.points, samples.normals.copy()
+    points = samples.points
+    normals = samples.normals.copy()
     away = points - np.median(points, axis=0)
     height = np.einsum("nd,nd->n", normals, away)
     if samples.oriented:

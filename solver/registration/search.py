@@ -69,7 +69,8 @@ class RefinementOptions:
     face_cost: float = 3.3  # ... and costs at most this
 
 
-SEARCH, REFINEMENT = SearchOptions(), RefinementOptions()
+SEARCH = SearchOptions()
+REFINEMENT = RefinementOptions()
 BRIEF_REFINEMENT = RefinementOptions(steps=15)  # for a choice among poses
 # For a choice among sizes where no unit fits.
 QUICK_SEARCH = SearchOptions(
@@ -135,7 +136,8 @@ def find_pose(
     directions (3,) of up and forward, where they are known. The nose tip is put on the ``first``
     places, which stand out most of what is around them, or on the others.
     """
-    tree, few = KDTree(samples.points), face.take(search.sliding)
+    tree = KDTree(samples.points)
+    few = face.take(search.sliding)
     batch = slice(search.first_tips) if first else slice(search.first_tips, search.most_tips)
     best = FacePose(Similarity(scales[0], np.eye(3), np.zeros(3)), np.inf, 0.0, np.inf)
     for scale in scales:
@@ -201,16 +203,19 @@ def _starts(
     first, _ = cells(cloud.points, options.tip_spacing)
     places = cloud.points[first]
     near = cloud.tree.query_ball_point(places, options.tip_radius)
-    height, forward = np.empty(len(first)), np.empty((len(first), 3))
+    height = np.empty(len(first))
+    forward = np.empty((len(first), 3))
     for number, members in enumerate(near):
         forward[number] = unit_rows(cloud.normals[members].mean(axis=0))
         height[number] = (places[number] - cloud.points[members].mean(axis=0)) @ forward[number]
     _, area = cells(places, options.tip_area)
     order = np.lexsort((-height, area))
     rank = np.arange(len(order)) - np.searchsorted(area[order], area[order])
-    highest, rank = order[rank < options.tips_an_area], rank[rank < options.tips_an_area]
+    highest = order[rank < options.tips_an_area]
+    rank = rank[rank < options.tips_an_area]
     chosen = highest[np.lexsort((-height[highest], rank))][batch]
-    tips, forward = places[chosen], forward[chosen]
+    tips = places[chosen]
+    forward = forward[chosen]
     side = unit_rows(np.cross(np.eye(3)[np.argmin(np.abs(forward), axis=1)], forward))
     up = np.cross(forward, side)
     level = Rotation.align_vectors([[0.0, 0.0, 1.0]], [face.forward])[0].as_matrix()
@@ -271,7 +276,8 @@ def _match(
     placed = poses.place(face.points)
     normals = np.einsum("pij,nj->pni", poses.turns, face.normals)
     distance, near = cloud.tree.query(placed.reshape(-1, 3))
-    distance, near = distance.reshape(placed.shape[:2]), near.reshape(placed.shape[:2])
+    distance = distance.reshape(placed.shape[:2])
+    near = near.reshape(placed.shape[:2])
     agree = np.einsum("pni,pni->pn", normals, cloud.normals[near]) > options.least_cosine
     return placed, np.where(agree, distance, distance + options.cut), near
 
@@ -290,7 +296,8 @@ def _step(
     targets = cloud.points[near]
     centre = np.einsum("pn,pni->pi", weights, placed)
     goal = np.einsum("pn,pni->pi", weights, targets)
-    placed, targets = placed - centre[:, None], targets - goal[:, None]
+    placed = placed - centre[:, None]
+    targets = targets - goal[:, None]
     u, _, vt = np.linalg.svd(np.einsum("pn,pni,pnj->pij", weights, targets, placed))
     u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
     turn = u @ vt
@@ -326,7 +333,8 @@ def refine_pose(
         used = (gap <= np.quantile(gap, options.kept)) & (facing > options.facing)
         if used.sum() < options.least_points:
             break
-        p, n = matched[used], face.normals[used]
+        p = matched[used]
+        n = face.normals[used]
         centre = p.mean(axis=0)
         error = ((face.points[used] - p) * n).sum(axis=1)
         p = p - centre
@@ -364,7 +372,8 @@ def judge_pose(
     if not covered.any():
         return FacePose(motion, options.uncovered, 0.0, options.uncovered)
     off_plane = np.abs(((motion(scan.points[near]) - face.points) * face.normals).sum(axis=1))
-    residual, share = float(off_plane[covered].mean()), float(covered.mean())
+    residual = float(off_plane[covered].mean())
+    share = float(covered.mean())
     cost = share * residual + (1 - share) * options.uncovered
     return FacePose(
         motion,

@@ -27,7 +27,9 @@ from solver.surface import Floats, Ints, Surface, vertex_normals
 
 # Normals further apart are not of the same place: of a scan's surface, of its samples; those
 # that are closer than the last count in full.
-SURFACE_COSINE, SAMPLES_COSINE, FULL_COSINE = 0.5, 0.6, 0.9
+SURFACE_COSINE = 0.5
+SAMPLES_COSINE = 0.6
+FULL_COSINE = 0.9
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,8 @@ def find_correspondences(
         found = scan.closest_compatible(back(points), back.turn(normals))
     else:
         found = scan.closest(back(points))
-    targets, directions = motion(found.points), motion.turn(found.normals)
+    targets = motion(found.points)
+    directions = motion.turn(found.normals)
     distance = found.distance * motion.scale
     cosine = np.einsum("nd,nd->n", normals, directions)
     weights = robust_weights((distance / reach) ** 2)
@@ -113,7 +116,8 @@ def add_pins(
 ) -> Correspondences:
     """Add landmarks: model ``points`` (k, 3) held at ``targets`` (k, 3) along all three axes."""
     axes = np.tile(np.eye(3), (len(points), 1))
-    goals, offset = np.repeat(targets, 3, axis=0), (targets - points).ravel()
+    goals = np.repeat(targets, 3, axis=0)
+    offset = (targets - points).ravel()
     return Correspondences(
         np.concatenate([pairs.points, goals]),
         np.concatenate([pairs.normals, axes]),
@@ -192,8 +196,10 @@ def identity_model(topology: Topology, basis: ShapeBasis) -> ShapeModel:
 
 def expression_model(neutral: Floats, topology: Topology, basis: ShapeBasis) -> ShapeModel:
     """Return the expressions of a person with this ``neutral`` (n, 3)."""
-    count, faces = len(basis.expressions), topology.template.skin.faces
-    prior, bounded = FIT.expression_prior * np.eye(count), np.ones(count, bool)
+    count = len(basis.expressions)
+    faces = topology.template.skin.faces
+    prior = FIT.expression_prior * np.eye(count)
+    bounded = np.ones(count, bool)
     return ShapeModel(neutral, basis.expressions, prior, bounded, faces, topology.outer)
 
 
@@ -236,13 +242,15 @@ def fit_shapes(
     count = len(shapes.prior)
     weights = np.zeros(count)
     for reach in options.reaches_mm:
-        model, rows = shapes.at(weights), shapes.used
+        model = shapes.at(weights)
+        rows = shapes.used
         normals = vertex_normals(Surface(model, shapes.faces))[rows]
         pairs = match(motion, model[rows], normals, reach)
         trust = pairs.weights * options.independent / (options.noise * reach) ** 2
         pairs = replace(pairs, weights=trust)
         if pins is not None and reach >= options.pinned_reach_mm:
-            places, goals = model[pins.vertices], motion(pins.points)
+            places = model[pins.vertices]
+            goals = motion(pins.points)
             pairs = add_pins(pairs, places, goals, 1 / options.pin_mm**2)
             rows = np.concatenate([rows, np.repeat(pins.vertices, 3)])
         basis = np.einsum("knd,nd->nk", shapes.displacements[:, rows], pairs.normals)
@@ -254,7 +262,8 @@ def fit_shapes(
         normal[:count, :count] += shapes.prior
         normal[np.diag_indices_from(normal)] += 1e-9
         solution = _solve(normal, right, shapes.bounded, options.strongest)
-        weights, step = solution[:count], solution[count:]
+        weights = solution[:count]
+        step = solution[count:]
         growth = float(np.clip(step[6], -options.growth, options.growth)) if sizes else 0.0
         motion = motion.then(small_motion(step[:6], growth))
     return ShapeFit(weights, shapes.at(weights), motion)
@@ -265,8 +274,10 @@ def _solve(normal: Floats, right: Floats, bounded: NDArray[np.bool_], strongest:
     if not bounded.any():
         return np.asarray(np.linalg.solve(normal, right))
     root = np.linalg.cholesky(normal)
-    lower, upper = np.full(len(right), -np.inf), np.full(len(right), np.inf)
-    lower[: len(bounded)][bounded], upper[: len(bounded)][bounded] = 0.0, strongest
+    lower = np.full(len(right), -np.inf)
+    upper = np.full(len(right), np.inf)
+    lower[: len(bounded)][bounded] = 0.0
+    upper[: len(bounded)][bounded] = strongest
     return np.asarray(lsq_linear(root.T, np.linalg.solve(root, right), (lower, upper)).x)
 
 

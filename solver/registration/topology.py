@@ -59,7 +59,8 @@ def carry_hidden(
 
 def outer_skin(template: Template) -> NDArray[np.bool_]:
     """Return which skin vertices (n,) of the template's flesh are seen from outside."""
-    skin, pixels = template.skin, TOPOLOGY.pixels
+    skin = template.skin
+    pixels = TOPOLOGY.pixels
     centre = (skin.vertices.min(axis=0) + skin.vertices.max(axis=0)) / 2
     span = 1.2 * float(np.ptp(skin.vertices, axis=0).max())
     seen = np.zeros(len(skin.faces), dtype=bool)

@@ -140,7 +140,8 @@ class FaceSize:
 
 def check_frame(frame: Mapping[str, Any]) -> None:
     """Raise :class:`InputError` (``options.unit``, ``options.axes``) for what does not exist."""
-    unit, eyes = frame["unit"], frame.get("eye_distance_mm")
+    unit = frame["unit"]
+    eyes = frame.get("eye_distance_mm")
     if isinstance(unit, str) and unit not in ("auto", *UNITS):
         known = ["auto", *UNITS]
         message = f"unit is {unit!r}, not one of {', '.join(known)}, nor a number of mm"
@@ -156,7 +157,8 @@ def check_frame(frame: Mapping[str, Any]) -> None:
         if frame[name] not in ("auto", *AXES):
             message = f"{name} is {frame[name]!r}, not one of auto, {', '.join(AXES)}"
             raise InputError("options.axes", message, expected=["auto", *AXES])
-    up, forward = str(frame["up"]), str(frame["forward"])
+    up = str(frame["up"])
+    forward = str(frame["forward"])
     if "auto" not in (up, forward) and up.lstrip("-") == forward.lstrip("-"):
         raise InputError("options.axes", "up and forward must be two different axes")
 
@@ -220,7 +222,8 @@ def choose_unit(
     others = [mm / read_mm for mm in UNITS.values()]
     others += [factor * first for factor in options.slips]
     if not given:  # what contradicts a given unit may be a child's face, what is guessed may not
-        low, high = 1.0 - options.unusual, 1.0 + options.unusual
+        low = 1.0 - options.unusual
+        high = 1.0 + options.unusual
     unit = likely_unit(1.0 / scale, (low, high), others)
     return ScanUnit(scale, "template") if unit is None else ScanUnit(unit, "found")
 
@@ -232,7 +235,8 @@ def unit_findings(
 
     An ``error`` is a unit that was given and cannot be.
     """
-    given, unit = given_unit(frame), size.unit
+    given = given_unit(frame)
+    unit = size.unit
     first = given or declared or 1.0
     figures = {
         "expected": first,

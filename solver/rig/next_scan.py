@@ -156,7 +156,9 @@ class Library:
         listen: Callable[[str, int], None] | None = None,
         near: Mapping[str, Mapping[str, Pose]] = NOTHING_NEAR,
     ) -> None:
-        self._linearisation, self._targets, self._options = linearisation, targets, options
+        self._linearisation = linearisation
+        self._targets = targets
+        self._options = options
         self._near = near
         face = linearisation.face
         self._regulariser = activation.unseen_regulariser(face)
@@ -183,7 +185,8 @@ class Library:
         """Return up to ``count`` expressions to scan in turn, each the best after those before."""
         found: list[Suggestion] = []
         done: set[str] = set()
-        reached, misfits = self._reached, self.misfits
+        reached = self._reached
+        misfits = self.misfits
         theta = np.zeros(len(reached.covariance))
         while len(found) < min(count, len(misfits)):
             ranked = rank(self._linearisation, reached, misfits)
@@ -220,7 +223,8 @@ class Library:
             return None
 
     def _fit(self, name: str, side: str, points: Floats) -> PosedFace:
-        face, start = self._linearisation.face, None
+        face = self._linearisation.face
+        start = None
         if (pose := self._near.get(name, {}).get(side)) is not None:
             with suppress(SolveError):
                 start = face.continuation(face.rest, pose)

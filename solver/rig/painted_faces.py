@@ -58,7 +58,8 @@ class PaintedFaces:
         for brow in BROWS.values():
             self._paint(fine, points, neutral, brow, options.brow)
         face = neutral[model.face]
-        low, high = face.min(axis=0), face.max(axis=0)
+        low = face.min(axis=0)
+        high = face.max(axis=0)
         height = float(high[1] - low[1])
         self.camera = Camera(
             (low + high) / 2, span=options.span * height, distance=options.distance_mm

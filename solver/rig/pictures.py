@@ -82,7 +82,8 @@ def _trace(points: Floats, directions: Floats, options: ThreadOptions) -> Floats
             line.append(line[-1] + step_mm * ahead)
         return line[1:]
 
-    back, forth = follow(-options.step_mm), follow(options.step_mm)
+    back = follow(-options.step_mm)
+    forth = follow(options.step_mm)
     return np.stack([*back[::-1], points, *forth], axis=1)
 
 
@@ -95,17 +96,21 @@ def _tubes(lines: Floats, options: ThreadOptions) -> Surface:
     other = np.cross(along, across)
     width = options.radius_mm * np.sin(np.linspace(0.15, np.pi - 0.15, steps)) ** 0.5
     angle = 2 * np.pi * np.arange(sides) / sides
-    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    cosine = np.cos(angle)[:, None]
+    sine = np.sin(angle)[:, None]
     circle = cosine * across[:, :, None] + sine * other[:, :, None]
     vertices = lines[:, :, None] + width[:, None, None] * circle
     number: Ints = np.arange(count * steps * sides).reshape(count, steps, sides)
-    a, b = number[:, :-1], number[:, 1:]
-    after_a, after_b = np.roll(a, -1, axis=2), np.roll(b, -1, axis=2)
+    a = number[:, :-1]
+    b = number[:, 1:]
+    after_a = np.roll(a, -1, axis=2)
+    after_b = np.roll(b, -1, axis=2)
     faces = np.stack([np.stack([a, after_a, after_b], -1), np.stack([a, after_b, b], -1)])
     return Surface(vertices.reshape(-1, 3), faces.reshape(-1, 3))
 
 
-WIDTH, VIEW_HEIGHT = 1600, 640  # of a picture and of what it shows of an anatomy, pixels
+WIDTH = 1600  # pixels of a picture
+VIEW_HEIGHT = 640  # pixels of a view of the anatomy
 SECTION = np.radians(62.0)  # the camera's angle to a section through the tets
 
 
@@ -287,7 +292,8 @@ def skin_picture(
     legend = {**palette, **marks}
     page = Sheet.with_legend(title, detail, legend, options.width, HEADER + options.height + MARGIN)
     head = DrawnHead(template.skin)
-    vertices, dot = template.skin.vertices, options.dot
+    vertices = template.skin.vertices
+    dot = options.dot
     landmarks = np.array(list(template.landmarks.values()), np.int64)
     normals = vertex_normals(Surface(vertices, template.skin.faces[template.flesh_faces]))
     lit = head.lit(vertices)
@@ -295,7 +301,8 @@ def skin_picture(
     for name, region in template.regions.items():
         colour[region] = linear(np.array(palette[name]))
     face: Floats = vertices[template.face_vertices]
-    low, high = face.min(axis=0), face.max(axis=0)
+    low = face.min(axis=0)
+    high = face.max(axis=0)
     size = width, _ = options.width // len(YAWS), options.height
     for column, yaw in enumerate(YAWS):
         camera = Camera((low + high) / 2, span=1.3 * float(high[1] - low[1]), yaw=yaw)
@@ -327,7 +334,8 @@ def sequence_picture(
     model: SubjectModel, shots: Sequence[SequenceShot], title: str, detail: str, path: Path
 ) -> None:
     """Draw the frames in columns: seen, fitted, error in mm; heads without their motion."""
-    head, layout = DrawnHead(model.skin), SheetLayout()
+    head = DrawnHead(model.skin)
+    layout = SheetLayout()
     camera = face_camera(model.skin.vertices, model.face, 0.0)
     columns = []
     for shot in shots:
@@ -370,7 +378,8 @@ class TrackShot:
 
 def tracks_picture(model: SubjectModel, shots: Sequence[TrackShot], path: Path) -> None:
     """Draw shapes in columns: the plain shape, the flesh under its tracks, the distance in mm."""
-    head, layout = DrawnHead(model.skin), SheetLayout()
+    head = DrawnHead(model.skin)
+    layout = SheetLayout()
     camera = face_camera(model.skin.vertices, model.face, 0.0)
     columns = []
     for shot in shots:

@@ -251,7 +251,8 @@ class Rig:
         if "model" not in archive.header:
             raise _no_rig(path)
         with _reading(path):
-            model, header = SubjectModel.from_archive(archive.part("model")), archive.header
+            model = SubjectModel.from_archive(archive.part("model"))
+            header = archive.header
             rig = cls(
                 model,
                 _weights_from(with_prefix(archive.arrays, "weights_"), model, path),
@@ -272,7 +273,8 @@ class Rig:
     @classmethod
     def _load_0_1(cls, files: Mapping[str, Path]) -> Rig:
         """Read the files of 0.1; a sequence was fitted without the expressions."""
-        weights, subject = files["weights"], SubjectModel.load(files["model"])
+        weights = files["weights"]
+        subject = SubjectModel.load(files["model"])
         expressions: tuple[ExpressionFit, ...] = ()
         with _reading(weights):
             S = _weights_from(read_arrays(weights), subject, weights)
@@ -291,7 +293,8 @@ class Rig:
         trained = [fit for fit in self.expressions if fit.role == "train"]
         if not trained:
             return SixNumbers()
-        drive, size = Admissible(), volumes(self.model.rest, self.model.tets)
+        drive = Admissible()
+        size = volumes(self.model.rest, self.model.tets)
         admissible = drive.feasible(self.model, size, self.weights)
         inside = all(admissible.contains(fit.activations) for fit in trained)
         return drive if inside else SixNumbers()
@@ -345,7 +348,8 @@ def _model_hash(model: SubjectModel) -> str:
 
 
 def _expression_arrays(expressions: Sequence[ExpressionFit], model: SubjectModel) -> Arrays:
-    muscles, vertices = model.muscle_count, len(model.skin.vertices)
+    muscles = model.muscle_count
+    vertices = len(model.skin.vertices)
 
     def column(field: str, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
         rows: np.ndarray = np.array([getattr(fit, field) for fit in expressions], dtype=dtype)

@@ -46,13 +46,15 @@ def fit_scan(
     ``target`` is the scan's face. Where the flesh finds no way the face stays at rest, and the fit
     says so.
     """
-    begun, rest = time.perf_counter(), face.rest()
+    begun = time.perf_counter()
+    rest = face.rest()
     notices: tuple[Finding, ...] = ()
     try:
         found = fit(face, SkinDistance(face.face, target), rest, options, listen)
         status = "converged" if found.termination is Termination.CONVERGED else "stopped"
     except (SolveError, np.linalg.LinAlgError) as error:
-        found, status = TrackFit(rest, 0.0, 0, Termination.STUCK), "failed"
+        found = TrackFit(rest, 0.0, 0, Termination.STUCK)
+        status = "failed"
         notices = (make_warning("solve.failed", f"no fit was found ({error})"),)
     described = _describe(face, name, scan, target, found)
     return replace(
@@ -67,7 +69,8 @@ def fit_scan(
 def _describe(
     face: ShapeFace[State], name: str, scan: RegisteredScan, target: Target, found: TrackFit[State]
 ) -> ShapeFit:
-    state, model = found.state, face.face.model
+    state = found.state
+    model = face.face.model
     points = face.face.face_points(state.x)
     error = np.full(len(scan.vertices), np.nan)
     error[model.face] = target.distances(points)

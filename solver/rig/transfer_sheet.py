@@ -55,10 +55,13 @@ def draw_transfer(
     """
     frames = read_chunks(animation / FRAMES, MotionRecord, "simulate.frames", lambda _: True)
     with np.load(animation / "animation.npz") as data:
-        weights, seen = data["weights"], data["seen"]
+        weights = data["weights"]
+        seen = data["seen"]
     shown = most_different(weights, np.flatnonzero(seen), options.shots)
     filmed = _filmed(video, (shown + start).tolist(), options)
-    face, gaze, draw = Face(model), Gaze(model), _drawing(model, points, options)
+    face = Face(model)
+    gaze = Gaze(model)
+    draw = _drawing(model, points, options)
     columns = []
     for number in shown.tolist():
         frame = frames[number]
@@ -98,7 +101,8 @@ def _filmed(
     video: Path, numbers: Sequence[int], options: TransferSheetOptions
 ) -> dict[int, Pixels]:
     """Return number -> the frame's picture, cut out about its largest face."""
-    file, cut = landmarker_file(), {}
+    file = landmarker_file()
+    cut = {}
     assert file is not None, "the video was read with it"
     with FaceDetector(file, DetectorOptions()) as detector:
         for number, picture in enumerate(decode_film(video, "video")):
@@ -115,7 +119,8 @@ def _filmed(
 
 def _cut(pixels: np.ndarray, box: Sequence[float], options: TransferSheetOptions) -> Pixels:
     left, top, right, bottom = box
-    middle, (wide, high) = ((left + right) / 2, (top + bottom) / 2), options.cell
+    middle = ((left + right) / 2, (top + bottom) / 2)
+    (wide, high) = options.cell
     tall = (bottom - top) * (1.0 + 2.0 * options.margin)
     size = np.round([tall * wide / high, tall]).astype(int)
     corner = np.round(np.array(middle) - size / 2).astype(int)

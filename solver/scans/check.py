@@ -176,7 +176,8 @@ def _check(
     result.figures |= {"vertices": len(raw.vertices), "triangles": len(raw.faces)}
     if len(scan.vertices) < 100 or (len(raw.faces) and not len(scan.faces)):
         raise InputError("scan.empty", f"{raw.file} holds no surface", file=raw.file)
-    samples, surface = scan_samples(scan), face_surface(template)
+    samples = scan_samples(scan)
+    surface = face_surface(template)
     face = face_points(surface)
     marking: list[Finding] = []
     marks = None
@@ -241,7 +242,8 @@ def _look_closer(
     """Add what the face lacks, its noise and spikes, its mouth and eyes."""
     fitted = place.likeness
     assert fitted is not None, "a face has a likeness"
-    near, motion = near_face(samples, place.pose.motion, face), fitted.motion
+    near = near_face(samples, place.pose.motion, face)
+    motion = fitted.motion
     size = place.mm_per_unit / motion.scale
     seen = cover(near.transform(motion), fitted.vertices, template, face)
     vertices = motion(scan.vertices)
@@ -250,13 +252,15 @@ def _look_closer(
     if len(scan.faces):
         marked = spikes(vertices * size, scan.faces) & around(vertices, face, AROUND_HEAD_MM)
     surface = Surface(vertices, scan.faces)
-    mouth, eyes = find_mouth(surface, template), find_eyes(surface, fitted.vertices, template)
+    mouth = find_mouth(surface, template)
+    eyes = find_eyes(surface, fitted.vertices, template)
     if mouth.is_open:
         seen = seen.without_mouth()
     result.findings += cover_findings(seen)
     result.findings += roughness_findings(noise_mm, spacing_mm, int(marked.sum()))
     result.findings += feature_findings(mouth, eyes, role)
-    result.cover, result.marked = seen, marked
+    result.cover = seen
+    result.marked = marked
     result.figures |= {
         "covered": round(seen.share(), 3),
         "noise_mm": None if np.isnan(noise_mm) else round(noise_mm, 2),
@@ -270,7 +274,8 @@ def _look_closer(
 # The picture of a check: the scan from the front and from both sides, its faults in colour.
 
 
-WIDTH, HEIGHT = 420, 520  # pixels of a view
+WIDTH = 420  # pixels of a view
+HEIGHT = 520  # pixels of a view
 SUPERSAMPLING = 2  # pixels drawn for one that is kept, along each axis
 YAWS = (0.0, np.radians(42), np.radians(-42))  # of the views
 SPAN_MM = 330.0  # height of a view
@@ -279,11 +284,14 @@ INWARD = np.array([0.45, 0.52, 0.66])  # triangles that face inwards
 FAULT = np.array([0.93, 0.55, 0.10])  # spikes
 MISSING = np.array([0.86, 0.10, 0.12])  # of the face
 BACKGROUND = np.array(PAPER) / 255
-SCANNED, SPIKES = "the scan", "spikes"
-NOT_SCANNED, INNER_SIDE = "of the face, not in the scan", "the surface from its inner side"
+SCANNED = "the scan"
+SPIKES = "spikes"
+NOT_SCANNED = "of the face, not in the scan"
+INNER_SIDE = "the surface from its inner side"
 LEGEND = {SCANNED: GREY, NOT_SCANNED: MISSING, SPIKES: FAULT, INNER_SIDE: INWARD}
 MOST_POINTS = 100_000  # of a cloud that are drawn
-LARGEST_DISC, MISSING_PIXELS = 8, 8  # radii in pixels
+LARGEST_DISC = 8  # pixels, radius
+MISSING_PIXELS = 8  # radius of a disc where the face is missing
 # What is missing is drawn where the fitted face has it, even if the scan lies before it.
 BEHIND_MM = 25.0
 BACK_MM = 45.0  # of the view's middle behind the face
@@ -311,7 +319,8 @@ def _view(check: ScanCheck, yaw: float, seen: set[str]) -> Pixels:
     """Return a picture; the words of :data:`LEGEND` for its colours are added to ``seen``."""
     surface, centre, span = _place(check)
     camera = Camera(centre, span, yaw, distance=FAR_MM)
-    wide, high = WIDTH * SUPERSAMPLING, HEIGHT * SUPERSAMPLING
+    wide = WIDTH * SUPERSAMPLING
+    high = HEIGHT * SUPERSAMPLING
     image = np.broadcast_to(BACKGROUND, (high, wide, 3)).copy()
     depth = np.full((high, wide), np.inf)
     if len(surface.faces):

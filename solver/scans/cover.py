@@ -135,7 +135,8 @@ def cover(scan: Samples, skin: Floats, template: Template, face: Surface) -> Cov
     looked_for &= rim.query(samples.points)[0] >= COVER.border
     for opening in openings:
         looked_for &= opening.query(samples.points)[0] >= COVER.opening
-    points, normals = samples.points[looked_for], samples.normals[looked_for]
+    points = samples.points[looked_for]
+    normals = samples.normals[looked_for]
     area = float(igl.doublearea(skin, face.faces).sum() / 2) / COVER.points
     tree = KDTree(scan.points)
     spacing = float(np.median(tree.query(scan.points[::7], k=2)[0][:, 1]))
@@ -183,7 +184,8 @@ def _sideways_gap(
 def _seen_from_front(fitted: Surface, points: Floats, hidden: float) -> NDArray[np.bool_]:
     """Return which points neither lie in a fold nor face sideways, where few scanners see."""
     used = fitted.vertices[np.unique(fitted.faces)]
-    low, high = used.min(axis=0), used.max(axis=0)
+    low = used.min(axis=0)
+    high = used.max(axis=0)
     width, height, _ = high - low + 4.0
     front = relief(fitted, (low + high) / 2, (float(width), float(height)), 1.0)
     column = np.clip(np.rint(points[:, 0] - front.x[0]), 0, len(front.x) - 1)
@@ -252,7 +254,8 @@ def _halves(face: Surface) -> dict[str, FacePoints]:
 
 def visible_part(scan: Samples, face: Surface, scales: list[float]) -> str | None:
     """Return which half of a face a scan shows that shows no whole one; else None."""
-    parts, scan = _halves(face), orient_outward(scan)
+    parts = _halves(face)
+    scan = orient_outward(scan)
     costs = {}
     for name, part in parts.items():
         pose = find_pose(part, scan, scales)

@@ -116,7 +116,9 @@ class _Decoded:
             self._refuse_length()
         stream.codec_context.options = {"max_pixels": str(self.limits.most_pixels)}
         stream.codec_context.thread_count = self.limits.threads
-        count, last, begun = 0, -np.inf, 0.0
+        count = 0
+        last = -np.inf
+        begun = 0.0
         for frame in film.decode(stream):
             time = count / rate if frame.time is None else float(frame.time)
             if time <= last:
@@ -138,7 +140,8 @@ class _Decoded:
             raise _unreadable(self.path, self.code, reason)
 
     def _check_size(self, width: int, height: int) -> None:
-        least, most = self.limits.least_side, self.limits.most_pixels
+        least = self.limits.least_side
+        most = self.limits.most_pixels
         if min(width, height) < least or width * height > most:
             message = (
                 f"{self.path.name}: frames of {width} x {height} px: at least {least} a side and "

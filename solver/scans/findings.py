@@ -89,13 +89,15 @@ def cover_findings(cover: Cover) -> list[Finding]:
     holes = [hole for hole in cover.holes if not hole.at_rim and hole.area_mm2 > LIMITS.hole_mm2]
     if holes:
         number = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
-        area, region = holes[0].area_mm2 / 100, holes[0].region
+        area = holes[0].area_mm2 / 100
+        region = holes[0].region
         message = f"The face has {number}; the largest, {area:.1f} cm2, is at the {region}."
         places = [{"region": h.region, "area_mm2": round(h.area_mm2)} for h in holes[:10]]
         found.append(make_finding("scan.holes", "warning", message, holes=places))
     small = [hole for hole in cover.holes if not any(hole is told for told in (*cut, *holes))]
     if small and whole >= LIMITS.least_cover:
-        area, region = sum(hole.area_mm2 for hole in small), small[0].region
+        area = sum(hole.area_mm2 for hole in small)
+        region = small[0].region
         number = "a small gap" if len(small) == 1 else f"{len(small)} small gaps"
         message = f"The face has {number}, {area / 100:.1f} cm2, at the {region}: red in check.png."
         found.append(make_finding("scan.gaps", "info", message, area_mm2=round(area)))
@@ -168,20 +170,23 @@ COUNTED = {
 
 def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
     """Return what is wrong with a scan as it was stored, given what was mended in it."""
-    vertices, triangles = len(raw.vertices), max(len(raw.faces), 1)
+    vertices = len(raw.vertices)
+    triangles = max(len(raw.faces), 1)
     found: list[Finding] = []
 
     def add(code: str, severity: Severity, message: str, **figures: object) -> None:
         found.append(make_finding(code, severity, message, **figures))
 
-    held, expected = raw.format, raw.suffix_format
+    held = raw.format
+    expected = raw.suffix_format
     if held != expected:
         message = (
             f"{raw.file} holds {held.upper()}, not {expected.upper()} as its suffix says; it was "
             "read as what it holds."
         )
         add("scan.wrong_extension", "warning", message, expected=expected, found=held)
-    lost, first = mending.not_finite, mending.first_not_finite
+    lost = mending.not_finite
+    first = mending.first_not_finite
     if lost:
         severity: Severity = "error" if lost > LIMITS.not_finite * vertices else "warning"
         message = (
@@ -194,7 +199,8 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
     seams = held in ("glb", "stl")  # which cannot share vertices across a seam
     touches = held == "stl" or is_welded
     many_touch = mending.non_manifold >= LIMITS.touching * 1.5 * triangles
-    flat, flipped = LIMITS.flat * triangles, LIMITS.flipped * triangles
+    flat = LIMITS.flat * triangles
+    flipped = LIMITS.flipped * triangles
     counts = {
         "scan.duplicate_vertices": (mending.duplicate, is_welded and not seams),
         "scan.zero_area_faces": (mending.flat, mending.flat > flat),
@@ -209,7 +215,8 @@ def file_findings(raw: RawScan, mending: Mending) -> list[Finding]:
             message = sentence.format(count_words(number, *subjects))
             add(code, "warning" if is_worth_a_look else "info", message, found=number)
     if raw.empty_groups:
-        groups, names = len(raw.empty_groups), ", ".join(raw.empty_groups[:5])
+        groups = len(raw.empty_groups)
+        names = ", ".join(raw.empty_groups[:5])
         message = f"{count_words(groups, 'group holds', 'groups hold')} no triangle: {names}."
         add("scan.empty_groups", "warning", message, groups=list(raw.empty_groups[:MOST_NAMES]))
     if not len(raw.faces) and raw.normals is None:
@@ -243,18 +250,21 @@ def landmark_findings(
     worst = int(np.argmax(gap))
     if gap[worst] <= OFF_SURFACE_MM:
         return [], (places, rest)
-    name, found = quote(list(points)[worst]), float(gap[worst])
+    name = quote(list(points)[worst])
+    found = float(gap[worst])
     message = f"{path.name}: {name} lies {found:.0f} mm off the scan."
     figures = {"landmark": name, "found": found, "expected": OFF_SURFACE_MM}
     return [make_finding("landmarks.off_surface", "error", message, **figures)], None
 
 
-MOST_INWARD, SOME_INWARD = 0.8, 0.1  # shares of a face whose triangles face inwards
+MOST_INWARD = 0.8  # share of a face's triangles that face inwards: it is inside out
+SOME_INWARD = 0.1  # share from which it is told
 
 
 def axis_findings(place: Location, frame: Mapping[str, Any]) -> list[Finding]:
     """Return how the scan is turned against y up and z forward."""
-    up, forward = place.up, place.forward
+    up = place.up
+    forward = place.forward
     if frame["up"] != "auto" or (up, forward) == ("y", "z"):
         return []
     figures: dict[str, Any] = {"up": up, "forward": forward}

@@ -171,7 +171,8 @@ class KnownTable:
 
     def _fail(self, row: int, code: str, message: str, **more: object) -> NoReturn:
         """Raise the error of a row."""
-        line, muscle = int(self.lines[row]), self.names[self.muscles[row]]
+        line = int(self.lines[row])
+        muscle = self.names[self.muscles[row]]
         where = {"line": line, "muscle": muscle, **more}
         raise file_error(code, self.file, f"{muscle}: {message}", **where)
 
@@ -183,7 +184,8 @@ class KnownTable:
         message = f"the fit has no expression {quote(capture)}: it has {known}"
         if not capture:
             message = f"names no expression, and the fit has several: {known}"
-        found, expected = quote(capture), quote_names(captures)
+        found = quote(capture)
+        expected = quote_names(captures)
         self._fail(row, "activations.expression", message, found=found, expected=expected)
 
     def _fail_of_twice(self, first: int, second: int, where: str) -> NoReturn:
@@ -218,7 +220,8 @@ class _TableReader:
     """Reads one table row by row; errors name the line."""
 
     def __init__(self, file: str, muscles: Sequence[str], options: KnownTableOptions) -> None:
-        self._file, self._options = file, options
+        self._file = file
+        self._options = options
         self._find = MuscleFinder(muscles)
         self._line = 1
 
@@ -226,7 +229,9 @@ class _TableReader:
         rows = self._rows(text)
         columns = self._columns(next(rows, []))
         numbers = {each: array("d") for each in NUMBERS}
-        muscles, lines, expressions = array("q"), array("q"), list[str]()
+        muscles = array("q")
+        lines = array("q")
+        expressions = list[str]()
         known: dict[str, int] = {}  # muscle -> its number
         spelt: dict[tuple[str, str], int] = {}  # a spelling that was found before -> the same
         for fields in rows:
@@ -255,7 +260,8 @@ class _TableReader:
 
     def _rows(self, text: str) -> Iterator[list[str]]:
         """Give the fields of every row that is not blank."""
-        reader, width = csv.reader(self._lines(text)), 0
+        reader = csv.reader(self._lines(text))
+        width = 0
         try:
             for fields in reader:
                 self._line = reader.line_num
@@ -312,7 +318,8 @@ class _TableReader:
 
     def _number(self, row: Mapping[str, str], name: str) -> float:
         """Return a number of a row that can be what its column ``name`` says."""
-        given, options = row[name], self._options
+        given = row[name]
+        options = self._options
         code = NUMBERS[name]
         try:
             found = float(given)
@@ -353,7 +360,8 @@ class MuscleFinder:
         """Return the name of a muscle or a whole; raises ``LookupError`` with what is wrong."""
         if side.lower() not in SIDES:
             raise LookupError(f"the side {quote(side)} is neither left nor right nor empty")
-        own, beside = muscle_side(muscle), SIDES[side.lower()]
+        own = muscle_side(muscle)
+        beside = SIDES[side.lower()]
         if own and beside and own != beside:
             raise LookupError(f"{quote(muscle)} is on the {own}, its side is given as {beside}")
         asked = own or beside

@@ -55,7 +55,8 @@ def find_mouth(scan: Surface, template: Template) -> MouthGaps:
     if len(lips) < 2:
         return MouthGaps(None, why_not="the template does not name the lips")
     centre = template.skin.vertices[lips].mean(axis=0)
-    top, bottom = centre[1] + LIPS.above, centre[1] - LIPS.below
+    top = centre[1] + LIPS.above
+    bottom = centre[1] - LIPS.below
     middle = np.array([centre[0], (top + bottom) / 2, centre[2]])
     front = relief(scan, middle, (LIPS.strip, top - bottom), LIPS.step)
     known = np.isfinite(front.height).sum(axis=1) * 2 > len(front.x)
@@ -138,7 +139,8 @@ def find_eyes(scan: Surface, skin: Floats, template: Template) -> dict[str, Eye]
 
 
 def _find_eye(scan: Surface, corners: Floats) -> Eye:
-    middle, too_little = corners.mean(axis=0), Eye(None, "too little of it is in the scan")
+    middle = corners.mean(axis=0)
+    too_little = Eye(None, "too little of it is in the scan")
     near = scan.vertices[np.linalg.norm(scan.vertices - middle, axis=1) < LIDS.near]
     if len(near) < LIDS.few:
         return too_little
@@ -150,7 +152,8 @@ def _find_eye(scan: Surface, corners: Floats) -> Eye:
     front = relief(scan, centre, (width, LIDS.above + LIDS.below), LIDS.step)
     if len(near) < LIDS.fewest or np.isfinite(front.height).mean() < 0.5:
         return too_little
-    fall, height = _falls(front.height), front.y - middle[1]
+    fall = _falls(front.height)
+    height = front.y - middle[1]
     upper, lower = (
         fall[(height > low) & (height < high)].max() for low, high in (LIDS.upper, LIDS.lower)
     )
@@ -231,9 +234,11 @@ def spikes(vertices: Floats, faces: Ints) -> NDArray[np.bool_]:
     and its triangles leave it within a narrow cone.
     """
     ends = vertices[np.roll(faces, -1, axis=1)] - vertices[faces]
-    lengths, unit = np.linalg.norm(ends, axis=2), unit_rows(ends)
+    lengths = np.linalg.norm(ends, axis=2)
+    unit = unit_rows(ends)
     cosine = -(unit * np.roll(unit, 1, axis=1)).sum(axis=2)
-    corners, count = faces.ravel(), len(vertices)
+    corners = faces.ravel()
+    count = len(vertices)
     angle = np.bincount(corners, np.arccos(cosine.clip(-1, 1)).ravel(), minlength=count)
     degree = np.maximum(np.bincount(corners, minlength=count), 1)
     sums = [np.bincount(corners, side.ravel(), minlength=count) for side in ends.T.swapaxes(1, 2)]

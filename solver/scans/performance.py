@@ -74,7 +74,8 @@ class _Array:
         except ValueError as error:
             message = f"{file} is not a whole array of numbers: {error}"
             raise InputError("performance.unreadable", message, file=file) from error
-        whole, part = len(neutral.vertices), len(face)
+        whole = len(neutral.vertices)
+        part = len(face)
         is_array = points.ndim == 3 and points.shape[2] == 3 and points.dtype.kind == "f"
         if not is_array or points.shape[1] not in (whole, part):
             message = (
@@ -132,7 +133,8 @@ class _Folder:
 
     def frame(self, number: int) -> RegisteredScan:
         """Return the same as :meth:`_Array.frame`."""
-        path, vertices = self.paths[number], self.neutral.vertices
+        path = self.paths[number]
+        vertices = self.neutral.vertices
         try:
             scan = read_registered(path, self.neutral.faces, len(vertices))
         except InputError as error:

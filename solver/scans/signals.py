@@ -75,10 +75,14 @@ def play_signals(
     Rest is taken off a video's signals, and off others' where a frame is named. Raises
     :class:`InputError`: ``<format>.neutral`` where this frame is not there or has no face.
     """
-    take, seen, is_video = measured, measured.seen, measured.source == "video"
+    take = measured
+    seen = measured.seen
+    is_video = measured.source == "video"
     notices = list(take.notices)
     times = take.times if entry.fps is None else np.arange(len(take.times)) / entry.fps
-    weights, head, eyes = take.weights.copy(), take.head, take.eyes
+    weights = take.weights.copy()
+    head = take.head
+    eyes = take.eyes
     if is_video:
         still = np.ptp(weights[seen], axis=0) < options.least_range
         weights[:, still] = 0.0
@@ -121,7 +125,8 @@ def rest_frame(file: str, source: str, seen: np.ndarray, neutral: int | str) -> 
         reason = f"it has the frames 0 to {len(seen) - 1}, and none {neutral} to be neutral"
         about = {"found": neutral, "expected": len(seen)}
     elif not seen[neutral]:
-        reason, about = f"no face is seen in the frame {neutral}, to be neutral", {"found": neutral}
+        reason = f"no face is seen in the frame {neutral}, to be neutral"
+        about = {"found": neutral}
     else:
         return neutral
     raise InputError(f"{source}.neutral", f"{file}: {reason}", file=file, **about)
@@ -154,7 +159,8 @@ def fill_gaps(
     A gap of at most ``bridge_s`` from a seen frame to the next is crossed on a straight line. In a
     longer one, and at the ends, values ease to zero, rest, and from there, within this time.
     """
-    filled, lengths = values.copy(), []
+    filled = values.copy()
+    lengths = []
     edges = np.flatnonzero(np.diff(np.concatenate([[True], seen, [True]])))
     for begin, end in edges.reshape(-1, 2).tolist():
         inside = times[begin:end]
@@ -163,10 +169,13 @@ def fill_gaps(
         lengths.append(float(times[min(end, len(times) - 1)] - times[max(begin - 1, 0)]))
         whole = float(since[0] + until[0])
         if whole <= bridge_s * (1.0 + 1e-9):
-            left, right = until / whole, since / whole
+            left = until / whole
+            right = since / whole
         else:
-            left, right = _ease(since / bridge_s), _ease(until / bridge_s)
-        before, after = values[max(begin - 1, 0)], values[min(end, len(times) - 1)]
+            left = _ease(since / bridge_s)
+            right = _ease(until / bridge_s)
+        before = values[max(begin - 1, 0)]
+        after = values[min(end, len(times) - 1)]
         filled[begin:end] = np.outer(left, before) + np.outer(right, after)
     return filled, tuple(lengths)
 

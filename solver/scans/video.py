@@ -199,6 +199,7 @@ def _take(times: Floats, faces: dict[int, _Seen], notices: tuple[Finding, ...]) 
     weights = np.zeros((len(times), len(ARKIT_NAMES)))
     head = np.zeros((len(times), 3))
     for frame, face in faces.items():
-        weights[frame], head[frame] = face.weights, face.turn
+        weights[frame] = face.weights
+        head[frame] = face.turn
     since = times - times[0]
     return FaceTake(since, weights, head, eyes_of(weights), seen, "video", notices=notices)

@@ -35,7 +35,8 @@ from solver.tracks.springs import TrackedFlesh
 def edit_of(entry: scenes.Edit, places: Places) -> AnatomyChange:
     """Return an edit that a scene describes; raises as :class:`Places`."""
     if isinstance(entry, scenes.FatEntry):
-        painted, depth = places.map_of(entry.map), None
+        painted = places.map_of(entry.map)
+        depth = None
         if painted is None and places.without_compartments is None:
             painted = places.fat_map(gain=entry.f_min + entry.f_max >= 2.0, sex=entry.sex)
             depth = FAT_MAP.depth_mm
@@ -45,7 +46,8 @@ def edit_of(entry: scenes.Edit, places: Places) -> AnatomyChange:
         depths = np.array([stop.depth_mm for stop in entry.path])
         return Filler(under_skin(places.model, points, depths), entry.ml, entry.radius_mm)
     if isinstance(entry, scenes.BoneEntry):
-        at, move = places.point(entry.at), np.array(entry.move_mm, np.float64)
+        at = places.point(entry.at)
+        move = np.array(entry.move_mm, np.float64)
         return Bone(entry.bone, at, entry.radius_mm, move)
     if isinstance(entry, scenes.StiffnessEntry):
         return Scaling("stiffness_factor", entry.factor, places.map_of(entry.map))
@@ -64,7 +66,8 @@ def force_of(entry: scenes.Force, face: Face, masses: Floats, places: Places) ->
         return Gravity(masses, entry.mm_s2)
     if isinstance(entry, scenes.WindEntry):
         return Wind(face, entry.m_s, entry.gusts, entry.seed)
-    at, radius = places.vertex(entry.at), entry.radius_mm
+    at = places.vertex(entry.at)
+    radius = entry.radius_mm
     return Pull(face.model, at, entry.mn, radius_mm=radius, ramp=entry.ramp)
 
 
@@ -83,7 +86,9 @@ class Physics:
         firmer: float = 1.0,
         tracks: MuscleTracks | None = None,
     ) -> None:
-        self._scene, self._fibres, self._firmer = scene, fibres, firmer
+        self._scene = scene
+        self._fibres = fibres
+        self._firmer = firmer
         given = scene.material
         law = LAWS[given.law]
         if "law" not in given.model_fields_set:
@@ -187,7 +192,8 @@ class Stage:
         tracks: MuscleTracks | None = None,
     ) -> None:
         check_length(len(drives.times))
-        self.drives, self.tracks = drives, tracks
+        self.drives = drives
+        self.tracks = tracks
         self._physics = Physics(scene, fibres, firmer, tracks)
         edits = [edit_of(entry, places) for entry in scene.edits]
         if fibres is not None:

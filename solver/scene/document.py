@@ -79,7 +79,8 @@ def drives_of(
     keys = _KeyReader(model, S)(scene.keys)
     ends = [float(under.times[-1])] if under else []
     times = _frame_times(scene, [*ends, *(key.time for key in keys)])
-    head, interpolation = head_of(scene.head), scene.interpolation
+    head = head_of(scene.head)
+    interpolation = scene.interpolation
     drives = KeyedDrives(
         keys,
         poses,
@@ -98,7 +99,8 @@ def drives_of(
 
 def _frame_times(scene: SimulateScene, ends: Sequence[float]) -> Floats:
     """Return when the frames of a scene are, in s; without a duration it lasts to the last end."""
-    seconds, fps = max(ends, default=0.0) if scene.duration is None else scene.duration, scene.fps
+    seconds = max(ends, default=0.0) if scene.duration is None else scene.duration
+    fps = scene.fps
     check_length(seconds * fps)  # of a file's times, before there are so many
     return np.arange(int(seconds * fps + 1e-6) + 1) / fps
 
@@ -111,8 +113,10 @@ def track_drives_of(
     ``played`` is from :func:`shape_performance_of`. Raises :class:`InputError`: as
     :class:`KeyedTracks`, and ``scene.jaw`` where no jaw can be.
     """
-    model, interpolation = places.model, scene.interpolation
-    read, under = _KeyReader(model, model.weights), None
+    model = places.model
+    interpolation = scene.interpolation
+    read = _KeyReader(model, model.weights)
+    under = None
     if played is not None:
         own = read(played.entry.keys)
         under = KeyedTracks(
@@ -190,18 +194,23 @@ def performances_of(
     if given is None:
         return None
     entries = given if isinstance(given, list) else [given]
-    model, read, smooth = places.model, _KeyReader(places.model, S), scene.interpolation
+    model = places.model
+    read = _KeyReader(places.model, S)
+    smooth = scene.interpolation
     files: dict[str, FittedSequence] = {}
     played: list[PlayedPerformance] = []
     layered: list[Drives] = []
     for number, entry in enumerate(entries):
-        name, what, keys = entry.asset, f"performance[{number}].keys", read(entry.keys)
+        name = entry.asset
+        what = f"performance[{number}].keys"
+        keys = read(entry.keys)
         if name not in files:
             files[name] = FittedSequence.load(places.asset(name), name)
         played.append(PlayedPerformance(files[name], entry, model, smooth, fibres))
         for frame, b in zip(played[-1].frames, played[-1].jaw, strict=True):
             check_jaw(b, f"frame {frame} of the performance {name!r}")
-        times, under = played[-1].times, played[-1]
+        times = played[-1].times
+        under = played[-1]
         layered.append(
             KeyedDrives(
                 keys,

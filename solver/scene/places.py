@@ -181,7 +181,9 @@ def objects_of(
 
 
 def _object(entry: Object, places: Places, interpolation: Interpolation) -> SceneObject:
-    name, mesh, origin = entry.name, entry.mesh, places.point(entry.at)
+    name = entry.name
+    mesh = entry.mesh
+    origin = places.point(entry.at)
     if isinstance(mesh, Box):
         shape = _surface(trimesh.creation.box(mesh.box_mm))
     elif isinstance(mesh, Ball):

@@ -82,9 +82,12 @@ class Simulator:
         settled_mm: float = MOMENT.settled_mm,
         options: SimulationOptions = SimulationOptions(),
     ) -> None:
-        self._options, self._face = options, face
-        self._potentials, self._forces = potentials, forces
-        self._dynamic, self._damping = dynamic, damping
+        self._options = options
+        self._face = face
+        self._potentials = potentials
+        self._forces = forces
+        self._dynamic = dynamic
+        self._damping = damping
         self._masses = lumped_masses(face.flesh, density)
         self._inertia = Inertia(face.flesh)
         self._flesh = face.flesh.plus(self._inertia)
@@ -93,7 +96,8 @@ class Simulator:
 
     def rest(self, drive: Drive) -> FleshMotion:
         """Return the face at rest where ``drive`` has it, under forces; raises as :meth:`step`."""
-        options, closed = self._options, np.zeros_like(drive.jaw)
+        options = self._options
+        closed = np.zeros_like(drive.jaw)
         begun = drive.time - options.rise_seconds
         start = replace(drive, time=begun, A=self._flesh.passive(), jaw=closed)
         rest = self._face.model.rest
@@ -130,7 +134,9 @@ class Simulator:
     ) -> Stepped:
         """Go to ``goal`` in parts of the way, powers of two of at most ``largest``."""
         begun = perf_counter()
-        done, part, drive = 0.0, largest, before
+        done = 0.0
+        part = largest
+        drive = before
         iterations = halvings = 0
         while done < 1.0:
             target = before.toward(goal, done + part)
@@ -141,14 +147,17 @@ class Simulator:
                     error.context["time"] = target.time
                     raise
                 self._newton.forget()
-                part, halvings = 0.5 * part, halvings + 1
+                part = 0.5 * part
+                halvings = halvings + 1
                 continue
-            drive, done = target, done + part
+            drive = target
+            done = done + part
             iterations += minimum.steps
             # a part begins at a multiple of itself, so that they add up to one
             while part < largest and done % (2.0 * part) == 0.0:
                 part *= 2.0
-        y, inverted = minimum.x, self._flesh.count_inverted(minimum.x)
+        y = minimum.x
+        inverted = self._flesh.count_inverted(minimum.x)
         seconds = perf_counter() - begun
         return Stepped(now, y, iterations, halvings, minimum.residual, seconds, inverted)
 
@@ -204,7 +213,9 @@ class _Newton:
     def __init__(
         self, flesh: Flesh, potentials: Sequence[Potential], options: NewtonOptions, linear: str
     ) -> None:
-        self._flesh, self._potentials, self._options = flesh, potentials, options
+        self._flesh = flesh
+        self._potentials = potentials
+        self._options = options
         self._solver = GrowingSolver(flesh.hessian(flesh.rest, flesh.passive()), linear)
         self.forget()
 
@@ -228,10 +239,12 @@ class _Newton:
         try:
             search.minimise()
         finally:
-            self._factor, self._projection = search.factorization, search.projection
+            self._factor = search.factorization
+            self._projection = search.projection
         # NaN, too, is no minimum
         if not search.residual <= max(options.stalled, options.tolerance):
-            steps, residual = search.steps, search.residual
+            steps = search.steps
+            residual = search.residual
             message = f"the flesh found no rest: a residual of {residual:.1e} after {steps} steps"
             raise SolveError("simulate.diverged", message, residual=residual)
         search.steps += advances
@@ -248,7 +261,9 @@ class _Newton:
         """Return x (p, 3) with the boundary at its ``goal``, and the steps that it took."""
         self._place(now)
         held = self._flesh.held
-        old, steps, jams = self._factor is not None, 0, 0
+        old = self._factor is not None
+        steps = 0
+        jams = 0
         while not now.same_as(goal, options.same):
             if self._factor is None:
                 self._factor = energy.factorization(x, max(self._projection - 1, 0))
@@ -260,7 +275,8 @@ class _Newton:
             part = energy.max_step(x, y, self._options)
             if part < 1.0 and old:
                 # an old factor knows nothing of what is in the way now
-                self._factor, old = None, False
+                self._factor = None
+                old = False
                 continue
             steps += 1
             jams += part < options.jammed

@@ -44,7 +44,8 @@ class Inertia(Springs):
     """
 
     def __init__(self, flesh: Flesh) -> None:
-        self._rest, self._free = flesh.rest, flesh.free
+        self._rest = flesh.rest
+        self._free = flesh.free
         super().__init__(flesh.free[:, None], flesh.rest[flesh.free], np.zeros(len(flesh.free)))
         self.release()
 
@@ -68,7 +69,8 @@ class Inertia(Springs):
 
         ``masses`` (p,) are in g, ``damping`` is in 1/s.
         """
-        inertia, drag = 1.0 / seconds**2, damping / seconds
+        inertia = 1.0 / seconds**2
+        drag = damping / seconds
         self.stiffness = (inertia + drag) * masses[self._free]
         self.centre = (inertia * flight + drag * y)[self._free] / (inertia + drag)
 
@@ -135,7 +137,8 @@ class Gravity(ExternalForce):
 
     def __init__(self, masses: Floats, mm_s2: Vector = GRAVITY, scanned: Vector = GRAVITY) -> None:
         self._masses = masses
-        self._now, self._scanned = np.asarray(mm_s2, float), np.asarray(scanned, float)
+        self._now = np.asarray(mm_s2, float)
+        self._scanned = np.asarray(scanned, float)
 
     @override
     def at(self, motion: FleshMotion, _time: float, /) -> Floats:
@@ -160,11 +163,13 @@ class Wind(ExternalForce):
         gust_hz: tuple[float, float] = (0.4, 3.0),
     ) -> None:
         self._triangles = face.model.face_triangles
-        self._embedding, self._offset = face.face_embedding, face.face_offset
+        self._embedding = face.face_embedding
+        self._offset = face.face_offset
         self._mm_s = 1e3 * np.asarray(m_s, float)
         self._gusts = gusts
         random = np.random.default_rng(seed)
-        self._hertz, self._phases = random.uniform(*gust_hz, 3), random.uniform(0.0, 2.0 * np.pi, 3)
+        self._hertz = random.uniform(*gust_hz, 3)
+        self._phases = random.uniform(0.0, 2.0 * np.pi, 3)
 
     def velocity(self, time: float) -> Floats:
         """Return the wind (3,) at ``time`` in seconds, mm/s."""
@@ -210,7 +215,8 @@ class Pull(ExternalForce):
         distance = np.linalg.norm(skin[model.embedded] - skin[vertex], axis=1)
         weights = np.maximum(1.0 - (distance / radius_mm) ** 2, 0.0) ** 2
         self._share = np.asarray(model.embedding.T @ (weights / weights.sum()))
-        self._force, self._ramp = MILLINEWTON * np.asarray(mn, float), ramp
+        self._force = MILLINEWTON * np.asarray(mn, float)
+        self._ramp = ramp
 
     @override
     def at(self, motion: FleshMotion, time: float, /) -> Floats:

@@ -122,7 +122,8 @@ def _read_mesh(path: Path) -> Surface:
         mesh = trimesh.load_mesh(path, process=False)
     except (OSError, ValueError, IndexError) as error:
         raise file_fault("anatomy.mesh", f"{path.name} cannot be read: {error}", path) from error
-    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
+    vertices = np.asarray(mesh.vertices, float)
+    faces = np.asarray(mesh.faces, np.int64)
     return Surface(to_subject_axes(vertices), faces)
 
 
@@ -173,7 +174,8 @@ def symmetric(parts: dict[str, AnatomicalPart]) -> dict[str, AnatomicalPart]:
     """
     result = {}
     for name, part in parts.items():
-        left, surface = parts.get(name.replace("right", "left")), part.surface
+        left = parts.get(name.replace("right", "left"))
+        surface = part.surface
         if "right" in name and left is not None:
             surface = _mirror_image(left.surface)
         elif "left" not in name:  # cut at the mid-plane

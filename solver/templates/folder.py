@@ -91,7 +91,9 @@ class _TemplateFolder:
 
     def template(self) -> Template:
         """Return the whole template."""
-        folder, skin, count = self.folder, self.skin, len(self.skin.vertices)
+        folder = self.folder
+        skin = self.skin
+        count = len(self.skin.vertices)
         parts = read_vertex_sets(folder / "parts.json", count)
         absent = [name for name in PARTS if name not in parts]
         if absent:
@@ -162,7 +164,8 @@ class _TemplateFolder:
 
     def displacement(self, path: Path) -> Floats:
         """Return the displacement (n, 3) to a mesh that must have the skin's vertices."""
-        vertices, rest = self.mesh(path.stem, path).vertices, self.skin.vertices
+        vertices = self.mesh(path.stem, path).vertices
+        rest = self.skin.vertices
         if len(vertices) != len(rest):
             reason = f"{path.name} has {len(vertices)} vertices, the skin has {len(rest)}"
             counts = {"expected": len(rest), "found": len(vertices)}
@@ -207,7 +210,8 @@ class _TemplateFolder:
         """Return name -> skin vertex."""
         landmarks: dict[str, int] = {}
         for row in read_table(self.folder / "landmarks.csv", ("name", "vertex")):
-            name, text = row.cell("name"), row.cell("vertex")
+            name = row.cell("name")
+            text = row.cell("vertex")
             if name in landmarks:
                 raise row.fault(f"there is another landmark {name}")
             landmarks[name] = self._vertex(row, name, text)
@@ -244,14 +248,16 @@ class _TemplateFolder:
 
     def depths(self) -> tuple[Depth, ...]:
         """Return the depths in mm, whatever the folder's unit; a template may come without any."""
-        path, depths = self.folder / "depths.csv", []
+        path = self.folder / "depths.csv"
+        depths = []
         if not path.exists():
             return ()
         for row in read_table(path, ("landmark", "bone", "depth_mm", "source")):
             if row.cell("bone") not in BONES:
                 raise row.fault(f"bone is neither of {' and '.join(BONES)}: {row.text('bone')!r}")
             deviation = row.number("sd_mm") if row.text("sd_mm") else None
-            landmark, mean = row.cell("landmark"), row.number("depth_mm")
+            landmark = row.cell("landmark")
+            mean = row.number("depth_mm")
             depths.append(Depth(landmark, row.text("bone"), mean, deviation, row.cell("source")))
         return tuple(depths)
 

@@ -92,7 +92,8 @@ def depth_landmarks(skin: Surface) -> tuple[PointPairs, PointPairs, DepthTable]:
     depths = []
     for row in read_table("bodyparts3d_landmarks"):
         point = np.array([float(row[axis]) for axis in "xyz"])
-        vertex, depth = int(row["skin_vertex"]), float(row["depth_mm"])
+        vertex = int(row["skin_vertex"])
+        depth = float(row["depth_mm"])
         under = skin.vertices[vertex] - depth * normals[vertex]
         pairs = [(point, under)]
         if row["side"] == "both":
@@ -154,7 +155,8 @@ def carry_anatomy(parts: dict[str, AnatomicalPart], kit: FaceKit) -> Anatomy:
     teeth = teeth_and_eyes(parts, kit)
     anchors, muscle_anchors, depths = depth_landmarks(kit.skin)
     align = fit_similarity(teeth.source, teeth.target)
-    head, flesh = kit.part(ict_facekit.HEAD), kit.part(ict_facekit.FLESH)
+    head = kit.part(ict_facekit.HEAD)
+    flesh = kit.part(ict_facekit.FLESH)
     outer = SkinDepth(head)
     muscles = {name: align(parts[name].surface.vertices) for name in muscle_names(parts)}
     most = CARRY.muscle_samples
@@ -246,14 +248,17 @@ def both_sides(landmarks: dict[str, int], skin: Floats) -> dict[str, int]:
 
 def depth_table(skin: Floats) -> tuple[dict[str, int], tuple[Depth, ...]]:
     """Return the landmarks of the depth table in a skin (n, 3), and the depths at them."""
-    landmarks, depths = {}, []
+    landmarks = {}
+    depths = []
     for row in read_table("bodyparts3d_landmarks"):
         if row["kind"] == "muscle":
             continue
-        name, paired = row["name"].replace(" ", "_"), row["side"] == "both"
+        name = row["name"].replace(" ", "_")
+        paired = row["side"] == "both"
         names = (f"{name}_l", f"{name}_r") if paired else (name,)
         landmarks[names[0]] = int(row["skin_vertex"])
-        mean, deviation = float(row["depth_mm"]), float(row["sd_mm"])
+        mean = float(row["depth_mm"])
+        deviation = float(row["sd_mm"])
         depths += [Depth(each, row["bone"], mean, deviation, SOURCE) for each in names]
     return both_sides(landmarks, skin), tuple(depths)
 
@@ -265,13 +270,16 @@ def named_regions(skin: Floats, sides: Ints) -> dict[str, Ints]:
     """
     at = {name: skin[vertex] for name, vertex in LANDMARKS.items()}
     face = np.array(ict_facekit.NARROW_FACE)
-    x, y = np.abs(skin[face, 0]), skin[face, 1]
+    x = np.abs(skin[face, 0])
+    y = skin[face, 1]
     mouth_width = at["cheilion_l"][0] + 5
     mouth_y = at["stomion_superius"][1] - 0.4
-    chin_y, brow_y = at["mentolabial_sulcus"][1], at["brow_lateral_l"][1]
+    chin_y = at["mentolabial_sulcus"][1]
+    brow_y = at["brow_lateral_l"][1]
     lips = (x < mouth_width) & (y < at["subnasale"][1] + 2) & (y > chin_y)
     nose_width = at["alar_curvature_l"][0] + 5
-    eye_y, eye_x = at["exocanthion_l"][1], at["exocanthion_l"][0]
+    eye_y = at["exocanthion_l"][1]
+    eye_x = at["exocanthion_l"][0]
     tests = {
         "forehead": y > brow_y + 14,
         "brows": y > brow_y - 4,
@@ -288,7 +296,8 @@ def named_regions(skin: Floats, sides: Ints) -> dict[str, Ints]:
     return first_match(face, tests)
 
 
-BACK_Z, BOTTOM_Y = 24.0, -95.5  # cut planes, mm
+BACK_Z = 24.0  # mm; the plane behind flesh
+BOTTOM_Y = -95.5  # mm; the plane under it
 PARTING = 0.4  # weight of each expression that parts the lips
 PARTING_EXPRESSIONS = ("mouthLowerDown_L", "mouthLowerDown_R", "mouthUpperUp_L", "mouthUpperUp_R")
 
@@ -305,7 +314,8 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
     kit = ict_facekit.read_facekit(faces_dir)
     anatomy = carry_anatomy(parts, kit)
     skull = np.vstack([anatomy.cranium.vertices, anatomy.mandible.vertices])
-    skin, points = kit.skin, kit.skin.vertices
+    skin = kit.skin
+    points = kit.skin.vertices
     in_front = (points[:, 2] > BACK_Z + 1) & (points[:, 1] > BOTTOM_Y + 1)
     face = np.array(ict_facekit.NARROW_FACE)
     attached_mandible = _moving_with_jaw(kit)
@@ -354,7 +364,8 @@ def _teeth_and_eyes(skin: Floats) -> dict[str, Ints]:
 
 def _moving_with_jaw(kit: FaceKit) -> Ints:
     """Return the vertices of teeth, gums and tongue that follow the lower teeth in ``jawOpen``."""
-    rest, moved = kit.skin.vertices, kit.skin.vertices + kit.deltas["jawOpen"]
+    rest = kit.skin.vertices
+    moved = kit.skin.vertices + kit.deltas["jawOpen"]
     teeth = ict_facekit.LOWER_TEETH
     motion = fit_similarity(rest[teeth], moved[teeth])
     with_jaw = np.linalg.norm(moved - motion(rest), axis=1)

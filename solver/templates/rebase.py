@@ -120,7 +120,8 @@ def rebase(
 
 def _check(raw: RawScan) -> None:
     """Raise what makes a mesh no skin of a template."""
-    file, count = raw.file, len(raw.vertices)
+    file = raw.file
+    count = len(raw.vertices)
     if count > REBASE.most_vertices:
         raise too_large_error(file, "vertices", count, "a base mesh", REBASE.most_vertices)
     if not len(raw.faces):
@@ -143,8 +144,10 @@ def _register(
     progress: ProgressCallback,
 ) -> tuple[RegisteredFace, list[Finding]]:
     """Register the template onto a head; return what the head lacks of a face, too."""
-    template, scan = known.template, mend(raw)[0]
-    own, samples = face_surface(template), scan_samples(scan)
+    template = known.template
+    scan = mend(raw)[0]
+    own = face_surface(template)
+    samples = scan_samples(scan)
     marks = None
     if landmarks is not None:
         marks = match(landmarks.name, read_landmarks(landmarks), template)
@@ -163,9 +166,11 @@ def _place(
 
     It is None where the head is turned into the template's axes.
     """
-    start, motion = face.start, face.motion
+    start = face.start
+    motion = face.motion
     surface = turn_outward(Surface(start.mm_per_unit * raw.vertices, raw.faces))
-    up, forward = np.array(AXES[start.up]), np.array(AXES[start.forward])
+    up = np.array(AXES[start.up])
+    forward = np.array(AXES[start.forward])
     axes = np.stack([np.cross(up, forward), up, forward])
     if axes[0].any():
         turned = axes @ motion.rotation.T
@@ -216,7 +221,8 @@ def _carry_points(person: Template, based: Template) -> SkinPoints | None:
 
     The lips of both are parted, so that none comes onto the other lip.
     """
-    points, skin = person.points, based.parted_flesh
+    points = person.points
+    skin = based.parted_flesh
     if points is None:
         return None
     face, weights, away = barycentric(points.at(person.parted_skin.vertices), skin)
@@ -270,8 +276,10 @@ def _bind(template: Template, person: Template) -> Template:
     mesh = person.mesh
     assert mesh is not None
     held = np.concatenate([mesh.cranium, mesh.mandible, mesh.cut])
-    parted, place = person.parted_skin.vertices, mesh.vertices[held]
-    rows, start = mesh.surface_rows, mesh.vertices
+    parted = person.parted_skin.vertices
+    place = mesh.vertices[held]
+    rows = mesh.surface_rows
+    start = mesh.vertices
     guides = guidance(person, parted, mesh.embedded, rows, held, place, start)
     facets, owners, _ = igl.boundary_facets(mesh.tets)
     outside = ~np.isin(facets, held).all(axis=1)
@@ -293,7 +301,8 @@ def _remarks(based: Template, person: Template, found: Correspondence) -> Iterat
     if lacking:
         message = f"It has no {' and no '.join(lacking)}: rigs show none, and no skin meets them."
         yield Finding("rebase.parts", "info", message)
-    skin, flesh = based.skin.vertices, based.flesh.faces
+    skin = based.skin.vertices
+    flesh = based.flesh.faces
     middle = stomia(person.landmarks)
     edges = directed_edges(flesh)
     across = edges[found.sides[edges].prod(axis=1) < 0]

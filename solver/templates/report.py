@@ -108,7 +108,8 @@ def report_template(template: Template) -> TemplateReport:
 
 def template_figures(template: Template) -> dict[str, Any]:
     """Return counts and sizes of a template as JSON values."""
-    shapes, mesh = template.shapes, template.mesh
+    shapes = template.shapes
+    mesh = template.mesh
     size = np.ptp(template.skin.vertices[template.face_vertices], axis=0)
     figures: dict[str, Any] = {
         "name": template.name,
@@ -155,7 +156,8 @@ class _Checks:
     """The checks of one template, each of which yields what it finds."""
 
     def __init__(self, template: Template) -> None:
-        self.template, self.flesh = template, template.flesh
+        self.template = template
+        self.flesh = template.flesh
         self.solid = {"cranium": template.cranium, "mandible": template.mandible}
 
     @cached_property
@@ -172,7 +174,8 @@ class _Checks:
 
     def skin(self) -> Iterator[Finding]:
         """Check size, orientation and topology of the skin, and the sets of its vertices."""
-        template, skin = self.template, self.template.skin
+        template = self.template
+        skin = self.template.skin
         face = skin.vertices[template.face_vertices]
         height = float(np.ptp(face[:, 1]))
         if not BOUNDS.face_mm[0] <= height <= BOUNDS.face_mm[1]:
@@ -263,7 +266,8 @@ class _Checks:
 
     def depths(self) -> Iterator[Finding]:
         """Check the table of soft-tissue depths, and the bones by it."""
-        template, flesh = self.template, self.flesh
+        template = self.template
+        flesh = self.flesh
         if not template.depths:
             yield _find("depths.missing", "depths")
         normals = np.nan_to_num(igl.per_vertex_normals(flesh.vertices, flesh.faces))
@@ -275,7 +279,8 @@ class _Checks:
                 yield _find("depths.range mean", row.landmark, row.mean)
             if row.deviation is not None and not 0 < row.deviation < row.mean:
                 yield _find("depths.range deviation", row.landmark, row.deviation)
-            vertex, bone = template.landmarks[row.landmark], self.solid[row.bone]
+            vertex = template.landmarks[row.landmark]
+            bone = self.solid[row.bone]
             near, across = _depths_of(bone, flesh.vertices[vertex], normals[vertex])
             allowed = max(BOUNDS.depth_slack_mm, BOUNDS.depth_sd * (row.deviation or 0.0))
             if not near - allowed <= row.mean <= across + allowed:
@@ -284,7 +289,8 @@ class _Checks:
 
     def mesh(self) -> Iterator[Finding]:
         """Check the tetrahedra and what they hold of the muscles."""
-        template, mesh = self.template, self.template.mesh
+        template = self.template
+        mesh = self.template.mesh
         if mesh is None:
             yield _find("mesh.missing", "mesh")
             return
@@ -352,7 +358,8 @@ class _Checks:
             yield _find(code, muscle.name, part, *place, out.max(), severity=severity)
 
     def _attachments(self, muscle: Muscle) -> Iterator[Finding]:
-        origin, insertion = muscle.origin[None], muscle.insertion[None]
+        origin = muscle.origin[None]
+        insertion = muscle.insertion[None]
         far = min(barycentric(origin, bone)[2][0] for bone in self.solid.values())
         if far > BOUNDS.origin_mm and in_front(self.template, origin).all():
             yield _find("muscle.origin", muscle.name, far)

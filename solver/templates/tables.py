@@ -36,7 +36,8 @@ class Row:
     """One line of a CSV table: its cells by column, and where it stands."""
 
     def __init__(self, file: str, line: int, cells: dict[str, str]) -> None:
-        self.file, self.line = file, line
+        self.file = file
+        self.line = line
         self._cells = cells
 
     def text(self, column: str, default: str = "") -> str:
@@ -287,7 +288,8 @@ class CaptureSet:
 
     def first(self, train: int, test: int) -> CaptureSet:
         """Return the neutral with the first expressions only."""
-        first, others = islice(self.train.items(), train), islice(self.test.items(), test)
+        first = islice(self.train.items(), train)
+        others = islice(self.test.items(), test)
         return CaptureSet(self.neutral, dict(first), dict(others))
 
     def write(self, folder: Path) -> dict[str, Path]:
@@ -369,7 +371,8 @@ def _write_muscles(muscles: Iterable[Muscle], folder: Path) -> None:
     for muscle in muscles:
         file = f"muscles/{re.sub(r'[^A-Za-z0-9]+', '_', muscle.name)}.ply"
         write_ply(folder / file, muscle.surface)
-        values, parts = muscle.axis[[1, 2, 0]].ravel().tolist(), muscle.compartments
+        values = muscle.axis[[1, 2, 0]].ravel().tolist()
+        parts = muscle.compartments
         cut = parts.cells if parts else ("", "")
         rows.append((muscle.name, file, "yes" if muscle.ring else "no", *values, *cut))
     columns = ("name", "file", "ring", *points, "cut", "compartments")

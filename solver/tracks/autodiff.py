@@ -47,7 +47,8 @@ class SkinMap:
         self.size = face.tracks.size
         self.skin_shape = face.model.skin.vertices.shape
         self.flesh_shape = face.model.rest.shape
-        self._face, self._start = face, start
+        self._face = face
+        self._start = start
         self._states: deque[TrackState] = deque(maxlen=kept)
         self._last: tuple[Floats, Floats, TrackResponse] | None = None
         self._lock = threading.RLock()
@@ -156,7 +157,8 @@ class _JaxRules:
     """The skin (V, 3) by q (K + 5,) for the module ``jax``, with one of its rules."""
 
     def __init__(self, jax: Any, skin_map: SkinMap) -> None:
-        self._jax, self._map = jax, skin_map
+        self._jax = jax
+        self._map = skin_map
         # x, bit for bit, in a type that JAX has whether or not it has double precision
         self._flesh = jax.ShapeDtypeStruct((*skin_map.flesh_shape, 2), np.uint32)
         # rules take q through this: who differentiates it, differentiates a derivative
@@ -285,7 +287,8 @@ def _torch_rows(torch: Any, skin_map: SkinMap) -> Callable[[Tensor], Tensor]:
         @staticmethod
         def forward(ctx: Any, q: Tensor) -> Tensor:
             q = q.detach()
-            ctx.states, ctx.like = [skin_map.state(row) for row in _double(q.cpu())], q
+            ctx.states = [skin_map.state(row) for row in _double(q.cpu())]
+            ctx.like = q
             return torch.from_numpy(np.stack([skin_map.skin(state) for state in ctx.states])).to(q)
 
         backward = staticmethod(torch.autograd.function.once_differentiable(pull))

@@ -194,7 +194,8 @@ class MuscleTracks:
         """
         path = Path(path)
         archive = Archive.read(path, "tracks", "a set of muscle tracks", FORMAT)
-        header, data = archive.header, archive.arrays
+        header = archive.header
+        data = archive.arrays
         try:
             rows = csr_from("line_rows", data, len(data["skinning"]))
             tracks = cls(
@@ -266,7 +267,8 @@ class TrackTargets:
     """The targets of a model's tracks as functions of q = (w, j)."""
 
     def __init__(self, model: SubjectModel, tracks: MuscleTracks) -> None:
-        self._model, self._tracks = model, tracks
+        self._model = model
+        self._tracks = tracks
         self._jaw = FreeJaw(model.jaw)
         lengths = tracks.lines.lengths(model.rest)
         _, volumes = shape_gradients(model.rest, model.tets)
@@ -305,14 +307,17 @@ class TrackTargets:
 
     def rates(self, q: Floats) -> TrackRates:
         """Return the derivatives of :meth:`at`."""
-        b, y, tracks = self.jaw(q), self._morph(q), self._tracks
+        b = self.jaw(q)
+        y = self._morph(q)
+        tracks = self._tracks
         share = tracks.skinning[:, None, None]
         turned = (1.0 - share) * np.eye(3) + share * self._jaw.matrix(b)[:3, :3]
         target = share * (self._jaw.jacobian(y, b) @ self._jaw_rates)
         target[:, :, : len(tracks.names)] += turned @ self._morphs_by_vertex
         pose = self._pose(b, y)
         lengths = tracks.lines.length_rates(pose.target, target)
-        stretches, by_stretch = np.zeros_like(lengths), np.zeros_like(pose.activations)
+        stretches = np.zeros_like(lengths)
+        by_stretch = np.zeros_like(pose.activations)
         stretches[self._driven] = lengths[self._driven] / self._rest_lengths[:, None]
         by_stretch[self._driven] = self._activations.rates(self._stretches(pose.lengths))
         return TrackRates(target, self._jaw_rates, stretches, by_stretch)

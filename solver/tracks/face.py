@@ -61,7 +61,9 @@ class TrackFace:
         settled_mm: float = MOMENT.settled_mm,
     ) -> None:
         tracks.check(model)
-        self.model, self.tracks, self.potentials = model, tracks, potentials
+        self.model = model
+        self.tracks = tracks
+        self.potentials = potentials
         plain = Face(model, material=LAWS[tracks.law].in_pascal(stiffness_pa), linear=linear)
         springs = tracks.shares(model), tracks.stiffness, tracks.length_mm
         self.tracked = TrackedFlesh.of(plain.flesh, *springs)

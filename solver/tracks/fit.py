@@ -112,7 +112,8 @@ class TrackFitOptions:
     def reach_of(self, tracks: MuscleTracks) -> Floats:
         """Return the changes (K + 5,) of the controls that a linear model is good for."""
         weights = np.full(len(tracks.names), self.weight_reach)
-        turns, shifts = 2 * [self.turn_reach], 3 * [self.shift_reach_mm]
+        turns = 2 * [self.turn_reach]
+        shifts = 3 * [self.shift_reach_mm]
         return np.concatenate([weights, turns, shifts])
 
     def bounds_of(self, tracks: MuscleTracks) -> tuple[Floats, Floats]:

@@ -52,8 +52,10 @@ class CentreLines:
     def of(cls, model: SubjectModel, options: LineOptions = LineOptions()) -> CentreLines:
         """Return those of a model's muscles."""
         gradients, volumes = shape_gradients(model.rest, model.tets)
-        entries, count = model.weights.tocoo(), model.muscle_count
-        parts, first = [sp.csr_array((0, len(model.rest)))], [0]
+        entries = model.weights.tocoo()
+        count = model.muscle_count
+        parts = [sp.csr_array((0, len(model.rest)))]
+        first = [0]
         closed = np.zeros(count, dtype=bool)
         for number in range(count):
             own = np.flatnonzero((entries.col == number + 1) & (entries.data > 0.0))
@@ -71,12 +73,15 @@ class CentreLines:
     @property
     def segments(self) -> tuple[Ints, Ints, Ints]:
         """Return muscle, first and second point (s,) of every segment."""
-        muscle, start, end = [], [], []
+        muscle = []
+        start = []
+        end = []
         for number, closed in enumerate(self.closed):
             points = np.arange(self.first[number], self.first[number + 1])
             following = np.roll(points, -1)
             if not closed:
-                points, following = points[:-1], following[:-1]
+                points = points[:-1]
+                following = following[:-1]
             muscle.append(np.full(len(points), number))
             start.append(points)
             end.append(following)

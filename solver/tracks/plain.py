@@ -39,7 +39,8 @@ class PlainFace:
 
     def __init__(self, model: SubjectModel, tracks: MuscleTracks) -> None:
         tracks.check(model)
-        self.face, self.tracks = Face(model), tracks
+        self.face = Face(model)
+        self.tracks = tracks
         self._targets = TrackTargets(model, tracks)
 
     def rest(self) -> PlainState:

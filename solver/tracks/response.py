@@ -74,8 +74,12 @@ class TrackResponse:
     """
 
     def __init__(self, face: TrackedFace, state: TrackState) -> None:
-        self._face, self._state = face.face, state
-        flesh, x, controls, b = face.face.flesh, state.x, state.drive.A, state.drive.jaw
+        self._face = face.face
+        self._state = state
+        flesh = face.face.flesh
+        x = state.x
+        controls = state.drive.A
+        b = state.drive.jaw
         now = Boundary(face.face.held_positions(b), b)
         for each in face.potentials:
             each.place(now)
@@ -123,7 +127,8 @@ class TrackResponse:
 
     def skin_product(self, change: Floats) -> Floats:
         """Return the skin's motion (V, 3) for a change (K + 5,) of the controls."""
-        moved, by_jaw = self.product(change)[:, :, None], (self._jaw @ change)[:, None]
+        moved = self.product(change)[:, :, None]
+        by_jaw = (self._jaw @ change)[:, None]
         return np.asarray(self._face.skin_rates(moved, self._state.drive.jaw, by_jaw)[:, :, 0])
 
     def skin_adjoint(self, gradient: Floats) -> Floats:
@@ -145,7 +150,8 @@ class PlacedSkin:
     """
 
     def __init__(self, response: TrackResponse, head: Similarity, skin: Floats) -> None:
-        self._response, self._turn = response, head.scale * head.rotation
+        self._response = response
+        self._turn = head.scale * head.rotation
         self._by_head = head_rates(skin)
 
     def columns(self) -> Floats:

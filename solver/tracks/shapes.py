@@ -108,14 +108,17 @@ class JawFreeShapes:
         on_skin = np.clip(model.embedding @ skinning, 0.0, 1.0)
         teeth, notices = _teeth(model, on_skin, options)
         split = _JawSplit(model, on_skin, teeth, options.still_mm)
-        numbers, motions, missed = [], [], []
+        numbers = []
+        motions = []
+        missed = []
         for name, motion in shapes.items():
             under = CORRECTED.get(name, "")
             if under in shapes:
                 # a corrective is what its lips do while the jaw is open
                 b, moved, left = split(shapes[under] + motion)
                 below, before, _ = split(shapes[under])
-                b, moved = b - below, moved - before
+                b = b - below
+                moved = moved - before
             else:
                 b, moved, left = split(motion)
             numbers.append(b)
@@ -138,9 +141,12 @@ class _JawSplit:
 
     def __call__(self, motion: Floats) -> tuple[Floats, Floats, float]:
         """Return b (5,) and B (e, 3) of a ``motion`` (V, 3), and what b misses of the teeth."""
-        jaw, neutral = FreeJaw(self.model.jaw), self.model.skin.vertices
-        teeth, start = neutral[self.teeth], neutral[self.model.embedded]
-        goal, b = teeth + motion[self.teeth], np.zeros(JAW_FREEDOM)
+        jaw = FreeJaw(self.model.jaw)
+        neutral = self.model.skin.vertices
+        teeth = neutral[self.teeth]
+        start = neutral[self.model.embedded]
+        goal = teeth + motion[self.teeth]
+        b = np.zeros(JAW_FREEDOM)
         if np.abs(motion[self.teeth]).max(initial=0.0) > self.still_mm:
             b = nearest_jaw(jaw, teeth, goal, b)
         left = np.sqrt(((jaw.move(teeth, b) - goal) ** 2).sum() / max(len(teeth), 1))

@@ -28,7 +28,8 @@ class _TrackedElastic(EnergyTerm):
     """The law of the tets, whose activations are the first of the controls."""
 
     def __init__(self, elastic: ElasticTerm) -> None:
-        self._elastic, self.vertices = elastic, elastic.vertices
+        self._elastic = elastic
+        self.vertices = elastic.vertices
         self.size = 6 * len(elastic.vertices)
 
     @override
@@ -121,7 +122,8 @@ class TrackedFlesh:
 
         ``by_stretch`` (m, 6) are the derivatives of their activations.
         """
-        muscles, A = self._muscles, controls[: 6 * len(self.flesh.tets)].reshape(-1, 6)
+        muscles = self._muscles
+        A = controls[: 6 * len(self.flesh.tets)].reshape(-1, 6)
         by_tet = self.flesh.elastic.forces_by_activation(x, A)
         forces = np.empty((muscles.nnz, 12))
         _force_ways(by_tet, muscles.indptr, muscles.indices, muscles.data, by_stretch, forces)
@@ -140,7 +142,8 @@ class TrackedFlesh:
 
         The pattern of their sum has the indptr (size + 1,) and the indices that come after.
         """
-        muscles, flesh = self._muscles.tocoo(), self.flesh
+        muscles = self._muscles.tocoo()
+        flesh = self.flesh
         numbers = flesh.free_numbers[flesh.tets[muscles.coords[0]]]
         rows = 3 * numbers[:, :, None] + np.arange(3)
         keys = rows * muscles.shape[1] + muscles.coords[1][:, None, None]

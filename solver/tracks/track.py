@@ -25,8 +25,11 @@ class ShapeTracker(Generic[State]):
     def __init__(
         self, face: ShapeFace[State], points: HeadAndFace, options: TrackFitOptions
     ) -> None:
-        self.face, self._points, self._options = face, points, options
-        self.state, self.head = face.rest(), IDENTITY
+        self.face = face
+        self._points = points
+        self._options = options
+        self.state = face.rest()
+        self.head = IDENTITY
 
     def begin(self, q: Floats, head: Similarity) -> None:
         """Go on from the controls q (K + 5,) and the head of a frame that was fitted before.
@@ -38,7 +41,8 @@ class ShapeTracker(Generic[State]):
 
     def step(self, seen: SeenPoints) -> DenseFit[State]:
         """Fit the next frame; one that cannot be keeps what the frame before had."""
-        before, coverage = self.state, coverage_of(seen)
+        before = self.state
+        coverage = coverage_of(seen)
         if not self._points.sees(seen):
             return DenseFit(before, self.head, "unseen", coverage)
 

@@ -54,7 +54,8 @@ def test_the_command_shows_no_folder_of_this_machine() -> None:
 
 
 def test_an_earlier_run_is_laid_out_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    document, figures = tmp_path / "docs" / "benchmarks.md", tmp_path / "run.json"
+    document = tmp_path / "docs" / "benchmarks.md"
+    figures = tmp_path / "run.json"
     document.parent.mkdir()
     document.write_text("# Benchmarks\n")
     curve = {"objective": [3.0, 2.0, 1.0], "seconds": [0.0, 0.5, 1.0]}

@@ -15,7 +15,8 @@ from benchmarks.muscle_actions import (
 from tests.fixtures import small_capture, small_model
 
 BY_MUSCLE = {action.muscle: action for action in muscle_actions()}
-SMILE, FROWN = BY_MUSCLE["zygomaticus major"], BY_MUSCLE["depressor anguli oris"]
+SMILE = BY_MUSCLE["zygomaticus major"]
+FROWN = BY_MUSCLE["depressor anguli oris"]
 BROW = BY_MUSCLE["frontalis medial part"]
 
 

@@ -88,7 +88,8 @@ def test_held_out_units_are_unknown_to_the_model() -> None:
 def test_jaw_closers_are_silent_in_an_open_jaw_alone() -> None:
     block = head_block((7, 5, 1))
     along = np.tile([1.0, 0.0, 0.0], (len(block.weights.data), 1))
-    names, wholes = ("masseter_deep_l.anterior", "mentalis_l"), ("masseter_deep_l", "mentalis_l")
+    names = ("masseter_deep_l.anterior", "mentalis_l")
+    wholes = ("masseter_deep_l", "mentalis_l")
     model = replace(block, muscle_names=names, wholes=wholes, fibres=along)
     face = Face(model)
     found = muscles(model, face.flesh.volumes, face.S, np.array([PULL, PULL]))

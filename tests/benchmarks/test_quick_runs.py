@@ -22,7 +22,8 @@ SECONDS = 1800
 
 def folders() -> list[str]:
     """Return the options of a template and faces of the data."""
-    anatomy, faces = data_folder("bodyparts3d"), data_folder("ict_facekit")
+    anatomy = data_folder("bodyparts3d")
+    faces = data_folder("ict_facekit")
     return ["--anatomy", str(anatomy), "--faces", str(faces)]
 
 
@@ -75,6 +76,7 @@ NEEDS: dict[str, Callable[[], list[str]] | None] = {
     "round_trip": None,
     "round_trip_faces": None,
     "single_muscles": None,
+    "studio_rig": None,
     "systems": None,
     "take_scenes": take,
     "tracks": None,
@@ -102,7 +104,8 @@ def test_the_built_in_person_is_asked_for_as_any_other() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NEEDS)
 def test_a_quick_run_ends_with_its_figures(name: str, tmp_path: Path) -> None:
-    needs, file = NEEDS[name], tmp_path / "figures.json"
+    needs = NEEDS[name]
+    file = tmp_path / "figures.json"
     more = [] if needs is None else needs()
     command = [sys.executable, "-m", f"benchmarks.{name}", "--quick", "--json", str(file), *more]
     where = os.environ | ({"MYOFACE_DATA": str(NONE)} if needs is None else {})

@@ -54,7 +54,8 @@ def test_the_built_in_person_makes_them() -> None:
         for name, scan in made.items()
     }
     assert min(each.max() for each in motion.values()) > 5.0
-    snarl, x = motion["snarl"], template.skin.vertices[:, 0]
+    snarl = motion["snarl"]
+    x = template.skin.vertices[:, 0]
     assert snarl[x > 20.0].max() > 5.0
     assert snarl[x < -20.0].max() < 1.0
 

@@ -142,7 +142,8 @@ def until(condition: Callable[[], bool], seconds: float = SECONDS) -> None:
 
 def _by_tracks(folder: Path) -> Path:
     """Write what tracks make of a sample's expressions: half of them."""
-    found, path = read_container(folder / "view.bin"), folder / "view_T.bin"
+    found = read_container(folder / "view.bin")
+    path = folder / "view_T.bin"
     halved = {
         name: array / 2 if name.startswith("skin/") else array
         for name, array in found.arrays.items()
@@ -208,9 +209,11 @@ def _marker_view(path: Path, markers: MarkerSet, frames: Floats) -> None:
         seen = np.einsum("kc,kcd->kd", markers.weights, skin[markers.vertices])
         off = np.random.default_rng(number).normal(0.0, 0.5, (count, 3))
         if 2 <= number < 6:
-            states[3], off[3] = "missing", np.nan
+            states[3] = "missing"
+            off[3] = np.nan
         if number == 4:
-            states[5], off[5] = "outlier", [0.0, 9.0, 0.0]
+            states[5] = "outlier"
+            off[5] = [0.0, 9.0, 0.0]
             states[7] = states[8] = "swapped"
         frame = MarkerFrame(
             *(number, np.zeros((3, 6)), np.zeros(5), np.zeros(6), 0, 2, 0.05),

@@ -134,7 +134,8 @@ def _strips(muscle: Muscle) -> dict[str, Surface]:
 
 def _pulls(skin: Surface) -> tuple[tuple[str, ...], Floats]:
     """Return the muscles and how each pulls the skin (m, n, 3), mm, when fully tense."""
-    names, pulls = [], []
+    names = []
+    pulls = []
     for muscle in builtin_template().muscles:
         way = np.asarray(muscle.origin) - np.asarray(muscle.insertion)
         way = way / (np.linalg.norm(way) or 1.0)
@@ -195,7 +196,8 @@ def _write_inside(
     share = np.exp(-distance / 12.0)
     at = np.einsum("vk,evkd->evd", share / 4, sample.skin[:, nearest])
     centres = rest[tets].mean(axis=1)
-    away, owner = np.full(len(tets), 6.0), np.full(len(tets), NO_MUSCLE, np.uint8)
+    away = np.full(len(tets), 6.0)
+    owner = np.full(len(tets), NO_MUSCLE, np.uint8)
     arrays: dict[str, np.ndarray] = {
         "rest": rest.astype(np.float32),
         "tets": tets.astype(np.uint32),
@@ -266,7 +268,8 @@ def _jaw(sample: Sample, mandible: Surface) -> Floats:
     for field in sample.skin:
         arm = vertices[chin] - hinge
         angle = -field[chin, 1] / max(arm[2], 1.0)
-        c, s = np.cos(angle), np.sin(angle)
+        c = np.cos(angle)
+        s = np.sin(angle)
         motion = np.eye(4)
         motion[1:3, 1:3] = [[c, -s], [s, c]]
         motion[:3, 3] = hinge - motion[:3, :3] @ hinge

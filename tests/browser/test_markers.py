@@ -131,7 +131,8 @@ def test_names_stand_beside_dots_and_twins_move_together(
     page.get_by_label("both sides together").check()
     page.get_by_label("Label LCheek").focus()
     page.keyboard.press("Alt+ArrowUp")
-    left, right = place.markers.labels.index("LCheek"), place.markers.labels.index("RCheek")
+    left = place.markers.labels.index("LCheek")
+    right = place.markers.labels.index("RCheek")
     until(lambda: page.evaluate("window.placed?.chosen") == left)
     found = np.array(page.evaluate("Array.from(window.placed.places)")).reshape(-1, 3)
     assert np.linalg.norm(found[left] - _places(place)[left]) > 0.3
@@ -202,7 +203,8 @@ def test_another_actor_s_take_is_fitted_by_the_form(
 
 
 def _places(place: Place) -> Floats:
-    markers, skin = place.markers, place.sample.neutral.vertices
+    markers = place.markers
+    skin = place.sample.neutral.vertices
     corners = skin[markers.vertices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -211,7 +213,8 @@ def _places(place: Place) -> Floats:
 
 def _on_canvas(page: Page, neutral: Floats, point: Floats) -> tuple[float, float]:
     """Return where a point of the face is on the screen, seen from the front."""
-    low, high = neutral.min(axis=0), neutral.max(axis=0)
+    low = neutral.min(axis=0)
+    high = neutral.max(axis=0)
     canvas = page.locator("canvas.stage").bounding_box()
     centre = (low + high) / 2
     half = max(high[1] - low[1], 0.6 * (high[0] - low[0])) / 2

@@ -21,7 +21,8 @@ def _rig() -> Rig:
     model: SubjectModel = replace(block_model(), skin=skin, face=np.arange(1000))
     error = np.full(len(skin.vertices), np.nan)
     error[model.face] = 1.5
-    fits, told = [], {}
+    fits = []
+    told = {}
     for name, weights in (("ah <b>", {"jawOpen": 1.0}), ("smile", {"mouthSmileLeft": 1.0})):
         shape = builtin_expression(weights).vertices
         rest = np.zeros((model.muscle_count, 6))

@@ -105,7 +105,8 @@ def test_the_first_view_comes_within_two_seconds(place: Place, look: Callable[..
 def test_expressions_blend_as_their_sliders_say(place: Place, rig: Callable[..., Page]) -> None:
     page = rig()
     sample = place.sample
-    smile, kiss = sample.names.index("smile"), sample.names.index("kiss")
+    smile = sample.names.index("smile")
+    kiss = sample.names.index("kiss")
     _slide(page, "Smile", 0.4)
     _assert_close(_posed(page), sample.neutral.vertices + 0.4 * sample.skin[smile])
     _slide(page, "Kiss", 1)
@@ -193,7 +194,8 @@ def test_a_whole_muscle_folds_its_compartments(place: Place, rig: Callable[..., 
 def test_muscles_stand_as_a_blend_of_expressions_has_them_and_go_on_from_there(
     place: Place, rig: Callable[..., Page]
 ) -> None:
-    page, sample = rig("?e=smile:0.5&e=surprise:1"), place.sample
+    page = rig("?e=smile:0.5&e=surprise:1")
+    sample = place.sample
     page.get_by_role("tab", name="Muscles").click()
     weights = {"smile": 0.5, "surprise": 1.0}
     row = page.locator("li", has=page.get_by_role("slider", name="Zygomaticus major l"))

@@ -39,7 +39,9 @@ class Walk:
         self.page = page
         self.faults: list[str] = []
         self.asked: list[str] = []
-        self._base, self._key, self._pictures = url, key, pictures
+        self._base = url
+        self._key = key
+        self._pictures = pictures
         page.on("pageerror", lambda error: self.faults.append(str(error)))
         page.on("console", lambda each: each.type == "error" and self.faults.append(each.text))
         page.on("request", lambda each: self.asked.append(f"{each.method} {each.url}"))

@@ -72,10 +72,12 @@ def follow(text: str, tree: Path) -> Followed:
     all are run but the tests.
     """
     done = Followed(tree)
-    verb, path = "", ""
+    verb = ""
+    path = ""
     for step in STEP.finditer(text):
         if step[1]:
-            verb, path = step[1], step[2]
+            verb = step[1]
+            path = step[2]
             (done.created if verb == "Create" else done.changed).append(path)
         elif verb == "Create" and step[3] == "python":
             assert not (tree / path).exists(), path
@@ -109,7 +111,8 @@ def _grow(content: str, old: str, new: str) -> str:
     """
     left = WORD.findall(old)
     [found] = re.finditer("(.*?)".join(map(re.escape, left)), content)
-    line, others = "", ["", *found.groups()]
+    line = ""
+    others = ["", *found.groups()]
     for word in WORD.findall(new):
         if left and word == left[0]:
             line += others.pop(0)

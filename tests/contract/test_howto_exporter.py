@@ -73,8 +73,10 @@ def test_the_command_line_a_job_and_each_fit_write_the_file(followed: Followed) 
 
 def _rig() -> Rig:
     model = block_model()
-    skin, count = model.skin.vertices + 2.0, len(model.skin.vertices)
-    a, none = np.tile(IDENTITY, (model.muscle_count, 1)), np.zeros(count)
+    skin = model.skin.vertices + 2.0
+    count = len(model.skin.vertices)
+    a = np.tile(IDENTITY, (model.muscle_count, 1))
+    none = np.zeros(count)
     fit = ExpressionFit("smile", "train", a, np.zeros(5), skin, skin, none, 0, 1, 0.0, 0.0)
     stretch = {name: {"fibres": 1.0} for name in model.muscle_names}
     smile = {"mean_mm": 0.0, "p95_mm": 0.0, "max_mm": 0.0, "muscles": stretch}

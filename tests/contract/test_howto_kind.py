@@ -87,7 +87,8 @@ def put_rig(settings: object, folder: Path, served: object) -> tuple[str, str]:
 
     model = head_block()
     skin = model.skin.vertices + np.array([0.0, 3.0, 0.0])
-    a, none = np.tile(IDENTITY, (model.muscle_count, 1)), np.zeros(len(skin))
+    a = np.tile(IDENTITY, (model.muscle_count, 1))
+    none = np.zeros(len(skin))
     fit = ExpressionFit("smile", "train", a, np.zeros(5), skin, skin, none, 0, 1, 0.0, 0.0)
     model.save(folder / "model.npz")
     Rig(model, model.weights, (fit,)).save(folder / "rig.npz")

@@ -46,7 +46,8 @@ def test_nor_any_of_an_animation(tmp_path: Path) -> None:
     heads[:, 1] = 0.4 * np.sin(times)
     path = tmp_path / "animation.glb"
     turning = np.zeros((12, 6))
-    turning[:, 2], turning[:, 5] = 3.0 * times, 150.0
+    turning[:, 2] = 3.0 * times
+    turning[:, 5] = 150.0
     pane = Surface(*(np.asarray(each) for each in (BOX.vertices, BOX.faces)))
     solids = [
         Solid("glass", pane, turning),

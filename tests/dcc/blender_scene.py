@@ -24,7 +24,8 @@ def evaluated(face) -> np.ndarray:
 def main() -> None:
     bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
     face = bpy.data.objects["face"]
-    mesh, scene = face.data, bpy.context.scene
+    mesh = face.data
+    scene = bpy.context.scene
     normals = np.empty(3 * len(mesh.loops), np.float32)
     mesh.corner_normals.foreach_get("vector", normals)
     corners = np.empty(len(mesh.loops), np.int32)

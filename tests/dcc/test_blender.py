@@ -66,7 +66,8 @@ class Scene:
 
 def imported(blender: Path, glb: Path, frames: list[float]) -> Scene:
     """Import a GLB with the example, and read the scene that it saves."""
-    blend, found = glb.with_suffix(".blend"), glb.with_suffix(".npz")
+    blend = glb.with_suffix(".blend")
+    found = glb.with_suffix(".npz")
     commands = (
         ["docs/examples/blender_import.py", str(glb), str(blend), "--fps", str(FPS)],
         ["tests/dcc/blender_scene.py", str(blend), str(found), *map(str, frames)],
@@ -100,7 +101,8 @@ def rig() -> Rig:
 def scene(blender: Path, rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     path = tmp_path_factory.mktemp("blender") / "rig.glb"
     glb.write(rig, path)
-    held, half_way = 1.6 * FPS + 0.8 * FPS, 0.3 * FPS
+    held = 1.6 * FPS + 0.8 * FPS
+    half_way = 0.3 * FPS
     return imported(blender, path, [0.0, half_way, held])
 
 
@@ -176,16 +178,19 @@ def test_a_sequence_moves_as_it_was_fitted(blender: Path, tmp_path: Path) -> Non
 
 def test_a_take_in_usd_plays_by_the_file_s_frames(blender: Path, rig: Rig, tmp_path: Path) -> None:
     usd = pytest.importorskip("solver.rig.exporters.usd", exc_type=ModuleNotFoundError)
-    neutral, model = rig.model.skin, rig.model
+    neutral = rig.model.skin
+    model = rig.model
     corners = 10.0 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     bone = Surface(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
-    animated, away = AnimatedSkin(neutral), rig.expressions[0].skin - neutral.vertices
+    animated = AnimatedSkin(neutral)
+    away = rig.expressions[0].skin - neutral.vertices
     shown = range(101, 107)
     for number in shown:
         jaw = 0.1 * (number - 100) * np.array([1.0, 0.2, 1.0, 2.0, 3.0])
         skin = neutral.vertices + np.cos(0.9 * number) * away
         animated.add(replace(_frame(number), jaw=jaw), skin)
-    path, found = tmp_path / "sequence.usdc", tmp_path / "found.npz"
+    path = tmp_path / "sequence.usdc"
+    found = tmp_path / "found.npz"
     usd.write_sequence(path, replace(model, bones={"mandible": bone}), animated, float(FPS))
     command = [blender, "tests/dcc/blender_usd.py", path, found, *map(str, shown)]
     child = subprocess.run(

@@ -176,7 +176,8 @@ def marker_frame(row: int) -> MarkerFrame:
 
 @pytest.mark.parametrize("still", [False, True])
 def test_a_take_plays_as_it_was_fitted(rig: Rig, tmp_path: Path, still: bool) -> None:
-    neutral, path = rig.model.skin, tmp_path / "sequence.usdc"
+    neutral = rig.model.skin
+    path = tmp_path / "sequence.usdc"
     away = 0.0 if still else rig.expressions[0].skin - neutral.vertices
     skins = [neutral.vertices + np.sin(1.3 * row) * away for row in range(len(STATUS))]
     animated = AnimatedSkin(neutral)
@@ -188,10 +189,12 @@ def test_a_take_plays_as_it_was_fitted(rig: Rig, tmp_path: Path, still: bool) ->
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (-3.0, 5.0)
     assert stage.GetTimeCodesPerSecond() == pytest.approx(59.94)
     low, high = np.array(UsdGeom.Boundable(stage.GetDefaultPrim()).GetExtentAttr().Get())
-    points, bones = played(path), rig.model.bones
+    points = played(path)
+    bones = rig.model.bones
     for row, skin in enumerate(skins):
         frame = marker_frame(row)
-        head, motion = small_motion(frame.head), frame.mandible
+        head = small_motion(frame.head)
+        motion = frame.mandible
         mandible = bones["mandible"].vertices @ motion[:3, :3].T + motion[:3, 3]
         expected = {"Skin": skin, "mandible": mandible, "cranium": bones["cranium"].vertices}
         for name, places in expected.items():

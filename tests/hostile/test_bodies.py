@@ -79,7 +79,8 @@ def test_large_bodies_are_refused_on_every_route_but_an_uploads(http: httpx.Clie
 
 
 def test_a_body_of_unsaid_length_is_cut_off_at_its_limit(http: httpx.Client) -> None:
-    start, end = b'{"name": "Alex", "external_id": "', b'"}'
+    start = b'{"name": "Alex", "external_id": "'
+    end = b'"}'
     most = bodies.MOST_BYTES - len(start) - len(end)
     for more, status, code in ((0, 422, "request.invalid"), (1, 413, "request.too_large")):
         body = start + b"x" * (most + more) + end

@@ -95,7 +95,8 @@ def test_after_a_refusal_nobody_may_go_on_sending(port: int) -> None:
     assert time.monotonic() - started < PATIENCE + 3
 
 
-BLOCK, BLOCKS = 64 * 1024, 1000
+BLOCK = 64 * 1024
+BLOCKS = 1000
 
 
 class _Downloads:
@@ -128,7 +129,9 @@ def test_who_does_not_read_is_cut_off_and_holds_little() -> None:
 
 
 def test_who_reads_slowly_gets_all_of_it() -> None:
-    app, received, started = _Downloads(), 0, time.monotonic()
+    app = _Downloads()
+    received = 0
+    started = time.monotonic()
     with serving(app, PATIENCE) as port, connected(port) as connection:
         connection.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
         while content := connection.recv(4 * 1024**2):
@@ -153,7 +156,8 @@ def test_who_reads_at_little_more_than_the_least_rate_is_not_cut_off(
         context = ssl.create_default_context(cafile=str(certificate))
         with context.wrap_socket(plain, server_hostname="127.0.0.1") if tls else plain as reader:
             reader.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
-            received, started = 0, time.monotonic()
+            received = 0
+            started = time.monotonic()
             while (seconds := time.monotonic() - started) < 3 * patience:
                 if received < rate * seconds:
                     content = reader.recv(4096)

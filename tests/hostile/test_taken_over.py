@@ -61,7 +61,8 @@ def test_kernels_are_read_from_the_installation_and_never_written_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     caching = pytest.importorskip("numba.core.caching")
-    package, attempt = tmp_path / "solver" / "mechanics", tmp_path / "attempt"
+    package = tmp_path / "solver" / "mechanics"
+    attempt = tmp_path / "attempt"
     installed = package / "__pycache__" / "laws.energy-1.py311.nbi"
     installed.parent.mkdir(parents=True)
     file = caching.IndexDataCacheFile(str(installed.parent), "laws.energy-1.py311", "stamp")

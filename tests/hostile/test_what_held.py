@@ -117,7 +117,8 @@ def test_another_tenant_signs_nothing_of_ours(studio: Studio) -> None:
 
 def _at_once(count: int, ask: Callable[[int], httpx.Response]) -> Counter[int]:
     """Return the statuses of ``count`` requests that are sent in the same moment."""
-    ready, statuses = threading.Barrier(count), Counter[int]()
+    ready = threading.Barrier(count)
+    statuses = Counter[int]()
 
     def one(number: int) -> None:
         ready.wait()
@@ -133,7 +134,8 @@ def _at_once(count: int, ask: Callable[[int], httpx.Response]) -> Counter[int]:
 
 
 def test_what_is_asked_for_many_times_at_once_is_done_once(studio: Studio) -> None:
-    subject, job = studio.subject(), str(uuid.uuid4())
+    subject = studio.subject()
+    job = str(uuid.uuid4())
     order = {"kind": "build_model", "subject_id": subject}
     put = _at_once(16, lambda _: studio.http.put(f"/v1/jobs/{job}", json=order))
     assert put == {201: 1, 200: 15}
@@ -143,7 +145,8 @@ def test_what_is_asked_for_many_times_at_once_is_done_once(studio: Studio) -> No
     states = [data["state"] for _, kind, data in studio.events(job) if kind == "state"]
     assert states == ["queued", "canceled"]
     scans = [studio.upload(f"{number}.obj", b"v %d 0 0" % number) for number in range(12)]
-    path, body = f"/v1/subjects/{subject}/captures", {"name": "smile", "role": "expression"}
+    path = f"/v1/subjects/{subject}/captures"
+    body = {"name": "smile", "role": "expression"}
     added = _at_once(12, lambda k: studio.http.post(path, json={**body, "upload_id": scans[k]}))
     assert added == {201: 1, 409: 11}
 
@@ -204,7 +207,8 @@ def test_no_other_protocol_is_spoken(port: int, upgrade: bytes) -> None:
 
 @pytest.mark.parametrize("member", ["dump", "files"])
 def test_a_backup_names_no_file_outside_its_folder(member: str, tmp_path: Path) -> None:
-    settings, folder = Settings(data_dir=tmp_path / "data"), tmp_path / "backup"
+    settings = Settings(data_dir=tmp_path / "data")
+    folder = tmp_path / "backup"
     with served(settings) as studio:
         studio.subject()
         back_up(settings, folder)
@@ -222,7 +226,8 @@ def test_a_backup_names_no_file_outside_its_folder(member: str, tmp_path: Path) 
 @pytest.mark.slow
 def test_a_killed_api_is_there_again(tmp_path: Path) -> None:
     with running(tmp_path) as (stack, studio):
-        job, first = studio.submit("build_model", studio.subject(seconds=1)), stack.pid("api")
+        job = studio.submit("build_model", studio.subject(seconds=1))
+        first = stack.pid("api")
         os.kill(first, signal.SIGKILL)
         eventually(lambda: stack.pid("api") != first, seconds=20)
 

@@ -77,7 +77,8 @@ def test_keys_that_open_nothing(tmp_path: Path) -> None:
         assert _ask(studio, revoked, "/v1/subjects").status_code == 200
         with store.write() as session:
             session.execute(update(ApiKey).where(ApiKey.id == revoked_id).values(revoked_at=now()))
-        _, unknown = keyring, Keyring(store, b"another service's secret")
+        _ = keyring
+        unknown = Keyring(store, b"another service's secret")
         with store.write() as session:
             _, foreign = unknown.mint(session, DEFAULT_TENANT, "x", [Scope.READ])
         mistyped = text[:-8] + ("A" if text[-8] != "A" else "B") + text[-7:]

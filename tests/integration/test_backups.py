@@ -78,7 +78,8 @@ def test_a_backup_brings_everything_back_but_not_the_deleted(
 ) -> None:
     with served(settings) as studio:
         key = studio.key
-        kept, gone = studio.subject(), studio.post("/v1/subjects", name="Bo")["id"]
+        kept = studio.subject()
+        gone = studio.post("/v1/subjects", name="Bo")["id"]
         smile = studio.capture(gone, "smile")
         job = studio.submit("build_model", kept)
         first = back_up(settings, folder)
@@ -212,7 +213,8 @@ def test_lost_and_damaged_files_are_named_and_stepped_over(
     _only_folder(settings)
     with served(settings) as studio:
         subject = studio.subject()
-        smile, frown = studio.capture(subject, "smile"), studio.capture(subject, "frown")
+        smile = studio.capture(subject, "smile")
+        frown = studio.capture(subject, "frown")
         scans = {
             each["name"]: each["sha256"]
             for each in studio.get(f"/v1/subjects/{subject}/captures")["items"]
@@ -332,7 +334,8 @@ def test_the_commands_take_the_data_folder(
 ) -> None:
     with served(settings) as studio:
         subject = studio.subject()
-    old, new = ["--data", str(settings.data_dir)], ["--data", str(fresh.data_dir)]
+    old = ["--data", str(settings.data_dir)]
+    new = ["--data", str(fresh.data_dir)]
     for command in (
         ["backup", str(folder), *old, "--keep", "2", "--verify"],
         ["backup", str(folder), *old, "--deletions"],

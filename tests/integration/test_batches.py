@@ -100,7 +100,8 @@ def test_a_batch_may_stop_at_the_verdicts(working: Studio) -> None:
 
 
 def test_a_batch_is_all_or_nothing_and_can_be_stopped(idle: Studio) -> None:
-    neutral, smile = _scan(idle, "neutral", "neutral"), _scan(idle, "smile")
+    neutral = _scan(idle, "neutral", "neutral")
+    smile = _scan(idle, "smile")
     again = _scan(idle, "smile")
     alex = {"subject": {"name": "Alex"}}
     registered = {**smile, "registered": True}

@@ -306,7 +306,8 @@ def test_a_rig_is_fetched_whole_and_gone_on_with(client: Client, tmp_path: Path)
 def test_a_rig_that_is_renamed_while_it_is_fetched_is_fetched_as_it_is_then(
     client: Client, tmp_path: Path
 ) -> None:
-    model, smile = subject_with_model(client, tmp_path), scan(tmp_path, "smile")
+    model = subject_with_model(client, tmp_path)
+    smile = scan(tmp_path, "smile")
     fitted = client.add_capture(model, smile, registered=True).id
     job = client.wait(client.submit("fit_geometry", model, captures=[fitted]).id)
     assert job.result is not None

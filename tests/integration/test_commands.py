@@ -63,7 +63,8 @@ def test_a_session_at_the_station(myoface: Command, url: str, tmp_path: Path) ->
     assert "turn the head towards the lower camera and scan again" in bad.output
     myoface("captures", "delete", subject, "blink")
 
-    frown, smile = scan(tmp_path, "frown", "fault nan"), scan(tmp_path, "smile")
+    frown = scan(tmp_path, "frown", "fault nan")
+    smile = scan(tmp_path, "smile")
     myoface("captures", "add", subject, smile, frown, "--raw")
     registered = myoface("captures", "register", subject, "-o", tmp_path / "out", code=1).output
     assert registered.index("neutral: registered") < registered.index("smile: registered")
@@ -139,7 +140,8 @@ def _standin(name: str) -> ModuleType:
 
 def test_a_check_that_fails_keeps_no_other_back(myoface: Command, tmp_path: Path) -> None:
     subject = myoface("subjects", "add", "Ada").output.strip()
-    frown, smile = scan(tmp_path, "frown", "fault nan"), scan(tmp_path, "smile")
+    frown = scan(tmp_path, "frown", "fault nan")
+    smile = scan(tmp_path, "smile")
     told = myoface("captures", "add", subject, frown, smile, "--check", code=1).output
     assert "frown: frown.obj has a NaN in line 3" in told
     assert "smile: good" in told
@@ -246,7 +248,8 @@ def test_a_tenant_that_lost_its_key_is_given_another(tmp_path: Path) -> None:
         assert done.exit_code == code, done.output
         return done.output
 
-    first, second = tmp_path / "first.key", tmp_path / "second.key"
+    first = tmp_path / "first.key"
+    second = tmp_path / "second.key"
     tenant = run("add", "North", "--key", str(first)).strip()
     run("key", tenant, "--key", str(first), code=2)
     run("key", "nobody", "--key", str(second), code=2)
@@ -286,7 +289,8 @@ def test_ids_are_known_by_their_start_and_people_by_their_name(
 def test_a_batch_has_units_landmarks_and_options(
     myoface: Command, url: str, tmp_path: Path
 ) -> None:
-    neutral, smile = scan(tmp_path, "neutral"), scan(tmp_path, "a smile")
+    neutral = scan(tmp_path, "neutral")
+    smile = scan(tmp_path, "a smile")
     marks = tmp_path / "marks.csv"
     marks.write_text("nose,0,0,0")
     given = ("--person", "Ada B", "--unit", "cm", "--up", "-z", "--landmarks", f"neutral={marks}")
@@ -343,7 +347,8 @@ def test_names_are_refused_before_anything_is_sent(myoface: Command, tmp_path: P
 
 def test_what_is_there_is_not_sent_again(myoface: Command, tmp_path: Path) -> None:
     subject = myoface("subjects", "add", "Eve").output.strip()
-    smile, frown = scan(tmp_path, "smile"), scan(tmp_path, "frown")
+    smile = scan(tmp_path, "smile")
+    frown = scan(tmp_path, "frown")
     first = myoface("captures", "add", subject, smile).output
     both = myoface("captures", "add", subject, smile, frown).output
     assert both.startswith(first)
@@ -424,7 +429,8 @@ def test_a_scan_that_is_said_to_be_registered_is_counted_first(
     myoface: Command, tmp_path: Path
 ) -> None:
     subject = myoface("subjects", "add", "Ida").output.strip()
-    obj, ply = tmp_path / "neutral.obj", tmp_path / "smile.ply"
+    obj = tmp_path / "neutral.obj"
+    ply = tmp_path / "smile.ply"
     obj.write_text("v 0 0 0\n" * 12 + "vn 0 0 1\n")
     ply.write_text("ply\nformat ascii 1.0\nelement vertex 13\nproperty float x\nend_header\n")
     for file, count in ((obj, 12), (ply, 13)):

@@ -76,7 +76,8 @@ def test_a_scene_that_nobody_would_live_to_see_is_refused(tmp_path: Path) -> Non
 
 
 def test_large_files_have_more_time_unless_somebody_set_it(tmp_path: Path) -> None:
-    check, largest = KINDS["check_scan"], 2 * 1024**3
+    check = KINDS["check_scan"]
+    largest = 2 * 1024**3
     assert Settings(data_dir=tmp_path).max_seconds(KINDS["check_markers"]) == 300
     assert Settings(data_dir=tmp_path).max_seconds(KINDS["build_model"]) == 3600
     assert Settings(data_dir=tmp_path).max_seconds(check, 146_000) == 120

@@ -80,11 +80,13 @@ def test_a_receipt_says_when_the_last_file_was_gone(studio: Studio) -> None:
 
 def test_a_receipt_does_not_tell_that_somebody_has_the_same_file(studio: Studio) -> None:
     """What only this studio had takes two ages of garbage, and so does what others have."""
-    shared, unique = studio.subject(), studio.post("/v1/subjects", name="Bo")["id"]
+    shared = studio.subject()
+    unique = studio.post("/v1/subjects", name="Bo")["id"]
     studio.capture(studio.subject(), "smile")
     studio.capture(shared, "smile")
     studio.capture(unique, "frown")
-    store, age = _store(studio), 300.0
+    store = _store(studio)
+    age = 300.0
     receipts = [
         studio.http.delete(f"/v1/subjects/{each}").headers["Location"] for each in (shared, unique)
     ]
@@ -132,7 +134,8 @@ def test_another_upload_of_the_same_bytes_stays(studio: Studio) -> None:
 
 def test_a_scan_takes_another_one_s_place_or_nothing_is_done(studio: Studio) -> None:
     subject = studio.subject()
-    smile, frown = studio.capture(subject, "smile"), studio.capture(subject, "frown")
+    smile = studio.capture(subject, "smile")
+    frown = studio.capture(subject, "frown")
     made = studio.post("/v1/keys", name="station", scopes=["read", "write"])
     station = {"Authorization": f"Bearer {made['key']}"}
     path = f"/v1/subjects/{subject}/captures"
@@ -253,7 +256,8 @@ def test_a_template_goes_when_no_subject_has_it(studio: Studio) -> None:
 
 
 def test_what_has_been_kept_for_long_enough_goes(studio: Studio) -> None:
-    subject, young = studio.subject(), studio.subject()
+    subject = studio.subject()
+    young = studio.subject()
     smile = studio.capture(subject, "smile")
     model, rig_job, check = (studio.submit("build_model", subject) for _ in range(3))
     _end(studio, model, check)
@@ -351,11 +355,13 @@ def test_every_object_says_until_when_it_is_kept(tmp_path: Path) -> None:
 
 
 def test_a_tenant_may_keep_things_for_fewer_days(studio: Studio) -> None:
-    store, mine = _store(studio), studio.subject()
+    store = _store(studio)
+    mine = studio.subject()
     week = now() - timedelta(days=8)
     with store.write() as session:
         own = session.get_one(Tenant, DEFAULT_TENANT)
-        own.retain_scans, own.retain_subjects = 7, 900
+        own.retain_scans = 7
+        own.retain_subjects = 900
         session.add(other := Tenant(name="another studio"))
         session.flush()
         session.add(theirs := Subject(name="Bo", tenant_id=other.id))

@@ -123,7 +123,8 @@ def test_a_repetition_is_answered_though_its_options_would_be_refused_now(
     with served(Settings(data_dir=tmp_path)) as studio:
         body = {"kind": "build_model", "subject_id": studio.subject()}
         path = f"/v1/jobs/{uuid.uuid4()}"
-        put, posted = studio.http.put(path, json=body), _post(studio, "/v1/jobs", "k", **body)
+        put = studio.http.put(path, json=body)
+        posted = _post(studio, "/v1/jobs", "k", **body)
         assert (put.status_code, posted.status_code) == (201, 201)
 
         def refuse(*_: Any) -> None:

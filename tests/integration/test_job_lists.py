@@ -139,7 +139,8 @@ def test_a_log_is_not_kept_without_end() -> None:
             return ["again"] * 450, 0
 
     process = SolverProcess.__new__(SolverProcess)
-    process._log, process._room = Flood(), MOST_LINES_KEPT  # type: ignore[assignment]
+    process._log = Flood()
+    process._room = MOST_LINES_KEPT
     kept = [line for _ in range(60) for line in process.lines()]
     assert len(kept) == MOST_LINES_KEPT + 1
     assert kept[-1].startswith("...")

@@ -69,15 +69,18 @@ def test_a_clock_that_is_set_back_holds_up_no_job(store: Store) -> None:
     with store.write() as session:
         claim = _claim(session, "dead", 30)
         assert claim
-        job, ahead = session.get_one(Job, job_id), timedelta(minutes=8)
+        job = session.get_one(Job, job_id)
+        ahead = timedelta(minutes=8)
         assert job.leased_at
         assert job.lease_until
-        job.leased_at, job.lease_until = job.leased_at + ahead, job.lease_until + ahead
+        job.leased_at = job.leased_at + ahead
+        job.lease_until = job.lease_until + ahead
     with store.write() as session:
         sweep.expire_leases(session)
         job = session.get_one(Job, job_id)
         assert (job.state, job.lost) == (State.QUEUED, 1)
-        job.sent_at, job.sends = clock(session) + timedelta(hours=1), 1
+        job.sent_at = clock(session) + timedelta(hours=1)
+        job.sends = 1
     with store.write() as session:
         sweep.resend(session, 10)
         assert session.get_one(Job, job_id).sends == 2
@@ -138,7 +141,8 @@ def test_a_lost_attempt_is_fenced_off(store: Store) -> None:
 def test_a_session_from_scans_to_deletion(tmp_path: Path) -> None:
     with running(tmp_path) as (_, studio):
         subject = studio.post("/v1/subjects", name="Alex")["id"]
-        neutral, smile = studio.raw(subject, "neutral", "neutral"), studio.raw(subject, "smile")
+        neutral = studio.raw(subject, "neutral", "neutral")
+        smile = studio.raw(subject, "smile")
         for capture in (neutral, smile):
             studio.done("check_scan", subject, captures=[capture])
             studio.done("register_scan", subject, captures=[capture])

@@ -46,7 +46,8 @@ def test_a_key_that_asks_too_fast_is_told_when_to_come_back(tmp_path: Path) -> N
 
 
 def test_processes_share_a_bucket_and_go_on_without_the_broker(broker: str) -> None:
-    first, second = Rates(broker, 4, 100), Rates(broker, 4, 100)
+    first = Rates(broker, 4, 100)
+    second = Rates(broker, 4, 100)
     taken = [rates.take("key", "studio") for rates in (first, second, first, second, first)]
     assert [each.allowed for each in taken] == [True] * 4 + [False]
     assert first.take("another", "studio").allowed

@@ -126,7 +126,8 @@ def test_frames_that_are_not_whole_are_gone(
     chunk = tmp_path / "000000-000001.json"
     chunk.write_text('{"frames": [], "picture": "AAAA"}')
     blob = store.files.put(chunk)
-    subject, job = studio.subject(), new_id()
+    subject = studio.subject()
+    job = new_id()
     request = {"options": {}, "rig_id": None, "captures": [], "kind": "simulate"}
     row: dict[str, Any] = {"id": job, "subject_id": subject, "kind": "simulate", "queue": "long"}
     with store.of(DEFAULT_TENANT).write() as session:
@@ -182,7 +183,8 @@ def test_the_scrubber_finds_what_nobody_reads(
             return faults(session)
 
     quick = settings.model_copy(update={"scrub_per_minute": 60_000})
-    scrubber, second = Scrubber(store, quick), Scrubber(store, quick)
+    scrubber = Scrubber(store, quick)
+    second = Scrubber(store, quick)
     scrubber.start()
     second.start()
     eventually(lambda: known() == expected)

@@ -82,8 +82,11 @@ def _is_played(client: Client, subject: str, rig: str, fit: str) -> None:
 def test_another_actor_s_take_is_checked_and_carried(
     session: dict[str, Any], tmp_path: Path
 ) -> None:
-    client, subject, rig = session["client"], session["subject"].id, session["rig"].id
-    points, file = to_actor(made_positions(FRAMES.stop)[FRAMES] - AWAY), tmp_path / "another.c3d"
+    client = session["client"]
+    subject = session["subject"].id
+    rig = session["rig"].id
+    points = to_actor(made_positions(FRAMES.stop)[FRAMES] - AWAY)
+    file = tmp_path / "another.c3d"
     file.write_bytes(c3d_bytes(points, list(LABELS), rate=5.0))
     take = client.add_capture(subject, file, role="markers")
     meant = {"actor": True, "neutral": 1}
@@ -107,7 +110,8 @@ def test_another_actor_s_take_is_checked_and_carried(
 def test_a_take_that_cannot_be_read_is_told_by_the_check_and_refused_by_the_fit(
     session: dict[str, Any], tmp_path: Path, content: bytes, verdict: str, code: str
 ) -> None:
-    client, subject = session["client"], session["subject"].id
+    client = session["client"]
+    subject = session["subject"].id
     file = tmp_path / f"{code.replace('.', '-')}.c3d"
     file.write_bytes(content)
     take = client.add_capture(subject, file, role="markers")

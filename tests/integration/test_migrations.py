@@ -70,7 +70,8 @@ def test_going_back_to_before_tenants_merges_nobody(database: Database) -> None:
 def test_uploads_from_before_know_what_they_were_used_for(database: Database) -> None:
     database.migrate(command.upgrade, "0007")
     at = "'2026-01-01 00:00:00'"
-    of_file, file = "tenant_id, filename, size, created_at", f"'{DEFAULT_TENANT}', 'x', 1, {at}"
+    of_file = "tenant_id, filename, size, created_at"
+    file = f"'{DEFAULT_TENANT}', 'x', 1, {at}"
     rows = [
         f"subjects (id, tenant_id, name, created_at) VALUES ('s', '{DEFAULT_TENANT}', 'x', {at})",
         f"captures (id, subject_id, name, role, registered, sha256, landmarks_sha256, {of_file}) "

@@ -211,7 +211,8 @@ def test_a_batch_replaces_scans_in_one_step_or_not_at_all(
 ) -> None:
     subject = studio.post("/v1/subjects", name="Alex")["id"]
     neutral = studio.raw(subject, "neutral", "neutral")
-    smile, kiss = studio.raw(subject, "smile"), studio.raw(subject, "kiss")
+    smile = studio.raw(subject, "smile")
+    kiss = studio.raw(subject, "kiss")
     new = [
         {"name": "rest", "role": "neutral", "replaces": neutral},
         {"name": "smile", "role": "expression", "replaces": smile},
@@ -330,7 +331,8 @@ class Failing:
     """A store whose file ends, or fails, after its list of members was read."""
 
     def __init__(self, content: bytes, error: Exception | None) -> None:
-        self._content, self._error = content, error
+        self._content = content
+        self._error = error
 
     def open(self, _sha256: str, start: int, end: int) -> Iterator[bytes]:
         name = self._content.index(SKIN.encode())

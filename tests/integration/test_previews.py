@@ -44,7 +44,8 @@ def test_the_newest_preview_is_the_rig_s(studio: Studio) -> None:
 
 def test_a_preview_stays_and_goes_with_its_rig(tmp_path: Path) -> None:
     with served(Settings(data_dir=tmp_path)) as studio:
-        subject, left = (studio.subject(), {"rig.npz": "a" * 64})
+        subject = studio.subject()
+        left = {"rig.npz": "a" * 64}
         model, made = (studio.submit("build_model", subject) for _ in range(2))
         studio.pretend(model, {"model.npz": "c" * 64})
         studio.pretend(made, left)

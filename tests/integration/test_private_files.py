@@ -19,7 +19,9 @@ COMMAND = "import sys; from myoface.cli import main; sys.argv[0] = 'myoface'; ma
 
 
 def test_up_lets_nobody_else_read_and_logs_no_key(tmp_path: Path, parts: Production | None) -> None:
-    data, backup, told = tmp_path / "data", tmp_path / "backup", tmp_path / "told"
+    data = tmp_path / "data"
+    backup = tmp_path / "backup"
+    told = tmp_path / "told"
     environment = os.environ | {"PYTHONPATH": str(ROOT), "MYOFACE_JOBS": STANDIN["jobs"]}
 
     def wide() -> None:
@@ -36,7 +38,8 @@ def test_up_lets_nobody_else_read_and_logs_no_key(tmp_path: Path, parts: Product
     try:
         eventually(lambda: "Its page" in told.read_text(), seconds=60)
         settings = Settings(data_dir=data)
-        key, lines = settings.admin_key.read_text(), told.read_text()
+        key = settings.admin_key.read_text()
+        lines = told.read_text()
         url = next(word for word in lines.split() if word.startswith("http")).rstrip(".")
         with httpx.Client(base_url=url, timeout=30) as http:
             Studio(http, key).modelled()

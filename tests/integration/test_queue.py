@@ -78,7 +78,8 @@ class Shop:
         owner, _ = self.subjects[tenant]
         with self.store.write() as session:
             key = ApiKey(name="x", hash="x", scopes=[scope], last_used_at=now() - since)
-            key.id, key.tenant_id = uuid.uuid4().hex[:12], owner
+            key.id = uuid.uuid4().hex[:12]
+            key.tenant_id = owner
             session.add(key)
 
     def take(self, who: Abilities = ANYTHING, lease: float = 60) -> str | None:

@@ -97,7 +97,8 @@ def test_what_can_not_be_read_yet(studio: Studio) -> None:
     nobody = studio.post("/v1/subjects", name="Nobody")["id"]
     alone = studio.raw(nobody, "smile")
     subject = studio.post("/v1/subjects", name="Alex")["id"]
-    neutral, smile = studio.raw(subject, "neutral", "neutral"), studio.raw(subject, "smile")
+    neutral = studio.raw(subject, "neutral", "neutral")
+    smile = studio.raw(subject, "smile")
     ready = studio.capture(subject, "ready")
 
     def refusal(kind: str, subject_id: str, *captures: str) -> tuple[int, str, str]:
@@ -143,8 +144,11 @@ def build(studio: Studio, subject: str) -> None:
 def test_no_fit_mixes_two_neutrals(studio: Studio) -> None:
     """A fit reads the registrations that were made from the neutral its model was built of."""
     subject = studio.post("/v1/subjects", name="Alex")["id"]
-    neutral, smile = studio.raw(subject, "neutral", "neutral"), studio.raw(subject, "smile")
-    first, second, third = ("a" * 64, "b" * 64, "c" * 64)
+    neutral = studio.raw(subject, "neutral", "neutral")
+    smile = studio.raw(subject, "smile")
+    first = "a" * 64
+    second = "b" * 64
+    third = "c" * 64
 
     def fit() -> tuple[int, Any]:
         body = {"kind": "fit_geometry", "subject_id": subject, "captures": [smile]}
@@ -183,7 +187,8 @@ def test_inputs_are_fixed_when_a_job_is_submitted(studio: Studio) -> None:
     subject = studio.post("/v1/subjects", name="Alex")["id"]
     neutral = studio.raw(subject, "neutral", "neutral")
     register(studio, subject, neutral, "a" * 64)
-    path, body = f"/v1/jobs/{uuid.uuid4()}", {"kind": "build_model", "subject_id": subject}
+    path = f"/v1/jobs/{uuid.uuid4()}"
+    body = {"kind": "build_model", "subject_id": subject}
     assert studio.http.put(path, json=body).status_code == 201
     register(studio, subject, neutral, "b" * 64)
     again = studio.http.put(path, json=body)
@@ -194,7 +199,8 @@ def test_inputs_are_fixed_when_a_job_is_submitted(studio: Studio) -> None:
 def test_what_a_capture_may_be_made_of(studio: Studio) -> None:
     subject = studio.post("/v1/subjects", name="Alex")["id"]
     path = f"/v1/subjects/{subject}/captures"
-    cloud, marks = studio.upload("cloud.xyz", b"0 0 0"), studio.upload("marks.doc", b"0 0 0")
+    cloud = studio.upload("cloud.xyz", b"0 0 0")
+    marks = studio.upload("marks.doc", b"0 0 0")
     body = {"name": "smile", "role": "expression", "upload_id": cloud}
     cases = [
         ({**body, "registered": True}, "capture.format"),

@@ -82,7 +82,8 @@ def test_a_killed_solver_goes_on_after_its_last_frame(
 
 def test_a_scan_is_no_performance(studio: Studio, rigged: tuple[str, str]) -> None:
     subject, rig = rigged
-    laugh, take = studio.capture(subject, "laugh"), studio.performance(subject, "take")
+    laugh = studio.capture(subject, "laugh")
+    take = studio.performance(subject, "take")
     for captures, code in (
         ([laugh], "capture.not_a_performance"),
         ([take, take], "job.one_capture"),

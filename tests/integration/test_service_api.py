@@ -27,7 +27,8 @@ def studio(tmp_path: Path) -> Iterator[Studio]:
 
 def test_jobs_that_can_not_be(studio: Studio) -> None:
     empty = studio.post("/v1/subjects", name="Nobody yet")["id"]
-    subject, other = studio.subject(), studio.subject()
+    subject = studio.subject()
+    other = studio.subject()
     neutral = studio.get(f"/v1/subjects/{subject}/captures")["items"][0]["id"]
     foreign = studio.capture(other, "smile")
     cases: list[tuple[dict[str, Any], int, str, str]] = [
@@ -85,7 +86,8 @@ def test_jobs_that_can_not_be(studio: Studio) -> None:
 
 def test_put_is_idempotent(studio: Studio) -> None:
     subject = studio.subject()
-    path, body = f"/v1/jobs/{uuid.uuid4()}", {"kind": "build_model", "subject_id": subject}
+    path = f"/v1/jobs/{uuid.uuid4()}"
+    body = {"kind": "build_model", "subject_id": subject}
     answers = [studio.http.put(path, json=body) for _ in range(3)]
     assert [answer.status_code for answer in answers] == [201, 200, 200]
     assert answers[0].json() == answers[2].json()
@@ -97,7 +99,8 @@ def test_put_is_idempotent(studio: Studio) -> None:
 def test_captures_that_can_not_be(studio: Studio) -> None:
     subject = studio.subject()
     half = studio.start_upload("half.obj", 10).rsplit("/", 1)[1]
-    scan, picture = studio.upload("a.obj", b"v 0 0 0"), studio.upload("a.png", b"PNG")
+    scan = studio.upload("a.obj", b"v 0 0 0")
+    picture = studio.upload("a.png", b"PNG")
     cases = [
         ({"name": "smile", "role": "expression", "upload_id": NOBODY}, 404, "upload.unknown"),
         ({"name": "smile", "role": "expression", "upload_id": half}, 409, "upload.incomplete"),
@@ -116,7 +119,8 @@ def test_captures_that_can_not_be(studio: Studio) -> None:
 
 def test_a_performance_is_for_a_sequence_alone(studio: Studio) -> None:
     subject = studio.subject()
-    smile, take = studio.capture(subject, "smile"), studio.performance(subject, "take")
+    smile = studio.capture(subject, "smile")
+    take = studio.performance(subject, "take")
     studio.pretend(studio.submit("build_model", subject), {"model.npz": "0" * 64})
     cases: list[tuple[str, list[str], str]] = [
         ("check_scan", [take], "capture.is_performance"),
@@ -127,7 +131,8 @@ def test_a_performance_is_for_a_sequence_alone(studio: Studio) -> None:
         body = {"kind": kind, "subject_id": subject, "captures": captures}
         answer = studio.http.post("/v1/jobs", json=body)
         assert (answer.status_code, answer.json()["code"]) == (422, code)
-    scan, array = studio.upload("a.obj", b"v 0 0 0"), studio.upload("a.npy", b"NUMPY")
+    scan = studio.upload("a.obj", b"v 0 0 0")
+    array = studio.upload("a.npy", b"NUMPY")
     body = {"name": "b", "role": "expression", "upload_id": array}
     refused = studio.http.post(f"/v1/subjects/{subject}/captures", json=body).json()
     assert "in the role performance" in refused["detail"]
@@ -148,7 +153,9 @@ def test_markers_are_a_take_with_a_set_beside_it(studio: Studio) -> None:
         body = {"name": name, "role": "markers", "upload_id": studio.upload(file, file.encode())}
         return dict(studio.http.post(f"/v1/subjects/{subject}/captures", json=body).json())
 
-    take, other, its_set = add("take", "a.C3D"), add("other", "b.csv"), add("set", "markers.json")
+    take = add("take", "a.C3D")
+    other = add("other", "b.csv")
+    its_set = add("set", "markers.json")
     assert take["registered"]
     assert add("movie", "a.mov")["code"] == "capture.format"
     for captures, code in (

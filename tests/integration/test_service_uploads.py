@@ -266,7 +266,8 @@ def test_bytes_of_uploads_that_are_over_go(settings: Settings) -> None:
         location = studio.start_upload("smile.obj", 10)
         studio.send(location, 0, b"v 0")
         part = settings.uploads / location.rsplit("/", 1)[1]
-        orphan, stranger = settings.uploads / str(uuid.uuid4()), settings.uploads / "a-note.txt"
+        orphan = settings.uploads / str(uuid.uuid4())
+        stranger = settings.uploads / "a-note.txt"
         for path in (orphan, stranger):
             path.write_bytes(b"v 0 0 0")
         for path in (part, orphan, stranger):

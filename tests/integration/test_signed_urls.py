@@ -29,7 +29,8 @@ def _artifact(studio: Studio, folder: Path) -> str:
 
 def test_a_signed_url_reads_one_file_for_a_while(tmp_path: Path) -> None:
     with served(Settings(data_dir=tmp_path, signed_url_seconds=2)) as studio:
-        artifact, other = _artifact(studio, tmp_path), _artifact(studio, tmp_path)
+        artifact = _artifact(studio, tmp_path)
+        other = _artifact(studio, tmp_path)
         signed = studio.post(f"/v1/artifacts/{artifact}/url")
         url = signed["url"]
         del studio.http.headers["Authorization"]

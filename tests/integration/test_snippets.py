@@ -45,7 +45,8 @@ def test_the_first_rig_and_what_plays_on_it(
     names: dict[str, Any] = {}
     exec(start, names)
     assert (tmp_path / "rig" / "rig.npz").exists()
-    rig, subject = SimpleNamespace(id=names["job"].result.rig_id), names["subject"]
+    rig = SimpleNamespace(id=names["job"].result.rig_id)
+    subject = names["subject"]
     Path(take).write_text("#! frames 4\n")
     with Client(stack.url) as client:
         exec(snippet(guide, kind), {"client": client, "subject": subject, "rig": rig, "Path": Path})

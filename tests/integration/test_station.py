@@ -24,7 +24,8 @@ def studio_and_url(tmp_path: Path) -> Iterator[tuple[Studio, str]]:
 @pytest.mark.slow
 def test_scans_are_judged_as_they_come(studio_and_url: tuple[Studio, str], tmp_path: Path) -> None:
     studio, url = studio_and_url
-    ada, log = tmp_path / "scans" / "Ada", tmp_path / "station.log"
+    ada = tmp_path / "scans" / "Ada"
+    log = tmp_path / "station.log"
     ada.mkdir(parents=True)
     save(ada / "neutral.obj", "# neutral\n")
     with station(ada.parent, url, studio.key, log) as lines:
@@ -50,7 +51,8 @@ def test_scans_are_judged_as_they_come(studio_and_url: tuple[Studio, str], tmp_p
 def test_the_station_in_c_sharp_does_the_same(
     studio_and_url: tuple[Studio, str], tmp_path: Path
 ) -> None:
-    mcs, mono = shutil.which("mcs"), shutil.which("mono")
+    mcs = shutil.which("mcs")
+    mono = shutil.which("mono")
     if mcs is None or mono is None:
         pytest.skip("there is no C# (apt-get install mono-mcs mono-runtime libmono-cil-dev)")
     studio, url = studio_and_url

@@ -122,7 +122,8 @@ def _ask(studio: Studio, method: str, path: str, ids: dict[str, str]) -> tuple[i
 
 def test_foreign_ids_in_bodies_are_unknown(tenants: tuple[Studio, Studio]) -> None:
     ours, theirs = tenants
-    foreign, mine = _one_of_everything(ours), _one_of_everything(theirs)
+    foreign = _one_of_everything(ours)
+    mine = _one_of_everything(theirs)
     captures = f"/v1/subjects/{mine['subject_id']}/captures"
     fit = {"kind": "fit_activations", "subject_id": mine["subject_id"]}
     scan = {"name": "x", "role": "expression", "upload_id": foreign["upload_id"]}

@@ -92,7 +92,8 @@ def test_a_batch_goes_on(upgraded: Upgraded) -> None:
 
 
 def test_a_rig_of_its_four_files_is_fitted_and_played(upgraded: Upgraded) -> None:
-    ids, studio = upgraded.expected["ids"], upgraded.studio
+    ids = upgraded.expected["ids"]
+    studio = upgraded.studio
     names = {each["name"] for each in studio.get(f"/v1/rigs/{ids['rig']}")["artifacts"]}
     assert names >= {"activations.npz", "muscle_weights.npz"}
     assert "rig.npz" not in names

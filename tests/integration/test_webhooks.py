@@ -223,7 +223,8 @@ def test_a_receiver_that_is_busy_is_left_alone_by_all_that_waits_for_it(
         receiver.end_headers()
 
     with receiving(busy) as (port, got), receiving() as (other, told):
-        hook, ready = _hook(studio, port), _hook(studio, other)
+        hook = _hook(studio, port)
+        ready = _hook(studio, other)
         for _ in range(6):
             studio.post(f"/v1/webhooks/{hook['id']}/test")
         with delivering(studio, settings):

@@ -19,7 +19,8 @@ def studio(stack_and_studio: tuple[Stack, Studio]) -> Studio:
 @pytest.mark.telling
 def test_scans_become_a_rig_and_a_child_rig(studio: Studio) -> None:
     subject = studio.modelled()
-    smile, pucker = studio.capture(subject, "smile"), studio.capture(subject, "pucker")
+    smile = studio.capture(subject, "smile")
+    pucker = studio.capture(subject, "pucker")
     first = studio.finished(studio.submit("fit_geometry", subject, captures=[smile]))
     assert first["state"] == "succeeded", first
     assert [a["name"] for a in first["result"]["artifacts"]] == [

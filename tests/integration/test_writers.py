@@ -67,7 +67,8 @@ def test_writers_are_told_when_to_come_back(
     monkeypatch.setattr(writers, "PATIENCE", 1.0)
     monkeypatch.setattr(writers, "PLACES", 2)
     with served(Settings(data_dir=tmp_path)) as studio, ThreadPoolExecutor(6) as callers:
-        location, subject = studio.start_upload("smile.obj", 10), studio.subject()
+        location = studio.start_upload("smile.obj", 10)
+        subject = studio.subject()
         job = {"kind": "build_model", "subject_id": subject}
         orders = [
             *[("POST", "/v1/subjects", {"name": "Alex"})] * 4,
@@ -97,7 +98,8 @@ def test_every_route_that_writes_takes_its_turn(tmp_path: Path) -> None:
     ]
     assert len(writing) > 20
     for route in writing:
-        calls, left = set(), [route.dependant]
+        calls = set()
+        left = [route.dependant]
         while left:
             dependant = left.pop()
             calls.add(dependant.call)

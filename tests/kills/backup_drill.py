@@ -34,7 +34,8 @@ REFUSED = 3
 
 def drill(blow: str, data: Path, backup: Path, scratch: Path) -> None:
     """Stop a backup at its first step, at its second, and so on until none is left."""
-    number, ended = 0, False
+    number = 0
+    ended = False
     while not ended:
         number += 1
         folder = scratch / f"backup {number}"

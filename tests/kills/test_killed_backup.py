@@ -23,10 +23,12 @@ ALLOWED = (["Alex", "Bo"], ["Alex"], ["Alex", "Cy"])
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A service's data and its backup, since which much has changed."""
-    data, backup = tmp_path_factory.mktemp("data"), tmp_path_factory.mktemp("backup")
+    data = tmp_path_factory.mktemp("data")
+    backup = tmp_path_factory.mktemp("backup")
     settings = Settings(data_dir=data)
     with served(settings) as studio:
-        stays, gone = studio.subject(weight=1), studio.post("/v1/subjects", name="Bo")["id"]
+        stays = studio.subject(weight=1)
+        gone = studio.post("/v1/subjects", name="Bo")["id"]
         studio.capture(gone, "smile")
         back_up(settings, backup)
         studio.post("/v1/subjects", name="Cy")

@@ -18,7 +18,7 @@ from service.settings import Settings
 from solver.anatomy.template import ShapeBasis
 from solver.animation.controls.pairs import FIRST_WALKS, LEVELS, WalkOptions
 from solver.jobs import run_job
-from solver.jobs.animate import SAVED_EVERY
+from solver.jobs.blendshapes import SAVED_EVERY
 from solver.model import SubjectModel
 from solver.rig import ExpressionFit, Rig
 from solver.scans.performance import ARKIT_NAMES
@@ -178,7 +178,8 @@ def with_bumps(path: Path, model: SubjectModel) -> Path:
     skin = model.skin.vertices
     away = np.linalg.norm(skin - rng.choice(skin, (len(EXPRESSIONS), 1)), axis=2)
     bumps = np.exp(-((away / 40.0) ** 2))[..., None] * rng.normal(0, 6, (len(EXPRESSIONS), 1, 3))
-    nobody, none = np.zeros((0, *skin.shape), np.float32), np.zeros(0, int)
+    nobody = np.zeros((0, *skin.shape), np.float32)
+    none = np.zeros(0, int)
     replace(
         ball_template(),
         skin=model.skin,
@@ -197,7 +198,8 @@ def fitted(
 ) -> tuple[str, str]:
     """Put a subject with a model and rig into a service that stands; return their ids."""
     wide = np.array([[0.8, 0.02, 0.0, 1.1, 0.0, 1.1], [0.8, -0.02, 0.0, 1.1, 0.0, 1.1]])
-    skin, error = model.skin.vertices, np.zeros(len(model.skin.vertices))
+    skin = model.skin.vertices
+    error = np.zeros(len(model.skin.vertices))
     fit = ExpressionFit("wide", "train", wide, np.zeros(5), skin, skin, error, 0, 1, 0.0, 0.0)
     model.save(folder / "model.npz")
     Rig(model, model.weights, (fit,)).save(folder / "rig.npz")

@@ -141,7 +141,8 @@ def test_later_run_goes_on_with_the_part(shelf: Shelf, http: httpx.Client, tmp_p
 def test_early_end_is_seen_without_a_length(
     shelf: Shelf, http: httpx.Client, tmp_path: Path
 ) -> None:
-    shelf.length, shelf.cuts = False, [1000]
+    shelf.length = False
+    shelf.cuts = [1000]
     assert fetch(http, pinned(shelf), tmp_path).read_bytes() == shelf.content
     assert shelf.asked == [None, "bytes=1000-"]
 
@@ -149,7 +150,8 @@ def test_early_end_is_seen_without_a_length(
 def test_server_without_ranges_sends_it_anew(
     shelf: Shelf, http: httpx.Client, tmp_path: Path
 ) -> None:
-    shelf.ranges, shelf.cuts = False, [1000]
+    shelf.ranges = False
+    shelf.cuts = [1000]
     assert fetch(http, pinned(shelf), tmp_path).read_bytes() == shelf.content
 
 

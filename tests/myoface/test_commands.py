@@ -242,7 +242,8 @@ def test_an_eye_distance_is_a_persons(wrong: str, tmp_path: Path) -> None:
 
 
 def test_landmarks_are_of_a_scan_that_is_named_twice(tmp_path: Path) -> None:
-    scan, marks = tmp_path / "neutral.obj", tmp_path / "neutral.csv"
+    scan = tmp_path / "neutral.obj"
+    marks = tmp_path / "neutral.csv"
     marks.touch()
     assert landmarks_of([f"neutral={marks}"], name_session(scan, [scan])) == {scan.resolve(): marks}
 

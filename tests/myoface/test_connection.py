@@ -31,7 +31,8 @@ def service(
     *answers: Answer | Callable[[httpx.Request], Answer],
 ) -> tuple[Client, list[httpx.Request]]:
     """Return a client of a service that answers so, one after the other, and what it was asked."""
-    waiting, asked = list(answers), []
+    waiting = list(answers)
+    asked = []
 
     def answer(request: httpx.Request) -> httpx.Response:
         asked.append(request)

@@ -23,7 +23,8 @@ from solver.registration.units import ADVICE
 
 
 def test_an_id_stays_whole_beside_a_long_error(capsys: pytest.CaptureFixture[str]) -> None:
-    job, error = str(uuid.uuid4()), "[scan] " + "far off the neutral, " * 20
+    job = str(uuid.uuid4())
+    error = "[scan] " + "far off the neutral, " * 20
     show_table(("job", "attempt", "error"), [(job, None, error), (job, 2, "")])
     head, *rows = capsys.readouterr().out.splitlines()
     assert rows == [f"{job}           {error.rstrip()}", f"{job}  2"]
@@ -74,7 +75,8 @@ def test_a_stranger_s_text_does_nothing_to_the_terminal(capsys: pytest.CaptureFi
 
 
 def test_a_fit_of_a_bad_take_ends_as_its_check_does(capsys: pytest.CaptureFixture[str]) -> None:
-    notice, finding = {"message": "another person's"}, {"message": "half was rejected"}
+    notice = {"message": "another person's"}
+    finding = {"message": "half was rejected"}
     report = {"verdict": "bad", "notices": [notice], "findings": [finding]}
     assert show_outcome("fit_markers", report, "take.c3d") == console.BAD
     told = capsys.readouterr().out

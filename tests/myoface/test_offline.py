@@ -19,7 +19,8 @@ from tests.solver.block import head_block
 
 @pytest.mark.parametrize("existed", [False, True])
 def test_a_refused_scan_leaves_no_empty_folder(existed: bool, tmp_path: Path) -> None:
-    scan, folder = tmp_path / "neutral.obj", tmp_path / "model"
+    scan = tmp_path / "neutral.obj"
+    folder = tmp_path / "model"
     scan.write_text("v 0 0 nan\n")
     if existed:
         folder.mkdir()
@@ -40,7 +41,8 @@ def test_a_refusal_names_the_option_that_is_typed(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a rig without expressions."""
-    folder, model = tmp_path_factory.mktemp("rig"), head_block((7, 5, 1))
+    folder = tmp_path_factory.mktemp("rig")
+    model = head_block((7, 5, 1))
     Rig(model, model.weights, ()).save(folder / "rig.npz")
     np.save(folder / "map.npy", np.ones(len(model.skin.vertices)))
     return folder

@@ -139,7 +139,8 @@ OPTIONS = [
 def test_an_option_reaches_the_job_and_nothing_else_changes(
     kind: Kind, name: str, folder: Path
 ) -> None:
-    value, flag = value_of(kind.schema["properties"][name]), f"--{name.replace('_', '-')}"
+    value = value_of(kind.schema["properties"][name])
+    flag = f"--{name.replace('_', '-')}"
     typed = json.dumps(value) if isinstance(value, dict) else str(value)
     switches = {True: [flag], False: [flag.replace("--", "--no-", 1)]}
     plain = called(kind, [])
@@ -164,7 +165,8 @@ INPUTS = [
 def test_an_input_reaches_the_job_by_its_role(
     kind: Kind, words: list[str], files: dict[str, str], folder: Path
 ) -> None:
-    plain, task = called(kind, []), called(kind, words)
+    plain = called(kind, [])
+    task = called(kind, words)
     assert task.options == plain.options
     assert task.inputs == {**plain.inputs, **{role: Path(name) for role, name in files.items()}}
     if "--asset" in words:

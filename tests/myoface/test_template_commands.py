@@ -41,7 +41,8 @@ def run(*words: str | Path, code: int = 0) -> str:
 def test_from_file_to_folder_and_back(saved: Path, tmp_path: Path) -> None:
     run("export", saved, "-o", tmp_path / "folder")
     run("build", "--folder", tmp_path / "folder", "--no-mesh", "-o", tmp_path / "new.npz")
-    new, old = Template.load(tmp_path / "new.npz"), Template.load(saved)
+    new = Template.load(tmp_path / "new.npz")
+    old = Template.load(saved)
     assert np.array_equal(new.skin.vertices, old.skin.vertices)
     assert [muscle.name for muscle in new.muscles] == [muscle.name for muscle in old.muscles]
     assert new.sha256 == read_template(tmp_path / "folder").sha256
@@ -72,7 +73,8 @@ def test_points_are_found_with_a_landmarker(
     assert "MYOFACE_FACE_LANDMARKER" in run("points", saved, code=2)
     found = FoundPoints(TWO_POINTS, pictures=360, with_face=359, left_out={"58": np.inf})
     monkeypatch.setattr("solver.photo.mesh_points.find_points", lambda *_, **__: found)
-    model, new = tmp_path / "face_landmarker.task", tmp_path / "new.npz"
+    model = tmp_path / "face_landmarker.task"
+    new = tmp_path / "new.npz"
     model.touch()
     told = run("points", saved, "--landmarker", model, "-o", new)
     assert "a face in 359 of 360 pictures: 2 points, median spread 1.5 mm; 1 without" in told
@@ -104,7 +106,8 @@ def test_show_prints_the_hash_and_draws(saved: Path, tmp_path: Path) -> None:
 
 
 def test_rebase_leaves_nothing_of_what_is_no_head(saved: Path, tmp_path: Path) -> None:
-    cloud, new = tmp_path / "cloud.xyz", tmp_path / "new.npz"
+    cloud = tmp_path / "cloud.xyz"
+    new = tmp_path / "new.npz"
     np.savetxt(cloud, ball_head().skin.vertices)
     told = run("rebase", saved, "--skin", cloud, "-o", new, code=1)
     assert "cloud.xyz is a cloud of points" in told

@@ -38,7 +38,9 @@ def postgres(host: str = "127.0.0.1") -> Iterator[str]:
             as_user += ["--pdeathsig", "QUIT", "--"]
             shutil.chown(folder, user)
         port = free_port(host)
-        data, log, password = folder / "data", folder / "log", folder / "password"
+        data = folder / "data"
+        log = folder / "log"
+        password = folder / "password"
         password.write_text(PASSWORD)
         password.chmod(0o644)
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from tests.servers import UnavailableError, free_port, listening
 
-KEY, SECRET = "only-for", "tests"
+KEY = "only-for"
+SECRET = "tests"
 BUCKET = "faces"
 CREDENTIALS = {"AWS_ACCESS_KEY_ID": KEY, "AWS_SECRET_ACCESS_KEY": SECRET}
 

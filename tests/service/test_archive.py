@@ -124,8 +124,10 @@ def test_a_template_that_was_deleted_is_not_the_built_in_one(
 @pytest.mark.long
 def test_every_range_is_that_of_the_whole(studio: Studio, tmp_path: Path) -> None:
     made = rigged(studio, tmp_path)
-    head, whole = studio.http.head(made["path"]), studio.http.get(made["path"])
-    content, tag = whole.content, whole.headers["ETag"]
+    head = studio.http.head(made["path"])
+    whole = studio.http.get(made["path"])
+    content = whole.content
+    tag = whole.headers["ETag"]
     for name in ("ETag", "Content-Length", "Content-Type", "Accept-Ranges"):
         assert head.headers[name] == whole.headers[name]
     assert head.headers["Content-Type"] == "application/zip"
@@ -166,7 +168,9 @@ def test_of_two_who_want_it_at_once_one_reads_its_files(
     studio: Studio, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = rigged(studio, tmp_path)
-    store, both, read = store_of(studio), threading.Barrier(2), []
+    store = store_of(studio)
+    both = threading.Barrier(2)
+    read = []
 
     def read_beside(files: Files, sha256: str) -> Iterator[bytes]:
         read.append(sha256)
@@ -227,7 +231,8 @@ def test_a_file_that_is_damaged_later_cuts_the_answer_off_and_is_told_then(
 @pytest.mark.long
 def test_a_rig_that_is_being_deleted_is_not_copied(studio: Studio, tmp_path: Path) -> None:
     made = rigged(studio, tmp_path)
-    job, path = made["fit"], f"/v1/subjects/{made['subject_id']}"
+    job = made["fit"]
+    path = f"/v1/subjects/{made['subject_id']}"
     running = studio.submit("build_preview", made["subject_id"], rig_id=made["rig"])
     with store_of(studio).write() as session:
         from service.queue import table
@@ -271,7 +276,8 @@ def test_a_slow_reader_holds_neither_the_file_nor_a_session(
 
     with store.of("default").write() as session:
         row = session.query(Artifact).filter_by(job_id=made["fit"], name="rig.npz").one()
-        row.sha256, row.size = blob.sha256, blob.size
+        row.sha256 = blob.sha256
+        row.size = blob.size
     with store.read() as session:
         found = archive_of(session, repository.get(session, made["rig"]), store)
     tracemalloc.start()

@@ -21,7 +21,8 @@ from service.store.database import Store, clock
 from service.store.models import Delivery, Job, Subject, Tenant, Webhook, WebhookEvent, now
 from tests.stores import open_store
 
-FEW, MANY = 200, 3000
+FEW = 200
+MANY = 3000
 BEGIN = now() - timedelta(hours=1)
 ANYBODY = Abilities("w", frozenset({"build_model"}), memory_mb=8192, threads=1)
 

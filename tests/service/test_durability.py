@@ -50,7 +50,8 @@ def test_a_stored_file_is_on_the_disk_with_its_name(tmp_path: Path, disk: Disk) 
     source.write_text("v 0 0 0")
     files = FolderFiles(tmp_path / "files")
     sha256 = files.put(source).sha256
-    stored, aside = files.path(sha256), tmp_path / "files" / "aside" / sha256
+    stored = files.path(sha256)
+    aside = tmp_path / "files" / "aside" / sha256
     assert stored.stat().st_ino in disk.files
     assert disk.has(stored)
     assert disk.has(stored.parent)

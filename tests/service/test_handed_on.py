@@ -159,7 +159,8 @@ def test_the_newest_expressions_are_found_whichever_job_solved_them(session: Ses
 
 
 def test_what_cannot_be_handed_on_is_told(session: Session) -> None:
-    take, studio = [session.take], session.studio
+    take = [session.take]
+    studio = session.studio
     check = session.left("check_markers", captures=take)
     waiting = studio.submit("check_markers", session.subject, captures=take, rig_id=session.rig)
     fit = session.left("fit_markers", "sequence.npz", "sequence.json", captures=take)
@@ -215,7 +216,8 @@ def test_a_rig_of_a_newer_format_is_refused(session: Session) -> None:
 
 
 def test_what_is_found_by_itself_is_of_a_format_that_is_read(session: Session) -> None:
-    rig, basis = session.add_rig(), "expression_basis.npz"
+    rig = session.add_rig()
+    basis = "expression_basis.npz"
     old, new = (session.left("fit_markers", basis, rig=rig, captures=[session.take]) for _ in "ab")
     for number, expected in ((1, new), (2, old)):
         session.note_format(new, basis, number)
@@ -240,7 +242,8 @@ def test_a_job_cannot_read_what_itself_or_its_descendant_leaves(session: Session
 
 
 def test_jobs_are_listed_by_what_they_left_and_read(session: Session) -> None:
-    studio, take = session.studio, [session.take]
+    studio = session.studio
+    take = [session.take]
     check = session.left("check_markers", "markers.json", captures=take)
     handed = {"job": check, "artifact": "markers.json"}
     fit = session.ask("fit_markers", handed, captures=take).json()["id"]

@@ -120,7 +120,9 @@ class Simulation:
     """A job with frames, whose files are whatever a solver left."""
 
     def __init__(self, studio: Studio, store: Store, folder: Path) -> None:
-        self._studio, self._store, self._folder = studio, store, folder
+        self._studio = studio
+        self._store = store
+        self._folder = folder
         self._job_id = new_id()
         request = {"options": {}, "rig_id": None, "captures": [], "kind": "simulate"}
         row: dict[str, Any] = {"id": self._job_id, "kind": "simulate", "queue": "long"}
@@ -234,7 +236,8 @@ def test_two_requests_at_a_time_hold_files_of_frames(
     simulation: Simulation, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     simulation.leave(0, '{"frames": []}')
-    together, most = set[int](), 0
+    together = set[int]()
+    most = 0
     real = work._parse_chunk
 
     def parse(*given: Any) -> dict[str, Any]:

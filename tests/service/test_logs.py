@@ -16,7 +16,8 @@ from tests.service_client import served
 
 @pytest.fixture(autouse=True)
 def own_logs() -> Iterator[None]:
-    handlers, before = logging.getLogger().handlers, structlog.get_config()
+    handlers = logging.getLogger().handlers
+    before = structlog.get_config()
     yield
     logging.getLogger().handlers = handlers
     structlog.configure(**before)

@@ -30,7 +30,8 @@ class Edge:
     def __init__(self, seconds: float = 5) -> None:
         self.bodies = Bodies(self._app, Keyring(), seconds, 1)  # type: ignore[arg-type]
         self.began: list[int] = []
-        self.may_begin, self.may_end = anyio.Event(), anyio.Event()
+        self.may_begin = anyio.Event()
+        self.may_end = anyio.Event()
 
     async def _app(self, scope: Scope, _receive: Receive, send: Send) -> None:
         self.began.append(scope["number"])

@@ -48,7 +48,8 @@ def test_no_broker_listens_where_another_user_could(
 
 
 def test_the_doctor_warns_of_folders_that_others_can_look_into(tmp_path: Path) -> None:
-    narrow, wide = tmp_path / "narrow", tmp_path / "wide open"
+    narrow = tmp_path / "narrow"
+    wide = tmp_path / "wide open"
     narrow.mkdir(mode=0o700)
     assert machine.access(narrow, tmp_path / "missing").verdict == "ok"
     wide.mkdir()
@@ -62,7 +63,8 @@ def test_the_doctor_warns_of_folders_that_others_can_look_into(tmp_path: Path) -
 
 @pytest.mark.long
 def test_two_installations_with_one_work_folder_keep_their_attempts(tmp_path: Path) -> None:
-    work, stores = tmp_path / "work", []
+    work = tmp_path / "work"
+    stores = []
     for name in ("north", "south"):
         settings = Settings(data_dir=tmp_path / name, work_dir=work)
         store = Store(settings.database, settings.files, settings.broker)

@@ -27,7 +27,8 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
 
 
 def test_the_old_path_of_the_kinds_answers_and_names_the_new_one(studio: Studio) -> None:
-    kinds, solvers = studio.http.get("/v1/kinds"), studio.http.get("/v1/solvers")
+    kinds = studio.http.get("/v1/kinds")
+    solvers = studio.http.get("/v1/solvers")
     assert kinds.status_code == solvers.status_code == 200
     assert kinds.json()["items"]
     assert solvers.json() == kinds.json()
@@ -76,7 +77,8 @@ def test_everybody_may_ask_and_the_parts_are_asked_now_and_then(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert service.KEPT == 2
-    parts, cache = Parts(monkeypatch), _cache(tmp_path)
+    parts = Parts(monkeypatch)
+    cache = _cache(tmp_path)
     assert {cache.ask().workers["short"] for _ in range(50)} == {1}
     cache._asked -= service.KEPT
     assert {cache.ask().workers["short"] for _ in range(50)} == {2}
@@ -87,7 +89,8 @@ def test_everybody_may_ask_and_the_parts_are_asked_now_and_then(
 def test_nobody_waits_for_a_part_that_hangs_but_the_one_who_asks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known: bool
 ) -> None:
-    parts, cache = Parts(monkeypatch), _cache(tmp_path)
+    parts = Parts(monkeypatch)
+    cache = _cache(tmp_path)
     if known:
         assert cache.ask().ready
         cache._asked -= service.KEPT

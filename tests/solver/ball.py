@@ -20,7 +20,8 @@ def ball(centre, radius, subdivisions=3):
 
 def ball_template():
     skin = ball([0, 0, 0], 60.0)
-    up, z = skin.vertices[:, 1], skin.vertices[:, 2]
+    up = skin.vertices[:, 1]
+    z = skin.vertices[:, 2]
     parting = np.zeros_like(skin.vertices)
     parting[:, 1] = 3 * np.exp(-(((up + 15) / 10) ** 2)) * (z > 0)
     # wide enough that some vertex of the skull always lies under it

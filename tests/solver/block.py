@@ -77,7 +77,8 @@ def head_block(cells=(8, 6, 2)):
     """Return a block as large as a head, its skin triangulated, with a left and a right region."""
     small = block_model(cells)
     scale = 3.0
-    columns, rows = cells[0] + 1, cells[1] + 1
+    columns = cells[0] + 1
+    rows = cells[1] + 1
     number = np.arange(columns * rows).reshape(columns, rows)
     corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
     a, b, c, d = (each.ravel() for each in corners)
@@ -143,7 +144,8 @@ def thinner(S: sp.csr_array, column: int, part: float = 0.3) -> sp.csr_array:
 def divided_block(shape=(5, 4, 3)):
     """The block, its muscles with fibres along x, each in a lower and an upper compartment."""
     model = block_model(shape)
-    x, nothing = np.array([1.0, 0.0, 0.0]), Surface(np.zeros((0, 3)), np.zeros((0, 3), int))
+    x = np.array([1.0, 0.0, 0.0])
+    nothing = Surface(np.zeros((0, 3)), np.zeros((0, 3), int))
     halves = Compartments("superior", ("lower", "upper"))
     muscles = tuple(
         Muscle(name, nothing, x, 0 * x, 50 * x, compartments=halves) for name in model.muscle_names

@@ -5,7 +5,8 @@ import trimesh
 
 from solver.surface import Surface
 
-RADIUS, HEIGHT = 25.0, 10.0
+RADIUS = 25.0
+HEIGHT = 10.0
 
 
 def row_of_teeth(at=(0.0, 0.0, 0.0)):

@@ -23,7 +23,8 @@ def test_a_model_comes_back_as_it_was(tmp_path: Path) -> None:
     for field in ("rest", "tets", "cranium", "mandible", "embedded", "offset", "face"):
         np.testing.assert_array_equal(getattr(found, field), getattr(model, field))
     for field in ("weights", "embedding"):
-        kept, read = getattr(model, field), getattr(found, field)
+        kept = getattr(model, field)
+        read = getattr(found, field)
         np.testing.assert_array_equal(read.indices, kept.indices)
         np.testing.assert_array_equal(read.data, kept.data)
 

@@ -186,7 +186,8 @@ def test_an_honest_bomb_is_too_large(tmp_path: Path) -> None:
 
 def test_callers_name_the_file(tmp_path: Path) -> None:
     model = block_model()
-    zipped, plain = tmp_path / "take.npy", tmp_path / "a.npz"
+    zipped = tmp_path / "take.npy"
+    plain = tmp_path / "a.npz"
     np.savez(tmp_path / "b.npz", x=np.zeros((2, 3)))
     zipped.write_bytes((tmp_path / "b.npz").read_bytes())
     np.save(tmp_path / "c.npy", np.zeros((2, 3)))

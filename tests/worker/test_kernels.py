@@ -87,7 +87,8 @@ def test_a_compilation_ends_with_the_command_that_is_interrupted(tmp_path, monke
 class Listening:
     """A service that listens at once."""
 
-    url, key = "http://127.0.0.1:1", "secret"
+    url = "http://127.0.0.1:1"
+    key = "secret"
 
     def __init__(self, _settings):
         self.wait = None
@@ -110,10 +111,8 @@ def test_the_service_listens_while_kernels_compile(tmp_path, monkeypatch):
     monkeypatch.setattr("signal.signal", lambda *_: None)
     monkeypatch.setattr("myoface.cli.service.configure_logs", lambda _json: None)
     told = invoke(["up", "--data", str(tmp_path)])
-    listens, compiles = (
-        told.stdout.index("listens on"),
-        told.stdout.index("kernels of register_scan"),
-    )
+    listens = told.stdout.index("listens on")
+    compiles = told.stdout.index("kernels of register_scan")
     assert listens < compiles
     assert (told.exit_code, told.stderr) == (130, "")
 

@@ -28,7 +28,8 @@ def store(tmp_path: Path) -> Iterator[Store]:
 
 def test_only_folders_of_attempts_are_removed(store: Store, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    attempt, other = work / f"{uuid.uuid4()}.1", work / "my thesis"
+    attempt = work / f"{uuid.uuid4()}.1"
+    other = work / "my thesis"
     for folder in (attempt, other):
         folder.mkdir(parents=True)
     remove_orphans(store, work)

@@ -36,7 +36,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     np.save(files["soft"], np.ones(len(MODEL.skin.vertices)))
     rows = [["Timecode", *ARKIT_NAMES], ["00:00:00:00", *(["0"] * len(ARKIT_NAMES))]]
     files["take"].write_text("\n".join(map(",".join, rows)))
-    a, still = np.tile(IDENTITY, (2, 1)), (np.zeros(5), np.zeros(6))
+    a = np.tile(IDENTITY, (2, 1))
+    still = (np.zeros(5), np.zeros(6))
     fitted = [SequenceFrame(n, a, *still, 0, 1, 0.1, "fitted", 0, 0, 0, 1) for n in range(4)]
     files["sequence"], *_ = write_sequence(folder, fitted, MODEL.muscle_names, 30.0, {})
     smile = Solved(Pose(np.tile(IDENTITY, (2, 1)), np.zeros(5)), 0.0)

@@ -96,7 +96,8 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
 ) -> None:
     claim = _claimed(store, "simulate")
     supervisor = _supervisor(store, settings)
-    process, folder = Talking(), AttemptFolder(settings.work, claim)
+    process = Talking()
+    folder = AttemptFolder(settings.work, claim)
     frames = folder.path / "out" / FRAMES
     frames.mkdir(parents=True)
     (frames / "000000-000029.json").write_text("{}")
@@ -126,7 +127,8 @@ def test_what_was_said_during_an_outage_is_written_down_after_it(
 def test_what_takes_minutes_is_kept_for_the_next_attempt(settings: Settings, store: Store) -> None:
     claim = _claimed(store)
     supervisor = Supervisor(store, settings, abilities(settings), threading.Event())
-    process, folder = Talking(), AttemptFolder(settings.work, claim)
+    process = Talking()
+    folder = AttemptFolder(settings.work, claim)
     folder.stage(store)
     assert json.loads((folder.path / "job.json").read_text())["resume"] is False
     shapes = folder.path / "out" / KEPT[0]
@@ -174,7 +176,8 @@ def test_a_result_is_written_down_when_the_database_is_back(
     (folder.path / "out").mkdir(parents=True)
     (folder.path / "out" / "model.npz").write_bytes(b"PK")
     (folder.path / "result.json").write_text(json.dumps({"summary": {}, "expressions": []}))
-    write, failures = store.write, [1, 2]
+    write = store.write
+    failures = [1, 2]
 
     @contextmanager
     def failing() -> Iterator[Any]:
@@ -224,7 +227,8 @@ def test_a_solver_without_room_puts_its_job_off(
 def test_what_a_solver_links_to_is_not_stored(settings: Settings, store: Store) -> None:
     folder = AttemptFolder(settings.work, _claimed(store, "simulate"))
     folder.stage(store)
-    secret, out = settings.data_dir / "secret", folder.path / "out"
+    secret = settings.data_dir / "secret"
+    out = folder.path / "out"
     secret.write_text("of the service")
     (out / "report.json").write_text("{}")
     (out / "link.json").symlink_to(secret)

@@ -41,9 +41,12 @@ def _answer(program: list[Instruction], architecture: int, number: int, *argumen
 
 @pytest.mark.parametrize("machine", MACHINES)
 def test_every_other_call_is_refused(machine: str) -> None:
-    column, architecture = MACHINES.index(machine), ARCHITECTURES[machine]
+    column = MACHINES.index(machine)
+    architecture = ARCHITECTURES[machine]
     program = call_filter(machine)
-    allow, eperm, enosys = (0x7FFF0000, 0x50000 | errno.EPERM, 0x50000 | errno.ENOSYS)
+    allow = 0x7FFF0000
+    eperm = 0x50000 | errno.EPERM
+    enosys = 0x50000 | errno.ENOSYS
     allowed = {numbers[column] for numbers in ALLOWED.values()}
     judged = {rule.numbers[column]: rule for rule in BY_ARGUMENT.values()}
     clone = CLONE[column]
@@ -62,7 +65,8 @@ def test_every_other_call_is_refused(machine: str) -> None:
             expected = enosys if number >= 424 else eperm
             assert _answer(program, architecture, number) == expected
         assert _answer(program, 0x40000003, number) == eperm  # the same number, in 32 bits
-    threads, namespace = 0x3D0F00, 0x10000011
+    threads = 0x3D0F00
+    namespace = 0x10000011
     assert _answer(program, architecture, clone, threads) == allow
     assert _answer(program, architecture, clone, namespace) == eperm
 

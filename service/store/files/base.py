@@ -147,7 +147,8 @@ def copy_plain(source: Path, target: IO[bytes], most: int | None = None) -> Blob
 
     Neither what a link leads to is copied nor what comes out of a pipe; raises as `Files.put` does.
     """
-    digest, size = hashlib.sha256(), 0
+    digest = hashlib.sha256()
+    size = 0
     with os.fdopen(os.open(source, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "no plain file", source.name)

@@ -68,7 +68,8 @@ class FolderFiles(Files):
 
     def put_aside(self, sha256: str) -> None:
         """Take a file out of the list; it can still be read."""
-        path, stored = self._aside / sha256, self.path(sha256)
+        path = self._aside / sha256
+        stored = self.path(sha256)
         stored.rename(path)
         os.utime(path)
         sync_folder(self._aside)

@@ -124,7 +124,8 @@ class Controls:
         ``controls.model`` if they are another model's or another S's.
         """
         archive = Archive.read(path, "controls", "a file of learned controls", FORMAT)
-        header, data = archive.header, archive.arrays
+        header = archive.header
+        data = archive.arrays
         if header.get("of") != identity(model, S):
             reason = f"{path.name} belongs to another rig"
             raise InputError("controls.model", reason, file=path.name)

@@ -32,14 +32,16 @@ class Doubt:
     def calibrate(cls, apart: Floats, target: Floats, errors: Floats, sure: float = SURE) -> Doubt:
         """Fit errors (n,) mm by d (n,) and o (n,), in logarithms; most are no greater then."""
         logs = np.log(np.maximum([apart, target], LEAST)).T
-        known, y = np.column_stack([logs, np.ones(len(logs))]), np.log(np.maximum(errors, LEAST))
+        known = np.column_stack([logs, np.ones(len(logs))])
+        y = np.log(np.maximum(errors, LEAST))
         powers = np.maximum(np.linalg.lstsq(known, y, rcond=None)[0][:2], 0.0)
         scale = np.exp(np.quantile(y - logs @ powers, sure))
         return cls(float(scale), *(float(power) for power in powers))
 
     def of(self, apart: Floats, target: Floats) -> Floats:
         """Return the doubt (...,) in mm."""
-        d, o = np.maximum(apart, LEAST), np.maximum(target, LEAST)
+        d = np.maximum(apart, LEAST)
+        o = np.maximum(target, LEAST)
         return np.asarray(self.scale * d**self.apart * o**self.target)
 
 

@@ -40,7 +40,8 @@ class MixtureTracker:
     """
 
     def __init__(self, face: Face, motions: Floats) -> None:
-        self.face, self._motions = face, motions
+        self.face = face
+        self._motions = motions
         self._neutral = face.model.skin.vertices[face.model.face]
         self._everywhere = np.ones(len(face.model.face))
         self.tracker = Tracker(DensePoints(face, unseen_regulariser(face)))
@@ -51,7 +52,8 @@ class MixtureTracker:
         fit = self.tracker.step(SeenPoints(points, self._everywhere))
         if fit.status != "fitted" or fit.target is None:
             return None
-        face, state = self.face, fit.state
+        face = self.face
+        state = fit.state
         off = fit.target.distances(face.face_points(state.x))
         skin = face.whole_skin(state.x, state.pose.b)
         jaw = face.five_jaw_numbers(state.pose.b)
@@ -89,7 +91,8 @@ def fit_frames(
     """
     tracker = MixtureTracker(face, np.array([motions[name] for name in shapes.names]))
     muscles = len(face.model.muscle_names)
-    activations, jaws = np.zeros((len(weights), muscles, 6)), np.zeros((len(weights), 5))
+    activations = np.zeros((len(weights), muscles, 6))
+    jaws = np.zeros((len(weights), 5))
     fitted = np.zeros(len(weights), bool)
     for count, frame in enumerate(np.flatnonzero(chosen).tolist()):
         begin = shapes.pose_of(weights[frame])

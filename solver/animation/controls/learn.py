@@ -67,7 +67,8 @@ def learn(
     if len(pairs) < LEAST_PAIRS:
         reason = f"{len(pairs)} pairs were solved in time, and controls need {LEAST_PAIRS}"
         raise SolveError("controls.few", reason, found=len(pairs), expected=LEAST_PAIRS)
-    begin, rows = time.perf_counter(), pairs.rows
+    begin = time.perf_counter()
+    rows = pairs.rows
     metric = Metric.of_face(face)
     main = metric.main_directions(rows.changes, options.modes)
     goals = np.hstack([main.coordinates, rows.skins, rows.off_mm[:, None]])
@@ -75,7 +76,8 @@ def learn(
     judging = np.isin(rows.walks, numbers[numbers > 0][:: options.held_out])
 
     def learn_maps(chosen: np.ndarray, listen: Listen) -> tuple[PolynomialMap, Network]:
-        c, y = rows.weights[chosen], goals[chosen]
+        c = rows.weights[chosen]
+        y = goals[chosen]
         polynomial = PolynomialMap.learn(c, y, sizes, options.polynomial)
         return polynomial, Network.learn(c, y, sizes, seed, options.network, listen)
 

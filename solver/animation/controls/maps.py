@@ -184,7 +184,8 @@ class Network:
         """Return what a file has of it."""
         named: dict[str, NDArray[Any]] = {"linear": self.linear, "sizes": self.sizes}
         for number, (matrix, shift) in enumerate(self.layers):
-            named[f"matrix_{number}"], named[f"shift_{number}"] = matrix, shift
+            named[f"matrix_{number}"] = matrix
+            named[f"shift_{number}"] = shift
         return named
 
     @classmethod

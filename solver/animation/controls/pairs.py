@@ -63,7 +63,8 @@ class Mixtures:
 
     def draw(self, random: np.random.Generator) -> Floats:
         """Return weights (e,) from 0 to 1."""
-        given, weights = self.options, np.zeros(len(self.names))
+        given = self.options
+        weights = np.zeros(len(self.names))
         kind = random.random()
         if kind < given.rest:
             return weights
@@ -213,7 +214,8 @@ class Pairs:
         ``control_pairs.model`` if they are of another rig or of other shapes.
         """
         archive = Archive.read(path, "control_pairs", "a set of pairs", FORMAT)
-        header, data = archive.header, archive.arrays
+        header = archive.header
+        data = archive.arrays
         if header.get("of") != face_identity(face) or header.get("names") != [*names]:
             reason = f"{path.name} belongs to another rig or template"
             raise InputError("control_pairs.model", reason, file=path.name)
@@ -261,7 +263,8 @@ class Walks:
         if number == 0:
             return self.mixtures.alone()
         random = np.random.default_rng((self.seed, number))
-        at, found = np.zeros(len(self.mixtures.names)), list[Floats]()
+        at = np.zeros(len(self.mixtures.names))
+        found = list[Floats]()
         while len(found) < given.stops:
             goal = self.mixtures.draw(random)
             parts = max(int(np.ceil(np.abs(goal - at).sum() / given.step)), 1)
@@ -275,7 +278,8 @@ class Walks:
         Raises :class:`SolveError` (``controls.few``) if none can be.
         """
         tracker = MixtureTracker(self.face, self.motions)
-        rows, failed = list[tuple[Floats, Floats, Floats, float]](), 0
+        rows = list[tuple[Floats, Floats, Floats, float]]()
+        failed = 0
         for weights in self.stops(number):
             found = tracker.fit(weights)
             tell()
@@ -310,7 +314,8 @@ def solve_pairs(
     ``keep`` gets all pairs so far each time that walks end, ``tell`` hears of their number at every
     stop. After so many ``seconds`` no further walks begin.
     """
-    lock, until = threading.Lock(), time.perf_counter() + seconds
+    lock = threading.Lock()
+    until = time.perf_counter() + seconds
     found = 0 if known is None else len(known)
 
     def told() -> None:

@@ -129,7 +129,8 @@ class AdmissibleSet:
         return bool((self.margins(a) > 0.0).all())
 
     def _margins(self, a: Floats, stretches: Floats) -> Floats:
-        limits, room = self.limits, np.log(self.limits.volume)
+        limits = self.limits
+        room = np.log(self.limits.volume)
         positive = stretches[:, :1] > 0.0
         logs = np.log(np.where(positive, stretches, 1.0)).sum(axis=1, keepdims=True)
         size = np.where(positive, logs, -np.inf)
@@ -188,12 +189,14 @@ class AdmissibleSet:
 
     def _project(self, a: Floats, least: Floats) -> Floats:
         """Return activations moved to ``least`` (m, 9) inside one bound after the other."""
-        limits, room = self.limits, np.log(self.limits.volume)
+        limits = self.limits
+        room = np.log(self.limits.volume)
         over = np.maximum(self._fibres(a) - (limits.fibre - least[:, 0]), 0.0)
         square = (self._along**2 / FROBENIUS).sum(axis=1)
         over = np.divide(over, square, out=np.zeros_like(over), where=square > 0.0)
         values, axes = np.linalg.eigh(matrices(a - over[:, None] * self._along / FROBENIUS))
-        low, high = limits.shortest + least[:, 1:4], limits.longest - least[:, 4:7]
+        low = limits.shortest + least[:, 1:4]
+        high = limits.longest - least[:, 4:7]
         logs = np.log(np.clip(values, low, high))
         size = logs.sum(axis=1)
         logs -= (size - np.clip(size, least[:, 7] - room, room - least[:, 8]))[:, None] / 3.0
@@ -229,7 +232,8 @@ class AdmissibleSet:
     def hessian(self, a: Floats) -> Floats:
         """Return the barrier's second derivative (m, 6, 6), its indefinite part left out."""
         values, axes = np.linalg.eigh(matrices(a))
-        margins, limits = self._margins(a, np.asarray(values)), self.limits
+        margins = self._margins(a, np.asarray(values))
+        limits = self.limits
         by_size = FROBENIUS * with_stretches(1.0 / values, axes)
         bound = (margins[:, 7] ** -2 + margins[:, 8] ** -2)[:, None, None]
         # log det is concave: it stiffens its lower bound and softens the upper one

@@ -46,7 +46,8 @@ def fibre_activations(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> Fl
 
     Raises :class:`InputError` (``model.fibres``) for a model without fibres.
     """
-    along, stretch = _along(model, S), np.concatenate([[1.0], gamma])[S.indices, None]
+    along = _along(model, S)
+    stretch = np.concatenate([[1.0], gamma])[S.indices, None]
     across = 1.0 / np.sqrt(stretch)
     by_entry = S.data[:, None] * (across * IDENTITY + (stretch - across) * along)
     return np.asarray(np.add.reduceat(by_entry, S.indptr[:-1]))
@@ -56,7 +57,8 @@ def activation_rates(model: SubjectModel, S: sp.csr_array, gamma: Floats) -> sp.
     """Return the derivative (6 n, m) of :func:`fibre_activations`, each tet's entries in turn."""
     rows, columns = S.tocoo().coords
     active = np.flatnonzero(columns > 0)
-    tets, muscles = rows[active], columns[active] - 1
+    tets = rows[active]
+    muscles = columns[active] - 1
     along = _along(model, S)[active]
     across = -0.5 * gamma[muscles, None] ** -1.5
     rates = S.data[active, None] * (along + across * (IDENTITY - along))
@@ -101,7 +103,8 @@ class FibreContraction(MuscleDrive):
 
     @override
     def block(self, model: SubjectModel, flesh: Flesh, S: sp.csr_array) -> Block:
-        relaxed, limits = np.ones(S.shape[1] - 1), self.limits
+        relaxed = np.ones(S.shape[1] - 1)
+        limits = self.limits
         return Block("contractions", relaxed, lower=limits.least, upper=limits.most, role="muscles")
 
     @override

@@ -56,6 +56,7 @@ class FibreDrive(MuscleDrive):
     def contraction_map(
         self, model: SubjectModel, volumes: Floats, S: sp.csr_array
     ) -> ContractionMap:
-        muscles, count = self.muscles, len(self.muscles.strengths)
+        muscles = self.muscles
+        count = len(self.muscles.strengths)
         flesh = np.bincount(muscles.muscles, muscles.fractions * volumes[muscles.tets], count)
         return ContractionMap(np.ones((count, 1)), np.asarray(flesh, np.float64))

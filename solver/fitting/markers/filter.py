@@ -70,7 +70,9 @@ class ControlFilter:
     def __init__(
         self, usual: GaussianPrior, seconds: float, options: FilterOptions = FilterOptions()
     ) -> None:
-        self.usual, self._seconds, self._options = usual, seconds, options
+        self.usual = usual
+        self._seconds = seconds
+        self._options = options
         self._kept = kept_part(seconds, options.forgetting)
         self.begin()
 
@@ -135,7 +137,8 @@ class ControlFilter:
         goes on from its own, smaller covariance: it follows a bias as closely, and is less stirred
         by noise.
         """
-        usual, unseen = evidence.usual.precision, 1.0 - evidence.alone.information
+        usual = evidence.usual.precision
+        unseen = 1.0 - evidence.alone.information
         before = unseen[:, None] * (prior.precision - usual) * unseen
         return inverse_of_positive(usual + before + evidence.normal)
 

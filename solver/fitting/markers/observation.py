@@ -148,7 +148,8 @@ class _Response:
     """Derivative of the markers by the controls, while sensitivities are the same."""
 
     def __init__(self, places: MarkerPlaces, jacobian: Jacobian) -> None:
-        self.jacobian, self._places = jacobian, places
+        self.jacobian = jacobian
+        self._places = places
         self._corners = places.corners_motion(jacobian)
         self._rates: tuple[PosedFace, Floats] | None = None
         self._spread: tuple[Floats, Floats] | None = None
@@ -188,8 +189,12 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         seconds: float,
         options: MarkerOptions = MarkerOptions(),
     ) -> None:
-        self.face, self.places, self.prior = face, places, prior
-        self.tracking, self.options, self.seconds = options.tracking, options, seconds
+        self.face = face
+        self.places = places
+        self.prior = prior
+        self.tracking = options.tracking
+        self.options = options
+        self.seconds = seconds
         self.filter = ControlFilter(prior, seconds, options.filter)
         self._contraction = Contraction.of_face(face)
         self._sigma = sigma
@@ -198,7 +203,8 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
             w_a=0.0, w_v=options.w_v, w_b=0.0, prior=face.rest_pose(), w_e=options.w_e
         )
         mouth = Mouth.of(face.model)
-        lips, slack = options.lips, options.lips_slack_mm
+        lips = options.lips
+        slack = options.lips_slack_mm
         self._contact = None if mouth is None else NearContact(face.model, mouth, lips, slack)
         self._regression: ShapeRegression | None = None
         if prior.shapes is not None:
@@ -234,7 +240,8 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         for _ in range(self.options.looks):
             if fit.kept or not fit.rejected_count:
                 break
-            expected, head = self.prior.about(left.mean), self._before(seen, fit.state)[1]
+            expected = self.prior.about(left.mean)
+            head = self._before(seen, fit.state)[1]
             before = fit
             fit, left = self._fit(begun, solver, expected, head)
             fit = replace(fit, steps=before.steps + fit.steps)
@@ -246,13 +253,16 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         self, begun: _Begun, solver: FrameSolver, expected: GaussianPrior, head: HeadPrior
     ) -> tuple[MarkerFit, MarkerMemory]:
         """Fit a frame; its points are judged by the controls that are ``expected``."""
-        seen, prior = begun.seen, begun.prior
+        seen = begun.seen
+        prior = begun.prior
         at, spread = self._predict(expected, solver)
         precision = self._precision(seen.sigma)
-        points, free = seen.points, seen.unlabelled
+        points = seen.points
+        free = seen.unlabelled
         judged, term = self._judge.term(head, at, spread, points, precision, free)
         if not term.precision.any():
-            state, mean = solver.state, self._expect(prior, seen.known)
+            state = solver.state
+            mean = self._expect(prior, seen.known)
             with suppress(SolveError):  # out of reach: it stays where it is
                 solver.go_to(state.pose.add(mean - state.pose.vector()))
             return self._leave(begun, solver, term, judged, "predicted")
@@ -266,7 +276,8 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
             held = self._held(self._evidence(solver, term, seen.known).alone, seen.known)
             if held.any():
                 priors.append(self._hold(held, prior.mean))
-            probable, first = PriorSum(tuple(priors)), begun.memory is None
+            probable = PriorSum(tuple(priors))
+            first = begun.memory is None
             steps = solver.fit(term, term.precision, probable, contact=self._contact, whole=first)
         except (SolveError, np.linalg.LinAlgError):
             return self._leave(begun, solver, term, judged, "kept")
@@ -330,15 +341,18 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         self, seen: SeenMarkers, state: PosedFace, memory: MarkerMemory | None = None
     ) -> tuple[GaussianPrior, HeadPrior]:
         """Return what is probable of controls and head before a frame's points are looked at."""
-        at, weights = self.places.at(state.x), self._sigma**-2.0
-        known, points = None if memory is None else memory.head, seen.points
+        at = self.places.at(state.x)
+        weights = self._sigma**-2.0
+        known = None if memory is None else memory.head
+        points = seen.points
         head = HeadPrior.before_frame(known, self.seconds, at, points, weights, self.options.head)
         if memory is None:
             return with_room(self.prior, seen.known), head
         return self.filter.before(memory.mean, memory.known, seen.known), head
 
     def _response(self, solver: FrameSolver) -> _Response:
-        jacobian, last = solver.jacobian, self._last_response
+        jacobian = solver.jacobian
+        last = self._last_response
         assert jacobian is not None, "made when tracking began"
         if last is None or last.jacobian is not jacobian:
             last = self._last_response = _Response(self.places, jacobian)
@@ -352,7 +366,8 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
 
     def _evidence(self, solver: FrameSolver, term: MarkerTerm, known: KnownTerm | None) -> Evidence:
         """Return what a frame's markers and table tell: as one before while they count alike."""
-        response, turn = self._response(solver), term.head.motion.rotation
+        response = self._response(solver)
+        turn = term.head.motion.rotation
         # that of one axis is not that of another once the head has turned
         precision = np.einsum("ji,kj,jm->kim", turn, term.precision, turn)
         if response.evidence is not None:
@@ -382,7 +397,8 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
 
     def _predict(self, prior: GaussianPrior, solver: FrameSolver) -> tuple[Floats, Floats]:
         """Return the markers' places (k, 3) in the head's frame, and their covariance."""
-        state, response = solver.state, self._response(solver)
+        state = solver.state
+        response = self._response(solver)
         change = prior.mean - state.pose.vector()
         moved = (response.by_controls(state) @ change).reshape(-1, 3)
         return self.places.at(state.x) + moved, response.spread(state, prior.covariance)
@@ -397,13 +413,16 @@ class Markers(Observation[SeenMarkers, MarkerMemory, MarkerFit]):
         steps: int = 0,
     ) -> tuple[MarkerFit, MarkerMemory]:
         """Return the frame, and its posterior to be remembered."""
-        state, prior, known = solver.state, begun.prior, begun.seen.known
+        state = solver.state
+        prior = begun.prior
+        known = begun.seen.known
         placed = term.place(self.places.at(state.x))
         if ending == "kept":  # its markers determine none of the controls of another frame
             evidence = self.filter.evidence(np.zeros_like(prior.covariance))
         else:
             evidence = self._evidence(solver, term, known)
-        alone, before = evidence.alone, None if begun.memory is None else begun.memory.known
+        alone = evidence.alone
+        before = None if begun.memory is None else begun.memory.known
         after = self.filter.after(prior, before, evidence)
         head = HeadPrior(placed.head, placed.precision)
         fit = MarkerFit(
@@ -427,7 +446,8 @@ def _is_alike(known: KnownTerm | None, before: KnownTerm | None, alike: float) -
         return False
     if known is None or before is None:
         return True
-    weight, other = known.sd**-2.0, before.sd**-2.0
+    weight = known.sd**-2.0
+    other = before.sd**-2.0
     return bool(np.all(np.abs(weight - other) <= alike * np.maximum(weight, other)))
 
 

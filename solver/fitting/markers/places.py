@@ -118,14 +118,17 @@ def refine(
     """
     steps = replace(options.steps, whole=options.tracking.tracking.whole)
     tracking = replace(options.tracking, tracking=steps)
-    rest, now, skin = face.model.rest, list(markers), model_face(face.model)
+    rest = face.model.rest
+    now = list(markers)
+    skin = model_face(face.model)
     bound = MarkerPlaces(face.model, markers).at(rest)
     for _ in range(options.rounds):
         places = MarkerPlaces(face.model, now)
         sigma = np.array([marker.sigma_mm for marker in now])
         offsets = _offsets(Markers(face, places, sigma, prior, seconds, tracking), frames)
         counts = np.isfinite(offsets[..., 0]).sum(axis=0)
-        axes, at = triangle_axes(places.corners(rest)), places.at(rest)
+        axes = triangle_axes(places.corners(rest))
+        at = places.at(rest)
         for number, marker in enumerate(now):
             count = int(counts[number])
             if count < options.least_frames or marker.place_mm is not None:
@@ -141,7 +144,8 @@ def refine(
 
 def _offsets(markers: Markers, frames: Sequence[Floats]) -> Floats:
     """Return what is left of frames (f, k, 3) in the axes of triangles, NaN where nothing is."""
-    found, tracker = [], Tracker(markers)
+    found = []
+    tracker = Tracker(markers)
     for seen in frames:
         fit = tracker.step(SeenMarkers(seen))
         if fit.kept:
@@ -155,6 +159,8 @@ def _offsets(markers: Markers, frames: Sequence[Floats]) -> Floats:
 
 def triangle_axes(corners: Floats) -> Floats:
     """Return axes (k, 3, 3), as columns: along a triangle's first edge, across it, its normal."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal, along = unit_rows(np.cross(first, second)), unit_rows(first)
+    first = corners[:, 1] - corners[:, 0]
+    second = corners[:, 2] - corners[:, 0]
+    normal = unit_rows(np.cross(first, second))
+    along = unit_rows(first)
     return np.stack([along, np.cross(normal, along), normal], axis=2)

@@ -59,7 +59,8 @@ class Prediction:
         ``spread`` (3 k, 3 k) is the covariance of the places in the head's frame, ``centre`` (3,)
         what the head's motion is counted about.
         """
-        points, rotation = head.motion(places), head.motion.rotation
+        points = head.motion(places)
+        rotation = head.motion.rotation
         # every block of three rows, then every block of three columns
         turned = (rotation @ spread.reshape(len(places), 3, -1)).reshape(-1, 3) @ rotation.T
         by_head = head_rates(points - head.motion(centre[None]))
@@ -134,7 +135,8 @@ def judge(
         counted = np.where(right, precision * weights[:, None], 0.0)
         after = prediction.condition(np.where(right, seen, 0.0), counted)
         for label, point, state in _assign(after, seen, states, unlabelled, options):
-            points[label], states[label] = point, state
+            points[label] = point
+            states[label] = state
     used = (states != "outlier") & (states != "missing")
     lenient = options.lenient_scales
     is_same = np.array_equal(used, present) and np.array_equal(points, seen, equal_nan=True)
@@ -187,7 +189,8 @@ def _rounds(
 ) -> list[Floats]:
     """Return the places (k, 3) that each round of weighing starts from, and the last one's."""
     known = np.asarray(np.isfinite(seen).all(axis=1))
-    exact, points = np.where(known[:, None], precision, 0.0), np.where(known[:, None], seen, 0.0)
+    exact = np.where(known[:, None], precision, 0.0)
+    points = np.where(known[:, None], seen, 0.0)
     places = [prediction.points]
     for scale in scales:
         weights = np.maximum(_weights(seen, places[-1], scale, options), 1e-9)
@@ -222,7 +225,8 @@ def _assign(
     rows, columns = linear_sum_assignment(np.minimum(away / gates[:, None], 1.0))
     found: list[tuple[int, Floats, MarkerState]] = []
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
-        label, other = int(labels[row]), column >= len(owners) or owners[column] != labels[row]
+        label = int(labels[row])
+        other = column >= len(owners) or owners[column] != labels[row]
         own = np.linalg.norm(seen[label] - after.points[label])  # NaN: it has none
         near = away[row, column]
         if other and near <= gates[row] and not own < options.better * near:

@@ -63,7 +63,9 @@ class ShapeRegression:
         shapes: NDArray[np.floating],
         options: RegressionOptions = RegressionOptions(),
     ) -> None:
-        self._face, self._places, self._options = face, places, options
+        self._face = face
+        self._places = places
+        self._options = options
         self._at = places.at(face.model.rest)
         self._by_shapes = places.motion_by_skin(face.model.rest, shapes)
         self._known = options.strength**-2 * np.eye(len(shapes))
@@ -78,7 +80,8 @@ class ShapeRegression:
 
     def regress(self, term: MarkerTerm, near: PosedFace) -> RegressedFrame:
         """Return what the points of ``term`` tell of a face that is ``near`` another."""
-        count, away = len(self._known), self._places.at(near.x) - self._at
+        count = len(self._known)
+        away = self._places.at(near.x) - self._at
         start = self._amounts @ away.ravel()
         amounts, placed, covariance = self._fit(self._loosen(term), start)
         known = term.head.precision
@@ -106,7 +109,8 @@ class ShapeRegression:
         turned = placed.head.rotation @ self._by_shapes.reshape(len(precision), 3, -1)
         rows = np.hstack([turned.reshape(precision.size, -1), placed.by_head])
         weighted = rows.T * precision.ravel()
-        normal, known = weighted @ rows, scipy.linalg.block_diag(self._known, term.head.precision)
+        normal = weighted @ rows
+        known = scipy.linalg.block_diag(self._known, term.head.precision)
         # the head is at its minimum: there is no slope by it
         slope = np.zeros(len(normal))
         slope[: len(amounts)] = (weighted @ placed.offsets.ravel())[: len(amounts)]
@@ -124,7 +128,8 @@ class ShapeRegression:
 
     def _jaw(self, teeth: Floats, goal: Floats, spread: Floats, b: Floats) -> PartPrior:
         """Return the jaw that carries ``teeth`` (3, 3) to a ``goal`` of covariance ``spread``."""
-        face, options = self._face, self._options
+        face = self._face
+        options = self._options
         inner = inverse_of_positive(spread + np.diag(np.repeat(options.teeth_mm, 3) ** 2))
         places, found = jaw_of_teeth(face, teeth, goal, b, inner)
         rates = face.jaw.jacobian(teeth, found).reshape(len(inner), -1)

@@ -60,15 +60,19 @@ def smooth(
     markers: Markers, frames: Sequence[TracedFrame], shortest: int = SHORTEST_BLOCK
 ) -> list[SmoothFrame]:
     """Return the frames of a take after a sweep back, in blocks of ``shortest`` frames or more."""
-    prior, kept = markers.prior, kept_part(markers.seconds, markers.options.filter.forgetting)
+    prior = markers.prior
+    kept = kept_part(markers.seconds, markers.options.filter.forgetting)
     length = max(shortest, isqrt(len(frames)))
     blocks = [frames[first : first + length] for first in range(0, len(frames), length)]
-    begins, covariances = [prior.covariance], []
+    begins = [prior.covariance]
+    covariances = []
     for block in blocks:
         covariances = _covariances(markers, block, begins[-1])
         begins.append(_spread(markers, covariances[-1]))
     found: list[SmoothFrame] = []
-    mean, after, table = prior.mean, prior.covariance, None
+    mean = prior.mean
+    after = prior.covariance
+    table = None
     for number, block in reversed(list(enumerate(blocks))):
         if number < len(blocks) - 1:
             covariances = _covariances(markers, block, begins[number])
@@ -81,7 +85,8 @@ def smooth(
                 mean = markers.face.layout.bounds.clip(mean)
                 after = here + gain @ (after - spread) @ gain.T
             else:
-                mean, after = own, here
+                mean = own
+                after = here
             table = frame.known
             sd = np.sqrt(np.maximum(np.diag(after), 0.0))
             found.append(SmoothFrame(mean, sd, markers.contraction_sd(after)))

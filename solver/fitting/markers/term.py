@@ -102,8 +102,10 @@ class MarkerPlaces:
         normals, lengths = _normals(corners)
         across = np.eye(3) - normals[:, :, None] * normals[:, None, :]
         across *= (self.heights / lengths)[:, None, None]
-        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        by_first, by_second = -across @ skew(second), across @ skew(first)
+        first = corners[:, 1] - corners[:, 0]
+        second = corners[:, 2] - corners[:, 0]
+        by_first = -across @ skew(second)
+        by_second = across @ skew(first)
         by_normal = np.stack([-by_first - by_second, by_first, by_second], axis=2)
         local = by_normal + self.weights[:, None, :, None] * np.eye(3)[None, :, None, :]
         return np.asarray(local.reshape(-1, 3, 9))
@@ -116,7 +118,8 @@ def _corner_rows(model: SubjectModel, markers: Sequence[Marker]) -> tuple[sp.csr
     """
     ids = np.array([marker.vertices for marker in markers], np.int64).ravel()
     parts = np.repeat([marker.part for marker in markers], 3)
-    on_bone, on_jaw = np.isin(parts, BONY), parts == "lower_teeth"
+    on_bone = np.isin(parts, BONY)
+    on_jaw = parts == "lower_teeth"
     fixed = model.skin.vertices[ids].copy()
     for number, marker in enumerate(markers):
         if marker.place_mm is not None:
@@ -215,7 +218,9 @@ class HeadPrior:
         if known.sum() < 3:
             return cls.diffuse(options)
         sd = np.repeat([options.first_turn_rad, options.first_shift_mm], 3)
-        at, there, weights = places[known], seen[known], weights[known]
+        at = places[known]
+        there = seen[known]
+        weights = weights[known]
         motion = robust_motion(at, there, weights, 1e6, 1)
         slack = options.placed_within_mm
         motion = robust_motion(at, there, weights, slack, options.placings, motion)
@@ -291,7 +296,8 @@ class MarkerTerm(Term):
 
     def inner(self, placed: PlacedMarkers) -> Floats:
         """Return f's Gauss-Newton matrix by the places in the head's frame, (3 k, 3 k)."""
-        count, turn = len(self.places), placed.head.rotation
+        count = len(self.places)
+        turn = placed.head.rotation
         # a marker's three rows, turned from the take's axes into the head's
         pulled = self.precision[:, :, None] * placed.by_head.reshape(count, 3, 6)
         pulled = np.einsum("ji,kjm->kim", turn, pulled).reshape(-1, 6)

@@ -155,7 +155,8 @@ class TetStep:
     def _reach(self, face: Face, pose: Pose) -> PosedFace:
         # approaching is not enough: single tets are so soft that the flesh may buckle on the rest
         # of the way, and the derivatives would be those of another equilibrium
-        change, sensitivity = pose.vector() - self.state.pose.vector(), self.model.sensitivity
+        change = pose.vector() - self.state.pose.vector()
+        sensitivity = self.model.sensitivity
         motion = sensitivity.response.free_motion(sensitivity.pose, change)
         near = face.newton_predict(self.state, motion, pose, PredictorOptions.reach_mm)
         corrections = self.lowered.options.corrections
@@ -186,12 +187,15 @@ class Descent:
         options: TetDescentOptions,
         reachable: float = np.inf,
     ) -> None:
-        self._objective, self._options, self._listen = objective, options, listen
+        self._objective = objective
+        self._options = options
+        self._listen = listen
         self._reachable = reachable
         self._solver = SaddleSolver(objective.tissue)
         self._first = Damping.start(len(objective.tissue.active), options)
         self._damping = self._first
-        self._state, self._value = state, objective.value(state)
+        self._state = state
+        self._value = objective.value(state)
         self.best = self._state, self._value
         self.taken = taken
         self._since_best = 0  # iterations
@@ -239,7 +243,8 @@ class Descent:
     def _refuse(self) -> bool:
         """Have the next step shorter; False where there is no reason to."""
         self._refusals += 1
-        self._stuck, self._slow = True, False
+        self._stuck = True
+        self._slow = False
         self._damping = self._damping.after_refusal()
         options = self._options
         is_behind = self.best[1] > options.behind * self._reachable
@@ -247,7 +252,8 @@ class Descent:
 
     def _snap(self, step: TetStep) -> tuple[PosedFace, Damping] | None:
         """Return the equilibrium at the end of a step, or of its half, where f is not too high."""
-        face, most = self._objective.tissue.face, self._options.snap_iterations
+        face = self._objective.tissue.face
+        most = self._options.snap_iterations
         for fraction in (1.0, 0.5):
             try:
                 pose = step.pose(fraction)
@@ -263,13 +269,16 @@ class Descent:
         """Go to a state."""
         value = self._objective.value(state)
         gain = self._value - value
-        self._state, self._value, self._damping = state, value, damping
+        self._state = state
+        self._value = value
+        self._damping = damping
         self._refusals = 0
         self._slow = 0.0 <= gain < self._options.unstuck * value
         self._stuck = self._stuck and self._slow
         self._small = self._small + 1 if 0.0 <= gain <= tolerance * value else 0
         if value < self.best[1]:
-            self.best, self._since_best = (state, value), 0
+            self.best = (state, value)
+            self._since_best = 0
         if self._listen:
             self._listen(self.taken, self.best[1])
 
@@ -291,11 +300,15 @@ def creep(
     drag = Drag(flesh)
     viscous = replace(tissue, face=tissue.face.with_flesh(flesh.slowed_by(drag)))
     objective = Objective(viscous, data, weights, start.pose.b)
-    solver, face = SaddleSolver(viscous), viscous.face
-    state, damping, taken = start, Damping.start(len(tissue.active), options), 0
+    solver = SaddleSolver(viscous)
+    face = viscous.face
+    state = start
+    damping = Damping.start(len(tissue.active), options)
+    taken = 0
     least = np.inf
     for viscosity in np.repeat(viscosities, steps):
-        drag.viscosity, drag.anchor = float(viscosity), state.x
+        drag.viscosity = float(viscosity)
+        drag.anchor = state.x
         try:
             state = face.solve_equilibrium(state.pose, state.x, max_iterations=options.corrections)
             step = TetStep.of(objective, solver, state, damping)
@@ -354,7 +367,9 @@ def fit(
     if state.pose.a.shape != tissue.face.layout.drive.rest.shape:
         raise InputError("start.activations", "the start has not six activations per active tet")
     objective = Objective(tissue, data, options, state.pose.b)
-    taken, value, reachable = 0, objective.value(state), np.inf
+    taken = 0
+    value = objective.value(state)
+    reachable = np.inf
     for cycle in range(way.cycles):
         if cycle or start is None:
             # half the iterations at most are for the viscous flesh
@@ -362,7 +377,8 @@ def fit(
             viscosities = way.viscosities[min(cycle, 1) :]
             steps = min(way.viscous_steps, left // (2 * len(viscosities)))
             state, crept, least = creep(tissue, data, options, state, viscosities, steps, way)
-            taken, reachable = taken + crept, min(reachable, least)
+            taken = taken + crept
+            reachable = min(reachable, least)
         descent = Descent(objective, state, listen, taken, way, reachable)
         status = descent.run(options.max_iterations, options.tolerance)
         before = value

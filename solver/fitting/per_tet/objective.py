@@ -117,13 +117,16 @@ class PerTetPriors:
     """
 
     def __init__(self, tissue: Tissue, options: PerTetOptions, b: Floats) -> None:
-        self._options, self._b = options, b
-        self._fractions, self._volumes = tissue.fractions, tissue.volumes
+        self._options = options
+        self._b = b
+        self._fractions = tissue.fractions
+        self._volumes = tissue.volumes
         self.contraction = PreferredContraction(tissue)
 
     def value(self, pose: Pose) -> float:
         """Return the regularisers' sum at a pose, every gamma being the best."""
-        options, a = self._options, pose.a
+        options = self._options
+        a = pose.a
         jaw = JAW_UNITS * (pose.b - self._b)
         return float(
             options.w_act * self.contraction.value(a, self.contraction.contractions(a))
@@ -134,7 +137,8 @@ class PerTetPriors:
 
     def gradient(self, pose: Pose) -> Floats:
         """Return the derivative of :meth:`value` by (a, b)."""
-        options, a = self._options, pose.a
+        options = self._options
+        a = pose.a
         stretch = 2.0 * options.w_volume * self._volumes * (determinants(a) - 1.0)
         by_a = options.w_act * self.contraction.gradient(a, self.contraction.contractions(a))
         by_a += options.w_sparse * (self._parabolas(a) * (a - IDENTITY))
@@ -146,7 +150,8 @@ class PerTetPriors:
 
         The contractions are held, and the parabolas of R_sparse stand for it.
         """
-        options, slopes = self._options, determinant_gradients(pose.a)
+        options = self._options
+        slopes = determinant_gradients(pose.a)
         volume = 2.0 * options.w_volume * self._volumes
         blocks = volume[:, None, None] * slopes[:, :, None] * slopes[:, None, :]
         each = np.arange(6)
@@ -169,7 +174,8 @@ class Objective:
     def __init__(self, tissue: Tissue, data: Term, options: PerTetOptions, b: Floats) -> None:
         self.tissue = tissue
         self.priors = PerTetPriors(tissue, options, b)
-        self._data, self._w_b = data, options.w_b
+        self._data = data
+        self._w_b = options.w_b
 
     def value(self, state: PosedFace) -> float:
         """Return f at a state's estimate."""
@@ -177,7 +183,9 @@ class Objective:
 
     def quadratic(self, state: PosedFace, tets: Floats, jaw: float) -> Quadratic:
         """Return f's Gauss-Newton model, damped by ``tets`` (n_active,) and ``jaw``."""
-        sensitivity, x, pose = Sensitivity(self.tissue.face, state), state.estimate, state.pose
+        sensitivity = Sensitivity(self.tissue.face, state)
+        x = state.estimate
+        pose = state.pose
         gradient = sensitivity.response.adjoint(sensitivity.pose, self._data.gradient(x))
         gradient = gradient + self.priors.gradient(pose)
         damping = 2.0 * (tets * self.tissue.volumes)[:, None, None] * stretches.metric(pose.a)

@@ -57,7 +57,9 @@ class SaddleSolver:
     """Finds Gauss-Newton steps; the analysis of the matrix's pattern is kept from step to step."""
 
     def __init__(self, tissue: Tissue, iterations: int = 25, tolerance: float = 1e-2) -> None:
-        self._tissue, self._iterations, self._tolerance = tissue, iterations, tolerance
+        self._tissue = tissue
+        self._iterations = iterations
+        self._tolerance = tolerance
         self._analysis: Any = None
         self._pattern: tuple[Ints, ...] = ()
 
@@ -74,7 +76,8 @@ class SaddleSolver:
             found = found + length * direction
             residual = residual - length * image
             nearer = precondition(residual)
-            previous, square = square, float(residual @ nearer)
+            previous = square
+            square = float(residual @ nearer)
             if square <= self._tolerance**2 * first:
                 break
             direction = nearer + square / previous * direction
@@ -82,10 +85,15 @@ class SaddleSolver:
 
     def _preconditioner(self, model: Quadratic) -> Any:
         """Return the map z -> approximately (R + J^T C J)^-1 z."""
-        flesh, active, state = self._tissue.face.flesh, self._tissue.active, model.state
-        free, layout, rates = flesh.free_coordinates, state.pose.layout, model.sensitivity.pose
+        flesh = self._tissue.face.flesh
+        active = self._tissue.active
+        state = model.state
+        free = flesh.free_coordinates
+        layout = state.pose.layout
+        rates = model.sensitivity.pose
         forces = model.sensitivity.forces
-        by_tet, inverse = forces.by_tet[active], np.linalg.inv(model.a)
+        by_tet = forces.by_tet[active]
+        inverse = np.linalg.inv(model.a)
         weighted = np.einsum("euiq,eqr->euir", by_tet, inverse)
         u, v = np.triu_indices(4)
         blocks = np.zeros((len(flesh.tets), len(u), 3, 3))

@@ -174,9 +174,11 @@ class ExpressionProblem(IpoptProblem):
         self.face = face
         self.flesh = flesh = face.flesh
         self.layout = Layout((Block("x", flesh.rest[flesh.free]), *face.layout.blocks))
-        muscles, jaw = self.layout.muscles, self.layout.joint_places
+        muscles = self.layout.muscles
+        jaw = self.layout.joint_places
         self._columns = muscles.shape[1], len(jaw)
-        self._data, self._priors = data, priors
+        self._data = data
+        self._priors = priors
         self._pose_entries = self._find_touched(face.S if candidates is None else candidates)
         pattern = flesh.hessian(flesh.rest, flesh.passive())
         rows = np.repeat(np.arange(flesh.size), np.diff(pattern.indptr))
@@ -249,7 +251,8 @@ class ExpressionProblem(IpoptProblem):
     def constraints(self, z: Floats, S: sp.csr_array | None = None) -> Floats:
         """Return the free coordinates' forces (size,); tells IPOPT where a tet is inverted."""
         face = self.face if S is None else self.face.with_unchecked_weights(S)
-        x, a = self.place(z), face.flesh_controls(self.pose(z).a)
+        x = self.place(z)
+        a = face.flesh_controls(self.pose(z).a)
         finite(self.flesh.energy(x, a))
         return self.flesh.gradient(x, a)
 
@@ -260,7 +263,8 @@ class ExpressionProblem(IpoptProblem):
     def jacobian(self, z: Floats, S: sp.csr_array | None = None) -> Floats:
         """Return its entries."""
         face = self.face if S is None else self.face.with_unchecked_weights(S)
-        x, pose = self.place(z), self.pose(z)
+        x = self.place(z)
+        pose = self.pose(z)
         by_x = self.flesh.hessian(x, face.flesh_controls(pose.a)).data
         by_pose = PoseRates(face, face.tet_forces(pose, x), pose).columns()
         return np.concatenate([by_x, by_pose[self._pose_entries]])
@@ -272,7 +276,8 @@ class ExpressionProblem(IpoptProblem):
 
     def _motion(self, by_jaw: Floats) -> sp.csr_array:
         """Return dx/dz (3 p, n) with ``by_jaw`` (k, 5) the mandible's coordinates by b."""
-        free, riding = self.flesh.free_coordinates, coordinates(self.face.model.mandible)
+        free = self.flesh.free_coordinates
+        riding = coordinates(self.face.model.mandible)
         rows = np.concatenate([free, np.repeat(riding, by_jaw.shape[1])])
         jaw = np.arange(self.layout.size)[-by_jaw.shape[1] :]
         columns = [np.arange(len(free)), np.tile(jaw, len(riding))]
@@ -333,7 +338,9 @@ class _Forward(IpoptProblem):
 
     def __init__(self, face: Face, pose: Pose, x: Floats) -> None:
         super().__init__()
-        self._flesh, self._a, self._x = face.flesh, face.flesh_controls(pose.a), x.copy()
+        self._flesh = face.flesh
+        self._a = face.flesh_controls(pose.a)
+        self._x = x.copy()
         self._x[face.model.mandible] = face.mandible(pose.b)
         pattern = self._flesh.hessian(x, self._a)
         rows = np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))

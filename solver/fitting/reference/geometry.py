@@ -46,9 +46,11 @@ def geometry(
 
     Raises :class:`NotConvergedError` (``ipopt.failed``) with IPOPT's message.
     """
-    full, S = FullGeometry(problem, listen), problem.face.S
+    full = FullGeometry(problem, listen)
+    S = problem.face.S
     begin = [part.start(start[name].pose, start[name].x) for name, part in full.parts.items()]
-    first, lower = full.layout.join([*begin, S.data]), full.layout.lower
+    first = full.layout.join([*begin, S.data])
+    lower = full.layout.lower
     forces = np.zeros(len(full.parts) * problem.face.flesh.size)
     constants = np.concatenate([forces, np.ones(S.shape[0])])
     z, found = solve(full, first, constants, tolerance, max_iterations, lower)
@@ -63,7 +65,8 @@ class FullGeometry(IpoptProblem):
 
     def __init__(self, problem: GeometryProblem, listen: Listener | None = None) -> None:
         super().__init__(listen)
-        self._problem, self._face = problem, problem.face
+        self._problem = problem
+        self._face = problem.face
         self._S = S = problem.face.S
         candidates = replace_values(S, np.ones(S.nnz))
         self.parts = {
@@ -105,9 +108,11 @@ class FullGeometry(IpoptProblem):
 
     def jacobianstructure(self) -> tuple[Ints, Ints]:
         """Return rows and columns of the constraints' derivative."""
-        size, weights = self._face.flesh.size, self.layout.places("S")
+        size = self._face.flesh.size
+        weights = self.layout.places("S")
         by_weights = self._pull(self._S, self._face.rest_pose(), self._face.model.rest)
-        rows, columns = [], []
+        rows = []
+        columns = []
         for k, part in enumerate(self.parts.values()):
             by_part = part.jacobianstructure()
             rows += [k * size + by_part[0], k * size + by_weights.indices[self._felt]]

@@ -43,7 +43,8 @@ class Tracker(Generic[SeenT, MemoryT, FitT]):
     """Fits frames in their order: ``memory`` is what the last one left, None before the first."""
 
     def __init__(self, observation: Observation[SeenT, MemoryT, FitT]) -> None:
-        self.observation, self.face = observation, observation.face
+        self.observation = observation
+        self.face = observation.face
         self.begin(self.face.rest)
 
     def begin(self, state: PosedFace, memory: MemoryT | None = None) -> None:

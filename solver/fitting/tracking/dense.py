@@ -87,7 +87,9 @@ class HeadAndFace:
         still: Floats | None = None,
         options: DenseOptions = DenseOptions(),
     ) -> None:
-        self.target, self.options, self._still = target, options, still
+        self.target = target
+        self.options = options
+        self._still = still
         if still is not None and np.sum(still > options.still) < options.still_points:
             message = (
                 "the head's motion cannot be told from the face's: muscles or the jaw move every "
@@ -128,7 +130,8 @@ class HeadAndFace:
             moved = head.inverse()(seen.vertices)
             if np.nanmax(np.abs(moved - points)) < self.options.restless_mm:
                 break
-            points, target = moved, self.target(moved, seen.confidence)
+            points = moved
+            target = self.target(moved, seen.confidence)
             steps += fit(target)
         return target, head, steps
 
@@ -136,7 +139,8 @@ class HeadAndFace:
         """Return the motion of the fitted face's still points to where they were seen."""
         weights = still * seen.confidence
         used = weights > self.options.still
-        there, weights = seen.vertices[used], weights[used]
+        there = seen.vertices[used]
+        weights = weights[used]
         roughly = weighted_motion(fitted[used], there, weights)
         return roughly.then(head_motion(roughly(fitted[used]), there, weights))
 
@@ -156,9 +160,12 @@ class DensePoints(Observation[SeenPoints, Similarity, DenseFit[PosedFace]]):
     def __init__(
         self, face: Face, regulariser: Regulariser, points: HeadAndFace | None = None
     ) -> None:
-        self.face, self.points, self._regulariser = face, points or HeadAndFace(), regulariser
+        self.face = face
+        self.points = points or HeadAndFace()
+        self._regulariser = regulariser
         self.tracking = self.points.options.tracking
-        self._recruitment, self._muscles = Recruitment.of_face(face), FaceMuscles.of(face)
+        self._recruitment = Recruitment.of_face(face)
+        self._muscles = FaceMuscles.of(face)
 
     @override
     def begin(self, solver: FrameSolver) -> None:
@@ -168,7 +175,9 @@ class DensePoints(Observation[SeenPoints, Similarity, DenseFit[PosedFace]]):
     def fit(
         self, seen: SeenPoints, solver: FrameSolver, memory: Similarity | None
     ) -> tuple[DenseFit[PosedFace], Similarity]:
-        before, head, coverage = solver.state, memory or IDENTITY, coverage_of(seen)
+        before = solver.state
+        head = memory or IDENTITY
+        coverage = coverage_of(seen)
         if not self.points.sees(seen):
             return DenseFit(before, head, "unseen", coverage), head
 

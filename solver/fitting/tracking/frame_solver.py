@@ -78,10 +78,13 @@ class FrameSolver:
     def __init__(
         self, face: Face, start: PosedFace, options: TrackingOptions = TrackingOptions()
     ) -> None:
-        self.face, self.state, self._options = face, start, options
+        self.face = face
+        self.state = start
+        self._options = options
         self._descent = DescentOptions(steps=options.steps)
         self._lagged: _LaggedModel | None = None
-        self._age, self._value = 0, np.inf
+        self._age = 0
+        self._value = np.inf
         self._search = Backtracking(options.damping, least_ratio=options.least_ratio)
 
     def fit(
@@ -101,7 +104,8 @@ class FrameSolver:
         expression, for a frame far from the state. Raises :class:`SolveError` if the frame
         cannot be fitted; the state stays that of the frame before.
         """
-        options, lagged = self._options, self._lagged
+        options = self._options
+        lagged = self._lagged
         both = data if contact is None else SumTerm((data, contact))
         found = None
         # points may be seen otherwise
@@ -121,12 +125,15 @@ class FrameSolver:
                     return 0
         if found is None:
             known = None if self._lagged is None else self._lagged.hessian
-            effort, stop = options.whole, Termination.ITERATIONS
-            parts, descent = (self.face, both, prior, self.state), self._descent
+            effort = options.whole
+            stop = Termination.ITERATIONS
+            parts = (self.face, both, prior, self.state)
+            descent = self._descent
             fitted = activation.fit(*parts, effort, matrix=known, descent=descent)
             found = LeastSquaresSolution(fitted.state, fitted.objective, fitted.iterations, stop)
             self._age = options.lagged_frames
-        self.state, self._value = found.point, found.value
+        self.state = found.point
+        self._value = found.value
         self._age += 1
         if found.termination != Termination.CONVERGED and self._age >= options.lagged_frames:
             self.relinearise(data, weights)
@@ -148,7 +155,8 @@ class FrameSolver:
 
     def relinearise(self, data: Term, weights: Floats) -> _LaggedModel:
         """Make the sensitivities of the state as it is, with its Hessian if that is another's."""
-        pose, found = self.state.pose, self.state.equilibrium
+        pose = self.state.pose
+        found = self.state.equilibrium
         far = np.abs(found.factor.x - found.x).max() > self._options.corrector.close_mm
         # what was projected, too, would be wrong in every frame that it serves
         if found.factor.projection > 0 or far:
@@ -201,7 +209,9 @@ class _FrameProblem:
 
     def move(self, point: PosedFace, step: LeastSquaresStep) -> PosedFace | None:
         """Correct the equilibrium, no more."""
-        face, flesh, pose = self.face, self.face.flesh, point.pose.add(step.change)
+        face = self.face
+        flesh = self.face.flesh
+        pose = point.pose.add(step.change)
         x = flesh.add_motion(point.x, self.lagged.jacobian.flesh @ step.change)
         x[face.model.mandible] = face.mandible(pose.b)
         return _correct(face, point, pose, x, self.corrector)

@@ -94,8 +94,11 @@ def write_growth(
 
     It is dP cof A + P d(cof A), d(cof A) = <cof A, dA> A^-1 - cof A dA A^-1; ``inverse`` is A^-1.
     """
-    dA, C = symmetric_unit(column), symmetric_cofactor(A)
-    change, whole = times(dP, C), dot(full(C), dA)
-    by_pressure, by_shape = times(P, inverse), product(times(P, C), times(dA, inverse))
+    dA = symmetric_unit(column)
+    C = symmetric_cofactor(A)
+    change = times(dP, C)
+    whole = dot(full(C), dA)
+    by_pressure = times(P, inverse)
+    by_shape = product(times(P, C), times(dA, inverse))
     for k in range(9):
         out[column, k] = change[k] + whole * by_pressure[k] - by_shape[k]

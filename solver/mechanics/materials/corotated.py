@@ -105,7 +105,8 @@ def hessian_modes(
     if second != 0.0:
         _single(cofactor(F), second, modes, count)
         count += 1
-    g, metric = keep * first, (2.0 * mu, 0.0, 0.0, 2.0 * mu, 0.0, 2.0 * mu)
+    g = keep * first
+    metric = (2.0 * mu, 0.0, 0.0, 2.0 * mu, 0.0, 2.0 * mu)
     return count, metric, scale(g, F)
 
 
@@ -124,7 +125,9 @@ def _twists(R: Matrix, A: Symmetric, Y: Symmetric, scale: float, modes: Modes, k
     """
     left, right, (xx, xy, xz, yy, yz, zz) = modes.left, modes.right, A
     for row in range(3):
-        r0, r1, r2 = R[3 * row], R[3 * row + 1], R[3 * row + 2]
+        r0 = R[3 * row]
+        r1 = R[3 * row + 1]
+        r2 = R[3 * row + 2]
         right[k, 3 * row] = r2 * xy - r1 * xz
         right[k, 3 * row + 1] = r2 * yy - r1 * yz
         right[k, 3 * row + 2] = r2 * yz - r1 * zz
@@ -136,7 +139,9 @@ def _twists(R: Matrix, A: Symmetric, Y: Symmetric, scale: float, modes: Modes, k
         right[k + 2, 3 * row + 2] = r1 * xz - r0 * yz
     xx, xy, xz, yy, yz, zz = Y
     for entry in range(9):
-        w0, w1, w2 = right[k, entry], right[k + 1, entry], right[k + 2, entry]
+        w0 = right[k, entry]
+        w1 = right[k + 1, entry]
+        w2 = right[k + 2, entry]
         left[k, entry] = scale * (xx * w0 + xy * w1 + xz * w2)
         left[k + 1, entry] = scale * (xy * w0 + yy * w1 + yz * w2)
         left[k + 2, entry] = scale * (xz * w0 + yz * w1 + zz * w2)
@@ -149,7 +154,11 @@ def _clamp(Y: Symmetric, A: Symmetric, work: Floats) -> Symmetric:
     With Y^-1 = L L^T those of the sum are the eigenvalues of L^T G L, where the Gram matrix of the
     twists is G_ij = <W_i, W_j> = tr(A^2) I - A^2; they are cut at one.
     """
-    L, gram, U, V, s = work[0], work[1], work[2], work[3], work[4, 0]
+    L = work[0]
+    gram = work[1]
+    U = work[2]
+    V = work[3]
+    s = work[4, 0]
     L[0, 0] = math.sqrt(Y[0])
     L[1, 0], L[2, 0] = Y[1] / L[0, 0], Y[2] / L[0, 0]
     L[1, 1] = math.sqrt(Y[3] - L[1, 0] * L[1, 0])
@@ -158,13 +167,17 @@ def _clamp(Y: Symmetric, A: Symmetric, work: Floats) -> Symmetric:
     L[0, 1] = L[0, 2] = L[1, 2] = 0.0
     xx, xy, xz, yy, yz, zz = symmetric_product(full(A), full(A))
     for i in range(3):
-        l0, l1, l2 = L[0, i], L[1, i], L[2, i]
+        l0 = L[0, i]
+        l1 = L[1, i]
+        l2 = L[2, i]
         g0 = (yy + zz) * l0 - xy * l1 - xz * l2
         g1 = (xx + zz) * l1 - xy * l0 - yz * l2
         g2 = (xx + yy) * l2 - xz * l0 - yz * l1
         for j in range(3):
             gram[i, j] = g0 * L[0, j] + g1 * L[1, j] + g2 * L[2, j]
-    first, second, third = 1.0 - gram[0, 0], 1.0 - gram[1, 1], 1.0 - gram[2, 2]
+    first = 1.0 - gram[0, 0]
+    second = 1.0 - gram[1, 1]
+    third = 1.0 - gram[2, 2]
     minor = first * second - gram[0, 1] * gram[0, 1]
     whole = minor * third - first * gram[1, 2] * gram[1, 2] - second * gram[0, 2] * gram[0, 2]
     whole -= 2.0 * gram[0, 1] * gram[0, 2] * gram[1, 2]
@@ -173,7 +186,9 @@ def _clamp(Y: Symmetric, A: Symmetric, work: Floats) -> Symmetric:
     # of a positive semi-definite matrix the singular vectors are the eigenvectors
     signed_svd(gram, U, s, V)
     multiply(L, V, U)
-    k0, k1, k2 = 1.0 / max(s[0], 1.0), 1.0 / max(s[1], 1.0), 1.0 / max(s[2], 1.0)
+    k0 = 1.0 / max(s[0], 1.0)
+    k1 = 1.0 / max(s[1], 1.0)
+    k2 = 1.0 / max(s[2], 1.0)
     return (
         k0 * U[0, 0] * U[0, 0] + k1 * U[0, 1] * U[0, 1] + k2 * U[0, 2] * U[0, 2],
         k0 * U[0, 0] * U[1, 0] + k1 * U[0, 1] * U[1, 1] + k2 * U[0, 2] * U[1, 2],
@@ -194,7 +209,8 @@ def stress_by_activation(
     d(R A) = R dA + R [w]x A, Y w = axl(D dA - dA D^T), D = R^T F, and by d(det A) = <cof A, dA>.
     ``modes`` are scratch.
     """
-    mu, kappa = moduli[0], moduli[2]
+    mu = moduli[0]
+    kappa = moduli[2]
     _, R, Y = polar(times(F, A))
     _twists(R, A, Y, 1.0, modes, 0)
     c0 = _rotated_back(R, F[0], F[3], F[6])
@@ -208,10 +224,12 @@ def stress_by_activation(
         (c2[2] - c1[1], c1[0], -c2[0]),
         (-c2[1], c2[0], 0.0),
     )
-    C, B = cofactor(F), symmetric_cofactor(A)
+    C = cofactor(F)
+    B = symmetric_cofactor(A)
     for column in range(6):
         z0, z1, z2 = axes[column]
-        r, q = SYM_ROW[column], SYM_COLUMN[column]
+        r = SYM_ROW[column]
+        q = SYM_COLUMN[column]
         volume = 2.0 * kappa * B[column] * (1.0 if r == q else 2.0)
         for k in range(9):
             turn = z0 * modes.left[0, k] + z1 * modes.left[1, k] + z2 * modes.left[2, k]

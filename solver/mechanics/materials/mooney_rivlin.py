@@ -102,16 +102,19 @@ def hessian_modes(
     """
     inverse = symmetric_inverse(A)
     volume, G, J = elastic_part(F, A)
-    left, right = modes.left, modes.right
+    left = modes.left
+    right = modes.right
     at = _shape(G, J, moduli)
-    p, q = -2.0 / (3.0 * at.J), -4.0 / (3.0 * at.J)
+    p = -2.0 / (3.0 * at.J)
+    q = -4.0 / (3.0 * at.J)
     for mode in range(9):
         # the cross product is symmetric: <E, G x dG> = <G x E, dG>
         W = times(_cross(at.G, unit(mode)), inverse)
         for entry in range(9):
             right[mode, entry] = W[entry]
             left[mode, entry] = volume * at.second * W[entry]
-    one, two = dot(at.G, at.G), dot(at.C, at.C)
+    one = dot(at.G, at.G)
+    two = dot(at.C, at.C)
     gamma = (at.first * one / 9.0 - 2.0 * at.second * two / 9.0) / (at.J * at.J) + at.bulk
     if gamma < 0.0:
         gamma *= 1.0 - project
@@ -119,8 +122,10 @@ def hessian_modes(
     C = times(at.C, inverse)
     mixed = times(add(scale(at.first * p, at.G), scale(at.second * q, at.K)), inverse)
     for entry in range(9):
-        right[9, entry], left[9, entry] = C[entry], volume * (square * C[entry] + mixed[entry])
-        right[10, entry], left[10, entry] = mixed[entry], volume * C[entry]
+        right[9, entry] = C[entry]
+        left[9, entry] = volume * (square * C[entry] + mixed[entry])
+        right[10, entry] = mixed[entry]
+        left[10, entry] = volume * C[entry]
     metric = grown_metric(volume * at.first, inverse)
     bent = add(scale(at.pressure, at.G), scale(at.second, at.C))
     return 11, metric, scale(1.0 - project, times(bent, A))
@@ -150,7 +155,8 @@ def _shape(G: Matrix, J: float, moduli: Moduli) -> _Shape:
     C = cofactor(G)
     _, slope, bulk = volumetric(J, 1.0, kappa + 0.5 * lam, barrier)
     shrunk = math.pow(J, -2.0 / 3.0)
-    first, second = mu * (1.0 - SECOND) * shrunk, mu * SECOND * shrunk * shrunk
+    first = mu * (1.0 - SECOND) * shrunk
+    second = mu * SECOND * shrunk * shrunk
     pressure = slope - (first * dot(G, G) + 2.0 * second * dot(C, C)) / (3.0 * J)
     return _Shape(G, C, _cross(C, G), J, first, second, pressure, bulk)
 
@@ -165,8 +171,11 @@ def _elastic_stress(at: _Shape) -> Matrix:
 def _stress_change(at: _Shape, D: Matrix) -> Matrix:
     """Return the derivative of w'(G) along D."""
     turning = _cross(at.G, D)
-    p, q, j = -2.0 / (3.0 * at.J), -4.0 / (3.0 * at.J), dot(at.C, D)
-    one, two = dot(at.G, at.G), dot(at.C, at.C)
+    p = -2.0 / (3.0 * at.J)
+    q = -4.0 / (3.0 * at.J)
+    j = dot(at.C, D)
+    one = dot(at.G, at.G)
+    two = dot(at.C, at.C)
     # first and second change by p j and q j of them
     pressure = 0.5 * at.first * p * (2.0 * dot(at.G, D) + one * (p - 1.0 / at.J) * j)
     pressure += 0.5 * at.second * q * (2.0 * dot(at.K, D) + two * (q - 1.0 / at.J) * j)

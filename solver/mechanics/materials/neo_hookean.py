@@ -81,13 +81,15 @@ def hessian_modes(
     volume, G, J = elastic_part(F, A)
     _, first, second = _elastic_stress(G, J, moduli)
     shrunk = 1.0 / (dot(G, G) + 1.0)
-    W, C = times(G, inverse), times(cofactor(G), inverse)
+    W = times(G, inverse)
+    C = times(cofactor(G), inverse)
     for entry in range(9):
         modes.right[0, entry] = W[entry]
         modes.left[0, entry] = volume * 2.0 * mu * shrunk * shrunk * W[entry]
         modes.right[1, entry] = C[entry]
         modes.left[1, entry] = volume * second * C[entry]
-    m, g = volume * mu * (1.0 - shrunk), (1.0 - project) * first
+    m = volume * mu * (1.0 - shrunk)
+    g = (1.0 - project) * first
     return 2, grown_metric(m, inverse), scale(g, F)
 
 
@@ -111,7 +113,8 @@ def stress_by_activation(
     P, first, second = _elastic_stress(G, J, moduli)
     K = cofactor(G)
     shrunk = 1.0 / (dot(G, G) + 1.0)
-    m, s = mu * (1.0 - shrunk), 2.0 * mu * shrunk * shrunk
+    m = mu * (1.0 - shrunk)
+    s = 2.0 * mu * shrunk * shrunk
     for column in range(6):
         D = product(G, times(symmetric_unit(column), inverse))
         # d(cof G)[G dA A^-1]: the cofactor is quadratic

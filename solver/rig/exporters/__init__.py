@@ -124,7 +124,8 @@ def write_rig(rig: Rig, certificate: Certificate, out: Path) -> list[Path]:
     """
     out.mkdir(parents=True, exist_ok=True)
     figures = report(rig, certificate)
-    figures_file, page = out / "report.json", out / "report.html"
+    figures_file = out / "report.json"
+    page = out / "report.html"
     exported = export_all(replace(rig, figures=figures), out)
     measured = {each.path.name: each.figures for each in exported}
     write_json(figures_file, {**figures, "files": measured})

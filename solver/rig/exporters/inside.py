@@ -63,7 +63,9 @@ def write(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> None:
 def read_back(rig: Rig, path: Path, _options: Options = NO_OPTIONS) -> dict[str, Any]:
     """Return how far the flesh's vertices in the file are off the rig's."""
     arrays = read_container(path).arrays
-    rest, wanted, shown = arrays["rest"], {NEUTRAL: rig.model.rest}, {NEUTRAL: arrays["rest"]}
+    rest = arrays["rest"]
+    wanted = {NEUTRAL: rig.model.rest}
+    shown = {NEUTRAL: arrays["rest"]}
     for k, fit in enumerate(rig.expressions):
         if fit.x is not None:
             wanted[fit.name] = fit.x

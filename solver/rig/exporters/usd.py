@@ -19,10 +19,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 try:
-    from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+    from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("USD is an extra: pip install 'myoface[usd]'") from error
 
@@ -32,9 +31,10 @@ from solver.mechanics.boundary import JAW_FREEDOM, FreeJaw
 from solver.model import SubjectModel
 from solver.rig.frames import MarkerFrame
 from solver.rig.frames.animation_gltf import SEQUENCE_SHAPES, AnimatedSkin
-from solver.rig.frames.gltf import DEFAULTS, MATERIALS, worst_error
+from solver.rig.frames.gltf import DEFAULTS, worst_error
 from solver.rig.frames.gltf import MorphTargetOptions as Options
 from solver.rig.frames.read_back import MorphedSkin, compare_expressions
+from solver.rig.frames.usd import define_material, extent, free_path, numbers, quaternion, vectors
 from solver.rig.rig import Rig
 from solver.similarity import IDENTITY, Similarity, small_motion
 from solver.surface import Floats, Surface, vertex_normals
@@ -46,7 +46,8 @@ FORMATS = [".usdc", ".usda", ".usd"]
 FRAMES_PER_SECOND = 30.0  # of the time codes, as animation tools expect
 ROOT = Sdf.Path("/Face")
 SKIN = ROOT.AppendChild("Skin")
-HEAD, JAW = "head", "head/jaw"
+HEAD = "head"
+JAW = "head/jaw"
 JOINTS = [HEAD, JAW]
 
 
@@ -58,10 +59,12 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
     if path.suffix not in FORMATS:
         message = f"{path.name} does not end in {', '.join(FORMATS)}"
         raise InputError("usd.format", message, file=path.name, expected=FORMATS)
-    model, expressions = rig.model, rig.expressions
+    model = rig.model
+    expressions = rig.expressions
     shapes = {fit.name: fit.skin for fit in expressions}
     stage = _stage(model, shapes, options.still_mm)
-    kind, primvars = Sdf.ValueTypeNames.FloatArray, UsdGeom.PrimvarsAPI(stage.GetPrimAtPath(SKIN))
+    kind = Sdf.ValueTypeNames.FloatArray
+    primvars = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath(SKIN))
     error = primvars.CreatePrimvar("error_mm", kind, UsdGeom.Tokens.vertex)
     worst = worst_error(expressions, len(model.skin.vertices))
     error.Set(Vt.FloatArray.FromNumpy(worst.astype(np.float32)))
@@ -96,7 +99,8 @@ def write_sequence(
     """
     shapes, weights = skin.morphs()
     stage = _stage(model, shapes, options.still_mm)
-    keys, places = [], [skin.extent]
+    keys = []
+    places = [skin.extent]
     for frame, row in zip(skin.frames, weights, strict=True):
         mandible = FreeJaw(model.jaw).matrix(frame.jaw)
         if isinstance(frame, MarkerFrame):
@@ -163,19 +167,19 @@ def _skin(stage: Usd.Stage, skin: Surface, shapes: Mapping[str, Floats], still_m
     """Define the skin with a blend shape for each of ``shapes`` (v, 3)."""
     mesh = _mesh(stage, SKIN.name, skin, joint=HEAD)
     normals = vertex_normals(skin)
-    mesh.CreateNormalsAttr(_vectors(normals))
+    mesh.CreateNormalsAttr(vectors(normals))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     _materials(stage, mesh, skin)
     targets = []
     for name, vertices in shapes.items():
-        place = _free(stage, mesh.GetPath(), name)
+        place = free_path(stage, mesh.GetPath(), name)
         change = vertices - skin.vertices
         moving = np.flatnonzero((np.abs(change) > still_mm).any(axis=1))
         turned = vertex_normals(skin.with_vertices(vertices)) - normals
         shape = UsdSkel.BlendShape.Define(stage, place)
         shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(moving.astype(np.int32)))
-        shape.CreateOffsetsAttr(_vectors(change[moving]))
-        shape.CreateNormalOffsetsAttr(_vectors(turned[moving]))
+        shape.CreateOffsetsAttr(vectors(change[moving]))
+        shape.CreateNormalOffsetsAttr(vectors(turned[moving]))
         targets.append(place)
     binding = UsdSkel.BindingAPI(mesh)
     binding.CreateBlendShapesAttr(list(shapes))
@@ -184,13 +188,13 @@ def _skin(stage: Usd.Stage, skin: Surface, shapes: Mapping[str, Floats], still_m
 
 def _mesh(stage: Usd.Stage, name: str, surface: Surface, joint: str) -> UsdGeom.Mesh:
     """Define triangles that move rigidly with a joint."""
-    mesh = UsdGeom.Mesh.Define(stage, _free(stage, ROOT, name))
-    mesh.CreatePointsAttr(_vectors(surface.vertices))
+    mesh = UsdGeom.Mesh.Define(stage, free_path(stage, ROOT, name))
+    mesh.CreatePointsAttr(vectors(surface.vertices))
     mesh.CreateFaceVertexCountsAttr([3] * len(surface.faces))
-    mesh.CreateFaceVertexIndicesAttr(_numbers(surface.faces))
+    mesh.CreateFaceVertexIndicesAttr(numbers(surface.faces))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
-    mesh.CreateExtentAttr(_extent(surface.vertices))
+    mesh.CreateExtentAttr(extent(surface.vertices))
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([ROOT.AppendChild("Skeleton")])
     binding.CreateJointIndicesPrimvar(constant=True, elementSize=1).Set([JOINTS.index(joint)])
@@ -202,15 +206,8 @@ def _materials(stage: Usd.Stage, mesh: UsdGeom.Mesh, skin: Surface) -> None:
     """Give every part of the skin its material, the same as in ``rig.glb``."""
     scope = UsdGeom.Scope.Define(stage, ROOT.AppendChild("Materials"))
     for part, faces in skin_parts(skin).items():
-        colour, roughness = MATERIALS[part]
-        material = UsdShade.Material.Define(stage, scope.GetPath().AppendChild(part))
-        shader = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("Surface"))
-        shader.CreateIdAttr("UsdPreviewSurface")
-        shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(colour[:3])
-        shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(colour[3])
-        shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(roughness)
-        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-        subset = UsdShade.MaterialBindingAPI(mesh).CreateMaterialBindSubset(part, _numbers(faces))
+        material = define_material(stage, scope.GetPath(), part)
+        subset = UsdShade.MaterialBindingAPI(mesh).CreateMaterialBindSubset(part, numbers(faces))
         UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
     UsdShade.MaterialBindingAPI(mesh).SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
 
@@ -229,44 +226,20 @@ def _animate(
     animation.CreateBlendShapesAttr(list(shapes))
     animation.CreateScalesAttr([Gf.Vec3h(1.0)] * len(JOINTS))
     weights = animation.CreateBlendShapeWeightsAttr()
-    translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
+    translations = animation.CreateTranslationsAttr()
+    rotations = animation.CreateRotationsAttr()
     origin = model.jaw.origin
     for key in keys:
         jaw = key.mandible[:3, :3] @ origin + key.mandible[:3, 3]
         weights.Set(Vt.FloatArray.FromNumpy(key.weights.astype(np.float32)), key.time)
         translations.Set([Gf.Vec3f(*each.tolist()) for each in (key.head.shift, jaw)], key.time)
         turns = key.head.rotation, key.mandible[:3, :3]
-        rotations.Set([_quaternion(each) for each in turns], key.time)
-    UsdSkel.Root(stage.GetPrimAtPath(ROOT)).CreateExtentAttr(_extent(places))
+        rotations.Set([quaternion(each) for each in turns], key.time)
+    UsdSkel.Root(stage.GetPrimAtPath(ROOT)).CreateExtentAttr(extent(places))
     stage.SetTimeCodesPerSecond(fps)
     stage.SetFramesPerSecond(fps)
     stage.SetStartTimeCode(keys[0].time)
     stage.SetEndTimeCode(keys[-1].time)
-
-
-def _quaternion(rotation: Floats) -> Gf.Quatf:
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True).tolist()
-    return Gf.Quatf(w, x, y, z)
-
-
-def _free(stage: Usd.Stage, parent: Sdf.Path, name: str) -> Sdf.Path:
-    """Return a path for a ``name``, changed where USD does not allow it or has it already."""
-    identifier = Tf.MakeValidIdentifier(name)
-    while stage.GetPrimAtPath(parent.AppendChild(identifier)):
-        identifier += "_"
-    return parent.AppendChild(identifier)
-
-
-def _vectors(points: Floats) -> Any:
-    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, np.float32))
-
-
-def _numbers(values: np.ndarray) -> Any:
-    return Vt.IntArray.FromNumpy(np.ascontiguousarray(values.ravel(), np.int32))
-
-
-def _extent(points: Floats) -> Any:
-    return _vectors(np.stack([points.min(axis=0), points.max(axis=0)]))
 
 
 # Reading of a face's USD file, by the library's own skeletons and blend shapes.
@@ -274,7 +247,8 @@ def _extent(points: Floats) -> Any:
 
 def read_usd(path: Path) -> MorphedSkin:
     """Read a USD file as this product writes them; times are time codes."""
-    stage, cache = Usd.Stage.Open(str(path)), UsdSkel.Cache()
+    stage = Usd.Stage.Open(str(path))
+    cache = UsdSkel.Cache()
     face = stage.GetDefaultPrim()
     cache.Populate(UsdSkel.Root(face), Usd.PrimDefaultPredicate)
     place = face.GetPath().AppendChild("Skin")
@@ -292,16 +266,19 @@ def read_usd(path: Path) -> MorphedSkin:
         # queries live no longer than stage and cache, which this function keeps
         skinning = cache.GetSkinningQuery(stage.GetPrimAtPath(place))
         skeleton = cache.GetSkelQuery(binding.GetInheritedSkeleton())
-        poses, mapper = skeleton.GetAnimQuery(), skinning.GetBlendShapeMapper()
+        poses = skeleton.GetAnimQuery()
+        mapper = skinning.GetBlendShapeMapper()
         weights = np.zeros((len(times), len(names)))
-        turns, shifts = np.empty((len(times), 3, 3)), np.empty((len(times), 3))
+        turns = np.empty((len(times), 3, 3))
+        shifts = np.empty((len(times), 3))
         for row, time in enumerate(times.tolist()):
             if names:
                 weights[row] = mapper.Remap(poses.ComputeBlendShapeWeights(time))
             joints = skeleton.ComputeSkinningTransforms(time)
             # of USD's row vectors
             placed = np.array(skinning.ComputeSkinnedTransform(joints, time))
-            turns[row], shifts[row] = placed[:3, :3].T, placed[3, :3]
+            turns[row] = placed[:3, :3].T
+            shifts[row] = placed[3, :3]
         return weights, turns, shifts
 
     return MorphedSkin(neutral, names, shapes, motion)

@@ -46,8 +46,10 @@ def write(rig: Rig, path: Path, options: Options = DEFAULTS) -> None:
 
     Raises :class:`InputError` (``export.options``) for a system that the rig does not have.
     """
-    model, fits = rig.model, _fits(rig, options.system)
-    neutral, jaw = model.skin.vertices, model.jaw
+    model = rig.model
+    fits = _fits(rig, options.system)
+    neutral = model.skin.vertices
+    jaw = model.jaw
     contraction = Contraction.of(model, volumes(model.rest, model.tets), rig.weights)
     flesh = muscle_volumes(model.rest, model.tets, rig.weights).tolist()
     header = {
@@ -86,7 +88,8 @@ def read_back(rig: Rig, path: Path, options: Options = DEFAULTS) -> dict[str, An
     """Return how far the file's skins are off the rig's."""
     skins = {fit.name: fit.skin for fit in _fits(rig, options.system)}
     archive = read_container(path)
-    arrays, told = archive.arrays, archive.header["expressions"]
+    arrays = archive.arrays
+    told = archive.header["expressions"]
     neutral = arrays["neutral"]
     shown = {each["name"]: neutral + arrays[f"skin/{k}"] for k, each in enumerate(told)}
     wanted = {NEUTRAL: rig.model.skin.vertices, **skins}

@@ -107,8 +107,10 @@ class ChunkWriter(Generic[Record]):
         options: ChunkOptions,
         beside: Callable[[Record], Mapping[str, Any]] = lambda _last: {},
     ) -> None:
-        self._folder, self._first = folder, first
-        self._options, self._beside = options, beside
+        self._folder = folder
+        self._first = first
+        self._options = options
+        self._beside = beside
         self._frames: list[Record] = []
         self._since = time.monotonic()
 
@@ -126,7 +128,8 @@ class ChunkWriter(Generic[Record]):
         if self._frames:
             write_chunk(self._folder, self._first, self._frames, self._beside(self._frames[-1]))
         self._first += len(self._frames)
-        self._frames, self._since = [], time.monotonic()
+        self._frames = []
+        self._since = time.monotonic()
 
 
 def read_chunks(

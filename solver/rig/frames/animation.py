@@ -161,7 +161,8 @@ def compare_animation_npz(
     Raises :class:`~solver.errors.SolveError` (``file.differs``) where that is too far; a frame is
     its position among all, a vertex its position among ``vertices``.
     """
-    found, size = Comparison(path.name), 12 * len(vertices)
+    found = Comparison(path.name)
+    size = 12 * len(vertices)
     with ZipFile(path) as archive, archive.open("skin.npy") as stream:
         np.lib.format.read_magic(stream)
         np.lib.format.read_array_header_1_0(stream)
@@ -174,7 +175,8 @@ def compare_animation_npz(
 # Frames as pictures, with what the face meets.
 
 # linear colour and opacity of what the face meets
-OBJECT, OBJECT_OPACITY = (0.35, 0.45, 0.52), 0.3
+OBJECT = (0.35, 0.45, 0.52)
+OBJECT_OPACITY = 0.3
 
 
 class Filming:
@@ -341,9 +343,11 @@ def _film(
     """Draw all frames; light, which takes longest, is interpolated between some of them."""
     light = filming.light(shot(0).skin)
     for first in range(0, count, options.lit_every):
-        begin, end = light, min(first + options.lit_every, count - 1)
+        begin = light
+        end = min(first + options.lit_every, count - 1)
         light = filming.light(shot(end).skin)
         for number in range(first, min(first + options.lit_every, count)):
             share = (number - first) / max(end - first, 1)
-            now, here = shot(number), begin + share * (light - begin)
+            now = shot(number)
+            here = begin + share * (light - begin)
             yield filming.picture(now.skin, here, options.size, objects=now.objects)

@@ -191,7 +191,8 @@ def _rigid_error(shape: Surface, places: Floats, times: Floats) -> Error:
     turns = Rotation.from_rotvec(places[:, :3])
 
     def error(first: int, last: int, frames: Ints) -> Floats:
-        ends, now = times[[first, last]], times[frames]
+        ends = times[[first, last]]
+        now = times[frames]
         shifts = between(ends, places[[first, last], 3:], now) - places[frames, 3:]
         quaternions = turns[[first, last]].as_quat()
         quaternions[1] *= np.copysign(1.0, quaternions[0] @ quaternions[1])
@@ -231,7 +232,8 @@ class AnimatedSkin:
     """
 
     def __init__(self, neutral: Surface, options: SkinBasisOptions = SEQUENCE_BASIS) -> None:
-        self.neutral, self._options = neutral, options
+        self.neutral = neutral
+        self._options = options
         self.frames: list[SequenceFrame] = []
         self.extent = np.array([[np.inf] * 3, [-np.inf] * 3])
         self._morphs: tuple[dict[str, Floats], Floats] | None = None

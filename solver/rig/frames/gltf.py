@@ -98,14 +98,16 @@ def write_faces(
     vertices, normals and triangles. ``errors`` are the values (v,) of each that
     :func:`write_face` has as an attribute. Shapes of one name are shown at one time.
     """
-    buffer, normals = Buffer(), vertex_normals(neutral)
+    buffer = Buffer()
+    normals = vertex_normals(neutral)
     base = _base(buffer, neutral, normals)
     parts = _parts(neutral)
     triangles = [buffer.indices(neutral.faces[part]) for part in parts.values()]
     names = list(dict.fromkeys(name for shapes in faces.values() for name in shapes))
     times, weights = options.keys(len(names))
     at_keys = buffer.dense(times, gl.SCALAR, bounds=True)
-    meshes, tracks = list[gl.Mesh](), list[Tracks]()
+    meshes = list[gl.Mesh]()
+    tracks = list[Tracks]()
     for name, shapes in faces.items():
         error = buffer.dense(errors[name], gl.SCALAR, gl.ARRAY_BUFFER)
         of_vertices = gl.Attributes(**{**base, ERROR_ATTRIBUTE: error})
@@ -245,7 +247,7 @@ def _save(
         scene=0,
         scenes=[gl.Scene(name="face", nodes=list(range(len(nodes))))],
         nodes=nodes,
-        materials=[_material(part) for part in materials],
+        materials=[material_of(part) for part in materials],
         meshes=meshes,
         animations=[] if animation is None else [animation],
         accessors=buffer.accessors,
@@ -287,7 +289,8 @@ def worst_error(expressions: Sequence[ExpressionFit], vertices: int) -> Floats:
     return np.asarray(np.fmax.reduce([np.zeros(vertices), *errors]))
 
 
-def _material(part: str) -> gl.Material:
+def material_of(part: str) -> gl.Material:
+    """Return the material of a part of a head."""
     colour, roughness = MATERIALS[part]
     return gl.Material(
         name=part,
@@ -372,6 +375,11 @@ class Buffer:
         """Add triangles and return the accessor's number."""
         view = self._view(np.ascontiguousarray(faces, "<u4"), gl.ELEMENT_ARRAY_BUFFER)
         return self._add(gl.UNSIGNED_INT, faces.size, gl.SCALAR, None, view)
+
+    def joints(self, numbers: Ints) -> int:
+        """Add the numbers (v, 4) of the joints that move each vertex."""
+        view = self._view(np.ascontiguousarray(numbers, "<u1"), gl.ARRAY_BUFFER)
+        return self._add(gl.UNSIGNED_BYTE, len(numbers), gl.VEC4, None, view)
 
     def morph(self, change: Floats, still: float, *, bounds: bool = False) -> int:
         """Add a change (v, 3) of an attribute, sparse where that is smaller."""

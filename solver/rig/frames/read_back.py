@@ -54,7 +54,8 @@ class Comparison:
         if not len(off) or (self.frame is not None and off.max() <= self.max_mm):
             return
         self.vertex = int(off.argmax())
-        self.max_mm, self.frame = float(off[self.vertex]), frame
+        self.max_mm = float(off[self.vertex])
+        self.frame = frame
         if self.max_mm > LIMIT_MM:
             found = self.max_mm if np.isfinite(self.max_mm) else None
             words = f"vertex {self.vertex} {self.max_mm:.2f} mm off what was computed"
@@ -181,7 +182,8 @@ def read_glb(path: Path, node: int = 0) -> MorphedSkin:
 
     def motion(times: Floats) -> tuple[Floats, Floats, Floats]:
         weights = np.zeros((len(times), len(shapes)))
-        turns, shifts = np.tile(np.eye(3), (len(times), 1, 1)), np.zeros((len(times), 3))
+        turns = np.tile(np.eye(3), (len(times), 1, 1))
+        shifts = np.zeros((len(times), 3))
         if "weights" in tracks:
             keys, table = tracks["weights"]
             weights = between(keys, table.reshape(len(keys), len(shapes)), times)
@@ -206,7 +208,8 @@ def _turn(keys: Floats, quaternions: np.ndarray, times: Floats) -> Floats:
 def between(keys: Floats, table: np.ndarray, times: Floats) -> Floats:
     """Return a table (k, c) of ``keys`` (k,) at ``times``, on straight lines."""
     after = np.clip(np.searchsorted(keys, times), 1, max(len(keys) - 1, 1))
-    before, after = after - 1, np.minimum(after, len(keys) - 1)
+    before = after - 1
+    after = np.minimum(after, len(keys) - 1)
     span = np.where(after > before, keys[after] - keys[before], 1.0)
     share = np.clip((times - keys[before]) / span, 0.0, 1.0)[:, None]
     return np.asarray((1.0 - share) * table[before] + share * table[after])
@@ -254,7 +257,8 @@ def _faults(document: dict[str, Any], binary: memoryview, names: list[str]) -> I
     if mesh.get("extras", {}).get("targetNames", []) != names:
         yield "the morph targets are not named as the expressions"
     for number, part in enumerate(mesh["primitives"]):
-        positions, targets = values[part["attributes"]["POSITION"]], part.get("targets", [])
+        positions = values[part["attributes"]["POSITION"]]
+        targets = part.get("targets", [])
         if values[part["indices"]].max() >= len(positions):
             yield f"primitive {number} uses a vertex that is not there"
         if len(targets) != len(names):
@@ -267,7 +271,8 @@ def _faults(document: dict[str, Any], binary: memoryview, names: list[str]) -> I
     for animation in document.get("animations", []):
         for channel in animation["channels"]:
             sampler = animation["samplers"][channel["sampler"]]
-            times, output = values[sampler["input"]], values[sampler["output"]]
+            times = values[sampler["input"]]
+            output = values[sampler["output"]]
             if (np.diff(times[:, 0]) <= 0).any():
                 yield "the animation's times do not increase"
             each = len(names) if channel["target"]["path"] == "weights" else 1
@@ -282,18 +287,21 @@ def accessor_values(
 
     def read(view: int, kind: str, *shape: int) -> np.ndarray:
         place = document["bufferViews"][view]
-        start, size = place.get("byteOffset", 0), place["byteLength"]
+        start = place.get("byteOffset", 0)
+        size = place["byteLength"]
         if start % np.dtype(kind).itemsize:
             raise ValueError(f"bufferView {view} is not aligned")
         return np.frombuffer(binary[start : start + size], kind).reshape(shape)
 
-    width, kind = WIDTHS[accessor["type"]], COMPONENTS[accessor["componentType"]]
+    width = WIDTHS[accessor["type"]]
+    kind = COMPONENTS[accessor["componentType"]]
     values = np.zeros((accessor["count"], width), kind)
     if "bufferView" in accessor:
         values = read(accessor["bufferView"], kind, *values.shape)
     if "sparse" in accessor:
         sparse = accessor["sparse"]
-        place, count = sparse["indices"], sparse["count"]
+        place = sparse["indices"]
+        count = sparse["count"]
         rows = read(place["bufferView"], COMPONENTS[place["componentType"]], count)
         if (np.diff(rows.astype(np.int64)) <= 0).any():
             raise ValueError("sparse indices do not increase")

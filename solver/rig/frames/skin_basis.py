@@ -88,7 +88,8 @@ def _span(
     amounts = np.vstack(
         [_motion(neutral, block, moving) @ towards.T @ solve for block in _blocks(skins)]
     )
-    least, most = amounts.min(axis=0), amounts.max(axis=0)
+    least = amounts.min(axis=0)
+    most = amounts.max(axis=0)
     longest = np.linalg.norm(directions.reshape(len(directions), -1, 3), axis=2).max(axis=1)
     used = (most - least) * longest > options.still_mm
     span = (most - least)[used]
@@ -105,7 +106,8 @@ def normal_shapes(
 
     They are the least squares over frames of the animation: normals are not linear in the motion.
     """
-    chosen, at_rest = _samples(len(skins), options), vertex_normals(neutral)[basis.moving]
+    chosen = _samples(len(skins), options)
+    at_rest = vertex_normals(neutral)[basis.moving]
     weights = basis.weights[chosen]
     right = np.zeros((weights.shape[1], at_rest.size))
     for row, frame in zip(weights, chosen, strict=True):
@@ -132,7 +134,8 @@ def _directions(samples: Singles, options: SkinBasisOptions) -> tuple[Singles, S
     importance = np.ones(samples.shape[1], np.float32)
     most = min(options.most_shapes, len(samples))
     least = np.float32(options.least_importance)
-    count, tries = min(options.first_shapes, most), 0
+    count = min(options.first_shapes, most)
+    tries = 0
     while True:
         gram = ((samples * importance) @ samples.T).astype(np.float64)
         along = np.linalg.eigh(gram)[1][:, -count:].astype(np.float32)
@@ -145,7 +148,8 @@ def _directions(samples: Singles, options: SkinBasisOptions) -> tuple[Singles, S
         ):
             return directions, importance
         if tries >= options.reweightings and count < most:
-            count, tries = min(int(options.more_shapes * count), most), 0
+            count = min(int(options.more_shapes * count), most)
+            tries = 0
         importance = importance * np.repeat(errors / errors.mean(), 3)
         importance = np.maximum(importance / importance.mean(), least)
 
@@ -245,7 +249,8 @@ def quadratic_map(
     """
     count = values.shape[1]
     pairs = np.triu_indices(count)
-    rows, rights = [sp.csr_array(features(values, pairs))], [amounts]
+    rows = [sp.csr_array(features(values, pairs))]
+    rights = [amounts]
     for each, slope in zip(values, slopes, strict=True):
         if slope is not None:
             rows.append(options.slope * feature_slopes(each, pairs))

@@ -74,7 +74,8 @@ class PreviewError:
         return round(float(self.off[rows].mean()), 4) if rows else None
 
     def _over(self, rows: Ints) -> dict[str, float]:
-        off, moved = self.off[rows], self._moved[rows].mean()
+        off = self.off[rows]
+        moved = self._moved[rows].mean()
         figures = {"moved": moved, "mean": off.mean(), "p95": np.percentile(off, 95)}
         figures["max"] = off.max()
         rounded = {name: round(float(value), 4) for name, value in figures.items()}
@@ -179,7 +180,8 @@ def _make(
 ) -> Preview:
     """Return the preview of ``controls``; ``known`` are equilibria of presets."""
     begin = time.monotonic()
-    learning, measuring = plan.to_learn(controls, seed), plan.to_measure(controls, seed)
+    learning = plan.to_learn(controls, seed)
+    measuring = plan.to_measure(controls, seed)
     simulator = SliderSolver(face, controls, face.rest, known)
 
     def simulate(phase: str, poses: Sequence[Slid], start: float, end: float) -> list[Sample]:
@@ -194,7 +196,8 @@ def _make(
         message = "too few poses of the sliders could be simulated to make and to measure them"
         raise SolveError("preview.unreachable", message, learned=len(samples), measured=len(unseen))
     skin = _learn(face, controls, samples, begin + seconds, listen, options)
-    neutral, shown = face.model.skin.vertices, face.model.face
+    neutral = face.model.skin.vertices
+    shown = face.model.face
     presets = [
         sample
         for sample in samples
@@ -242,7 +245,9 @@ def _learn(
 
 def write_preview(path: Path, preview: Preview) -> None:
     """Write ``preview.bin`` (docs/guide/preview.md); a mean that was not measured is null."""
-    skin, controls, figures = preview.skin, preview.controls, preview.figures()
+    skin = preview.skin
+    controls = preview.controls
+    figures = preview.figures()
     header = {
         "controls": [asdict(control) for control in controls.each],
         "error_mm": {
@@ -293,7 +298,8 @@ LEGEND = (
 
 def preview_picture(model: SubjectModel, preview: Preview, path: Path) -> None:
     """Draw four unseen poses, from the middle one by their error to the worst."""
-    unseen, neutral = preview.unseen, model.skin.vertices
+    unseen = preview.unseen
+    neutral = model.skin.vertices
     # the controls alone say nothing that mixed poses do not
     mixed = [row for row, sample in enumerate(unseen.samples) if sample.slid.sort != "alone"]
     order = sorted(mixed, key=lambda row: float(unseen.off[row].mean()))

@@ -33,7 +33,8 @@ class ReducedPlaces(MarkerPlaces):
         self, model: SubjectModel, sliders: Sliders, skin: ReducedSkin, markers: Sequence[Marker]
     ) -> None:
         super().__init__(model, markers)
-        self._sliders, self._skin = sliders, skin
+        self._sliders = sliders
+        self._skin = skin
         ids = np.array([marker.vertices for marker in markers], np.int64).ravel()
         on_bone = np.repeat([marker.place_mm is not None for marker in markers], 3)
         basis = np.where(on_bone[:, None], 0.0, skin.basis[:, ids].astype(np.float64))
@@ -116,7 +117,9 @@ class LiveTracker:
         self.labels = tuple(marker.label for marker in used)
         self.places = ReducedPlaces(model, sliders, skin, used)
         self.error_mm = error_mm
-        self._session, self._seconds, self._options = markers.session, seconds, options
+        self._session = markers.session
+        self._seconds = seconds
+        self._options = options
         self._judge = Judge(self.places, options.robust, options.head)
         variance = np.array([each.sigma_mm for each in used]) ** 2 + options.noise_mm**2
         self._precision = np.tile((1.0 / variance)[:, None], (1, 3))
@@ -131,11 +134,15 @@ class LiveTracker:
 
     def step(self, points: Floats) -> LiveFrame:
         """Follow a frame: points (k, 3) in the take's axes, mm, in the order of ``labels``."""
-        options, before, seen = self._options, self.state, self._session(points)
-        seconds, forgetting = self._seconds, options.forgetting
+        options = self._options
+        before = self.state
+        seen = self._session(points)
+        seconds = self._seconds
+        forgetting = options.forgetting
         prior = self._prior.after(before.values, before.covariance, seconds, forgetting)
         values = np.clip(prior.mean, options.lower, options.upper)
-        jacobian, places = self.places.jacobian(values), self.places.at(values)
+        jacobian = self.places.jacobian(values)
+        places = self.places.at(values)
         spread = jacobian @ prior.covariance @ jacobian.T
         head = self._head_before(seen)
         judged, term = self._judge.term(head, places, spread, seen, self._precision)
@@ -153,7 +160,8 @@ class LiveTracker:
 
         ``jacobian`` is the places' derivative (3 k, s) at the ``values`` they begin with.
         """
-        options, precision = self._options, prior.precision
+        options = self._options
+        precision = prior.precision
         for number in range(options.steps):
             if number:
                 jacobian = self.places.jacobian(values)
@@ -166,6 +174,8 @@ class LiveTracker:
         return values, normal
 
     def _head_before(self, seen: Floats) -> HeadPrior:
-        at, weights = self.places.at(self.state.values), self._precision.mean(axis=1)
-        known, options = self.state.head, self._options.head
+        at = self.places.at(self.state.values)
+        weights = self._precision.mean(axis=1)
+        known = self.state.head
+        options = self._options.head
         return HeadPrior.before_frame(known, self._seconds, at, seen, weights, options)

@@ -68,7 +68,8 @@ def contract_in_full(
     for part in np.linspace(0.0, 1.0, options.steps, endpoint=False):
         tried, reaches = _reach(own, learned + part * (by_fibres - learned), full, options)
         taken = left & reaches & _is_inside(limits, tried)
-        out[kept[taken]], left = tried[taken], left & ~taken
+        out[kept[taken]] = tried[taken]
+        left = left & ~taken
     return out
 
 
@@ -88,11 +89,13 @@ def _reach(
     own: Contraction, patterns: Floats, full: Floats, options: PatternOptions
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return exp(s L) that contract by ``full`` (k,), and which of the patterns L (k, 6) can."""
-    low, high = np.zeros(len(full)), options.longest * full
+    low = np.zeros(len(full))
+    high = options.longest * full
     for _ in range(options.bisections):
         middle = 0.5 * (low + high)
         short = own(_exponentials(middle[:, None] * patterns)) < full
-        low, high = np.where(short, middle, low), np.where(short, high, middle)
+        low = np.where(short, middle, low)
+        high = np.where(short, high, middle)
     reaches = high < options.longest * full
     return _exponentials(high[:, None] * patterns), reaches
 

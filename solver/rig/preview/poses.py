@@ -210,8 +210,10 @@ class SliderSolver:
     def __init__(
         self, face: Face, controls: Sliders, rest: PosedFace, fitted: Mapping[str, Floats]
     ) -> None:
-        self._face, self._controls = face, controls
-        self._last, self._last_values = rest, np.zeros(len(controls))
+        self._face = face
+        self._controls = controls
+        self._last = rest
+        self._last_values = np.zeros(len(controls))
         self._known = [(self._last_values, rest.x)]
         self._known += [(controls.presets[name], x) for name, x in fitted.items()]
 
@@ -224,7 +226,8 @@ class SliderSolver:
             pose = self._controls.pose(slid.values)
             with suppress(SolveError):
                 state = self._face.continuation(self._near(slid.values), pose)
-                self._last, self._last_values = state, slid.values
+                self._last = state
+                self._last_values = slid.values
                 skin = self._face.whole_skin(state.x, state.pose.b)
                 samples.append(Sample(slid, state.x, skin))
                 self._known.append((slid.values, state.x))
@@ -254,7 +257,8 @@ class Responses:
     """Derivatives by the sliders of the skin's inner products with ``modes`` (r, n, 3)."""
 
     def __init__(self, face: Face, controls: Sliders, modes: Floats) -> None:
-        self._face, self._controls = face, controls
+        self._face = face
+        self._controls = controls
         model = face.model
         count = len(modes)
         moved = modes[:, model.embedded].transpose(1, 0, 2).reshape(len(model.embedded), -1)
@@ -264,7 +268,9 @@ class Responses:
 
     def at(self, sample: Sample) -> Floats | None:
         """Return the derivatives (r, k) at a sample; None where the flesh is about to buckle."""
-        face, model, directions = self._face, self._face.model, self._controls.directions
+        face = self._face
+        model = self._face.model
+        directions = self._controls.directions
         state = state_at(face, self._controls, sample.slid.values, sample.x)
         if not state.equilibrium.minimum:
             return None

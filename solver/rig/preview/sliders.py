@@ -109,7 +109,8 @@ def controls_of(
 ) -> Sliders:
     """Return the controls of a face with one fitted expression or more."""
     layout = face.layout
-    in_a, in_b = layout["activations"], layout["jaw"]
+    in_a = layout["activations"]
+    in_b = layout["jaw"]
     fitted = np.array([Pose(fit.activations, fit.jaw).vector() for fit in fits]) - layout.rest
     contraction = Contraction.of_face(face)
     assert contraction is not None, "the sliders of a rig contract muscles by S"
@@ -174,7 +175,9 @@ def _jaw(fitted: Floats, options: SliderOptions) -> tuple[list[Control], Floats,
     along[4, 0] = options.condyle_path_mm
     reads = np.linalg.inv(along)
     places = fitted @ reads.T
-    listed, columns, values = [], [], []
+    listed = []
+    columns = []
+    values = []
     for axis, (grows, falls, (low, high)) in enumerate(JAW_WAYS):
         for sign, title, farthest in ((1.0, grows, high), (-1.0, falls, -low)):
             there = np.maximum(sign * places[:, axis], 0.0)

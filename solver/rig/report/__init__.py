@@ -51,7 +51,8 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
     and ``test_mean_mm`` are the means of the expressions' means (None without any). ``inverted`` is
     the sum over the expressions.
     """
-    model, found = rig.model, certificate.information
+    model = rig.model
+    found = certificate.information
     judgements = judge(rig, certificate)
     noticed: list[Verdict] = ["usable"] if rig.warnings else []
     verdict = overall([*(judgement.verdict for judgement in judgements), *noticed])
@@ -88,7 +89,8 @@ def report(rig: Rig, certificate: Certificate) -> dict[str, Any]:
 
 
 def _judgement(judgement: Judgement, settings: dict[str, Any]) -> dict[str, Any]:
-    check, limits = judgement.check, judgement.check.limits
+    check = judgement.check
+    limits = judgement.check.limits
     worst = judgement.measures[judgement.worst]
     return {
         "code": check.code,
@@ -115,7 +117,8 @@ def _expression(
     error = fit.measured_error(model.face)
     regions = measured_regions(model, fit)
     mine = [judgement for judgement in judgements if fit.name in judgement.measures]
-    flesh, trip = check.flesh, fit.round_trip
+    flesh = check.flesh
+    trip = fit.round_trip
     return {
         "role": fit.role,
         "verdict": expression_verdict(judgements, fit.name),

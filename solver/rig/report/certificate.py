@@ -80,11 +80,14 @@ class Muscles:
         limits = self.limits
         if not self.is_judged[muscle]:
             return []
-        least, most = self.shortest[muscle], self.longest[muscle]
-        fibres, volume = self.fibres[muscle], self.volume[muscle]
+        least = self.shortest[muscle]
+        most = self.longest[muscle]
+        fibres = self.fibres[muscle]
+        volume = self.volume[muscle]
         low, high = limits.volumes
         if least <= 0.0:
-            shrunk, sized = (np.inf, "is turned inside out"), (0.0, "")
+            shrunk = (np.inf, "is turned inside out")
+            sized = (0.0, "")
         else:
             shrunk = limits.shortest / least, f"shrinks to {100 * least:.0f} % in one direction"
             sized = max(volume / high, low / volume), f"has {100 * volume:.0f} % of its volume"
@@ -126,7 +129,9 @@ def stray_parts(
 
     ``volumes`` (n,) are the tets' at rest. Muscles without a surface are left out.
     """
-    entries, centres, found = S.tocoo(), model.tet_centres, {}
+    entries = S.tocoo()
+    centres = model.tet_centres
+    found = {}
     flesh = entries.data * volumes[entries.row]
     whole_of = np.array(["", *model.muscle_groups])[entries.col]
     for whole, surface in model.muscles.items():
@@ -245,7 +250,8 @@ def with_round_trips(
         if fit.round_trip is None:
             if listen:
                 listen(fit.name, number)
-            pose, skin = Pose(fit.activations, fit.jaw), fit.skin[face.model.face]
+            pose = Pose(fit.activations, fit.jaw)
+            skin = fit.skin[face.model.face]
             # what was fitted freely is fitted freely again
             own = face if face.layout.bounds.contains(pose.vector()) else free
             done[number] = replace(fit, round_trip=round_trip(own, pose, skin))
@@ -280,7 +286,8 @@ def muscle_information(face: Face, rig: Rig) -> MuscleInformation | None:
 
 def scan_information(linearisation: Linearisation, rig: Rig) -> list[Floats]:
     """Return the information of every training scan whose state is known and settles."""
-    face, found = linearisation.face, []
+    face = linearisation.face
+    found = []
     for fit in rig.expressions:
         if fit.role != "train" or fit.status == "failed" or fit.x is None:
             continue
@@ -352,8 +359,10 @@ def asymmetry_mm(
     That is a percentile over the face's vertices, those left out that ``skin`` does not show (NaN);
     None where none is left. The mirror is the jaw's middle plane.
     """
-    neutral, across = model.skin.vertices, model.jaw.axes[0]
-    motion, places = skin - neutral, neutral[model.face]
+    neutral = model.skin.vertices
+    across = model.jaw.axes[0]
+    motion = skin - neutral
+    places = neutral[model.face]
     mirrored = places - 2.0 * np.outer((places - model.jaw.origin) @ across, across)
     other = at_nearest(mirrored, model.skin, motion)
     off = motion[model.face] - other + 2.0 * np.outer(other @ across, across)

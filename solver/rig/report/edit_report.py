@@ -126,7 +126,8 @@ def write_edit(person: EditedPerson, report: dict[str, Any], out: Path) -> list[
 def _volume(person: EditedPerson) -> dict[str, float]:
     tets = person.original.tets
     before, after = (volume_ml(pose.x, tets) for pose in (person.before, person.after))
-    change, percent = after - before, 100.0 * (after / before - 1.0)
+    change = after - before
+    percent = 100.0 * (after / before - 1.0)
     return {"before_ml": before, "after_ml": after, "change_ml": change, "change_percent": percent}
 
 
@@ -162,7 +163,9 @@ def _regions(person: EditedPerson) -> dict[str, dict[str, float]]:
 
 
 def _expression(person: EditedPerson, compared: Compared, gauge: Gauge) -> dict[str, Any]:
-    face, before, after = person.original.face, compared.before, compared.after
+    face = person.original.face
+    before = compared.before
+    after = compared.after
     drift = person.drift_mm(compared)
     figures: dict[str, Any] = {
         "name": compared.name,
@@ -230,7 +233,8 @@ def edit_picture(
     usual = np.percentile([each[model.face] for each in moved], options.nearly_all)
     ends = options.scales_mm
     most = next((end for end in ends if end >= usual), ends[-1])
-    head, layout = DrawnHead(model.skin), SheetLayout()
+    head = DrawnHead(model.skin)
+    layout = SheetLayout()
     columns = []
     for (name, yaw, before, after), motion in zip(views, moved, strict=True):
         camera = face_camera(model.skin.vertices, model.face, yaw)

@@ -131,7 +131,8 @@ def _flesh(fit: ExpressionFit, flesh: FleshCheck | None) -> dict[str, Measure]:
 
 
 def _muscles_and_jaw(model: SubjectModel, check: ExpressionCheck) -> dict[str, Measure]:
-    names, movers = model.muscle_names, check.movers
+    names = model.muscle_names
+    movers = check.movers
     faults = [said for j, name in enumerate(names) if (said := check.muscles.said(name, j))]
     inside_out = tuple(names[muscle] for muscle in check.muscles.inside_out)
     worst = Said(inside_out[0], "is turned inside out", np.inf) if inside_out else None
@@ -293,7 +294,9 @@ def _report_parted(message: str, mm: float) -> Finding:
 
 def _find_smile(face: Face, fits: Sequence[ExpressionFit], options: NeutralLimits) -> list[Finding]:
     """Find a unit whose muscles lengthen in most expressions and contract in none."""
-    unit, found, model = action_units()[options.unit], {}, face.model
+    unit = action_units()[options.unit]
+    found = {}
+    model = face.model
     of_unit = np.array([is_one_of(whole, unit.muscles) for whole in model.muscle_groups])
     for fit in fits:
         each = muscles(model, face.flesh.volumes, face.S, fit.activations)

@@ -105,7 +105,8 @@ def system_figures(rig: Rig) -> dict[str, dict[str, Any]]:
     """Return expression -> system -> figures; nothing where there are only muscles."""
     if not rig.systems:
         return {}
-    measures, found = SystemMeasures.of(rig), dict[str, dict[str, Any]]()
+    measures = SystemMeasures.of(rig)
+    found = dict[str, dict[str, Any]]()
     for system, fits in fits_by_system(rig).items():
         for fit in fits:
             found.setdefault(fit.name, {})[system] = measures.figures(fit)

@@ -31,7 +31,8 @@ FILES = {
     "muscle_weights.npz": "the matrix S, tetrahedra × muscles",
     "report.json": "the figures of this page",
 }
-PICTURE_WIDTH, JPEG_QUALITY = 1400, 86  # of a fit's picture: sharp on a large screen
+PICTURE_WIDTH = 1400  # pixels of a fit's picture: sharp on a large screen
+JPEG_QUALITY = 86  # of 100
 LITTLE = 0.5  # information of a muscle below which most of what is to be known is not
 MOST = 6  # muscles that contract most, shown with an expression
 LONG = 200  # letters of a detail that is only told with its expression
@@ -225,8 +226,10 @@ def _mover_notes(actions: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
     }
     notes = {}
     for name in dict.fromkeys(muscles):
-        makes, lengthens = units(name, "muscles"), units(name, "lengthened")
-        against, idle = units(name, "opposed"), units(name, "idle")
+        makes = units(name, "muscles")
+        lengthens = units(name, "lengthened")
+        against = units(name, "opposed")
+        idle = units(name, "idle")
         faults = [f"lengthens in {lengthens}"] if lengthens else []
         faults += [f"holds still in {idle}"] if idle else []
         faults += [f"works against {against}"] if against else []

@@ -117,7 +117,8 @@ def _check_face(check: MarkerCheck, face: FaceTake) -> None:
         return quote_names([face.take.labels[number] for number in numbers.tolist()])
 
     if len(face.another):
-        ours, theirs = len(face.numbers), len(face.another)
+        ours = len(face.numbers)
+        theirs = len(face.another)
         message = f"{face.take.file} shows two faces, of {ours} and {theirs} markers."
         figures = {"first": quote_names(face.labels), "second": names(face.another)}
         add(check, "markers.two_faces", "error", message, **figures)
@@ -125,7 +126,8 @@ def _check_face(check: MarkerCheck, face: FaceTake) -> None:
         message = f"{count_words(len(face.outside), 'label is', 'labels are')} not on the face."
         add(check, "markers.outside", "info", message, labels=names(face.outside))
     if len(face.dead):
-        dead, number = names(face.dead), count_words(len(face.dead), "label is", "labels are")
+        dead = names(face.dead)
+        number = count_words(len(face.dead), "label is", "labels are")
         add(
             check,
             "markers.dead",
@@ -155,7 +157,9 @@ def _check_person(
     off = located.pose.off_skin
     if reference.markers is not None:
         off = _off_places(check, located, reference, reference.markers, actor=actor)
-    others, jaw, all_ = rms_of_seen(off[~is_lower]), rms_of_seen(off[is_lower]), rms_of_seen(off)
+    others = rms_of_seen(off[~is_lower])
+    jaw = rms_of_seen(off[is_lower])
+    all_ = rms_of_seen(off)
     check.figures["off_person_mm"] = round(all_, 2)
     if others <= LIMITS.person and jaw > LIMITS.open_mouth:
         first, last = check.figures["neutral"]
@@ -186,7 +190,9 @@ def _check_actor(check: MarkerCheck, located: LocatedTake, reference: Reference)
         advice = ACTOR_ADVICE.get(error.code, ADVICE.get(error.code, ""))
         check.findings.append(Finding(error.code, "error", error.message, advice, error.context))
         return
-    scale, missed, left = warp.similarity.scale, rms_of_seen(warp.missed), rms_of_seen(warp.left)
+    scale = warp.similarity.scale
+    missed = rms_of_seen(warp.missed)
+    left = rms_of_seen(warp.left)
     message = (
         f"The fit carries the motion to this person, at {scale:.2f} times the actor's size: the "
         f"markers at rest are {missed:.1f} mm off by that, {left:.1f} mm by the warp."
@@ -197,7 +203,8 @@ def _check_actor(check: MarkerCheck, located: LocatedTake, reference: Reference)
 
 def _may_be_actor(located: LocatedTake, reference: Reference) -> bool:
     """Tell whether the markers could be carried to the person as another actor's."""
-    pose, markers = located.pose, reference.markers
+    pose = located.pose
+    markers = reference.markers
     assert pose is not None
     if markers is None:
         if pose.similar is None:
@@ -213,7 +220,8 @@ def _may_be_actor(located: LocatedTake, reference: Reference) -> bool:
 
 def _warp_to(located: LocatedTake, reference: Reference, markers: MarkerSet) -> ActorWarp:
     """Return the way of the markers at rest to a set's places, as the fit of an actor goes."""
-    face, session = located.face, markers.session
+    face = located.face
+    session = markers.session
     bony = {each.label for each in markers.markers if each.part in BONY}
     on_bone = np.array([label in bony for label in face.labels], bool)
     goal = places_of(face.labels, markers, reference.places(markers))
@@ -245,7 +253,8 @@ def _off_places(
 
     An ``actor`` has another face: no distance counts as odd there.
     """
-    placed, labels = located.places, located.face.labels
+    placed = located.places
+    labels = located.face.labels
     assert placed is not None
     goal = places_of(labels, markers, reference.places(markers))
     known = np.flatnonzero(np.isfinite(goal[:, 0]) & np.isfinite(placed[:, 0]))
@@ -265,7 +274,8 @@ def _off_places(
             report_exchanged(check, labels[int(known[row])], labels[int(known[column])])
             off[known[[row, column]]] = np.nan
     for row in np.flatnonzero(off[known] > LIMITS.misplaced).tolist():
-        label, found = labels[int(known[row])], float(off[known[row]])
+        label = labels[int(known[row])]
+        found = float(off[known[row]])
         message = f"{quote(label)} sits {found:.1f} mm from its place in the marker set."
         figures = {"label": label, "frame": check.figures["neutral"][0], "found": round(found, 1)}
         add(check, "markers.moved", "warning", message, **figures)
@@ -300,10 +310,14 @@ def _check_labels(
 # The picture of a check: the face with its markers, and a lane for every label.
 
 
-WIDTH, HEIGHT = 430, 560  # pixels of a view
+WIDTH = 430  # pixels of a view
+HEIGHT = 560  # pixels of a view
 YAWS = (0.0, np.radians(55))  # of the views
-SPAN_MM, BACK_MM = 250.0, 55.0  # height of a view, and its middle behind the tip of the nose
-LANES, LANE, NAMES = 620, 13, 150  # pixels: a lane's width and height, room for its name
+SPAN_MM = 250.0  # height of a view
+BACK_MM = 55.0  # its middle behind the tip of the nose
+LANES = 620  # pixels; a lane's width
+LANE = 13  # pixels; its height
+NAMES = 150  # pixels; room for its name
 LEAST_FACING = 0.15  # cosine: a marker that is seen more from the side is not drawn
 NAME = (62, 9)  # pixels about a name in which no other is written
 SKIN = np.array([0.62, 0.60, 0.58])
@@ -384,7 +398,8 @@ def _draw_face(
         is_hidden = backward[number] @ camera.axes[2] < LEAST_FACING
         if np.isnan(placed[number, 0]) or is_hidden or not is_inside:
             continue
-        x, y = left + round(column), HEADER + round(row)
+        x = left + round(column)
+        y = HEADER + round(row)
         fill = tuple(round(255 * value) for value in colours[number])
         page.draw.ellipse([x - 5, y - 5, x + 5, y + 5], fill=fill, outline=(30, 30, 30))
         if all(abs(x - a) > NAME[0] or abs(y - b) > NAME[1] for a, b in written):
@@ -394,12 +409,14 @@ def _draw_face(
 
 def _draw_lanes(page: Sheet, located: LocatedTake, left: int) -> None:
     """Draw when each label is seen and what is wrong with it, the take from left to right."""
-    faults, names = located.faults, located.face.labels
+    faults = located.faults
+    names = located.face.labels
     frames = len(faults.usable)
     tall = LANE - 3
 
     def bar(row: int, first: int, last: int, colour: Colour) -> None:
-        x, y = left + LANES * first // frames, HEADER + LANE * row
+        x = left + LANES * first // frames
+        y = HEADER + LANE * row
         end = max(x + 1, left + LANES * (last + 1) // frames)  # a frame is seen, too
         fill = tuple(round(255 * value) for value in colour)
         page.draw.rectangle([x, y, end, y + tall], fill=fill)

@@ -92,8 +92,10 @@ FAULT_WORDS = {
 
 def report_faults(check: MarkerCheck, located: LocatedTake) -> None:
     """Add a finding for every label and fault, and what holds for all."""
-    faults, labels = located.faults, located.face.labels
-    take, rate = located.face.take, located.face.rate
+    faults = located.faults
+    labels = located.face.labels
+    take = located.face.take
+    rate = located.face.rate
     if faults.halted > LIMITS.repeated:
         message = f"{faults.halted:.0%} of the frames repeat the one before."
         add(check, "markers.repeated", "warning", message, found=round(faults.halted, 3))
@@ -117,7 +119,8 @@ def report_faults(check: MarkerCheck, located: LocatedTake) -> None:
     for fault in FAULT_WORDS:
         _report_fault(check, located, fault, gone)
     frames = len(take)
-    wrong, missing = faults.share(*WRONG), faults.share("missing")
+    wrong = faults.share(*WRONG)
+    missing = faults.share("missing")
     check.figures |= {"wrong": round(wrong, 4), "missing": round(missing, 4)}
     if wrong > LIMITS.wrong:
         message = f"{wrong:.0%} of the markers' time in {frames} frames is wrong."
@@ -128,7 +131,9 @@ def _report_fault(
     check: MarkerCheck, located: LocatedTake, fault: str, gone: Sequence[tuple[int, int]]
 ) -> None:
     """Add a finding for each label with a fault, the worst first; the last counts the others."""
-    found, labels, frames = [], located.face.labels, len(located.face.take)
+    found = []
+    labels = located.face.labels
+    frames = len(located.face.take)
     for marker, others in located.faults.by_marker(fault).items():
         for other, spans in others.items():
             own = [span for span in spans if (span.first, span.last) not in gone]
@@ -195,10 +200,12 @@ def label_rows(located: LocatedTake) -> list[dict[str, Any]]:
 
 def report_unlabelled(check: MarkerCheck, located: LocatedTake) -> None:
     """Add which unlabelled tracks lie where a missing marker is expected."""
-    faults, take = located.faults, located.face.take
+    faults = located.faults
+    take = located.face.take
     if not take.unlabelled_names:
         return
-    motion, missing = faults.motion, ~np.isfinite(faults.motion.places[..., 0])
+    motion = faults.motion
+    missing = ~np.isfinite(faults.motion.places[..., 0])
     fits = []
     for track, name in enumerate(take.unlabelled_names):
         frames = np.flatnonzero(np.isfinite(take.unlabelled[:, track, 0]))
@@ -222,11 +229,13 @@ def report_unlabelled(check: MarkerCheck, located: LocatedTake) -> None:
 
 def report_location(check: MarkerCheck, located: LocatedTake, pose: Located) -> None:
     """Add unit and axes, and what is mirrored or exchanged."""
-    take, labels = located.face.take, located.face.labels
+    take = located.face.take
+    labels = located.face.labels
     rotation = pose.session.rotation
     read = ScanUnit(take.unit_mm, "assumed")
     unit = ScanUnit(take.unit_mm * pose.unit.mm_per_unit, pose.unit.source)  # of the file
-    up, forward = nearest_axis(rotation[1]), nearest_axis(rotation[2])
+    up = nearest_axis(rotation[1])
+    forward = nearest_axis(rotation[2])
     check.figures |= {
         "unit": unit.name,
         "mm_per_unit": unit.mm_per_unit,
@@ -300,7 +309,8 @@ def report_mouth(check: MarkerCheck, located: LocatedTake, places: Floats | None
 
     Without them by those that the labels name, which are less sure.
     """
-    pose, names = located.pose, located.face.names
+    pose = located.pose
+    names = located.face.names
     if pose is None or (places is None and (not pose.by_names or pose.sides_exchanged)):
         return
     limit = LIMITS.lips_apart if places is not None else LIMITS.named_lips_apart
@@ -325,7 +335,8 @@ def report_off_skin(check: MarkerCheck, located: LocatedTake, markers: MarkerSet
     off = [label for label, name in face if label in ignored and name and name.part == "face"]
     if off:
         names = quote_names(off)
-        one, many = "label of the face lies", "labels of the face lie"
+        one = "label of the face lies"
+        many = "labels of the face lie"
         where = "too far off the skin, and"
         what = count_words(len(off), f"{one} {where} is", f"{many} {where} are")
         message = f"{what} left out: {', '.join(names)}."

@@ -99,8 +99,10 @@ class PreparedTake:
     @cached_property
     def location(self) -> LocatedTake:
         """The place of that face on the person at rest, with the faults of its markers."""
-        options, compared = self.options, bool(self.person.model_sha256) and not self.options.actor
-        skin, neutral = self.person.face, options.neutral
+        options = self.options
+        compared = bool(self.person.model_sha256) and not self.options.actor
+        skin = self.person.face
+        neutral = options.neutral
         return locate_take(self.face, skin, neutral, compared=compared)
 
     @cached_property
@@ -119,7 +121,9 @@ class PreparedTake:
         Raises :class:`InputError`: ``markers.few``, not enough markers are seen at rest,
         ``markers.flat`` or ``markers.too_large``.
         """
-        file, options, check = self.take.file, self.options, MarkerCheck()
+        file = self.take.file
+        options = self.options
+        check = MarkerCheck()
         if len(self.face.numbers) < FACE.least:
             raise _few_error(file, len(self.face.numbers), "on the face")
         located = self.location
@@ -141,8 +145,11 @@ class PreparedTake:
         marker that moved is another one from then on. Raises :class:`InputError` for what cannot be
         bound, carried or fitted.
         """
-        options, skin, notices = self.options, self.person.face, list[Finding]()
-        take, rest = self.take.pick(living_labels(self.take).tolist()), options.neutral
+        options = self.options
+        skin = self.person.face
+        notices = list[Finding]()
+        take = self.take.pick(living_labels(self.take).tolist())
+        rest = options.neutral
         rate = options.rate or (take.rate if take.rate > 0 else USUAL_RATE)
         markers = self.person.markers
         if markers is None:
@@ -153,7 +160,9 @@ class PreparedTake:
         carried: dict[str, Any] = {}
         if options.actor:
             found = carry(take, markers, skin, rate, rest)
-            take, markers, carried = found.take, found.markers, {"actor": found.report}
+            take = found.take
+            markers = found.markers
+            carried = {"actor": found.report}
             notices.extend(found.notices)
         faults = find_faults(markers.session.scale * take.positions, rate)
         refuse_flat(take.file, faults.motion.middle)
@@ -233,13 +242,17 @@ def split_moved(
         return take, markers
     goal = places_of(take.labels, markers, rest_places(markers, skin))
     in_person = _in_person(faults.motion, markers, goal)
-    labels, columns, now = list(take.labels), list(range(len(take.labels))), list(markers.markers)
+    labels = list(take.labels)
+    columns = list(range(len(take.labels)))
+    now = list(markers.markers)
     positions = take.positions.copy()
     for column, span in faults.moved.items():
         if in_person is None or np.isnan(goal[column, 0]):
             continue
-        first, row = span.first, markers.labels.index(labels[column])
-        places, residuals = in_person[0][:, column], in_person[1][:, column]
+        first = span.first
+        row = markers.labels.index(labels[column])
+        places = in_person[0][:, column]
+        residuals = in_person[1][:, column]
         away = [median_of_seen(part) - goal[column] for part in (places[:first], places[first:])]
         step = median_of_seen(residuals[first:]) - median_of_seen(residuals[:first])
         is_of_first = np.linalg.norm(away[0]) <= np.linalg.norm(away[1])

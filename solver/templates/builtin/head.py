@@ -149,7 +149,8 @@ NECK_CUT_Y = -130.0  # mm
 LEAST_WING_MM = 0.05  # a vertex that moves more when ears stand out is one of an ear
 
 # Shape targets and weights of the head that the anatomy is built in.
-ORIGINS, SEXES = ("african", "asian", "caucasian"), ("female", "male")
+ORIGINS = ("african", "asian", "caucasian")
+SEXES = ("female", "male")
 YOUNG = {(origin, sex): f"macrodetails/{origin}-{sex}-young" for origin in ORIGINS for sex in SEXES}
 BODY = "macrodetails/universal-{}-young-{}muscle-{}weight"
 AVERAGE_BODY = {sex: BODY.format(sex, "average", "average") for sex in SEXES}
@@ -178,7 +179,8 @@ class Head:
     """
 
     def __init__(self, source: SourceFiles) -> None:
-        self.source, self.expression_names = source, source.names(FACE_UNITS, ".target")
+        self.source = source
+        self.expression_names = source.names(FACE_UNITS, ".target")
         vertices, groups = source.base_mesh
         self._rest = vertices + self._sum_targets(AVERAGE_ADULT)
         self._origin = self._rest[np.unique(groups["joint-head"])].mean(axis=0)
@@ -255,7 +257,8 @@ class Head:
         number = {int(base): vertex for vertex, base in enumerate(self._base_vertex)}
         found: dict[str, int] = {}
         for row in read_table("landmarks"):
-            name, vertex = row["name"], number[int(row["base_vertex"])]
+            name = row["name"]
+            vertex = number[int(row["base_vertex"])]
             if abs(self.neutral[vertex, 0]) < 0.5:
                 found[name] = vertex
             else:
@@ -280,7 +283,9 @@ OPPOSITES = {
 }
 # Strength of one of two opposite shapes in somebody one standard deviation from the average; parts
 # of the way from 25 to 90 years, and from average to the greatest weight or muscle.
-PAIR_SD, AGE_SD, BUILD_SD = 0.3, 0.3, 0.5
+PAIR_SD = 0.3
+AGE_SD = 0.3
+BUILD_SD = 0.5
 
 
 def shape_basis(head: Head) -> ShapeBasis:

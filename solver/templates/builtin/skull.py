@@ -146,7 +146,8 @@ def depth_table(head: Head) -> tuple[Depth, ...]:
     for row in read_table("soft_tissue_depths"):
         if row["source"] != NO_BONE:
             source = references[row["source"]] + UNCHECKED * (row["checked"] == "no")
-            names, depth = sides(head, row["landmark"]), float(row["depth_mm"])
+            names = sides(head, row["landmark"])
+            depth = float(row["depth_mm"])
             depths += [Depth(name, row["bone"], depth, None, source) for name in names]
     return tuple(depths)
 
@@ -164,7 +165,9 @@ def sides(head: Head, landmark: str) -> list[str]:
 # dental arches and the mandible's shape come from ``data/skull.json``. One half is computed and
 # mirrored.
 
-LOWEST, HIGHEST = np.array([-81.0, -76.0, -100.0]), np.array([81.0, 154.5, 117.0])  # the grid, mm
+# the grid, mm
+LOWEST = np.array([-81.0, -76.0, -100.0])
+HIGHEST = np.array([81.0, 154.5, 117.0])
 
 
 @dataclass(frozen=True)
@@ -230,7 +233,8 @@ class _HalfGrid:
         ]
         left = self.axes[0][self.axes[0] >= -side / 4]
         grid = np.stack(np.meshgrid(left, *self.axes[1:], indexing="ij"), -1)
-        self.shape, self.points = grid.shape[:3], grid.reshape(-1, 3)
+        self.shape = grid.shape[:3]
+        self.points = grid.reshape(-1, 3)
 
     def surface(self, field: Floats, faces: int) -> Surface:
         """Return the zero surface of the mirrored field's largest solid, decimated."""
@@ -248,7 +252,8 @@ def _decimate(vertices: Floats, triangles: Ints, faces: int, relaxations: int) -
     """Smooth away the grid's steps and keep about ``faces`` triangles, most where it curves."""
     mesh = trimesh.Trimesh(vertices, triangles, process=False)
     trimesh.smoothing.filter_taubin(mesh, iterations=6)  # type: ignore[no-untyped-call]
-    fine, fine_faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    fine = np.asarray(mesh.vertices)
+    fine_faces = np.asarray(mesh.faces)
     coarse, kept, _, _ = igl.qslim(fine, fine_faces, faces)
     kept = np.ascontiguousarray(kept)
     # Where bone is flat, quadrics may put a vertex anywhere, and triangles fold over: even the
@@ -263,7 +268,8 @@ def _decimate(vertices: Floats, triangles: Ints, faces: int, relaxations: int) -
 
 def _cranium(points: Floats, shape: dict[str, Any], under_skin: Floats) -> Floats:
     x, y, z = points.T
-    limit, base = shape["lateral_limit"], np.array(shape["base_height"]["points"])
+    limit = shape["lateral_limit"]
+    base = np.array(shape["base_height"]["points"])
     side = interpolate.RegularGridInterpolator(
         (limit["y"], limit["z"]), limit["x"], bounds_error=False, fill_value=None
     )
@@ -301,8 +307,10 @@ def _mandible(points: Floats, shape: dict[str, Any]) -> Floats:
 def _thick_patch(points: Floats, controls: Floats, samples: int = 40) -> Floats:
     """Return half thickness minus distance for a smooth patch of (x, y, z, half thickness)."""
     rows, columns = controls.shape[:2]
-    u, v = np.linspace(0, rows - 1, samples), np.linspace(0, columns - 1, samples)
-    places, degree = (np.arange(rows), np.arange(columns)), min(3, rows - 1)
+    u = np.linspace(0, rows - 1, samples)
+    v = np.linspace(0, columns - 1, samples)
+    places = (np.arange(rows), np.arange(columns))
+    degree = min(3, rows - 1)
     splines = [
         interpolate.RectBivariateSpline(*places, controls[..., i], kx=degree, ky=2)(u, v)
         for i in range(4)
@@ -338,7 +346,8 @@ def _teeth(points: Floats, shape: dict[str, Any], jaw: str) -> Floats:
     arch = np.array(shape["dental_arch"][jaw], dtype=float)
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(arch, axis=0), axis=1))]
     curve = interpolate.CubicSpline(length, arch)
-    crowns, start = shape["teeth"][jaw], 0.0
+    crowns = shape["teeth"][jaw]
+    start = 0.0
     solid = np.full(len(points), -np.inf)
     for width in crowns["widths"]:
         (x, z), (dx, dz) = curve(start + width / 2), curve(start + width / 2, 1)

@@ -29,7 +29,8 @@ class Clock:
 @contextmanager
 def settable_clock(folder: Path) -> Iterator[Clock | None]:
     """Let processes that are started have a clock that can be set; None: no compiler is here."""
-    library, file = folder / "clock.so", folder / "ahead"
+    library = folder / "clock.so"
+    file = folder / "ahead"
     compile_it = ["cc", "-shared", "-fPIC", "-O1", "-o", str(library), str(SOURCE)]
     try:
         subprocess.run(compile_it, check=True, capture_output=True)

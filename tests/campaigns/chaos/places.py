@@ -48,7 +48,8 @@ def _embedded(folder: Path) -> Iterator[Places]:
 def _servers(folder: Path) -> Iterator[Places]:
     """Give PostgreSQL with its tables on a disk of their own, S3, and such a disk for attempts."""
     folder.chmod(0o711)  # PostgreSQL is another user's
-    tables, work = folder / "database", folder / "work"
+    tables = folder / "database"
+    work = folder / "work"
     with (
         settable_clock(folder) as clock,
         small_disk(work) as attempts,

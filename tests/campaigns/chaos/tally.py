@@ -77,9 +77,11 @@ class Tally:
             blows.add_row(name, str(self._blows[name]), str(self._missed[name]))
         console.print(blows)
         ends = Table("jobs", "n", "attempts", "n ", title="how they ended")
-        left, right = sorted(self._states.items()), sorted(self._outcomes.items())
+        left = sorted(self._states.items())
+        right = sorted(self._outcomes.items())
         for number in range(max(len(left), len(right))):
-            state, outcome = _at(left, number), _at(right, number)
+            state = _at(left, number)
+            outcome = _at(right, number)
             ends.add_row(*state, *outcome)
         console.print(ends)
         checks = Table("check", "found", "", title="checks")
@@ -131,7 +133,8 @@ class Tally:
 
     def _of_the_answers(self, stage: Stage) -> None:
         """Judge how requests were answered meanwhile."""
-        slowest, reader = stage.slowest_submission, stage.reader
+        slowest = stage.slowest_submission
+        reader = stage.reader
         self._check("slowest submission, s", f"{slowest:.2f}", slowest < PROMPT)
         failed = f"{len(reader.refused)} of {len(reader.waits)} {'; '.join(reader.refused[:2])}"
         self._check("reads that failed", failed.strip(), not reader.refused)

@@ -69,7 +69,8 @@ class Host:
 
     def make_secrets(self) -> None:
         """Make the secrets, as the file's first lines say."""
-        script, folder = ROOT / "deploy" / "make-secrets", self.folder / "secrets"
+        script = ROOT / "deploy" / "make-secrets"
+        folder = self.folder / "secrets"
         for _ in range(2):  # the second time it keeps them
             subprocess.run([script, folder], check=True)
         say(

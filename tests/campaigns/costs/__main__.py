@@ -45,7 +45,8 @@ from tests.service_client import served
 
 MOST_WAIT_S = 0.3
 # Callers that wait for the right to write, and the seconds after which they must have been told
-WRITERS, MOST_PATIENCE_S = 45, 6.0
+WRITERS = 45
+MOST_PATIENCE_S = 6.0
 DEAREST = 8
 READS = (WHO_AM_I, ("GET", "/v1/jobs?limit=50", None), ("GET", "/v1/subjects", None))
 WRITES = (("POST", "/v1/subjects", {"name": "Alex"}),)
@@ -103,7 +104,8 @@ def _show(costs: Sequence[Cost]) -> None:
 def _stand_beside(orders: Sequence[Order], folder: Path, seconds: float) -> bool:
     """Let callers send ``orders`` to an API beside another tenant; returns if it stood that."""
     with own_api(folder) as (port, key):
-        url, stop = f"http://127.0.0.1:{port}", threading.Event()
+        url = f"http://127.0.0.1:{port}"
+        stop = threading.Event()
         other = _another_tenant(Settings(data_dir=folder))
         customers = [
             Customer("another tenant, reading", url, other, stop, READS),
@@ -127,7 +129,8 @@ def _stand_behind_a_lock(folder: Path, seconds: float) -> bool:
     callers = ThreadPoolExecutor(WRITERS)
     other = sqlite3.connect(folder / "myoface.db", isolation_level=None, check_same_thread=False)
     with own_api(folder) as (port, key), callers, closing(other), _many(port, key) as http:
-        url, stop = f"http://127.0.0.1:{port}", threading.Event()
+        url = f"http://127.0.0.1:{port}"
+        stop = threading.Event()
         customer = Customer("reading behind a lock", url, key, stop, READS)
 
         def write(until: float) -> list[tuple[int, float]]:
@@ -146,7 +149,8 @@ def _stand_behind_a_lock(folder: Path, seconds: float) -> bool:
         customer.join()
         other.execute("ROLLBACK")
         after = Counter(status for (status, _), *_ in callers.map(write, [0.0] * WRITERS))
-    statuses, longest = Counter(status for status, _ in told), max(took for _, took in told)
+    statuses = Counter(status for status, _ in told)
+    longest = max(took for _, took in told)
     say(f"{WRITERS} writers behind a lock: answers {dict(statuses)}, within {longest:.1f} s")
     say("\n".join([*customer.tell(), f"after it: answers {dict(after)}"]))
     were_told = set(statuses) == {503} and longest <= MOST_PATIENCE_S

@@ -16,7 +16,9 @@ import httpx
 from solver.kinds import KINDS
 
 MEGABYTE = 1024**2
-MOST_SECONDS, MOST_MB, MOST_ANSWER = 0.5, 50, 64 * 1024
+MOST_SECONDS = 0.5
+MOST_MB = 50
+MOST_ANSWER = 64 * 1024
 SOMEBODY = "8c1d3a52-0f4e-4c5b-9b39-1f3a4f1f6c11"
 JSON = {"Content-Type": "application/json"}
 # Of the requests that are not jobs or batches, above which they are refused unread
@@ -122,7 +124,8 @@ class Cost:
 
 def fill(start: str, item: Callable[[int], str], end: str, size: int = MEGABYTE) -> bytes:
     """Return a document of ``size`` bytes less a little, of items."""
-    items, length = [], len(start) + len(end)
+    items = []
+    length = len(start) + len(end)
     for number in itertools.count():
         text = item(number)
         length += len(text) + 1
@@ -155,7 +158,8 @@ def orders_of_routes(document: dict[str, Any]) -> Iterator[Order]:
         for method, operation in operations.items():
             if "application/json" not in operation.get("requestBody", {}).get("content", {}):
                 continue
-            about, place = f"{method.upper()} {path}", re.sub(r"\{\w+\}", SOMEBODY, path)
+            about = f"{method.upper()} {path}"
+            place = re.sub(r"\{\w+\}", SOMEBODY, path)
             for size in (MEGABYTE, SMALL):
                 for name, (start, item, end) in FILLINGS.items():
                     body = fill(start, item, end, size)
@@ -168,9 +172,11 @@ def measure(order: Order, http: httpx.Client) -> Cost:
     gc.freeze()  # as the service does when it starts: what tests hold is no part of the cost
     try:
         Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
-        before, started = _memory("VmRSS"), time.process_time()  # of all threads
+        before = _memory("VmRSS")
+        started = time.process_time()  # of all threads
         answer = order.send(http)
-        seconds, megabytes = time.process_time() - started, _memory("VmHWM") - before
+        seconds = time.process_time() - started
+        megabytes = _memory("VmHWM") - before
     finally:
         gc.unfreeze()
     return Cost(order, answer.status_code, seconds, megabytes, len(answer.content))

@@ -47,7 +47,8 @@ class Tree:
         self.path = scratch / "tree"
         shutil.rmtree(self.path, ignore_errors=True)
         shutil.copytree(root, self.path, symlinks=True, ignore=shutil.ignore_patterns(*LEFT_OUT))
-        shared, link = root.parent / "shared", scratch / "shared"
+        shared = root.parent / "shared"
+        link = scratch / "shared"
         if shared.exists() and not link.exists():
             link.symlink_to(shared.resolve())
         self._texts = {
@@ -84,7 +85,8 @@ class Tree:
         text = self._texts[path]
         dense, positions = _without_space(text)
         for found in re.finditer(_pattern(old), dense):
-            first, last = positions[found.start()], positions[found.end() - 1]
+            first = positions[found.start()]
+            last = positions[found.end() - 1]
             planted = new
             for number, name in found.groupdict().items():
                 planted = planted.replace(f"${number[1:]}", name)

@@ -45,7 +45,9 @@ def main() -> int:
 
 def _hammer(names: Sequence[str], options: list[str], processes: int) -> list[str]:
     """Give each target its inputs; returns those that crashed."""
-    total, largest, crashed = 0, 0, []
+    total = 0
+    largest = 0
+    crashed = []
     head = f"{'reader':16} {'inputs':>7} {'refused':>8} {'largest':>8}"
     say(f"{head} {'worst s':>8} {'of KB':>6} {'worst MB':>9} {'of KB':>6}")
     for name, row in _rows(names, options, processes):
@@ -66,7 +68,8 @@ def _hammer(names: Sequence[str], options: list[str], processes: int) -> list[st
 
 def _grow(names: Sequence[str], options: list[str]) -> list[str]:
     """Measure each target's growth, one at a time; returns those that grow too much."""
-    bar, steep = GrowthOptions().bar, []
+    bar = GrowthOptions().bar
+    steep = []
     say(f"\n{'reader':16} {'n to 4 n':>9} {'by':18} {'KB':>6} {'s at n':>8} {'at 4 n':>8}")
     for name, row in _rows(names, [*options, "--growth"], 1):
         if row is None or (row["factor"] or 0) > bar:

@@ -26,7 +26,8 @@ def main() -> None:
     target = known[sys.argv.pop(1)]
     warnings.simplefilter("ignore", RuntimeWarning)
     with tempfile.TemporaryDirectory() as name:
-        folder, corpus = Path(name) / "work", Path(name) / "corpus"
+        folder = Path(name) / "work"
+        corpus = Path(name) / "corpus"
         folder.mkdir()
         corpus.mkdir()
         for number, content in enumerate(target.seeds):

@@ -138,7 +138,8 @@ class _Hammer:
     def _give(self, content: bytes) -> None:
         self._last = content
         Path("/proc/self/clear_refs").write_text("5")  # the peak of memory begins anew
-        before, started = _memory("VmRSS"), time.process_time()
+        before = _memory("VmRSS")
+        started = time.process_time()
         allowed = SECONDS + SECONDS_PER_MB * len(content) / MB
         signal.setitimer(signal.ITIMER_PROF, allowed)  # processor time: others may be at work
         refused = 0
@@ -148,7 +149,8 @@ class _Hammer:
             refused = 1
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
-        seconds, megabytes = time.process_time() - started, _memory("VmHWM") - before
+        seconds = time.process_time() - started
+        megabytes = _memory("VmHWM") - before
         self._count(len(content), refused, seconds, megabytes)
 
     def _count(self, size: int, refused: int, seconds: float, megabytes: float) -> None:
@@ -157,9 +159,11 @@ class _Hammer:
         tally.refused += refused
         tally.largest = max(tally.largest, size)
         if seconds > tally.seconds:
-            tally.seconds, tally.seconds_at = seconds, size
+            tally.seconds = seconds
+            tally.seconds_at = size
         if megabytes > tally.megabytes:
-            tally.megabytes, tally.megabytes_at = megabytes, size
+            tally.megabytes = megabytes
+            tally.megabytes_at = size
 
     def _telling(self, work: Callable[[], None]) -> None:
         """Do some work; of a crash tell and keep the input."""
@@ -167,7 +171,8 @@ class _Hammer:
             work()
         except BaseException as error:
             error.__notes__ = []  # hypothesis repeats the whole input there
-            name, last = self.target.name, self._last
+            name = self.target.name
+            last = self._last
             kept = Path(tempfile.gettempdir()) / f"fuzz-{name.replace(' ', '-')}.crash"
             kept.write_bytes(last)
             sys.stderr.write(f"{name}: {last[:300]!r}, all {len(last)} bytes in {kept}\n")

@@ -52,7 +52,8 @@ def _replace_number(draw: st.DrawFn, content: bytes, _: list[bytes]) -> bytes:
 
 
 def _overwrite(draw: st.DrawFn, content: bytes, _: list[bytes]) -> bytes:
-    place, word = _place(draw, content), draw(st.sampled_from(WORDS))
+    place = _place(draw, content)
+    word = draw(st.sampled_from(WORDS))
     return content[:place] + word + content[place + len(word) :]
 
 

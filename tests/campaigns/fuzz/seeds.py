@@ -271,7 +271,8 @@ def sequence() -> list[bytes]:
 
 def sequence_bytes(frames: int, muscles: int, entries: tuple[int, ...] = (6,)) -> bytes:
     """Return a fitted sequence at rest."""
-    numbers, stream = np.arange(frames), io.BytesIO()
+    numbers = np.arange(frames)
+    stream = io.BytesIO()
     np.savez(
         stream,
         format=np.array(FORMATS[-1]),
@@ -296,7 +297,8 @@ def npy() -> list[bytes]:
 def npz() -> list[bytes]:
     """Return archives as the project writes them, packed and not."""
     header = np.frombuffer(json.dumps({"format": 1, "name": "a"}).encode(), np.uint8)
-    x, names = np.arange(12.0).reshape(4, 3), np.array(["a", "b"])
+    x = np.arange(12.0).reshape(4, 3)
+    names = np.array(["a", "b"])
     contents = []
     for save in (np.savez, np.savez_compressed):
         stream = io.BytesIO()

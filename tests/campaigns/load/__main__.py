@@ -52,7 +52,8 @@ def main() -> int:
 
 
 def _run(stack: Stack, seconds: float, stations: int) -> int:
-    answers, stop = Answers(), threading.Event()
+    answers = Answers()
+    stop = threading.Event()
     content = _scan()
     with Client(stack.url, stack.key) as client:
         fits = _Fits(client, stack.settings.data_dir)

@@ -43,7 +43,8 @@ def main() -> int:
 
 
 def _run(port: int, key: str, clients: int, seconds: float) -> int:
-    stop, url = threading.Event(), f"http://127.0.0.1:{port}"
+    stop = threading.Event()
+    url = f"http://127.0.0.1:{port}"
     customers = [
         Customer("one connection", url, key, stop),
         Customer("new connections", url, key, stop, fresh=True),

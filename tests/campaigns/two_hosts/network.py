@@ -10,8 +10,10 @@ from dataclasses import dataclass
 
 from tests.servers import UnavailableError
 
-STORES, WORK = "myoface-stores", "myoface-work"
-STORES_ADDRESS, WORK_ADDRESS = "10.77.0.1", "10.77.0.2"
+STORES = "myoface-stores"
+WORK = "myoface-work"
+STORES_ADDRESS = "10.77.0.1"
+WORK_ADDRESS = "10.77.0.2"
 LINK = ("myo-stores", "myo-work")
 """The link's two ends; an interface's name has at most 15 letters."""
 

@@ -23,7 +23,8 @@ def cells(table: str, column: str) -> list[str]:
 
 
 def test_the_tables_know_each_other() -> None:
-    units, sources = action_units(), cells("sources", "key")
+    units = action_units()
+    sources = cells("sources", "key")
     for unit in units.values():
         assert unit.sources
         assert set(unit.sources) <= set(sources), unit.code

@@ -43,7 +43,8 @@ def test_compartments_are_the_whole_muscles(template, divided):
     assert len(divided.names) == len(set(divided.names)) >= LEAST_MUSCLES
     wholes = [muscle.name for muscle in template.muscles]
     assert list(dict.fromkeys(divided.wholes)) == wholes
-    before, after = template.mesh.weights.tocsc(), divided.weights.tocsc()
+    before = template.mesh.weights.tocsc()
+    after = divided.weights.tocsc()
     assert divided.weights.has_canonical_format
     for column, name in enumerate(wholes, start=1):
         parts = [k for k, whole in enumerate(divided.wholes, start=1) if whole == name]
@@ -53,7 +54,8 @@ def test_compartments_are_the_whole_muscles(template, divided):
 
 
 def test_left_and_right_have_the_same_compartments(template, divided):
-    mesh, names = template.mesh, divided.names
+    mesh = template.mesh
+    names = divided.names
     sizes = muscle_volumes(mesh.vertices, mesh.tets, divided.weights)
     shares = divided.weights[:, 1:].tocsc() / divided.weights[:, 1:].sum(axis=0)
     centres = shares.T @ mesh.vertices[mesh.tets].mean(axis=1)
@@ -74,7 +76,8 @@ def test_left_and_right_have_the_same_compartments(template, divided):
 )
 def test_rings_have_an_inner_and_an_outer_part(template, divided, ring, inner, outer):
     """The outer one lies further up or down from the slit of the mouth or the lids."""
-    mesh, inside = template.mesh, divided.weights.toarray()[:, 1:]
+    mesh = template.mesh
+    inside = divided.weights.toarray()[:, 1:]
     heights = mesh.vertices[mesh.tets].mean(axis=1)[:, 1]
     mine = [ring in both_sides(whole) for whole in divided.wholes]
     names = [name for name, own in zip(divided.names, mine, strict=True) if own]
@@ -125,12 +128,14 @@ def test_a_ring_begins_at_its_top_and_goes_outwards(side, corner):
     inside = (radius > 15.0) & (radius < 38.0)
     weights = dense_pattern(np.stack([1.0 - inside, 1.0 * inside], axis=1))
     names = ("upper outer", "lower outer", "lower inner", "upper inner")
-    nothing, z = Surface(np.zeros((0, 3)), np.zeros((0, 3), int)), np.eye(3)[2]
+    nothing = Surface(np.zeros((0, 3)), np.zeros((0, 3), int))
+    z = np.eye(3)[2]
     ring = Muscle(corner, nothing, z, z, z, True, Compartments("sectors", names))
     fibres = np.zeros((weights.nnz, 3))
     numbers = number_compartments(vertices, tets, weights, fibres, (ring,), 0.0)
     found = numbers[weights.indices == 1][inside]
-    outward, height = side * from_middle[inside, 0], from_middle[inside, 1]
+    outward = side * from_middle[inside, 0]
+    height = from_middle[inside, 1]
     for number, signs in enumerate([(1, 1), (1, -1), (-1, -1), (-1, 1)]):
         own = found == number
         assert np.mean(signs[0] * outward[own] > -3.0) > 0.95

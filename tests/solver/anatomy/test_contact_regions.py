@@ -83,7 +83,8 @@ def test_lips_lie_on_the_teeth_and_lids_on_the_eyes(head):
 @pytest.mark.long
 def test_no_lip_has_vertices_of_the_other_one(head):
     flesh, sides, _, landmarks, named = head
-    skin, normals = flesh.vertices, vertex_normals(flesh)
+    skin = flesh.vertices
+    normals = vertex_normals(flesh)
     assert (sides[named["upper_lip"]] == UPPER).all()
     assert (sides[named["lower_lip"]] == LOWER).all()
     # where lips touch, skin that faces skin is the other lip's

@@ -67,7 +67,8 @@ def test_muscle_that_bends_is_followed():
     bar = trimesh.creation.box(extents=[2.0, 8, 8])
     for _ in range(4):
         bar = bar.subdivide()
-    angle, radius = bar.vertices[:, 0] * np.pi / 3, 32 + bar.vertices[:, 1]
+    angle = bar.vertices[:, 0] * np.pi / 3
+    radius = 32 + bar.vertices[:, 1]
     bent = np.column_stack([radius * np.sin(angle), radius * np.cos(angle), bar.vertices[:, 2]])
     low, high = (bent[sign * angle > 1].mean(axis=0) for sign in (-1, 1))
     muscle = Muscle("arc", Surface(bent, np.asarray(bar.faces)), np.eye(3)[0], low, high)

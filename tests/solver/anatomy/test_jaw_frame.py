@@ -54,7 +54,8 @@ def test_ict_jaw_opening_is_within_reach():
 
 
 def test_a_person_has_the_templates_tracks_in_its_own_size():
-    template, model = builtin_template(), small_model()
+    template = builtin_template()
+    model = small_model()
     found = jaw_tracks(template, model)
     assert found.frame is model.jaw
     apart = np.linalg.norm(template.condyles[0] - template.condyles[1])

@@ -8,7 +8,8 @@ from solver.anatomy.embedding import LooseSkin
 from solver.surface import Surface
 from tests.solver.block import head_block
 
-NECK_MM, STEP_MM = 240.0, 5.0
+NECK_MM = 240.0
+STEP_MM = 5.0
 FADE_MM = 60.0
 
 
@@ -20,7 +21,10 @@ def with_a_neck(model):
     rows = np.arange(STEP_MM, NECK_MM, STEP_MM)
     below = np.concatenate([skin[top] - [0.0, down, 0.0] for down in rows])
     number = np.vstack([top, len(skin) + np.arange(len(below)).reshape(len(rows), -1)])
-    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    a = number[:-1, :-1]
+    b = number[1:, :-1]
+    c = number[1:, 1:]
+    d = number[:-1, 1:]
     strip = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
     vertices = np.vstack([skin, below, skin[:3] + 500.0])
     alone = len(vertices) - 3 + np.arange(3)
@@ -70,7 +74,8 @@ def test_a_face_that_is_all_flesh_has_none():
 
 def test_the_adjoint_of_following_is_its_transpose():
     model, _ = with_a_neck(head_block())
-    loose, random = LooseSkin(model), np.random.default_rng(2)
+    loose = LooseSkin(model)
+    random = np.random.default_rng(2)
     moved = random.standard_normal(model.skin.vertices.shape)
     forces = random.standard_normal((len(loose.ids), 3))
     pulled = loose.adjoint(forces)

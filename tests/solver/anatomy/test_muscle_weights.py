@@ -13,7 +13,8 @@ from solver.surface import Surface
 
 
 def box(lo, hi):
-    lo, hi = np.array(lo, float), np.array(hi, float)
+    lo = np.array(lo, float)
+    hi = np.array(hi, float)
     mesh = trimesh.creation.box(extents=hi - lo)
     return Surface(np.asarray(mesh.vertices) + (lo + hi) / 2, np.asarray(mesh.faces, np.int64))
 

@@ -38,8 +38,10 @@ def test_shape_energy_has_its_derivative(smoothing):
     tets = np.array([[0, 1, 2, 3]])
     if smoothing == 0.0 and volumes(points, tets)[0] < 0:
         tets = tets[:, [1, 0, 2, 3]]
-    one, step = np.ones(1), 1e-6
-    gradient, differences = np.zeros((4, 3)), np.zeros((4, 3))
+    one = np.ones(1)
+    step = 1e-6
+    gradient = np.zeros((4, 3))
+    differences = np.zeros((4, 3))
     _shape_energy(points, tets, one, smoothing, gradient)
     for place in np.ndindex(4, 3):
         for sign in (1, -1):

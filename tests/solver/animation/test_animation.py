@@ -98,7 +98,8 @@ def test_keys_pass_through_their_values_and_never_beyond() -> None:
 
 
 def test_a_whole_muscle_moves_its_compartments() -> None:
-    model, squeezed = divided_block(), np.array([0.8, 0.0, 0.0, 1.0, 0.0, 1.0])
+    model = divided_block()
+    squeezed = np.array([0.8, 0.0, 0.0, 1.0, 0.0, 1.0])
     keys = [PoseKey(0.0, {}, {"left.upper": IDENTITY, "left": squeezed})]
     a = KeyedDrives(keys, {}, model, np.zeros(1))(0.0).a
     np.testing.assert_array_equal(a, [squeezed, IDENTITY, IDENTITY, IDENTITY])
@@ -129,7 +130,8 @@ def test_keys_that_can_not_be(keys: list[PoseKey], code: str, where: str) -> Non
 
 
 def test_the_head_turns_about_the_neck() -> None:
-    turn, shift = np.array([0.0, 0.4, 0.0]), np.array([0.0, 0.0, 7.0])
+    turn = np.array([0.0, 0.4, 0.0])
+    shift = np.array([0.0, 0.0, 7.0])
     head = [HeadKey(0.0, np.zeros(3), np.zeros(3)), HeadKey(1.0, turn, shift)]
     drives = KeyedDrives([], POSES, MODEL, np.zeros(1), head=head)
     np.testing.assert_allclose(drives(0.0).head.rotation, np.eye(3))
@@ -143,8 +145,10 @@ def take(**weights: float) -> FaceTake:
     rows = np.zeros((3, len(ARKIT_NAMES)))
     for name, weight in weights.items():
         rows[1:, ARKIT_NAMES.index(name)] = weight
-    head, eyes = np.zeros((3, 3)), np.zeros((3, 2, 3))
-    head[1:, 1], eyes[1:, 1, 0] = 0.2, -0.1
+    head = np.zeros((3, 3))
+    eyes = np.zeros((3, 2, 3))
+    head[1:, 1] = 0.2
+    eyes[1:, 1, 0] = -0.1
     times = np.array([0.0, 0.04, 0.07])
     return FaceTake(times, rows, head, eyes, np.ones(3, bool), "live_link")
 
@@ -265,11 +269,13 @@ def test_blendshapes_are_solved_once(tmp_path: Path) -> None:
 
 def test_shapes_that_a_release_before_kept_are_read(tmp_path: Path) -> None:
     """Its files had one hash of model and S together."""
-    model, file = head_block(), tmp_path / "blendshapes.npz"
+    model = head_block()
+    file = tmp_path / "blendshapes.npz"
     rest = np.tile(IDENTITY, (model.muscle_count, 1))
     shapes = Blendshapes(model.muscle_names, {"jawOpen": Solved(Pose(rest, np.zeros(5)), 0.1)})
     shapes.save(file, model, model.weights)
-    kept, S = Archive.read(file, "blendshapes", "", FORMAT), model.weights
+    kept = Archive.read(file, "blendshapes", "", FORMAT)
+    S = model.weights
     digest = hashlib.sha256(model.sha256.encode())
     for array, kind in ((S.data, "<f8"), (S.indices, "<i8"), (S.indptr, "<i8")):
         digest.update(array.astype(kind).tobytes())
@@ -284,8 +290,10 @@ def test_shapes_that_a_release_before_kept_are_read(tmp_path: Path) -> None:
 def opened_block() -> tuple[Face, dict[str, np.ndarray]]:
     """Return a face within limits, and the changes of its controls of shapes that are far off."""
     face = Face(fibred_block()).driven_as(Admissible(limits_by_plausibility(1.0)))
-    places, change = face.layout.places("jaw"), np.zeros((2, face.layout.size))
-    change[0, places[0]], change[1, places[0]] = 0.2, -0.1
+    places = face.layout.places("jaw")
+    change = np.zeros((2, face.layout.size))
+    change[0, places[0]] = 0.2
+    change[1, places[0]] = -0.1
     return face, {"jawOpen": change[0], "mouthClose": change[1]}
 
 
@@ -300,7 +308,8 @@ def test_shapes_begin_with_what_is_known_of_them(monkeypatch: pytest.MonkeyPatch
         name: face.face_points(face.continuation(face.rest, there).x)
         for name, there in poses.items()
     }
-    whole_fit, begun = activation.fit, []
+    whole_fit = activation.fit
+    begun = []
 
     def fit(*given: Any, **how: Any) -> activation.ActivationFit:
         begun.append(given[3])
@@ -321,7 +330,8 @@ def test_shapes_begin_with_what_is_known_of_them(monkeypatch: pytest.MonkeyPatch
 
 def test_shapes_of_a_rig_within_limits_are_within_them(tmp_path: Path) -> None:
     """Two shapes are made by muscles that push along their fibres, as none can."""
-    model, drive = fibred_block(), Admissible(limits_by_plausibility(1.0))
+    model = fibred_block()
+    drive = Admissible(limits_by_plausibility(1.0))
     face = Face(model)
     push = np.tile([0.35, 0.0, 0.0, -0.1, 0.0, -0.1], (2, 1))
     targets = {}

@@ -54,7 +54,9 @@ def test_a_polynomial_is_found_again() -> None:
 
 def test_shapes_that_move_other_parts_have_no_product() -> None:
     motions = np.zeros((3, 4, 3))
-    motions[0, :2, 0], motions[1, 1:3, 1], motions[2, 3, 2] = 2.0, 2.0, 1.0
+    motions[0, :2, 0] = 2.0
+    motions[1, 1:3, 1] = 2.0
+    motions[2, 3, 2] = 1.0
     sizes = ShapeSizes.of(motions)
     np.testing.assert_allclose(sizes.alone, [np.sqrt(2.0), np.sqrt(2.0), 0.5])
     products = PolynomialMap.learn(WEIGHTS, curved(WEIGHTS), sizes).products
@@ -66,7 +68,8 @@ def test_the_network_s_gradients_are_those_of_differences() -> None:
     values = []
     for ins, outs in pairwise(sizes):
         values += [RANDOM.normal(size=(ins, outs)), RANDOM.normal(size=outs)]
-    inputs, goals = RANDOM.normal(size=(6, 3)), RANDOM.normal(size=(6, 2))
+    inputs = RANDOM.normal(size=(6, 3))
+    goals = RANDOM.normal(size=(6, 2))
 
     def cost() -> float:
         seen = np.vstack([inputs, np.zeros(3)])
@@ -88,7 +91,8 @@ def test_the_network_s_gradients_are_those_of_differences() -> None:
 
 
 def test_a_network_learns_what_bends() -> None:
-    fresh, effort = RANDOM.random((200, 3)), NetworkOptions(layers=(64,), epochs=400)
+    fresh = RANDOM.random((200, 3))
+    effort = NetworkOptions(layers=(64,), epochs=400)
     network = Network.learn(WEIGHTS, bent(WEIGHTS), SIZES, 1, effort)
     linear = fresh @ np.linalg.lstsq(WEIGHTS, bent(WEIGHTS), rcond=None)[0]
     off = [np.abs(each - bent(fresh)).mean() for each in (network(fresh), linear)]

@@ -26,7 +26,9 @@ from solver.similarity import small_motion
 from tests.solver.block import block_model
 
 MODEL = block_model()
-COUNT, FIRST, FPS = 12, 100, 25.0
+COUNT = 12
+FIRST = 100
+FPS = 25.0
 TURNED = np.array([0.0, 3.0, 0.3])  # the studio's z is not the model's: turns beyond 180 degrees
 
 
@@ -128,7 +130,8 @@ def test_times_are_those_of_the_chosen_frames_by_the_speed(take: Path) -> None:
 def test_frames_before_the_files_zero_are_chosen_and_bridged_by_their_numbers(
     tmp_path: Path,
 ) -> None:
-    early, whole = [replace(each, frame=each.frame - FIRST - 7) for each in frames()], frames()
+    early = [replace(each, frame=each.frame - FIRST - 7) for each in frames()]
+    whole = frames()
     bridged = {"spans": [{"start": -3, "end": -2}]}
     drives = played(write(tmp_path, early), take_of(start=-5, end=-1, bridges=bridged), fps=FPS)
     assert drives.times[-1] == pytest.approx(3 / FPS)
@@ -166,7 +169,8 @@ def test_a_gap_is_bridged_by_controls_without_a_jump(tmp_path: Path, interpolati
         content[number].jaw[:] = 9.0
     for number in (10, 11):
         content[number].activations[:] = np.nan
-    file, whole = write(tmp_path, content), frames()
+    file = write(tmp_path, content)
+    whole = frames()
     drives = played(file, take_of(), interpolation=interpolation)
     [performance] = drives.under.performances
     assert performance.bridged.tolist() == [FIRST + number for number in (4, 5, 6, 7, 10, 11)]
@@ -198,7 +202,8 @@ def test_performances_are_mixed_by_muscle_and_keys_lie_on_top(take: Path) -> Non
     strong = take_of(gain=2.0, mask=["right"], speed=2.0)
     keys = [{"time": 0, "muscles": {"right": [1.0, 0, 0, 1.1, 0, 1]}, "jaw": {"open_deg": 3}}]
     drives = played(take, [take_of(keys=keys), strong])
-    alone, other = played(take, take_of()), played(take, take_of(gain=2.0, speed=2.0))
+    alone = played(take, take_of())
+    other = played(take, take_of(gain=2.0, speed=2.0))
     assert drives.times[-1] == pytest.approx(alone.times[-1])
     for time in (0.0, 0.1, 0.2):
         mixed = drives(time)
@@ -262,8 +267,10 @@ def test_performances_that_cannot_be(
     files = {"take": take}
     with np.load(take) as arrays:
         content = dict(arrays)
-    jaw, holed = content["jaw"].copy(), content["activations"].copy()
-    jaw[4, 0], holed[3, 1, 2] = 1.0, np.nan
+    jaw = content["jaw"].copy()
+    holed = content["activations"].copy()
+    jaw[4, 0] = 1.0
+    holed[3, 1, 2] = np.nan
     spoilt: dict[str, dict[str, Any]] = {
         "folded": {"jaw": jaw},
         "holed": {"activations": holed},

@@ -90,15 +90,19 @@ def test_derivatives_match_differences():
 @pytest.mark.parametrize("moving", ["skin", "object"])
 def test_nothing_tunnels(moving):
     surface, upper = two_balls()
-    x, y = surface.rest, surface.rest.copy()
+    x = surface.rest
+    y = surface.rest.copy()
     if moving == "skin":
-        barrier, objects, goals = Barrier(surface, STIFFNESS_PA), [], []
+        barrier = Barrier(surface, STIFFNESS_PA)
+        objects = []
+        goals = []
         # to the other side in one step
         y[:upper, 1] -= 40.0
     else:
         glass = ball([0.0, 20.0, 0.0], 3.0)
         barrier = Barrier(surface, STIFFNESS_PA, objects=[glass])
-        objects, goals = [glass.vertices], [glass.vertices - [0.0, 60.0, 0.0]]
+        objects = [glass.vertices]
+        goals = [glass.vertices - [0.0, 60.0, 0.0]]
     place(barrier, x, *objects)
     goal = Boundary(np.empty((0, 3)), np.zeros(5), tuple(goals))
     part = barrier.max_step(x, y, goal)
@@ -155,7 +159,8 @@ def test_no_step_goes_metres():
 
 def test_friction_holds_back_and_obeys_coulomb():
     surface, upper = two_balls()
-    x, coefficient = surface.rest, 0.4
+    x = surface.rest
+    coefficient = 0.4
     still = Barrier(surface, STIFFNESS_PA, friction=coefficient)
     place(still, x)
     normal = np.abs(still.gradient(x)[:upper, 1].sum())
@@ -181,7 +186,8 @@ def test_friction_holds_back_and_obeys_coulomb():
 
 
 def test_crossing_triangles_are_found():
-    upper, lower = ball([0.0, 1.8, 0.0], 2.0, 2), ball([0.05, -1.8, 0.03], 2.0, 2)
+    upper = ball([0.0, 1.8, 0.0], 2.0, 2)
+    lower = ball([0.05, -1.8, 0.03], 2.0, 2)
     both = on_itself(upper, lower)
     mesh = collision_mesh(Surface(both.rest, both.faces))
     found = crossing_vertices(mesh)

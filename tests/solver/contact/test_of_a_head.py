@@ -54,11 +54,13 @@ def test_lips_are_led_out_in_front_of_teeth_wherever_the_jaw_is(head, number):
 
 
 def test_unedited_teeth_are_tabulated_once(head, monkeypatch):
-    tabulated, of = [], Arch.of
+    tabulated = []
+    of = Arch.of
     monkeypatch.setattr(Arch, "of", lambda *given: tabulated.append(given) or of(*given))
     potentials = contact_potentials(head, 3000.0, lips=False)
     assert len(tabulated) == 2
-    again, closed = Gauge(head, None, potentials), np.zeros(5)
+    again = Gauge(head, None, potentials)
+    closed = np.zeros(5)
     assert len(tabulated) == 2
     assert again.at(head.rest, closed) == Gauge(head).at(head.rest, closed)
 
@@ -74,7 +76,8 @@ def test_lips_are_pushed_out_by_teeth_that_an_edit_moves_forward(head, number):
     front = front[np.argmax(front[:, 2])]
     edit = Bone(bone, front, 30.0, np.array([0.0, 0.0, 5.0]))
     model = apply([edit], near, near.weights).model
-    gauge, closed = Gauge(model, near), np.zeros(5)
+    gauge = Gauge(model, near)
+    closed = np.zeros(5)
     before = Gauge(near).at(near.rest, closed)
     assert before.behind_teeth == 0
     assert gauge.at(near.rest, closed).behind_teeth > 20

@@ -15,7 +15,9 @@ from tests.fixtures import small_model
 from tests.solver.ball import ball
 
 STIFFNESS_PA = 3000.0
-RADIUS, PRESSED, STEPS = 8.0, 3.0, 3
+RADIUS = 8.0
+PRESSED = 3.0
+STEPS = 3
 
 
 @pytest.fixture(scope="module")
@@ -41,14 +43,16 @@ def pressed(model, face, thing, potentials):
         here = thing.with_vertices(thing.vertices + shift)
         goal = replace(before, time=number / 30, objects=(here.vertices,))
         stepped = simulator.step(motion, before, goal)
-        motion, before = stepped.motion, goal
+        motion = stepped.motion
+        before = goal
     return stepped.y, here
 
 
 @pytest.mark.long
 def test_a_ball_stays_out_of_the_flesh_it_is_pressed_into(nose):
     model, face, thing = nose
-    gauge, closed = Gauge(model), np.zeros(5)
+    gauge = Gauge(model)
+    closed = np.zeros(5)
     x, here = pressed(model, face, thing, [])
     assert gauge.at(x, closed, [here]).objects == pytest.approx(PRESSED, abs=1.0)
     potentials = contact_potentials(model, STIFFNESS_PA, objects=[thing])

@@ -16,7 +16,8 @@ def square(z: float, half: float) -> Surface:
 
 
 def test_a_camera_sees_the_nearer_triangle_at_its_true_place() -> None:
-    near, far = square(10.0, 20.0), square(-30.0, 80.0)
+    near = square(10.0, 20.0)
+    far = square(-30.0, 80.0)
     both = Surface(np.vstack([far.vertices, near.vertices]), np.vstack([far.faces, near.faces + 4]))
     camera = Camera(np.zeros(3), span=100.0, yaw=0.4, pitch=0.2, distance=500.0)
     seen = look(camera, both, 200, 200)
@@ -41,14 +42,17 @@ def test_a_plate_in_front_takes_light_away() -> None:
     grid = np.stack(np.meshgrid(np.linspace(-90, 90, 31), np.linspace(-90, 90, 31)), -1)
     points = np.column_stack([grid.reshape(-1, 2), np.zeros(31 * 31)])
     number = np.arange(31 * 31).reshape(31, 31)
-    a, b = number[:-1, :-1].ravel(), number[:-1, 1:].ravel()
-    c, d = number[1:, 1:].ravel(), number[1:, :-1].ravel()
+    a = number[:-1, :-1].ravel()
+    b = number[:-1, 1:].ravel()
+    c = number[1:, 1:].ravel()
+    d = number[1:, :-1].ravel()
     wall = Surface(points, np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])]))
     plate = square(15.0, 30.0)
     both = Surface(np.vstack([points, plate.vertices]), np.vstack([wall.faces, plate.faces + 961]))
     forward = np.tile([0.0, 0.0, 1.0], (len(both.vertices), 1))
     light = irradiance(both, forward)[:961].mean(axis=1)
-    middle, corner = light[number[15, 15]], light[number[28, 2]]
+    middle = light[number[15, 15]]
+    corner = light[number[28, 2]]
     assert middle < 0.35 * corner
     assert irradiance(wall, forward[:961])[number[15, 15]].mean() > 0.9 * corner
 

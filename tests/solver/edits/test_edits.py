@@ -101,7 +101,8 @@ def test_a_paralysed_muscle_is_passive_flesh(model):
 
 
 def test_a_whole_muscle_is_paralysed_in_all_its_compartments():
-    whole, divided = block_model(), divided_block()
+    whole = block_model()
+    divided = divided_block()
     both = [Paralysis(("left",), strength=0.25), Paralysis(("right",), side="left")]
     expected = apply(both, whole, whole.weights).S
     found = apply(both, divided, divided.weights).S

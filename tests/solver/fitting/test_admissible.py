@@ -43,7 +43,8 @@ def test_barrier_has_its_derivatives_and_no_slope_at_rest():
     admissible = random_set(12)
     # far from the bounds, where differences are good to many digits
     a = admissible.nearest(wild(12), 0.2)
-    change, step = np.random.default_rng(2).standard_normal(a.shape), 1e-6
+    change = np.random.default_rng(2).standard_normal(a.shape)
+    step = 1e-6
     ends = [a + sign * step * change for sign in (1.0, -1.0)]
     by_value = (admissible.value(ends[0]) - admissible.value(ends[1])) / (2.0 * step)
     assert abs(by_value) > 10.0
@@ -63,7 +64,8 @@ def test_barrier_has_its_derivatives_and_no_slope_at_rest():
 
 
 def test_what_is_outside_is_brought_in_and_what_is_inside_stays():
-    admissible, a = random_set(40), wild(40)
+    admissible = random_set(40)
+    a = wild(40)
     inside = admissible.nearest(a, 1e-3)
     assert not admissible.contains(a)
     assert admissible.contains(inside)
@@ -76,7 +78,8 @@ def test_what_is_outside_is_brought_in_and_what_is_inside_stays():
 
 def test_a_step_is_the_best_within_the_bounds():
     """Against SLSQP on the same model, with the jaw bounded in a box as well."""
-    admissible, rng = random_set(2, seed=5), np.random.default_rng(7)
+    admissible = random_set(2, seed=5)
+    rng = np.random.default_rng(7)
     jaw = replace(jaw_block(), lower=np.full(5, -0.1), upper=np.full(5, 0.2))
     layout = Layout((replace(activation_block(2), feasible=admissible), jaw))
     root = rng.standard_normal((layout.size, layout.size))
@@ -106,8 +109,11 @@ def test_a_step_is_the_best_within_the_bounds():
 
 
 def test_margins_have_their_slopes():
-    admissible, a = random_set(12), wild(12, size=0.1)  # where no two stretches are the same
-    change, step = np.random.default_rng(2).standard_normal(a.shape), 1e-6
+    # where no two stretches are the same
+    admissible = random_set(12)
+    a = wild(12, size=0.1)
+    change = np.random.default_rng(2).standard_normal(a.shape)
+    step = 1e-6
     ends = [admissible.margins(a + sign * step * change) for sign in (1.0, -1.0)]
     seen = np.einsum("jbk,jk->jb", admissible.slopes(a), change)
     np.testing.assert_allclose(seen, (ends[0] - ends[1]) / (2.0 * step), atol=1e-6)
@@ -115,18 +121,22 @@ def test_margins_have_their_slopes():
 
 def test_a_step_to_the_next_frame_is_about_the_best_within_the_bounds():
     """From where another goal has led, in a box as well; too long a step is left to others."""
-    admissible, rng = random_set(8, seed=5), np.random.default_rng(7)
+    admissible = random_set(8, seed=5)
+    rng = np.random.default_rng(7)
     jaw = replace(jaw_block(), lower=np.full(5, -0.1), upper=np.full(5, 0.2))
     layout = Layout((replace(activation_block(8), feasible=admissible), jaw))
-    bounds, root = layout.bounds, rng.standard_normal((layout.size, layout.size))
+    bounds = layout.bounds
+    root = rng.standard_normal((layout.size, layout.size))
     hessian = root @ root.T + np.eye(layout.size)
-    goal, shift = rng.normal(0.0, 0.2, layout.size), rng.normal(0.0, 0.02, layout.size)
+    goal = rng.normal(0.0, 0.2, layout.size)
+    shift = rng.normal(0.0, 0.02, layout.size)
     begin = -hessian @ goal
     q = layout.rest + interior_step(bounds, hessian, begin, layout.rest).change
     gradient = begin + hessian @ (q - layout.rest) - hessian @ shift
     ahead = linearised_step(bounds, hessian, gradient, q)
     assert ahead is not None
-    found, best = ahead.change, interior_step(bounds, hessian, gradient, q).change
+    found = ahead.change
+    best = interior_step(bounds, hessian, gradient, q).change
 
     def gain(step):
         return -(gradient @ step + 0.5 * step @ hessian @ step)
@@ -143,7 +153,8 @@ def test_a_nearly_singular_model_is_minimised_too():
     layout = Layout((replace(activation_block(2), feasible=random_set(2, seed=3)), jaw_block()))
     rng = np.random.default_rng(4)
     axes = np.linalg.qr(rng.standard_normal((layout.size, layout.size)))[0]
-    gradient, gains = 0.1 * rng.standard_normal(layout.size), []
+    gradient = 0.1 * rng.standard_normal(layout.size)
+    gains = []
     for condition in (1e3, 1e9):
         hessian = (axes * np.geomspace(1.0, 1.0 / condition, layout.size)) @ axes.T
         hessian += np.diag(np.r_[np.zeros(12), np.ones(5)])

@@ -31,7 +31,9 @@ def plain():
 
 
 def test_rates_match_equilibria_nearby(plain):
-    shape, rng, step = FibreShape(plain, 8.0), np.random.default_rng(6), 1e-5
+    shape = FibreShape(plain, 8.0)
+    rng = np.random.default_rng(6)
+    step = 1e-5
     rest = shape.layout.rest
     values = rest + 0.1 * rng.standard_normal(len(rest))
     values[shape.layout["fractions"]] = rest[shape.layout["fractions"]]
@@ -59,7 +61,8 @@ def test_rates_match_equilibria_nearby(plain):
 def test_turned_fibres_weak_muscles_and_wrong_fractions_are_found(plain, tmp_path):
     """Scans of muscles that differ from the template's in all that is calibrated."""
     shape = FibreShape(plain)
-    layout, truth = shape.layout, shape.layout.rest.copy()
+    layout = shape.layout
+    truth = shape.layout.rest.copy()
     layout.part("strengths", truth)[:] = np.log([0.4, 0.25])
     layout.part("directions", truth)[:] = [0.0, 0.0, 0.5]
     real = shape.face(truth)

@@ -54,7 +54,8 @@ def test_a_geometry_of_fewer_muscles_is_none_that_is_wrong():
 
 def of(a=None, b=None):
     pose = poses(1)[0]
-    a, b = pose.a if a is None else a(pose.a.copy()), pose.b if b is None else b(pose.b.copy())
+    a = pose.a if a is None else a(pose.a.copy())
+    b = pose.b if b is None else b(pose.b.copy())
     return Pose(a, b)
 
 
@@ -93,7 +94,9 @@ class SkinPoints(PassiveTerm):
     k = 3.0
 
     def __init__(self, vertices, weights, places):
-        self.vertices, self.weights, self.places = vertices, weights, places
+        self.vertices = vertices
+        self.weights = weights
+        self.places = places
 
     def off(self, x):
         return np.einsum("eu,eui->ei", self.weights, x[self.vertices]) - self.places

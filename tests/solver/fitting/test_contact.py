@@ -75,7 +75,8 @@ def test_contact_pushes_lips_apart_and_off_the_teeth():
     model, mouth, points, starts = balls()
     term = contact(model, mouth)
     gradient = term.gradient(points)
-    upper, lower = gradient[: starts[1]].sum(axis=0), gradient[starts[1] : starts[2]].sum(axis=0)
+    upper = gradient[: starts[1]].sum(axis=0)
+    lower = gradient[starts[1] : starts[2]].sum(axis=0)
     assert upper[1] < -1e-3
     assert lower[1] > 1e-3
     assert upper[2] < -1e-3

@@ -16,7 +16,8 @@ def far(*_args):
 
 def test_a_pose_behind_a_fold_is_solved_for_before_it_is_given_up(monkeypatch):
     options = ContinuationOptions(smallest=0.25, min_ratio=np.inf)
-    face, pose = Face(block_model((5, 8, 3)), options=options), poses(1)[0]
+    face = Face(block_model((5, 8, 3)), options=options)
+    pose = poses(1)[0]
     straight = face.continuation(face.rest, pose)
     monkeypatch.setattr(module, "newton_predict", far)
     np.testing.assert_allclose(face.continuation(face.rest, pose).x, straight.x, atol=1e-3)

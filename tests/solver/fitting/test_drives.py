@@ -30,7 +30,8 @@ def driven(request):
 
 def pulled(face):
     """Return a pose within the bounds, with muscles that pull and an open jaw."""
-    layout, rng = face.layout, np.random.default_rng(6)
+    layout = face.layout
+    rng = np.random.default_rng(6)
     some = 0.15 * np.abs(rng.standard_normal(layout.drive.rest.shape))
     # towards where the values have room, and along the first entry of shapes
     sign = 1.0 if np.all(np.asarray(layout.drive.lower) == layout.drive.rest) else -1.0
@@ -53,7 +54,9 @@ def test_values_are_found_again_from_the_skin(driven):
 
 
 def check_rates(face):
-    pose, rng, step = pulled(face), np.random.default_rng(3), 1e-6
+    pose = pulled(face)
+    rng = np.random.default_rng(3)
+    step = 1e-6
     x = face.model.rest + 0.2 * rng.standard_normal(face.model.rest.shape)
     rates = face.drive.rates(face.tet_forces(pose, x))
     columns = np.zeros((face.flesh.size, pose.a.size), order="F")

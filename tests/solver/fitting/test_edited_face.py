@@ -53,14 +53,16 @@ def test_displaced_bones_take_what_is_held_and_what_slides_along(model):
 
 def test_displaced_flesh_slides_along_the_bone_under_it(model):
     """On a round bone: where the flesh was before, the bone looks elsewhere."""
-    middle, away = model.rest.mean(axis=0), np.array([6.0, 4.0, 0.0])
+    middle = model.rest.mean(axis=0)
+    away = np.array([6.0, 4.0, 0.0])
     skull, moved = (
         replace(model, bones={"cranium": ball(centre, 60.0, 3)})
         for centre in (middle - [0.0, 0.0, 70.0], middle - [0.0, 0.0, 70.0] + away)
     )
     bones = np.zeros_like(model.rest)
     bones[np.concatenate([model.cranium, model.sliding])] = away
-    before, after = Face(skull).flesh.sliding, Face(moved, bones=bones).flesh.sliding
+    before = Face(skull).flesh.sliding
+    after = Face(moved, bones=bones).flesh.sliding
     np.testing.assert_allclose(after.normals, before.normals, atol=1e-9)
     np.testing.assert_allclose(after.points, before.points + away)
 

@@ -45,7 +45,8 @@ def test_sensitivities_match_equilibria_nearby(face):
     state = face.continuation(face.rest, pose(face, 0.6, 0.3))
     sensitivity = Sensitivity(face, state)
     exact = sensitivity.by_pose()
-    rng, step = np.random.default_rng(2), 1e-5
+    rng = np.random.default_rng(2)
+    step = 1e-5
     change = rng.standard_normal(face.layout.size)
     ends = [
         face.solve_equilibrium(
@@ -77,7 +78,8 @@ def test_bounds_hold_exactly_and_ipopt_finds_the_same(plain, face):
     """A skin that takes more than a muscle's all."""
     strong = with_fibres(plain, fibre_muscles(plain, 14.0))
     truth = strong.continuation(strong.rest, pose(face, 0.9, 0.0))
-    wanted, prior = data(face, truth), light(face)
+    wanted = data(face, truth)
+    prior = light(face)
     found = activation.fit(face, wanted, prior, options=ActivationOptions(40, tolerance=1e-10))
     assert found.state.pose.a[0] == 1.0
     assert 0.0 <= found.state.pose.a[1] <= 1.0
@@ -88,7 +90,8 @@ def test_bounds_hold_exactly_and_ipopt_finds_the_same(plain, face):
 
 def test_a_step_within_bounds_is_cut_as_a_whole(face):
     """With its turn cut alone, a jaw that opens wide would be shifted in its place."""
-    layout, rng = face.layout, np.random.default_rng(5)
+    layout = face.layout
+    rng = np.random.default_rng(5)
     root = rng.standard_normal((layout.size, layout.size))
     gradient = rng.standard_normal(layout.size)
     gradient[layout["jaw"]][0] = -30.0
@@ -118,8 +121,10 @@ def test_frames_are_followed(face):
 def test_bounded_steps_are_the_least_of_all_within_bounds(count):
     rng = np.random.default_rng(8)
     root = rng.standard_normal((count, count))
-    hessian, gradient = root @ root.T + 0.1 * np.eye(count), rng.standard_normal(count)
-    low, high = [-0.1, 0.0, -np.inf, -0.05, 0.0], [0.1, 0.0, np.inf, 0.4, 0.3]
+    hessian = root @ root.T + 0.1 * np.eye(count)
+    gradient = rng.standard_normal(count)
+    low = [-0.1, 0.0, -np.inf, -0.05, 0.0]
+    high = [0.1, 0.0, np.inf, 0.4, 0.3]
     limits = np.resize(low, count), np.resize(high, count)
     step = bounded_step(hessian, gradient, limits)
     assert (step >= limits[0]).all()

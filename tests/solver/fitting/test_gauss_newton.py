@@ -107,7 +107,8 @@ def test_few_points_are_fitted_from_rest(expression, draw):
 
 def test_a_model_that_is_not_finite_has_no_step(problem):
     face, *_ = problem
-    pose, size = face.rest_pose(), face.layout.size
+    pose = face.rest_pose()
+    size = face.layout.size
     for hessian, gradient in (
         (np.eye(size), np.full(size, np.nan)),
         (np.full((size, size), np.nan), np.ones(size)),

@@ -56,13 +56,15 @@ def test_step_solves_the_dense_system():
     count = face.rest_pose().a.size + 5
     units = np.concatenate([np.ones(count - 5), np.array([1e4, 1e4, 1, 1, 1]) * 1e-3])
     total = S.nnz + len(data) * count
-    matrix, gradient = np.zeros((total, total)), np.zeros(total)
+    matrix = np.zeros((total, total))
+    gradient = np.zeros(total)
     matrix[: S.nnz, : S.nnz] = 0.1 * np.eye(S.nnz) + structure.T @ structure
     gradient[: S.nnz] = problem.prior_gradient(S.data)
     for number, (name, term) in enumerate(data.items()):
         x = states[name].x
         sensitivity = Sensitivity(face, states[name])
-        response, weights = sensitivity.response, sensitivity.weights
+        response = sensitivity.response
+        weights = sensitivity.weights
         jacobian = sensitivity.by_pose()
         by_all = np.zeros((x.size, total))
         by_all[jacobian.free, : S.nnz] = np.stack(
@@ -137,7 +139,9 @@ def test_symmetric_option_leaves_changes_alike():
     model = face.model
     structure = mirror_structure(model, 1.0)
     alike = np.zeros(model.weights.nnz)
-    alike[0::3], alike[1::3], alike[2::3] = -0.2, 0.1, 0.1
+    alike[0::3] = -0.2
+    alike[1::3] = 0.1
+    alike[2::3] = 0.1
     assert structure.shape[0] > 0.8 * model.weights.nnz
     assert np.abs(structure @ alike).max() < 1e-12
     assert np.abs(structure @ (alike * np.tile([0.5, 1.0, 0.0], len(model.tets)))).max() > 0.05
@@ -166,7 +170,8 @@ def test_smoothness_holds_neighbouring_compartments_together():
 
 
 def test_weights_go_over_between_whole_muscles_and_compartments():
-    whole, divided = block_model(), divided_block()
+    whole = block_model()
+    divided = divided_block()
     onto = transfer(whole.weights, whole, divided)
     np.testing.assert_allclose(onto.data, divided.weights.data, atol=1e-12)
     back = transfer(divided.weights, divided, whole)

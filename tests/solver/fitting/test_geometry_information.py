@@ -35,7 +35,8 @@ def face():
 
 
 def test_information_is_what_a_change_of_s_costs_when_the_pose_follows(face):
-    linearisation, state = Linearisation(face), posed(face)
+    linearisation = Linearisation(face)
+    state = posed(face)
     weights = np.linspace(0.0, 1.0, len(face.model.face))
     found = linearisation.information(state, weights)
     theta = np.random.default_rng(5).standard_normal(8)
@@ -73,7 +74,8 @@ def test_the_expression_that_tells_most_of_s_is_proposed(face):
     """The right muscle fills less flesh than is known: its expression brings S nearer."""
     linearisation = Linearisation(face)
     states = {"left": posed(face, right=0.0, seed=8), "right": posed(face, left=0.0, seed=8)}
-    other, library = face.with_weights(thinner(face.S, 2)), {}
+    other = face.with_weights(thinner(face.S, 2))
+    library = {}
     for name, state in states.items():
         points = other.face_points(other.solve_equilibrium(state.pose, state.x).x)
         library[name] = linearisation.misfit(state, points)
@@ -83,7 +85,8 @@ def test_the_expression_that_tells_most_of_s_is_proposed(face):
     assert first.before_mm == second.before_mm >= second.after_mm > first.after_mm > 0.0
     step = step_towards(linearisation.posterior([], 1.0), library["right"])
     assert library["right"].at(step) < 0.8 * library["right"].squared
-    after, there = library["right"].after(step), 0.5 * step
+    after = library["right"].after(step)
+    there = 0.5 * step
     assert after.squared == pytest.approx(library["right"].at(step))
     assert after.at(there - step) == pytest.approx(library["right"].at(there))
 

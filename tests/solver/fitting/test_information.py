@@ -9,7 +9,8 @@ from solver.surface import Floats
 
 
 def problem(rows: int = 12) -> tuple[Floats, Floats, Floats]:
-    rng, size = np.random.default_rng(0), 8
+    rng = np.random.default_rng(0)
+    size = 8
     root = rng.normal(size=(size, size))
     precision = root @ root.T + 0.5 * np.eye(size)
     return rng.normal(size=(rows, size)), rng.uniform(0.3, 1.0, rows), precision
@@ -57,7 +58,8 @@ def test_gains_are_what_each_candidate_takes_from_the_variance(weighted: str | N
     jacobian, sd, precision = problem()
     now = Posterior.of(jacobian, sd, precision)
     candidates = np.random.default_rng(1).normal(size=(20, 3, 8))
-    weights, matrix = None, np.diag(1.0 / now.prior_variance)
+    weights = None
+    matrix = np.diag(1.0 / now.prior_variance)
     if weighted == "each":
         weights = np.arange(1.0, 9.0)
         matrix = np.diag(weights)
@@ -89,7 +91,8 @@ def test_a_greedy_choice_is_the_best_at_every_step() -> None:
 
 def test_intervals_of_95_percent_hold_the_truth_as_often() -> None:
     jacobian, sd, precision = problem(rows=10)
-    found, rng = Posterior.of(jacobian, sd, precision), np.random.default_rng(4)
+    found = Posterior.of(jacobian, sd, precision)
+    rng = np.random.default_rng(4)
     truth = rng.normal(size=(4000, 8)) @ np.linalg.cholesky(np.linalg.inv(precision)).T
     data = truth @ jacobian.T + sd * rng.normal(size=(4000, 10))
     estimate = data / sd**2 @ jacobian @ found.covariance

@@ -23,7 +23,8 @@ def face(request):
 
 def pose_of(face, by, opening):
     """Every muscle contracted ``by`` a part of its length, and the jaw opened, rad."""
-    pose, tensors = face.rest_pose(), Contraction.of_face(face).tensors
+    pose = face.rest_pose()
+    tensors = Contraction.of_face(face).tensors
     a = np.array([isochoric_activation(each, 1.0 - by) for each in tensors])
     b = pose.b.copy()
     b[0] = opening
@@ -32,7 +33,8 @@ def pose_of(face, by, opening):
 
 def test_closers_pay_in_an_open_jaw_alone(face):
     options = CloserOptions()
-    closers, silent = SilentClosers.of_face(face), options.cocontraction
+    closers = SilentClosers.of_face(face)
+    silent = options.cocontraction
     names = {face.model.muscle_groups[number][:-2] for number in closers.numbers}
     assert names == {"masseter_superficial", "masseter_deep", "temporalis"}
     opening = jaw_motion(face.model, face.jaw.matrix(pose_of(face, 0.0, 0.15).b)).opening_mm
@@ -48,7 +50,8 @@ def test_closers_pay_in_an_open_jaw_alone(face):
 
 
 def test_their_price_has_its_derivatives_by_muscles_and_jaw(face):
-    closers, rng = SilentClosers.of_face(face), np.random.default_rng(1)
+    closers = SilentClosers.of_face(face)
+    rng = np.random.default_rng(1)
     options = closers.options
     pose = pose_of(face, 0.15, 0.05)
     pose = replace(pose, a=pose.a + 0.02 * rng.standard_normal(pose.a.shape))
@@ -68,7 +71,8 @@ def test_their_price_has_its_derivatives_by_muscles_and_jaw(face):
 def test_who_opens_the_jaw_shortens_by_it(face):
     opened = opener_contractions(face.model.jaw, face.jaw.matrix(pose_of(face, 0.0, 0.3).b))
     for muscle in ("digastric", "geniohyoid"):
-        left, right = opened[f"left {muscle}"], opened[f"right {muscle}"]
+        left = opened[f"left {muscle}"]
+        right = opened[f"right {muscle}"]
         assert 0.1 < left < 0.6
         assert left == pytest.approx(right, abs=0.02)
     still = opener_contractions(face.model.jaw, np.eye(4))

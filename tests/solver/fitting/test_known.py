@@ -54,7 +54,8 @@ def test_the_term_s_derivatives_are_those_of_its_value(face):
     more = found.gauss_newton(pose) - replace(found, others=()).gauss_newton(pose)
     np.testing.assert_allclose(more, hessian, atol=1e-12)
     # a whole muscle joins its compartments, of which IPOPT has the blocks alone
-    blocks, muscles = found.curvature(pose)[0], face.layout.muscles
+    blocks = found.curvature(pose)[0]
+    muscles = face.layout.muscles
     whole = found.gauss_newton(pose)[muscles[:, :, None], muscles[:, None, :]]
     np.testing.assert_allclose(blocks, whole, atol=1e-12)
     assert np.abs(hessian[np.ix_(muscles[0], muscles[1])]).max() > 1e-3
@@ -117,7 +118,8 @@ def test_muscles_without_fibres_and_tets_by_themselves_have_no_contraction(face)
 
 
 def test_disagreements_are_told_beyond_two_standard_deviations():
-    close, far = KnownFit("procerus", 0.3, 0.1, 0.2), KnownFit("frontalis_l", 0.5, 0.05, 0.02)
+    close = KnownFit("procerus", 0.3, 0.1, 0.2)
+    far = KnownFit("frontalis_l", 0.5, 0.05, 0.02)
     (finding,) = find_disagreements("frown", (close, far))
     assert finding.code == "activations.disagree"
     assert "frown: frontalis_l contracts by 0.02" in finding.message
@@ -135,7 +137,8 @@ def test_a_face_that_does_not_move_is_left_where_it_is_and_told():
     model = small_model()
     face = Face(model, mix_by_stiffness(model.weights, 30.0)).driven_by(Admissible())
     rest = face.face_points(face.rest.x)
-    known, target = known_of(("frontalis_l", 0.5, 0.1)), Target.from_points(rest)
+    known = known_of(("frontalis_l", 0.5, 0.1))
+    target = Target.from_points(rest)
     prior = unseen_regulariser(face, target, known)
     found = activation.fit(face, SkinDistance(face, target), prior, options=UNSEEN_STOP).state
     assert np.linalg.norm(face.face_points(found.x) - rest, axis=1).max() < 0.5
@@ -146,9 +149,11 @@ def test_a_face_that_does_not_move_is_left_where_it_is_and_told():
 
 def test_known_muscles_are_kept_to_and_more_is_found_again():
     """Of 40 points with 0.2 mm of noise; EMG of six muscles with a standard deviation of 0.1."""
-    rng, model = np.random.default_rng(12), small_model()
+    rng = np.random.default_rng(12)
+    model = small_model()
     face = Face(model, mix_by_stiffness(model.weights, 30.0)).driven_by(Admissible())
-    contraction, names = Contraction.of_face(face), face.model.muscle_names
+    contraction = Contraction.of_face(face)
+    names = face.model.muscle_names
     a = face.rest_pose().a.copy()
     pulled = [
         names.index(f"{name}_{side}")
@@ -164,15 +169,18 @@ def test_known_muscles_are_kept_to_and_more_is_found_again():
     seen = np.zeros(len(points))
     seen[rng.choice(len(points), 40, replace=False)] = 1.0
     target = Target.from_points(points, seen)
-    sd, chosen = 0.1, pulled[:6]
+    sd = 0.1
+    chosen = pulled[:6]
     measured = true[chosen] + sd * rng.standard_normal(len(chosen))
     known = known_of(*((names[j], value, sd) for j, value in zip(chosen, measured, strict=True)))
 
     def fit(*given):
-        data, prior = SkinDistance(face, target), unseen_regulariser(face, target, *given)
+        data = SkinDistance(face, target)
+        prior = unseen_regulariser(face, target, *given)
         return contraction(activation.fit(face, data, prior, options=UNSEEN_STOP).state.pose.a)
 
-    without, with_table = fit(), fit(known)
+    without = fit()
+    with_table = fit(known)
     assert np.abs(with_table[chosen] - measured).max() < 1.2 * sd
     before, after = (np.corrcoef(each, true)[0, 1] for each in (without, with_table))
     assert after > before + 0.15

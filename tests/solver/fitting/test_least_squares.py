@@ -121,14 +121,16 @@ def test_a_bump_half_way_is_no_leap():
 
 def test_no_step_after_step_is_tried_where_all_of_them_leap():
     """Each is as dear as a search for the equilibrium behind a fold."""
-    problem, stop = Cliff(edge=0.0), StopOptions(20)
+    problem = Cliff(edge=0.0)
+    stop = StopOptions(20)
     found = minimise(problem, np.zeros(1), SEARCHES[0](), stop)
     assert (found.termination, found.steps, problem.moves) == (Termination.STUCK, 0, 2)
 
 
 def test_a_refused_reach_is_not_tried_again_at_once():
     """On the way to the edge every other step would be refused."""
-    problem, search = Cliff(edge=0.9, rise=10.0), SEARCHES[0]()
+    problem = Cliff(edge=0.9, rise=10.0)
+    search = SEARCHES[0]()
     start = np.array([0.2])
     search.descend(problem, start, problem.value(start), StopOptions(20))
     assert problem.moves == 2

@@ -20,7 +20,9 @@ def follow(options, frames):
     tracker = ControlFilter(usual(), 1.0 / RATE, options)
     # of the last control next to nothing
     evidence = tracker.evidence(np.diag([200.0, 20.0, 30.0, 0.1]))
-    known, prior, anew = None, usual(), 0
+    known = None
+    prior = usual()
+    anew = 0
     for _ in range(frames):
         before = known
         known = tracker.after(prior, known, evidence)

@@ -65,7 +65,8 @@ def test_places_ride_on_skin_skull_and_mandible(face):
     b = np.array([0.1, 0.02, 1.0, -2.0, 0.5])
     x = model.rest.copy()
     x[model.mandible] = face.mandible(b)
-    before, after = places.at(model.rest), places.at(x)
+    before = places.at(model.rest)
+    after = places.at(x)
     np.testing.assert_allclose(before[8:], [[60, 110, 0], [70, 20, 30]], atol=1e-9)
     np.testing.assert_allclose(after[8], before[8])
     np.testing.assert_allclose(after[9], move_jaw(model.jaw, before[9:], b)[0], atol=1e-9)
@@ -119,7 +120,8 @@ def test_curvature_is_that_of_a_head_that_follows(face):
 def test_the_normal_matrix_is_that_of_the_curvature(face):
     (x, rng), term = moved(face), a_term(face)
     at = term.places.at(x)
-    placed, by_controls = term.place(at), rng.standard_normal((at.size, 9))
+    placed = term.place(at)
+    by_controls = rng.standard_normal((at.size, 9))
     expected = by_controls.T @ term.inner(placed) @ by_controls
     assert np.abs(expected).max() > 1.0
     np.testing.assert_allclose(term.normal(placed, by_controls), expected, rtol=1e-9, atol=1e-9)

@@ -24,7 +24,9 @@ from solver.scans.markers.places.marker_set import Marker
 from solver.similarity import small_motion
 from tests.fixtures import small_capture, small_model
 
-RATE, MARKERS, NOISE = 60.0, 40, 0.15
+RATE = 60.0
+MARKERS = 40
+NOISE = 0.15
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +63,10 @@ def take(face, places, known):
     values, vectors = np.linalg.eigh(known.covariance)
     change = 0.8 * np.sqrt(values[-1]) * vectors[:, -1]
     rng = np.random.default_rng(4)
-    state, skins, heads, points = face.rest, [], [], []
+    state = face.rest
+    skins = []
+    heads = []
+    points = []
     for phase in np.linspace(0.0, 1.5 * np.pi, 24):
         pose = face.rest_pose().add(0.5 * (1.0 - np.cos(phase)) * change)
         state = face.continuation(state, pose)
@@ -102,7 +107,8 @@ def test_wrong_markers_are_found_and_swaps_mended(face, places, known, take):
     tracker = tracker_of(face, places, known)
     rng = np.random.default_rng(5)
     for number, skin in enumerate(skins[:14]):
-        seen, states = points[number].copy(), np.full(MARKERS, "seen", "<U10")
+        seen = points[number].copy()
+        states = np.full(MARKERS, "seen", "<U10")
         if number > 3:
             thrown = rng.choice(MARKERS, 3, replace=False)
             far = rng.standard_normal((3, 3))
@@ -114,7 +120,8 @@ def test_wrong_markers_are_found_and_swaps_mended(face, places, known, take):
             seen[[one, other]] = seen[[other, one]]
             states[[one, other]] = "swapped"
             gone, ghost = rng.choice(np.flatnonzero(states == "seen"), 2, replace=False)
-            states[gone], states[ghost] = "missing", "relabelled"
+            states[gone] = "missing"
+            states[ghost] = "relabelled"
             free = seen[[ghost]].copy()
             seen[[gone, ghost]] = np.nan
         fit = tracker.step(SeenMarkers(seen, free if number > 3 else None))
@@ -132,7 +139,8 @@ def test_what_nothing_tells_of_fades_and_comes_back(face, places, known, take):
     gone = [tracker.step(SeenMarkers(none)) for _ in range(6)]
     assert all(fit.predicted and fit.held.all() for fit in gone)
     assert not before.held.all()
-    rest, last = face.layout.rest, before.state.pose.vector()
+    rest = face.layout.rest
+    last = before.state.pose.vector()
     kept = np.exp(-6 / RATE)
     np.testing.assert_allclose(gone[-1].state.pose.vector() - rest, kept * (last - rest), atol=1e-6)
     assert (gone[-1].sd > before.sd).all()
@@ -190,7 +198,8 @@ def test_places_that_are_bound_wrong_are_mended(face, markers, places, known, ta
     """Each marker is bound 1.5 mm beside its place; the take says where it is."""
     points = take[2]
     rest = face.model.rest
-    true, skin = places.at(rest), model_face(face.model)
+    true = places.at(rest)
+    skin = model_face(face.model)
     rng = np.random.default_rng(8)
     axes = triangle_axes(places.corners(rest))
     turn = rng.uniform(0.0, 2.0 * np.pi, MARKERS)
@@ -227,7 +236,8 @@ def test_places_are_mended_by_the_frames_nearest_the_neutral_face(face, places, 
 def test_frames_are_chosen_in_any_axes_of_a_take(face, places, take):
     turn = small_motion(np.array([0.0, 2.0, 0.0, 40000.0, -9000.0, 3000.0]))
     points = np.array([turn(seen) for seen in take[2]])
-    at, options = places.at(face.model.rest), RefineOptions(apart=1)
+    at = places.at(face.model.rest)
+    options = RefineOptions(apart=1)
     here, there = (
         frames_near_neutral(at, each.__getitem__, range(len(each)), 3, options)
         for each in (take[2], points)
@@ -272,8 +282,10 @@ def test_a_frame_that_cannot_be_fitted_keeps_the_face(
 
 
 def test_points_without_a_finite_sigma(face, places, known, take):
-    seen, sigma = take[2][0].copy(), np.full((MARKERS, 3), 0.2)
-    seen[3], sigma[3] = np.nan, np.inf
+    seen = take[2][0].copy()
+    sigma = np.full((MARKERS, 3), 0.2)
+    seen[3] = np.nan
+    sigma[3] = np.inf
     sigma[4] = np.nan
     fit = tracker_of(face, places, known).step(SeenMarkers(seen, None, sigma))
     assert fit.judged.states[[3, 4]].tolist() == ["missing", "seen"]
@@ -319,7 +331,8 @@ def test_a_sweep_back_bridges_a_gap(face, places, known, take):
     """In a gap the filter fades to rest; the sweep goes to what comes after it."""
     points = take[2]
     tracker = tracker_of(face, places, known)
-    fits, gap = [], range(6, 12)
+    fits = []
+    gap = range(6, 12)
     for number, seen in enumerate(points[:18]):
         fits.append(
             tracker.step(SeenMarkers(np.full_like(seen, np.nan) if number in gap else seen))
@@ -354,7 +367,8 @@ def test_markers_reach_fibre_muscles_too(markers):
 def test_a_muscle_that_only_goes_along_in_expressions_is_not_determined(face, markers):
     """Of an expression in which the deep ones move with what is seen."""
     loose = reach(face, markers, prior.from_changes(face.layout, [], prior.LOOSE)).information
-    hidden, seen = int(loose.argmin()), int(loose.argmax())
+    hidden = int(loose.argmin())
+    seen = int(loose.argmax())
     change = np.zeros(face.layout.size)
     change[face.layout.muscles[[hidden, seen]]] = 0.5
     tied = prior.from_changes(face.layout, [change])
@@ -384,13 +398,15 @@ def test_held_muscles_keep_still_while_others_move(face, places, take):
 def test_a_first_frame_far_from_rest_is_judged_by_the_face_that_it_shows(face, places, known):
     values, vectors = np.linalg.eigh(known.covariance)
     state = face.continuation(face.rest, face.rest_pose().add(np.sqrt(values[-1]) * vectors[:, -1]))
-    skin, seen = face.face_points(state.x), SeenMarkers(places.at(state.x))
+    skin = face.face_points(state.x)
+    seen = SeenMarkers(places.at(state.x))
     strict = MarkerOptions(robust=RobustOptions(scale_mm=0.3))
 
     def fit_first(options):
         markers = Markers(face, places, np.full(MARKERS, 0.3), known, 1.0 / RATE, options)
         return Tracker(markers).step(seen)
 
-    once, looked = fit_first(replace(strict, looks=0)), fit_first(strict)
+    once = fit_first(replace(strict, looks=0))
+    looked = fit_first(strict)
     assert looked.rejected_count == 0 < once.rejected_count
     assert off(face, looked.state, skin) < 0.75 * off(face, once.state, skin)

@@ -56,17 +56,24 @@ def test_it_moves_the_face(pulled):
 @pytest.mark.parametrize("what", ["activations", "jaw", "weights"])
 def test_the_skin_by_what_drives_it(pulled, what):
     face, plain = pulled
-    pose, S, rng = poses(1)[0], face.S, np.random.default_rng(3)
+    pose = poses(1)[0]
+    S = face.S
+    rng = np.random.default_rng(3)
     state = face.continuation(face.rest, pose)
-    derivatives, M = Sensitivity(face, state), face.face_embedding
+    derivatives = Sensitivity(face, state)
+    M = face.face_embedding
     assert derivatives.response.minimum
-    a, b, by_S = np.zeros_like(pose.a), np.zeros(5), np.zeros(S.nnz)
+    a = np.zeros_like(pose.a)
+    b = np.zeros(5)
+    by_S = np.zeros(S.nnz)
     change = {"activations": a, "jaw": b, "weights": by_S}[what]
     change[...] = rng.standard_normal(change.shape)
     if what == "weights":
-        controls, direction = derivatives.weights, by_S
+        controls = derivatives.weights
+        direction = by_S
     else:
-        controls, direction = derivatives.pose, pose.layout.join([a, b])
+        controls = derivatives.pose
+        direction = pose.layout.join([a, b])
     found = M @ derivatives.response.product(controls, direction)
     ends = []
     for sign in (STEP, -STEP):

@@ -42,7 +42,8 @@ def divided():
 def contracted(divided, rng, spread):
     """Activations that contract along x, every tet by its own amount."""
     stretch = rng.uniform(1.0 - spread, 1.0, len(divided.active))
-    zero, across = np.zeros_like(stretch), 1.0 / np.sqrt(stretch)
+    zero = np.zeros_like(stretch)
+    across = 1.0 / np.sqrt(stretch)
     a = np.stack([stretch, zero, zero, across, zero, across], axis=1)
     return a + 0.1 * spread * rng.standard_normal(a.shape)
 
@@ -52,7 +53,8 @@ def settled(divided, pose, x):
 
 
 def target_of(divided, pose):
-    face, rest = divided.face, divided.face.rest
+    face = divided.face
+    rest = divided.face.rest
     state = face.continuation(rest, pose)
     return Target.from_points(face.face_points(state.x))
 
@@ -71,7 +73,8 @@ def posed(divided):
 
 
 def test_tissue_shares_every_tets_volume(divided):
-    model, flesh = divided.face.model, divided.face.flesh
+    model = divided.face.model
+    flesh = divided.face.flesh
     whole = face_with_fibres().flesh
     volume = np.zeros(len(model.tets))
     where = {tuple(tet): i for i, tet in enumerate(model.tets)}
@@ -91,7 +94,8 @@ def test_reduced_gradient(posed, divided):
     by_a, by_b = state.pose.layout.split(model.gradient)
     rng = np.random.default_rng(5)
     for jaw in (0.0, 1.0):
-        a, b = rng.standard_normal(by_a.shape) * (1.0 - jaw), rng.standard_normal(5) * jaw * 0.1
+        a = rng.standard_normal(by_a.shape) * (1.0 - jaw)
+        b = rng.standard_normal(5) * jaw * 0.1
         values = [
             objective.value(
                 settled(
@@ -154,7 +158,8 @@ def test_activations_stay_positive_definite(divided):
     small = STEP * step
     np.testing.assert_allclose(stretches.move(a, small), a + small, atol=20 * STEP**2 * 25)
     back = np.einsum("ei,eij,ej->e", step, stretches.metric(a), step)
-    A, dA = stretches.matrices(a), stretches.matrices(step)
+    A = stretches.matrices(a)
+    dA = stretches.matrices(step)
     root = np.linalg.solve(A, dA)
     np.testing.assert_allclose(back, np.einsum("eij,eji->e", root, root), rtol=1e-9)
 

@@ -53,7 +53,8 @@ def test_what_an_expression_does_is_probable(face):
 @pytest.mark.long
 def test_large_shapes_are_fitted():
     """Half of a large shape comes of half its change, where the linear response errs by far."""
-    face, rest = Face(small_model()), small_capture("neutral").vertices
+    face = Face(small_model())
+    rest = small_capture("neutral").vertices
     shape = small_capture("ah").vertices - rest
     options = prior.PriorOptions(strength=1.0)
 
@@ -84,7 +85,8 @@ def test_the_teeth_of_a_shape_move_a_jaw_on_tracks():
     plain = Face(small_model())
     tracks = JawTracks(plain.model.jaw, 0.6, 60.0, 2.0, 0.3)
     face = plain.with_joint(jaw_on_tracks(tracks))
-    model, opening = face.model, 0.1
+    model = face.model
+    opening = 0.1
     open_ = replace(face.rest_pose(), b=np.array([opening, 0.0, 0.0]))
     moved = face.whole_skin(face.continuation(face.rest, open_).x, open_.b) - model.skin.vertices
     shape = 0.5 * moved

@@ -117,7 +117,8 @@ def test_a_muscle_that_pays_leaves_the_work_to_the_other():
         )
         return np.linalg.norm(found.state.pose.a - rest, axis=1)
 
-    alike, dear = used(1e-3), used(np.array([[1e3], [1e-3]]))
+    alike = used(1e-3)
+    dear = used(np.array([[1e3], [1e-3]]))
     assert alike.min() > 0.02
     assert dear[0] < 0.2 * alike[0]
     assert dear[1] > 0.8 * alike[1]
@@ -127,7 +128,8 @@ def test_derivatives_of_priced_muscles():
     face = Face(block_model())
     here, other = poses(2)
     prior = Regulariser(np.array([[2.0], [0.1]]), 1e-2, 1e-3, face.rest_pose())
-    q, step = here.vector(), 1e-6
+    q = here.vector()
+    step = 1e-6
 
     def value(q):
         return prior.value(type(here).of(here.layout, q))
@@ -146,7 +148,8 @@ def test_derivatives_of_priced_muscles():
 
 def test_what_both_sides_do_otherwise_has_its_price(face):
     """None where they mirror each other; the derivatives are those of the value."""
-    sides, rng = EvenSides.of_face(face), np.random.default_rng(3)
+    sides = EvenSides.of_face(face)
+    rng = np.random.default_rng(3)
     pose = face.rest_pose().add(0.1 * rng.standard_normal(face.layout.size))
 
     gradient = sides.gradient(pose)
@@ -157,7 +160,8 @@ def test_what_both_sides_do_otherwise_has_its_price(face):
     )
     one, other = (face.model.muscle_numbers(f"zygomaticus_major_{side}")[0] for side in "lr")
     a = face.rest_pose().a
-    a[one], a[other] = [1.1, 0.1, 0.2, 0.9, 0.3, 1.0], [1.1, -0.1, -0.2, 0.9, 0.3, 1.0]
+    a[one] = [1.1, 0.1, 0.2, 0.9, 0.3, 1.0]
+    a[other] = [1.1, -0.1, -0.2, 0.9, 0.3, 1.0]
     assert sides.value(replace(pose, a=a)) == pytest.approx(0.0)
     a[other, 1] = 0.1
     assert sides.value(replace(pose, a=a)) == pytest.approx(0.5 * 0.2**2)
@@ -171,7 +175,8 @@ def test_only_a_scan_that_is_alike_on_both_sides_asks_for_the_same_of_both(face)
 
 
 def test_effort_is_linear_in_contractions_and_its_parabola_is_above_it(face):
-    rng, small = np.random.default_rng(5), 0.02
+    rng = np.random.default_rng(5)
+    small = 0.02
     free = Effort.of_face(face, small)
     effort = replace(free, weights=rng.uniform(0.5, 1.0, len(free.weights)))
     pose = face.rest_pose().add(0.05 * rng.standard_normal(face.layout.size))

@@ -61,7 +61,8 @@ def test_derivatives_of_the_multi_target_problem(face):
     shape = (len(problem.constraints(z)), problem.layout.size)
     jacobian = sp.coo_array((problem.jacobian(z), (rows, columns)), shape=shape).tocsr()
     # each kind of variable alone: positions, activations, jaw, and S
-    size, each = face.flesh.size, len(one)
+    size = face.flesh.size
+    each = len(one)
     groups = [(0, size), (size, each - 5), (each - 5, each), (2 * each, problem.layout.size)]
     for first, last in groups:
         direction = np.zeros(problem.layout.size)
@@ -96,7 +97,8 @@ def test_the_hessian_is_exact_where_the_residual_vanishes(face):
 @pytest.mark.long
 def test_joint_gauss_newton_reaches_the_multi_target_minimum(face):
     """Both minimise the same, to the same weights: one prior of the activations and of S."""
-    S, data = smeared(face), two_targets(face)
+    S = smeared(face)
+    data = two_targets(face)
     problem = multi_target(face.with_weights(S), data, 0.5, 1e-2, 1e-2)
     rest = face.rest
     start = dict.fromkeys(data, rest)

@@ -64,7 +64,8 @@ def test_by_pose(posed):
 def test_by_geometry_and_its_adjoint(posed):
     face, S, state, rng = posed
     products = Sensitivity(face, state)
-    response, weights = products.response, products.weights
+    response = products.response
+    weights = products.weights
     change = rng.standard_normal(len(S.data))
     changed = [replace_values(S, S.data + sign * STEP * change) for sign in (1, -1)]
     numeric = differences(

@@ -55,7 +55,8 @@ def regulariser(face):
 def test_frames_are_as_good_as_on_their_own(face, targets):
     weights = regulariser(face)
     tracker = Tracker(DensePoints(face, weights))
-    tracked, alone = [], []
+    tracked = []
+    alone = []
     for target in targets:
         tracker.step(seen(target))
         data = SkinDistance(face, target)

@@ -29,7 +29,8 @@ def face():
 @pytest.fixture(scope="module")
 def shapes(face):
     """A smile, and an open mouth whose teeth go with the jaw."""
-    skin, teeth = small_capture("neutral").vertices, face.model.lower_teeth
+    skin = small_capture("neutral").vertices
+    teeth = face.model.lower_teeth
     found = [small_capture(name).vertices - skin for name in ("smile", "ah")]
     found[1][teeth] = (TRACKS.move(skin[teeth], B) - skin[teeth]) / AMOUNTS[1]
     found[0][teeth] = 0.0

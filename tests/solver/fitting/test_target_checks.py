@@ -181,7 +181,8 @@ def test_flesh_that_nothing_holds_is_refused():
 
 
 def test_muscles_that_move_nothing_are_named():
-    face, S = Face(MODEL), MODEL.weights
+    face = Face(MODEL)
+    S = MODEL.weights
     assert idle_muscles(face) == []
     dense = S.toarray()
     dense[:, 0] += dense[:, 2]

@@ -58,7 +58,8 @@ def test_a_take_is_checked_against_a_person_and_against_nobody(tmp_path: Path, t
 def test_a_set_that_is_not_of_the_person_is_refused(
     change: dict, code: str, words: str, tmp_path: Path, take: Path
 ) -> None:
-    model, given = small_model(), tmp_path / "markers.json"
+    model = small_model()
+    given = tmp_path / "markers.json"
     model.save(tmp_path / "model.npz")
     marker = Marker("Chin", change.get("vertices", (4, 8, 15)))
     MarkerSet((marker,), IDENTITY, change.get("model_sha256", model.sha256)).save(given)
@@ -72,8 +73,10 @@ def test_a_set_that_is_not_of_the_person_is_refused(
 
 @pytest.mark.long
 def test_a_take_without_labels_is_checked_by_its_tracks(tmp_path: Path) -> None:
-    take, model = tmp_path / "take.npz", tmp_path / "model.npz"
-    points, names = made_positions(300), tuple(f"*{number}" for number in range(len(LABELS)))
+    take = tmp_path / "take.npz"
+    model = tmp_path / "model.npz"
+    points = made_positions(300)
+    names = tuple(f"*{number}" for number in range(len(LABELS)))
     made_take(points[:, :0], (), unlabelled=points, unlabelled_names=names).save(take)
     small_model().save(model)
     report, *_ = run_job("check_markers", tmp_path / "out", markers=take, model=model)
@@ -84,11 +87,14 @@ def test_a_take_without_labels_is_checked_by_its_tracks(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_a_take_without_rest_is_bound_in_an_expression(tmp_path: Path) -> None:
-    model, face = small_model(), small_capture("ah")
-    at_rest, none = Face(model).rest_pose(), np.zeros(len(face.vertices))
+    model = small_model()
+    face = small_capture("ah")
+    at_rest = Face(model).rest_pose()
+    none = np.zeros(len(face.vertices))
     skin = face.vertices, model.skin.vertices, none
     opened = ExpressionFit("ah", "train", at_rest.a, at_rest.b, *skin, 0, 1, 0.0, 0.0)
-    rig, take = tmp_path / "rig.npz", tmp_path / "open.npz"
+    rig = tmp_path / "rig.npz"
+    take = tmp_path / "open.npz"
     Rig(model, model.weights, (opened,)).save(rig)
     noise = 0.1 * np.random.default_rng(0).normal(size=(200, len(LABELS), 3))
     made_take(on_skin("ah") + noise).save(take)
@@ -143,7 +149,8 @@ def test_a_take_may_be_at_rest_before_frame_0(tmp_path: Path) -> None:
 def test_the_command_binds_a_take_to_a_person(
     tmp_path: Path, take: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    model, output = tmp_path / "model.npz", tmp_path / "markers.json"
+    model = tmp_path / "model.npz"
+    output = tmp_path / "markers.json"
     small_model().save(model)
     markers_group.run(["bind", str(model), str(take), "--output", str(output)], "markers")
     assert MarkerSet.load(output).labels == LABELS

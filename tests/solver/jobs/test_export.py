@@ -23,7 +23,8 @@ FIGURES = {"mean_mm": 0.0, "p95_mm": 0.0, "max_mm": 0.0}
 def rig() -> Rig:
     model = head_block()
     skin = model.skin.vertices + np.array([0.0, 3.0, 0.0])
-    a, none = np.tile(IDENTITY, (model.muscle_count, 1)), np.zeros(len(skin))
+    a = np.tile(IDENTITY, (model.muscle_count, 1))
+    none = np.zeros(len(skin))
     fit = ExpressionFit("smile", "train", a, np.zeros(5), skin, skin, none, 0, 1, 0.0, 0.0)
     muscles = {name: {"fibres": 1.0} for name in model.muscle_names}
     figures = {"expressions": {"smile": {**FIGURES, "muscles": muscles}}}

@@ -17,7 +17,8 @@ from tests.solver.simulation.test_fibres import fibred_block
 def expression(face, name, role, a):
     pose = Pose(np.array(a), np.array([0.03, 0.0, 0.0, 0.0, 0.0]), face.layout)
     state = face.continuation(face.rest, pose)
-    target, model = face.whole_skin(state.x, pose.b), face.model
+    target = face.whole_skin(state.x, pose.b)
+    model = face.model
     error = np.full(len(target), np.nan)
     error[model.face[1:]] = 0.5
     target[model.face[0]] = 1e4  # what has no error was not seen

@@ -54,7 +54,8 @@ def fit(files: Path, out: Path, *, resume: bool = False, **more: Any) -> dict[st
 
 def pictures(files: Path, *names: str) -> dict[str, Any]:
     """Return photographs, in no order, with their landmarks."""
-    folder, chosen = files / "pictures", sorted(names or NAMES)
+    folder = files / "pictures"
+    chosen = sorted(names or NAMES)
     return {
         "captures": {name: folder / f"{name}.jpg" for name in chosen},
         "facts": {name: folder / f"{name}.json" for name in chosen},

@@ -35,7 +35,8 @@ from tests.solver.usd import played
 
 pytestmark = pytest.mark.long
 
-FRAMES, MARKERS = 10, 30
+FRAMES = 10
+MARKERS = 30
 GONE = (4, 5)  # rows in which no marker is seen
 FIRST = 101  # number of the first frame
 
@@ -55,7 +56,8 @@ def make_files(folder: Path, contracted: float, model: SubjectModel | None = Non
     change[face.layout["activations"]] = contracted * rng.standard_normal(6 * model.muscle_count)
     change[face.layout["jaw"]] = [0.1, 0.0, 0.0, 1.0, 0.0]
     pose = face.rest_pose().add(change)
-    skin, none = model.skin.vertices, np.zeros(len(model.skin.vertices))
+    skin = model.skin.vertices
+    none = np.zeros(len(model.skin.vertices))
     smile = ExpressionFit("smile", "train", pose.a, pose.b, skin, skin, none, 0, 1, 0.0, 0.0)
     Rig(model, model.weights, (smile,)).save(folder / "rig.npz")
     inside = model.skin.faces[np.isin(model.skin.faces, model.face).all(axis=1)]
@@ -67,7 +69,9 @@ def make_files(folder: Path, contracted: float, model: SubjectModel | None = Non
     turn = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
     session = Similarity(1.0, turn, np.array([3.0, -20.0, 7.0]))
     MarkerSet(markers, session, model.sha256).save(folder / "markers.json")
-    places, state, points = MarkerPlaces(model, markers), face.rest, []
+    places = MarkerPlaces(model, markers)
+    state = face.rest
+    points = []
     for share in np.linspace(0.0, 1.0, FRAMES):
         state = face.continuation(state, face.rest_pose().add(share * change))
         head = small_motion(np.array([0.1 * share, 0.0, 0.2 * share, 0.0, 5.0 * share, 0.0]))
@@ -220,7 +224,8 @@ def test_a_smoothed_frame_has_the_distances_of_its_own_pose(files: Path, tmp_pat
     assert found["marker_state"][row, swapped].tolist() == ["swapped", "swapped"]
     model = small_model()
     markers = MarkerSet.load(files / "markers.json")
-    face, places = Face(model), MarkerPlaces(model, markers.markers)
+    face = Face(model)
+    places = MarkerPlaces(model, markers.markers)
     pose = replace(face.rest_pose(), a=found["activations"][row], b=found["jaw"][row])
     x = face.continuation(face.rest, pose).x
     at = small_motion(found["head"][row])(places.at(x))
@@ -277,7 +282,8 @@ def test_known_activations_are_kept_to_and_their_muscles_are_not_held(
 ) -> None:
     """What is said of one muscle in the last five frames, of which 30 markers tell little."""
     model = small_model()
-    muscle, column = "corrugator_l", model.muscle_names.index("corrugator_l")
+    muscle = "corrugator_l"
+    column = model.muscle_names.index("corrugator_l")
     times = [frame / 60.0 for frame in (5, 9)]
     table = tmp_path / "emg.csv"
     rows = [f"corrugator,left,{time},0.2,0.03" for time in times]
@@ -286,7 +292,8 @@ def test_known_activations_are_kept_to_and_their_muscles_are_not_held(
     report = json.loads((tmp_path / "out" / "sequence.json").read_text())
     figures = report["known"][muscle]
     assert figures["frames"] == 4  # no marker was seen in the first of the five
-    contraction, before = found["contraction"][:, column], whole[1]["contraction"][:, column]
+    contraction = found["contraction"][:, column]
+    before = whole[1]["contraction"][:, column]
     np.testing.assert_allclose(contraction[5:], 0.2, atol=0.03)
     assert np.abs(before[5:] - 0.2).min() > 0.1
     np.testing.assert_allclose(contraction[:4], before[:4], atol=1e-4)
@@ -351,9 +358,13 @@ def another(files: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     folder = tmp_path_factory.mktemp("another")
     for name in ("rig.npz", "markers.json"):
         (folder / name).write_bytes((files / name).read_bytes())
-    rig, markers = Rig.load({"rig": files / "rig.npz"}), MarkerSet.load(files / "markers.json")
+    rig = Rig.load({"rig": files / "rig.npz"})
+    markers = MarkerSet.load(files / "markers.json")
     face, (smile,) = Face(actor_model(rig.model)), rig.expressions
-    places, state, points, poses = MarkerPlaces(face.model, markers.markers), face.rest, [], []
+    places = MarkerPlaces(face.model, markers.markers)
+    state = face.rest
+    points = []
+    poses = []
     end = Pose(smile.activations, smile.jaw)
     for share in np.linspace(0.0, 1.0, FRAMES):
         poses.append(face.rest_pose().toward(end, share))
@@ -367,7 +378,8 @@ def another(files: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
 
 def off_person(found: dict[str, np.ndarray], poses: list[Pose]) -> float:
     """Return how far the face is from the person's own in the same poses, mm rms."""
-    face, away = Face(small_model()), []
+    face = Face(small_model())
+    away = []
     own = fitted = face.rest
     for row, pose in enumerate(poses):
         own = face.continuation(own, pose)
@@ -379,7 +391,8 @@ def off_person(found: dict[str, np.ndarray], poses: list[Pose]) -> float:
 
 def test_another_actor_s_take_is_carried(another: tuple[Path, list[Pose]], tmp_path: Path) -> None:
     folder, poses = another
-    told, off = [], []
+    told = []
+    off = []
     for actor in (True, False):
         out = tmp_path / str(actor)
         found = fit(folder, out, options={"actor": actor, "neutral": FIRST, "refine": 5})
@@ -406,7 +419,8 @@ def test_fibre_muscles_and_a_jaw_on_tracks_play_in_other_programs(
     model = small_model()
     skins = shown_skins(tmp_path / "sequence.glb", model.skin.vertices)
     assert np.linalg.norm(skins[-1] - model.skin.vertices, axis=1).max() > 5.0
-    points, bone = played(tmp_path / "sequence.usdc"), model.bones["mandible"].vertices
+    points = played(tmp_path / "sequence.usdc")
+    bone = model.bones["mandible"].vertices
     for skin, number, twist, motion in zip(
         skins, found["frame"].tolist(), found["head"], found["mandible"], strict=True
     ):

@@ -62,7 +62,8 @@ def photograph(
 
     Those of the lower face are marked ``raised_mm`` above their places.
     """
-    seen_by, head = camera(yaw), DrawnHead(MODEL.skin)
+    seen_by = camera(yaw)
+    head = DrawnHead(MODEL.skin)
     body = head.body(head.lit(skin))
     surface = body.lit.surface
     seen = rasterise(seen_by.project(surface.vertices), surface.faces, *SIZE)

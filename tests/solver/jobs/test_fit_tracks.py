@@ -44,8 +44,10 @@ def shapes() -> dict[str, Floats]:
     """Return a skin that is drawn aside, and one that bulges."""
     skin = MODEL.skin.vertices
     middle = np.exp(-(((skin[:, :2] - [75.0, 60.0]) / 40.0) ** 2).sum(axis=1))
-    aside, bulge = np.zeros_like(skin), np.zeros_like(skin)
-    aside[:, 0], bulge[:, 2] = 4.0 * middle, 3.0 * middle
+    aside = np.zeros_like(skin)
+    bulge = np.zeros_like(skin)
+    aside[:, 0] = 4.0 * middle
+    bulge[:, 2] = 3.0 * middle
     return {"aside": aside, "bulge": bulge}
 
 
@@ -85,7 +87,8 @@ def test_weights_stand_beside_the_muscles(files: Path, tmp_path: Path) -> None:
     rig, report = fit(files, tmp_path, "wide", "full", options=options)
     assert [fit.name for fit in rig.expressions] == ["wide"]
     assert set(rig.systems) == {"T", "B"}
-    by_tracks, plain = rig.systems["T"], rig.systems["B"]
+    by_tracks = rig.systems["T"]
+    plain = rig.systems["B"]
     assert by_tracks.shapes == plain.shapes == ("aside", "bulge")
     for fitted in by_tracks.expressions:
         expected = [WEIGHTS[fitted.name].get(shape, 0.0) for shape in by_tracks.shapes]
@@ -118,7 +121,8 @@ def test_later_fits_carry_the_others_over(files: Path, tmp_path: Path) -> None:
     assert [fit.name for fit in rig.systems["T"].expressions] == ["wide", "full"]
     # a fit of muscles to the same scan keeps what tracks made of it, one to another does not
     for scan, kept in (("wide", ["wide", "full"]), ("full", ["full"])):
-        out, captures = tmp_path / scan, {"wide": files / f"{scan}.ply"}
+        out = tmp_path / scan
+        captures = {"wide": files / f"{scan}.ply"}
         options = {"controls": "free"}
         given = {"rig": tmp_path / "two" / "rig.npz", "options": options}
         run_job("fit_activations", out, captures=captures, **given)

@@ -94,7 +94,8 @@ def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_p
     replace(MODEL, fibres=fibres, jaw=jaw).save(tmp_path / "model.npz")
     beyond = {}
     for controls in ("free", "admissible"):
-        out, options = tmp_path / controls, {"controls": controls, "rounds": 3}
+        out = tmp_path / controls
+        options = {"controls": controls, "rounds": 3}
         model = {"model": tmp_path / "model.npz"}
         run_job("fit_geometry", out, options=options, captures=scan, **model)
         report = json.loads((out / "report.json").read_text())
@@ -111,7 +112,8 @@ def test_admissible_controls_keep_muscles_to_what_they_can_do(files: Path, tmp_p
             assert off_track > 0.05
     assert beyond == {"free": ["left", "right"], "admissible": []}
     # the less plausible, the nearer the skin and the larger the muscles
-    means, volumes = [], []
+    means = []
+    volumes = []
     for plausibility in (1.0, 0.5, 0.0):
         out = tmp_path / f"by_{plausibility}"
         options = {"controls": "admissible", "plausibility": plausibility}
@@ -207,7 +209,8 @@ def test_what_neither_solver_can_fit_costs_only_itself(
     monkeypatch.setattr(fallback.activation, "fit", fail)
     monkeypatch.setattr(fallback.reference, "activations", broken)
     report, steps = activations(files, tmp_path / "both", "wide", "narrow")
-    lost, kept = report["expressions"]["wide"], report["expressions"]["narrow"]
+    lost = report["expressions"]["wide"]
+    kept = report["expressions"]["narrow"]
     assert (lost["solver"], lost["status"]) == ("ipopt", "failed")
     assert [each["code"] for each in lost["warnings"]][:2] == ["solve.fallback", "ipopt.failed"]
     assert (kept["solver"], kept["status"]) == ("ipopt", "converged")
@@ -253,7 +256,8 @@ def test_a_flipped_scan_is_called_so(files: Path, tmp_path: Path) -> None:
 
 
 def test_a_fit_to_planes_is_not_misled_by_vertices_that_slid(files: Path, tmp_path: Path) -> None:
-    faces, count = MODEL.skin.faces, len(MODEL.skin.vertices)
+    faces = MODEL.skin.faces
+    count = len(MODEL.skin.vertices)
     true = read_registered(files / "narrow.obj", faces, count).vertices
     scans = {"slid": write(tmp_path / "slid.obj", true + np.array([4.0, 0.0, 0.0]))}
     given = {"rig": files / "rig.npz"}

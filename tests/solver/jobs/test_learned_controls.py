@@ -17,7 +17,7 @@ from solver.animation.controls import Controls
 from solver.animation.controls.pairs import Walks
 from solver.errors import InputError
 from solver.fitting.face import Face, Pose
-from solver.jobs import animate, learn_controls, run_job
+from solver.jobs import animate, blendshapes, learn_controls, run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.rig import ExpressionFit, Rig
 from solver.scans.performance import ARKIT_NAMES
@@ -48,8 +48,10 @@ def template() -> SimpleNamespace:
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rig of the block at rest."""
     file = tmp_path_factory.mktemp("rig") / "rig.npz"
-    face, skin = Face(MODEL), MODEL.skin.vertices
-    rest, error = face.rest, np.zeros(len(skin))
+    face = Face(MODEL)
+    skin = MODEL.skin.vertices
+    rest = face.rest
+    error = np.zeros(len(skin))
     pose = rest.pose.a, rest.pose.b
     fit = ExpressionFit("rest", "train", *pose, skin, skin, error, 0, 1, 0.0, 0.0, rest.x)
     Rig(MODEL, MODEL.weights, (fit,)).save(file)
@@ -58,7 +60,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def played(template: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
-    for job in (animate, learn_controls):
+    for job in (animate, blendshapes, learn_controls):
         monkeypatch.setattr(job, "read_template", lambda _: template)
 
 
@@ -175,7 +177,8 @@ def test_files_of_another_rig_and_what_is_missing_are_refused(
 ) -> None:
     other = tmp_path / "other.npz"
     replace(Rig.load({"rig": rig}), weights=thinner(MODEL.weights, 2)).save(other)
-    pairs, controls = learned / "control_pairs.npz", learned / "controls.npz"
+    pairs = learned / "control_pairs.npz"
+    controls = learned / "controls.npz"
 
     def code(job: Any, *given: Any, **how: Any) -> str:
         with pytest.raises(InputError) as raised:

@@ -29,8 +29,10 @@ def test_a_fit_that_keeps_all_markers_is_good_unless_something_was_noticed() -> 
 
 def test_rejected_markers_count_and_are_told_with_label_and_frames() -> None:
     states, off = frames()
-    states[18:80, 3], off[18:80, 3] = "outlier", 13.4
-    states[40:43, 4:8], off[40:43, 4:8] = "outlier", 6.0
+    states[18:80, 3] = "outlier"
+    off[18:80, 3] = 13.4
+    states[40:43, 4:8] = "outlier"
+    off[40:43, 4:8] = 6.0
     off[0, 9] = np.nan
     found = judge_fit(LABELS, NUMBERS, states, off)
     assert found["verdict"] == "usable"
@@ -62,7 +64,8 @@ def test_a_fit_that_rejects_a_third_or_is_far_off_everywhere_is_bad() -> None:
 
 def test_labels_that_were_kept_though_far_off_are_told_worst_first() -> None:
     states, off = frames()
-    off[:, 2], off[:, 11] = 2.5, 4.0
+    off[:, 2] = 2.5
+    off[:, 11] = 4.0
     found = judge_fit(LABELS, NUMBERS, states, off)
     (finding,) = found["findings"]
     assert (finding["code"], finding["labels"]) == ("markers.label_off", ["M11", "M2"])

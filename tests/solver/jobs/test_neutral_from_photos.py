@@ -39,7 +39,8 @@ def test_an_estimate_is_a_neutral_that_says_what_it_is(tmp_path: Path) -> None:
     skin = TEMPLATE.skin
     found = read_registered(out / "neutral.ply", skin.faces, len(skin.vertices))
     assert found.size_from == "photographs"
-    mean, face = TEMPLATE.skin.vertices, MODEL.face
+    mean = TEMPLATE.skin.vertices
+    face = MODEL.face
     away = {}
     for name, each in (("found", found.vertices), ("mean", mean), ("smile", smile())):
         same_size = fit_similarity(each[face], NEUTRAL[face])
@@ -63,7 +64,8 @@ def test_a_small_face_is_told_whose_landmarks_are_given(
     tmp_path: Path, scale: float, is_refused: bool
 ) -> None:
     photograph(tmp_path, "far", NEUTRAL, 0.0)
-    picture, facts = tmp_path / "far.jpg", tmp_path / "far.json"
+    picture = tmp_path / "far.jpg"
+    facts = tmp_path / "far.json"
     whole = Image.open(picture)
     whole.resize((round(scale * whole.width), round(scale * whole.height))).save(picture)
     marks = json.loads(facts.read_text())["landmarks"]

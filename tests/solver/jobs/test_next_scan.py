@@ -33,7 +33,8 @@ PULL = np.array([0.75, 0.02, 0.0, 1.15, 0.0, 1.15])
 @pytest.fixture(scope="module")
 def fits() -> dict[str, ExpressionFit]:
     """One muscle at a time, and an open jaw, of somebody whose right muscle fills less flesh."""
-    face, found = Face(MODEL).with_weights(thinner(MODEL.weights, 2)), {}
+    face = Face(MODEL).with_weights(thinner(MODEL.weights, 2))
+    found = {}
     for name, muscles, hinge in (("Left", (0,), 0.0), ("Right", (1,), 0.0), ("jaw", (), 0.1)):
         a = np.tile(IDENTITY, (2, 1))
         a[list(muscles)] = PULL
@@ -85,10 +86,13 @@ def test_a_basis_that_a_job_left_leads_to_the_same_words(
     names = {"mouthSmileLeft": "Left", "mouthSmileRight": "Right", "jawOpen": "jaw"}
     shapes = basis(fits, names)
     monkeypatch.setattr(next_scan, "read_template", lambda _: SimpleNamespace(shapes=shapes))
-    face, rig, kept = Face(MODEL), tmp_path / "rig.npz", tmp_path / "expression_basis.npz"
+    face = Face(MODEL)
+    rig = tmp_path / "rig.npz"
+    kept = tmp_path / "expression_basis.npz"
     Rig(MODEL, MODEL.weights, (fits["Left"],)).save(rig)
     ExpressionBasis.solve(face, shapes.expressions).save(kept, face)
-    descend, begun = activation.descend, []
+    descend = activation.descend
+    begun = []
 
     def look(*given: Any, **how: Any) -> activation.ActivationFit:
         begun.append(given[3].pose.vector())
@@ -111,7 +115,8 @@ def test_the_library_of_a_rig_within_limits_is_within_them(
     """A smile that lengthens the muscle to 1.15, as it does across its fibres alone."""
     along = np.zeros((MODEL.weights.nnz, 3), np.float32)
     along[MODEL.weights.indices > 0] = [0.0, 1.0, 0.0]
-    model, drive = replace(MODEL, fibres=along), Admissible()
+    model = replace(MODEL, fibres=along)
+    drive = Admissible()
     template = SimpleNamespace(shapes=basis(fits, {"mouthSmileLeft": "Left"}))
     monkeypatch.setattr(next_scan, "read_template", lambda _: template)
     limits = Face(model).driven_as(drive).layout.bounds.feasible

@@ -60,7 +60,8 @@ def test_a_page_that_evaluates_the_file_shows_the_fits(
 ) -> None:
     out, steps = built
     held = read_container(out / "preview.bin")
-    controls, arrays = held.header["controls"], held.arrays
+    controls = held.header["controls"]
+    arrays = held.arrays
     first, second = np.triu_indices(len(controls))
     fits = {fit.name: fit for fit in Rig.load(files).expressions}
     for preset in held.header["presets"]:
@@ -104,7 +105,8 @@ def test_out_of_time_it_is_made_of_what_is_ready_and_says_so(
 
 
 def test_a_rig_without_a_fit_is_refused(files: Path, tmp_path: Path) -> None:
-    a, b = np.tile(IDENTITY, (MODEL.muscle_count, 1)), np.zeros(5)
+    a = np.tile(IDENTITY, (MODEL.muscle_count, 1))
+    b = np.zeros(5)
     skin = MODEL.skin.vertices
     failed = ExpressionFit(
         "wide", "test", a, b, skin, skin, np.zeros(len(skin)), 0, 0, 0.0, 0.0, status="failed"

@@ -20,7 +20,7 @@ from solver.animation.blendshapes import Blendshapes, Solved
 from solver.errors import InputError, SolveError
 from solver.fitting.expression_basis import ExpressionBasis
 from solver.fitting.face import Face, Pose
-from solver.jobs import animate, run_job
+from solver.jobs import blendshapes, run_job
 from solver.mechanics.flesh import IDENTITY
 from solver.progress import Step
 from solver.rig import ExpressionFit, Rig
@@ -80,7 +80,8 @@ def test_a_keyed_expression_is_reached(rig: Path, tmp_path: Path) -> None:
     assert not film.exists()
     face = Face(MODEL)
     wide = face.continuation(face.rest, Pose(WIDE, JAW))
-    at_rest, grown = volume_ml(MODEL.rest, MODEL.tets), volume_ml(wide.x, MODEL.tets)
+    at_rest = volume_ml(MODEL.rest, MODEL.tets)
+    grown = volume_ml(wide.x, MODEL.tets)
     assert report["volume_ml"] == pytest.approx(at_rest, abs=0.01)
     change = 100.0 * (grown / at_rest - 1.0)
     assert abs(change) > 0.1
@@ -232,8 +233,10 @@ def test_the_rig_s_basis_is_solved_once_and_left(
     wide = np.array([Rig.load({"rig": rig}).expressions[0].skin - MODEL.skin.vertices], np.float32)
     none = np.zeros((0, *wide.shape[1:]), np.float32)
     template = SimpleNamespace(shapes=ShapeBasis(none, wide, ("mouthSmileLeft",)))
-    monkeypatch.setattr(animate, "read_template", lambda _: template)
-    take, solve, solved = recording(tmp_path / "take.csv", [0.0, 1.0]), ExpressionBasis.solve, []
+    monkeypatch.setattr(blendshapes, "read_template", lambda _: template)
+    take = recording(tmp_path / "take.csv", [0.0, 1.0])
+    solve = ExpressionBasis.solve
+    solved = []
 
     def count(*given: Any, **how: Any) -> ExpressionBasis:
         solved.append(given)
@@ -243,7 +246,8 @@ def test_the_rig_s_basis_is_solved_once_and_left(
 
     def mean_mm(folder: str, *, of: Path = rig, **left: Path) -> float:
         options = {"scene": {"recording": {"asset": "take"}}}
-        out, captures = tmp_path / folder, {"take": take}
+        out = tmp_path / folder
+        captures = {"take": take}
         run_job("animate", out, options=options, captures=captures, rig=of, **left)
         report = json.loads((out / "animation.json").read_text())
         return float(report["blendshapes_mean_mm"])

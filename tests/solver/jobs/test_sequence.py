@@ -47,7 +47,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("take")
     Rig(MODEL, MODEL.weights, ()).save(folder / "rig.npz")
     face = Face(MODEL)
-    rest, state = face.rest_pose(), face.rest
+    rest = face.rest_pose()
+    state = face.rest
     frames = []
     for number in range(FRAMES):
         share = np.array([np.sin(0.4 * number), np.sin(0.3 * number)])
@@ -153,7 +154,8 @@ def test_what_can_not_be_seen_keeps_the_pose(files: Path, tmp_path: Path) -> Non
 def test_what_can_not_be_fitted_keeps_the_pose_and_warns(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    calls, steps = [], []
+    calls = []
+    steps = []
     whole = FrameSolver.fit
 
     def fails_once(solver: FrameSolver, *parts: Any) -> int:
@@ -244,9 +246,12 @@ def test_a_temporal_weight_calms_noise(files: Path, tmp_path: Path) -> None:
 
 def test_a_rig_fitted_within_limits_is_followed_within_them(tmp_path: Path) -> None:
     """Muscles push along their fibres, as none can, and come back; the fit is broken off once."""
-    model, drive = fibred_block(), Admissible(limits_by_plausibility(1.0))
+    model = fibred_block()
+    drive = Admissible(limits_by_plausibility(1.0))
     face = Face(model)
-    rest, state, frames = face.rest_pose(), face.rest, []
+    rest = face.rest_pose()
+    state = face.rest
+    frames = []
     push = np.tile([0.35, 0.0, 0.0, -0.1, 0.0, -0.1], (2, 1))
     for number in range(FRAMES):
         pose = Pose(rest.a + np.sin(0.4 * number) * push, JAW * np.sin(0.4 * number))
@@ -272,7 +277,8 @@ def test_the_head_s_motion_is_told_from_the_face_s() -> None:
     """The upper face of a real model lies still enough; S and the poses are made up."""
     model = fixture_model("neutral_coarse")
     face = Face(model)
-    rest, state = face.rest_pose(), face.rest
+    rest = face.rest_pose()
+    state = face.rest
     change = np.random.default_rng(2).normal(0.0, 0.1, rest.a.shape)
     regulariser = Regulariser(w_a=2e-3, w_v=1e-2, w_b=1e-6, prior=rest)
     tracker = Tracker(DensePoints(face, regulariser, HeadAndFace(still=stillness(face))))

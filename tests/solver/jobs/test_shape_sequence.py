@@ -41,7 +41,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tracks = MuscleTracks.of(MODEL, shapes())
     tracks.save(folder / "tracks.npz")
     face = TrackFace(MODEL, tracks, track_potentials(MODEL))
-    state, frames = face.rest(), []
+    state = face.rest()
+    frames = []
     for row in WEIGHTS:
         state = face.move(state, np.concatenate([row, np.zeros(5)]))
         frames.append(face.skin(state))
@@ -123,7 +124,8 @@ def test_the_heads_motion_is_told_from_the_face() -> None:
     tracker = ShapeTracker(face, points, TrackFitOptions())
     wanted = face.tracks.controls({"mouthSmileLeft": 0.8, "browInnerUp": 0.5})
     for share in (0.0, 0.5, 1.0):
-        nod, state = small_motion(share * NOD), face.move(tracker.state, share * wanted)
+        nod = small_motion(share * NOD)
+        state = face.move(tracker.state, share * wanted)
         seen = nod(face.face.face_points(state.x))
         found = tracker.step(SeenPoints(seen, np.ones(len(seen))))
     assert found.target is not None

@@ -99,7 +99,8 @@ def test_a_recording_needs_no_solved_shapes(files: dict[str, Path], tmp_path: Pa
 
 def test_a_recording_is_known_by_what_it_holds(files: dict[str, Path], tmp_path: Path) -> None:
     """OpenFace's is played by its own options, of which Live Link's refuses some."""
-    take, other = tmp_path / "take.txt", tmp_path / "other.csv"
+    take = tmp_path / "take.txt"
+    other = tmp_path / "other.csv"
     rows = ["timestamp, success, pose_Rx, pose_Ry, pose_Rz, AU17_r, AU26_r"]
     rows += [f"{frame / 10},{int(frame != 1)},0,{0.1 * frame},0,0,{frame}" for frame in range(4)]
     take.write_text("\n".join(rows))

@@ -14,7 +14,8 @@ class Counting:
     """A linear solver that counts what it factorises."""
 
     def __init__(self, solver):
-        self.solver, self.count = solver, 0
+        self.solver = solver
+        self.count = 0
 
     def factor(self, data):
         self.count += 1

@@ -62,7 +62,8 @@ def strained():
     flesh = Flesh(model.rest, model.tets, model.cranium)
     x = model.rest.copy()
     x[flesh.free] += 1.2 * rng.standard_normal((len(flesh.free), 3))
-    term, a = FibreTerm(flesh, muscles), np.array([0.8, 0.3])
+    term = FibreTerm(flesh, muscles)
+    a = np.array([0.8, 0.3])
     stretches = term.stretches(x)
     assert stretches.min() < 0.7
     assert stretches.max() > 1.3
@@ -147,7 +148,11 @@ def test_derivatives_by_activation_strength_fraction_and_direction(strained):
 @pytest.mark.parametrize("stretch", [0.7, 0.85, 1.0, 1.2, 1.5])
 def test_a_bar_with_one_fibre_pulls_as_its_closed_form(stretch):
     """Fibres along a bar add s sigma (fp + a fa) to its nominal stress, and leave its width."""
-    c, bulk, strength, fraction, a = 0.25, 20.0 / 3.0, 3.0, 0.7, np.array([0.6])
+    c = 0.25
+    bulk = 20.0 / 3.0
+    strength = 3.0
+    fraction = 0.7
+    a = np.array([0.6])
 
     def pull(width):
         J = stretch * width**2

@@ -98,7 +98,8 @@ def test_all_laws_are_the_same_flesh_at_small_strain(material):
     assert np.abs(flesh.gradient(vertices, a)).max() < 1e-11
     strain = np.array([[3.0, 1.0, -2.0], [1.0, -1.0, 0.5], [-2.0, 0.5, 2.0]])
     spin = np.array([[0.0, -1.0, 2.0], [1.0, 0.0, 0.5], [-2.0, -0.5, 0.0]])
-    mu, lam = material.mu, material.lam + 2.0 * material.kappa
+    mu = material.mu
+    lam = material.lam + 2.0 * material.kappa
     density = mu * (strain**2).sum() + 0.5 * lam * np.trace(strain) ** 2
     motion = (vertices @ (strain + spin).T).ravel()
     half = 0.5 * motion @ (flesh.hessian(vertices, a) @ motion)
@@ -113,7 +114,8 @@ def test_a_bar_of_mooney_rivlin_flesh_pulls_as_its_closed_form(stretch):
     (s1 + 2 s2) / 3 = U'(J).
     """
     material = MOONEY_RIVLIN.in_pascal(3000.0)
-    c, bulk = material.mu / 4.0, 2.0 * material.kappa + (material.lam + 2.0 / 3.0 * material.mu)
+    c = material.mu / 4.0
+    bulk = 2.0 * material.kappa + (material.lam + 2.0 / 3.0 * material.mu)
 
     def pull(width):
         J = stretch * width**2
@@ -126,7 +128,8 @@ def test_a_bar_of_mooney_rivlin_flesh_pulls_as_its_closed_form(stretch):
     ends = [vertices[:, 0] == 0.0, vertices[:, 0] == 30.0]
     flesh = Flesh(vertices, tets, np.flatnonzero(ends[0] | ends[1]), material)
     x = vertices * [stretch, width, width]
-    start, a = x.copy(), flesh.passive()
+    start = x.copy()
+    a = flesh.passive()
     start[flesh.free] += 0.3 * np.random.default_rng(4).standard_normal((len(flesh.free), 3))
     solver = linear.analyse(flesh.hessian(vertices, a))
     found = equilibrium.solve_equilibrium(flesh, solver, start, a, tolerance=1e-13).x
@@ -142,13 +145,18 @@ def test_a_bar_of_mooney_rivlin_flesh_pulls_as_its_closed_form(stretch):
 def test_a_clamped_bar_of_mooney_rivlin_flesh_is_that_of_felupe(case):
     """Twisted, stretched, sheared, pressed and bent, up to next to incompressible."""
     with np.load(FELUPE_FILE) as found:
-        vertices, tets, bulk = found["vertices"], found["tets"], found["bulk"][case]
-        mu, places, forces = float(found["mu"]), found["places"][case], found["forces"][case]
+        vertices = found["vertices"]
+        tets = found["tets"]
+        bulk = found["bulk"][case]
+        mu = float(found["mu"])
+        places = found["places"][case]
+        forces = found["forces"][case]
     # Lame's lambda at small strain
     material = Material(mu, lam=bulk - 2.0 / 3.0 * mu, barrier_weight=mu, law="mooney_rivlin")
     ends = np.isin(vertices[:, 0], [0.0, 30.0])
     flesh = Flesh(vertices, tets, np.flatnonzero(ends), material)
-    start, a = vertices + 0.0, flesh.passive()
+    start = vertices + 0.0
+    a = flesh.passive()
     # the ends' motion is even along the bar at the start
     far = vertices[:, 0] == 30.0
     part = vertices[:, :1] / 30.0

@@ -18,7 +18,8 @@ def block():
 
 
 def border(vertices):
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    low = vertices.min(axis=0)
+    high = vertices.max(axis=0)
     return ((vertices == low) | (vertices == high)).any(axis=1)
 
 
@@ -41,10 +42,12 @@ def test_linear_fields_are_continued_exactly(block):
 
 def test_many_fields_at_once_are_those_of_each_alone(block):
     vertices, K = block
-    given, rows = vertices[:, 0] == 0.0, picked(vertices[:, 0] == 8.0)
+    given = vertices[:, 0] == 0.0
+    rows = picked(vertices[:, 0] == 8.0)
     extension = HarmonicExtension(K, given, rows, np.full(rows.shape[0], 5.0))
     random = np.random.default_rng(1)
-    values, targets = random.random((len(given), 4)), random.random((rows.shape[0], 4))
+    values = random.random((len(given), 4))
+    targets = random.random((rows.shape[0], 4))
     both = extension(values, targets=targets)
     for column in range(4):
         alone = extension(values[:, column], targets=targets[:, column])
@@ -53,9 +56,11 @@ def test_many_fields_at_once_are_those_of_each_alone(block):
 
 def test_soft_constraints_are_the_least_of_the_stated_energy(block):
     vertices, K = block
-    rows, given = picked(vertices[:, 0] == 8.0), vertices[:, 0] == 0.0
+    rows = picked(vertices[:, 0] == 8.0)
+    given = vertices[:, 0] == 0.0
     weights = np.linspace(1.0, 3.0, rows.shape[0])
-    targets, load = vertices[vertices[:, 0] == 8.0, 1], np.sin(np.arange(len(vertices)))
+    targets = vertices[vertices[:, 0] == 8.0, 1]
+    load = np.sin(np.arange(len(vertices)))
     u = HarmonicExtension(K, given, rows, weights)(np.ones(len(given)), targets=targets, load=load)
 
     def energy(field):
@@ -66,7 +71,8 @@ def test_soft_constraints_are_the_least_of_the_stated_energy(block):
     assert np.abs(rows @ u - targets).max() > 0.05
     for seed in range(3):
         way = np.where(given, 0.0, np.random.default_rng(seed).standard_normal(len(u)))
-        ahead, behind = energy(u + 1e-3 * way), energy(u - 1e-3 * way)
+        ahead = energy(u + 1e-3 * way)
+        behind = energy(u - 1e-3 * way)
         assert ahead > energy(u) < behind
         assert abs(ahead - behind) < 1e-9 * ahead
 

@@ -30,7 +30,8 @@ def teeth():
 @pytest.mark.parametrize("tracks", [STRAIGHT, CURVED], ids=["straight", "curved"])
 @pytest.mark.parametrize("q", [*POSES, np.array([0.1, -1.5, 3.0])])
 def test_the_motion_is_rigid_and_its_derivative_that_of_differences(tracks, q):
-    points, h = teeth(), 1e-6
+    points = teeth()
+    h = 1e-6
     matrix = tracks.matrix(q)
     np.testing.assert_allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-13)
     assert np.linalg.det(matrix[:3, :3]) == pytest.approx(1.0)
@@ -57,12 +58,15 @@ def test_a_motion_gives_back_its_numbers_and_bounds_cut_it(q):
 @pytest.mark.parametrize("q", POSES)
 def test_the_published_equalities_and_bounds_hold(q):
     """w.Mu = 0, w.(Mm + t - m) = 0, u.(Mm + t - m) = 0; the condyles lie s along their tracks."""
-    frame, apart = STRAIGHT.frame, STRAIGHT.apart
+    frame = STRAIGHT.frame
+    apart = STRAIGHT.apart
     u, up, ahead = frame.axes
     v = np.cos(STRAIGHT.slope) * ahead - np.sin(STRAIGHT.slope) * up
-    w, m = np.cross(v, u), frame.origin
+    w = np.cross(v, u)
+    m = frame.origin
     matrix = STRAIGHT.matrix(q)
-    M, t = matrix[:3, :3], matrix[:3, 3]
+    M = matrix[:3, :3]
+    t = matrix[:3, 3]
     away = M @ m + t - m
     np.testing.assert_allclose([w @ M @ u, w @ away, u @ away], 0.0, atol=1e-12)
     for s, side in ((q[1], 0.5), (q[2], -0.5)):
@@ -72,7 +76,8 @@ def test_the_published_equalities_and_bounds_hold(q):
 
 
 def test_condyles_on_curved_tracks_stay_apart_and_go_down_the_steeper():
-    frame, q = CURVED.frame, np.array([0.3, 15.0, 4.0])
+    frame = CURVED.frame
+    q = np.array([0.3, 15.0, 4.0])
     matrix = CURVED.matrix(q)
     half = 0.5 * CURVED.apart * frame.axes[0]
     left, right = (matrix[:3, :3] @ (frame.origin + s * half) + matrix[:3, 3] for s in (1, -1))
@@ -109,12 +114,14 @@ def test_five_numbers_of_old_models_say_even_slides_and_miss_a_one_sided_one():
 @pytest.mark.parametrize("tracks", [None, CondyleTracks(0.6, 100.0, 20.0, 0.9)])
 def test_five_numbers_of_a_free_jaw_are_its_own(tracks):
     free = FreeJaw(replace(STRAIGHT.frame, tracks=tracks))
-    points, b = teeth(), np.array([0.3, 0.1, 2.0, -3.0, 4.0])
+    points = teeth()
+    b = np.array([0.3, 0.1, 2.0, -3.0, 4.0])
     np.testing.assert_allclose(five_numbers(free.frame, free.matrix(b)), b, atol=1e-12)
     np.testing.assert_allclose(
         np.c_[points, np.ones(len(points))] @ free.matrix(b)[:3].T, free.move(points, b), atol=1e-11
     )
-    exact, h = free.jacobian(points, b), 1e-6
+    exact = free.jacobian(points, b)
+    h = 1e-6
     for k in range(5):
         step = h * np.eye(5)[k]
         numeric = (free.move(points, b + step) - free.move(points, b - step)) / (2 * h)

@@ -12,7 +12,10 @@ from solver.mechanics import laws
 from solver.mechanics.elements import empty_modes
 from solver.mechanics.linalg3 import cofactor, polar, signed_svd, stretch
 
-MU, LAM, KAPPA, BARRIER = 1.3, 0.7, 1.7, 5.0
+MU = 1.3
+LAM = 0.7
+KAPPA = 1.7
+BARRIER = 5.0
 STEP = 1e-6
 LAWS = range(len(get_args(laws.Law)))
 IDENTITY = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
@@ -31,7 +34,8 @@ def stress(F, a, law):
 
 
 def hessian(F, a, law, *, project=0.0, kappa=KAPPA):
-    modes, moduli = empty_modes(), (MU, LAM, kappa, BARRIER)
+    modes = empty_modes()
+    moduli = (MU, LAM, kappa, BARRIER)
     count, B, H = laws.hessian_modes.py_func(
         law, tuple(F.ravel()), tuple(a), moduli, project, modes
     )
@@ -86,7 +90,8 @@ def test_derivatives_match_finite_differences(F, a, law):
     assert np.abs(by_FF).max() > 1.0
     np.testing.assert_allclose(hessian(F, a, law), by_FF, rtol=0, atol=1e-6 * np.abs(by_FF).max())
 
-    exact, modes = np.empty((6, 9)), empty_modes()
+    exact = np.empty((6, 9))
+    modes = empty_modes()
     moduli = (MU, LAM, KAPPA, BARRIER)
     laws.stress_by_activation.py_func(law, tuple(F.ravel()), tuple(a), moduli, modes, exact)
     numeric = np.empty_like(exact)
@@ -123,7 +128,8 @@ def test_projected_hessian_is_positive_semidefinite_and_exact_where_the_raw_one_
 def test_rest_is_free_of_stress_and_has_lames_constants(law):
     name = get_args(laws.Law)[law]
     mu, lam = (float(each[0]) for each in laws.own_moduli(name, np.array([MU]), np.array([LAM])))
-    moduli, rest = (mu, lam, KAPPA, BARRIER), tuple(IDENTITY)
+    moduli = (mu, lam, KAPPA, BARRIER)
+    rest = tuple(IDENTITY)
 
     def stress_at(F):
         return np.array(laws.stress.py_func(law, tuple(F.ravel()), rest, moduli))
@@ -187,7 +193,9 @@ def test_svd_of_reflections_rank_one_and_repeated_values(scale):
     cases += [np.diag([1.0, 1.0, -1.0]), np.diag([2.0, 2.0, 2.0]), np.diag([1.0, 1e-9, 1e-9])]
     for case in cases:
         G = scale * case
-        U, s, V = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+        U = np.empty((3, 3))
+        s = np.empty(3)
+        V = np.empty((3, 3))
         signed_svd(G, U, s, V)
         np.testing.assert_allclose(U @ np.diag(s) @ V.T, G, atol=1e-13 * np.abs(G).max())
         assert np.linalg.det(U) == pytest.approx(1.0)

@@ -27,12 +27,15 @@ class Driven:
 
     def __init__(self, touched):
         self.face = Face(block_model())
-        self.flesh, model = self.face.flesh, self.face.model
+        self.flesh = self.face.flesh
+        model = self.face.model
         rng = np.random.default_rng(2)
         self.by_a = sp.random_array((6 * len(model.tets), 3), density=0.2, rng=rng, format="csr")
         self.by_jaw = np.zeros((5, 7))
-        self.by_jaw[0, 3], self.by_jaw[4, 4] = 0.1, 1.0
-        self.potentials, self.glass = [], ball([0.0, 0.0, 5.0], 5.0)
+        self.by_jaw[0, 3] = 0.1
+        self.by_jaw[4, 4] = 1.0
+        self.potentials = []
+        self.glass = ball([0.0, 0.0, 5.0], 5.0)
         self.x = self.settled(Q, self.settled(0.3 * Q, model.rest))
         if touched:
             # just over the skin where it comes to rest alone, the other a little in it
@@ -42,7 +45,10 @@ class Driven:
             own = sp.csr_array(sp.eye_array(len(model.rest)))
             front = np.flatnonzero(model.rest[:, 2] == 15.0)
             number = np.arange(30).reshape(6, 5)
-            a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+            a = number[:-1, :-1]
+            b = number[1:, :-1]
+            c = number[1:, 1:]
+            d = number[:-1, 1:]
             faces = np.concatenate(
                 [
                     np.stack([each.ravel() for each in three], axis=1)
@@ -104,7 +110,8 @@ class Driven:
 @pytest.fixture(scope="module", params=[False, True], ids=["flesh", "contact"])
 def driven(request):
     block = Driven(request.param)
-    q, x = Q, block.settled(Q, block.x)
+    q = Q
+    x = block.settled(Q, block.x)
     controls = block.controls(q, x)
     contact = curvature(block.potentials, x)
     response = Response.exact(block.flesh, x, block.state(q)[0], contact=contact)
@@ -131,7 +138,8 @@ def test_products_and_adjoint_agree_with_the_columns(driven):
     block, _, x, controls, response = driven
     rng = np.random.default_rng(3)
     motions = response.motions(controls)
-    change, gradient = rng.standard_normal(7), rng.standard_normal(x.shape)
+    change = rng.standard_normal(7)
+    gradient = rng.standard_normal(x.shape)
     product = response.product(controls, change)
     np.testing.assert_allclose(product, motions @ change, atol=1e-9 * np.abs(product).max())
     assert np.abs(product).max() > 1.0
@@ -147,7 +155,8 @@ def test_an_indefinite_hessian_is_no_minimum_and_still_answers(name):
     """A straight column under load: the equilibrium has a direction to fall in."""
     rest, tets = grid((2, 2, 16), (4.0, 4.0, 64.0))
     flesh = Flesh(rest, tets, np.flatnonzero((rest[:, 2] == 0.0) | (rest[:, 2] == 64.0)))
-    x, a = rest * [1.0, 1.0, 0.95], flesh.passive()
+    x = rest * [1.0, 1.0, 0.95]
+    a = flesh.passive()
     H = flesh.hessian(x, a)
     try:
         linear = analyse(H, name)

@@ -26,7 +26,8 @@ def test_derivatives_match_finite_differences():
     direction = rng.standard_normal((len(flesh.free), 3))
     x = flesh.rest.copy()
     x[flesh.free] += 0.3 * rng.standard_normal(direction.shape)
-    a, h = flesh.passive(), 1e-6
+    a = flesh.passive()
+    h = 1e-6
     ends = []
     for sign in (1, -1):
         y = x.copy()

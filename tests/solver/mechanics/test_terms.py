@@ -17,7 +17,9 @@ class Fibres:
     """E = sum_e a_m(e) V_e |F_e f_e|^2 / 2 over entries e, each a tet, a muscle and a fibre."""
 
     def __init__(self, flesh, tets, muscles, fibres, count):
-        self.vertices, self.muscles, self.count = flesh.tets[tets], muscles, count
+        self.vertices = flesh.tets[tets]
+        self.muscles = muscles
+        self.count = count
         # F f = sum_v x_v (grad N_v . f)
         self.along = np.einsum("evi,ei->ev", flesh.gradients[tets], fibres)
         self.volumes = 30.0 * flesh.volumes[tets]
@@ -66,7 +68,9 @@ def test_derivatives_match_finite_differences(muscled):
     flesh, _ = muscled
     rng = np.random.default_rng(1)
     x = flesh.rest + 0.3 * rng.standard_normal(flesh.rest.shape)
-    q, h, direction = np.array([0.4, 0.7]), 1e-6, rng.standard_normal(flesh.size)
+    q = np.array([0.4, 0.7])
+    h = 1e-6
+    direction = rng.standard_normal(flesh.size)
     ends = [flesh.add_motion(x, sign * h * direction) for sign in (1, -1)]
     slope = (flesh.energy(ends[0], q) - flesh.energy(ends[1], q)) / (2 * h)
     assert abs(slope - flesh.gradient(x, np.zeros(2)) @ direction) > 1.0
@@ -85,7 +89,8 @@ def test_derivatives_match_finite_differences(muscled):
 def test_muscles_contract_and_the_answer_is_that_of_the_equilibrium(muscled):
     flesh, model = muscled
     linear = analyse(flesh.hessian(flesh.rest, flesh.passive()))
-    q, h = np.array([0.5, 0.2]), 1e-5
+    q = np.array([0.5, 0.2])
+    h = 1e-5
 
     def solved(q, held=0.0):
         x = flesh.rest.copy()

@@ -17,8 +17,10 @@ def test_derivatives():
     drag = Drag(plain)
     flesh = plain.slowed_by(drag)
     rng = np.random.default_rng(4)
-    drag.viscosity, drag.anchor = 0.3, flesh.rest + 0.1 * rng.standard_normal(flesh.rest.shape)
-    a, x = flesh.passive(), flesh.rest.copy()
+    drag.viscosity = 0.3
+    drag.anchor = flesh.rest + 0.1 * rng.standard_normal(flesh.rest.shape)
+    a = flesh.passive()
+    x = flesh.rest.copy()
     direction = rng.standard_normal(flesh.size)
 
     def moved(sign):
@@ -40,11 +42,13 @@ def test_what_held_vertices_do_is_no_drag():
     plain = Face(block_model()).flesh
     drag = Drag(plain)
     flesh = plain.slowed_by(drag)
-    drag.viscosity, drag.anchor = 0.3, flesh.rest
+    drag.viscosity = 0.3
+    drag.anchor = flesh.rest
     rng = np.random.default_rng(4)
     motion = np.zeros((*flesh.rest.shape, 1))
     motion[flesh.held] = rng.standard_normal((len(flesh.held), 3, 1))
-    a, x = flesh.passive(), flesh.rest
+    a = flesh.passive()
+    x = flesh.rest
 
     def pulled(sign):
         return flesh.gradient(x + sign * STEP * motion[:, :, 0], a)
@@ -66,7 +70,9 @@ def test_it_creeps_to_where_flesh_rests():
     a = plain.passive()
     a[:, 0] = 0.8
     goal = equilibrium.solve_equilibrium(plain, linear, plain.rest, a).x
-    drag.viscosity, x, lengths = 0.5, plain.rest, []
+    drag.viscosity = 0.5
+    x = plain.rest
+    lengths = []
     for _ in range(25):
         drag.anchor = x
         x = equilibrium.solve_equilibrium(flesh, linear, x, a).x

@@ -15,7 +15,8 @@ from solver.meshio.raw import mend, read_raw
 from solver.surface import Surface
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=90.0)
-VERTICES, FACES = np.asarray(BALL.vertices), np.asarray(BALL.faces, np.int64)
+VERTICES = np.asarray(BALL.vertices)
+FACES = np.asarray(BALL.faces, np.int64)
 
 
 def coloured() -> trimesh.Trimesh:

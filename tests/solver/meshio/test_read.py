@@ -67,7 +67,8 @@ def test_a_big_endian_ply_is_read(tmp_path: Path) -> None:
     header += [f"property float {axis}" for axis in "xyz"]
     header += [f"element face {len(HEAD.faces)}", "property list uchar int vertex_indices"]
     faces = np.zeros(len(HEAD.faces), [("count", "u1"), ("corners", ">i4", 3)])
-    faces["count"], faces["corners"] = 3, HEAD.faces
+    faces["count"] = 3
+    faces["corners"] = HEAD.faces
     content = "\n".join([*header, "end_header\n"]).encode()
     path.write_bytes(content + HEAD.vertices.astype(">f4").tobytes() + faces.tobytes())
     vertices = read_registered(path, HEAD.faces, COUNT, neutral=HEAD.vertices).vertices
@@ -82,7 +83,8 @@ def test_blank_lines_after_an_ascii_stl_are_no_cut(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", REGISTERED_FORMATS)
 def test_a_whole_head_survives_every_format(suffix: str, tmp_path: Path) -> None:
-    neutral, smile = small_capture("neutral"), small_capture("smile")
+    neutral = small_capture("neutral")
+    smile = small_capture("smile")
     path = write(tmp_path / f"smile{suffix}", smile)
     vertices = read_registered(
         path, smile.faces, len(smile.vertices), neutral=neutral.vertices

@@ -13,7 +13,8 @@ def check_derivatives(
     term: ImageTerm, skin: Floats, camera: PinholeCamera, step: float, tolerance: float
 ) -> None:
     """Check what a term says of four ways of a ``skin`` (V, 3), and of each number of a camera."""
-    found, random = term.linearise(skin, camera), np.random.default_rng(1)
+    found = term.linearise(skin, camera)
+    random = np.random.default_rng(1)
     for _ in range(4):
         way = random.normal(0.0, 1.0, skin.shape)
         ahead, behind = (term.residual(skin + sign * step * way, camera) for sign in (1, -1))

@@ -25,7 +25,8 @@ def test_derivatives_are_those_of_differences() -> None:
         np.testing.assert_allclose(by_point[..., axis], change[:, :2] / (2 * step), atol=1e-6)
     for number in range(CAMERA_FREEDOM):
         shift = step * np.eye(CAMERA_FREEDOM)[number]
-        ahead, behind = CAMERA.moved(shift), CAMERA.moved(-shift)
+        ahead = CAMERA.moved(shift)
+        behind = CAMERA.moved(-shift)
         change = (ahead.project(POINTS) - behind.project(POINTS))[:, :2] / (2 * step)
         assert np.abs(change).max() > 0.1
         np.testing.assert_allclose(by_camera[..., number], change, rtol=1e-6, atol=1e-5)

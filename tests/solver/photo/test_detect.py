@@ -16,7 +16,8 @@ from solver.photo.photo import Photo
 from solver.registration.detector import EYE_CORNERS, DetectedFace, FaceDetector
 from tests.fixtures import face_landmarker, small_capture, small_model
 
-WIDTH, HEIGHT = 1200, 800
+WIDTH = 1200
+HEIGHT = 800
 
 
 class MarkedFaces:
@@ -25,7 +26,8 @@ class MarkedFaces:
     def faces(self, picture: np.ndarray) -> list[DetectedFace]:
         found = []
         for row, column in np.argwhere(picture[:, :, 0] > 0):
-            eyes, turned = 1000 * picture[row, column, 1], 90 * picture[row, column, 2]
+            eyes = 1000 * picture[row, column, 1]
+            turned = 90 * picture[row, column, 2]
             if eyes < picture.shape[1] / 12:
                 continue
             points = np.random.default_rng(0).uniform(-0.7, 0.7, (478, 2)) * eyes
@@ -130,8 +132,10 @@ def test_what_the_photograph_does_not_show_has_no_landmarks() -> None:
 @pytest.mark.long
 def test_drawn_faces_are_found_where_they_are() -> None:
     """The small person smiles, side by side with herself, who is turned aside."""
-    model, smile = face_landmarker(), small_capture("smile").vertices
-    drawn, face = DrawnHead(small_model().skin), small_model().face
+    model = face_landmarker()
+    smile = small_capture("smile").vertices
+    drawn = DrawnHead(small_model().skin)
+    face = small_model().face
     body = drawn.body(drawn.lit(smile))
     views = [render([body], face_camera(smile, face, yaw), 400, 400) for yaw in (0.0, 0.3)]
     photo = Photo("twins", np.hstack(views))

@@ -39,7 +39,8 @@ def test_names_are_in_natural_order() -> None:
 
 
 def test_a_frames_gradient_is_that_of_its_value() -> None:
-    driven, seen_by = face(), camera(5.0)
+    driven = face()
+    seen_by = camera(5.0)
     state = driven.move(driven.rest(), driven.tracks.controls({"browInnerUp": 0.3}))
     pixels = seen_by.project(POINTS.at(driven.skin(state)))[:, :2]
     view = View((LandmarkTerm(POINTS, pixels, np.full(len(pixels), 2.0)),), seen_by)
@@ -52,7 +53,8 @@ def test_a_frames_gradient_is_that_of_its_value() -> None:
     there = driven.move(driven.rest(), start)
     point = PhotoPoint(there, driven.skin(there), IDENTITY, (moved,))
     gradient = problem.linearise(point).gradient
-    eps, found = 1e-5, []
+    eps = 1e-5
+    found = []
     for number in range(len(gradient)):
         values = []
         for sign in (1.0, -1.0):

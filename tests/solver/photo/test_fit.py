@@ -129,7 +129,8 @@ def test_the_gradient_is_that_of_the_objective(model, points):
     cameras = view.camera, placed.camera.with_head(head)
     point = PhotoPoint(state, face.skin(state), head, cameras)
     gradient = problem.linearise(point).gradient
-    size, step = face.tracks.size, 1e-5
+    size = face.tracks.size
+    step = 1e-5
     assert len(gradient) == size + POSE_FREEDOM + CAMERA_FREEDOM
     for number in range(len(gradient)):
         change = step * np.eye(len(gradient))[number]

@@ -22,7 +22,8 @@ from solver.templates.builtin.build import builtin_template
 
 TEMPLATE = builtin_template()
 POINTS = landmark_points(TEMPLATE)
-MEAN, FACE = TEMPLATE.skin.vertices, TEMPLATE.face_vertices
+MEAN = TEMPLATE.skin.vertices
+FACE = TEMPLATE.face_vertices
 SMILE = {"mouthSmileLeft": 0.6, "mouthSmileRight": 0.6}
 CALL = {"jawOpen": 0.4, "browInnerUp": 0.5}
 SHOWN: tuple[tuple[Mapping[str, float], float], ...] = (({}, -20.0), (SMILE, 0.0), (CALL, 20.0))
@@ -39,7 +40,8 @@ def photographs(person: Floats, noise_px: float) -> list[Photo]:
     """Return photographs of a person from three sides with three expressions, landmarks alone."""
     assert TEMPLATE.shapes is not None
     known = dict(zip(TEMPLATE.shapes.expression_names, TEMPLATE.shapes.expressions, strict=True))
-    random, photos = np.random.default_rng(7), []
+    random = np.random.default_rng(7)
+    photos = []
     for number, (weights, yaw) in enumerate(SHOWN):
         skin = person + sum(weight * known[name] for name, weight in weights.items())
         turn = Rotation.from_euler("xy", [5.0, yaw], degrees=True).as_matrix()
@@ -73,12 +75,14 @@ def test_a_drawn_person_is_found_and_what_they_do_is_taken_out(seed: int) -> Non
 
 def test_the_model_is_the_objective_s() -> None:
     assert TEMPLATE.shapes is not None
-    shapes, options = _Shapes.of(TEMPLATE, TEMPLATE.shapes), IdentityOptions()
+    shapes = _Shapes.of(TEMPLATE, TEMPLATE.shapes)
+    options = IdentityOptions()
     views, _ = place_views(photographs(somebody(0), 2.0), POINTS, TEMPLATE.skin, options.views)
     begun = _Point.at_rest(shapes, len(views))
     begun = replace(begun, cameras=tuple(view.camera for view in views))
     problem = _Problem(shapes, tuple(views), options, moves_face=True)
-    count, random = problem.places[-1][1].stop, np.random.default_rng(1)
+    count = problem.places[-1][1].stop
+    random = np.random.default_rng(1)
     scale = np.full(count, 0.05)
     for _, camera in problem.places:
         scale[camera] = 1e-3 * np.array([1.0, 1.0, 1.0, 100.0, 100.0, 100.0, 1.0])

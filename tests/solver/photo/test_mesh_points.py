@@ -56,7 +56,8 @@ def test_most_points_of_the_detector_are_on_the_skin(
 
 def test_they_are_where_anatomists_have_them(template: Template, points: SkinPoints) -> None:
     """Landmarks of the anatomy were set on the head by hand, without any detector."""
-    skin, anatomy = template.skin.vertices, landmark_vertices(template)
+    skin = template.skin.vertices
+    anatomy = landmark_vertices(template)
     known = {str(k): anatomy[name] for k, name in MEDIAPIPE.items() if name in anatomy}
     names = sorted(known.keys() & set(points.names))
     assert len(names) >= 12

@@ -79,7 +79,8 @@ def test_memory_does_not_grow_with_the_picture() -> None:
 
 def test_exposure_is_told_of_the_face_alone() -> None:
     photo = textured()
-    around, within = photo.pixels.copy(), photo.pixels.copy()
+    around = photo.pixels.copy()
+    within = photo.pixels.copy()
     around[:35] = around[265:] = 1.0
     within[40:150] = 1.0
     assert codes(replace(photo, pixels=around)) == []

@@ -18,7 +18,8 @@ from solver.photo import picture as module
 from solver.photo.picture import read_mask, read_picture
 from tests.fixtures import data_folder
 
-WIDTH, HEIGHT = 96, 72
+WIDTH = 96
+HEIGHT = 72
 
 
 def _colours() -> NDArray[np.uint8]:
@@ -122,9 +123,11 @@ def test_a_colour_profile_is_applied(tmp_path: Path) -> None:
     for wrong in (b"no profile", lab):
         found = read_picture(_save(tmp_path / "b.png", Image.fromarray(COLOURS), icc_profile=wrong))
         np.testing.assert_allclose(found.pixels, SHOWN, atol=1e-6)
-    red, green = profile.index(b"rXYZ"), profile.index(b"gXYZ")
+    red = profile.index(b"rXYZ")
+    green = profile.index(b"gXYZ")
     other = bytearray(profile.replace(b"\0s\0R\0G\0B", b"\0t\0R\0G\0B"))
-    other[red : red + 4], other[green : green + 4] = b"gXYZ", b"rXYZ"
+    other[red : red + 4] = b"gXYZ"
+    other[green : green + 4] = b"rXYZ"
     path = _save(tmp_path / "c.png", Image.fromarray(COLOURS), icc_profile=bytes(other))
     np.testing.assert_allclose(read_picture(path).pixels, SHOWN[..., [1, 0, 2]], atol=0.02)
 

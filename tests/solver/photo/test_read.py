@@ -20,7 +20,8 @@ from solver.photo.read import read_photo
 from solver.surface import Floats
 
 ROOT = Path(__file__).parents[3]
-WIDTH, HEIGHT = 320, 240
+WIDTH = 320
+HEIGHT = 240
 # A face from the front in px; the subject's left is on the right.
 FACE = {
     "exocanthion_r": [110.0, 90.0],

@@ -54,7 +54,8 @@ def test_harmonics_have_their_rates() -> None:
 
 
 def test_sums_of_normals_have_their_rates() -> None:
-    surface, random = ball(np.zeros(3), 20.0, 2), np.random.default_rng(3)
+    surface = ball(np.zeros(3), 20.0, 2)
+    random = np.random.default_rng(3)
     way = random.normal(size=surface.vertices.shape)
     ahead, behind = (Surface(surface.vertices + s * 1e-5 * way, surface.faces) for s in (1, -1))
     expected = (vertex_sums(ahead) - vertex_sums(behind)) / 2e-5

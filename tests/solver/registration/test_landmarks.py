@@ -31,7 +31,8 @@ def code_of(call, *args):
 
 
 def test_json_and_csv_say_the_same(tmp_path, points, template):
-    as_json, as_csv = tmp_path / "a.json", tmp_path / "a.csv"
+    as_json = tmp_path / "a.json"
+    as_csv = tmp_path / "a.csv"
     as_json.write_text(json.dumps({name: point.tolist() for name, point in points.items()}))
     rows = [f"{name},{x},{y},{z}" for name, (x, y, z) in points.items()]
     as_csv.write_text("\n".join(["name,x,y,z", *rows]))
@@ -53,7 +54,8 @@ def test_the_68_points_are_named_whatever_their_order(template):
 def test_left_and_right_exchanged_are_found_out(points, template):
     turned = dict(points)
     for name in ("cheilion", "exocanthion"):
-        turned[f"{name}_l"], turned[f"{name}_r"] = points[f"{name}_r"], points[f"{name}_l"]
+        turned[f"{name}_l"] = points[f"{name}_r"]
+        turned[f"{name}_r"] = points[f"{name}_l"]
     assert code_of(match, "a.json", turned, template).code == "landmarks.swapped"
 
 

@@ -48,7 +48,8 @@ def template() -> Template:
 
 def person(rng: np.random.Generator, *, neutral: bool) -> Surface:
     """Return a head that the template does not have, in an expression of random muscles."""
-    shapes, skin = template().shapes, template().skin
+    shapes = template().shapes
+    skin = template().skin
     assert shapes is not None
     who = 0.6 * rng.standard_normal(len(shapes.identity))
     weights = rng.random(len(shapes.expressions)) * (rng.random(len(shapes.expressions)) < 0.12)
@@ -64,7 +65,8 @@ def raw_scan(vertices: Floats, faces: np.ndarray) -> RawScan:
 
 def crop(head: Surface, kind: str, rng: np.random.Generator) -> Surface:
     """Return what a scan shows of a head, in the head's own place."""
-    vertices, faces = head.vertices, head.faces
+    vertices = head.vertices
+    faces = head.faces
     kept = np.ones(len(vertices), bool)
     if kind in ("front", "holes"):
         kept = vertices[:, 2] > vertices[:, 2].max() - rng.uniform(90, 130)
@@ -94,16 +96,19 @@ def locate(scan: RawScan, frame: Mapping[str, Any] = FRAME) -> Location:
 )
 def test_the_face_is_found_in_any_pose_unit_and_crop(number: int) -> None:
     rng = np.random.default_rng(1000 + number)
-    unit, kind = MM_PER_UNIT[number % len(MM_PER_UNIT)], CROPS[number % len(CROPS)]
+    unit = MM_PER_UNIT[number % len(MM_PER_UNIT)]
+    kind = CROPS[number % len(CROPS)]
     head = person(rng, neutral=number % 3 == 0)
-    turn, shift = Rotation.random(rng=rng).as_matrix(), rng.uniform(-300, 300, 3)
+    turn = Rotation.random(rng=rng).as_matrix()
+    shift = rng.uniform(-300, 300, 3)
     place = Similarity(1 / unit, turn, shift / unit)
     seen = crop(head, kind, rng)
     found = locate(raw_scan(place(seen.vertices), seen.faces))
     assert found.is_face
     assert found.mm_per_unit == pytest.approx(unit, rel=0.12)
     assert found.size.is_known == (unit in MM_PER_UNIT[:4])
-    face, rest = template().face_vertices, template().skin.vertices
+    face = template().face_vertices
+    rest = template().skin.vertices
     there = place(head.vertices[face])
     known = fit_similarity(there, rest[face])
     assert np.linalg.norm(found.pose.motion(there) - known(there), axis=1).mean() < 12.0
@@ -126,7 +131,8 @@ def write(folder: Path, factor: float) -> Path:
 def test_a_size_of_no_unit_is_the_same_warning_to_check_and_registration(
     unit: str, tmp_path: Path
 ) -> None:
-    path, frame = write(tmp_path, 1 / 3.7), {**FRAME, "unit": unit}
+    path = write(tmp_path, 1 / 3.7)
+    frame = {**FRAME, "unit": unit}
     found = check(path, template(), frame, "unknown", None)
     severities = {finding.code: finding.severity for finding in found.findings}
     assert severities["scan.unit_unknown"] == "warning"
@@ -137,7 +143,8 @@ def test_a_size_of_no_unit_is_the_same_warning_to_check_and_registration(
 
 
 def test_a_given_unit_that_cannot_be_is_refused_by_both(tmp_path: Path) -> None:
-    path, frame = write(tmp_path, 1.0), {**FRAME, "unit": "cm"}
+    path = write(tmp_path, 1.0)
+    frame = {**FRAME, "unit": "cm"}
     found = check(path, template(), frame, "unknown", None)
     (refused,) = [finding for finding in found.findings if finding.severity == "error"]
     with pytest.raises(InputError) as caught:

@@ -32,7 +32,9 @@ MOVED = small_motion(np.array([0.02, -0.02, 0.01, 2.0, -1.0, 1.5]))
 @pytest.mark.parametrize("kind", ["persons", "expressions", "anybody"])
 def test_a_face_of_known_weights_is_found(kind: str) -> None:
     template = builtin_template()
-    skin, basis, known = template.skin, template.shapes, topology(template)
+    skin = template.skin
+    basis = template.shapes
+    known = topology(template)
     assert basis is not None
     face = face_surface(template)
     shapes: ShapeModel = {

@@ -53,7 +53,8 @@ def test_layout_is_what_a_browser_can_map(tmp_path: Path) -> None:
 
 
 def test_same_content_gives_the_same_bytes_in_any_memory_order(tmp_path: Path) -> None:
-    one, two = tmp_path / "one.bin", tmp_path / "two.bin"
+    one = tmp_path / "one.bin"
+    two = tmp_path / "two.bin"
     arrays = _arrays()
     write_container(one, {}, arrays)
     other = {name: np.asfortranarray(array) for name, array in arrays.items()}

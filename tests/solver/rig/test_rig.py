@@ -55,7 +55,8 @@ def certificate(rig: Rig) -> Certificate:
 
 
 def _fit(model: SubjectModel, name: str, rng: np.random.Generator) -> ExpressionFit:
-    neutral, target = model.skin.vertices, small_capture(name).vertices
+    neutral = model.skin.vertices
+    target = small_capture(name).vertices
     skin = neutral + SHARE * (target - neutral)
     error = np.full(len(skin), np.nan)
     error[model.face] = np.linalg.norm(target - skin, axis=1)[model.face]

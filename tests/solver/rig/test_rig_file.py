@@ -88,7 +88,8 @@ def test_systems_come_back_and_a_rig_without_is_of_muscles_alone(rig: Rig, tmp_p
 
 def test_a_system_takes_new_fits_in_and_lets_other_scans_go(rig: Rig) -> None:
     smile, kiss = (by_shapes(rig, name, 0.25) for name in ("smile", "kiss"))
-    system, again = System(("a", "b"), (smile, kiss)), by_shapes(rig, "kiss", 1.0)
+    system = System(("a", "b"), (smile, kiss))
+    again = by_shapes(rig, "kiss", 1.0)
     names = [each.name for each in system.replaced(System(("a", "b"), (again,))).expressions]
     assert names == ["smile", "kiss"]
     assert system.replaced(System(("a", "b"), (again,))).expressions[1] is again

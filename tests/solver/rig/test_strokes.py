@@ -9,7 +9,8 @@ from tests.solver.block import block_model
 
 
 def test_threads_run_along_the_fibres_inside_their_muscle():
-    model, options = block_model(), ThreadOptions()
+    model = block_model()
+    options = ThreadOptions()
     entries = model.weights.tocoo()
     fibres = np.zeros((model.weights.nnz, 3))
     fibres[entries.col == 1] = [0, 1, 0]

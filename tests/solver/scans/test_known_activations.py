@@ -70,7 +70,8 @@ def use(table: KnownTable) -> None:
         table.of_take(frames=10, rate=10.0)
 
 
-BY_TIME, BY_NAME = "muscle,time,value,sd\n", "muscle,expression,value,sd\n"
+BY_TIME = "muscle,time,value,sd\n"
+BY_NAME = "muscle,expression,value,sd\n"
 
 
 @pytest.mark.parametrize(

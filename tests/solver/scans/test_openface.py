@@ -18,7 +18,8 @@ from tests.fixtures import data_folder
 
 CLOCK = ("frame", "face_id", "timestamp", "confidence", "success")
 HEADER = [*CLOCK, *POSE, *INTENSITIES]
-SMILE, OPEN = "AU12_r", "AU26_r"
+SMILE = "AU12_r"
+OPEN = "AU26_r"
 
 
 def rows(count: int, fps: float = 30.0, **given: list[Any]) -> list[dict[str, Any]]:
@@ -100,7 +101,8 @@ def test_a_head_looks_where_openface_says(
 
 def test_eyes_look_where_the_gaze_goes_in_the_head(tmp_path: Path) -> None:
     """To the image's right, which is the subject's left; and straight on by the head's turn."""
-    x, z = [0.0, np.sin(0.2), np.sin(0.2)], [-1.0, -np.cos(0.2), -np.cos(0.2)]
+    x = [0.0, np.sin(0.2), np.sin(0.2)]
+    z = [-1.0, -np.cos(0.2), -np.cos(0.2)]
     given: dict[str, list[Any]] = dict.fromkeys(GAZE, [0.0] * 3)
     given |= {"gaze_0_x": x, "gaze_1_x": x, "gaze_0_z": z, "gaze_1_z": z}
     table = rows(3, pose_Ry=[0.0, 0.0, -0.2], **given)
@@ -148,7 +150,8 @@ def test_a_file_of_any_form_is_read_the_same(tmp_path: Path) -> None:
 
 def test_short_gaps_are_crossed_and_long_ones_come_to_rest(tmp_path: Path) -> None:
     smile: list[Any] = [5.0] * 60
-    smile[3:5], smile[20:44] = ["nan"] * 2, [0.0] * 24
+    smile[3:5] = ["nan"] * 2
+    smile[20:44] = [0.0] * 24
     confidence = [0.98] * 20 + [0.5] * 24 + [0.98] * 14 + [0.1] * 2
     table = rows(60, **{SMILE: smile, "confidence": confidence})
     table[0][SMILE] = 0.0
@@ -191,7 +194,8 @@ def test_a_folder_of_real_pictures_needs_a_rate() -> None:
 
 
 def test_one_face_of_several_is_chosen(tmp_path: Path) -> None:
-    first, second = rows(3, **{SMILE: [0, 2, 2]}), rows(3, **{SMILE: [0, 4, 4]})
+    first = rows(3, **{SMILE: [0, 2, 2]})
+    second = rows(3, **{SMILE: [0, 4, 4]})
     both = [each for pair in zip(first, second, strict=True) for each in pair]
     for number, row in enumerate(both):
         row["face_id"] = number % 2

@@ -27,7 +27,8 @@ def measured(count: int = 40, **shapes: Floats) -> FaceTake:
     weights = np.zeros((count, len(ARKIT_NAMES)))
     for name, values in shapes.items():
         weights[:, ARKIT_NAMES.index(name)] = values
-    head, eyes = random.uniform(-0.4, 0.4, (count, 3)), random.uniform(-0.3, 0.3, (count, 2, 3))
+    head = random.uniform(-0.4, 0.4, (count, 3))
+    eyes = random.uniform(-0.3, 0.3, (count, 2, 3))
     return FaceTake(np.arange(count) / 25.0, weights, head, eyes, np.ones(count, bool), "video")
 
 

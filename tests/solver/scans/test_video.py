@@ -22,7 +22,8 @@ from solver.scans.performance import ARKIT_NAMES, FaceTake
 from solver.scans.recordings import read_recording
 from tests.fixtures import data_folder, face_landmarker
 
-WIDTH, HEIGHT = 640, 360
+WIDTH = 640
+HEIGHT = 360
 Place = tuple[float, float, float]  # of a face: middle and size, px
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -80,7 +81,8 @@ def test_the_largest_face_at_the_middle_is_taken_and_told(monkeypatch: pytest.Mo
 
 
 def test_a_moments_face_elsewhere_after_a_gap_is_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    here, there = (320.0, 180.0, 100.0), (100.0, 100.0, 50.0)
+    here = (320.0, 180.0, 100.0)
+    there = (100.0, 100.0, 50.0)
     one: list[list[Place]] = [[here]]
     frames = one * 6 + [[]] * 10 + [[there]] * 4 + [[]] * 3
     assert follow(monkeypatch, frames).seen.sum() == 6
@@ -96,7 +98,8 @@ def test_a_moments_face_elsewhere_after_a_gap_is_nobody(monkeypatch: pytest.Monk
 def test_a_face_that_is_filmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MYOFACE_FACE_LANDMARKER", str(face_landmarker()))
     path = data_folder("videos", "face_noface.mov")
-    entry, kept = Recording(asset="take"), tmp_path / "signals.csv"
+    entry = Recording(asset="take")
+    kept = tmp_path / "signals.csv"
     take = read_recording(path, entry, kept)
     assert len(take.times) == 169
     assert (take.seen.sum(), len(take.gaps)) == (72, 1)  # the stray one at 6.15 s is not

@@ -18,7 +18,9 @@ from solver.rig import Rig
 from solver.rig.frames import SequenceFrame, write_sequence
 from tests.solver.simulation.test_fibres import fibred_block
 
-MODEL, COUNT, FPS = fibred_block(), 5, 10.0
+MODEL = fibred_block()
+COUNT = 5
+FPS = 10.0
 LAST = np.array([0.6, 0.3])
 
 

@@ -15,7 +15,8 @@ from solver.fitting.sensitivity import Sensitivity
 from solver.mechanics import equilibrium
 from tests.solver.simulation.test_fibres import fibred_block
 
-GAMMA, JAW = np.array([0.75, 1.15]), np.array([0.05, 0.0, 0.0, 0.0, 0.0])
+GAMMA = np.array([0.75, 1.15])
+JAW = np.array([0.05, 0.0, 0.0, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,8 @@ def fibred_block():
     fibres = rng.normal(size=(block.weights.nnz, 3))
     fibres /= np.linalg.norm(fibres, axis=1, keepdims=True)
     columns = block.weights.indices
-    fibres[columns == 0], fibres[columns == 1] = 0.0, [1.0, 0.0, 0.0]
+    fibres[columns == 0] = 0.0
+    fibres[columns == 1] = [1.0, 0.0, 0.0]
     return replace(block, fibres=fibres)
 
 

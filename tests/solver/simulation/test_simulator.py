@@ -45,12 +45,14 @@ def drive(face, pose, time=0.0, head=IDENTITY, objects=()):
 
 def test_derivatives_of_inertia_damping_and_work_match_differences():
     face = face_of(pascal=50.0)
-    inertia, rng = Inertia(face.flesh), np.random.default_rng(6)
+    inertia = Inertia(face.flesh)
+    rng = np.random.default_rng(6)
     flesh = face.flesh.plus(inertia)
     y, flight = (flesh.rest + rng.standard_normal(flesh.rest.shape) for _ in range(2))
     inertia.launch(masses_of(face), y, flight, 0.02, 5.0)
     inertia.load = 100.0 * rng.standard_normal(flesh.rest.shape)
-    x, a = flesh.rest + 0.2 * rng.standard_normal(flesh.rest.shape), flesh.passive()
+    x = flesh.rest + 0.2 * rng.standard_normal(flesh.rest.shape)
+    a = flesh.passive()
     step = rng.standard_normal(flesh.size)
     ends = [flesh.add_motion(x, sign * 1e-6 * step) for sign in (1, -1)]
     slope = (flesh.energy(ends[0], a) - flesh.energy(ends[1], a)) / 2e-6
@@ -114,11 +116,13 @@ def test_short_steps_lose_little_energy(blob):
     face, start = blob
     lost = []
     for seconds in (1e-3, 1e-4):
-        steps, motion = simulator(face, dynamic=True), start
+        steps = simulator(face, dynamic=True)
+        motion = start
         before = drive(face, face.rest_pose())
         for _ in range(3):
             goal = replace(before, time=before.time + seconds)
-            motion, before = steps.step(motion, before, goal).motion, goal
+            motion = steps.step(motion, before, goal).motion
+            before = goal
         lost.append(1.0 - energy(face, motion) / energy(face, start))
     assert 0.0 < lost[1] < 0.03 * lost[0]
 
@@ -129,13 +133,15 @@ def test_a_moving_head_needs_no_fictitious_forces():
     acceleration = np.array([12000.0, -6000.0, 18000.0])
     neutral = drive(face, face.rest_pose())
     moving = simulator(face, dynamic=True, damping=40.0)
-    motion, before = moving.rest(neutral), neutral
+    motion = moving.rest(neutral)
+    before = neutral
     for number in range(1, 120):
         time = 0.02 * number
         head = Similarity(1.0, np.eye(3), 0.5 * acceleration * time**2)
         goal = replace(neutral, time=time, head=head)
         stepped = moving.step(motion, before, goal)
-        motion, before = stepped.motion, goal
+        motion = stepped.motion
+        before = goal
     hanging = simulator(face, forces=[Gravity(masses_of(face), -acceleration, (0.0, 0.0, 0.0))])
     expected = hanging.rest(neutral).x
     assert np.abs(expected - face.model.rest).max() > 0.5
@@ -156,7 +162,8 @@ def test_the_world_may_be_turned():
             nod = small_motion(np.array([0.05 * number, 0.0, 0.02 * number**2, 3.0, 0.0, number]))
             goal = replace(neutral, time=0.02 * number, head=nod.then(frame))
             stepped = steps.step(motion, before, goal)
-            motion, before = stepped.motion, goal
+            motion = stepped.motion
+            before = goal
         ends.append(stepped.y)
     assert np.abs(ends[0] - face.model.rest).max() > 0.2
     np.testing.assert_allclose(ends[1], ends[0], atol=1e-6)
@@ -164,15 +171,18 @@ def test_the_world_may_be_turned():
 
 def test_dynamic_motion_comes_to_rest_where_the_quasi_static_one_is():
     face = face_of(pascal=200.0)
-    neutral, goal = drive(face, face.rest_pose()), drive(face, poses(1)[0])
+    neutral = drive(face, face.rest_pose())
+    goal = drive(face, poses(1)[0])
     ends = []
     for dynamic in (False, True):
         steps = simulator(face, dynamic=dynamic, damping=2.0)
-        motion, before = steps.rest(neutral), neutral
+        motion = steps.rest(neutral)
+        before = neutral
         for number in range(1, 31):
             here = replace(neutral.toward(goal, min(number / 10, 1.0)), time=number / 30)
             stepped = steps.step(motion, before, here)
-            motion, before = stepped.motion, here
+            motion = stepped.motion
+            before = here
             if number == 10:
                 ends.append(stepped.y)
     quasi_static, moving = ends
@@ -184,7 +194,8 @@ def test_dynamic_motion_comes_to_rest_where_the_quasi_static_one_is():
 class Lid:
     """A frictionless barrier below a plane whose height (z) is that of the first object."""
 
-    REACH, STIFFNESS = 0.5, 2e4
+    REACH = 0.5
+    STIFFNESS = 2e4
 
     def begin(self, x, now, seconds):
         pass
@@ -220,7 +231,8 @@ class Lid:
         return -(self.hessian(x) @ down).reshape(-1, 3)
 
     def max_step(self, x, y, goal):
-        before, after = self.height - x[:, 2], goal.objects[0][0, 2] - y[:, 2]
+        before = self.height - x[:, 2]
+        after = goal.objects[0][0, 2] - y[:, 2]
         crossing = after <= 0.0
         parts = before[crossing] / (before - after)[crossing]
         return float(parts.min()) if crossing.any() else 1.0
@@ -275,10 +287,12 @@ def test_a_step_is_halved_as_often_as_need_be_and_ends_where_short_ones_do():
     halved = steps.step(start, before, goal)
     # once from one second to a quarter, and once when half a second was tried again
     assert halved.halvings == 3
-    motion, here = start, before
+    motion = start
+    here = before
     for part in (0.25, 0.5, 0.75, 1.0):
         target = before.toward(goal, part)
-        motion, here = steps.step(motion, here, target).motion, target
+        motion = steps.step(motion, here, target).motion
+        here = target
     assert np.abs(halved.motion.v).max() > 1.0
     np.testing.assert_allclose(halved.motion.x, motion.x, atol=1e-5)
     np.testing.assert_allclose(halved.motion.v, motion.v, atol=1e-3)

@@ -164,7 +164,8 @@ def test_face_is_brow_to_chin_without_ears(template):
 
 def test_other_people_lie_within_the_shapes(template):
     """Random persons are made of one-sided shape targets, the basis of half their difference."""
-    shapes, skin = template.shapes, template.skin.vertices
+    shapes = template.shapes
+    skin = template.skin.vertices
     persons = [
         build.builtin_expression({}, build.random_identity(seed)).vertices - skin for seed in (1, 2)
     ]

@@ -18,8 +18,10 @@ def test_every_arkit_weight_but_the_tongue_drives_a_shape() -> None:
 
 @pytest.mark.parametrize("number", [0, 1234])
 def test_a_frame_is_the_sum_of_its_shapes(number: int) -> None:
-    faces, recording = data_folder("ict_facekit"), data_folder("performance", "alex_rom_3.csv")
-    kit, take = read_facekit(faces), read_live_link(recording)
+    faces = data_folder("ict_facekit")
+    recording = data_folder("performance", "alex_rom_3.csv")
+    kit = read_facekit(faces)
+    take = read_live_link(recording)
     frames = drive(kit, kit.skin.vertices, take)
     weights = dict(zip(ARKIT_NAMES, take.weights[number], strict=True))
     with np.load(faces / "ict_facekit.npz") as data:

@@ -17,7 +17,8 @@ from solver.templates.bodyparts3d import AnatomicalPart
 from solver.templates.ict_template import build_ict_template
 
 DATA = Path(os.environ.get("MYOFACE_DATA", Path(__file__).parents[4] / "shared" / "data"))
-ANATOMY, FACES = DATA / "bodyparts3d", DATA / "ict_facekit"
+ANATOMY = DATA / "bodyparts3d"
+FACES = DATA / "ict_facekit"
 needs_data = pytest.mark.skipif(
     not (ANATOMY / "index.csv").exists() or not (FACES / "ict_facekit.npz").exists(),
     reason=f"BodyParts3D and ICT-FaceKit are not in {DATA} (MYOFACE_DATA)",

@@ -77,7 +77,8 @@ def folder(template: Template, tmp_path: Path) -> Path:
 
 
 def assert_equal(found: Template, expected: Template) -> None:
-    one, other = found._archive(), expected._archive()
+    one = found._archive()
+    other = expected._archive()
     assert one.header == other.header
     assert one.arrays.keys() == other.arrays.keys()
     for name, array in one.arrays.items():

@@ -32,8 +32,10 @@ def block_shapes(model):
     """Return name -> motion (V, 3): a skin that is drawn aside, one that bulges, an open jaw."""
     skin = model.skin.vertices
     middle = np.exp(-(((skin[:, :2] - [25.0, 20.0]) / 15.0) ** 2).sum(axis=1))
-    aside, bulge = np.zeros_like(skin), np.zeros_like(skin)
-    aside[:, 0], bulge[:, 2] = 2.0 * middle, 1.5 * middle
+    aside = np.zeros_like(skin)
+    bulge = np.zeros_like(skin)
+    aside[:, 0] = 2.0 * middle
+    bulge[:, 2] = 1.5 * middle
     aside[model.attached_mandible] = bulge[model.attached_mandible] = 0.0
     low = np.clip((25.0 - skin[:, 1]) / 15.0, 0.0, 1.0)
     low[model.attached_mandible] = 1.0

@@ -115,7 +115,8 @@ def test_jax_checks_the_gradients(jax, face, q, mode, checked):
 @pytest.mark.long
 def test_jax_has_values_and_all_derivatives(jax, face, q, columns):
     state = face.move(face.rest(), q)
-    reverse, forward = jax_function(face, "reverse"), jax_function(face, "forward")
+    reverse = jax_function(face, "reverse")
+    forward = jax_function(face, "forward")
     size = np.abs(columns).max()
     for function in (reverse, jax.jit(reverse), forward, jax.jit(forward)):
         np.testing.assert_allclose(function(q), face.skin(state), atol=1e-8)
@@ -126,7 +127,8 @@ def test_jax_has_values_and_all_derivatives(jax, face, q, columns):
 @pytest.mark.long
 @pytest.mark.parametrize("mode", ["reverse", "forward"])
 def test_jax_batches_states(jax, face, q, mode):
-    numpy, function = jax.numpy, jax_function(face, mode)
+    numpy = jax.numpy
+    function = jax_function(face, mode)
     batch = numpy.stack([q, 0.5 * q, 0.8 * q])
     alone = numpy.stack([function(each) for each in batch])
     for together in (function(batch), jax.vmap(function)(batch), jax.jit(function)(batch)):
@@ -146,7 +148,8 @@ def test_jax_batches_states(jax, face, q, mode):
 
 @pytest.mark.parametrize("mode", ["reverse", "forward"])
 def test_jax_does_not_nest_derivatives(jax, face, q, mode):
-    function, derive = jax_function(face, mode), {"reverse": jax.grad, "forward": jax.jacfwd}[mode]
+    function = jax_function(face, mode)
+    derive = {"reverse": jax.grad, "forward": jax.jacfwd}[mode]
 
     def first(q):
         return derive(lambda q: (function(q) ** 2).sum())(q).sum()
@@ -230,7 +233,8 @@ def test_torch_does_not_nest_derivatives(torch, face, q):
 
 
 def test_torch_in_single_precision_is_told_once(torch, face, q):
-    function, single = torch_function(face), torch.from_numpy(q.astype(np.float32))
+    function = torch_function(face)
+    single = torch.from_numpy(q.astype(np.float32))
     with pytest.warns(UserWarning, match="double precision.*float64"):
         assert function(single).dtype == torch.float32
     with warnings.catch_warnings(action="error"):

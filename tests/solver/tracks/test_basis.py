@@ -78,7 +78,8 @@ def test_nothing_is_asked_for_at_rest(model, tracks):
 
 def test_a_muscle_is_activated_by_the_length_of_its_line(model, tracks):
     targets = TrackTargets(model, tracks)
-    rest, pose = targets.at(np.zeros(8)), targets.at(tracks.controls({"aside": 1.0}))
+    rest = targets.at(np.zeros(8))
+    pose = targets.at(tracks.controls({"aside": 1.0}))
     stretch = pose.lengths / rest.lengths
     assert stretch[0] > 1.01
     assert stretch[1] < 0.99
@@ -88,12 +89,14 @@ def test_a_muscle_is_activated_by_the_length_of_its_line(model, tracks):
 
 
 def test_rates_are_the_derivatives_of_targets(model, tracks):
-    targets, h = TrackTargets(model, tracks), 1e-5
+    targets = TrackTargets(model, tracks)
+    h = 1e-5
     q = np.array([0.6, 0.4, 0.7, 0.05, 0.02, 0.5, -0.3, 0.2])
     rates = targets.rates(q)
     for number in range(len(q)):
         step = h * np.eye(len(q))[number]
-        ahead, behind = targets.at(q + step), targets.at(q - step)
+        ahead = targets.at(q + step)
+        behind = targets.at(q - step)
         for what in ("target", "jaw", "activations"):
             expected = (getattr(ahead, what) - getattr(behind, what)) / (2.0 * h)
             found = getattr(rates, what)[..., number]

@@ -30,7 +30,8 @@ def test_rest_is_rest(model, face):
 
 
 def test_shapes_are_reached_as_far_as_muscles_hold_them(model):
-    shapes, rest_off = block_shapes(model), {}
+    shapes = block_shapes(model)
+    rest_off = {}
     for length in (0.5, 4.0):
         tracks = MuscleTracks.of(model, shapes, TrackOptions(length_mm=length))
         face = TrackFace(model, tracks)

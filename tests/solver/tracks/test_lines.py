@@ -34,11 +34,13 @@ def test_lengths_are_those_of_the_stretched_flesh():
 
 
 def test_rates_are_the_derivatives_of_lengths():
-    model, random = tracked_block(), np.random.default_rng(3)
+    model = tracked_block()
+    random = np.random.default_rng(3)
     lines = CentreLines.of(model)
     x = model.rest + random.standard_normal(model.rest.shape)
     motion = random.standard_normal((*model.rest.shape, 2))
-    found, h = lines.length_rates(x, motion), 1e-6
+    found = lines.length_rates(x, motion)
+    h = 1e-6
     for column in range(2):
         step = h * motion[:, :, column]
         expected = (lines.lengths(x + step) - lines.lengths(x - step)) / (2.0 * h)

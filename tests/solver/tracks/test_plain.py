@@ -18,7 +18,8 @@ def face():
 
 
 def test_a_shape_at_weight_one_is_that_shape(face):
-    skin, shapes = face.face.model.skin.vertices, block_shapes(face.face.model)
+    skin = face.face.model.skin.vertices
+    shapes = block_shapes(face.face.model)
     for name, motion in shapes.items():
         state = face.move(face.rest(), face.tracks.controls({name: 1.0}))
         np.testing.assert_allclose(face.skin(state), skin + motion, atol=0.05)
@@ -26,7 +27,8 @@ def test_a_shape_at_weight_one_is_that_shape(face):
 
 def test_columns_are_the_derivatives(face):
     q = face.tracks.controls({"aside": 0.3, "open": 0.6}, np.array([0.05, 0.02, 0.3, 0.1, 0.2]))
-    state, step = face.move(face.rest(), q), 1e-5
+    state = face.move(face.rest(), q)
+    step = 1e-5
     columns = face.columns(state)
     for number, way in enumerate(np.eye(len(q))):
         ahead, behind = (face.move(state, q + sign * step * way).x for sign in (1, -1))

@@ -50,7 +50,8 @@ def settled(request):
 
 def test_columns_are_the_differences_of_states(settled):
     face, state, response = settled
-    motions, skin = response.columns(), response.skin_columns()
+    motions = response.columns()
+    skin = response.skin_columns()
     assert response.minimum
     for number in range(face.tracks.size):
         change = STEP * np.eye(face.tracks.size)[number]
@@ -94,7 +95,8 @@ def test_a_head_adds_its_six(settled):
     head = Similarity(
         1.1, small_motion(np.array([0.3, -0.5, 0.2, 0, 0, 0])).rotation, 30.0 * JAW[:3]
     )
-    placed, skin = response.placed(head), head(face.skin(state))
+    placed = response.placed(head)
+    skin = head(face.skin(state))
     columns = placed.columns()
     assert columns.shape == (*skin.shape, face.tracks.size + 6)
     expected = np.einsum("ij,vjk->vik", 1.1 * head.rotation, response.skin_columns())
@@ -104,8 +106,10 @@ def test_a_head_adds_its_six(settled):
         by_head = (ahead - behind) / (2.0 * STEP)
         np.testing.assert_allclose(columns[:, :, number - 6], by_head, atol=1e-6)
     random = np.random.default_rng(5)
-    change, gradient = random.standard_normal(columns.shape[2]), random.standard_normal(skin.shape)
-    moved, pulled = placed.product(change), placed.adjoint(gradient)
+    change = random.standard_normal(columns.shape[2])
+    gradient = random.standard_normal(skin.shape)
+    moved = placed.product(change)
+    pulled = placed.adjoint(gradient)
     np.testing.assert_allclose(moved, columns @ change, atol=1e-10 * np.abs(moved).max())
     expected = np.einsum("vik,vi->k", columns, gradient)
     np.testing.assert_allclose(pulled, expected, atol=1e-10 * np.abs(expected).max())
@@ -114,7 +118,8 @@ def test_a_head_adds_its_six(settled):
 def test_a_step_by_the_derivative_is_off_by_its_square(settled):
     face, state, response = settled
     way = np.random.default_rng(7).standard_normal(face.tracks.size)
-    rate, off = response.product(way), []
+    rate = response.product(way)
+    off = []
     for length in (2e-3, 1e-3):
         end = face.move(state, state.q + length * way)
         off.append(np.linalg.norm(end.x - state.x - length * rate))

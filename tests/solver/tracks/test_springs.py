@@ -21,7 +21,8 @@ def tracked():
 @pytest.fixture(scope="module")
 def moved(tracked):
     """Return a place of the flesh, its controls, and a direction of the free vertices."""
-    flesh, random = tracked.flesh, np.random.default_rng(5)
+    flesh = tracked.flesh
+    random = np.random.default_rng(5)
     x = flesh.rest + 0.2 * random.standard_normal(flesh.rest.shape)
     a = IDENTITY + 0.1 * random.standard_normal((2, 6))
     target = flesh.rest + random.standard_normal(flesh.rest.shape)
@@ -48,7 +49,8 @@ def test_forces_and_stiffness_are_the_energy_s_derivatives(tracked, moved):
 
 def test_gradient_and_hessian_match_differences(tracked, moved):
     x, controls, step = moved
-    flesh, h = tracked.flesh, 1e-6
+    flesh = tracked.flesh
+    h = 1e-6
     ahead, behind = (flesh.add_motion(x, sign * h * step) for sign in (1, -1))
     slope = (flesh.energy(ahead, controls) - flesh.energy(behind, controls)) / (2.0 * h)
     assert flesh.gradient(x, controls) @ step == pytest.approx(slope, rel=1e-6)
@@ -67,7 +69,9 @@ def test_gradient_and_hessian_match_differences(tracked, moved):
 
 def test_forces_by_control_match_differences(tracked, moved):
     x, controls, _ = moved
-    flesh, h, random = tracked.flesh, 1e-6, np.random.default_rng(8)
+    flesh = tracked.flesh
+    h = 1e-6
+    random = np.random.default_rng(8)
     matrix = flesh.forces_by_control(x, controls)
     places = np.arange(len(controls) - tracked.springs.centre.size, len(controls))
     for chosen in (np.arange(places[0]), places):
@@ -81,7 +85,8 @@ def test_forces_by_control_match_differences(tracked, moved):
 
 def test_forces_by_stretches_and_places_are_those_by_control(tracked, moved):
     x, controls, _ = moved
-    by_control, count = tracked.flesh.forces_by_control(x, controls), 6 * len(tracked.flesh.tets)
+    by_control = tracked.flesh.forces_by_control(x, controls)
+    count = 6 * len(tracked.flesh.tets)
     ways = np.random.default_rng(9).standard_normal((2, 6))
     found = tracked.forces_by_stretch(x, controls, ways)
     assert found.shape == (tracked.flesh.size, 2)

@@ -5,7 +5,8 @@ from tests.standin.orders import SHOW, draw, work
 
 
 def run(task: Task) -> None:
-    neutral, template = task.inputs["neutral"], task.inputs.get("template")
+    neutral = task.inputs["neutral"]
+    template = task.inputs.get("template")
     work([neutral], task.progress, ["mesh", "relax", "muscles"])
     (task.out / "model.npz").write_bytes(b"model of " + neutral.read_bytes())
     figures = {"template": template and template.name, "tets": 24816, "muscles": 43}

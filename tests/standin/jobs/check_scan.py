@@ -7,7 +7,8 @@ SEVERITIES = {"good": [], "usable": ["warning"], "bad": ["error"]}
 
 
 def run(task: Task) -> None:
-    scan, landmarks = task.inputs["scan"], task.inputs.get("landmarks")
+    scan = task.inputs["scan"]
+    landmarks = task.inputs.get("landmarks")
     work([scan], task.progress, ["read", "check", "pictures"])
     verdict = orders_of(scan).get("verdict", "good")
     options = {**task.options.model_dump(exclude_unset=True), "role": task.role}

@@ -7,6 +7,7 @@ FILES = {"usd": "rig.usdc", "glb": "rig.glb"}
 
 
 def run(task: Task) -> None:
-    names, file = read_rig(task.inputs), FILES[task.options.format]
+    names = read_rig(task.inputs)
+    file = FILES[task.options.format]
     (task.out / file).write_text(f"{task.options.format} of {', '.join(names)}")
     (task.out / "export.json").write_text(json.dumps({"file": file}))

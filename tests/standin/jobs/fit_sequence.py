@@ -29,7 +29,8 @@ def run(task: Task) -> None:
 def fit_frames(task: Task, performance: Path) -> None:
     """Leave the frames and the sequence that the orders in a file ask for."""
     orders = orders_of(performance)
-    folder, total = task.out / "frames", int(orders["frames"])
+    folder = task.out / "frames"
+    total = int(orders["frames"])
     assert task.resume == folder.exists()
     folder.mkdir(exist_ok=True)
     done = 2 * len(list(folder.iterdir()))

@@ -5,7 +5,8 @@ from tests.standin.orders import draw, work
 
 
 def run(task: Task) -> None:
-    scan, neutral = task.inputs["scan"], task.inputs.get("neutral")
+    scan = task.inputs["scan"]
+    neutral = task.inputs.get("neutral")
     work([scan], task.progress, ["read", "pose", "shape", "free form"])
     mesh = b"registered " + scan.read_bytes()
     for more in (task.inputs.get("landmarks"), neutral):

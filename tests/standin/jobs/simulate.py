@@ -28,7 +28,8 @@ MOTION = {
 
 def run(task: Task) -> None:
     read_rig(task.inputs)
-    scene, folder = task.options.scene, task.out / "frames"
+    scene = task.options.scene
+    folder = task.out / "frames"
     folder.mkdir(exist_ok=True)
     total = int((scene.duration or 1.0) * scene.fps)
     for first in range(2 * len(list(folder.iterdir())), total, 2):

@@ -41,7 +41,8 @@ def _got(try_it: Callable[[], Any]) -> str:
 
 
 def _tries(task: Task, attempt: Path) -> dict[str, Callable[[], Any]]:
-    data, parent = attempt.parents[2], os.getppid()
+    data = attempt.parents[2]
+    parent = os.getppid()
     code = Path(solver.__file__).parent
     return {
         "list the data folder": lambda: os.listdir(data / "files"),

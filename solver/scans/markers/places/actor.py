@@ -115,7 +115,8 @@ def carry(
     faults = find_faults(scale * take.positions, rate)
     motion = faults.motion
     rows, unclear = (neutral, []) if neutral else _find_rest(take, faults, rate)
-    rest, goal = _at_rest(motion, rows), places_of(take.labels, markers, rest_places(markers, skin))
+    rest = _at_rest(motion, rows)
+    goal = places_of(take.labels, markers, rest_places(markers, skin))
     warp = fit_warp(take.file, rest, goal, on_bone, markers.session.rotation, options)
     turns, shifts = _head_motions(motion, warp.similarity, sum(rows) // 2)
     places = _carry_labels(faults, warp)
@@ -164,7 +165,8 @@ def _find_rest(take: Take, faults: Faults, rate: float) -> tuple[tuple[int, int]
 def _at_rest(motion: Motion, rows: tuple[int, int]) -> Floats:
     """Return markers (k, 3) at rest in the head's frame; one that is hidden as others have it."""
     span = slice(rows[0], rows[1] + 1)
-    rest, expected = median_of_seen(motion.places[span]), median_of_seen(motion.expected[span])
+    rest = median_of_seen(motion.places[span])
+    expected = median_of_seen(motion.expected[span])
     return np.where(np.isfinite(rest), rest, expected)
 
 

@@ -81,7 +81,8 @@ class Reference:
         face = model_face(model)
         jaw = None
         if expression is not None:
-            face, jaw = face.with_vertices(expression.skin), (model.jaw, expression.jaw)
+            face = face.with_vertices(expression.skin)
+            jaw = (model.jaw, expression.jaw)
         rims = find_rims(face.vertices, model.regions)
         return cls(face, model.sha256, markers, jaw, rims)
 
@@ -123,9 +124,11 @@ def place_take(
     markers do: their distance from it then is how unlike the two faces are. Markers of the orbit
     lie on its rim.
     """
-    session, height = pose.session, None
+    session = pose.session
+    height = None
     if actor:
-        session, height = pose.similar or session, BIND.usual_height
+        session = pose.similar or session
+        height = BIND.usual_height
     placed = session(located.points)
     if actor:
         placed = clear_lids(placed, located.face.names, reference.rims)
@@ -140,10 +143,13 @@ def place_markers(
     Markers of the skin get one ``height_mm``; without it each has its own.
     """
     seen = np.flatnonzero((np.abs(placed) < BIND.farthest).all(axis=1))
-    heights, tip = heights_over(placed[seen], skin), nose_tip(skin)
+    heights = heights_over(placed[seen], skin)
+    tip = nose_tip(skin)
     found = []
     for row, number in enumerate(seen.tolist()):
-        name, at, label = face.names[number], placed[number], face.labels[number]
+        name = face.names[number]
+        at = placed[number]
+        label = face.labels[number]
         part = "face" if name is None else name.part
         if part == "face" and abs(heights[row]) > LOCATE.off_skin:
             near = np.linalg.norm(at - tip) < BIND.of_head and at[1] - tip[1] > BIND.above
@@ -181,7 +187,8 @@ def place_on(marker: Marker, point: Floats, skin: Surface) -> Marker:
     aside = np.linalg.norm(over - marker.height_mm * normals, axis=1)
     best = int(np.argmin(np.linalg.norm(missed, axis=1) + aside))
     (first, second, third), (one, two, three) = faces[best].tolist(), weights[best].tolist()
-    vertices, height = (first, second, third), float(heights[best])
+    vertices = (first, second, third)
+    height = float(heights[best])
     return replace(marker, vertices=vertices, weights=(one, two, three), height_mm=height)
 
 
@@ -227,7 +234,8 @@ class Rim:
     def clear(self, point: Floats, named: Named) -> Floats:
         """Return a point (3,) of the skin moved out to the rim, up or aside as its name says."""
         off = point[:2] - self.middle
-        across, up = abs(named.place[0]) - MIDDLE[0], named.place[1] - MIDDLE[1]
+        across = abs(named.place[0]) - MIDDLE[0]
+        up = named.place[1] - MIDDLE[1]
         axis = int(abs(up) >= abs(across))
         sign = np.sign(up) if axis else np.sign(across) * named.side
         half = np.where(off < 0, self.low, self.high)
@@ -246,8 +254,10 @@ def find_rims(skin: Floats, regions: Mapping[str, Ints]) -> dict[int, Rim]:
         if not all(len(regions.get(name, ())) for name in names):
             continue
         ball, *lids = (skin[regions[name]][:, :2] for name in names)
-        middle, both = ball.mean(axis=0), np.concatenate(lids)
-        low, high = middle - both.min(axis=0), both.max(axis=0) - middle
+        middle = ball.mean(axis=0)
+        both = np.concatenate(lids)
+        low = middle - both.min(axis=0)
+        high = both.max(axis=0) - middle
         rims[side] = Rim(middle, low + PAST_LIDS_MM, high + PAST_LIDS_MM)
     return rims
 

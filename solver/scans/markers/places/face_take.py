@@ -256,7 +256,8 @@ def frames_about(
         message = f"{take.file} has frames {numbers[0]} to {numbers[-1]}, not {frame}"
         raise InputError("markers.neutral", message, file=take.file, frame=frame)
     a_second = take.rate if take.rate > 0 else rate or USUAL_RATE
-    row, reach = numbers.index(frame), round(seconds / 2 * a_second)
+    row = numbers.index(frame)
+    reach = round(seconds / 2 * a_second)
     return max(row - reach, 0), min(row + reach, len(take) - 1)
 
 

@@ -100,7 +100,8 @@ def locate(
         starts, turned = by_names
         unit = choose_unit(starts[0].scale, None, None, NAMES_UNIT, read_mm=read_mm)
     else:
-        unit, turned = _unit_of(points[used]), False
+        unit = _unit_of(points[used])
+        turned = False
         starts = _by_shape(points[few], skin, unit.mm_per_unit)
     found = [_slide(start, unit, points, (few, used), face, skin) for start in starts]
     best = 0
@@ -152,7 +153,8 @@ def _goals(
 def fit_most(points: Floats, goal: Floats) -> tuple[Similarity, float]:
     """Return the motion that most points agree with, and the median misfit in mm."""
     kept = np.ones(len(points), bool)
-    motion, off = fit_similarity(points, goal), np.zeros(len(points))
+    motion = fit_similarity(points, goal)
+    off = np.zeros(len(points))
     for _ in range(LOCATE.trims):
         off = np.linalg.norm(motion(points) - goal, axis=1)
         closer = off <= max(LOCATE.kept * float(np.median(off)), 1.0)
@@ -229,7 +231,8 @@ def _hand(motion: Similarity) -> Floats:
 
 def _onto(start: Similarity, points: Floats, skin: Samples) -> Similarity:
     """Return the motion after the markers slid onto the skin; the size stays."""
-    tree, session = KDTree(skin.points), start
+    tree = KDTree(skin.points)
+    session = start
     stiff = RefinementOptions(
         kept=0.85, sizes=(1.0, 1.0), least_points=LOCATE.least, close=LOCATE.off_skin, still=0.01
     )

@@ -196,7 +196,8 @@ class MarkerSet:
                 message = f"the marker set has the label '{label}' twice"
                 raise InputError("markers.set_labels", message, label=label)
             seen.add(marker.label)
-        rotation, shift = np.array(read.session.rotation), np.array(read.session.shift_mm)
+        rotation = np.array(read.session.rotation)
+        shift = np.array(read.session.shift_mm)
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUNDING:
             raise _schema_error("markers.session.rotation", "is not orthogonal")
         return cls(markers, Similarity(read.session.scale, rotation, shift), read.model_sha256)
@@ -215,7 +216,9 @@ class BoundTake:
         self.markers: tuple[Marker, ...] = tuple(
             marker for marker in markers.markers if marker.part != "ignore"
         )
-        self._take, self._set, self._session = take, markers, markers.session
+        self._take = take
+        self._set = markers
+        self._session = markers.session
         self._exchanged = exchanged
         number = {label: column for column, label in enumerate(take.labels)}
         self._columns = np.array([number.get(each.label, -1) for each in self.markers], np.int64)
@@ -286,8 +289,10 @@ def _entry(marker: Marker) -> dict[str, Any]:
 
 
 def _marker(entry: MarkerEntry, number: int) -> Marker:
-    where, at = f"markers.markers[{number}].at", entry.at
-    height, sigma = entry.height_mm, entry.sigma_mm
+    where = f"markers.markers[{number}].at"
+    at = entry.at
+    height = entry.height_mm
+    sigma = entry.sigma_mm
     marker = Marker(entry.label, height_mm=height, part=entry.part, sigma_mm=sigma)
     if not isinstance(at, SkinPoint):
         if entry.part == "face":

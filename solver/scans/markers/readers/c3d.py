@@ -36,7 +36,10 @@ from solver.scans.markers.readers.raw_take import (
 )
 from solver.surface import Floats
 
-INTEL, DEC, MIPS = 84, 85, 86  # processors, whose numbers differ in order and in floats
+# Processors, whose numbers differ in the order of their bytes and in floats.
+INTEL = 84  # the last byte first, IEEE
+DEC = 85  # floats of the VAX
+MIPS = 86  # the first byte first, IEEE
 FULL = 1 << 16  # what 16 bits cannot count
 MOST_DIMENSIONS = 7  # of a parameter, as the format has it
 
@@ -48,10 +51,20 @@ MOST_EVENTS = 1000  # of a take
 CHUNK_BYTES = 8 << 20  # of frames that are read at once
 
 # bytes of the header at which its words are
-POINTS, ANALOG, FIRST, LAST, SCALE, DATA, RATE = 2, 4, 6, 8, 12, 16, 20
-LONG_LABELS, LONG_LABELS_KEY = 298, 12345  # events have labels of four characters
+POINTS = 2
+ANALOG = 4
+FIRST = 6
+LAST = 8
+SCALE = 12
+DATA = 16
+RATE = 20
+LONG_LABELS = 298  # byte of the word that says that events have labels of four characters
+LONG_LABELS_KEY = 12345  # by this
 # of events: where the header has them, and for how many it has room
-EVENT_COUNT, EVENT_TIMES, EVENT_LABELS, MOST_HEADER_EVENTS = 300, 304, 396, 18
+EVENT_COUNT = 300
+EVENT_TIMES = 304
+EVENT_LABELS = 396
+MOST_HEADER_EVENTS = 18
 
 
 @dataclass(frozen=True)
@@ -232,7 +245,8 @@ def _scale(scale: float | None) -> float | None:
 def _analog(parameters: Parameters) -> int | None:
     """Return analog numbers of a frame by the parameters."""
     channels = parameters.count("ANALOG", "USED")
-    rate, points = parameters.number("ANALOG", "RATE"), parameters.number("POINT", "RATE")
+    rate = parameters.number("ANALOG", "RATE")
+    points = parameters.number("POINT", "RATE")
     if not channels:
         return channels
     if not rate or not points or not math.isfinite(rate / points):
@@ -283,14 +297,16 @@ def _read_points(
 
 def _events(header: bytes, parameters: Parameters, numbers: Numbers) -> tuple[TakeEvent, ...]:
     """Return the events of the group EVENT, or else those of the header."""
-    labels, contexts = parameters.texts("EVENT", "LABELS"), parameters.texts("EVENT", "CONTEXTS")
+    labels = parameters.texts("EVENT", "LABELS")
+    contexts = parameters.texts("EVENT", "CONTEXTS")
     times = parameters.numbers("EVENT", "TIMES")
     seconds = [60 * minutes + rest for minutes, rest in zip(times[::2], times[1::2], strict=False)]
     if not seconds and numbers.word(header, LONG_LABELS) == LONG_LABELS_KEY:
         count = min(numbers.word(header, EVENT_COUNT), MOST_HEADER_EVENTS)
         seconds = numbers.floats(header[EVENT_TIMES : EVENT_TIMES + 4 * count]).tolist()
         names = header[EVENT_LABELS : EVENT_LABELS + 4 * count]
-        labels, contexts = [decode(names[at : at + 4]) for at in range(0, 4 * count, 4)], []
+        labels = [decode(names[at : at + 4]) for at in range(0, 4 * count, 4)]
+        contexts = []
     found = []
     for number, time in enumerate(seconds[:MOST_EVENTS]):
         words = [*contexts[number : number + 1], *labels[number : number + 1]]
@@ -360,7 +376,8 @@ class Parameters:
 
     def count(self, group: str, name: str) -> int | None:
         """Return a count: an integer, which has no sign whatever the format says, or a float."""
-        value, number = self.values.get((group, name)), self.number(group, name)
+        value = self.values.get((group, name))
+        number = self.number(group, name)
         if number is None or not isinstance(value, np.ndarray):
             return None
         if value.dtype.kind == "i":

@@ -113,9 +113,11 @@ def read_name(label: str) -> Named | None:
 
 def _rest(parts: list[str], start: int, length: int) -> list[str]:
     """Return the words without the letters of the region's word."""
-    rest, at = [], 0
+    rest = []
+    at = 0
     for part in parts:
-        low, high = max(start - at, 0), min(start + length - at, len(part))
+        low = max(start - at, 0)
+        high = min(start + length - at, len(part))
         kept = [part] if low >= high else [part[:low], part[high:]]
         rest += [piece for piece in kept if piece]
         at += len(part)

@@ -118,7 +118,8 @@ def spread_frames(
         return points, []
     if missing > options.most_gaps * len(numbers):
         step = int(np.argmax(np.diff(np.array(numbers, np.int64))))
-        before, after = numbers[step], numbers[step + 1]
+        before = numbers[step]
+        after = numbers[step + 1]
         raise unreadable_error(file, f"frame {after} follows frame {before}", frame=after)
     check_room(file, len(numbers) + missing, points.shape[1], options)
     spread = np.full((len(numbers) + missing, *points.shape[1:]), np.nan)
@@ -213,9 +214,11 @@ def read_labels(file: str, names: Sequence[str], count: int) -> Labels:
         findings.append(
             make_finding("markers.two_faces", "warning", message, file=file, subjects=shown)
         )
-        texts, subject = [":".join(filter(None, parts[at])) for at in labelled], ""
+        texts = [":".join(filter(None, parts[at])) for at in labelled]
+        subject = ""
     else:
-        texts, subject = [parts[at][1] for at in labelled], ", ".join(filter(None, subjects))
+        texts = [parts[at][1] for at in labelled]
+        subject = ", ".join(filter(None, subjects))
     labels, more = _number_labels(file, texts)
     names_of_others = [parts[at][1] or f"#{at + 1}" for at in others]
     return Labels(
@@ -236,7 +239,8 @@ def tidy_label(name: str) -> str:
 
 def _number_labels(file: str, texts: Sequence[str]) -> tuple[list[str], list[Finding]]:
     """Return labels of which no two are alike; those that are get a number."""
-    taken, proposals = set(texts), {}
+    taken = set(texts)
+    proposals = {}
     seen: Counter[str] = Counter()
     labels = []
     for text in texts:

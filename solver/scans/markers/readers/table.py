@@ -167,7 +167,8 @@ def _count_on(file: str, table: Table) -> Table:
 
     It leaves out the first two numbers (four beyond 30 Hz) of most minutes, and no time passes.
     """
-    steps, numbers = np.diff(np.array(table.times)), np.array(table.numbers)
+    steps = np.diff(np.array(table.times))
+    numbers = np.array(table.numbers)
     left_out = np.diff(numbers) - 1
     dropped = np.isin(left_out, DROPPED)
     if not dropped.any() or not np.isfinite(steps).all():
@@ -275,7 +276,8 @@ def _label_names(file: str, line: Line, separator: str | None, count: int) -> Se
         raise unreadable_error(
             file, "'Frame#', 'Time' and labels are expected here", line=line.number
         )
-    over_x, others = fields[2 : 2 + 3 * count : 3], chain(fields[3::3], fields[4::3])
+    over_x = fields[2 : 2 + 3 * count : 3]
+    others = chain(fields[3::3], fields[4::3])
     if not any(others) and not any(fields[2 + 3 * count :]):
         return over_x
     labels = [field for field in fields[2:] if field]
@@ -348,8 +350,11 @@ def _tracks(file: str, rows: list[list[str]]) -> list[_Track]:
     if len(above) < 3:
         reason = "rows of types, names and kinds are expected above 'Frame, Time'"
         raise unreadable_error(file, reason, line=len(rows))
-    kinds, names, places = above[0], above[1], above[-1]
-    tracks, column = [], 2
+    kinds = above[0]
+    names = above[1]
+    places = above[-1]
+    tracks = []
+    column = 2
     while column < len(axes):
         if _at(places, column).lower() != "position":
             column += 1

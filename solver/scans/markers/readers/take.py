@@ -124,7 +124,8 @@ class Take:
         :class:`InputError` as :func:`read_take`.
         """
         archive = Archive.read(path, "markers", "a take", FORMAT)
-        header, arrays = archive.header, archive.arrays
+        header = archive.header
+        arrays = archive.arrays
         try:
             take = cls(
                 quote(header["file"]),
@@ -147,7 +148,8 @@ class Take:
             )
         except (AttributeError, LookupError, OverflowError, TypeError, ValueError) as error:
             raise unreadable_error(path.name, f"it is not a take: {error}") from error
-        shape, others = take.positions.shape, take.unlabelled.shape
+        shape = take.positions.shape
+        others = take.unlabelled.shape
         is_right = shape == (*shape[:1], len(take.labels), 3)
         is_right &= others == (*shape[:1], len(take.unlabelled_names), 3)
         is_right &= take.sigma is None or take.sigma.shape == shape
@@ -161,7 +163,8 @@ class Take:
 def _known_finding(values: Any) -> Finding | None:
     """Return what reading a take once found, as it may stand in a report; None of what may not."""
     try:
-        code, severity = values["code"], values["severity"]
+        code = values["code"]
+        severity = values["severity"]
         text = json.dumps(values, allow_nan=False)
         if code not in ADVICE or severity not in get_args(Severity) or len(text) > LONGEST_FINDING:
             return None
@@ -195,7 +198,8 @@ def _check_bounds(file: str, take: Take, options: TakeOptions) -> None:
         raise InputError("markers.none", f"{file} has no point that is ever seen", file=file)
     seen = np.isfinite(take.positions[..., 0])
     if take.sigma is not None:
-        sigma, least = take.sigma[seen], options.least_sigma * take.unit_mm
+        sigma = take.sigma[seen]
+        least = options.least_sigma * take.unit_mm
         if not ((sigma >= least) & (sigma < np.inf)).all():
             raise unreadable_error(file, f"it has a sigma that is not above {least:g} mm")
     if not abs(take.first) <= MOST_FRAME:
@@ -303,7 +307,8 @@ def _arrange_landmarks(file: str, arrays: Arrays, options: TakeOptions) -> RawTa
     missing = [name for name in ("names", "points") if name not in arrays]
     if missing:
         raise unreadable_error(file, f"it has no array '{missing[0]}'")
-    names, points = arrays["names"], arrays["points"]
+    names = arrays["names"]
+    points = arrays["points"]
     is_right = names.dtype.kind == "U" and names.ndim == 1 and points.dtype.kind in "fiu"
     if not is_right or points.ndim != 3 or points.shape[1:] != (len(names), 3):
         shapes = f"names {quote(names.shape)} and points {quote(points.shape)}"

@@ -120,7 +120,8 @@ class Faults:
 
     def put_right(self, positions: Floats) -> tuple[Floats, Mask]:
         """Return ``positions`` (f, k, 3) with swapped labels exchanged, and which (f, k) were."""
-        right, exchanged = positions.copy(), np.zeros(positions.shape[:2], bool)
+        right = positions.copy()
+        exchanged = np.zeros(positions.shape[:2], bool)
         for span in self.of("swapped"):
             rows = slice(span.first, span.last + 1)
             right[rows, span.marker] = positions[rows, span.other]
@@ -141,7 +142,8 @@ def find_faults(positions: Floats, rate: float) -> Faults:
     measured = np.where(frozen[..., None], np.nan, positions)
     _find_filled(measured, rate, spans)
     motion = take_apart(measured, rate)
-    pairs, leap = list(_neighbours(motion.middle)), FAULT.jump(rate)
+    pairs = list(_neighbours(motion.middle))
+    leap = FAULT.jump(rate)
     swaps = find_swaps(motion.places, motion.expected, pairs, leap, rate)
     if swaps:  # they bend what is expected of all markers
         motion = take_apart(exchange(measured, swaps), rate)
@@ -166,7 +168,8 @@ def runs(mask: Mask, bridged: int = 0) -> Iterator[tuple[int, int]]:
     true = np.flatnonzero(mask)
     if len(true):
         breaks = np.flatnonzero(np.diff(true) > 1 + bridged)
-        starts, ends = np.append(true[0], true[breaks + 1]), np.append(true[breaks], true[-1])
+        starts = np.append(true[0], true[breaks + 1])
+        ends = np.append(true[breaks], true[-1])
         yield from zip(starts.tolist(), ends.tolist(), strict=True)
 
 
@@ -278,7 +281,8 @@ def _swaps(
     """
     for a, b in _neighbours(motion.middle):
         frames = np.flatnonzero(bad[:, a] & bad[:, b])
-        expected, places = motion.expected[frames], motion.places[frames]
+        expected = motion.expected[frames]
+        places = motion.places[frames]
         crossed = [
             np.linalg.norm(places[:, here] - expected[:, there], axis=1)
             for here, there in ((a, b), (b, a))
@@ -313,11 +317,13 @@ def _nearest_expected(
     motion: Motion, frames: Ints, markers: Ints, free: Mask, batch: int = 20_000
 ) -> tuple[Ints, Floats]:
     """Return whose place is nearest to each bad point, of markers that are not there, and how."""
-    others, near = np.zeros(len(frames), np.int64), np.full(len(frames), np.inf)
+    others = np.zeros(len(frames), np.int64)
+    near = np.full(len(frames), np.inf)
     known = np.isfinite(motion.middle[:, 0])
     for start in range(0, len(frames), batch):
         part = slice(start, start + batch)
-        f, m = frames[part], markers[part]
+        f = frames[part]
+        m = markers[part]
         away = np.linalg.norm(motion.places[f, m][:, None] - motion.expected[f], axis=2)
         away[~(free[f] & known) | np.isnan(away)] = np.inf
         away[np.arange(len(f)), m] = np.inf
@@ -343,17 +349,20 @@ def _find_moved(residuals: Floats, rate: float) -> dict[int, Span]:
             continue
         way = medians[there, marker]
         split = _best_split(way, least)
-        before, after = np.median(way[:split], axis=0), np.median(way[split:], axis=0)
+        before = np.median(way[:split], axis=0)
+        after = np.median(way[split:], axis=0)
         step = after - before
         length = float(np.linalg.norm(step))
-        left, right = way[split - 2 : split], way[split : split + 2]
+        left = way[split - 2 : split]
+        right = way[split : split + 2]
         at_once = np.median(right, axis=0) - np.median(left, axis=0)
         levels = np.where(np.arange(len(way))[:, None] < split, before, after)
         else_ = float(np.quantile(np.linalg.norm(way - levels, axis=1), 0.8))
         is_sharp = at_once @ step > FAULT.sharp * length**2
         if length < FAULT.moved or not is_sharp or else_ > FAULT.steady * length:
             continue
-        low, high = int(there[split - 1]) * size, int((there[split] + 1) * size)
+        low = int(there[split - 1]) * size
+        high = int((there[split] + 1) * size)
         first = low + _largest_jump(residuals[low:high, marker])
         residuals[:first, marker] -= before
         residuals[first:, marker] -= after

@@ -110,13 +110,15 @@ def _go_on(rotations: Floats, shifts: Floats, known: Mask) -> None:
     if known.any():
         last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
         last[last < 0] = int(np.argmax(known))
-        rotations[:], shifts[:] = rotations[last], shifts[last]
+        rotations[:] = rotations[last]
+        shifts[:] = shifts[last]
 
 
 def _learn_shapes(changes: Floats, rate: float) -> tuple[Floats, Floats]:
     """Return shapes (r, k, 3) in which markers move together, and their usual squares (r,)."""
     frames, count = changes.shape[:2]
-    total, pairs = np.zeros((3 * count, 3 * count)), np.full((count, count), 1e-9)
+    total = np.zeros((3 * count, 3 * count))
+    pairs = np.full((count, count), 1e-9)
     for lag in MOTION.lags:
         step = max(1, round(lag * rate))
         starts = np.arange(0, frames - step, max(1, (frames - step) // MOTION.pairs))
@@ -203,7 +205,8 @@ def still_seconds(motion: Motion, rate: float, count: int) -> list[Second]:
     seen = np.isfinite(motion.places[..., 0])
     change = np.nan_to_num(motion.places - motion.middle)
     times = _sums(seen.astype(float), window)
-    count_seen, usual = np.maximum(times, 1.0), times > window / 2
+    count_seen = np.maximum(times, 1.0)
+    usual = times > window / 2
     mean = _sums(change, window) / count_seen[..., None]
     stirring = _sums((change**2).sum(axis=2), window) / count_seen - (mean**2).sum(axis=2)
     away = np.linalg.norm(mean, axis=2)
@@ -313,7 +316,8 @@ def find_swaps(
     with np.errstate(invalid="ignore"):
         way = np.linalg.norm(places - before, axis=2)
         leaps = (way > leap_mm) & (since <= max(1, round(CROSSING.hidden * rate)))
-    found, taken = [], np.zeros(leaps.shape, bool)
+    found = []
+    taken = np.zeros(leaps.shape, bool)
     for a, b in pairs:
         at = np.flatnonzero(leaps[:, a] & leaps[:, b])
         at = at[_is_crossing(places[at][:, [a, b]], before[at][:, [a, b]])]
@@ -380,7 +384,8 @@ def _look_exchanged(
     """Tell whether two markers lie where the other is expected, beside where they crossed."""
     count = max(1, round(CROSSING.confirmed * rate))
     near = rows[:count] if rows[0] > 0 else rows[-count:]
-    here, there = list(pair), list(pair[::-1])
+    here = list(pair)
+    there = list(pair[::-1])
     own = np.linalg.norm(places[near][:, here] - expected[near][:, here], axis=2)
     crossed = np.linalg.norm(places[near][:, here] - expected[near][:, there], axis=2)
     gain = own - crossed

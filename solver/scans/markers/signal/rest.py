@@ -157,7 +157,8 @@ def _blocks(places: Floats, rate: float) -> Floats:
 def _still(blocks: Floats) -> Mask:
     """Return in which blocks (b,) the face hardly moves from the one before to the one after."""
     numbers = np.arange(len(blocks))
-    before, after = np.maximum(numbers - 1, 0), np.minimum(numbers + 1, len(blocks) - 1)
+    before = np.maximum(numbers - 1, 0)
+    after = np.minimum(numbers + 1, len(blocks) - 1)
     way = np.linalg.norm(blocks[after] - blocks[before], axis=2)
     return np.array([rms_of_seen(each) <= REST.unrest for each in way], bool)
 

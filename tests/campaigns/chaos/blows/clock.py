@@ -9,7 +9,8 @@ from tests.campaigns.chaos.blows.workers import send_signal
 from tests.campaigns.chaos.stage import SETTINGS, Stage
 
 LEASE = SETTINGS["lease"]
-LEAST, MOST = 60.0, 600.0  # s; S3 refuses who is a quarter of an hour off
+LEAST = 60.0  # s
+MOST = 600.0  # s; S3 refuses who is a quarter of an hour off
 
 
 def set_clock(stage: Stage) -> bool:

@@ -61,7 +61,8 @@ def test_a_file_of_another_face_is_refused(name: str, rig: Rig, tmp_path: Path) 
     assert 0.0 <= (made.figures.get("max_mm") or 0.0) < 1e-3
     [fit] = rig.expressions
     assert fit.x is not None
-    moved, x = fit.skin.copy(), fit.x.copy()
+    moved = fit.skin.copy()
+    x = fit.x.copy()
     moved[7] += 0.3
     x[7] += 0.3
     others = replace(fit, skin=moved, x=x, activations=fit.activations + 0.1)

@@ -129,7 +129,8 @@ def test_points_outside_follow_the_nearest_point_of_the_flesh() -> None:
 
 
 def test_the_same_rig_gives_the_same_bytes(rig: Rig, tmp_path: Path) -> None:
-    one, two = tmp_path / "one.bin", tmp_path / "two.bin"
+    one = tmp_path / "one.bin"
+    two = tmp_path / "two.bin"
     inside_exporter.write(rig, one)
     inside_exporter.write(rig, two)
     assert one.read_bytes() == two.read_bytes()

@@ -23,7 +23,8 @@ from solver.surface import Floats, Surface
 from solver.templates.builtin.build import builtin_expression
 from tests.solver.block import block_model
 
-FRAMES, FPS = 4, 25.0
+FRAMES = 4
+FPS = 25.0
 
 
 def head_model() -> SubjectModel:

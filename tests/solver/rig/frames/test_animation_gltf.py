@@ -17,7 +17,8 @@ from solver.surface import Floats, Ints, Surface, vertex_normals
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=90.0)
 NEUTRAL = Surface(np.asarray(BALL.vertices, np.float64), np.asarray(BALL.faces, np.int64))
-KEYS_MM, SHAPES_MM = AnimationOptions().keys_mm, AnimationOptions().basis.within_mm
+KEYS_MM = AnimationOptions().keys_mm
+SHAPES_MM = AnimationOptions().basis.within_mm
 FRAMES = 50
 TIMES = np.arange(FRAMES) / 25.0
 STILL = np.zeros((FRAMES, 6))
@@ -39,7 +40,8 @@ def moving_skins() -> np.ndarray:
 def test_skins_read_back(tmp_path: Path) -> None:
     skins = moving_skins()
     heads = STILL.copy()
-    heads[:, 1], heads[:, 5] = 0.5 * TIMES, 4.0 * np.sin(4.0 * TIMES)
+    heads[:, 1] = 0.5 * TIMES
+    heads[:, 5] = 4.0 * np.sin(4.0 * TIMES)
     written = write_animation_glb(tmp_path / "animation.glb", NEUTRAL, skins, heads, TIMES)
     shown = Shown(tmp_path / "animation.glb")
     assert len(shown.names) == written.shapes < 15
@@ -69,7 +71,9 @@ def test_what_the_face_meets_is_where_it_was(tmp_path: Path) -> None:
     pane = trimesh.creation.box([80.0, 60.0, 2.0])
     glass = Surface(np.asarray(pane.vertices, np.float64), np.asarray(pane.faces, np.int64))
     places = np.zeros((FRAMES, 6))
-    places[:, 2], places[:, 4], places[:, 5] = 2.5 * TIMES, 30.0 * np.sin(3.0 * TIMES), 140.0
+    places[:, 2] = 2.5 * TIMES
+    places[:, 4] = 30.0 * np.sin(3.0 * TIMES)
+    places[:, 5] = 140.0
     still = np.tile([0.0, 1.2, 0.0, 0.0, 0.0, 200.0], (FRAMES, 1))
     solids = [Solid("glass", glass, places), Solid("wall", glass, still)]
     path = tmp_path / "animation.glb"

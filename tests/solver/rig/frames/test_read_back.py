@@ -33,7 +33,8 @@ def enlarged(path: Path, node: int = 0) -> MorphedSkin:
 
 
 def test_a_sequence_reads_back_as_another_reader_has_it(tmp_path: Path) -> None:
-    skins, path = drifting_skins(), tmp_path / "sequence.glb"
+    skins = drifting_skins()
+    path = tmp_path / "sequence.glb"
     found = animated(skins).write(path, 25.0)
     off = np.linalg.norm(shown_skins(path, NEUTRAL.vertices) - skins, axis=2)
     place = int(found["frame"]), int(found["vertex"])
@@ -45,7 +46,8 @@ def test_a_sequence_reads_back_as_another_reader_has_it(tmp_path: Path) -> None:
 
 def test_a_shape_that_was_changed_ends_the_job(tmp_path: Path) -> None:
     """The bytes of the greatest shape, scaled in the file itself."""
-    skins, path = drifting_skins(), tmp_path / "sequence.glb"
+    skins = drifting_skins()
+    path = tmp_path / "sequence.glb"
     skin = animated(skins)
     skin.write(path, 25.0)
     document = pygltflib.GLTF2().load(str(path))
@@ -73,7 +75,8 @@ def test_an_animation_that_stays_too_far_off_ends_the_job(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("solver.rig.frames.animation_gltf.read_glb", enlarged)
-    skins, still = drifting_skins().astype(np.float32)[:40], np.zeros((40, 6))
+    skins = drifting_skins().astype(np.float32)[:40]
+    still = np.zeros((40, 6))
     skins[:, :, 1] += np.linspace(0.0, 9.0, 40, dtype=np.float32)[:, None]
     with pytest.raises(SolveError) as caught:
         write_animation_glb(tmp_path / "animation.glb", NEUTRAL, skins, still, np.arange(40) / 25.0)

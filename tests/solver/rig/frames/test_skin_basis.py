@@ -56,13 +56,15 @@ def test_every_skin_of_a_wide_motion_is_reached() -> None:
 
 
 def test_skins_that_were_not_sampled_are_reached() -> None:
-    skins, few = drifting_skins(), replace(SEQUENCE_BASIS, most_samples=4, more_samples=2)
+    skins = drifting_skins()
+    few = replace(SEQUENCE_BASIS, most_samples=4, more_samples=2)
     basis = span_skins(NEUTRAL, skins.astype(np.float32), few)
     assert off_mm(skins, basis).max() <= SEQUENCE_BASIS.within_mm + 1e-4
 
 
 def test_a_coarser_basis_has_fewer_shapes() -> None:
-    skins, coarse = drifting_skins(), replace(SEQUENCE_BASIS, within_mm=0.8)
+    skins = drifting_skins()
+    coarse = replace(SEQUENCE_BASIS, within_mm=0.8)
     bases = [
         span_skins(NEUTRAL, skins.astype(np.float32), each) for each in (coarse, SEQUENCE_BASIS)
     ]
@@ -71,7 +73,8 @@ def test_a_coarser_basis_has_fewer_shapes() -> None:
 
 
 def test_where_there_may_be_no_more_shapes_frames_are_off() -> None:
-    skins, few = drifting_skins(), replace(SEQUENCE_BASIS, most_shapes=4)
+    skins = drifting_skins()
+    few = replace(SEQUENCE_BASIS, most_shapes=4)
     basis = span_skins(NEUTRAL, skins.astype(np.float32), few)
     assert len(basis.shapes) == 5  # and what they count from
     assert off_mm(skins, basis).max() > SEQUENCE_BASIS.within_mm

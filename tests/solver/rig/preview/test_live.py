@@ -65,7 +65,8 @@ def test_places_derivative_matches_differences(preview, markers):
 @pytest.mark.long
 def test_sliders_and_head_are_followed(preview, markers):
     tracker = LiveTracker(*preview, markers, 1.0 / 60.0)
-    places, rng = tracker.places, np.random.default_rng(3)
+    places = tracker.places
+    rng = np.random.default_rng(3)
     for time in np.linspace(0.0, 2.0, 90):
         values = 0.5 - 0.5 * np.cos(time * np.array([2.0, 3.0, 4.0]))
         head = small_motion(np.array([0.3 * np.sin(time), 0.2, 0.0, 9.0 * time, 0.0, 0.0]))

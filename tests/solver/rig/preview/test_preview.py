@@ -114,7 +114,8 @@ def test_slopes_of_the_skin_are_its_differences(face: Face, controls: Sliders) -
     (sample,) = simulator.solve([slid], np.inf, lambda _: None)
     slopes = Responses(face, controls, modes).at(sample)
     assert slopes is not None
-    step, start = 1e-2, face.continuation(face.rest, controls.pose(slid.values))
+    step = 1e-2
+    start = face.continuation(face.rest, controls.pose(slid.values))
     for number, unit in enumerate(np.eye(len(controls))):
         ahead, behind = (
             face.continuation(start, controls.pose(slid.values + way * unit))
@@ -126,7 +127,8 @@ def test_slopes_of_the_skin_are_its_differences(face: Face, controls: Sliders) -
 
 
 def test_slopes_of_the_features_are_their_differences() -> None:
-    values, pairs = np.array([0.2, 0.5, 0.9]), np.triu_indices(3)
+    values = np.array([0.2, 0.5, 0.9])
+    pairs = np.triu_indices(3)
     assert list(zip(*pairs, strict=True)) == [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
     slopes = feature_slopes(values, pairs).toarray()
     for number, unit in enumerate(np.eye(3)):

@@ -78,7 +78,8 @@ def test_flesh_at_rest_in_its_equilibrium(face: Face, state: PosedFace) -> None:
 
 
 def test_flesh_that_s_has_outside_its_muscle_is_told(face: Face, state: PosedFace) -> None:
-    model, border = face.model, 15.0
+    model = face.model
+    border = 15.0
     box = trimesh.creation.box(bounds=[[-1.0, -1.0, -1.0], [border, 41.0, 16.0]])
     surfaces = {"left": Surface(np.array(box.vertices), np.array(box.faces, np.int64))}
     face = Face(replace(model, muscles=surfaces))
@@ -144,7 +145,8 @@ def test_only_excited_muscles_count() -> None:
     found = a + np.array([[0.02, 0.0, 0.0, 0.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0, 0.0, 0.0]])
     assert activation_error(a, found) == pytest.approx(0.1)
     assert np.isnan(activation_error(np.tile(IDENTITY, (2, 1)), found))
-    fibres, rest = np.array([0.5, 0.01]), np.zeros(2)
+    fibres = np.array([0.5, 0.01])
+    rest = np.zeros(2)
     again = np.array([0.45, 0.3])
     assert activation_error(fibres, again, rest=rest) == pytest.approx(0.1)
 

@@ -44,7 +44,8 @@ def test_muscles_that_smile_and_lengthen_in_most_expressions() -> None:
 
 def test_a_jaw_that_closes_beyond_rest_in_most_expressions() -> None:
     face = Face(smiling_model())
-    closing, still = fits(face, [0.9] * 5, jaw=-0.3), fits(face, [0.9] * 5)
+    closing = fits(face, [0.9] * 5, jaw=-0.3)
+    still = fits(face, [0.9] * 5)
     (finding,) = check_neutral(face, closing)
     assert finding.code == "neutral.parted_teeth"
     assert finding.context["mm"] > 3.0

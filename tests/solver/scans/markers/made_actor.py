@@ -35,7 +35,8 @@ def to_actor(points: Floats) -> Floats:
 
 def actor_model(model: SubjectModel) -> SubjectModel:
     """Return the actor's flesh, bones and muscles: those of a person, moved."""
-    rest, skin = to_actor(model.rest), model.skin.with_vertices(to_actor(model.skin.vertices))
+    rest = to_actor(model.rest)
+    skin = model.skin.with_vertices(to_actor(model.skin.vertices))
     offset = skin.vertices[model.embedded] - model.embedding @ rest
     jaw = replace(model.jaw, origin=to_actor(model.jaw.origin[None])[0])
     return replace(model, rest=rest, skin=skin, offset=offset, jaw=jaw)

@@ -24,7 +24,9 @@ LABELS = (
     *("UpperLip", "UpperLip_L", "UpperLip_R", "LowerLip", "LowerLip_L", "LowerLip_R"),
     *("Mouth_Lend", "Mouth_Rend", "Chin", "Chin_L1", "Chin_R1", "Chin_L2", "Chin_R2"),
 )
-RATE, FRAMES, HEIGHT = 60.0, 1200, 2.0
+RATE = 60.0
+FRAMES = 1200
+HEIGHT = 2.0
 AWAY = np.array([120.0, 900.0, 60.0])  # of the head at rest, in the studio
 
 

@@ -73,7 +73,8 @@ def test_a_clean_take_is_good(person: Reference, clean: Floats) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("fault", sorted(BAD_TAKES))
 def test_a_planted_fault_is_found_where_it_is(person: Reference, clean: Floats, fault: str) -> None:
-    bad, take = BAD_TAKES[fault], made_take(clean)
+    bad = BAD_TAKES[fault]
+    take = made_take(clean)
     findings = check_take(bad.spoil(take), person).findings
     assert bad.is_found(take, findings), [each.message for each in findings]
     assert not bad.others(findings), [each.message for each in findings]
@@ -195,7 +196,8 @@ def test_of_many_markers_some_that_are_spread_over_the_face_slide(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Time grows with those that do, and anybody may send 400."""
-    face, slid = model_face(small_model()), []
+    face = model_face(small_model())
+    slid = []
     refine = locate_module.refine_pose
 
     def counted(cloud: FacePoints, *more: Any, **named: Any) -> FacePose:
@@ -292,7 +294,8 @@ def test_half_of_the_markers_may_be_missing(person: Reference, clean: Floats) ->
 
 @pytest.mark.long
 def test_a_take_of_which_a_third_is_thrown_is_bad(person: Reference, clean: Floats) -> None:
-    points, rng = clean.copy(), np.random.default_rng(4)
+    points = clean.copy()
+    rng = np.random.default_rng(4)
     thrown = rng.random(points.shape[:2]) < 0.35
     points[thrown] += rng.normal(0.0, 15.0, (int(thrown.sum()), 3))
     check = check_take(made_take(points), person)
@@ -381,7 +384,8 @@ class Shown:
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["ah", "smile", "surprise"])
 def test_a_take_without_rest_is_bound_to_an_expression_as_others_at_rest(name: str) -> None:
-    model, jaw = small_model(), np.array([0.25, 0.03, 0.5, -1.0, 1.5])
+    model = small_model()
+    jaw = np.array([0.25, 0.03, 0.5, -1.0, 1.5])
     teeth = model.jaw.origin + np.array([5.0, -35.0, 75.0])
     points = np.concatenate([on_skin(name), move_jaw(model.jaw, teeth[None], jaw)])
     points = points @ Rotation.from_euler("yx", [140.0, 20.0], degrees=True).as_matrix().T
@@ -392,7 +396,8 @@ def test_a_take_without_rest_is_bound_to_an_expression_as_others_at_rest(name: s
     assert found.markers[-1].part == "lower_teeth"
     np.testing.assert_allclose(found.places[-1], teeth, atol=1.0)
     on_face = MarkerSet(found.markers[:-1], found.session, found.model_sha256)
-    weights, vertices = on_face.weights, on_face.vertices
+    weights = on_face.weights
+    vertices = on_face.vertices
     places = np.einsum("kc,kcd->kd", weights, model.skin.vertices[vertices])
     off = np.linalg.norm(places - model.skin.vertices[sites()], axis=1)
     assert off.max() < 2.0
@@ -415,8 +420,11 @@ def test_a_fit_has_bound_markers_where_they_were_seen(clean: Floats) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("late", [False, True])
 def test_a_marker_that_moved_has_a_place_for_each_span(clean: Floats, late: bool) -> None:
-    model, at, frame = small_model(), AT["LCheek"], 800
-    skin, points = model_face(model), clean.copy()
+    model = small_model()
+    at = AT["LCheek"]
+    frame = 800
+    skin = model_face(model)
+    points = clean.copy()
     way = points[:, AT["LCheek_Down"]] - points[:, at]
     shift = 6.0 * way / np.linalg.norm(way, axis=1, keepdims=True)
     moved = slice(frame) if late else slice(frame, None)  # a set has the place before, or after
@@ -428,7 +436,8 @@ def test_a_marker_that_moved_has_a_place_for_each_span(clean: Floats, late: bool
     seen = np.isfinite(split.positions[..., 0])
     assert np.flatnonzero(seen[:, at]).tolist() == list(range(frame))
     assert np.flatnonzero(seen[:, -1]).tolist() == list(range(frame, len(points)))
-    rest, places = rest_places(markers, skin), rest_places(found, skin)
+    rest = rest_places(markers, skin)
+    places = rest_places(found, skin)
     way = rest[AT["LCheek_Down"]] - rest[at]
     elsewhere = rest[at] + 6.0 * way / np.linalg.norm(way)
     goals = (elsewhere, rest[at]) if late else (rest[at], elsewhere)
@@ -462,7 +471,8 @@ def real(request: pytest.FixtureRequest) -> Take:
 def real_person() -> Surface:
     """Return the face of the man whose takes they are, by the identity in the data."""
     with np.load(data_folder("ict_facekit", "ict_facekit.npz")) as data:
-        shape, quads = data["V"], data["quads"]
+        shape = data["V"]
+        quads = data["quads"]
         bound = np.load(data_folder("markers", "animface", "ict_binding.npz"))
         shape = 10.0 * (shape + np.tensordot(bound["identity"], data["I"], 1))
     faces = np.vstack([quads[:, [0, 1, 2]], quads[quads[:, 3] >= 0][:, [0, 2, 3]]])

@@ -46,7 +46,8 @@ def markers() -> MarkerSet:
 @pytest.fixture(scope="module")
 def still(markers: MarkerSet) -> Floats:
     """The person's markers over time, with the head still."""
-    rest, positions = on_skin("neutral"), made_positions(FRAMES, noise=0.0) - AWAY
+    rest = on_skin("neutral")
+    positions = made_positions(FRAMES, noise=0.0) - AWAY
     face = [weighted_motion(each, rest, head_weights())(each) for each in positions]
     return np.array(face) - rest + rest_places(markers, SKIN)
 
@@ -152,7 +153,8 @@ def test_what_rides_on_bone_follows_by_size_alone(still: Floats, markers: Marker
     names = (*LABELS, *labels, *(f"Body{n}" for n in range(30)))
     found = carry(as_take(all_, labels=names), both, SKIN, RATE, REST)
     assert found.take.labels == (*LABELS, *labels)
-    carried, scale = found.take.positions[:, len(LABELS) :], found.report["scale"]
+    carried = found.take.positions[:, len(LABELS) :]
+    scale = found.report["scale"]
     rigid = weighted_motion(carried[300, :4], carried[0, :4], np.ones(4))
     np.testing.assert_allclose(rigid(carried[300, :4]), carried[0, :4], atol=0.3)
     places = np.array([marker.place_mm for marker in further])
@@ -186,7 +188,8 @@ def test_swapped_and_unlabelled_points_come_to_where_they_belong(
         actor, positions=positions, unlabelled=free, unlabelled_names=("*1",), sigma=sigma
     )
     found = carry(take, markers, SKIN, RATE, REST)
-    right, seen = carried.take.positions, found.take.positions
+    right = carried.take.positions
+    seen = found.take.positions
     np.testing.assert_allclose(seen[span, one], right[span, other], atol=0.5)
     np.testing.assert_allclose(seen[span, other], right[span, one], atol=0.5)
     np.testing.assert_allclose(found.take.unlabelled[span, 0], right[span, gone], atol=0.5)
@@ -198,16 +201,20 @@ def test_swapped_and_unlabelled_points_come_to_where_they_belong(
 def test_a_marker_that_moves_is_split_on_the_person(
     actor: Take, still: Floats, markers: MarkerSet
 ) -> None:
-    moved, start, step = LABELS.index("Forehead_L"), 300, np.array([[7.0, 0.0, -1.5]])
+    moved = LABELS.index("Forehead_L")
+    start = 300
+    step = np.array([[7.0, 0.0, -1.5]])
     turned = np.array([head.turn(step)[0] for head in heads(FRAMES)])[start:]
 
     def split_step(take: Take, carry_it: bool) -> float:
         positions = take.positions.copy()
         positions[start:, moved] += turned @ TURN
-        take, used = replace(take, positions=positions), markers
+        take = replace(take, positions=positions)
+        used = markers
         if carry_it:
             carried = carry(take, markers, SKIN, RATE, REST)
-            take, used = carried.take, carried.markers
+            take = carried.take
+            used = carried.markers
         take, split = split_moved(take, used, find_faults(take.positions, RATE), SKIN)
         assert take.labels[-1] == f"Forehead_L@{101 + start}"
         now, then = rest_places(split, SKIN)[[moved, -1]]
@@ -220,17 +227,17 @@ def test_a_marker_that_moves_is_split_on_the_person(
 
 @pytest.mark.parametrize("fault", ["mirrored", "shuffled", "few", "small"])
 def test_nonsense_is_refused(fault: str, actor: Take, markers: MarkerSet) -> None:
-    take, code = actor, "markers.other_person"
+    take = actor
+    code = "markers.other_person"
     if fault == "mirrored":
-        take, code = (
-            replace(actor, positions=actor.positions * [-1.0, 1.0, 1.0]),
-            "markers.mirrored",
-        )
+        take = replace(actor, positions=actor.positions * [-1.0, 1.0, 1.0])
+        code = "markers.mirrored"
     elif fault == "shuffled":
         order = np.random.default_rng(2).permutation(len(LABELS))
         take = replace(actor, positions=actor.positions[:, order])
     elif fault == "few":
-        take, code = actor.pick(range(5)), "markers.few"
+        take = actor.pick(range(5))
+        code = "markers.few"
     else:
         take = replace(actor, positions=0.5 * actor.positions)
     with pytest.raises(InputError) as caught:
@@ -240,7 +247,8 @@ def test_nonsense_is_refused(fault: str, actor: Take, markers: MarkerSet) -> Non
 
 def test_what_is_not_carried_is_told(actor: Take, markers: MarkerSet) -> None:
     """A label is bound on the wrong brow, and one goes where no face is."""
-    positions, thrown = actor.positions.copy(), LABELS.index("Chin_R2")
+    positions = actor.positions.copy()
+    thrown = LABELS.index("Chin_R2")
     positions[200:230, thrown] += 90.0
     wrong = list(markers.markers)
     one, other = (LABELS.index(name) for name in ("LBrow_In", "RBrow_In"))

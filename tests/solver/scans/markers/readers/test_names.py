@@ -72,7 +72,9 @@ def test_other_labels_name_no_place(label: str) -> None:
 def test_plain_numbers_are_the_68_points(start: int) -> None:
     named = read_names([f"{number + start}" for number in range(68)])
     assert all(named)
-    tip, right, left = named[30], named[36], named[45]
+    tip = named[30]
+    right = named[36]
+    left = named[45]
     assert tip is not None
     assert tip.place == (0, 0, 0)
     assert right is not None

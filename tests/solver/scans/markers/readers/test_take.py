@@ -428,7 +428,8 @@ def test_100_broken_files_are_refused_or_read_right(tmp_path: Path, name: str) -
     right = read(tmp_path, whole).positions
     ends = {"trc": whole.find(b"\r\n1\t"), "motive": whole.find(b"\r\n0,"), "npz": len(whole)}
     span = (0, ends.get(name, 1024))
-    refused, wrong = [], []
+    refused = []
+    wrong = []
     for number, content in enumerate(_spoilt(whole, 100, span, seed=3)):
         try:
             take = read(tmp_path, content)

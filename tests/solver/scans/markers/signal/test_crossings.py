@@ -22,7 +22,8 @@ PAIRS = (
 
 
 def swapped(take: Take, pair: tuple[str, str], rows: slice) -> Take:
-    columns, positions = [take.labels.index(label) for label in pair], take.positions.copy()
+    columns = [take.labels.index(label) for label in pair]
+    positions = take.positions.copy()
     positions[rows, columns] = positions[rows, columns[::-1]]
     return replace(take, positions=positions)
 
@@ -49,8 +50,10 @@ def test_a_long_swap_in_a_recorded_take_is_found_whole_and_put_right(
 
 
 def test_swaps_go_on_to_the_end_and_come_back_after_gaps() -> None:
-    take, end = made_take(made_positions(600)), 600
-    one, other = ("LCheek", "LCheek_Up"), ("LowerLip", "LowerLip_L")
+    take = made_take(made_positions(600))
+    end = 600
+    one = ("LCheek", "LCheek_Up")
+    other = ("LowerLip", "LowerLip_L")
     spoilt = swapped(swapped(take, one, slice(400, end)), other, slice(300, 420))
     columns = [LABELS.index(label) for label in other]
     spoilt.positions[296:300, columns] = np.nan
@@ -61,6 +64,7 @@ def test_swaps_go_on_to_the_end_and_come_back_after_gaps() -> None:
 
 def test_markers_that_leap_without_an_exchange_are_not_swapped() -> None:
     positions = made_positions(600)
-    one, other = LABELS.index("LCheek"), LABELS.index("LCheek_Up")
+    one = LABELS.index("LCheek")
+    other = LABELS.index("LCheek_Up")
     positions[300:310, [one, other]] += [0.0, 25.0, 0.0]
     assert not find_faults(positions, RATE).of("swapped")

@@ -1,0 +1,161 @@
+"""The job that builds the light rig a studio ships."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver.drawing.head import DrawnHead, face_camera
+from solver.drawing.sheet import Column, SheetLayout, draw_sheet
+from solver.errors import InputError
+from solver.jobs import Task, read_template
+from solver.jobs.blendshapes import SOLVED, left_files, person_blendshapes, tell_blendshapes
+from solver.jobs.scenes import READ
+from solver.kinds.build_studio_rig import BuildStudioRig
+from solver.model import SubjectModel
+from solver.progress import Step
+from solver.rig import Rig
+from solver.rig.studio.glb import compare_glb, write_glb
+from solver.rig.studio.levels import distance_mm, simplify
+from solver.rig.studio.lids import Lids
+from solver.rig.studio.light_rig import LightRig
+from solver.rig.studio.shapes import FleshShapes, StudioShapes, solve_studio_shapes
+from solver.scene.places import Places
+from solver.storage import write_json
+
+MADE = 0.85  # share of the job after which the shapes are solved in flesh
+LEVELS = {"studio": 1.0, "studio_half": 0.5, "studio_quarter": 0.25}  # share of the triangles
+
+
+def run(task: Task[BuildStudioRig]) -> list[Path]:
+    """Solve the person's shapes in flesh with contact and write them as a light rig.
+
+    Blendshapes of an earlier job are taken as they are. Raises ``blendshapes.*``, ``basis.*`` and
+    what reading a rig raises.
+    """
+    given = task.options
+    progress = task.progress
+    progress(Step("read", 0.0, message=task.inputs["rig"].name))
+    rig = Rig.load(task.inputs)
+    model = rig.model
+    basis = read_template(task).shapes
+    if basis is None:
+        name = model.template.get("name", "")
+        raise InputError("blendshapes.none", f"the template {name} has no expressions")
+    progress(Step("read", READ))
+    blendshapes = person_blendshapes(task, rig)
+    flesh = FleshShapes(rig, blendshapes, Places.of(model, task.inputs.get("template"), {}))
+
+    def listen(done: int, count: int) -> None:
+        words = f"{done} of {count}"
+        progress(Step("shapes", SOLVED + (MADE - SOLVED) * done / count, done, message=words))
+
+    shapes = solve_studio_shapes(model, flesh, basis, listen)
+    light = LightRig.of(model, shapes, given.driven_by).with_lids(Lids.of(model))
+    progress(Step("export", MADE))
+    written = {}
+    levels = {}
+    for name, share in LEVELS.items():
+        rigged = light if share == 1.0 else simplify(light, share)
+        file = task.out / f"{name}.glb"
+        write_glb(rigged, file)
+        written[file] = {**compare_glb(rigged, file), "bytes": file.stat().st_size}
+        levels[file.name] = tell_level(light, rigged)
+    written |= _write_usd(light, task.out / "studio.usdc")
+    picture = task.out / "studio.png"
+    draw_shapes(model, light, picture)
+    report = task.out / "studio.json"
+    figures = {
+        **tell_shapes(light, shapes),
+        **tell_blendshapes(blendshapes),
+        "driven_by": given.driven_by,
+        "levels": levels,
+        "files": {file.name: told for file, told in written.items()},
+    }
+    write_json(report, figures)
+    progress(Step("done", 1.0))
+    return [*written, report, picture, *left_files(task)]
+
+
+def _write_usd(light: LightRig, file: Path) -> dict[Path, dict[str, Any]]:
+    """Write the rig as USD where the extra is there; return what is told of the file."""
+    try:
+        from solver.rig.studio.usd import compare_usd, write_usd  # an extra
+    except ModuleNotFoundError:
+        return {}
+    write_usd(light, file)
+    return {file: {**compare_usd(light, file), "bytes": file.stat().st_size}}
+
+
+def tell_level(light: LightRig, level: LightRig) -> dict[str, Any]:
+    """Return the triangles of a level of detail, and how far its shapes are off the whole rig's."""
+    triangles = len(level.neutral.faces)
+    if level is light:
+        return {"triangles": triangles}
+    off = distance_mm(light, level)
+    worst = int(off.argmax())
+    return {
+        "triangles": triangles,
+        "mean_mm": round(float(off.mean()), 4),
+        "worst_mm": round(float(off[worst]), 4),
+        "worst": light.names[worst],
+    }
+
+
+def tell_shapes(light: LightRig, shapes: StudioShapes) -> dict[str, Any]:
+    """Return what ``studio.json`` says of shapes and joints: distances in mm, turns in degrees."""
+    skeleton = light.skeleton
+    rows = {}
+    for row, name in enumerate(shapes.names):
+        moved = {}
+        for joint, twist in zip(skeleton.joints, light.twists[row], strict=True):
+            if twist.any():
+                turn = np.degrees(twist[:3]).round(4).tolist()
+                moved[joint] = {"turn_deg": turn, "move_mm": twist[3:].round(4).tolist()}
+        off = {"off_mm": round(float(shapes.off_mm[row]), 4)}
+        rows[name] = off | ({"joints": moved} if moved else {})
+    return {
+        "format": 1,
+        "shapes": rows,
+        "shapes_count": len(shapes.names),
+        "shapes_mean_mm": round(float(shapes.off_mm.mean()), 4),
+        "shapes_worst_mm": round(float(shapes.off_mm.max()), 4),
+        "not_settled_in_contact": list(shapes.unsettled),
+        "joints": {
+            name: place.round(4).tolist()
+            for name, place in zip(skeleton.joints, skeleton.places, strict=True)
+        },
+        "half_ways": {each.name: each.of for each in light.half_ways},
+    }
+
+
+# Picture of the shapes.
+
+SHOWN = {
+    "neutral": {},
+    "eyes shut": {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0},
+    "jaw open": {"jawOpen": 1.0},
+    "smile": {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0},
+    "funnel": {"mouthFunnel": 1.0},
+    "closed on an open jaw": {"jawOpen": 0.6, "mouthClose": 0.6},
+    "brows up, look left": {
+        **{"browInnerUp": 1.0, "browOuterUpLeft": 1.0, "browOuterUpRight": 1.0},
+        **{"eyeLookOutLeft": 1.0, "eyeLookInRight": 1.0},
+    },
+    "sneer": {"noseSneerLeft": 1.0, "noseSneerRight": 1.0, "browDownLeft": 1.0},
+}
+LAYOUT = SheetLayout(cell=(300, 380), label=20, foot=40)
+
+
+def draw_shapes(model: SubjectModel, light: LightRig, path: Path) -> None:
+    """Draw some shapes of a light rig, whole, and mixed."""
+    head = DrawnHead(model.skin)
+    camera = face_camera(model.skin.vertices, model.face, 0.0)
+    columns = [
+        Column.of(name, [head.body(head.lit(light.play(weights)))], camera, LAYOUT)
+        for name, weights in SHOWN.items()
+    ]
+    detail = f"{len(light.names)} shapes, {len(light.skeleton.joints)} joints"
+    draw_sheet(path, "The studio's rig", detail, ("",), columns, LAYOUT, scale_mm=None)

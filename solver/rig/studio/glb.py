@@ -1,0 +1,160 @@
+"""``studio.glb``: a light rig with morph targets by ARKit's names and a skeleton, in glTF 2.0."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pygltflib as gl
+
+from solver.rig.frames.gltf import DEFAULTS, GENERATOR, METRES, Buffer, material_of
+from solver.rig.frames.read_back import Comparison, accessor_values, split_glb
+from solver.rig.studio.light_rig import LightRig
+from solver.rig.studio.parts import Part, parts_of
+from solver.surface import Floats, Ints, vertex_normals
+
+MOST_JOINTS = 4  # of a vertex, in one attribute of glTF
+
+
+def write_glb(rig: LightRig, path: Path) -> None:
+    """Write a rig: joints, and a node for each part of the head, in metres, at rest.
+
+    A part has the morph targets that move it.
+    """
+    buffer = Buffer()
+    skeleton = rig.skeleton
+    parts = parts_of(rig.neutral, skeleton)
+    materials = list(dict.fromkeys(part.material for part in parts))
+    meshes = _Meshes(rig, buffer, materials)
+    count = len(skeleton.joints)
+    nodes = [
+        *_joints(rig),
+        *(gl.Node(name=part.name, mesh=number, skin=0) for number, part in enumerate(parts)),
+    ]
+    document = gl.GLTF2(
+        asset=gl.Asset(version="2.0", generator=GENERATOR),
+        scene=0,
+        scenes=[gl.Scene(name="face", nodes=[0, *range(count, len(nodes))])],
+        nodes=nodes,
+        skins=[_skin(rig, buffer)],
+        materials=[material_of(name) for name in materials],
+        meshes=[meshes.of(part) for part in parts],
+        accessors=buffer.accessors,
+        bufferViews=buffer.views,
+        buffers=[gl.Buffer(byteLength=len(buffer.content))],
+    )
+    document.set_binary_blob(bytes(buffer.content))
+    document.save_binary(str(path))
+
+
+class _Meshes:
+    """Makes the mesh of each part, its data in the buffer."""
+
+    def __init__(self, rig: LightRig, buffer: Buffer, materials: Sequence[str]) -> None:
+        self._buffer = buffer
+        self._materials = materials
+        self._points = rig.neutral.vertices * METRES
+        self._targets = rig.targets
+        self._normals = vertex_normals(rig.neutral)
+        self._turned = {
+            name: vertex_normals(rig.neutral.with_vertices(rig.neutral.vertices + motion))
+            - self._normals
+            for name, motion in self._targets.items()
+        }
+        self._joints, self._weights = influences(rig.skeleton.weights)
+
+    def of(self, part: Part) -> gl.Mesh:
+        """Return a part's mesh."""
+        names = part.moving(self._targets, DEFAULTS.still_mm)
+        primitive = gl.Primitive(
+            attributes=self._at_rest(part.vertices),
+            indices=self._buffer.indices(part.faces),
+            material=self._materials.index(part.material),
+            mode=gl.TRIANGLES,
+            targets=[self._target(name, part.vertices) for name in names] or None,
+        )
+        extras = {"targetNames": names} if names else {}
+        weights = [0.0] * len(names) or None
+        return gl.Mesh(name=part.name, weights=weights, extras=extras, primitives=[primitive])
+
+    def _at_rest(self, used: Ints) -> gl.Attributes:
+        buffer = self._buffer
+        return gl.Attributes(
+            POSITION=buffer.dense(self._points[used], gl.VEC3, gl.ARRAY_BUFFER, bounds=True),
+            NORMAL=buffer.dense(self._normals[used], gl.VEC3, gl.ARRAY_BUFFER),
+            JOINTS_0=buffer.joints(self._joints[used]),
+            WEIGHTS_0=buffer.dense(self._weights[used], gl.VEC4, gl.ARRAY_BUFFER),
+        )
+
+    def _target(self, name: str, used: Ints) -> gl.Attributes:
+        motion = self._targets[name][used] * METRES
+        return gl.Attributes(
+            POSITION=self._buffer.morph(motion, DEFAULTS.still_mm * METRES, bounds=True),
+            NORMAL=self._buffer.morph(self._turned[name][used], DEFAULTS.still_normal),
+        )
+
+
+def _skin(rig: LightRig, buffer: Buffer) -> gl.Skin:
+    """Return the binding of the skin to the joints."""
+    count = len(rig.skeleton.joints)
+    binding = np.tile(np.eye(4), (count, 1, 1))
+    binding[:, :3, 3] = -rig.skeleton.places * METRES
+    columns = binding.transpose(0, 2, 1).reshape(count, 16)
+    matrices = buffer.dense(columns, gl.MAT4)
+    return gl.Skin(
+        name="skeleton", joints=list(range(count)), skeleton=0, inverseBindMatrices=matrices
+    )
+
+
+def influences(weights: Floats) -> tuple[Ints, Floats]:
+    """Return the joints (V, 4) that move each vertex most, and their weights, which add up to 1."""
+    count = weights.shape[1]
+    padded = np.pad(weights, ((0, 0), (0, max(MOST_JOINTS - count, 0))))
+    order = np.argsort(-padded, axis=1, kind="stable")[:, :MOST_JOINTS]
+    kept = np.take_along_axis(padded, order, axis=1)
+    kept /= kept.sum(axis=1, keepdims=True)
+    return np.where(kept > 0.0, order, 0).astype(np.int64), kept
+
+
+def _joints(rig: LightRig) -> list[gl.Node]:
+    """Return the joints' nodes, the first with the others as its children."""
+    places = rig.skeleton.places * METRES
+    head, *others = rig.skeleton.joints
+    return [
+        gl.Node(
+            name=head, translation=places[0].tolist(), children=list(range(1, 1 + len(others)))
+        ),
+        *(
+            gl.Node(name=name, translation=(place - places[0]).tolist())
+            for name, place in zip(others, places[1:], strict=True)
+        ),
+    ]
+
+
+def compare_glb(rig: LightRig, path: Path) -> dict[str, Any]:
+    """Return how far the file's shapes are off the rig's, whole, its joints at rest.
+
+    Raises :class:`~solver.errors.SolveError` (``file.differs``).
+    """
+    document, binary = split_glb(path)
+
+    def values(number: int) -> np.ndarray:
+        return accessor_values(document, binary, document["accessors"][number])
+
+    found = Comparison(path.name)
+    parts = {part.name: part for part in parts_of(rig.neutral, rig.skeleton)}
+    shown = {name: rig.neutral.vertices.copy() for name in rig.targets}
+    for mesh in document["meshes"]:
+        part = parts[mesh["name"]]
+        primitive = mesh["primitives"][0]
+        neutral = values(primitive["attributes"]["POSITION"]) / METRES
+        for skin in shown.values():
+            skin[part.vertices] = neutral
+        names = mesh.get("extras", {}).get("targetNames", [])
+        for name, target in zip(names, primitive.get("targets", []), strict=True):
+            shown[name][part.vertices] = neutral + values(target["POSITION"]) / METRES
+    for name, motion in rig.targets.items():
+        found.add(name, shown[name], rig.neutral.vertices + motion)
+    return found.figures()

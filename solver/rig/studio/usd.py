@@ -1,0 +1,151 @@
+"""``studio.usdc``: a light rig with a skeleton and blend shapes, in USD. Needs the extra ``usd``.
+
+Lengths are mm (``metersPerUnit`` 0.001), y up. ``/Face`` is a SkelRoot with a mesh for each part,
+``Skeleton``, and ``Animation``, which holds joints and shapes at rest for a program to set.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+
+from solver.rig.frames.gltf import DEFAULTS
+from solver.rig.frames.read_back import Comparison
+from solver.rig.frames.usd import define_material, extent, free_path, numbers, vectors
+from solver.rig.studio.glb import MOST_JOINTS, influences
+from solver.rig.studio.light_rig import LightRig
+from solver.rig.studio.parts import Part, parts_of
+from solver.surface import Floats, Ints, vertex_normals
+
+ROOT = Sdf.Path("/Face")
+
+
+def write_usd(rig: LightRig, path: Path) -> None:
+    """Write a rig at rest; a part has the blend shapes that move it."""
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.millimeters)
+    root = UsdSkel.Root.Define(stage, ROOT)
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    root.CreateExtentAttr(extent(rig.neutral.vertices))
+    _skeleton(stage, rig)
+    normals = vertex_normals(rig.neutral)
+    turned = {
+        name: vertex_normals(rig.neutral.with_vertices(rig.neutral.vertices + motion)) - normals
+        for name, motion in rig.targets.items()
+    }
+    joints, weights = influences(rig.skeleton.weights)
+    UsdGeom.Scope.Define(stage, ROOT.AppendChild("Materials"))
+    for part in parts_of(rig.neutral, rig.skeleton):
+        mesh = _mesh(stage, part, rig.neutral.vertices, normals)
+        _bind(mesh, joints[part.vertices], weights[part.vertices])
+        _shapes(stage, mesh, part, rig, turned)
+    stage.GetRootLayer().Export(str(path))
+
+
+def _paths(rig: LightRig) -> list[str]:
+    """Return the joints' paths: all hang on the head."""
+    head, *others = rig.skeleton.joints
+    return [head, *(f"{head}/{name}" for name in others)]
+
+
+def _skeleton(stage: Usd.Stage, rig: LightRig) -> None:
+    """Define the joints, and an animation in which they and the shapes are at rest."""
+    places = rig.skeleton.places
+    paths = _paths(rig)
+    skeleton = UsdSkel.Skeleton.Define(stage, ROOT.AppendChild("Skeleton"))
+    skeleton.CreateJointsAttr(paths)
+    own = places - np.vstack([np.zeros(3), np.tile(places[0], (len(places) - 1, 1))])
+    skeleton.CreateBindTransformsAttr([_translation(place) for place in places])
+    skeleton.CreateRestTransformsAttr([_translation(place) for place in own])
+    skeleton.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    motion = UsdSkel.Animation.Define(stage, ROOT.AppendChild("Animation"))
+    motion.CreateJointsAttr(paths)
+    motion.CreateTranslationsAttr([Gf.Vec3f(*place.tolist()) for place in own])
+    motion.CreateRotationsAttr([Gf.Quatf(1.0)] * len(paths))
+    motion.CreateScalesAttr([Gf.Vec3h(1.0)] * len(paths))
+    motion.CreateBlendShapesAttr(list(rig.targets))
+    motion.CreateBlendShapeWeightsAttr([0.0] * len(rig.targets))
+    binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
+    binding.CreateAnimationSourceRel().SetTargets([motion.GetPath()])
+
+
+def _translation(place: Floats) -> Gf.Matrix4d:
+    return Gf.Matrix4d().SetTranslate(Gf.Vec3d(*place.tolist()))
+
+
+def _mesh(stage: Usd.Stage, part: Part, points: Floats, normals: Floats) -> UsdGeom.Mesh:
+    """Define a part's triangles with its material."""
+    own = points[part.vertices]
+    mesh = UsdGeom.Mesh.Define(stage, ROOT.AppendChild(part.name))
+    mesh.CreatePointsAttr(vectors(own))
+    mesh.CreateFaceVertexCountsAttr([3] * len(part.faces))
+    mesh.CreateFaceVertexIndicesAttr(numbers(part.faces))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateExtentAttr(extent(own))
+    mesh.CreateNormalsAttr(vectors(normals[part.vertices]))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    scope = ROOT.AppendChild("Materials")
+    there = UsdShade.Material.Get(stage, scope.AppendChild(part.material))
+    material = there if there else define_material(stage, scope, part.material)
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    return mesh
+
+
+def _bind(mesh: UsdGeom.Mesh, joints: Ints, weights: Floats) -> None:
+    """Let a mesh follow the joints (k, 4) by weights."""
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateSkeletonRel().SetTargets([ROOT.AppendChild("Skeleton")])
+    of = {"constant": False, "elementSize": MOST_JOINTS}
+    binding.CreateJointIndicesPrimvar(**of).Set(numbers(joints))
+    shares = Vt.FloatArray.FromNumpy(np.ascontiguousarray(weights.ravel(), np.float32))
+    binding.CreateJointWeightsPrimvar(**of).Set(shares)
+
+
+def _shapes(
+    stage: Usd.Stage, mesh: UsdGeom.Mesh, part: Part, rig: LightRig, turned: dict[str, Floats]
+) -> None:
+    """Define the blend shapes that move a part."""
+    still = DEFAULTS.still_mm
+    names = part.moving(rig.targets, still)
+    places = []
+    for name in names:
+        change = rig.targets[name][part.vertices]
+        moving = np.flatnonzero((np.abs(change) > still).any(axis=1))
+        places.append(free_path(stage, mesh.GetPath(), name))
+        shape = UsdSkel.BlendShape.Define(stage, places[-1])
+        shape.CreatePointIndicesAttr(numbers(moving))
+        shape.CreateOffsetsAttr(vectors(change[moving]))
+        shape.CreateNormalOffsetsAttr(vectors(turned[name][part.vertices][moving]))
+    binding = UsdSkel.BindingAPI(mesh)
+    binding.CreateBlendShapesAttr(names)
+    binding.CreateBlendShapeTargetsRel().SetTargets(places)
+
+
+def compare_usd(rig: LightRig, path: Path) -> dict[str, Any]:
+    """Return how far the file's shapes are off the rig's, whole, its joints at rest.
+
+    Raises :class:`~solver.errors.SolveError` (``file.differs``).
+    """
+    stage = Usd.Stage.Open(str(path))
+    found = Comparison(path.name)
+    shown = {name: rig.neutral.vertices.copy() for name in rig.targets}
+    for part in parts_of(rig.neutral, rig.skeleton):
+        mesh = stage.GetPrimAtPath(ROOT.AppendChild(part.name))
+        neutral = np.array(UsdGeom.Mesh(mesh).GetPointsAttr().Get(), np.float64)
+        for skin in shown.values():
+            skin[part.vertices] = neutral
+        binding = UsdSkel.BindingAPI(mesh)
+        shapes = UsdSkel.BlendShapeQuery(binding)
+        for number, name in enumerate(binding.GetBlendShapesAttr().Get() or []):
+            shape = shapes.GetBlendShape(number)
+            moving = part.vertices[np.array(shape.GetPointIndicesAttr().Get(), np.int64)]
+            shown[str(name)][moving] += np.array(shape.GetOffsetsAttr().Get()).reshape(-1, 3)
+    for name, motion in rig.targets.items():
+        found.add(name, shown[name], rig.neutral.vertices + motion)
+    return found.figures()

@@ -1,0 +1,178 @@
+"""The studio's light rig: joints, parts, lids, levels of detail, and its file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from solver.contact.obstacles import Eyeball
+from solver.errors import SolveError
+from solver.fitting.face import Face, Pose
+from solver.mechanics.boundary import FreeJaw
+from solver.mechanics.flesh import IDENTITY
+from solver.rig.frames.read_back import accessor_values, split_glb
+from solver.rig.studio.glb import compare_glb, write_glb
+from solver.rig.studio.levels import distance_mm, simplify
+from solver.rig.studio.lids import Lids
+from solver.rig.studio.light_rig import LightRig
+from solver.rig.studio.parts import parts_of
+from solver.rig.studio.shapes import StudioShapes
+from solver.rig.studio.skeleton import HEAD, JAW, Skeleton
+from tests.solver.block import head_block
+
+MODEL = head_block()
+OPEN = np.array([0.3, 0.0, 0.0, 0.0, -2.0])
+NAMES = ("jawOpen", "mouthClose", "mouthSmileLeft")
+
+
+@pytest.fixture(scope="module")
+def shapes() -> StudioShapes:
+    """Shapes of a block: its jaw open, closed again by the lips alone, and a bulge."""
+    face = Face(MODEL)
+    state = face.continuation(face.rest, Pose(np.tile(IDENTITY, (MODEL.muscle_count, 1)), OPEN))
+    opened = face.whole_skin(state.x, OPEN) - MODEL.skin.vertices
+    bulge = np.random.default_rng(1).normal(size=opened.shape)
+    motions = np.array([opened, -0.3 * opened, bulge])
+    jaw = np.array([OPEN, -0.1 * OPEN, 0.0 * OPEN])
+    return StudioShapes(NAMES, motions, jaw, np.zeros((3, 2, 3)), np.zeros(3))
+
+
+def test_skinning_and_what_is_before_it_are_inverse() -> None:
+    skeleton = Skeleton.of(MODEL)
+    assert skeleton.joints[:2] == (HEAD, JAW)
+    np.testing.assert_allclose(skeleton.weights.sum(axis=1), 1.0)
+    assert np.all(skeleton.weights[MODEL.attached_mandible, 1] == 1.0)
+    twists = skeleton.twists(MODEL, OPEN, np.zeros((2, 3)))
+    motions = skeleton.motions(twists)
+    np.testing.assert_allclose(motions[1], FreeJaw(MODEL.jaw).matrix(OPEN), atol=1e-12)
+    points = MODEL.skin.vertices
+    moved = skeleton.skin(points, motions)
+    assert np.abs(moved - points).max() > 1.0
+    np.testing.assert_allclose(skeleton.before(moved, motions), points, atol=1e-9)
+
+
+def test_both_ways_to_drive_it_show_the_same_shapes(shapes: StudioShapes) -> None:
+    by_shapes, by_joints = (LightRig.of(MODEL, shapes, way) for way in ("shapes", "joints"))
+    for weights in ({}, {"jawOpen": 1.0}, {"jawOpen": 1.0, "mouthClose": 1.0}):
+        np.testing.assert_allclose(by_joints.play(weights), by_shapes.play(weights), atol=1e-9)
+    assert np.abs(by_joints.motions[0]).max() < np.abs(by_shapes.motions[0]).max()
+    # half way a joint turns, where shapes go straight
+    half = {"jawOpen": 0.5}
+    assert np.abs(by_joints.play(half) - by_shapes.play(half)).max() > 0.05
+
+
+def test_its_file_has_the_shapes_and_is_refused_with_others(
+    shapes: StudioShapes, tmp_path: Path
+) -> None:
+    rig = LightRig.of(MODEL, shapes, "joints")
+    path = tmp_path / "studio.glb"
+    write_glb(rig, path)
+    assert compare_glb(rig, path)["max_mm"] < 1e-2
+    other = replace(rig, motions=rig.motions + 1.0)
+    with pytest.raises(SolveError, match="jawOpen"):
+        compare_glb(other, path)
+
+
+def test_its_usd_has_the_shapes_and_the_joints(shapes: StudioShapes, tmp_path: Path) -> None:
+    usd = pytest.importorskip("solver.rig.studio.usd")
+    rig = LightRig.of(MODEL, shapes, "joints")
+    path = tmp_path / "studio.usdc"
+    usd.write_usd(rig, path)
+    assert usd.compare_usd(rig, path)["max_mm"] < 1e-4
+    with pytest.raises(SolveError, match="jawOpen"):
+        usd.compare_usd(replace(rig, motions=rig.motions + 1.0), path)
+    from pxr import Usd, UsdSkel
+
+    stage = Usd.Stage.Open(str(path))
+    cache = UsdSkel.Cache()
+    root = UsdSkel.Root(stage.GetDefaultPrim())
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath("/Face/Skeleton")))
+    assert list(query.GetJointOrder()) == ["head", "head/jaw"]
+    # at rest nothing moves
+    np.testing.assert_allclose(
+        np.array(query.ComputeSkinningTransforms(0)), np.tile(np.eye(4), (2, 1, 1)), atol=1e-5
+    )
+
+
+def test_its_file_skins_as_the_rig_does(shapes: StudioShapes, tmp_path: Path) -> None:
+    rig = LightRig.of(MODEL, shapes, "joints")
+    path = tmp_path / "studio.glb"
+    write_glb(rig, path)
+    document, binary = split_glb(path)
+    skin = document["skins"][0]
+    nodes = document["nodes"]
+    assert [nodes[joint]["name"] for joint in skin["joints"]] == list(rig.skeleton.joints)
+    weights = {"jawOpen": 0.7, "mouthSmileLeft": 0.4}
+    twist = np.tensordot([0.7, 0.0, 0.4], rig.twists, 1)
+    wanted = rig.play(weights)
+    for mesh, part in zip(document["meshes"], parts_of(rig.neutral, rig.skeleton), strict=True):
+        primitive = mesh["primitives"][0]
+
+        def values(number: int) -> np.ndarray:
+            return accessor_values(document, binary, document["accessors"][number])
+
+        points = values(primitive["attributes"]["POSITION"]).astype(float)
+        names = mesh["extras"]["targetNames"]
+        for name, target in zip(names, primitive["targets"], strict=True):
+            points += weights.get(name, 0.0) * values(target["POSITION"])
+        placed = np.zeros_like(points)
+        joints = values(primitive["attributes"]["JOINTS_0"])
+        shares = values(primitive["attributes"]["WEIGHTS_0"])
+        for number in range(len(rig.skeleton.joints)):
+            share = np.where(joints == number, shares, 0.0).sum(axis=1, keepdims=True)
+            place = rig.skeleton.places[number] * 1e-3
+            turn = Rotation.from_rotvec(twist[number, :3])
+            moved = turn.apply(points - place) + place + twist[number, 3:] * 1e-3
+            placed += share * moved
+        np.testing.assert_allclose(1e3 * placed, wanted[part.vertices], atol=2e-3)
+
+
+def test_a_level_of_detail_has_its_triangles_and_follows(shapes: StudioShapes) -> None:
+    rig = LightRig.of(MODEL, replace(shapes, motions=0.2 * shapes.motions), "shapes")
+    level = simplify(rig, 0.5)
+    assert len(level.neutral.faces) < 0.75 * len(rig.neutral.faces)
+    np.testing.assert_allclose(level.skeleton.weights.sum(axis=1), 1.0)
+    assert distance_mm(rig, level).max() < 1.0
+    same = simplify(rig, 1.0)
+    assert distance_mm(rig, same).max() < 0.05
+
+
+EYE = Eyeball(np.zeros(3), 12.0)
+UP, DOWN = (
+    12.2 * np.array([[0.0, np.sin(angle), np.cos(angle)]]) for angle in np.radians([40.0, -40.0])
+)
+
+
+def lids() -> Lids:
+    """A lid of one vertex above an eyeball, and skin that goes along by half."""
+    return Lids("left", np.array([0]), np.array([1.0, 0.5]), EYE, np.array([-0.1]))
+
+
+def test_a_lid_is_shut_as_the_template_has_it_and_stays_off_the_eyeball() -> None:
+    open_ = np.vstack([UP, UP + 5.0])
+    inside = np.vstack([0.9 * DOWN, DOWN])
+    shut = lids().finish(open_, inside)
+    assert np.linalg.norm(shut[0]) == pytest.approx(12.1)
+    np.testing.assert_allclose(shut[0] / 12.1, DOWN[0] / 12.2)
+    np.testing.assert_allclose(shut[1], 0.5 * (open_[1] + inside[1]))
+    assert lids().moves("eyeBlinkLeft")
+    assert not lids().moves("eyeBlinkRight")
+
+
+def test_a_lid_that_goes_straight_through_the_eyeball_is_led_around_it() -> None:
+    def straight(weight: float) -> np.ndarray:
+        return np.vstack([(1.0 - weight) * UP + weight * DOWN, UP])
+
+    assert lids().depth(straight(0.5)).max() > 1.0
+    motion = lids().half_way(straight)
+    assert motion is not None
+    assert not motion[1].any()
+    for weight in np.linspace(0.0, 1.0, 21):
+        led = straight(weight) + 4.0 * weight * (1.0 - weight) * motion
+        assert lids().depth(led).max() < 0.02
+    assert lids().half_way(lambda _: np.vstack([UP, UP])) is None
