@@ -112,7 +112,8 @@ def run(task: Task[Animate]) -> list[Path]:
     written = finish(
         stage, frames, out, progress, title="Animation", video=given.video, more=more, arrays=arrays
     )
-    return [*written, *played.files, *([signals] if signals.is_file() else [])]
+    left = [signals] if signals.is_file() else []
+    return [*written, *played.files, *left]
 
 
 def _detecting(task: Task[Animate]) -> Callable[[int], None]:

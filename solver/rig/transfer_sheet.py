@@ -119,7 +119,8 @@ def _filmed(
 
 def _cut(pixels: np.ndarray, box: Sequence[float], options: TransferSheetOptions) -> Pixels:
     left, top, right, bottom = box
-    middle, (wide, high) = ((left + right) / 2, (top + bottom) / 2), options.cell
+    middle = ((left + right) / 2, (top + bottom) / 2)
+    (wide, high) = options.cell
     tall = (bottom - top) * (1.0 + 2.0 * options.margin)
     size = np.round([tall * wide / high, tall]).astype(int)
     corner = np.round(np.array(middle) - size / 2).astype(int)
