@@ -48,7 +48,7 @@ HELD_POSES = 12
 FPS = 50.0
 HZ = np.array([0.43, 0.30, 0.55])  # of nods, turns, tilts
 PHASES = np.array([0.4, 0.0, 1.1])  # rad
-BROW = np.array([0.0, 64.0, 105.0])  # mm, the middle of the forehead
+BROW = np.array([0.0, 64.0, 105.0])  # mm, the middle of the forehead, from the head's joint
 
 
 def main() -> None:
@@ -230,7 +230,7 @@ class _Bench:
         """Return the peak, the time from the push's begin until 1 degree, and the last second's."""
         times = np.arange(0.0, 4.0, 0.01)
         goal = reachable(self.neck, times, np.zeros((len(times), 3)))
-        push = Push(1.0, 1.1, np.array([30.0, 0.0, 0.0]), BROW)
+        push = Push(1.0, 1.1, np.array([30.0, 0.0, 0.0]), self.neck.centres[-1] + BROW)
         off = follow(self.neck, goal, MotionOptions(reflex=reflex), pushes=[push]).off_deg
         far = np.flatnonzero(off > 1.0)
         return float(off.max()), float(times[far[-1]] + 0.01 - 1.0), float(off[-100:].max())
