@@ -86,7 +86,7 @@ def _models(options: argparse.Namespace) -> list[SubjectModel]:
     if options.model:
         return [SubjectModel.load(options.model)]
     found = []
-    for faces in {None, options.faces}:
+    for faces in dict.fromkeys([None, options.faces]):
         chosen = argparse.Namespace(**{**vars(options), "faces": faces})
         chosen.anatomy = faces and options.anatomy
         template = subjects.chosen_template(chosen, subjects.EDGE_MM)

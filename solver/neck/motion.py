@@ -41,7 +41,7 @@ class MotionOptions:
     """How a goal is followed."""
 
     most_deg_per_s: float = 600.0  # of the goal
-    range_part: float = 0.95  # of the range of motion that the goal may use: heads overshoot
+    range_part: float = 0.93  # of the range of motion that the goal may use: heads overshoot
     smooth_hz: float = 6.0  # what is faster in a goal is jitter, and half taken out; 0: nothing is
     settle_s: float = 0.6  # at the first goal, before the first frame
     push_steps: int = 10  # time steps after which a push's torques are made anew

@@ -47,11 +47,11 @@ class VoluntaryOptions:
     joint_hz: float = 1.5  # the same of the joints' goals
     joint_damping: float = 1.0
     head_weight: float = 0.02  # w_h, of (rad/s^2)^2
-    joint_weight: float = 4.0  # w_j, of (N m)^2
+    joint_weight: float = 3.0  # w_j, of (N m)^2
     activation_weight: float = 0.3  # w_a
     cocontraction: float = 0.0  # c, the activation that costs nothing
     ahead_s: float = 0.0  # the goal is looked up this much later still
-    most_rad_per_s2: float = 60.0  # that is asked of the head or a joint beside the goal's own
+    most_rad_per_s2: float = 80.0  # that is asked of the head or a joint beside the goal's own
     share_rounds: int = 4  # of sharing out the goal among the joints
     difference_s: float = 0.01  # to either side, for the goal's velocity and acceleration
 
