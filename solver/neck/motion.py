@@ -217,11 +217,17 @@ class _Run:
         self.dynamics = dynamics
         self.goal = goal
         self.options = options
-        self.pushes = pushes
         self.voluntary = Voluntary(options.voluntary)
         self.begin = goal.times[0] - options.settle_s
+        self.pushes = [(push, self._steps_of(push)) for push in pushes]
         self.step = 0  # that is done
         self.tick = 0  # that comes next
+
+    def _steps_of(self, push: Push) -> range:
+        """Return the time steps of a push, one at least."""
+        rate = self.options.reflex.rate_hz
+        first = round((push.begin_s - self.begin) * rate)
+        return range(first, first + max(round((push.end_s - push.begin_s) * rate), 1))
 
     def _time(self, step: int) -> float:
         return float(self.begin + step * self.options.reflex.step_s)
@@ -236,15 +242,16 @@ class _Run:
                 self.tick += 1
             until = min(end, round(self.tick * rate / self.options.voluntary.rate_hz))
             if self.pushes:
-                until = min(until, self.step + self.options.push_steps)
-                self._push(self._time(self.step))
+                edges = [edge for _, steps in self.pushes for edge in (steps.start, steps.stop)]
+                later = [edge for edge in edges if edge > self.step]
+                until = min(until, self.step + self.options.push_steps, *later)
+                self._push()
             self.dynamics.advance(until - self.step)
             self.step = until
 
-    def _push(self, time_s: float) -> None:
+    def _push(self) -> None:
         external = self.dynamics.external
         external[:] = 0.0
-        half = self.options.reflex.step_s / 2.0
-        for push in self.pushes:
-            if push.begin_s - half <= time_s < push.end_s - half:
+        for push, steps in self.pushes:
+            if self.step in steps:
                 external += self.dynamics.body.push(push.force, push.point)

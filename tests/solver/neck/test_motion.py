@@ -61,6 +61,17 @@ def test_reflexes_resist_a_push_and_late_ones_stay_stable():
     assert max(with_[1], late[1]) < 1.0
 
 
+def test_a_short_push_acts_for_as_long_as_it_is_said_to():
+    def turned(begin_s: float, seconds: float) -> float:
+        push = Push(begin_s, begin_s + seconds, np.array([300.0, 0.0, 0.0]), PUSH.point)
+        return float(follow(NECK, still(0.3), pushes=[push]).off_deg.max())
+
+    at_once = turned(0.1, 0.001)
+    assert at_once > 0.1
+    assert turned(0.1013, 0.001) == pytest.approx(at_once, rel=0.3)
+    assert turned(0.1, 0.002) == pytest.approx(2.0 * at_once, rel=0.3)
+
+
 @pytest.mark.long
 def test_cocontraction_activates_more_and_moves_nothing():
     tense = MotionOptions(voluntary=VoluntaryOptions(cocontraction=0.2))
