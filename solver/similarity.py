@@ -58,6 +58,17 @@ def small_motion(twist: Floats, growth: float = 0.0) -> Similarity:
     return Similarity(1.0 + growth, Rotation.from_rotvec(twist[:3]).as_matrix(), twist[3:6])
 
 
+def move_each(matrices: Floats, points: Floats) -> Floats:
+    """Return points (n, 3), each moved by a matrix (n, 4, 4) of its own, as skinning blends it."""
+    return np.asarray(np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3])
+
+
+def move_each_back(matrices: Floats, points: Floats) -> Floats:
+    """Return what :func:`move_each` takes to ``points`` (n, 3)."""
+    away = (points - matrices[:, :3, 3])[..., None]
+    return np.asarray(np.linalg.solve(matrices[:, :3, :3], away)[..., 0])
+
+
 def fit_similarity(source: Floats, target: Floats) -> Similarity:
     """Return the best motion of ``source`` (n, 3) onto ``target`` (n, 3) (Umeyama 1991)."""
     source_mean = source.mean(axis=0)

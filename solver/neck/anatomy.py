@@ -14,12 +14,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from solver.similarity import Similarity
+from solver.similarity import Similarity, move_each
 from solver.surface import Floats, Ints
 
-BODIES = ("torso", "C7", "C6", "C5", "C4", "C3", "C2", "C1", "head")  # bottom to top; the first
-# does not move
+# bottom to top; the first does not move
+BODIES = ("torso", "C7", "C6", "C5", "C4", "C3", "C2", "C1", "head")
 JOINTS = len(BODIES) - 1  # joint k is at the bottom of body k + 1
+MM = 1e-3  # m
 
 
 @dataclass(frozen=True)
@@ -114,10 +115,6 @@ class Neck:
             places[joint] = place
         return NeckPose(self.centres, rotations, np.vstack([np.zeros((1, 3)), places]))
 
-    def rest(self) -> NeckPose:
-        """Return the neutral pose."""
-        return self.pose(np.zeros((JOINTS, 3)))
-
 
 @dataclass(frozen=True)
 class NeckPose:
@@ -152,8 +149,7 @@ class NeckPose:
 
     def points(self, bodies: Ints, points: Floats) -> Floats:
         """Return where rest ``points`` (n, 3) of ``bodies`` (n,), numbers in BODIES, are."""
-        chosen = self.matrices[bodies]
-        return np.asarray(np.einsum("nij,nj->ni", chosen[:, :3, :3], points) + chosen[:, :3, 3])
+        return move_each(self.matrices[bodies], points)
 
 
 def ball_inertia(mass: float, density: float) -> float:

@@ -1,7 +1,7 @@
 """The neck as a MuJoCo model: ball joints at the joints' centres, spatial tendons as muscles.
 
 MuJoCo has what moves: M(q), the bias c(q, v) with gravity, the muscles' lengths l(q) and their
-moment arms dl/dq. Discs and muscles are ours (:mod:`solver.neck.control`). A state is q, eight
+moment arms dl/dq. Discs and muscles are ours (:mod:`solver.neck.dynamics`). A state is q, eight
 quaternions (w, x, y, z) of each body against the one under it, and v (24,), each joint's angular
 velocity in the axes of the body above it, in rad/s. Here lengths are metres.
 
@@ -16,11 +16,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from solver.errors import InputError
-from solver.neck.anatomy import JOINTS, Neck, NeckPose
+from solver.neck.anatomy import JOINTS, MM, Neck, NeckPose
 from solver.surface import Floats
 
 GRAVITY = 9.80665  # m/s^2, down
-M = 1e-3  # m a mm
 DOFS = 3 * JOINTS
 
 
@@ -38,8 +37,7 @@ class Body:
     """A neck that can be posed: its state, and what MuJoCo says of it.
 
     ``gravity`` (3,) m/s^2 is in our axes. After :meth:`update` the arrays ``lengths`` (m,), in m,
-    ``rates`` (m,), in m/s, ``arms`` (m, 24), dl/dq in m/rad, ``inertia`` (24, 24) and ``bias``
-    (24,) belong to the state.
+    ``arms`` (m, 24), dl/dq in m/rad, ``inertia`` (24, 24) and ``bias`` (24,) belong to the state.
     """
 
     def __init__(self, neck: Neck, gravity: Floats | None = None) -> None:
@@ -88,11 +86,6 @@ class Body:
         return made
 
     @property
-    def rates(self) -> Floats:
-        """Return the muscles' rates of length (m,) in m/s."""
-        return np.asarray(self.arms @ self.v)
-
-    @property
     def energy(self) -> float:
         """Return the energy of motion and of height in J."""
         heights = self.data.xipos[1:] @ self.model.opt.gravity
@@ -137,7 +130,7 @@ class Body:
         """
         mujoco = self._mujoco
         data = self.data
-        at = data.xpos[-1] + self.head @ ((point - self.neck.centres[-1]) * M)
+        at = data.xpos[-1] + self.head @ ((point - self.neck.centres[-1]) * MM)
         along = np.zeros((3, DOFS))
         mujoco.mj_jac(self.model, data, along, None, at, self.model.nbody - 1)
         return np.asarray(along.T @ force)
@@ -167,14 +160,15 @@ def mjcf(neck: Neck, gravity: Floats) -> str:
         for step, (body, point) in enumerate(zip(muscle.bodies, muscle.points, strict=True)):
             origin = neck.centres[body - 1] if body else np.zeros(3)
             name = f"m{number}.{step}"
-            sites[int(body)].append(f'<site name="{name}" pos="{_numbers((point - origin) * M)}"/>')
+            at = _numbers((point - origin) * MM)
+            sites[int(body)].append(f'<site name="{name}" pos="{at}"/>')
             names.append(f'<site site="{name}"/>')
         paths.append(f'<spatial name="m{number}">{"".join(names)}</spatial>')
     inside = ""
     for joint in reversed(range(JOINTS)):
         below = neck.centres[joint - 1] if joint else np.zeros(3)
-        at = _numbers((neck.centres[joint] - below) * M)
-        centre = _numbers((neck.mass_centres[joint] - neck.centres[joint]) * M)
+        at = _numbers((neck.centres[joint] - below) * MM)
+        centre = _numbers((neck.mass_centres[joint] - neck.centres[joint]) * MM)
         six = _numbers(neck.inertias[joint][[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
         inside = (
             f'<body name="b{joint + 1}" pos="{at}"><joint type="ball"/>'

@@ -30,9 +30,8 @@ DISCS = (
     "third cervical vertebra",
     "axis",
 )
-BESIDE = np.array(
-    [[50.0, 0.0, 0.0], [-50.0, 0.0, 0.0]]
-)  # of the head's joint: joints lie on a line
+# points beside the head's joint, mm: the joints alone lie on a line
+BESIDE = np.array([[50.0, 0.0, 0.0], [-50.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True)

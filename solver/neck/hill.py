@@ -31,13 +31,12 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 
-from solver.neck.anatomy import Neck
+from solver.neck.anatomy import MM, Neck
 from solver.surface import Floats
 
 SPRINGS = 0
 CURVES = 1
 LAWS = {"springs": SPRINGS, "curves": CURVES}
-MM = 1e-3  # m
 Parts = tuple[float, float, float, float, float, float]
 
 

@@ -28,6 +28,7 @@ from solver.mechanics.flesh import shape_gradients
 from solver.mechanics.harmonic import HarmonicExtension, laplacian
 from solver.model import SubjectModel
 from solver.neck.anatomy import JOINTS, Neck
+from solver.similarity import move_each, move_each_back
 from solver.surface import Floats, Ints, adjacency, directed_edges
 
 
@@ -84,11 +85,11 @@ class NeckSkin:
 
     def skin(self, matrices: Floats) -> Floats:
         """Return the skin (V, 3) as the bodies alone have it, by their ``matrices`` (9, 4, 4)."""
-        return _apply(self.blends(matrices, self.places), self.model.skin.vertices)
+        return move_each(self.blends(matrices, self.places), self.model.skin.vertices)
 
     def carry_flesh(self, matrices: Floats) -> Floats:
         """Return the flesh's vertices (p, 3) as the bodies alone have them."""
-        return _apply(self.blends(matrices, self.flesh), self.model.rest)
+        return move_each(self.blends(matrices, self.flesh), self.model.rest)
 
     def pull(self, options: NeckSkinOptions = NeckSkinOptions()) -> Floats:
         """Return how stiffly the neck's skin pulls each vertex of the flesh (p,), in Pa mm.
@@ -96,7 +97,7 @@ class NeckSkin:
         It pulls where it hangs on skin that lies on flesh, by the length of edges there.
         """
         model = self.model
-        count = len(self.model.skin.vertices)
+        count = len(model.skin.vertices)
         on_flesh = np.zeros(count, bool)
         on_flesh[model.embedded] = True
         sides = directed_edges(model.skin.faces)
@@ -113,9 +114,7 @@ class NeckSkin:
 
     def unposed(self, matrices: Floats, skin: Floats) -> Floats:
         """Return the skin (V, 3) at rest of which the bodies make ``skin`` (V, 3)."""
-        blends = self.blends(matrices, self.places)
-        away = skin - blends[:, :3, 3]
-        return np.asarray(np.linalg.solve(blends[:, :3, :3], away[..., None])[..., 0])
+        return move_each_back(self.blends(matrices, self.places), skin)
 
 
 def two_bones(places: Floats) -> tuple[Ints, Floats]:
@@ -174,7 +173,3 @@ def _in_flesh(model: SubjectModel, u: Floats, options: NeckSkinOptions) -> Float
     extend = HarmonicExtension(matrix, given, model.embedding, weights)
     # of u - 1, which is zero at the bones
     return np.clip(1.0 + extend(targets=u[model.embedded] - 1.0), 0.0, 1.0)
-
-
-def _apply(matrices: Floats, points: Floats) -> Floats:
-    return np.asarray(np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3])

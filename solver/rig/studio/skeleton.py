@@ -19,6 +19,7 @@ from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.flesh import shape_gradients
 from solver.mechanics.harmonic import laplacian
 from solver.model import SubjectModel
+from solver.similarity import move_each, move_each_back
 from solver.surface import Floats
 from solver.tracks.shapes import skinning_weights
 
@@ -78,14 +79,11 @@ class Skeleton:
 
     def skin(self, points: Floats, motions: Floats) -> Floats:
         """Return points (V, 3) moved by the joints' motions (j, 4, 4): linear blend skinning."""
-        blended = np.tensordot(self.weights, motions, 1)
-        return np.asarray(np.einsum("vij,vj->vi", blended[:, :3, :3], points) + blended[:, :3, 3])
+        return move_each(np.tensordot(self.weights, motions, 1), points)
 
     def before(self, points: Floats, motions: Floats) -> Floats:
         """Return what :meth:`skin` takes to ``points`` (V, 3)."""
-        blended = np.tensordot(self.weights, motions, 1)
-        moved = points - blended[:, :3, 3]
-        return np.asarray(np.linalg.solve(blended[:, :3, :3], moved[:, :, None])[:, :, 0])
+        return move_each_back(np.tensordot(self.weights, motions, 1), points)
 
 
 def _jaw_weights(model: SubjectModel) -> Floats:
