@@ -15,6 +15,7 @@ from solver.surface import Floats
 
 ROUNDS = 20  # of sharing out what is left over, which each makes about four times less
 CLOSE = 1e-7  # rad
+FIXED = 1e-9  # rad, the half axis of the range where no joint turns
 
 
 def share_out(neck: Neck, head: Floats, rounds: int = ROUNDS) -> NeckPose:
@@ -40,7 +41,7 @@ def within(neck: Neck, head: Floats, part: float = 1.0) -> tuple[Floats, float]:
     The range is an ellipsoid with :attr:`~solver.neck.anatomy.Neck.head_range` as half axes, of
     which ``part`` is allowed; the answer keeps the direction. The second value is rad, 0 within.
     """
-    reach = float(np.linalg.norm(head / (neck.head_range * part)))
+    reach = float(np.linalg.norm(head / np.maximum(neck.head_range * part, FIXED)))
     if reach <= 1.0:
         return head, 0.0
     return np.asarray(head / reach), float(np.linalg.norm(head) * (1.0 - 1.0 / reach))

@@ -1,5 +1,7 @@
 """Poses of a neck, its tables, and how a rotation is shared out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -24,7 +26,7 @@ def test_a_pose_keeps_joints_together_and_its_turns():
         np.testing.assert_allclose(above, below, atol=1e-9)
     torso = pose.points(np.array([0]), np.array([[1.0, 2.0, 3.0]]))
     np.testing.assert_array_equal(torso, [[1.0, 2.0, 3.0]])
-    rest = NECK.rest().points(np.array([8]), np.array([[1.0, 2.0, 3.0]]))
+    rest = NECK.pose(np.zeros((8, 3))).points(np.array([8]), np.array([[1.0, 2.0, 3.0]]))
     np.testing.assert_allclose(rest, [[1.0, 2.0, 3.0]], atol=1e-12)
 
 
@@ -50,6 +52,17 @@ def test_a_rotation_beyond_the_range_is_held_at_it():
     held, beyond = within(NECK, 3.0 * inside)
     np.testing.assert_allclose(held, 2.0 * inside)
     assert beyond == pytest.approx(np.linalg.norm(inside))
+
+
+def test_a_neck_that_only_nods_is_not_turned_otherwise():
+    nods = replace(NECK, ranges=NECK.ranges * (1.0, 0.0, 0.0))
+    for asked in ([0.0, 0.0, 0.0], [0.1, 0.0, 0.0]):
+        held, beyond = within(nods, np.array(asked))
+        np.testing.assert_array_equal(held, asked)
+        assert beyond == 0.0
+    held, beyond = within(nods, np.array([0.0, 0.3, 0.0]))
+    np.testing.assert_allclose(held, 0.0, atol=1e-8)
+    assert abs(beyond - 0.3) < 1e-8
 
 
 def test_the_builtin_neck_has_sources_and_fibres_of_use():
