@@ -122,6 +122,7 @@ class _Reader:
         self.count = 0
         self.root = Element(file, "", "", 0)
         self.open = [self.root]
+        self.texts: list[list[str]] = [[]]  # of those that are open, in pieces
         self.parser = expat.ParserCreate()
         self.parser.SetParamEntityParsing(expat.XML_PARAM_ENTITY_PARSING_NEVER)
         self.parser.buffer_text = True
@@ -151,12 +152,13 @@ class _Reader:
             raise element.error(f"is more than {self.limits.depth} elements deep")
         self.open[-1].children.append(element)
         self.open.append(element)
+        self.texts.append([])
 
     def _end(self, _tag: str) -> None:
-        self.open.pop()
+        self.open.pop().text = "".join(self.texts.pop())
 
     def _text(self, text: str) -> None:
-        self.open[-1].text += text
+        self.texts[-1].append(text)
 
     def _document_type(self, name: str, *_: object) -> None:
         reason = f"a document type ('{quote(name)}') and its entities are not read"

@@ -20,7 +20,7 @@ import numpy as np
 from solver.errors import quote, quote_names
 from solver.neck.anatomy import JOINTS, Muscle, Neck, ball_inertia
 from solver.neck.elements import Element, XmlLimits, read_elements
-from solver.neck.osim_joints import MM, Function, Placed, Skeleton, read_function
+from solver.neck.osim_joints import Function, M, Placed, Skeleton, read_function
 from solver.surface import Floats
 
 MUSCLES = (
@@ -126,6 +126,8 @@ class _Model:
         missing = []
         for number, joint in enumerate(self.skeleton.chain):
             for turn in joint.turns:
+                if not turn.coordinate:
+                    continue
                 axis = np.abs(self.skeleton.axes(joint.parent) @ joint.before.R @ turn.axis)
                 name, by = coupled.get(turn.coordinate, (turn.coordinate, lambda value: value))
                 ends = given.get(name)
@@ -199,7 +201,7 @@ class _Model:
             centres[number] = sum(mass * at for mass, at, _ in inside) / masses[number]
             inertia = np.zeros((3, 3))
             for mass, at, own in inside:
-                d = (at - centres[number]) / MM
+                d = (at - centres[number]) / M
                 inertia += own + mass * (d @ d * np.eye(3) - np.outer(d, d))
             ball = ball_inertia(masses[number], self.options.density)
             least, most = np.linalg.eigvalsh(inertia)[[0, -1]]
@@ -283,8 +285,8 @@ class _Model:
             np.array(bodies),
             np.array(points),
             numbers["max_isometric_force"],
-            numbers["optimal_fiber_length"] * MM,
-            numbers["tendon_slack_length"] * MM,
+            numbers["optimal_fiber_length"] * M,
+            numbers["tendon_slack_length"] * M,
             pennation,
             self.model.file,
         )

@@ -8,7 +8,7 @@ are x forward, y up, z to the right, its lengths m.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,7 +23,7 @@ from solver.surface import Floats
 
 HEADS = ("skull", "head", "cranium", "head_neck")
 TO_OURS = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # rotation, of directions
-MM = 1000.0
+M = 1000.0  # mm
 TURNING = ("CustomJoint", "PinJoint", "BallJoint")
 Function = Callable[[float], float]
 
@@ -44,12 +44,15 @@ class Placed:
         return Placed(self.R.T, -self.R.T @ self.t)
 
 
+STILL = Placed(np.eye(3), np.zeros(3))
+
+
 @dataclass(frozen=True)
 class Turn:
     """One rotation of a joint: by ``angle(value of coordinate)`` about an axis of its frame."""
 
     axis: Floats
-    coordinate: str
+    coordinate: str  # none where the angle is fixed
     angle: Function
 
 
@@ -84,6 +87,7 @@ class Skeleton:
         self.bodies = {each.name: each for each in model.need("BodySet/objects")}
         self.frames: dict[str, str] = {}  # the body of an offset frame, by joint/frame
         self.joints = [self._joint(each) for each in model.need("JointSet/objects")]
+        self._placed: dict[str, Placed] = {}  # bodies in the ground's frame, as they are asked for
         self.joint_of: dict[str, Joint] = {}
         for joint in self.joints:
             if joint.child in self.joint_of:
@@ -106,8 +110,7 @@ class Skeleton:
             if name.rsplit("/", 1)[-1] in frames:
                 ends.append(frames[name.rsplit("/", 1)[-1]])
             else:
-                none = Placed(np.eye(3), np.zeros(3))
-                ends.append((self.named_body(element, socket), none))
+                ends.append((self.named_body(element, socket), STILL))
         (parent, before), (child, after) = ends
         return Joint(element, parent, child, before, after, self._turns(element))
 
@@ -174,7 +177,7 @@ class Skeleton:
                 words = f"reaches the head by {len(found)} joints that turn, not by {JOINTS}"
                 raise self.model.need("JointSet").error(words)
             seen.add(body)
-            if joint.turns:
+            if any(turn.coordinate for turn in joint.turns):
                 found.append(joint)
             body = joint.parent
         return found[::-1]
@@ -182,15 +185,12 @@ class Skeleton:
     @cached_property
     def numbers(self) -> dict[str, int]:
         """Each body's number in BODIES, of which it is, or is a part; those below are the torso."""
-        tops = {joint.child: number for number, joint in enumerate(self.chain, 1)}
         numbers = {"ground": 0}
+        numbers |= {joint.child: number for number, joint in enumerate(self.chain, 1)}
         for name in self.bodies:
-            at = name
-            steps = 0
-            while at not in tops and at in self.joint_of and steps <= len(self.bodies):
-                at = self.joint_of[at].parent
-                steps = steps + 1
-            numbers[name] = tops.get(at, 0)
+            under = self._joints_under(name, numbers)
+            found = numbers.get(under[-1].parent if under else name, 0)
+            numbers |= dict.fromkeys([name, *(joint.parent for joint in under)], found)
         return numbers
 
     def _in_torso(self, body: str) -> Placed:
@@ -199,15 +199,19 @@ class Skeleton:
         return self._in_ground(torso).inverse().then(self._in_ground(body))
 
     def _in_ground(self, body: str) -> Placed:
-        placed = Placed(np.eye(3), np.zeros(3))
-        steps = 0
-        while (joint := self.joint_of.get(body)) is not None:
-            placed = joint.placed.then(placed)
+        for joint in reversed(self._joints_under(body, self._placed)):
+            self._placed[joint.child] = self._placed.get(joint.parent, STILL).then(joint.placed)
+        return self._placed.get(body, STILL)
+
+    def _joints_under(self, body: str, known: Container[str]) -> list[Joint]:
+        """Return the joints from a body down to the first one that is ``known``, or the last."""
+        found: list[Joint] = []
+        while body not in known and (joint := self.joint_of.get(body)) is not None:
+            found.append(joint)
             body = joint.parent
-            steps = steps + 1
-            if steps > len(self.bodies):
+            if len(found) > len(self.bodies):
                 raise joint.element.error("is part of a circle of joints")
-        return placed
+        return found
 
     @cached_property
     def _to_head(self) -> Placed:
@@ -218,7 +222,7 @@ class Skeleton:
 
     def ours(self, placed: Placed, body: str) -> Floats:
         """Return the place of a frame of a body, (3,) mm in our axes."""
-        return np.asarray(TO_OURS @ self._to_head.then(self._in_torso(body)).then(placed).t * MM)
+        return np.asarray(TO_OURS @ self._to_head.then(self._in_torso(body)).then(placed).t * M)
 
     def axes(self, body: str) -> Floats:
         """Return the rotation from a body's frame to our axes (3, 3)."""

@@ -3,6 +3,7 @@
 import random
 import re
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from solver.neck.builtin import builtin_neck
 from solver.neck.elements import XmlLimits
 from solver.neck.motion import MotionOptions, follow, reachable
 from solver.neck.osim import OsimOptions, read_osim
+from solver.neck.osim_joints import Joint
 from tests.fixtures import data_folder
 from tests.osim_file import osim_text
 
@@ -62,6 +64,44 @@ def test_unphysical_inertias_are_replaced_and_told_or_kept():
     kept = read_osim(file, OsimOptions(keep_inertias=True))
     assert np.trace(kept.inertias[0]) > 50.0 * np.trace(neck.inertias[0])
     np.testing.assert_array_equal(kept.inertias[-1], neck.inertias[-1])
+
+
+def test_an_axis_without_a_coordinate_does_not_turn(tmp_path):
+    neck = builtin_neck()
+    tilts = re.compile(r"<coordinates>\w+_2</coordinates>")
+    fixed = read(tmp_path, tilts.sub("<coordinates></coordinates>", TEXT, count=1))
+    assert not fixed.notices
+    np.testing.assert_allclose(fixed.ranges[1:], neck.ranges[1:], atol=1e-12)
+    np.testing.assert_allclose(fixed.ranges[0], neck.ranges[0] * (1.0, 1.0, 0.0), atol=1e-12)
+    straight = read(tmp_path, tilts.sub("<coordinates></coordinates>", TEXT))
+    goal = reachable(straight, np.array([0.0, 0.1]), np.zeros((2, 3)))
+    assert np.isfinite(follow(straight, goal, MotionOptions(settle_s=0.1)).turns).all()
+
+
+def test_a_long_chain_of_bodies_is_walked_once(tmp_path, monkeypatch):
+    names = ["head", *(f"plume{number}" for number in range(100))]
+    bodies = "".join(
+        f'<Body name="{name}"><mass>0.001</mass><inertia>1 1 1 0 0 0</inertia></Body>'
+        for name in names[1:]
+    )
+    joints = "".join(
+        f'<WeldJoint name="to_{on}"><socket_parent_frame>/bodyset/{under}</socket_parent_frame>'
+        f"<socket_child_frame>/bodyset/{on}</socket_child_frame></WeldJoint>"
+        for under, on in pairwise(names)
+    )
+    text = TEXT.replace("</objects></BodySet>", f"{bodies}</objects></BodySet>")
+    text = text.replace("</objects></JointSet>", f"{joints}</objects></JointSet>")
+    walked = []
+    placed = Joint.placed.fget
+
+    def count(joint):
+        walked.append(joint.child)
+        return placed(joint)
+
+    monkeypatch.setattr(Joint, "placed", property(count))
+    neck = read(tmp_path, text)
+    assert neck.masses[-1] == pytest.approx(builtin_neck().masses[-1] + 0.1)
+    assert len(walked) == len(set(walked)) == 109
 
 
 WRAP = '<WrapObjectSet><objects><WrapSphere name="ball"/></objects></WrapObjectSet></Model>'
