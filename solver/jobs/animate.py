@@ -21,18 +21,19 @@ from solver.jobs.blendshapes import SOLVED, left_files, person_blendshapes, tell
 from solver.jobs.scenes import EXPORT, READ, fingerprint, finish, play, read_person
 from solver.kinds.animate import Animate
 from solver.mechanics.linear import fastest
+from solver.neck.body import import_mujoco
 from solver.progress import Step, part_of
 from solver.rig import Rig
 from solver.rig.frames.animation import check_video
 from solver.scans.performance import ARKIT_NAMES, FaceTake
-from solver.scans.recordings import read_recording
+from solver.scans.recordings import SIGNALS_FILE, read_recording
 from solver.scene import Stage
 from solver.scene.document import head_of, without_neck_muscles
+from solver.scene.places import Places
 from solver.surface import Floats
 from solver.tracks.basis import MuscleTracks
 from solver.tracks.face import TrackContact
 
-SIGNALS_FILE = "signals.csv"  # of a video
 TOLD_EVERY = 30  # frames of a video
 
 
@@ -54,22 +55,49 @@ def run(task: Task[Animate]) -> list[Path]:
     progress = task.progress
     if given.video:
         check_video()
-    scene = given.scene
     rig, places = read_person(task)
-    model = rig.model
-    S = rig.weights
-    recording = scene.recording
+    recording = given.scene.recording
     signals = out / SIGNALS_FILE
-    signals.unlink(missing_ok=True)  # of another scene
-    recorded = read_recording(places.asset(recording.asset), recording, signals, _detecting(task))
+    asset = places.asset(recording.asset)
+    if asset.resolve() != signals.resolve():
+        signals.unlink(missing_ok=True)  # of another scene
+    recorded = read_recording(asset, recording, signals, _detecting(task))
     for notice in recorded.notices:
         progress(Step("warning", READ, message=notice.message))
+
+    played = _Played()
+    stage, drives, begun = _staged(task, rig, places, recorded, played)
+    more = {**_told_of(recorded, played.transfer), **played.figures}
+    if recorded.timecodes:
+        more["timecode"] = recorded.timecodes[recording.start]
+    playing = part_of(progress, begun, EXPORT)
+    frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
+    shown = recorded.seen[recording.start : recording.end]
+    arrays = {"weights": drives.weights, "seen": shown, **played.arrays}
+    written = finish(
+        stage, frames, out, progress, title="Animation", video=given.video, more=more, arrays=arrays
+    )
+    left = [signals] if signals.is_file() else []
+    return [*written, *played.files, *left]
+
+
+def _staged(
+    task: Task[Animate], rig: Rig, places: Places, recorded: FaceTake, played: _Played
+) -> tuple[Stage, RecordedDrives, float]:
+    """Return the stage, what drives it, and the share of the job that is done then."""
+    given = task.options
+    scene = given.scene
+    recording = scene.recording
+    model = rig.model
+    S = rig.weights
 
     def stage_of(drives: RecordedDrives, tracks: MuscleTracks | None = None) -> Stage:
         firmer = 1.0 if tracks is None else TrackContact.firmer
         return Stage(scene, places, S, drives, given.linear_solver, firmer=firmer, tracks=tracks)
 
     def check(drives: RecordedDrives) -> None:
+        if scene.neck is not None and scene.neck.muscles:
+            import_mujoco()
         Stage(without_neck_muscles(scene), places, S, drives, given.linear_solver)
 
     def drives_of(shapes: DrivenShapes, changes: FrameChanges | None = None) -> RecordedDrives:
@@ -84,36 +112,20 @@ def run(task: Task[Animate]) -> list[Path]:
             changes=changes,
         )
 
-    played = _Played()
     if scene.drive == "tracks":
         if scene.controls is not None:
             reason = "controls are of muscles, and tracks drive the face: leave one of both out"
             raise InputError("scene.controls", reason)
         tracks = MuscleTracks.load(task.inputs["tracks"], model)
         drives = drives_of(TrackedShapes.of(model, tracks))
-        begun = READ
-        stage = stage_of(drives, tracks)
         played.figures["shapes"] = len(tracks.names)
-    else:
-        # what moves the muscles may take minutes: what is wrong with the scene is told before
-        check(drives_of(Blendshapes(model.muscle_names, {})))
-        shapes = _shapes_of(task, rig, played)
-        drives = drives_of(shapes)
-        begun = SOLVED
-        drives = drives_of(shapes, _fit_frames(task, rig, shapes, drives.weights, played))
-        stage = stage_of(drives)
-    more = {**_told_of(recorded, played.transfer), **played.figures}
-    if recorded.timecodes:
-        more["timecode"] = recorded.timecodes[recording.start]
-    playing = part_of(progress, begun, EXPORT)
-    frames = play(stage, out, fingerprint(task), playing, resume=task.resume)
-    shown = recorded.seen[recording.start : recording.end]
-    arrays = {"weights": drives.weights, "seen": shown, **played.arrays}
-    written = finish(
-        stage, frames, out, progress, title="Animation", video=given.video, more=more, arrays=arrays
-    )
-    left = [signals] if signals.is_file() else []
-    return [*written, *played.files, *left]
+        return stage_of(drives, tracks), drives, READ
+    # what moves the muscles may take minutes: what is wrong with the scene is told before
+    check(drives_of(Blendshapes(model.muscle_names, {})))
+    shapes = _shapes_of(task, rig, played)
+    weights = drives_of(shapes).weights
+    drives = drives_of(shapes, _fit_frames(task, rig, shapes, weights, played))
+    return stage_of(drives), drives, SOLVED
 
 
 def _detecting(task: Task[Animate]) -> Callable[[int], None]:

@@ -13,6 +13,7 @@ from solver.scans.performance import FaceTake, read_live_link, write_signals
 from solver.scans.signals import play_signals
 from solver.scans.video import read_video
 
+SIGNALS_FILE = "signals.csv"  # what is measured of a video, beside what is made of it
 NAMES = {"live_link": "Live Link Face", "video": "a video"}
 
 

@@ -31,7 +31,7 @@ from solver.similarity import Similarity
 from solver.surface import Floats
 
 STILL_MM = 0.5  # moves of a head that nobody sees
-MM = 1e-3  # m
+MILLI = 1e-3
 
 
 class CarriedHead:
@@ -40,7 +40,7 @@ class CarriedHead:
     ``drives`` ask for turns of the head, whose moves are out of a neck's reach; there are ``steps``
     of the simulation from frame to frame, in which joints turn steadily. Raises
     :class:`InputError`: ``neck.skin`` for a skin that ends in no neck, ``neck.osim`` and
-    ``neck.extra``, and as :meth:`Places.asset`.
+    ``neck.extra``, and as :meth:`Places.asset` and :meth:`Places.point`.
     """
 
     def __init__(
@@ -66,9 +66,9 @@ class CarriedHead:
         self._options = options_of(entry)
         self._goal = reachable(self.placed.neck, drives.times, asked, self._options)
         goal = _between_frames(self._goal, steps)
+        pushes = [push_of(push, places) for push in entry.pushes]
         if entry.muscles:
             gravity = gravity_of(forces)
-            pushes = [push_of(push, places) for push in entry.pushes]
             self.motion = follow(self.placed.neck, goal, self._options, gravity, pushes)
         else:
             self.motion = _share_out(self.placed.neck, goal)
@@ -173,7 +173,7 @@ def options_of(entry: NeckEntry) -> MotionOptions:
             rate_hz=entry.reflex_hz,
             strain=entry.reflex_strain,
             strain_rate=entry.reflex_strain_rate,
-            delay_s=MM * entry.reflex_delay_ms,
+            delay_s=MILLI * entry.reflex_delay_ms,
         ),
     )
 
@@ -181,7 +181,7 @@ def options_of(entry: NeckEntry) -> MotionOptions:
 def gravity_of(forces: Sequence[Force]) -> Floats | None:
     """Return the acceleration (3,) in m/s^2 of a scene's gravity; None where it names none."""
     named = [force.mm_s2 for force in forces if isinstance(force, GravityEntry)]
-    return MM * np.sum(named, axis=0) if named else None
+    return MILLI * np.sum(named, axis=0) if named else None
 
 
 def push_of(entry: HeadPush, places: Places) -> Push:

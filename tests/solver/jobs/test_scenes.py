@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -263,6 +264,28 @@ def test_the_rig_s_basis_is_solved_once_and_left(
     replace(Rig.load({"rig": rig}), weights=thinner(MODEL.weights, 2)).save(other)
     mean_mm("other", of=other, expression_basis=basis)
     assert len(solved) == 2
+
+
+@pytest.mark.parametrize(
+    ("neck", "code"),
+    [
+        ({"skin": False}, "neck.extra"),
+        ({"pushes": [{"time": 0, "at": "nowhere", "newtons": [1, 0, 0]}]}, "scene.landmark"),
+    ],
+)
+def test_a_neck_that_cannot_move_is_told_before_blendshapes_are_solved(
+    rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, neck: dict[str, Any], code: str
+) -> None:
+    if code == "neck.extra":
+        monkeypatch.setitem(sys.modules, "mujoco", None)
+    take = recording(tmp_path / "take.csv", [0.0, 0.5])
+    scene = {"recording": {"asset": "take"}, "neck": {"skin": False, **neck}}
+    how: dict[str, Any] = {"options": {"scene": scene}, "captures": {"take": take}}
+    steps: list[Step] = []
+    with pytest.raises(InputError) as raised:
+        run_job("animate", tmp_path / "out", progress=steps.append, **how, rig=rig)
+    assert raised.value.code == code
+    assert [step.phase for step in steps] == ["read"]
 
 
 @pytest.mark.parametrize(

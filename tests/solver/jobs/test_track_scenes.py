@@ -150,6 +150,9 @@ def test_what_is_measured_of_a_video_is_left_and_plays_as_it(
         how: dict[str, Any] = {"options": {"scene": scene}}
         left = run_job("animate", outs[-1], captures={"take": asset}, **how, **files)
         assert ("signals.csv" in {path.name for path in left}) == (name == "film")
+    kept = outs[0] / "signals.csv"
+    run_job("animate", outs[0], captures={"take": kept}, **how, **files)
+    assert kept.is_file()  # what is played is not taken away, in its own folder either
     played = [np.load(out / "animation.npz") for out in outs]
     assert played[0]["seen"].tolist() == [True, True, False, True, True]
     assert played[0]["jaw"].max() > 0.0
