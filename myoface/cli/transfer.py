@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from myoface.cli.app import NewFolder
-from myoface.cli.commands import Argument, Option
+from myoface.cli.commands import Argument, Option, UsageError
 from myoface.cli.console import JobDisplay, out, show_outcome
 from solver.kinds import INPUTS
 
@@ -57,8 +57,12 @@ def transfer(
     from solver.jobs import run_job
     from solver.rig import Rig, find_files
     from solver.rig.transfer_sheet import draw_transfer
+    from solver.scans.film import is_film
     from solver.templates.builtin.build import builtin_template
 
+    if not is_film(video):
+        reason = "is no video; myoface solve animate plays signals.csv and other recordings"
+        raise UsageError(f"{video}: {reason}")
     recording: dict[str, Any] = {"asset": "video", "start": start, "end": end, "face": face}
     recording |= {"gain": gain, "smooth_hz": smooth_hz}
     if neutral is not None:

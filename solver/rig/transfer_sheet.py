@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,11 +15,19 @@ from solver.drawing.render import Pixels
 from solver.drawing.sheet import MARGIN, PAPER, Column, SheetLayout, draw_sheet
 from solver.fitting.face import Face
 from solver.model import SubjectModel
-from solver.registration.detector import DetectorOptions, FaceDetector, landmarker_file
+from solver.registration.detector import (
+    DetectedFace,
+    DetectorOptions,
+    FaceDetector,
+    landmarker_file,
+)
 from solver.rig.frames import FRAMES, read_chunks
 from solver.rig.frames.animation import Filming, MotionRecord
 from solver.rig.painted_faces import PAINT, PaintedFaces
 from solver.scans.film import decode_film
+from solver.scans.performance import read_live_link
+from solver.scans.recordings import SIGNALS_FILE
+from solver.scans.video import VIDEO, weights_of
 from solver.surface import Floats, Ints
 
 
@@ -49,16 +57,19 @@ def draw_transfer(
     """Draw frames of a ``video`` over those of the folder that ``animate`` left of it.
 
     ``start`` is the recording's first frame that was played; brows and lips are painted where a
-    template's ``points`` are known. Raises as
-    :func:`~solver.rig.frames.read_chunks` (``simulate.frames``) and
+    template's ``points`` are known. Where no frame that was played has a face, some are shown all
+    the same. Raises as :func:`~solver.rig.frames.read_chunks` (``simulate.frames``) and
     :func:`~solver.scans.film.decode_film`.
     """
     frames = read_chunks(animation / FRAMES, MotionRecord, "simulate.frames", lambda _: True)
     with np.load(animation / "animation.npz") as data:
         weights = data["weights"]
         seen = data["seen"]
-    shown = most_different(weights, np.flatnonzero(seen), options.shots)
-    filmed = _filmed(video, (shown + start).tolist(), options)
+    with_face = np.flatnonzero(seen) if seen.any() else np.arange(len(frames))
+    shown = most_different(weights, with_face, options.shots)
+    measured = read_live_link(animation / SIGNALS_FILE).weights
+    numbers = (shown + start).tolist()
+    filmed = _filmed(video, {number: measured[number] for number in numbers}, options)
     face = Face(model)
     gaze = Gaze(model)
     draw = _drawing(model, points, options)
@@ -98,29 +109,38 @@ def most_different(weights: Floats, frames: Ints, count: int) -> Ints:
 
 
 def _filmed(
-    video: Path, numbers: Sequence[int], options: TransferSheetOptions
+    video: Path, measured: Mapping[int, Floats], options: TransferSheetOptions
 ) -> dict[int, Pixels]:
-    """Return number -> the frame's picture, cut out about its largest face."""
+    """Return number -> the frame's picture, cut out about the face with the ``measured`` weights.
+
+    These are (52,) of each frame that is shown; a frame without a face is shown whole.
+    """
     file = landmarker_file()
-    cut = {}
     assert file is not None, "the video was read with it"
-    with FaceDetector(file, DetectorOptions()) as detector:
+    cut: dict[int, Pixels] = {}
+    with FaceDetector(file, DetectorOptions(VIDEO.most_faces, weights=True)) as detector:
         for number, picture in enumerate(decode_film(video, "video")):
-            if number in numbers:
+            if number in measured:
                 pixels = picture.pixels()
-                faces = detector.faces_in(pixels)
                 height, width = pixels.shape[:2]
                 box = (0.0, 0.0, float(width), float(height))
-                if faces:
-                    box = max(faces, key=lambda each: each.eyes_px).box
+                if faces := detector.faces_in(pixels):
+                    box = face_with(faces, measured[number]).box
                 cut[number] = _cut(pixels, box, options)
+            if len(cut) == len(measured):
+                break
     return cut
+
+
+def face_with(faces: Sequence[DetectedFace], weights: Floats) -> DetectedFace:
+    """Return the face of a picture that measured ``weights`` (52,) are of."""
+    return min(faces, key=lambda face: float(np.linalg.norm(weights_of(face) - weights)))
 
 
 def _cut(pixels: np.ndarray, box: Sequence[float], options: TransferSheetOptions) -> Pixels:
     left, top, right, bottom = box
     middle = ((left + right) / 2, (top + bottom) / 2)
-    (wide, high) = options.cell
+    wide, high = options.cell
     tall = (bottom - top) * (1.0 + 2.0 * options.margin)
     size = np.round([tall * wide / high, tall]).astype(int)
     corner = np.round(np.array(middle) - size / 2).astype(int)

@@ -45,6 +45,11 @@ class VideoOptions:
 VIDEO = VideoOptions()
 
 
+def weights_of(face: DetectedFace) -> Floats:
+    """Return what is measured of a face: weights (52,) of ARKit's shapes, 0 of those not told."""
+    return np.array([face.weights.get(name, 0.0) for name in ARKIT_NAMES])
+
+
 @dataclass(frozen=True)
 class _Seen:
     """What is kept of a face in a frame."""
@@ -60,8 +65,7 @@ class _Seen:
         left, top, right, bottom = face.box
         middle = np.array([left + right, top + bottom]) / 2
         turn = Rotation.from_matrix(face.rotation).as_rotvec()
-        weights = np.array([face.weights.get(name, 0.0) for name in ARKIT_NAMES])
-        return cls(middle, bottom - top, face.eyes_px, turn, weights)
+        return cls(middle, bottom - top, face.eyes_px, turn, weights_of(face))
 
     def is_where(self, other: _Seen, options: VideoOptions) -> bool:
         """Return whether the other may be the same face in a frame near this one."""
