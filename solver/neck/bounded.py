@@ -19,7 +19,7 @@ FREE = 0
 LOW = 1
 HIGH = 2
 PATIENCE = 3  # exchanges of all that are wrong, without fewer of them
-TOLERANCE = 1e-9  # of x, and of the gradient by the greatest of H's diagonal
+TOLERANCE = 1e-9  # of x, and of a gradient by its entry of H's diagonal
 MOST = 2000  # systems
 
 

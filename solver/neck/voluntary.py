@@ -50,7 +50,6 @@ class VoluntaryOptions:
     joint_weight: float = 3.0  # w_j, of (N m)^2
     activation_weight: float = 0.3  # w_a
     cocontraction: float = 0.0  # c, the activation that costs nothing
-    ahead_s: float = 0.0  # the goal is looked up this much later still
     most_rad_per_s2: float = 80.0  # that is asked of the head or a joint beside the goal's own
     share_rounds: int = 4  # of sharing out the goal among the joints
     difference_s: float = 0.01  # to either side, for the goal's velocity and acceleration
@@ -62,7 +61,6 @@ class Voluntary:
     def __init__(self, options: VoluntaryOptions = VoluntaryOptions()) -> None:
         self.options = options
         self._sides: np.ndarray | None = None
-        self.residual = 0.0  # rad/s^2, of what was asked for the head in the last tick
 
     def plan(self, dynamics: Dynamics, goal: Goal, time_s: float) -> None:
         """Put the plan of the tick that begins into ``dynamics``.
@@ -88,7 +86,7 @@ class Voluntary:
         A = body.inertia + half * D + half**2 / 2.0 * K
         tau = dynamics.passive_torque() - arms.T @ P - half * (K @ v)
         pull = arms.T * F
-        head, joints = self._asked(dynamics, goal, time_s + half + o.ahead_s, half)
+        head, joints = self._asked(dynamics, goal, time_s + half, half)
         J = body.head_jacobian()
         to_head = np.linalg.solve(A, J.T).T
         wanted = [
@@ -102,7 +100,6 @@ class Voluntary:
         g = left.T @ right + o.activation_weight * o.cocontraction
         a = self._solve(H, g, *self._bounds(dynamics, tick))
         acceleration = np.linalg.solve(A, tau - pull @ a)
-        self.residual = float(np.linalg.norm(J @ acceleration + body.head_drift() - head))
         plan = dynamics.plan
         plan[:, 0] = self._excitation(dynamics, a, tick)
         plan[:, 1] = lengths

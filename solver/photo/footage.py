@@ -93,9 +93,8 @@ class FilmFile:
         self._path = path
         self._frames: Iterator[Picture] = iter(())
         self._next = 0
-        self._count = sum(
-            1 for _ in decode_film(path, limits=LIMITS)
-        )  # files only claim to know it
+        # files only claim to know it
+        self._count = sum(1 for _ in decode_film(path, limits=LIMITS))
 
     def __len__(self) -> int:
         """Return how many frames it has."""
