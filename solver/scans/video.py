@@ -50,7 +50,7 @@ def weights_of(face: DetectedFace) -> Floats:
     return np.array([face.weights.get(name, 0.0) for name in ARKIT_NAMES])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Seen:
     """What is kept of a face in a frame."""
 
@@ -74,7 +74,7 @@ class _Seen:
         return high <= options.alike * low and away <= options.near * high
 
 
-@dataclass
+@dataclass(eq=False)
 class _Track:
     """One face in the frames that have it."""
 

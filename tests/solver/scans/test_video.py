@@ -80,6 +80,15 @@ def test_the_largest_face_at_the_middle_is_taken_and_told(monkeypatch: pytest.Mo
     assert error.value.code == "video.faces"
 
 
+def test_two_faces_stay_apart_when_the_smaller_becomes_the_larger(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As when one of two comes nearer: both are in the same frames, in another order."""
+    frames: list[list[Place]] = [[(250, 180, 90 + 4 * k), (400, 180, 100)] for k in range(8)]
+    assert sizes(follow(monkeypatch, frames, 0)) == [90 + 4 * k for k in range(8)]
+    assert sizes(follow(monkeypatch, frames, 1)) == [100] * 8
+
+
 def test_a_moments_face_elsewhere_after_a_gap_is_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     here = (320.0, 180.0, 100.0)
     there = (100.0, 100.0, 50.0)
