@@ -67,12 +67,6 @@ class _Seen:
         turn = Rotation.from_matrix(face.rotation).as_rotvec()
         return cls(middle, bottom - top, face.eyes_px, turn, weights_of(face))
 
-    def is_where(self, other: _Seen, options: VideoOptions) -> bool:
-        """Return whether the other may be the same face in a frame near this one."""
-        away = float(np.linalg.norm(self.middle - other.middle))
-        low, high = sorted((self.height, other.height))
-        return high <= options.alike * low and away <= options.near * high
-
 
 @dataclass(eq=False)
 class _Track:
@@ -153,12 +147,17 @@ def _follow(
 ) -> None:
     """Give the faces of a frame to the tracks that end where they are; others begin new ones."""
     free = [track for track in tracks if track.frames[-1] < frame]
+    middles = np.array([track.faces[-1].middle for track in free]).reshape(-1, 2)
+    heights = np.array([track.faces[-1].height for track in free])
     for face in sorted(faces, key=lambda each: -each.eyes_px):
-        near = [track for track in free if face.is_where(track.faces[-1], options)]
-        if near:
-            away = [np.linalg.norm(each.faces[-1].middle - face.middle) for each in near]
-            track = near[int(np.argmin(away))]
-            free.remove(track)
+        away = np.linalg.norm(middles - face.middle, axis=1)
+        low = np.minimum(heights, face.height)
+        high = np.maximum(heights, face.height)
+        away[(high > options.alike * low) | (away > options.near * high)] = np.inf
+        if away.min(initial=np.inf) < np.inf:
+            nearest = int(away.argmin())
+            track = free[nearest]
+            middles[nearest] = np.inf  # it is taken
         else:
             track = _Track()
             tracks.append(track)
