@@ -69,6 +69,7 @@ def fingerprint(task: Task[Any]) -> str:
 
 
 CHUNKS = ChunkOptions(frames=10)
+NECK_PICTURE = "neck.png"
 READ = 0.02  # share of a job after which its inputs are read
 EXPORT = 0.9  # share after which its files are written
 
@@ -208,9 +209,6 @@ def finish(
         files.append(out / NECK_PICTURE)
     progress(Step("done", 1.0))
     return files
-
-
-NECK_PICTURE = "neck.png"
 
 
 def draw_carried(

@@ -38,7 +38,7 @@ class NeckSkinOptions:
 
     under_bone_mm: float = 8.0  # skin so far below the jaw's border is still the skull's
     back_part: float = 0.3  # of the mandible, by its length, that has its angles
-    nape_above_mm: float = 20.0  # the joint of the head is the nape's border: muscles end there
+    nape_above_mm: float = 20.0  # of the nape's border, where muscles end, above the head's joint
     by_share: float = 1.0  # of the skin's parts, as wide as joints turn; 0: all are alike
     # of skin at the flesh's border, per mm of it: Young's modulus 0.1 MPa x 2 mm / 25 mm
     pull_pa: float = 8000.0
@@ -130,7 +130,7 @@ def on_skull(
     """Tell which skin vertices (V,) are the skull's: above chin, angles of the jaw, and nape.
 
     From the side, the border is a line from the lowest point of the chin over the angles of the
-    jaw, a little lower as flesh lies there, to the nape at the height of the head's ``joint``.
+    jaw, a little lower as flesh lies there, to the nape a little above the head's ``joint``.
     """
     skin = model.skin.vertices
     bone = model.rest[model.mandible]
