@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,8 @@ MARGIN = 24  # pixels left of text
 HEADER = 84  # pixels above the first picture
 SWATCH = 14  # pixels a side of a square of colour
 CAPTION = 30  # pixels over every column
+TITLE_SIZE = 30  # of letters, pixels
+DETAIL_SIZE = 17
 
 Colour = tuple[float, ...]
 
@@ -52,8 +55,8 @@ class Sheet:
 
     def heading(self, title: str, detail: str) -> None:
         """Write the title and a line of figures across the top."""
-        self.text((MARGIN, 16), title, 30)
-        self.text((MARGIN, 54), detail, 17, GREY)
+        self.text((MARGIN, 16), title, TITLE_SIZE)
+        self.text((MARGIN, 54), detail, DETAIL_SIZE, GREY)
 
     def text(
         self,
@@ -145,7 +148,9 @@ def draw_sheet(
     block = CAPTION + len(rows) * height
     blocks = -(-len(columns) // across)
     foot = HEADER + blocks * block
-    page = Sheet(layout.label + across * width + MARGIN, foot + layout.foot)
+    heading = max(_length(title, TITLE_SIZE), _length(detail, DETAIL_SIZE))
+    wide = max(layout.label + across * width, MARGIN + heading) + MARGIN
+    page = Sheet(wide, foot + layout.foot)
     page.heading(title, detail)
     for number, column in enumerate(columns):
         left = layout.label + number % across * width
@@ -158,3 +163,8 @@ def draw_sheet(
     for line, words in enumerate(layout.notes):
         page.text((layout.label, foot + 60 + 20 * line), words, 14, GREY)
     page.save(path)
+
+
+def _length(words: str, size: int) -> int:
+    """Return how many pixels a line of text is wide."""
+    return math.ceil(ImageFont.load_default(size).getlength(words))

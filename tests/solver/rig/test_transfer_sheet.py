@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from solver.registration.detector import DetectedFace
 from solver.rig import transfer_sheet
@@ -70,7 +71,8 @@ def test_frames_without_a_face_are_shown_where_there_are_no_others(
     monkeypatch.setattr(transfer_sheet, "_filmed", filmed)
     draw_transfer(tmp_path / "sheet.png", tmp_path / "film.mp4", tmp_path, model)
     assert shown
-    assert (tmp_path / "sheet.png").is_file()
+    with Image.open(tmp_path / "sheet.png") as page:
+        assert page.width > 400  # one picture wide, and its heading is whole
 
 
 def test_brows_are_painted_where_they_are() -> None:
