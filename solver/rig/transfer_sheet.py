@@ -20,6 +20,7 @@ from solver.rig.frames import FRAMES, read_chunks
 from solver.rig.frames.animation import Filming, MotionRecord
 from solver.rig.painted_faces import PAINT, PaintedFaces
 from solver.scans.film import decode_film
+from solver.storage import read_arrays
 from solver.surface import Floats, Ints
 
 
@@ -54,10 +55,8 @@ def draw_transfer(
     :func:`~solver.scans.film.decode_film`.
     """
     frames = read_chunks(animation / FRAMES, MotionRecord, "simulate.frames", lambda _: True)
-    with np.load(animation / "animation.npz") as data:
-        weights = data["weights"]
-        seen = data["seen"]
-    shown = most_different(weights, np.flatnonzero(seen), options.shots)
+    played = read_arrays(animation / "animation.npz")
+    shown = most_different(played["weights"], np.flatnonzero(played["seen"]), options.shots)
     filmed = _filmed(video, (shown + start).tolist(), options)
     face = Face(model)
     gaze = Gaze(model)
