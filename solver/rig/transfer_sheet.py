@@ -55,7 +55,7 @@ def draw_transfer(
     :func:`~solver.scans.film.decode_film`.
     """
     frames = read_chunks(animation / FRAMES, MotionRecord, "simulate.frames", lambda _: True)
-    played = read_arrays(animation / "animation.npz")
+    played = read_arrays(animation / "animation.npz", names=("weights", "seen"))
     shown = most_different(played["weights"], np.flatnonzero(played["seen"]), options.shots)
     filmed = _filmed(video, (shown + start).tolist(), options)
     face = Face(model)
