@@ -7,7 +7,7 @@ OpenSim's where it is installed, and moment arms by finite differences; ``laws``
 both laws of muscles; ``energy``: its drift without muscles and damping; ``hold``: at rest and in 12
 poses; ``conversation`` and ``wide``: sines of 25, 12, 10 and 40, 20, 15 degrees about the axes;
 ``push``: 30 N sideways on the forehead for 0.1 s, with the reflexes, without and with late ones;
-``range``: goals far beyond the range.
+``range``: goals far beyond the range; ``skin``: :mod:`benchmarks.neck_skin` of the built-in person.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks import report
+from benchmarks import neck_skin, report, subjects
 from benchmarks.documents import Figures, Section, Table
 from solver.kinds.scene import Recording
 from solver.neck.anatomy import JOINTS, Neck, NeckPose
@@ -41,7 +41,7 @@ from solver.surface import Floats
 from solver.templates.bodyparts3d import read_parts
 
 log = logging.getLogger(__name__)
-PARTS = ("anatomy", "laws", "energy", "hold", "conversation", "wide", "push", "range")
+PARTS = ("anatomy", "laws", "energy", "hold", "conversation", "wide", "push", "range", "skin")
 SEED = 23
 POSES = 20  # beside OpenSim
 HELD_POSES = 12
@@ -250,6 +250,13 @@ class _Bench:
         heads = [motion.pose(frame).head for frame in range(len(times))]
         beyond = [within(self.neck, Rotation.from_matrix(head).as_rotvec())[1] for head in heads]
         return {"beyond_range_deg": float(np.degrees(max(beyond)))}
+
+    def skin(self) -> Figures:
+        """Return the figures of the skin of the built-in person's neck."""
+        plain = vars(subjects.builtin_options())
+        given = argparse.Namespace(**plain, quick=self.quick, model=None, before=None)
+        (figures,) = neck_skin.run(given)["people"].values()
+        return dict(figures)
 
     def head(self, file: Path, fps: float | None = None) -> Figures:
         """Return how the head of a recording is followed, over the frames within range."""

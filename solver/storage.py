@@ -8,7 +8,7 @@ import math
 import os
 import shutil
 import struct
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -32,9 +32,9 @@ PLAIN = "biufU"  # kinds of values: booleans, whole numbers, floats and text
 
 
 def read_arrays(
-    path: Path, most_bytes: int = MOST_BYTES, inside: str = ""
+    path: Path, most_bytes: int = MOST_BYTES, inside: str = "", names: Collection[str] | None = None
 ) -> dict[str, np.ndarray]:
-    """Return the arrays of an NPZ file that unpack to no more than ``most_bytes``.
+    """Return the arrays of an NPZ file, all or by ``names``, of ``most_bytes`` unpacked at most.
 
     It may lie, by the name ``inside``, in a ZIP among other files, which are not read.
 
@@ -43,12 +43,14 @@ def read_arrays(
     """
     try:
         with path.open("rb") as stream:
-            return _arrays_in(stream, most_bytes, inside)
+            return _arrays_in(stream, most_bytes, inside, names)
     except (*NOT_READABLE, ArithmeticError) as error:
         raise ValueError(str(error)) from error
 
 
-def _arrays_in(stream: IO[bytes], most_bytes: int, inside: str = "") -> dict[str, np.ndarray]:
+def _arrays_in(
+    stream: IO[bytes], most_bytes: int, inside: str = "", names: Collection[str] | None = None
+) -> dict[str, np.ndarray]:
     check_directory(stream)
     with ZipFile(stream) as archive:
         members = archive.infolist()
@@ -58,8 +60,10 @@ def _arrays_in(stream: IO[bytes], most_bytes: int, inside: str = "") -> dict[str
             with TemporaryFile() as unpacked:
                 with archive.open(packed[0]) as source:
                     shutil.copyfileobj(source, unpacked)
-                return _arrays_in(unpacked, most_bytes)
+                return _arrays_in(unpacked, most_bytes, names=names)
         _check_members(members)
+        if names is not None:
+            members = [member for member in members if member.filename[:-4] in names]
         _check_packing(members, most_bytes)
         for member in members:
             _check_array(archive, member)

@@ -28,6 +28,7 @@ from solver.scans.film import decode_film
 from solver.scans.performance import read_live_link
 from solver.scans.recordings import SIGNALS_FILE
 from solver.scans.video import VIDEO, weights_of
+from solver.storage import read_arrays
 from solver.surface import Floats, Ints
 
 
@@ -62,11 +63,10 @@ def draw_transfer(
     :func:`~solver.scans.film.decode_film`.
     """
     frames = read_chunks(animation / FRAMES, MotionRecord, "simulate.frames", lambda _: True)
-    with np.load(animation / "animation.npz") as data:
-        weights = data["weights"]
-        seen = data["seen"]
+    played = read_arrays(animation / "animation.npz", names=("weights", "seen"))
+    seen = played["seen"]
     with_face = np.flatnonzero(seen) if seen.any() else np.arange(len(frames))
-    shown = most_different(weights, with_face, options.shots)
+    shown = most_different(played["weights"], with_face, options.shots)
     measured = read_live_link(animation / SIGNALS_FILE).weights
     numbers = (shown + start).tolist()
     filmed = _filmed(video, {number: measured[number] for number in numbers}, options)

@@ -210,3 +210,14 @@ def test_nothing_else_in_the_solver_reads_arrays() -> None:
     solver = Path(__file__).parents[2] / "solver"
     readers = [path.name for path in solver.rglob("*.py") if "np.load(" in path.read_text()]
     assert readers == ["tetrahedra.py"]
+
+
+def test_arrays_are_read_by_their_names(tmp_path: Path) -> None:
+    """A long take's skins may be more than is read, what was played of it is not."""
+    path = tmp_path / "animation.npz"
+    np.savez(path, skin=np.zeros(4096), weights=np.arange(3.0))
+    found = read_arrays(path, most_bytes=2000, names=("weights",))
+    assert found.keys() == {"weights"}
+    np.testing.assert_array_equal(found["weights"], np.arange(3.0))
+    with pytest.raises(ValueError, match="unpack"):
+        read_arrays(path, most_bytes=2000)
