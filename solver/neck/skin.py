@@ -39,7 +39,6 @@ class NeckSkinOptions:
     under_bone_mm: float = 8.0  # skin so far below the jaw's border is still the skull's
     back_part: float = 0.3  # of the mandible, by its length, that has its angles
     nape_above_mm: float = 20.0  # of the nape's border, where muscles end, above the head's joint
-    by_share: float = 1.0  # of the skin's parts, as wide as joints turn; 0: all are alike
     # of skin at the flesh's border, per mm of it: Young's modulus 0.1 MPa x 2 mm / 25 mm
     pull_pa: float = 8000.0
     skin_weight: float = 1e3  # of the flesh's places at the skin, by the mean diagonal
@@ -70,7 +69,7 @@ class NeckSkin:
         skull = on_skull(model, neck.centres[-1], options)
         skull[rim] = False
         u = _on_skin(model, rim, skull)
-        widths = (1.0 - options.by_share) / JOINTS + options.by_share * neck.shares.mean(axis=1)
+        widths = neck.shares.mean(axis=1)  # wider where a joint turns more
         knots = np.concatenate([[0.0], np.cumsum(widths[:-1]), [1.0]])
         skin, flesh = (
             np.interp(each, knots, np.arange(JOINTS + 1.0))

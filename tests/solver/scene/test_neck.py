@@ -167,3 +167,10 @@ def test_a_scene_that_was_stopped_goes_on_with_the_same_neck(tmp_path: Path) -> 
     np.testing.assert_array_equal(parts["vertebrae"], whole["vertebrae"])
     np.testing.assert_array_equal(parts["neck_activations"], whole["neck_activations"])
     np.testing.assert_allclose(parts["skin"], whole["skin"], atol=0.02)
+
+
+def test_a_push_needs_muscles() -> None:
+    push = {"time": 0.1, "at": [0, 80, 110], "newtons": [30, 0, 0]}
+    with pytest.raises(InputError) as caught:
+        staged({"fps": 10, "duration": 0.2, "neck": {"muscles": False, "pushes": [push]}})
+    assert caught.value.code == "neck.pushes"
