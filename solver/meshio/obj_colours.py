@@ -11,7 +11,7 @@ import numpy as np
 from solver.errors import file_error, quote
 from solver.meshio.mesh import fan, parse_rows
 from solver.meshio.paint import BARE, Paint
-from solver.meshio.texture_images import ImageReader, read_sidecar, sidecar
+from solver.meshio.texture_images import ImageReader, Texels, read_sidecar, sidecar
 from solver.surface import Floats, Ints
 
 COORDINATE = (b"vt ", b"vt\t")
@@ -104,11 +104,11 @@ def _coordinate(word: bytes, before: int) -> int:
 def _paint(path: Path, places: Floats, faces: _Faces, maps: dict[str, Map]) -> Paint:
     reader = ImageReader()
     corners = faces.corners
-    whole = ((corners >= 0) & (corners < len(places))).all(axis=1)
+    whole = np.asarray(((corners >= 0) & (corners < len(places))).all(axis=1))
     coordinates = np.where(whole[:, None, None], places[np.where(whole[:, None], corners, 0)], 0.0)
     images_of = np.full(len(corners), BARE)
     files: dict[str, int] = {}
-    images = []
+    images: list[Texels] = []
     for name, one in maps.items():
         if one.name not in files:
             image = sidecar(path, one.name, f"the material {quote(name)} of {path.name}")
@@ -151,7 +151,7 @@ def _map(text: str) -> Map | None:
         option, _, rest = rest.partition(" ")
         rest = rest.lstrip()
         if option in NUMBERS:
-            values = []
+            values: list[float] = []
             while len(values) < NUMBERS[option]:
                 word, _, after = rest.partition(" ")
                 value = _number(word)

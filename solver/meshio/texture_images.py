@@ -88,7 +88,7 @@ class ImageReader:
         become 8-bit sRGB. Raises :class:`InputError` (``texture.unreadable``).
         """
         try:
-            with _wide_limit(), Image.open(io.BytesIO(content), formats=FORMATS) as image:
+            with _own_limit(), Image.open(io.BytesIO(content), formats=FORMATS) as image:
                 self._count(file, image.size)
                 return _texels(image)
         except InputError:
@@ -111,10 +111,10 @@ class ImageReader:
 
 
 @contextmanager
-def _wide_limit() -> Iterator[None]:
-    """Let Pillow open what :data:`MOST_PIXELS` allows."""
+def _own_limit() -> Iterator[None]:
+    """Let Pillow open what :data:`MOST_PIXELS` allows, which is checked before it decodes."""
     before = Image.MAX_IMAGE_PIXELS
-    Image.MAX_IMAGE_PIXELS = MOST_PIXELS
+    Image.MAX_IMAGE_PIXELS = None
     try:
         yield
     finally:

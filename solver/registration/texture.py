@@ -84,7 +84,7 @@ def bake(
     coordinates: TextureCoordinates,
     options: TextureOptions = TEXTURE,
 ) -> Texture:
-    """Return the colours of a scan on the ``skin`` onto which ``motion`` takes its file's points."""
+    """Return the colours of a scan on the ``skin`` to which ``motion`` takes its file's points."""
     texels = _texels(skin, coordinates, options)
     _look_up(texels, _PlacedScan(colours, motion, skin, topology.face), topology, options)
     filled, mirrored = fill(texels, topology)
@@ -124,9 +124,7 @@ def _look_up(
 class _PlacedScan:
     """A scan with colours, laid on a skin by a ``motion``; the ``face`` (k,) tells its outside."""
 
-    def __init__(
-        self, colours: ScanColours, motion: Similarity, skin: Surface, face: Ints
-    ) -> None:
+    def __init__(self, colours: ScanColours, motion: Similarity, skin: Surface, face: Ints) -> None:
         vertices = motion(colours.vertices)
         finite = np.isfinite(vertices).all(axis=1)
         doubled = np.linalg.norm(area_normals(np.nan_to_num(vertices), colours.faces), axis=1)

@@ -136,5 +136,5 @@ def _models(
     apart, near = tree.query(
         texels.at(rest, asked) * MIRROR, distance_upper_bound=options.symmetric_mm
     )
-    found = np.isfinite(apart)
+    found = np.flatnonzero(np.isfinite(apart))
     return asked[found], models[near[found]]

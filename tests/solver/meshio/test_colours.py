@@ -57,7 +57,9 @@ def obj(folder: Path, text: str = OBJ, mtl: str = "newmtl skin\nmap_Kd a b.png\n
 def test_an_obj_has_the_images_of_its_materials_and_they_tile(tmp_path: Path) -> None:
     assert middle(obj(tmp_path)) == pytest.approx([1, 0, 0])
     # one image further, either way, and counted back
-    moved = OBJ.replace("0.75\n", "-1.25\n").replace("vt 0.", "vt 3.").replace("1/1 2/2 3/3", "")
+    moved = (
+        OBJ.replace("0.75\n", "-1.25\n").replace("vt 0.", "vt 3.").replace("f 1/1 2/2 3/3\n", "")
+    )
     assert middle(obj(tmp_path, moved + "f -3/-3 -2/-2 -1/-1\n")) == pytest.approx([1, 0, 0])
     # an offset in the MTL, and options before the name
     mtl = "newmtl skin\n\tmap_Kd -clamp off -o 0.5 0 0 -s 1 1 1 ./a b.png\n"

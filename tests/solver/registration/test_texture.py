@@ -76,7 +76,8 @@ def test_the_built_in_head_s_coordinates_fill_the_image_and_do_not_overlap(
     counts = np.zeros((512, 512))
     for triangle in 512 * corners:
         low, high = triangle.min(axis=0).astype(int), triangle.max(axis=0).astype(int) + 1
-        grid = np.stack(np.meshgrid(*(np.arange(a, b) + 0.5 for a, b in zip(low, high))), axis=-1)
+        columns, rows = (np.arange(a, b) + 0.5 for a, b in zip(low, high, strict=True))
+        grid = np.stack(np.meshgrid(columns, rows), axis=-1)
         sides = np.roll(triangle, -1, axis=0) - triangle
         off = grid[..., None, :] - triangle
         inside = (sides[:, 0] * off[..., 1] - sides[:, 1] * off[..., 0] > 1e-9).all(axis=-1)
