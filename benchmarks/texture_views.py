@@ -14,7 +14,7 @@ from solver.drawing.render import look
 from solver.meshio.colours import ScanColours, bilinear
 from solver.meshio.glb_colours import to_linear
 from solver.registration.texture import Texture
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, faces_within
 
 YAWS = tuple(np.radians([0.0, 40.0, -40.0]))
 SIZE = 640, 760  # px of a view
@@ -45,25 +45,25 @@ def compare(
     difference of colour over the pixels of three views in which the scan and the ``face`` (k,) of
     the skin are seen.
     """
-    is_face = np.zeros(len(skin.vertices), bool)
-    is_face[face] = True
-    on_face = is_face[skin.faces].all(axis=1)
+    on_face = faces_within(skin.faces, face)
+    image = np.dstack([texture.colours, np.full(texture.colours.shape[:2], 255, np.uint8)])
     rows = []
     apart = []
     for yaw in YAWS:
         camera = face_camera(skin.vertices, face, yaw)
         raw = look(camera, Surface(placed, colours.faces), *SIZE)
         worn = look(camera, skin, *SIZE)
-        scan, known = _drawn(raw.mask, colours.at(raw.triangle[raw.mask], raw.weights[raw.mask]))
+        at_scan = raw.triangle[raw.mask].astype(np.int64), raw.weights[raw.mask].astype(float)
+        scan, known = _drawn(raw.mask, colours.at(*at_scan))
         faces = worn.triangle[worn.mask]
         corners = texture.coordinates.corners[faces]
-        mapped = (corners >= 0).all(axis=1)
+        mapped = np.asarray((corners >= 0).all(axis=1))
         places = texture.coordinates.pixels(1)[np.maximum(corners, 0)]
         at = np.einsum("nc,ncd->nd", worn.weights[worn.mask], places)
-        image = np.dstack([texture.colours, np.full(texture.colours.shape[:2], 255, np.uint8)])
-        own, _ = _drawn(worn.mask, (bilinear(image, at)[:, :3], mapped & on_face[faces]))
-        shown, _ = _drawn(worn.mask, (bilinear(image, at)[:, :3], mapped))
-        compared = known & _drawn(worn.mask, (own[worn.mask], mapped & on_face[faces]))[1]
+        wears = bilinear(image, at)[:, :3]
+        shown, _ = _drawn(worn.mask, (wears, mapped))
+        own, compared = _drawn(worn.mask, (wears, mapped & on_face[faces]))
+        compared &= known
         apart.append(np.linalg.norm(to_lab(own) - to_lab(scan), axis=-1)[compared])
         rows.append(np.hstack([scan, shown]))
     every = np.concatenate(apart)

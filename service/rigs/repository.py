@@ -95,7 +95,7 @@ def made_of_model(model: Job) -> ColumnElement[bool]:
 
 def made_into_model(model: Job) -> ColumnElement[bool]:
     """Return what holds of the job that left the neutral which a model was built from."""
-    return Job.id.in_([item["of"] for item in model.inputs if item["role"] == "neutral"])
+    return Job.id.in_([item.get("of") for item in model.inputs if item["role"] == "neutral"])
 
 
 def left_by(

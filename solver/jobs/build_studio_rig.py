@@ -69,7 +69,7 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
         file = task.out / f"{name}.glb"
         worn = texture if rigged is light else None
         write_glb(rigged, file, worn)
-        compared = compare_glb(rigged, file, worn and worn.coordinates)
+        compared = compare_glb(rigged, file, worn.coordinates if worn else None)
         written[file] = {**compared, "bytes": file.stat().st_size}
         levels[file.name] = tell_level(light, rigged)
     written |= _write_usd(light, task.out / "studio.usdc", texture)
@@ -108,7 +108,7 @@ def _write_usd(
         from solver.rig.studio.usd import compare_usd, write_usd  # an extra
     except ModuleNotFoundError:
         return {}
-    coordinates = texture and texture.coordinates
+    coordinates = texture.coordinates if texture else None
     image = file.with_name(SKIN_IMAGE)
     write_usd(light, file, coordinates, image.name)
     told = {file: {**compare_usd(light, file, coordinates), "bytes": file.stat().st_size}}

@@ -27,7 +27,15 @@ from solver.meshio.mesh import weld
 from solver.registration.texture_fill import Texels, fill
 from solver.registration.topology import Topology
 from solver.similarity import Similarity
-from solver.surface import Floats, Ints, Surface, area_normals, directed_edges, vertex_normals
+from solver.surface import (
+    Floats,
+    Ints,
+    Surface,
+    area_normals,
+    directed_edges,
+    faces_within,
+    vertex_normals,
+)
 
 MADE_FOR = "Texture coordinates"  # key of a PNG's text: the hash of those it was made for
 
@@ -111,9 +119,7 @@ def _look_up(
 ) -> None:
     """Write colours and confidence of the texels that the scan shows into ``texels``."""
     skin = texels.skin
-    is_outer = np.zeros(len(skin.vertices), bool)
-    is_outer[topology.outer] = True
-    asked = np.flatnonzero(is_outer[skin.faces].all(axis=1)[texels.faces])
+    asked = np.flatnonzero(faces_within(skin.faces, topology.outer)[texels.faces])
     normals = vertex_normals(skin)
     for start in range(0, len(asked), options.chunk):
         own = asked[start : start + options.chunk]
@@ -126,19 +132,20 @@ class _PlacedScan:
 
     def __init__(self, colours: ScanColours, motion: Similarity, skin: Surface, face: Ints) -> None:
         vertices = motion(colours.vertices)
-        finite = np.isfinite(vertices).all(axis=1)
+        finite = np.asarray(np.isfinite(vertices).all(axis=1))
         doubled = np.linalg.norm(area_normals(np.nan_to_num(vertices), colours.faces), axis=1)
-        self._numbers = np.flatnonzero(finite[colours.faces].all(axis=1) & (doubled > 0.0))
+        whole = np.asarray(finite[colours.faces].all(axis=1))
+        self._numbers = np.flatnonzero(whole & (doubled > 0.0))
         self._colours = colours
         self._vertices = np.ascontiguousarray(np.where(finite[:, None], vertices, 0.0))
         self._faces = np.ascontiguousarray(colours.faces[self._numbers])
         self._tree = igl.AABB()
         self._tree.init(self._vertices, self._faces)
         first, place = weld(self._vertices)  # vertices that are there twice for their colours' sake
-        whole = place[self._faces]
-        smooth = vertex_normals(Surface(self._vertices[first], whole))
+        joined = place[self._faces]
+        smooth = vertex_normals(Surface(self._vertices[first], joined))
         self._normals = smooth[place]
-        edges = np.sort(directed_edges(whole), axis=1)
+        edges = np.sort(directed_edges(joined), axis=1)
         kinds, counts = np.unique(edges, axis=0, return_counts=True)
         rim = np.unique(kinds[counts == 1])
         self._rim = cKDTree(self._vertices[first][rim]) if len(rim) else None
@@ -156,7 +163,7 @@ class _PlacedScan:
         return np.sqrt(squared), face, shares, near
 
     def _normal(self, face: Ints, shares: Floats) -> Floats:
-        return np.einsum("nc,ncd->nd", shares, self._normals[self._faces[face]])
+        return np.asarray(np.einsum("nc,ncd->nd", shares, self._normals[self._faces[face]]))
 
     def look_up(
         self, points: Floats, normals: Floats, options: TextureOptions
@@ -201,9 +208,7 @@ def _figures(
 ) -> dict[str, Any]:
     """Return shares of the face's area: seen, and filled from the other side."""
     skin = texels.skin
-    is_face = np.zeros(len(skin.vertices), bool)
-    is_face[topology.face] = True
-    own = np.flatnonzero(is_face[skin.faces].all(axis=1)[texels.faces])
+    own = np.flatnonzero(faces_within(skin.faces, topology.face)[texels.faces])
     faces = texels.faces[own]
     area = np.linalg.norm(area_normals(skin.vertices, skin.faces), axis=1)
     weight = area[faces] / np.bincount(faces, minlength=len(skin.faces))[faces]

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from solver.anatomy.warp import MIRROR
 from solver.registration.topology import Topology
-from solver.surface import Floats, Ints, Surface, adjacency
+from solver.surface import Floats, Ints, Surface, adjacency, faces_within
 
 
 @dataclass(frozen=True)
@@ -127,9 +127,8 @@ def _models(
     rest = topology.template.skin.vertices
     models = np.flatnonzero(texels.confidence > options.model)
     models = models[:: max(1, -(-len(models) // options.most_models))]
-    is_outer = np.zeros(len(rest), bool)
-    is_outer[topology.outer] = True
-    asked = np.flatnonzero((kept < 1.0) & is_outer[texels.skin.faces].all(axis=1)[texels.faces])
+    outer = faces_within(texels.skin.faces, topology.outer)
+    asked = np.flatnonzero((kept < 1.0) & outer[texels.faces])
     if not len(models) or not len(asked):
         return asked[:0], models[:0]
     tree = cKDTree(texels.at(rest, models))

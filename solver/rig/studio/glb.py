@@ -34,7 +34,7 @@ def write_glb(rig: LightRig, path: Path, texture: SkinTexture | None = None) -> 
     """
     buffer = Buffer()
     skeleton = rig.skeleton
-    parts = parts_of(rig.neutral, skeleton, texture and texture.coordinates)
+    parts = parts_of(rig.neutral, skeleton, texture.coordinates if texture else None)
     materials = list(dict.fromkeys(part.material for part in parts))
     meshes = _Meshes(rig, buffer, materials)
     count = len(skeleton.joints)
