@@ -295,8 +295,8 @@ def test_every_file_that_is_handed_on_is_an_input_of_some_kind() -> None:
 
 
 def test_the_texture_of_the_neutral_s_registration_is_found(session: Session) -> None:
-    subject = session.studio.subject()
-    raw = session.studio.capture(subject, "neutral-in-colour", role="neutral")
+    subject = session.studio.post("/v1/subjects", name="Alex")["id"]
+    raw = session.studio.raw(subject, "neutral-in-colour", role="neutral")
     images = session.stored("registered.ply") | session.stored("texture.png")
     register = session.studio.submit("register_scan", subject, captures=[raw])
     session.studio.pretend(register, images)
