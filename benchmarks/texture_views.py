@@ -107,6 +107,32 @@ def compare(
     return figures, np.round(255 * np.vstack(rows)).astype(np.uint8)
 
 
+def seam_delta_e(skin: Surface, face: Ints, texture: Texture) -> float | None:
+    """Return the mean CIE 1976 difference across the face's seams; None: it has none.
+
+    Compared are the colours in the middle of an edge, by both of its triangles.
+    """
+    corners = texture.coordinates.corners
+    own = np.flatnonzero(faces_within(skin.faces, face) & (corners >= 0).all(axis=1))
+    sides = np.vstack([skin.faces[own][:, [k, (k + 1) % 3]] for k in range(3)])
+    ends = np.vstack([corners[own][:, [k, (k + 1) % 3]] for k in range(3)])
+    turned = sides[:, 0] > sides[:, 1]
+    sides[turned], ends[turned] = sides[turned][:, ::-1], ends[turned][:, ::-1]
+    order = np.lexsort(sides.T)
+    pairs = order[:-1][(sides[order[1:]] == sides[order[:-1]]).all(axis=1)]
+    other = order[1:][(sides[order[1:]] == sides[order[:-1]]).all(axis=1)]
+    cut = (ends[pairs] != ends[other]).all(axis=1)
+    if not cut.any():
+        return None
+    image = np.dstack([texture.colours, np.full(texture.colours.shape[:2], 255, np.uint8)])
+    places = texture.coordinates.pixels(1)
+    one, two = (
+        to_lab(bilinear(image, places[ends[rows[cut]]].mean(axis=1))[:, :3])
+        for rows in (pairs, other)
+    )
+    return float(np.linalg.norm(one - two, axis=1).mean())
+
+
 def _drawn(mask: NDArray[np.bool_], found: tuple[Floats, NDArray[np.bool_]]) -> Drawn:
     """Return colours at the pixels of a ``mask`` as an image, white elsewhere."""
     colour, known = found
@@ -136,9 +162,10 @@ def measure(scan: Path, template: Path | None, picture: Path | None) -> Figures:
     colours = read_colours(scan, read_raw(scan))
     assert colours is not None
     moved = told["motion"]
-    motion = Similarity(*(np.array(moved[key]) for key in ("scale", "rotation", "translation")))
+    turn, shift = np.array(moved["rotation"]), np.array(moved["translation"])
+    motion = Similarity(float(moved["scale"]), turn, shift)
     face = topology(anatomy).face
     found = compare(colours, motion(colours.vertices), skin.with_vertices(points), face, texture)
     if picture is not None:
         Image.fromarray(found[1]).save(picture)
-    return {**told["texture"], **found[0]}
+    return {**told["texture"], **found[0], "seam_delta_e": seam_delta_e(skin, face, texture)}

@@ -33,6 +33,16 @@ class TextureCoordinates:
         return np.flatnonzero((self.corners != NOWHERE).all(axis=1))
 
     @property
+    def charts(self) -> Ints:
+        """Return the chart (f,) that each triangle lies in, which hangs together, or NOWHERE."""
+        mapped = self.mapped
+        corners = self.corners[mapped].astype(np.int64)
+        label = connected_components(adjacency(corners, len(self.places)), directed=False)[1]
+        charts = np.full(len(self.corners), NOWHERE, np.int64)
+        charts[mapped] = label[corners[:, 0]]
+        return charts
+
+    @property
     def sha256(self) -> str:
         """Return the hash of all coordinates, by which an image knows what it was made for."""
         digest = hashlib.sha256(np.ascontiguousarray(self.places, "<f4").tobytes())

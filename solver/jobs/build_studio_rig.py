@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from solver.progress import Step
 from solver.registration.texture import texture_coordinates
 from solver.rig import Rig
 from solver.rig.studio.glb import compare_glb, write_glb
-from solver.rig.studio.levels import distance_mm, simplify
+from solver.rig.studio.levels import carry_texture, distance_mm, simplify
 from solver.rig.studio.lids import Lids
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.shapes import FleshShapes, StudioShapes, solve_studio_shapes
@@ -67,7 +68,10 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
     for name, share in LEVELS.items():
         rigged = light if share == 1.0 else simplify(light, share)
         file = task.out / f"{name}.glb"
-        worn = texture if rigged is light else None
+        worn = texture
+        if worn is not None and rigged is not light:
+            carried = carry_texture(worn.coordinates, light.neutral, rigged.neutral)
+            worn = replace(worn, coordinates=carried)
         write_glb(rigged, file, worn)
         compared = compare_glb(rigged, file, worn.coordinates if worn else None)
         written[file] = {**compared, "bytes": file.stat().st_size}

@@ -45,8 +45,8 @@ class TextureOptions:
     """Fineness of an image of colours, and what a scan is trusted with; lengths in mm."""
 
     size: int = 2048  # px of a side
-    farthest: float = 4.0  # a place of the scan farther off is none of this skin
-    trusted: float = 1.5  # distance at which confidence has fallen to 1/e
+    farthest: float = 8.0  # a place of the scan farther off is none of this skin
+    trusted: float = 3.0  # distance at which confidence has fallen to 1/e
     least_cosine: float = 0.3  # of the normals
     surest_cosine: float = 0.8  # from which on the angle costs nothing
     border: float = 3.0  # to the scan's edge, within which confidence fades to nothing

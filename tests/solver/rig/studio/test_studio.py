@@ -21,13 +21,14 @@ from solver.meshio.raw import read_raw
 from solver.registration.texture import Texture
 from solver.rig.frames.read_back import accessor_values, split_glb
 from solver.rig.studio.glb import compare_glb, write_glb
-from solver.rig.studio.levels import distance_mm, simplify
+from solver.rig.studio.levels import carry_texture, distance_mm, simplify
 from solver.rig.studio.lids import Lids
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.parts import TEXTURED, parts_of
 from solver.rig.studio.shapes import StudioShapes
 from solver.rig.studio.skeleton import HEAD, JAW, Skeleton
 from solver.rig.studio.skin_texture import SkinTexture
+from solver.surface import Surface
 from tests.solver.block import head_block
 
 MODEL = head_block()
@@ -125,6 +126,21 @@ def test_its_skin_wears_a_texture_with_seams(
     scan = read_colours(path, read_raw(path))
     assert scan is not None
     assert (scan.paint.images_of >= 0).sum() == len(own)
+
+
+def test_a_level_of_detail_wears_the_texture_where_it_was() -> None:
+    skin = MODEL.skin
+    # two charts, cut in the middle, whose coordinates go with the place
+    right = skin.vertices[skin.faces].mean(axis=1)[:, 0] > skin.vertices[:, 0].mean()
+    places = np.vstack([skin.vertices[:, :2]] * 2) / 1000.0
+    corners = (skin.faces + len(skin.vertices) * right[:, None]).astype(np.int32)
+    coordinates = TextureCoordinates(places.astype(np.float32), corners)
+    level = Surface(skin.vertices, skin.faces[::2])
+    found = carry_texture(coordinates, skin, level)
+    np.testing.assert_allclose(
+        found.places[found.corners], level.vertices[level.faces][..., :2] / 1000.0, atol=1e-5
+    )
+    assert len(found.places) > len(np.unique(level.faces))  # split at the seam
 
 
 def test_its_usd_wears_the_texture(
