@@ -50,11 +50,13 @@ class TextureOptions:
     least_cosine: float = 0.3  # of the normals
     surest_cosine: float = 0.8  # from which on the angle costs nothing
     border: float = 3.0  # to the scan's edge, within which confidence fades to nothing
+    around: float = 1.5  # px around a chart that are looked up as well
     least_seen: float = 0.05  # confidence from which on a texel counts as seen
     chunk: int = 200_000  # texels that are looked up at a time
 
 
 TEXTURE = TextureOptions()
+STEEP = 4.0  # barycentric shares beyond this are of a triangle too thin to go on from
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,18 +102,41 @@ def bake(
 
 
 def _texels(skin: Surface, coordinates: TextureCoordinates, options: TextureOptions) -> Texels:
-    """Return the texels of all charts as places on the skin, without colours."""
+    """Return the texels of all charts as places on the skin, without colours.
+
+    Those around a chart lie in the planes of its outermost triangles, so that an image's values
+    between texels are right up to a seam.
+    """
     size = options.size
     places = coordinates.pixels(size)
     flat = np.column_stack([places, np.ones(len(places))])
     mapped = coordinates.mapped
     corners = coordinates.corners[mapped].astype(np.int64)
     seen = rasterise(flat, corners, size, size)
-    rows, columns = np.nonzero(seen.mask)
-    faces = mapped[seen.triangle[rows, columns]]
-    shares = seen.weights[rows, columns].astype(np.float64)
+    apart, nearest = distance_transform_edt(~seen.mask, return_indices=True)
+    rows, columns = np.nonzero(apart <= options.around)
+    inner = nearest[0][rows, columns], nearest[1][rows, columns]
+    triangle = seen.triangle[inner]
+    shares = seen.weights[inner].astype(np.float64)
+    around = np.flatnonzero(apart[rows, columns] > 0.0)
+    middles = np.column_stack([columns, rows])[around] + 0.5
+    beyond = _plane_shares(middles, places[corners[triangle[around]]])
+    shares[around] = np.where(np.abs(beyond).max(axis=1) < STEEP, beyond.T, shares[around].T).T
+    faces = mapped[triangle]
     count = len(rows)
     return Texels(rows, columns, faces, shares, skin, np.zeros((count, 3)), np.zeros(count))
+
+
+def _plane_shares(points: Floats, triangles: Floats) -> Floats:
+    """Return barycentric shares (n, 3) of ``points`` (n, 2) in their ``triangles`` (n, 3, 2)."""
+    one = triangles[:, 1] - triangles[:, 0]
+    two = triangles[:, 2] - triangles[:, 0]
+    own = points - triangles[:, 0]
+    with np.errstate(all="ignore"):  # a flat triangle's are not finite
+        area = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
+        second = (own[:, 0] * two[:, 1] - own[:, 1] * two[:, 0]) / area
+        third = (one[:, 0] * own[:, 1] - one[:, 1] * own[:, 0]) / area
+    return np.column_stack([1.0 - second - third, second, third])
 
 
 def _look_up(

@@ -47,7 +47,7 @@ class Texels:
     rows: Ints  # (t,)
     columns: Ints  # (t,)
     faces: Ints  # (t,) triangles of the skin
-    shares: Floats  # (t, 3) of their corners
+    shares: Floats  # (t, 3) of their corners; those around a chart have negative ones
     skin: Surface
     colours: Floats  # (t, 3) sRGB in [0, 1], where they are seen
     confidence: Floats  # (t,) from 0, not seen, to 1
@@ -95,9 +95,10 @@ def _smooth(texels: Texels, mirror: Ints | None, options: FillOptions) -> Floats
     skin = texels.skin
     count = len(skin.vertices)
     corners = skin.faces[texels.faces].ravel()
-    weights = (texels.confidence[:, None] * texels.shares).ravel()
+    shares = np.clip(texels.shares, 0.0, 1.0)
+    weights = (texels.confidence[:, None] * shares).ravel()
     total = np.bincount(corners, weights, count)
-    every = np.bincount(corners, texels.shares.ravel(), count)
+    every = np.bincount(corners, shares.ravel(), count)
     repeated = np.repeat(texels.colours, 3, axis=0)
     sums = np.column_stack(
         [np.bincount(corners, weights * repeated[:, channel], count) for channel in range(3)]
