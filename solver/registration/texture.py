@@ -119,7 +119,7 @@ def _texels(skin: Surface, coordinates: TextureCoordinates, options: TextureOpti
     triangle = seen.triangle[inner]
     shares = seen.weights[inner].astype(np.float64)
     around = np.flatnonzero(apart[rows, columns] > 0.0)
-    middles = np.column_stack([columns, rows])[around] + 0.5
+    middles = np.column_stack([columns, rows])[around].astype(np.float64) + 0.5
     beyond = _plane_shares(middles, places[corners[triangle[around]]])
     shares[around] = np.where(np.abs(beyond).max(axis=1) < STEEP, beyond.T, shares[around].T).T
     faces = mapped[triangle]
