@@ -1,7 +1,8 @@
 """How close the light rig that a studio ships is to the flesh.
 
     python -m benchmarks.studio_rig [--rig FILE] [--blendshapes FILE] [--learned FILE]
-        [--recording FILE] [--parts shapes,blink,levels,files,played] --json -
+        [--recording FILE] [--scan FILE [--template FILE] [--picture FILE]]
+        [--parts shapes,blink,levels,files,played,texture] --json -
 
 ``shapes`` are ARKit's, each alone and whole: ``mean_mm`` is the face's mean distance to the
 template's shape, over all, and ``worst_mm`` of the worst. ``blink`` has what is left between the
@@ -10,6 +11,8 @@ through twenty steps of closing (``lid_in_eye_mm``, beyond the neutral's), and `
 template's. ``levels`` are how far half and a quarter of the triangles are off in the worst shape.
 ``files`` have the size and the Khronos validator's word. ``played_mm`` compares the rig with the
 flesh over frames of a recording, by blendshapes or by learned controls, for both ways to drive it.
+``texture`` registers a scan with colours and compares the textured skin with it from three views:
+``coverage`` of the face's area that the scan shows, ``delta_e_mean`` (CIE 1976) and ``ssim``.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ import numpy as np
 from benchmarks import report, subject_fits, subjects
 from benchmarks.documents import Figures, Section, Table
 from benchmarks.muscle_actions import has_lids, lid_gap
+from benchmarks.texture_views import measure
 from myoface.demo.outcome import khronos_validation
 from solver.animation import RecordedDrives
 from solver.animation.blendshapes import (
@@ -49,7 +53,7 @@ from solver.scene import Stage
 from solver.scene.places import Places
 
 log = logging.getLogger(__name__)
-PARTS = ("shapes", "blink", "levels", "files", "played")
+PARTS = ("shapes", "blink", "levels", "files", "played", "texture")
 START = 2000  # of the recording: jaw, lips and cheeks
 FRAMES = 300
 STEPS = 20
@@ -65,6 +69,9 @@ def main() -> None:
     parser.add_argument("--recording", type=Path, help="of Live Link Face, for ``played``")
     parser.add_argument("--blendshapes", type=Path, help="blendshapes.npz: read, else left in it")
     parser.add_argument("--learned", type=Path, help="controls.npz that move the flesh")
+    parser.add_argument("--scan", type=Path, help="a raw scan with colours, for ``texture``")
+    parser.add_argument("--template", type=Path, help="that it is registered to, else the built-in")
+    parser.add_argument("--picture", type=Path, help="PNG of the scan and its textured skin")
     parser.add_argument("--start", type=int, default=START, help="first frame that is played")
     parser.add_argument("--frames", type=int, default=FRAMES, help="that are played")
     report.add_list(parser, "--parts", PARTS)
@@ -75,8 +82,18 @@ def main() -> None:
 
 def run(options: argparse.Namespace) -> Figures:
     """Return the figures of a rig."""
-    bench = _Bench(options)
-    return {**bench.told, "parts": {part: getattr(bench, part)() for part in options.parts}}
+    of_a_rig = [part for part in options.parts if part != "texture"]
+    told: Figures = {}
+    parts: Figures = {}
+    if of_a_rig:
+        bench = _Bench(options)
+        told = bench.told
+        parts = {part: getattr(bench, part)() for part in of_a_rig}
+    if "texture" in options.parts:
+        parts["texture"] = {"note": "not measured: --scan names a scan with colours"}
+        if options.scan is not None:
+            parts["texture"] = measure(options.scan, options.template, options.picture)
+    return {**told, "parts": parts}
 
 
 class _Bench:
@@ -199,11 +216,13 @@ def section(figures: Figures) -> Section:
         for name, value in found.items()
         if isinstance(value, int | float)
     ]
+    solved = ""
+    if "vertices" in figures:
+        solved = f"; {figures['vertices']} vertices, solved in {figures['seconds']:.0f} s"
     return Section(
         title="The studio's rig",
-        compared="The light rig's shapes, alone and whole, against the template's shapes, and its "
-        f"frames against the flesh; {figures['vertices']} vertices, solved in "
-        f"{figures['seconds']:.0f} s.",
+        compared="The light rig's shapes, alone and whole, against the template's shapes, its "
+        f"frames against the flesh, and a textured skin against its scan{solved}.",
         parts=[Table(["part", "figure", "value"], rows)],
     )
 

@@ -93,6 +93,11 @@ def own_numbers(corners: Ints) -> tuple[Ints, Ints]:
     return used, own.reshape(corners.shape).astype(np.int64)
 
 
+def faces_within(faces: Ints, vertices: Ints) -> NDArray[np.bool_]:
+    """Return which triangles (f,) have all their corners among ``vertices`` (k,)."""
+    return np.asarray(np.isin(faces, vertices).all(axis=1))
+
+
 def part_of(surface: Surface, faces: Ints) -> Surface:
     """Return some faces of a surface, by their numbers, with the vertices that they use."""
     used, own = own_numbers(surface.faces[faces])

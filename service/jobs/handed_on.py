@@ -20,6 +20,9 @@ InputFile = dict[str, Any]  # a file of a job, as its request keeps it
 # Roles of what was made of one rig and is of no other
 OF_A_RIG = frozenset(file.role for file in FILES.values() if file.of_a_rig)
 
+# Roles that are found where none is named
+FOUND = OF_A_RIG | {file.role for file in FILES.values() if file.of_a_neutral}
+
 # Roles of which a job may have several files, by their names
 NAMED = frozenset({"asset", "capture", "photo", "facts", "mask"})
 
@@ -109,7 +112,7 @@ def join(files: list[InputFile], handed: list[InputFile]) -> list[InputFile]:
     Raises :class:`Problem` if two are the same thing: marker sets, or assets of one name.
     """
     named = {each["role"] for each in handed}
-    kept = [each for each in files if each["role"] not in named.intersection(OF_A_RIG)]
+    kept = [each for each in files if each["role"] not in named.intersection(FOUND)]
     known = {_place(each) for each in kept}
     for number, each in enumerate(handed):
         if _place(each) in known:

@@ -175,9 +175,16 @@ def _of_a_model(session: Session, kind: Kind, new: NewJob) -> Inputs:
         files += _assets(session, new)
     files += _template(session, kind, new)
     for name, file in FILES.items():
-        if file.input not in kind.reads or not (file.of_a_model or (file.of_a_rig and rig)):
+        if file.input not in kind.reads:
             continue
-        made_of = rigs.made_of_rig(rig) if file.of_a_rig and rig else rigs.made_of_model(model)
+        if file.of_a_neutral:
+            made_of = rigs.made_into_model(model)
+        elif file.of_a_rig and rig:
+            made_of = rigs.made_of_rig(rig)
+        elif file.of_a_model:
+            made_of = rigs.made_of_model(model)
+        else:
+            continue
         leavers = [each.name for each in KINDS.values() if name in each.hands_on]
         what = leavers, name, file.formats
         if found := rigs.left_by(session, new.subject_id, made_of, *what):

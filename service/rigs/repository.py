@@ -93,6 +93,11 @@ def made_of_model(model: Job) -> ColumnElement[bool]:
     return Job.model_job_id == model.id
 
 
+def made_into_model(model: Job) -> ColumnElement[bool]:
+    """Return what holds of the job that left the neutral which a model was built from."""
+    return Job.id.in_([item.get("of") for item in model.inputs if item["role"] == "neutral"])
+
+
 def left_by(
     session: Session,
     subject_id: str,

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from solver.anatomy.embedding import rows_of, shares_in_tets
 from solver.anatomy.skin_points import SkinPoints
+from solver.anatomy.texture_coordinates import NOWHERE, TextureCoordinates
 from solver.errors import InputError
 from solver.storage import Archive, Arrays, csr_arrays, csr_from, with_prefix
 from solver.surface import Floats, Ints, Surface
@@ -97,6 +98,8 @@ def check_arrays(template: Template, file: str) -> None:
         check.points("expressions", shapes.expressions, (len(shapes.expression_names), skin, 3))
     if template.points is not None:
         check.skin_points(template.points, skin)
+    if template.texture is not None:
+        check.texture(template.texture, len(template.skin.faces))
     if mesh is not None:
         weights = mesh.weights
         count = len(mesh.vertices)
@@ -165,6 +168,13 @@ class _Check:
             self.wrong("range", "weights of points", found)
         if points.spread_mm.min(initial=1.0) <= 0.0:
             self.wrong("range", "spread of points", "has an entry that is not positive")
+
+    def texture(self, texture: TextureCoordinates, faces: int) -> None:
+        self.points("texture places", texture.places, (None, 2))
+        corners = texture.corners
+        if len(corners) != faces:
+            self.wrong("shape", "texture corners", f"has {len(corners)} rows, not {faces}")
+        self.numbers("texture corners", corners - NOWHERE, len(texture.places) + 1, columns=3)
 
     def surface(self, name: str, surface: Surface) -> None:
         self.points(f"{name} vertices", surface.vertices, (None, 3))
@@ -364,6 +374,7 @@ class Template:
     depths: tuple[Depth, ...] = ()  # of soft tissue, that the bones were placed by
     mesh: TemplateMesh | None = None  # that every person's model shares, where it is made
     points: SkinPoints | None = None  # that a detector marks in pictures, where they were found
+    texture: TextureCoordinates | None = None  # of the skin in an image of its colours
 
     @property
     def parted_skin(self) -> Surface:
@@ -388,14 +399,13 @@ class Template:
 
     @property
     def sha256(self) -> str:
-        """Return the hash of all that the template holds."""
-        return self._archive().sha256
+        """Return the hash of all that models and rigs are made of: texture coordinates are not."""
+        return replace(self, texture=None)._archive().sha256
 
     def save(self, path: Path) -> str:
         """Write the template as NPZ and return its :attr:`sha256`."""
-        archive = self._archive()
-        archive.write(path)
-        return archive.sha256
+        self._archive().write(path)
+        return self.sha256
 
     @classmethod
     def load(cls, path: Path) -> Template:
@@ -431,6 +441,8 @@ class Template:
             arrays |= {f"mesh_{name}": array for name, array in self.mesh.arrays().items()}
         if self.points is not None:  # other templates keep their hash
             arrays |= {f"points_{name}": array for name, array in self.points.arrays().items()}
+        if self.texture is not None:
+            arrays |= {f"texture_{name}": array for name, array in self.texture.arrays().items()}
         header = {
             "format": FORMAT,
             "name": self.name,
@@ -475,6 +487,7 @@ class Template:
             shapes = ShapeBasis(data["shapes_identity"], data["shapes_expressions"], names)
         mesh = with_prefix(data, "mesh_")
         points = with_prefix(data, "points_")
+        texture = with_prefix(data, "texture_")
         back_z, bottom_y = data["planes"]
         plain: dict[str, Any] = {name: data[name] for name in PLAIN}
         plain |= {name: surface(name) for name in SURFACES}
@@ -491,4 +504,5 @@ class Template:
             depths=tuple(Depth(*row) for row in header.get("depths", ())),
             mesh=TemplateMesh.from_arrays(mesh, len(muscles)) if mesh else None,
             points=SkinPoints.from_arrays(points) if points else None,
+            texture=TextureCoordinates.from_arrays(texture) if texture else None,
         )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from solver.anatomy.template import Template
 from solver.drawing.head import DrawnHead, face_camera
 from solver.drawing.sheet import Column, SheetLayout, draw_sheet
 from solver.errors import InputError
@@ -16,15 +18,18 @@ from solver.jobs.scenes import READ
 from solver.kinds.build_studio_rig import BuildStudioRig
 from solver.model import SubjectModel
 from solver.progress import Step
+from solver.registration.texture import texture_coordinates
 from solver.rig import Rig
 from solver.rig.studio.glb import compare_glb, write_glb
-from solver.rig.studio.levels import distance_mm, simplify
+from solver.rig.studio.levels import carry_texture, distance_mm, simplify
 from solver.rig.studio.lids import Lids
 from solver.rig.studio.light_rig import LightRig
 from solver.rig.studio.shapes import FleshShapes, StudioShapes, solve_studio_shapes
+from solver.rig.studio.skin_texture import SkinTexture
 from solver.scene.places import Places
 from solver.storage import write_json
 
+SKIN_IMAGE = "studio_skin.png"  # beside the USD file, which names it
 MADE = 0.85  # share of the job after which the shapes are solved in flesh
 LEVELS = {"studio": 1.0, "studio_half": 0.5, "studio_quarter": 0.25}  # share of the triangles
 
@@ -32,7 +37,8 @@ LEVELS = {"studio": 1.0, "studio_half": 0.5, "studio_quarter": 0.25}  # share of
 def run(task: Task[BuildStudioRig]) -> list[Path]:
     """Solve the person's shapes in flesh with contact and write them as a light rig.
 
-    Blendshapes of an earlier job are taken as they are. Raises ``blendshapes.*``, ``basis.*`` and
+    Blendshapes of an earlier job are taken as they are, and so is a ``texture`` of the neutral's
+    registration, which the skin wears. Raises ``texture.*``, ``blendshapes.*``, ``basis.*`` and
     what reading a rig raises.
     """
     given = task.options
@@ -40,10 +46,12 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
     progress(Step("read", 0.0, message=task.inputs["rig"].name))
     rig = Rig.load(task.inputs)
     model = rig.model
-    basis = read_template(task).shapes
+    template = read_template(task)
+    basis = template.shapes
     if basis is None:
         name = model.template.get("name", "")
         raise InputError("blendshapes.none", f"the template {name} has no expressions")
+    texture = _read_texture(task, template, len(model.skin.faces))
     progress(Step("read", READ))
     blendshapes = person_blendshapes(task, rig)
     flesh = FleshShapes(rig, blendshapes, Places.of(model, task.inputs.get("template"), {}))
@@ -60,10 +68,15 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
     for name, share in LEVELS.items():
         rigged = light if share == 1.0 else simplify(light, share)
         file = task.out / f"{name}.glb"
-        write_glb(rigged, file)
-        written[file] = {**compare_glb(rigged, file), "bytes": file.stat().st_size}
+        worn = texture
+        if worn is not None and rigged is not light:
+            carried = carry_texture(worn.coordinates, light.neutral, rigged.neutral)
+            worn = replace(worn, coordinates=carried)
+        write_glb(rigged, file, worn)
+        compared = compare_glb(rigged, file, worn.coordinates if worn else None)
+        written[file] = {**compared, "bytes": file.stat().st_size}
         levels[file.name] = tell_level(light, rigged)
-    written |= _write_usd(light, task.out / "studio.usdc")
+    written |= _write_usd(light, task.out / "studio.usdc", texture)
     picture = task.out / "studio.png"
     draw_shapes(model, light, picture)
     report = task.out / "studio.json"
@@ -71,6 +84,7 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
         **tell_shapes(light, shapes),
         **tell_blendshapes(blendshapes),
         "driven_by": given.driven_by,
+        "has_texture": texture is not None,
         "levels": levels,
         "files": {file.name: told for file, told in written.items()},
     }
@@ -79,14 +93,33 @@ def run(task: Task[BuildStudioRig]) -> list[Path]:
     return [*written, report, picture, *left_files(task)]
 
 
-def _write_usd(light: LightRig, file: Path) -> dict[Path, dict[str, Any]]:
-    """Write the rig as USD where the extra is there; return what is told of the file."""
+def _read_texture(task: Task[BuildStudioRig], template: Template, faces: int) -> SkinTexture | None:
+    """Return the image that the skin of so many ``faces`` wears; None: none was given."""
+    given = task.inputs.get("texture")
+    if given is None:
+        return None
+    return SkinTexture.read(given, texture_coordinates(template), faces)
+
+
+def _write_usd(
+    light: LightRig, file: Path, texture: SkinTexture | None
+) -> dict[Path, dict[str, Any]]:
+    """Write the rig as USD where the extra is there; return what is told of the files.
+
+    A texture lies beside it.
+    """
     try:
         from solver.rig.studio.usd import compare_usd, write_usd  # an extra
     except ModuleNotFoundError:
         return {}
-    write_usd(light, file)
-    return {file: {**compare_usd(light, file), "bytes": file.stat().st_size}}
+    coordinates = texture.coordinates if texture else None
+    image = file.with_name(SKIN_IMAGE)
+    write_usd(light, file, coordinates, image.name)
+    told = {file: {**compare_usd(light, file, coordinates), "bytes": file.stat().st_size}}
+    if texture is not None:
+        image.write_bytes(texture.content)
+        told[image] = {"bytes": len(texture.content)}
+    return told
 
 
 def tell_level(light: LightRig, level: LightRig) -> dict[str, Any]:

@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+from solver.errors import Finding, InputError
 from solver.jobs import Task, read_template
 from solver.kinds.kind import FrameOptions
-from solver.meshio.raw import mend, read_raw
+from solver.kinds.register_scan import RegisterScan
+from solver.meshio.colours import read_colours
+from solver.meshio.raw import RawScan, mend, read_raw
 from solver.meshio.registered import read_registered, write_registered
 from solver.progress import Step
 from solver.registration.detector import landmarker_file
 from solver.registration.landmarks import match, read_landmarks
-from solver.registration.register import register
+from solver.registration.register import RegisteredFace, register
 from solver.registration.report import distance_picture, report
-from solver.registration.topology import topology
+from solver.registration.texture import TEXTURE, Texture, bake, texture_coordinates
+from solver.registration.topology import Topology, topology
+from solver.similarity import IDENTITY
 from solver.storage import write_json
 
 
-def run(task: Task[FrameOptions]) -> list[Path]:
+def run(task: Task[RegisterScan]) -> list[Path]:
     """Register a raw scan: a neutral, or an expression if the person's ``neutral`` is given.
 
     ``landmarks`` are in the scan's own unit and axes. ``registered.ply`` has the template's
-    vertices in mm with the property ``confidence``. Raises :class:`solver.errors.InputError` for
-    files that cannot be used and for a scan without a face (``scan.not_a_face``).
+    vertices in mm with the property ``confidence``. Of a scan with colours there are
+    ``texture.png`` and ``texture_confidence.png``, too; images that cannot be used are a finding.
+    Raises :class:`solver.errors.InputError` for files that cannot be used and for a scan without a
+    face (``scan.not_a_face``).
     """
     scan = task.inputs["scan"]
     progress = task.progress
@@ -37,13 +45,14 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     marks = None
     if landmarks is not None:
         marks = match(landmarks.name, read_landmarks(landmarks), anatomy)
-    raw, _ = mend(read_raw(scan))
+    as_read = read_raw(scan)
+    raw, _ = mend(as_read)
     known = topology(anatomy)
     registered = register(
         raw,
         known,
         None if rest is None else rest.vertices,
-        frame=task.options.model_dump(),
+        frame=task.options.model_dump(include=set(FrameOptions.model_fields)),
         landmarks=marks,
         landmarker=landmarker_file(),
         progress=progress,
@@ -52,7 +61,35 @@ def run(task: Task[FrameOptions]) -> list[Path]:
     files = [task.out / name for name in ("registered.ply", "registration.json", "distance.png")]
     size_from = registered.start.size.taken_from if rest is None else rest.size_from
     write_registered(files[0], registered.skin, registered.trust.confidence, size_from)
-    write_json(files[1], report(registered, known, size_from))
+    told = report(registered, known, size_from)
     distance_picture(registered, known, files[2])
+    progress(Step("texture", 0.9))
+    try:
+        texture = _texture(scan, as_read, registered, known, task.options.texture_size)
+    except InputError as error:
+        if not error.code.startswith("texture."):
+            raise
+        advice = "The skin is registered; to have its colours, send the files again with it."
+        told["findings"].append(Finding(error.code, "warning", error.message, advice).to_dict())
+    else:
+        if texture is not None:
+            told["texture"] = texture.figures
+            images = [task.out / name for name in ("texture.png", "texture_confidence.png")]
+            texture.write(*images)
+            files += images
+    write_json(files[1], told)
     progress(Step("done", 1.0))
     return files
+
+
+def _texture(
+    scan: Path, raw: RawScan, registered: RegisteredFace, known: Topology, size: int
+) -> Texture | None:
+    """Return the scan's colours on the registered skin; None: it has none."""
+    colours = read_colours(scan, raw)
+    if colours is None:
+        return None
+    coordinates = texture_coordinates(known.template)
+    motion = replace(IDENTITY, scale=registered.start.mm_per_unit).then(registered.motion)
+    options = replace(TEXTURE, size=size)
+    return bake(colours, motion, registered.skin, known, coordinates, options)

@@ -23,7 +23,7 @@ class BuildStudioRig(JobOptions):
 
 KIND = Kind(
     queue="long",
-    reads=("rig", "template", "blendshapes", "expression_basis"),
+    reads=("rig", "template", "blendshapes", "expression_basis", "texture"),
     leaves="studio",
     result="studio.glb",
     hands_on=("blendshapes.npz", "expression_basis.npz"),

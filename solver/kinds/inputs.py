@@ -107,6 +107,7 @@ INPUTS: Mapping[str, Input] = {
         (_option("fibres", "fibre_muscles.npz of fit-fibres", "fibre_muscles"),)
     ),
     "tracks": Input((_option("tracks", "tracks.npz of build-tracks"),)),
+    "texture": Input((_option("texture", "texture.png of the neutral's register-scan"),)),
     "role": Input((InputPart("role", "what the scan is meant to be", form="role"),)),
     "start": Input(
         (_option("start", "rig to start from, also of another person", form="file or folder"),)
@@ -123,6 +124,8 @@ class LeftFile:
     formats: tuple[int, ...] = (1,)  # the numbers that this release reads, the newest last
     of_a_rig: bool = False  # made of one rig and of no other: later jobs of it find the newest
     of_a_model: bool = False  # the same of a model: jobs of rigs that have it find the newest
+    # made of the neutral that a model is built from: jobs of rigs that have it find that one
+    of_a_neutral: bool = False
     is_kept: bool = False  # takes minutes to make: the next attempt at a job goes on with it
 
     @property
@@ -148,6 +151,7 @@ FILES: Mapping[str, LeftFile] = {
     "control_pairs.npz": LeftFile("control_pairs", "control_pairs", of_a_rig=True, is_kept=True),
     "controls.npz": LeftFile("controls", "controls", of_a_rig=True),
     "fibre_muscles.npz": LeftFile("fibre_muscles", "fibre_muscles", of_a_rig=True),
+    "texture.png": LeftFile("texture", "texture", of_a_neutral=True),
 }
 
 

@@ -7,6 +7,7 @@ trusted, and a general loader's conveniences (merging, welding) would change the
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
@@ -61,16 +62,11 @@ def read_glb(file: str, content: bytes, *, strict: bool = False) -> Mesh:
     mesh, whose parts share one list of positions; only these are returned, in the order of the
     file.
     """
-    source = _read_chunks(file, content)
+    source = read_chunks(file, content)
     try:
-        shown = source.shown_meshes()
         if strict:
-            return _registered_mesh(source, shown)
-        parts = []
-        for mesh, transform in shown:
-            name = quote(mesh.get("name", "mesh"))
-            for number, primitive in enumerate(mesh["primitives"]):
-                parts.append(_place(_part(source, primitive, f"{name}[{number}]"), transform))
+            return _registered_mesh(source, source.shown_meshes())
+        parts = [part for _, part in source.shown_parts()]
     except NOT_VALID as error:
         reason = f"the glTF description is not valid ({quote(repr(error))})"
         raise unreadable_error(file, reason) from None
@@ -80,7 +76,7 @@ def read_glb(file: str, content: bytes, *, strict: bool = False) -> Mesh:
 
 
 @dataclass
-class _Source:
+class GlbSource:
     """A ``file``: its description, its binary buffer, and how many bytes may yet be read."""
 
     file: str
@@ -114,6 +110,14 @@ class _Source:
             visit(root, np.eye(4), 0)
         return found
 
+    def shown_parts(self) -> Iterator[tuple[dict[str, Any], Mesh]]:
+        """Yield the primitives of the shown meshes, each as a mesh in its node's place."""
+        for mesh, transform in self.shown_meshes():
+            name = quote(mesh.get("name", "mesh"))
+            for number, primitive in enumerate(mesh["primitives"]):
+                part = _part(self, primitive, f"{name}[{number}]")
+                yield primitive, _place(part, transform)
+
     def positions(self, number: int) -> Floats:
         """Return the positions (n, 3) of accessor ``number``."""
         accessor = self.item("accessors", number)
@@ -123,6 +127,23 @@ class _Source:
         if not len(positions):
             raise empty_error(self.file)
         return positions.astype(np.float64)
+
+    def unit_rows(self, number: int) -> Floats:
+        """Return the rows of accessor ``number``, whole numbers as parts of the greatest."""
+        stored = self.rows(number)
+        scale = 1 if stored.dtype.kind == "f" else int(np.iinfo(str(stored.dtype)).max)
+        return np.asarray(stored, np.float64) / scale
+
+    def view(self, number: int) -> bytes:
+        """Return the bytes of buffer view ``number``."""
+        view = self.item("bufferViews", number)
+        start = view.get("byteOffset", 0)
+        length = view["byteLength"]
+        if not all(isinstance(each, int) and 0 <= each < MOST for each in (start, length)):
+            raise unreadable_error(self.file, "the counts and offsets of the data are not valid")
+        if start + length > len(self.binary):
+            raise truncated_error(self.file, f"the data need {start + length} bytes")
+        return self.binary[start : start + length]
 
     def rows(self, number: int) -> NDArray[np.generic]:
         """Return the rows (n, width) of accessor ``number`` as they are stored."""
@@ -155,7 +176,7 @@ class _Source:
         return np.ndarray((count, width), kind, self.binary, start, (stride, kind.itemsize))
 
 
-def _read_chunks(file: str, content: bytes) -> _Source:
+def read_chunks(file: str, content: bytes) -> GlbSource:
     """Return the description and the binary buffer of a GLB file."""
     if not content:
         raise empty_error(file)
@@ -182,7 +203,7 @@ def _read_chunks(file: str, content: bytes) -> _Source:
     if not isinstance(document, dict):
         raise unreadable_error(file, "the description is not a JSON object")
     binary = parts.get(BINARY_CHUNK, b"")
-    return _Source(file, document, binary, max(MOST_SHARES * len(content), FEW_BYTES))
+    return GlbSource(file, document, binary, max(MOST_SHARES * len(content), FEW_BYTES))
 
 
 def _transform(file: str, node: dict[str, Any]) -> Floats:
@@ -206,7 +227,7 @@ def _transform(file: str, node: dict[str, Any]) -> Floats:
     return transform
 
 
-def _registered_mesh(source: _Source, shown: list[tuple[dict[str, Any], Floats]]) -> Mesh:
+def _registered_mesh(source: GlbSource, shown: list[tuple[dict[str, Any], Floats]]) -> Mesh:
     """Return the vertices of the one mesh that the scene shows."""
     file = source.file
     if len(shown) != 1:
@@ -219,7 +240,7 @@ def _registered_mesh(source: _Source, shown: list[tuple[dict[str, Any], Floats]]
     return _place(Mesh(source.positions(positions.pop())), transform)
 
 
-def _part(source: _Source, primitive: dict[str, Any], name: str) -> Mesh:
+def _part(source: GlbSource, primitive: dict[str, Any], name: str) -> Mesh:
     """Return a primitive as a mesh; ``name`` is its own."""
     attributes = primitive["attributes"]
     mode = primitive.get("mode", Mode.TRIANGLES)
@@ -237,9 +258,7 @@ def _part(source: _Source, primitive: dict[str, Any], name: str) -> Mesh:
     def rows(attribute: str) -> Floats | None:
         if attribute not in attributes:
             return None
-        stored = source.rows(attributes[attribute])
-        scale = 1 if stored.dtype.kind == "f" else int(np.iinfo(str(stored.dtype)).max)
-        values = np.asarray(stored[:, :3], np.float64) / scale
+        values = source.unit_rows(attributes[attribute])[:, :3]
         if values.shape != vertices.shape:
             raise unreadable_error(source.file, f"{attribute} of {name} does not fit its positions")
         return values

@@ -18,16 +18,18 @@ import numpy as np
 
 from solver.anatomy.domain import split_quads
 from solver.anatomy.template import ShapeBasis
+from solver.anatomy.texture_coordinates import NOWHERE, TextureCoordinates
 from solver.errors import InputError
 from solver.model import SubjectModel
 from solver.scans.performance import ARKIT_NAMES, FaceTake, read_live_link
 from solver.storage import read_arrays
-from solver.surface import Floats, Ints, Surface
+from solver.surface import Floats, Ints, Surface, own_numbers
 from solver.templates.tables import (
     CaptureSet,
     PublicFile,
     file_fault,
     obj_mesh,
+    obj_texture,
     obj_vertices,
     public_files,
 )
@@ -51,7 +53,9 @@ def public_facekit(folder: Path) -> dict[str, np.ndarray]:
     shape has another number of vertices, ``download.*`` for a file that cannot be read.
     """
     files = _of_one_folder(folder)
-    neutral, quads = obj_mesh(files.pop(NEUTRAL))
+    file = files.pop(NEUTRAL)
+    neutral, quads = obj_mesh(file)
+    texture = obj_texture(file)
     identities = sorted(name for name in files if _IDENTITY.fullmatch(name))
     expressions = sorted(files.keys() - set(identities))
     return {
@@ -60,6 +64,7 @@ def public_facekit(folder: Path) -> dict[str, np.ndarray]:
         "E": _shapes([files[name] for name in expressions], neutral),
         "ex": np.array(expressions),
         "I": _shapes([files[name] for name in identities], neutral),
+        **({} if texture is None else dict(zip(("T", "T_quads"), texture, strict=True))),
     }
 
 
@@ -121,6 +126,7 @@ class FaceKit:
     skin: Surface  # with all vertices
     deltas: dict[str, Floats]  # (n, 3) of the expressions
     identities: Floats  # (k, n, 3) one standard deviation of each independent component
+    texture: TextureCoordinates | None = None  # of the flesh, where the files have them
 
     def part(self, vertices: range) -> Surface:
         """Return the skin with only the faces whose vertices all lie in a range."""
@@ -155,7 +161,26 @@ def _face_kit(data: dict[str, np.ndarray], path: Path) -> FaceKit:
         raise _topology_fault(path, len(vertices), "ICT-FaceKit", VERTEX_COUNT)
     skin = Surface(vertices, triangulate(data["quads"].astype(np.int64)))
     names = [str(name) for name in data["ex"]]
-    return FaceKit(skin, dict(zip(names, expressions, strict=True)), identities)
+    deltas = dict(zip(names, expressions, strict=True))
+    return FaceKit(skin, deltas, identities, _texture(data, skin.faces))
+
+
+def _texture(data: dict[str, np.ndarray], faces: Ints) -> TextureCoordinates | None:
+    """Return the published texture coordinates of the flesh; packed anew if they fill many tiles.
+
+    They are the arrays ``T`` (k, 2) and ``T_quads`` (f, 4), corners as those of ``quads``.
+    """
+    if not {"T", "T_quads"} <= data.keys() or len(data["T_quads"]) != len(data["quads"]):
+        return None
+    corners = np.full(faces.shape, NOWHERE)
+    own = faces_within(faces, FLESH)
+    corners[own] = triangulate(data["T_quads"].astype(np.int64))[own]
+    used, numbers = own_numbers(corners[own])
+    corners[own] = numbers
+    places = data["T"][used].astype(np.float64)
+    if places.min() < 0.0 or places.max() > 1.0:
+        return TextureCoordinates.packed(places, corners)
+    return TextureCoordinates(places.astype(np.float32), corners.astype(np.int32))
 
 
 def _topology_fault(file: object, found: int, whose: str, expected: int) -> InputError:

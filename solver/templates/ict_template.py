@@ -349,6 +349,7 @@ def build_ict_template(anatomy_dir: Path, faces_dir: Path) -> Template:
         shapes=ict_facekit.shape_basis(kit),
         licence="MIT (ICT-FaceKit) and CC BY 4.0 (BodyParts3D)",
         depths=depths,
+        texture=kit.texture,
     )
 
 

@@ -268,6 +268,7 @@ def _on_head(person: Template, head: Surface, found: Correspondence, carry: Carr
         landmarks=landmarks,
         regions={name: vertices for name, vertices in regions.items() if len(vertices)},
         depths=tuple(depth for depth in person.depths if depth.landmark in landmarks),
+        texture=None,  # of another skin
     )
 
 

@@ -245,6 +245,27 @@ def obj_mesh(file: PublicFile) -> tuple[Floats, Ints]:
     return vertices, np.array(polygons, dtype=np.int64).reshape(-1, 4)
 
 
+def obj_texture(file: PublicFile) -> tuple[Floats, Ints] | None:
+    """Return texture coordinates (k, 2) and those of polygons' corners (f, 4), as :func:`obj_mesh`.
+
+    None: not every corner has one.
+    """
+    rows = file.read().splitlines()
+    try:
+        places = [[float(word) for word in row.split()[1:3]] for row in rows if row[:3] == b"vt "]
+        polygons = [
+            [int(word.split(b"/")[1]) - 1 for word in row.split()[1:]]
+            for row in rows
+            if row[:2] == b"f "
+        ]
+    except (ValueError, IndexError):
+        return None
+    corners = np.array([[*polygon, -1][:4] for polygon in polygons], np.int64).reshape(-1, 4)
+    found = np.array(places, np.float64).reshape(-1, 2)
+    fits = len(found) and corners[:, :3].min() >= 0 and corners.max() < len(found)
+    return (found, corners) if fits and np.isfinite(found).all() else None
+
+
 def obj_vertices(file: PublicFile, rows: list[bytes] | None = None) -> Floats:
     """Return the vertices (n, 3) of a Wavefront OBJ, in its own unit and order.
 

@@ -294,6 +294,32 @@ def test_every_file_that_is_handed_on_is_an_input_of_some_kind() -> None:
     assert {FILES[name].input for name in left} <= read
 
 
+def test_the_texture_of_the_neutral_s_registration_is_found(session: Session) -> None:
+    subject = session.studio.post("/v1/subjects", name="Alex")["id"]
+    raw = session.studio.raw(subject, "neutral-in-colour", role="neutral")
+    images = session.stored("registered.ply") | session.stored("texture.png")
+    register = session.studio.submit("register_scan", subject, captures=[raw])
+    session.studio.pretend(register, images)
+    made = session.studio.submit("build_model", subject)
+    session.studio.pretend(made, session.stored("model.npz"))
+    smile = session.studio.capture(subject, "smile-in-colour", registered=True)
+    fit = session.studio.submit("fit_geometry", subject, captures=[smile])
+    told = {"subject_id": subject, "model_job_id": made}
+    session.studio.pretend(fit, session.stored("rig.npz"), rig=told)
+    rig = session.studio.job(fit)["result"]["rig_id"]
+    # a newer one is of no model yet, and may be named
+    newer = session.studio.submit("register_scan", subject, captures=[raw])
+    session.studio.pretend(newer, images)
+    job = session.studio.submit("build_studio_rig", subject, rig_id=rig)
+    assert session.sources(job)["texture"] == register
+    named = [{"job": newer, "artifact": "texture.png"}]
+    job = session.studio.submit("build_studio_rig", subject, rig_id=rig, from_jobs=named)
+    assert session.sources(job)["texture"] == newer
+    # a person whose neutral came registered has none
+    other = session.ask("build_studio_rig", rig_id=session.rig).json()["id"]
+    assert "texture" not in session.sources(other)
+
+
 def test_tracks_of_the_rig_s_model_are_found_by_its_scenes(session: Session) -> None:
     rig = session.add_rig()
     tracks = session.studio.submit("build_tracks", session.subject)

@@ -335,6 +335,15 @@ def material_of(part: str) -> gl.Material:
     )
 
 
+def textured_material(part: str, texture: int) -> gl.Material:
+    """Return the material of a part whose base colour is the texture of that number."""
+    material = material_of(part)
+    surface = material.pbrMetallicRoughness
+    surface.baseColorFactor = [1.0, 1.0, 1.0, 1.0]
+    surface.baseColorTexture = gl.TextureInfo(index=texture)
+    return material
+
+
 def in_turn(
     buffer: Buffer, count: int, options: MorphTargetOptions = DEFAULTS
 ) -> gl.Animation | None:
@@ -410,6 +419,10 @@ class Buffer:
         """Add triangles and return the accessor's number."""
         view = self._view(np.ascontiguousarray(faces, "<u4"), gl.ELEMENT_ARRAY_BUFFER)
         return self._add(gl.UNSIGNED_INT, faces.size, gl.SCALAR, None, view)
+
+    def image(self, content: bytes) -> int:
+        """Add an image's file and return its view's number."""
+        return self._view(np.frombuffer(content, np.uint8))
 
     def bindings(self, rest: Floats) -> int:
         """Add what takes points to joints whose places at rest are ``rest`` (k, 3), mm."""

@@ -9,23 +9,32 @@ from typing import Any
 import numpy as np
 import pygltflib as gl
 
-from solver.rig.frames.gltf import DEFAULTS, GENERATOR, METRES, Buffer, material_of
+from solver.anatomy.texture_coordinates import TextureCoordinates
+from solver.rig.frames.gltf import (
+    DEFAULTS,
+    GENERATOR,
+    METRES,
+    Buffer,
+    material_of,
+    textured_material,
+)
 from solver.rig.frames.read_back import Comparison, accessor_values, split_glb
 from solver.rig.studio.light_rig import LightRig
-from solver.rig.studio.parts import Part, parts_of
+from solver.rig.studio.parts import TEXTURED, Part, parts_of
+from solver.rig.studio.skin_texture import SkinTexture
 from solver.surface import Floats, Ints, vertex_normals
 
 MOST_JOINTS = 4  # of a vertex, in one attribute of glTF
 
 
-def write_glb(rig: LightRig, path: Path) -> None:
+def write_glb(rig: LightRig, path: Path, texture: SkinTexture | None = None) -> None:
     """Write a rig: joints, and a node for each part of the head, in metres, at rest.
 
-    A part has the morph targets that move it.
+    A part has the morph targets that move it, and the skin its ``texture``, within the file.
     """
     buffer = Buffer()
     skeleton = rig.skeleton
-    parts = parts_of(rig.neutral, skeleton)
+    parts = parts_of(rig.neutral, skeleton, texture.coordinates if texture else None)
     materials = list(dict.fromkeys(part.material for part in parts))
     meshes = _Meshes(rig, buffer, materials)
     count = len(skeleton.joints)
@@ -39,12 +48,22 @@ def write_glb(rig: LightRig, path: Path) -> None:
         scenes=[gl.Scene(name="face", nodes=[0, *range(count, len(nodes))])],
         nodes=nodes,
         skins=[_skin(rig, buffer)],
-        materials=[material_of(name) for name in materials],
+        materials=[
+            textured_material(name, 0) if texture and name == TEXTURED else material_of(name)
+            for name in materials
+        ],
         meshes=[meshes.of(part) for part in parts],
         accessors=buffer.accessors,
         bufferViews=buffer.views,
         buffers=[gl.Buffer(byteLength=len(buffer.content))],
     )
+    if texture is not None:
+        document.images = [
+            gl.Image(name=TEXTURED, mimeType="image/png", bufferView=buffer.image(texture.content))
+        ]
+        document.samplers = [gl.Sampler(magFilter=gl.LINEAR, minFilter=gl.LINEAR_MIPMAP_LINEAR)]
+        document.textures = [gl.Texture(source=0, sampler=0)]
+        document.buffers[0].byteLength = len(buffer.content)
     document.set_binary_blob(bytes(buffer.content))
     document.save_binary(str(path))
 
@@ -69,7 +88,7 @@ class _Meshes:
         """Return a part's mesh."""
         names = part.moving(self._targets, DEFAULTS.still_mm)
         primitive = gl.Primitive(
-            attributes=self._at_rest(part.vertices),
+            attributes=self._at_rest(part),
             indices=self._buffer.indices(part.faces),
             material=self._materials.index(part.material),
             mode=gl.TRIANGLES,
@@ -79,9 +98,15 @@ class _Meshes:
         weights = [0.0] * len(names) or None
         return gl.Mesh(name=part.name, weights=weights, extras=extras, primitives=[primitive])
 
-    def _at_rest(self, used: Ints) -> gl.Attributes:
+    def _at_rest(self, part: Part) -> gl.Attributes:
         buffer = self._buffer
+        used = part.vertices
+        places = None
+        if part.places is not None:  # glTF's rows count from the upper edge
+            turned = np.column_stack([part.places[:, 0], 1.0 - part.places[:, 1]])
+            places = buffer.dense(turned, gl.VEC2, gl.ARRAY_BUFFER)
         return gl.Attributes(
+            TEXCOORD_0=places,
             POSITION=buffer.dense(self._points[used], gl.VEC3, gl.ARRAY_BUFFER, bounds=True),
             NORMAL=buffer.dense(self._normals[used], gl.VEC3, gl.ARRAY_BUFFER),
             JOINTS_0=buffer.joints(self._joints[used]),
@@ -130,7 +155,9 @@ def _joints(rig: LightRig) -> list[gl.Node]:
     ]
 
 
-def compare_glb(rig: LightRig, path: Path) -> dict[str, Any]:
+def compare_glb(
+    rig: LightRig, path: Path, coordinates: TextureCoordinates | None = None
+) -> dict[str, Any]:
     """Return how far the file's shapes are off the rig's, whole, its joints at rest.
 
     Raises :class:`~solver.errors.SolveError` (``file.differs``).
@@ -141,7 +168,7 @@ def compare_glb(rig: LightRig, path: Path) -> dict[str, Any]:
         return accessor_values(document, binary, document["accessors"][number])
 
     found = Comparison(path.name)
-    parts = {part.name: part for part in parts_of(rig.neutral, rig.skeleton)}
+    parts = {part.name: part for part in parts_of(rig.neutral, rig.skeleton, coordinates)}
     shown = {name: rig.neutral.vertices.copy() for name in rig.targets}
     for mesh in document["meshes"]:
         part = parts[mesh["name"]]

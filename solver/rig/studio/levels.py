@@ -8,9 +8,10 @@ import igl
 import numpy as np
 import scipy.sparse as sp
 
+from solver.anatomy.texture_coordinates import NOWHERE, TextureCoordinates
 from solver.rig.studio.light_rig import HalfWay, LightRig
 from solver.rig.studio.parts import parts_of
-from solver.surface import Floats, Surface, join_surfaces
+from solver.surface import Floats, Ints, Surface, join_surfaces, own_numbers
 
 LEAST_FACES = 60  # a part keeps so many: eyeballs stay round
 OPENED = {"jawOpen": 0.6, "mouthFunnel": 0.3}
@@ -51,6 +52,34 @@ def simplify(rig: LightRig, share: float) -> LightRig:
     )
 
 
+def carry_texture(
+    coordinates: TextureCoordinates, full: Surface, level: Surface
+) -> TextureCoordinates:
+    """Return texture coordinates of a level's triangles by those of the ``full`` skin.
+
+    A triangle lies in the chart that is nearest to its middle; its corners have the coordinates of
+    the places in that chart which are nearest to them.
+    """
+    middles = level.vertices[level.faces].mean(axis=1)
+    _, nearest, _ = igl.point_mesh_squared_distance(middles, full.vertices, full.faces)
+    chart_of = coordinates.charts
+    chart = chart_of[nearest]
+    corners = np.full(level.faces.shape, NOWHERE, np.int32)
+    places = [np.zeros((0, 2))]
+    count = 0
+    for number in np.unique(chart[chart != NOWHERE]):
+        own = np.flatnonzero(chart == number)
+        used, ours = own_numbers(level.faces[own])
+        faces = np.flatnonzero(chart_of == number)
+        part = Surface(full.vertices, full.faces[faces])
+        face, shares = _nearest(level.vertices[used], part)
+        at = coordinates.places[coordinates.corners[faces[face]]].astype(np.float64)
+        places.append(np.einsum("nc,ncd->nd", shares, at))
+        corners[own] = ours + count
+        count += len(used)
+    return TextureCoordinates(np.vstack(places).astype(np.float32), corners)
+
+
 def distance_mm(rig: LightRig, level: LightRig) -> Floats:
     """Return how far (s,) the skin of each whole shape is off the level's surface, mean, mm."""
     found = []
@@ -64,6 +93,15 @@ def distance_mm(rig: LightRig, level: LightRig) -> Floats:
 
 def _places(points: Floats, surface: Surface) -> sp.csr_array:
     """Return the matrix (k, v) of the surface's places nearest to ``points`` (k, 3)."""
+    face, shares = _nearest(points, surface)
+    corners = surface.faces[face]
+    lines = np.repeat(np.arange(len(points)), 3)
+    entries = (shares.ravel(), (lines, corners.ravel()))
+    return sp.csr_array(entries, shape=(len(points), len(surface.vertices)))
+
+
+def _nearest(points: Floats, surface: Surface) -> tuple[Ints, Floats]:
+    """Return triangles (k,) and barycentric shares (k, 3) of the places nearest to ``points``."""
     _, face, nearest = igl.point_mesh_squared_distance(
         np.ascontiguousarray(points), surface.vertices, surface.faces
     )
@@ -71,9 +109,7 @@ def _places(points: Floats, surface: Surface) -> sp.csr_array:
     shares = igl.barycentric_coordinates(
         nearest, *(np.ascontiguousarray(surface.vertices[corners[:, k]]) for k in range(3))
     )
-    lines = np.repeat(np.arange(len(points)), 3)
-    entries = (shares.ravel(), (lines, corners.ravel()))
-    return sp.csr_array(entries, shape=(len(points), len(surface.vertices)))
+    return np.asarray(face, np.int64), np.asarray(shares)
 
 
 def _columns(vertices: np.ndarray, count: int) -> sp.csr_array:

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from solver.anatomy.texture_coordinates import NOWHERE, TextureCoordinates
 from solver.drawing.head import skin_parts
 from solver.rig.studio.skeleton import EYES, Skeleton
 from solver.surface import Floats, Ints, Surface, own_numbers
+
+TEXTURED = "skin"  # the part that an image of colours lies on
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,8 +21,9 @@ class Part:
 
     name: str
     material: str
-    vertices: Ints
+    vertices: Ints  # one at a seam of the texture is there once for each of its places
     faces: Ints
+    places: Floats | None = None  # (k, 2) in an image of colours, from its lower left corner
 
     def moving(self, targets: Mapping[str, Floats], still_mm: float) -> list[str]:
         """Return the names of the ``targets`` (V, 3) that move it further than ``still_mm``."""
@@ -30,8 +34,13 @@ class Part:
         ]
 
 
-def parts_of(skin: Surface, skeleton: Skeleton) -> list[Part]:
-    """Return the parts of a head; eyes with a joint each are two."""
+def parts_of(
+    skin: Surface, skeleton: Skeleton, texture: TextureCoordinates | None = None
+) -> list[Part]:
+    """Return the parts of a head; eyes with a joint each are two.
+
+    With ``texture``, the skin has places in an image.
+    """
     found = []
     for material, numbers in skin_parts(skin).items():
         pieces = {material: numbers}
@@ -39,7 +48,19 @@ def parts_of(skin: Surface, skeleton: Skeleton) -> list[Part]:
             side = skeleton.weights[skin.faces[numbers, 0]].argmax(axis=1)
             pieces = {name: numbers[side == skeleton.joints.index(name)] for name in EYES}
         for name, faces in pieces.items():
-            if len(faces):
+            if len(faces) and name == TEXTURED and texture is not None:
+                found.append(_textured(skin, faces, texture))
+            elif len(faces):
                 used, own = own_numbers(skin.faces[faces])
                 found.append(Part(name, material, used, own))
     return found
+
+
+def _textured(skin: Surface, faces: Ints, texture: TextureCoordinates) -> Part:
+    """Return the part of some ``faces`` (f,) whose vertices are split where the texture is cut."""
+    most = len(texture.places) + 1
+    corners = skin.faces[faces] * most + texture.corners[faces] - NOWHERE
+    used, own = own_numbers(corners)
+    vertices, place = np.divmod(used, most)
+    somewhere = np.vstack([np.zeros(2), texture.places])  # a corner without a place has the first
+    return Part(TEXTURED, TEXTURED, vertices, own, somewhere[place])

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
+from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.rig.frames.gltf import DEFAULTS
 from solver.rig.frames.read_back import Comparison
 from solver.rig.frames.usd import define_material, extent, free_path, numbers, vectors
@@ -23,8 +24,13 @@ from solver.surface import Floats, Ints, vertex_normals
 ROOT = Sdf.Path("/Face")
 
 
-def write_usd(rig: LightRig, path: Path) -> None:
-    """Write a rig at rest; a part has the blend shapes that move it."""
+def write_usd(
+    rig: LightRig, path: Path, coordinates: TextureCoordinates | None = None, image: str = ""
+) -> None:
+    """Write a rig at rest; a part has the blend shapes that move it.
+
+    With texture ``coordinates``, the skin wears the ``image`` of that name beside the file.
+    """
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.millimeters)
@@ -40,8 +46,10 @@ def write_usd(rig: LightRig, path: Path) -> None:
     }
     joints, weights = influences(rig.skeleton.weights)
     UsdGeom.Scope.Define(stage, ROOT.AppendChild("Materials"))
-    for part in parts_of(rig.neutral, rig.skeleton):
+    for part in parts_of(rig.neutral, rig.skeleton, coordinates):
         mesh = _mesh(stage, part, rig.neutral.vertices, normals)
+        if part.places is not None:
+            _wear(stage, mesh, part.places, image)
         _bind(mesh, joints[part.vertices], weights[part.vertices])
         _shapes(stage, mesh, part, rig, turned)
     stage.GetRootLayer().Export(str(path))
@@ -97,6 +105,28 @@ def _mesh(stage: Usd.Stage, part: Part, points: Floats, normals: Floats) -> UsdG
     return mesh
 
 
+def _wear(stage: Usd.Stage, mesh: UsdGeom.Mesh, places: Floats, image: str) -> None:
+    """Give a mesh places (k, 2) in an image, and its material that image for a base colour."""
+    primvars = UsdGeom.PrimvarsAPI(mesh)
+    coordinates = primvars.CreatePrimvar(
+        "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
+    )
+    coordinates.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(places, np.float32)))
+    material, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()
+    reader = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("Coordinates"))
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+    found = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    colours = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("BaseColour"))
+    colours.CreateIdAttr("UsdUVTexture")
+    colours.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"./{image}")
+    colours.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+    colours.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(found)
+    shown = colours.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+    surface = UsdShade.Shader.Get(stage, material.GetPath().AppendChild("Surface"))
+    surface.GetInput("diffuseColor").ConnectToSource(shown)
+
+
 def _bind(mesh: UsdGeom.Mesh, joints: Ints, weights: Floats) -> None:
     """Let a mesh follow the joints (k, 4) by weights."""
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
@@ -127,7 +157,9 @@ def _shapes(
     binding.CreateBlendShapeTargetsRel().SetTargets(places)
 
 
-def compare_usd(rig: LightRig, path: Path) -> dict[str, Any]:
+def compare_usd(
+    rig: LightRig, path: Path, coordinates: TextureCoordinates | None = None
+) -> dict[str, Any]:
     """Return how far the file's shapes are off the rig's, whole, its joints at rest.
 
     Raises :class:`~solver.errors.SolveError` (``file.differs``).
@@ -135,7 +167,7 @@ def compare_usd(rig: LightRig, path: Path) -> dict[str, Any]:
     stage = Usd.Stage.Open(str(path))
     found = Comparison(path.name)
     shown = {name: rig.neutral.vertices.copy() for name in rig.targets}
-    for part in parts_of(rig.neutral, rig.skeleton):
+    for part in parts_of(rig.neutral, rig.skeleton, coordinates):
         mesh = stage.GetPrimAtPath(ROOT.AppendChild(part.name))
         neutral = np.array(UsdGeom.Mesh(mesh).GetPointsAttr().Get(), np.float64)
         for skin in shown.values():

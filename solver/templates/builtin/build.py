@@ -353,6 +353,7 @@ def build_template(head: Head) -> Template:
         shapes=shape_basis(head),
         licence="CC0 1.0",
         depths=depth_table(head),
+        texture=head.texture,
     )
 
 

@@ -29,6 +29,7 @@ from scipy.spatial import cKDTree
 
 from solver.anatomy.data import read_table
 from solver.anatomy.template import ShapeBasis
+from solver.anatomy.texture_coordinates import NOWHERE, TextureCoordinates
 from solver.anatomy.warp import MIRROR
 from solver.cache import cache_directory
 from solver.errors import InputError
@@ -110,6 +111,29 @@ class SourceFiles:
                 triangles.setdefault(group, []).extend(fan)
         return np.array(vertices), {name: np.array(faces) for name, faces in triangles.items()}
 
+    @cached_property
+    def texture(self) -> tuple[Floats, dict[str, Ints]] | None:
+        """The base mesh's texture coordinates: places (k, 2), and corners by group name.
+
+        Their triangles are those of :attr:`base_mesh`. None: it has none.
+        """
+        places: list[list[float]] = []
+        triangles: dict[str, list[list[int]]] = {}
+        group = ""
+        for line in self._zip.read(BASE_MESH).decode().splitlines():
+            key, *values = line.split() or [""]
+            if key == "vt":
+                places.append([float(value) for value in values[:2]])
+            elif key == "g":
+                group = values[0]
+            elif key == "f" and places:
+                corners = [int(value.split("/")[1]) - 1 for value in values]
+                fan = [[corners[0], *corners[i : i + 2]] for i in range(1, len(corners) - 1)]
+                triangles.setdefault(group, []).extend(fan)
+        if not places:
+            return None
+        return np.array(places), {name: np.array(rows) for name, rows in triangles.items()}
+
     def shape_target(self, name: str) -> Floats:
         """Return the displacement (n, 3) of e.g. ``chin/chin-width-incr``."""
         return self._displacement(gzip.decompress(self._read(f"{SHAPE_TARGETS}{name}.target.gz")))
@@ -187,11 +211,13 @@ class Head:
         above = ((self._rest - self._origin)[:, 1] * MM_PER_UNIT) > NECK_CUT_Y
         self.part_vertices: dict[str, Ints] = {}
         self.part_faces: dict[str, Ints] = {}
+        self._base_faces: dict[str, Ints] = {}
         self.faces: Ints = np.empty((0, 3), np.int64)
         self._base_vertex: Ints = np.empty(0, np.int64)
         for part, group in PARTS.items():
             triangles = groups[group]
-            used, own = own_numbers(triangles[above[triangles].all(axis=1)])
+            self._base_faces[part] = np.flatnonzero(above[triangles].all(axis=1))
+            used, own = own_numbers(triangles[self._base_faces[part]])
             starts = len(self._base_vertex), len(self.faces)
             self._base_vertex = np.concatenate([self._base_vertex, used])
             self.faces = np.vstack([self.faces, own + starts[0]])
@@ -234,6 +260,17 @@ class Head:
         """Return the head of one person (default: the average adult) in one expression."""
         vertices = self.neutral + self.identity(identity or {}) + self.expression(expression)
         return Surface(vertices, self.faces)
+
+    @cached_property
+    def texture(self) -> TextureCoordinates | None:
+        """Texture coordinates of the skin: the base mesh's charts, packed anew without the body."""
+        if self.source.texture is None:
+            return None
+        places, corners = self.source.texture
+        own = corners[PARTS["skin"]][self._base_faces["skin"]]
+        chosen = np.full(self.faces.shape, NOWHERE, np.int64)
+        used, chosen[self.part_faces["skin"]] = own_numbers(own)
+        return TextureCoordinates.packed(places[used], chosen)
 
     @cached_property
     def ears(self) -> Ints:

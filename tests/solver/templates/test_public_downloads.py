@@ -15,6 +15,7 @@ from solver.surface import Floats, Ints
 from solver.templates import bodyparts3d, ict_facekit
 from solver.templates.bodyparts3d import public_parts
 from solver.templates.ict_facekit import NEUTRAL
+from solver.templates.tables import obj_texture, public_files
 from tests.fixtures import data_folder
 
 
@@ -129,3 +130,15 @@ def test_damaged_archive_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"repository\.zip") as caught:
         ict_facekit.read_facekit(tmp_path)
     assert caught.value.code == "download.unreadable"
+
+
+def test_published_texture_coordinates_are_those_of_the_corners(tmp_path: Path) -> None:
+    corners = "f 1/3/1 2/1/1 3/2/1 4/4/1\nf 1/3 2/1 3/2\n"
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nvt 0 .1\nvt .2 .3 0\nvt .4 .5\nvt 1 1\n{corners}")
+    (tmp_path / "b.obj").write_text("v 0 0 0\nvt 0 0\nf 1//1 2//1 3//1\n")
+    with_them, without = sorted(public_files(tmp_path, ".obj"), key=lambda file: file.name)
+    found = obj_texture(with_them)
+    assert found is not None
+    np.testing.assert_array_equal(found[0], [[0, 0.1], [0.2, 0.3], [0.4, 0.5], [1, 1]])
+    np.testing.assert_array_equal(found[1], [[2, 0, 1, 3], [2, 0, 1, -1]])
+    assert obj_texture(without) is None

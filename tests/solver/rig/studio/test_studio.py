@@ -9,19 +9,26 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from solver.anatomy.texture_coordinates import TextureCoordinates
 from solver.contact.obstacles import Eyeball
-from solver.errors import SolveError
+from solver.drawing.head import skin_parts
+from solver.errors import InputError, SolveError
 from solver.fitting.face import Face, Pose
 from solver.mechanics.boundary import FreeJaw
 from solver.mechanics.flesh import IDENTITY
+from solver.meshio.colours import read_colours
+from solver.meshio.raw import read_raw
+from solver.registration.texture import Texture
 from solver.rig.frames.read_back import accessor_values, split_glb
 from solver.rig.studio.glb import compare_glb, write_glb
-from solver.rig.studio.levels import distance_mm, simplify
+from solver.rig.studio.levels import carry_texture, distance_mm, simplify
 from solver.rig.studio.lids import Lids
 from solver.rig.studio.light_rig import LightRig
-from solver.rig.studio.parts import parts_of
+from solver.rig.studio.parts import TEXTURED, parts_of
 from solver.rig.studio.shapes import StudioShapes
 from solver.rig.studio.skeleton import HEAD, JAW, Skeleton
+from solver.rig.studio.skin_texture import SkinTexture
+from solver.surface import Surface
 from tests.solver.block import head_block
 
 MODEL = head_block()
@@ -75,6 +82,97 @@ def test_its_file_has_the_shapes_and_is_refused_with_others(
     other = replace(rig, motions=rig.motions + 1.0)
     with pytest.raises(SolveError, match="jawOpen"):
         compare_glb(other, path)
+
+
+@pytest.fixture
+def texture(tmp_path: Path) -> SkinTexture:
+    """An image in which every triangle of the block has a place of its own."""
+    skin = MODEL.skin
+    grid = np.arange(len(skin.faces))[:, None] + np.array([0.1, 0.5, 0.9])
+    places = np.column_stack([grid.ravel() / len(skin.faces), np.tile([0.2, 0.9, 0.3], len(grid))])
+    corners = np.arange(skin.faces.size, dtype=np.int32).reshape(-1, 3)
+    coordinates = TextureCoordinates(places.astype(np.float32), corners)
+    path = tmp_path / "texture.png"
+    pixels = np.zeros((8, 8, 3), np.uint8)
+    Texture(pixels, pixels[:, :, 0], coordinates, {}).write(path, tmp_path / "confidence.png")
+    return SkinTexture.read(path, coordinates, len(skin.faces))
+
+
+def test_its_skin_wears_a_texture_with_seams(
+    shapes: StudioShapes, texture: SkinTexture, tmp_path: Path
+) -> None:
+    rig = LightRig.of(MODEL, shapes, "joints")
+    path = tmp_path / "studio.glb"
+    write_glb(rig, path, texture)
+    assert compare_glb(rig, path, texture.coordinates)["max_mm"] < 1e-2
+    document, binary = split_glb(path)
+    primitive = next(mesh for mesh in document["meshes"] if mesh["name"] == TEXTURED)["primitives"]
+    attributes = primitive[0]["attributes"]
+
+    def values(number: int) -> np.ndarray:
+        return accessor_values(document, binary, document["accessors"][number])
+
+    faces = values(primitive[0]["indices"]).reshape(-1, 3)
+    part = parts_of(MODEL.skin, rig.skeleton, texture.coordinates)[0]
+    own = skin_parts(MODEL.skin)[TEXTURED]
+    found = values(attributes["TEXCOORD_0"])[faces]
+    wanted = texture.coordinates.places[texture.coordinates.corners[own]]
+    np.testing.assert_allclose(found[..., 0], wanted[..., 0], atol=1e-6)
+    np.testing.assert_allclose(found[..., 1], 1.0 - wanted[..., 1], atol=1e-6)
+    points = values(attributes["POSITION"])[faces] / 1e-3
+    np.testing.assert_allclose(points, MODEL.skin.vertices[MODEL.skin.faces[own]], atol=1e-3)
+    assert len(part.vertices) == 3 * len(own)
+    # read back as a scan, it has the image's colours
+    scan = read_colours(path, read_raw(path))
+    assert scan is not None
+    assert (scan.paint.images_of >= 0).sum() == len(own)
+
+
+def test_a_level_of_detail_wears_the_texture_where_it_was() -> None:
+    skin = MODEL.skin
+    # two charts, cut in the middle, whose coordinates go with the place
+    right = skin.vertices[skin.faces].mean(axis=1)[:, 0] > skin.vertices[:, 0].mean()
+    places = np.vstack([skin.vertices[:, :2]] * 2) / 1000.0
+    corners = (skin.faces + len(skin.vertices) * right[:, None]).astype(np.int32)
+    coordinates = TextureCoordinates(places.astype(np.float32), corners)
+    level = Surface(skin.vertices, skin.faces[::2])
+    found = carry_texture(coordinates, skin, level)
+    np.testing.assert_allclose(
+        found.places[found.corners], level.vertices[level.faces][..., :2] / 1000.0, atol=1e-5
+    )
+    assert len(found.places) > len(np.unique(level.faces))  # split at the seam
+
+
+def test_its_usd_wears_the_texture(
+    shapes: StudioShapes, texture: SkinTexture, tmp_path: Path
+) -> None:
+    usd = pytest.importorskip("solver.rig.studio.usd")
+    from pxr import Usd, UsdGeom, UsdShade
+
+    rig = LightRig.of(MODEL, shapes, "shapes")
+    path = tmp_path / "studio.usdc"
+    usd.write_usd(rig, path, texture.coordinates, "skin.png")
+    assert usd.compare_usd(rig, path, texture.coordinates)["max_mm"] < 1e-4
+    stage = Usd.Stage.Open(str(path))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Face/skin"))
+    places = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get()
+    assert len(places) == len(mesh.GetPointsAttr().Get())
+    image = UsdShade.Shader.Get(stage, "/Face/Materials/skin/BaseColour")
+    assert image.GetInput("file").Get().path == "./skin.png"
+    surface = UsdShade.Shader.Get(stage, "/Face/Materials/skin/Surface")
+    source, *_ = surface.GetInput("diffuseColor").GetConnectedSources()[0]
+    assert source.source.GetPath() == image.GetPath()
+
+
+def test_a_texture_of_another_template_is_refused(texture: SkinTexture, tmp_path: Path) -> None:
+    other = replace(texture.coordinates, places=texture.coordinates.places * np.float32(0.5))
+    with pytest.raises(InputError) as caught:
+        SkinTexture.read(tmp_path / "texture.png", other, len(MODEL.skin.faces))
+    assert caught.value.code == "texture.template"
+    (tmp_path / "texture.png").write_bytes(b"none")
+    with pytest.raises(InputError) as caught:
+        SkinTexture.read(tmp_path / "texture.png", other, len(MODEL.skin.faces))
+    assert caught.value.code == "texture.unreadable"
 
 
 def test_its_usd_has_the_shapes_and_the_joints(shapes: StudioShapes, tmp_path: Path) -> None:

@@ -1,0 +1,93 @@
+"""The colours of a raw scan, as its vertices or images have them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.errors import InputError
+from solver.meshio.glb_colours import paint_of_glb
+from solver.meshio.mesh import read_content
+from solver.meshio.obj_colours import paint_of_obj
+from solver.meshio.paint import BARE, Paint
+from solver.meshio.raw import MAX_BYTES, RawScan
+from solver.meshio.texture_images import Texels
+from solver.surface import Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class ScanColours:
+    """A scan's surface as its file has it, with colours; some triangles may have none."""
+
+    vertices: Floats  # (n, 3) in the file's unit, unmended
+    faces: Ints  # (f, 3)
+    paint: Paint
+
+    def at(self, faces: Ints, shares: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return colours (k, 3), sRGB in [0, 1], and which places (k,) have one.
+
+        The places are barycentric ``shares`` (k, 3) of triangles ``faces`` (k,). Images are
+        bilinear, and repeat beyond their edges.
+        """
+        paint = self.paint
+        colours = np.zeros((len(faces), 3))
+        known = np.zeros(len(faces), bool)
+        number = paint.images_of[faces]
+        if paint.vertices is not None:
+            own = np.flatnonzero(number == BARE)
+            corners = self.faces[faces[own]]
+            colours[own] = np.einsum("kc,kcd->kd", shares[own], paint.vertices[corners])
+            known[own] = True
+        for image in range(len(paint.images)):
+            own = np.flatnonzero(number == image)
+            places = np.einsum("kc,kcd->kd", shares[own], paint.coordinates[faces[own]])
+            found = bilinear(paint.images[image], places)
+            colours[own] = found[:, :3]
+            known[own] = found[:, 3] > 0.5
+        known &= np.isfinite(colours).all(axis=1)
+        return np.where(known[:, None], colours, 0.0), known
+
+
+def bilinear(image: Texels, places: Floats) -> Floats:
+    """Return the values (k, 4) in [0, 1] of an image, which repeats, at ``places`` (k, 2).
+
+    A place is the part of the way from the left edge to the right and from the upper to the lower.
+    """
+    height, width = image.shape[:2]
+    size = np.array([width, height])
+    at = np.where(np.isfinite(places), places, 0.0) % 1.0 * size - 0.5
+    low = np.floor(at).astype(np.int64)
+    share = at - low
+    found = np.zeros((len(places), 4))
+    for right in (0, 1):
+        for down in (0, 1):
+            column, row = ((low + np.array([right, down])) % size).T
+            weight = np.abs(1 - right - share[:, 0]) * np.abs(1 - down - share[:, 1])
+            found += weight[:, None] * image[row, column]
+    return found / 255.0
+
+
+def read_colours(path: Path, scan: RawScan) -> ScanColours | None:
+    """Return the colours of a ``scan`` as it was read from ``path``, not mended; None: it has none.
+
+    Images are those that its file names, in it (GLB) or beside it (OBJ, by its MTL). Raises
+    :class:`InputError`: ``texture.path``, ``texture.missing`` or ``texture.unreadable``.
+    """
+    if not len(scan.faces):
+        return None
+    paint = None
+    if scan.format == "obj":
+        paint = paint_of_obj(path, read_content(path, MAX_BYTES, "a raw scan"))
+    elif scan.format == "glb":
+        paint = paint_of_glb(path, read_content(path, MAX_BYTES, "a raw scan"))
+    if paint is None and scan.colours is not None:
+        paint = Paint.of_vertices(scan.colours, len(scan.faces))
+    if paint is None:
+        return None
+    if len(paint.images_of) != len(scan.faces):
+        reason = f"{path.name}: its faces and texture coordinates do not match"
+        raise InputError("texture.unreadable", reason, file=path.name)
+    return ScanColours(scan.vertices, scan.faces, paint)

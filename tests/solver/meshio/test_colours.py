@@ -1,0 +1,217 @@
+"""Colours of raw scans: every way that a file may have them, and what is never opened."""
+
+from __future__ import annotations
+
+import io
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pygltflib as gl
+import pytest
+from PIL import Image
+
+from solver.errors import InputError
+from solver.meshio.colours import ScanColours, read_colours
+from solver.meshio.raw import read_raw
+from solver.rig.frames.gltf import Buffer
+
+# A quarter of the image each: red, green above; blue, white below.
+QUARTERS = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
+PICTURE = np.kron(QUARTERS, np.ones((8, 8, 1), np.uint8))
+MIDDLE = np.array([[0.5, 0.25, 0.25]])
+# A triangle whose middle is 0.25 from the left and 0.75 up: in the upper left quarter
+OBJ = (
+    "mtllib face.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    "vt 0.25 0.75\nvt 0.35 0.75\nvt 0.15 0.75\nusemtl skin\nf 1/1 2/2 3/3\n"
+)
+
+
+def png(pixels: np.ndarray, **options: object) -> bytes:
+    content = io.BytesIO()
+    Image.fromarray(pixels, **options).save(content, "PNG")
+    return content.getvalue()
+
+
+def colours(path: Path) -> ScanColours | None:
+    return read_colours(path, read_raw(path))
+
+
+def middle(path: Path) -> list[float]:
+    """Return the colour in the middle of the first triangle."""
+    found = colours(path)
+    assert found is not None
+    colour, known = found.at(np.zeros(1, np.int64), MIDDLE)
+    assert known.all()
+    return list(colour[0])
+
+
+def obj(folder: Path, text: str = OBJ, mtl: str = "newmtl skin\nmap_Kd a b.png\n") -> Path:
+    (folder / "a b.png").write_bytes(png(PICTURE))
+    (folder / "face.mtl").write_text(mtl)
+    path = folder / "face.obj"
+    path.write_text(text)
+    return path
+
+
+def test_an_obj_has_the_images_of_its_materials_and_they_tile(tmp_path: Path) -> None:
+    assert middle(obj(tmp_path)) == pytest.approx([1, 0, 0])
+    # one image further, either way, and counted back
+    moved = (
+        OBJ.replace("0.75\n", "-1.25\n").replace("vt 0.", "vt 3.").replace("f 1/1 2/2 3/3\n", "")
+    )
+    assert middle(obj(tmp_path, moved + "f -3/-3 -2/-2 -1/-1\n")) == pytest.approx([1, 0, 0])
+    # an offset in the MTL, and options before the name
+    mtl = "newmtl skin\n\tmap_Kd -clamp off -o 0.5 0 0 -s 1 1 1 ./a b.png\n"
+    assert middle(obj(tmp_path, mtl=mtl)) == pytest.approx([0, 1, 0])
+
+
+def test_several_materials_have_an_image_each_and_some_none(tmp_path: Path) -> None:
+    more = "usemtl bare\nf 1/1 2/2 3/3\nusemtl other\nf 1/1 2/2 3/3\nf 1 2 3\n"
+    mtl = "newmtl skin\nmap_Kd a b.png\nnewmtl bare\nKd 1 0 0\nnewmtl other\nmap_Kd blue.png\n"
+    path = obj(tmp_path, OBJ + more, mtl)
+    (tmp_path / "blue.png").write_bytes(png(np.full((4, 4, 3), (0, 0, 255), np.uint8)))
+    found = colours(path)
+    assert found is not None
+    colour, known = found.at(np.arange(4), np.repeat(MIDDLE, 4, axis=0))
+    assert known.tolist() == [True, False, True, False]
+    np.testing.assert_allclose(colour[[0, 2]], [[1, 0, 0], [0, 0, 1]], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("/etc/passwd", "texture.path"),
+        ("../secret.png", "texture.path"),
+        ("C:\\scans\\skin.png", "texture.path"),
+        ("folder/skin.png", "texture.path"),
+        ("..", "texture.path"),
+        ("A b.png", "texture.missing"),
+        ("face.mtl", "texture.unreadable"),
+    ],
+)
+def test_only_images_beside_the_scan_are_opened(name: str, code: str, tmp_path: Path) -> None:
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    (tmp_path / "secret.png").write_bytes(png(PICTURE))
+    with pytest.raises(InputError) as caught:
+        colours(obj(folder, mtl=f"newmtl skin\nmap_Kd {name}\n"))
+    assert caught.value.code == code
+    assert name.split("\\")[0] in caught.value.message
+
+
+def test_links_and_mtls_elsewhere_are_not_followed(tmp_path: Path) -> None:
+    path = obj(tmp_path, OBJ.replace("face.mtl", "../face.mtl"))
+    with pytest.raises(InputError, match="plain name"):
+        colours(path)
+    path = obj(tmp_path)
+    secret = tmp_path / "secret.png"
+    (tmp_path / "a b.png").rename(secret)
+    (tmp_path / "a b.png").symlink_to(secret)
+    with pytest.raises(InputError, match="does not lie beside"):
+        colours(path)
+
+
+@pytest.mark.parametrize("mode", ["L", "1", "P", "CMYK", "RGBA", "I;16"])
+def test_images_of_any_depth_become_colours(mode: str, tmp_path: Path) -> None:
+    grey = np.full((16, 16), 255, np.uint8)
+    if mode == "I;16":
+        image = Image.fromarray(np.full((16, 16), 65535, np.uint16))
+    else:
+        image = Image.fromarray(grey).convert("RGB").convert(mode)
+    path = obj(tmp_path, mtl="newmtl skin\nmap_Kd skin.img\n")
+    image.save(tmp_path / "skin.img", "TIFF" if mode == "CMYK" else "PNG")
+    assert middle(path) == pytest.approx([1, 1, 1], abs=0.01)
+
+
+def test_where_an_image_is_transparent_there_is_no_colour(tmp_path: Path) -> None:
+    path = obj(tmp_path)
+    clear = np.dstack([PICTURE, np.zeros(PICTURE.shape[:2], np.uint8)])
+    (tmp_path / "a b.png").write_bytes(png(clear))
+    found = colours(path)
+    assert found is not None
+    assert not found.at(np.zeros(1, np.int64), MIDDLE)[1].any()
+
+
+def test_bombs_and_damaged_images_are_refused(tmp_path: Path) -> None:
+    path = obj(tmp_path)
+    image = tmp_path / "a b.png"
+    whole = png(PICTURE)
+    huge = bytearray(whole)
+    huge[16:24] = (20000).to_bytes(4, "big") * 2
+    huge[29:33] = zlib.crc32(huge[12:29]).to_bytes(4, "big")
+    for content in (bytes(huge), whole[: len(whole) // 2], b"", b"GIF89a"):
+        image.write_bytes(content)
+        with pytest.raises(InputError) as caught:
+            colours(path)
+        assert caught.value.code == "texture.unreadable"
+        assert "a b.png" in caught.value.message
+
+
+def test_vertex_colours_of_ply_and_obj(tmp_path: Path) -> None:
+    for kind, most in (("uchar", 255), ("float", 1)):
+        path = tmp_path / f"{kind}.ply"
+        rows = "".join(f"{x} {y} 0 {most} 0 {most}\n" for x, y in ((0, 0), (1, 0), (0, 1)))
+        names = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
+        path.write_text(
+            "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+            f"property float z\n{names}element face 1\nproperty list uchar int vertex_indices\n"
+            f"end_header\n{rows}3 0 1 2\n"
+        )
+        assert middle(path) == pytest.approx([1, 0, 1])
+    path = tmp_path / "a.obj"
+    path.write_text("v 0 0 0 0 1 0\nv 1 0 0 0 1 0\nv 0 1 0 0 1 0\nf 1 2 3\n")
+    assert middle(path) == pytest.approx([0, 1, 0])
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n")
+    assert colours(path) is None
+
+
+def glb(path: Path, image: bytes, moved: dict[str, object] | None = None, **more: object) -> Path:
+    """Write a triangle whose middle is 0.25 from the left and 0.25 down."""
+    buffer = Buffer()
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
+    places = np.array([[0.25, 0.25], [0.35, 0.25], [0.15, 0.25]])
+    attributes = gl.Attributes(
+        POSITION=buffer.dense(points, gl.VEC3, bounds=True),
+        TEXCOORD_0=buffer.dense(places, gl.VEC2),
+        COLOR_0=buffer.dense(np.full((3, 3), 0.2140), gl.VEC3),
+    )
+    extensions = {"KHR_texture_transform": moved} if moved else {}
+    texture = gl.TextureInfo(index=0, extensions=extensions)
+    surface = gl.PbrMetallicRoughness(baseColorTexture=texture if image else None, **more)
+    document = gl.GLTF2(
+        scene=0,
+        scenes=[gl.Scene(nodes=[0])],
+        nodes=[gl.Node(mesh=0)],
+        meshes=[gl.Mesh(primitives=[gl.Primitive(attributes=attributes, material=0)])],
+        materials=[gl.Material(pbrMetallicRoughness=surface)],
+        textures=[gl.Texture(source=0)],
+        images=[gl.Image(bufferView=buffer.image(image or b"none"), mimeType="image/png")],
+        accessors=buffer.accessors,
+        bufferViews=buffer.views,
+    )
+    document.buffers = [gl.Buffer(byteLength=len(buffer.content))]
+    document.set_binary_blob(bytes(buffer.content))
+    document.save_binary(str(path))
+    return path
+
+
+def test_a_glb_has_its_texture_where_its_transform_puts_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    assert middle(glb(path, png(PICTURE))) == pytest.approx([1, 0, 0])
+    assert middle(glb(path, png(PICTURE), {"offset": [0.5, 0.0]})) == pytest.approx([0, 1, 0])
+    # a quarter turn takes (0.25, 0.25) to (0.25, -0.25), which is 0.75 down
+    turned = {"rotation": np.pi / 2}
+    assert middle(glb(path, png(PICTURE), turned)) == pytest.approx([0, 0, 1])
+    half = {"baseColorFactor": [0.2140, 1.0, 1.0, 1.0]}
+    assert middle(glb(path, png(PICTURE), **half)) == pytest.approx([0.5, 0, 0], abs=0.01)
+
+
+def test_a_glb_s_vertex_colours_are_linear(tmp_path: Path) -> None:
+    assert middle(glb(tmp_path / "a.glb", b"")) == pytest.approx([0.5] * 3, abs=0.001)
+
+
+def test_a_glb_s_image_that_is_none_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="image 0") as caught:
+        colours(glb(tmp_path / "a.glb", b"no image"))
+    assert caught.value.code == "texture.unreadable"
