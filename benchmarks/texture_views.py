@@ -57,7 +57,8 @@ def ssim(one: Floats, other: Floats) -> Floats:
     def mean(values: Floats) -> Floats:
         return np.asarray(gaussian_filter(values, SIGMA))
 
-    a, b = mean(one), mean(other)
+    a = mean(one)
+    b = mean(other)
     spread = mean(one * one) - a * a + mean(other * other) - b * b
     common = mean(one * other) - a * b
     first = (2 * a * b + STEADY[0]) / (a * a + b * b + STEADY[0])
@@ -117,7 +118,8 @@ def seam_delta_e(skin: Surface, face: Ints, texture: Texture) -> float | None:
     sides = np.vstack([skin.faces[own][:, [k, (k + 1) % 3]] for k in range(3)])
     ends = np.vstack([corners[own][:, [k, (k + 1) % 3]] for k in range(3)])
     turned = sides[:, 0] > sides[:, 1]
-    sides[turned], ends[turned] = sides[turned][:, ::-1], ends[turned][:, ::-1]
+    sides[turned] = sides[turned][:, ::-1]
+    ends[turned] = ends[turned][:, ::-1]
     order = np.lexsort(sides.T)
     pairs = order[:-1][(sides[order[1:]] == sides[order[:-1]]).all(axis=1)]
     other = order[1:][(sides[order[1:]] == sides[order[:-1]]).all(axis=1)]
@@ -162,7 +164,8 @@ def measure(scan: Path, template: Path | None, picture: Path | None) -> Figures:
     colours = read_colours(scan, read_raw(scan))
     assert colours is not None
     moved = told["motion"]
-    turn, shift = np.array(moved["rotation"]), np.array(moved["translation"])
+    turn = np.array(moved["rotation"])
+    shift = np.array(moved["translation"])
     motion = Similarity(float(moved["scale"]), turn, shift)
     face = topology(anatomy).face
     found = compare(colours, motion(colours.vertices), skin.with_vertices(points), face, texture)

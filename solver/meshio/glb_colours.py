@@ -119,6 +119,7 @@ def _transformed(places: Floats, moved: dict[str, Any]) -> Floats:
     scale = np.array(moved.get("scale", (1.0, 1.0)), np.float64)
     offset = np.array(moved.get("offset", (0.0, 0.0)), np.float64)
     turn = float(moved.get("rotation", 0.0))
-    cosine, sine = np.cos(turn), np.sin(turn)
+    cosine = np.cos(turn)
+    sine = np.sin(turn)
     rotation = np.array([[cosine, sine], [-sine, cosine]])
     return np.asarray((places * scale) @ rotation.T + offset)

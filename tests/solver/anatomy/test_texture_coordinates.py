@@ -22,7 +22,8 @@ def test_charts_are_packed_without_a_change_of_shape_or_side() -> None:
     assert found.places.max() <= 1.0
     assert found.mapped.tolist() == [0, 1, 2, 3, 4]
     at = found.places[found.corners[found.mapped]].astype(float)
-    one, other = at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]
+    one = at[:, 1] - at[:, 0]
+    other = at[:, 2] - at[:, 0]
     area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
     np.testing.assert_allclose(area / area[0], [1, 1, 1 / 12, 1 / 12, 1 / 12], rtol=1e-4)
     # the largest lies across; the small ones do not touch it or each other

@@ -23,7 +23,9 @@ OPTIONS = replace(TEXTURE, size=1024)
 
 def pattern(points: Floats) -> Floats:
     """Return colours (n, 3) that are the same on both sides of the mid-plane."""
-    x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
+    x = np.abs(points[:, 0])
+    y = points[:, 1]
+    z = points[:, 2]
     return 0.5 + 0.3 * np.sin(np.column_stack([x / 12, y / 15, z / 20]))
 
 
@@ -69,13 +71,15 @@ def test_the_built_in_head_s_coordinates_fill_the_image_and_do_not_overlap(
     assert places.max() <= 1.0
     assert np.ptp(places, axis=0).min() > 0.98
     corners = places[coordinates.corners[coordinates.mapped]].astype(float)
-    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    one = corners[:, 1] - corners[:, 0]
+    other = corners[:, 2] - corners[:, 0]
     area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
     assert (area > 0.0).all()  # none is mirrored
     # each texel's middle lies in one triangle: what they cover together is what each covers alone
     counts = np.zeros((512, 512))
     for triangle in 512 * corners:
-        low, high = triangle.min(axis=0).astype(int), triangle.max(axis=0).astype(int) + 1
+        low = triangle.min(axis=0).astype(int)
+        high = triangle.max(axis=0).astype(int) + 1
         columns, rows = (np.arange(a, b) + 0.5 for a, b in zip(low, high, strict=True))
         grid = np.stack(np.meshgrid(columns, rows), axis=-1)
         sides = np.roll(triangle, -1, axis=0) - triangle
