@@ -72,6 +72,7 @@ class CarriedHead:
             self.motion = follow(self.placed.neck, goal, self._options, gravity, pushes)
         else:
             self.motion = _share_out(self.placed.neck, goal)
+        self._unfelt = 0 if entry.muscles else len(entry.pushes)
         self.pose = lru_cache(maxsize=4)(self._pose)
 
     def _pose(self, time: float) -> NeckPose:
@@ -125,6 +126,9 @@ class CarriedHead:
             message = f"{words}: it turns alone, first frame {first}"
             context = {"count": count, "first_frame": first, "moved_mm": round(most, 2)}
             told.append(make_warning("neck.reach", message, context))
+        if self._unfelt:
+            message = f"{self._unfelt} pushes do nothing: no muscles move this neck"
+            told.append(make_warning("neck.pushes", message, {"count": self._unfelt}))
         return [*told, *self._goal.notices]
 
     def arrays(self, times: Floats) -> dict[str, np.ndarray]:

@@ -69,6 +69,14 @@ def test_what_a_neck_cannot_do_is_held_and_told() -> None:
     assert stage.neck.arrays(stage.drives.times)["head_held"].sum() > 1
 
 
+def test_pushes_that_no_muscles_feel_are_told() -> None:
+    push = {"time": 0, "at": [0, 0, 0], "newtons": [0, 0, 100]}
+    stage = staged({"head": UP, "neck": {**JOINTS_ALONE, "pushes": [push, push]}})
+    assert stage.neck is not None
+    told = {notice.code: notice.context for notice in stage.neck.notices}
+    assert told["neck.pushes"]["count"] == 2
+
+
 def test_a_push_moves_the_head_and_muscles_bring_it_back() -> None:
     pytest.importorskip("mujoco")
     push = {"time": 0.1, "seconds": 0.1, "at": [0, 80, 110], "newtons": [30, 0, 0]}
