@@ -81,7 +81,8 @@ def add(
         bool,
         Option(
             "--asset",
-            help="short for --role asset: a file that scenes name, a mesh, CSV, NPY, NPZ or OSIM",
+            help="short for --role asset: a file that scenes name, a mesh, CSV, NPY, NPZ, OSIM "
+            "or a video (MP4, MOV)",
         ),
     ] = False,
     registered: Annotated[

@@ -54,6 +54,7 @@ def transfer(
     fetch landmarker`.
     """
     from solver.anatomy.template import Template
+    from solver.errors import InputError
     from solver.jobs import run_job
     from solver.rig import Rig, find_files
     from solver.rig.transfer_sheet import draw_transfer
@@ -72,6 +73,9 @@ def transfer(
     files = {name: file for name, file in files.items() if file is not None} | find_files(rig)
     output.mkdir(parents=True, exist_ok=True)
     with JobDisplay("transfer") as view:
+        if not is_film(video):
+            message = f"{video.name} is no video; `myoface solve animate` plays other recordings"
+            raise InputError("video.unreadable", message, file=video.name)
         run_job(
             "animate",
             output,
@@ -87,7 +91,8 @@ def transfer(
     show_outcome("animate", report, None)
     told = report["transfer"]
     out.print(
-        f"{told['seen']} frames with a face, {told['gaps']} gaps, the longest of "
+        f"{report['frames']} frames played; in the whole video {told['seen']} with a face, "
+        f"{told['gaps']} gaps, the longest of "
         f"{told['longest_gap_s']:.2f} s, {len(told['unseen_shapes'])} shapes that are not seen"
     )
     out.print(f"{output / PICTURE}")

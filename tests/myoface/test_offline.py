@@ -121,3 +121,12 @@ def test_scenes_and_assets_that_are_none(
     assert done.exit_code == 2
     assert words in " ".join(done.output.replace("│", "").split())
     assert not (tmp_path / "played").exists()
+
+
+def test_a_table_is_refused_as_a_video_before_anything_is_played(tmp_path: Path) -> None:
+    table, rig = tmp_path / "signals.csv", tmp_path / "rig.npz"
+    table.write_text("Timecode,BlendshapeCount\n", encoding="utf-8")
+    rig.write_bytes(b"")
+    told = invoke(["transfer", str(table), "--rig", str(rig), "-o", str(tmp_path / "left")])
+    assert told.exit_code == 1
+    assert "signals.csv is no video" in told.output
