@@ -54,7 +54,6 @@ def transfer(
     fetch landmarker`.
     """
     from solver.anatomy.template import Template
-    from solver.errors import InputError
     from solver.jobs import run_job
     from solver.rig import Rig, find_files
     from solver.rig.transfer_sheet import draw_transfer
@@ -63,7 +62,7 @@ def transfer(
 
     if not is_film(video):
         reason = "is no video; myoface solve animate plays signals.csv and other recordings"
-        raise UsageError(f"{video}: {reason}")
+        raise UsageError(f"{video.name} {reason}")
     recording: dict[str, Any] = {"asset": "video", "start": start, "end": end, "face": face}
     recording |= {"gain": gain, "smooth_hz": smooth_hz}
     if neutral is not None:
@@ -73,9 +72,6 @@ def transfer(
     files = {name: file for name, file in files.items() if file is not None} | find_files(rig)
     output.mkdir(parents=True, exist_ok=True)
     with JobDisplay("transfer") as view:
-        if not is_film(video):
-            message = f"{video.name} is no video; `myoface solve animate` plays other recordings"
-            raise InputError("video.unreadable", message, file=video.name)
         run_job(
             "animate",
             output,

@@ -124,9 +124,10 @@ def test_scenes_and_assets_that_are_none(
 
 
 def test_a_table_is_refused_as_a_video_before_anything_is_played(tmp_path: Path) -> None:
-    table, rig = tmp_path / "signals.csv", tmp_path / "rig.npz"
+    table = tmp_path / "signals.csv"
+    rig = tmp_path / "rig.npz"
     table.write_text("Timecode,BlendshapeCount\n", encoding="utf-8")
     rig.write_bytes(b"")
     told = invoke(["transfer", str(table), "--rig", str(rig), "-o", str(tmp_path / "left")])
-    assert told.exit_code == 1
-    assert "signals.csv is no video" in told.output
+    assert told.exit_code == 2
+    assert "signals.csv is no video" in told.stderr
