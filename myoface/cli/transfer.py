@@ -17,7 +17,7 @@ _FILE: dict[str, Any] = {"exists": True, "dir_okay": False}
 
 
 def transfer(
-    video: Annotated[Path, Argument(**_FILE, help="MP4 or MOV of a face")],
+    video: Annotated[Path, Argument(**_FILE, help="of a face: MP4, MOV, WebM, Matroska or AVI")],
     rig: Annotated[Path, Option(exists=True, help=RIG)],
     output: NewFolder = Path("transfer"),
     controls: Annotated[Path | None, Option(**_FILE, help="controls.npz of learn-controls")] = None,
@@ -88,7 +88,7 @@ def transfer(
     told = report["transfer"]
     out.print(
         f"{report['frames']} frames played; in the whole video {told['seen']} with a face, "
-        f"{told['gaps']} gaps, the longest of "
-        f"{told['longest_gap_s']:.2f} s, {len(told['unseen_shapes'])} shapes that are not seen"
+        f"gaps: {told['gaps']}, the longest of {told['longest_gap_s']:.2f} s; "
+        f"{len(told['unseen_shapes'])} shapes are not seen"
     )
     out.print(f"{output / PICTURE}")

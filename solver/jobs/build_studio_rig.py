@@ -172,7 +172,7 @@ SHOWN = {
     "jaw open": {"jawOpen": 1.0},
     "smile": {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0},
     "funnel": {"mouthFunnel": 1.0},
-    "closed on an open jaw": {"jawOpen": 0.6, "mouthClose": 0.6},
+    "jawOpen, mouthClose 0.6": {"jawOpen": 0.6, "mouthClose": 0.6},
     "brows up, look left": {
         **{"browInnerUp": 1.0, "browOuterUpLeft": 1.0, "browOuterUpRight": 1.0},
         **{"eyeLookOutLeft": 1.0, "eyeLookInRight": 1.0},

@@ -115,7 +115,8 @@ def read_video(
         message = f"{path.name}: no face is seen in any of its {len(times)} frames"
         raise InputError("video.no_face", message, file=path.name)
     if face is not None and face >= len(people):
-        message = f"{path.name}: it has the faces 0 to {len(people) - 1}, and none {face}"
+        known = count_words(len(people), "face is", "faces are")
+        message = f"{path.name}: {known} seen, counted from 0, and none is number {face}"
         raise InputError("video.faces", message, file=path.name, expected=len(people), found=face)
     seen_by = people[face or 0]
     notices = [] if len(people) == 1 or face is not None else [_several(path.name, len(people))]
